@@ -1,0 +1,148 @@
+"""Two back ends for one CasADi function: the virtual machine, or generated C compiled once and cached.
+
+A compiled function lies in the user's cache folder under the hash of its source, the flags, the compiler and the
+processor's features; it is written to a temporary name and renamed, under a lock, so that any number of processes may
+ask for the same one. Without a compiler "auto" says so once and uses the virtual machine.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from quadexp.errors import QuadexpError, UsageError
+
+BACKENDS = ("auto", "compiled", "interpreted")
+# libmvec's vector exponential needs the finite-math flags; NaN measurements are refused before any call.
+FLAGS = ("-O3", "-march=native", "-ffast-math", "-fno-signed-zeros", "-fPIC", "-shared")
+
+
+def cache_folder() -> Path:
+    """Folder of the compiled functions: $QUADEXP_CACHE, else the user's cache folder; created private (0700)."""
+    chosen = os.environ.get("QUADEXP_CACHE")
+    if chosen:
+        folder = Path(chosen)
+    else:
+        base = os.environ.get("XDG_CACHE_HOME")
+        try:
+            folder = (Path(base) if base else Path.home() / ".cache") / "quadexp"
+        except RuntimeError:  # no home folder
+            folder = Path(tempfile.gettempdir()) / f"quadexp-{os.getuid()}"
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if folder.stat().st_uid != os.getuid():
+        raise QuadexpError(f"{folder}: belongs to another user, set QUADEXP_CACHE to a folder of your own")
+    return folder
+
+
+@cache
+def compiler() -> str | None:
+    """Path of the C compiler ($CC, gcc, clang or cc), or None."""
+    candidates = [os.environ["CC"]] if os.environ.get("CC") else ["gcc", "clang", "cc"]
+    return next((path for path in map(shutil.which, candidates) if path), None)
+
+
+@cache
+def _toolchain() -> str:
+    """What besides the source decides the binary: compiler version, flags, processor features."""
+    version = subprocess.run([compiler(), "--version"], capture_output=True, text=True, check=True).stdout
+    features = platform.processor() + platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        features += next((line for line in cpuinfo.read_text().splitlines() if line.startswith("flags")), "")
+    return "\n".join([version, " ".join(FLAGS), features])
+
+
+@cache
+def _say_once(message: str) -> None:
+    print(message, file=sys.stderr)
+
+
+def resolve(backend: str) -> str:
+    """The back end that a request gets on this machine: "compiled" or "interpreted".
+
+    Raises UsageError for an unknown back end, or for "compiled" without a compiler.
+    """
+    if backend not in BACKENDS:
+        raise UsageError(f"backend={backend}: allowed are {', '.join(BACKENDS)}")
+    if backend == "interpreted" or compiler() is not None:
+        return "interpreted" if backend == "interpreted" else "compiled"
+    if backend == "compiled":
+        raise UsageError("backend=compiled: no C compiler found (gcc, clang or $CC); use backend=interpreted")
+    _say_once("note: no C compiler found, control steps run interpreted (several times slower)")
+    return "interpreted"
+
+
+def realise(function: ca.Function, backend: str) -> ca.Function:
+    """The function on a resolved back end. Raises QuadexpError where compiling fails."""
+    return ca.external(function.name(), str(_compile(function))) if backend == "compiled" else function
+
+
+def _compile(function: ca.Function) -> Path:
+    """Path of the shared library with the function, compiled unless the cache has it."""
+    generator = ca.CodeGenerator(function.name(), {"with_header": False})
+    generator.add(function)
+    source = generator.dump()
+    key = hashlib.sha256(f"{_toolchain()}\n{source}".encode()).hexdigest()[:24]
+    folder = cache_folder()
+    library = folder / f"{function.name()}_{key}.so"
+    if library.exists():
+        return library
+    with open(folder / f"{key}.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            if not library.exists():
+                with tempfile.TemporaryDirectory(dir=folder, prefix=".build-") as scratch:
+                    source_file, built = Path(scratch) / "source.c", Path(scratch) / "built.so"
+                    source_file.write_text(source)
+                    command = [compiler(), *FLAGS, str(source_file), "-o", str(built), "-lm"]
+                    done = subprocess.run(command, capture_output=True, text=True)
+                    if done.returncode != 0:
+                        reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
+                        raise QuadexpError(f"{command[0]} could not compile {function.name()}: {reason}")
+                    os.replace(built, library)
+        finally:
+            Path(lock.name).unlink(missing_ok=True)
+    return library
+
+
+class BufferedFunction:
+    """A CasADi function called through preallocated arrays, without any allocation per call.
+
+    arguments, results: dictionaries from the function's names to float arrays; a matrix (r, c) is stored as numpy
+    (c, r), which is CasADi's column-major order. Fill the arguments, call, read the results.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self.function = function
+        self._buffer, self._trigger = function.buffer()
+        self.arguments = {}
+        self.results = {}
+        for i, name in enumerate(function.name_in()):
+            self.arguments[name] = self._array(function.sparsity_in(i))
+            if self.arguments[name].size:
+                self._buffer.set_arg(i, memoryview(self.arguments[name].reshape(-1)))
+        for i, name in enumerate(function.name_out()):
+            self.results[name] = self._array(function.sparsity_out(i))
+            if self.results[name].size:
+                self._buffer.set_res(i, memoryview(self.results[name].reshape(-1)))
+
+    @staticmethod
+    def _array(sparsity: ca.Sparsity) -> np.ndarray:
+        if sparsity.is_dense():
+            rows, columns = sparsity.shape
+            return np.zeros(rows) if columns == 1 else np.zeros((columns, rows))
+        return np.zeros(sparsity.nnz())
+
+    def __call__(self) -> None:
+        self._trigger()

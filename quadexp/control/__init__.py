@@ -1,0 +1,1 @@
+"""Controllers: what turns a measured state and a reference into rotor thrusts."""

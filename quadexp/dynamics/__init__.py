@@ -1,0 +1,1 @@
+"""Equations of motion and of the air, each written once, as CasADi expressions."""

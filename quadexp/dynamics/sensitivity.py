@@ -1,0 +1,94 @@
+"""One RK4 step with its exact sensitivities, chained stage by stage.
+
+Nothing in the air depends on where the vehicle is, so with s = [q, v, w] the motion is s' = f(s, u), p' = v, and only
+S_i = d k_i / d(s, u), (10, 10 + n), of the four slopes k_i = f(s + c_i k_{i-1}, u), c = (0, dt/2, dt/2, dt), is needed:
+
+    S_i = [f_s, f_u] + c_i f_s S_{i-1}
+    d s_next = [I, 0] + dt/6 (S_1 + 2 S_2 + 2 S_3 + S_4),        d p_next = [0, I, 0] dt + dt^2/6 (S_1 + S_2 + S_3)|_v
+
+Differentiating the whole step at once gives the same numbers from an expression three to ten times larger. The
+residual's Jacobian enters by the chain rule through z(x, u), so that a learned model keeps its own derivative.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from quadexp.dynamics.rigid_body import body_features, state_derivative
+from quadexp.residual.base import N_OUTPUTS, Residual
+from quadexp.state import N_STATE
+from quadexp.vehicle import Vehicle
+
+N_MOTION = N_STATE - 3  # s = [q, v, w]
+MOTION_VELOCITY = slice(4, 7)  # v within s
+
+
+def rk4_sensitivity_function(vehicle: Vehicle, residual: Residual, *, scalar: bool = True) -> ca.Function:
+    """(x (13,), u (n,), theta (p,), dt (s)) -> x_next (13,), A (13, 13), B (13, n).
+
+    scalar: one flat scalar expression with all structural zeros left out, which compiles to the fastest code (as far as
+    the residual is scalar too); otherwise dense matrix products, which the virtual machine runs fastest.
+    """
+    flat = scalar and residual.function.is_a("SXFunction")
+    kind = ca.SX if flat else ca.MX
+    n = vehicle.n_rotors
+    x, u = kind.sym("x", N_STATE), kind.sym("u", n)
+    theta, dt = kind.sym("theta", residual.function.size1_in(1)), kind.sym("dt")
+    features, slope = _features_function(vehicle), _slope_function(vehicle, residual, dense=not scalar)
+
+    S = None
+    slopes, sensitivities = [], []
+    for c in (0, dt / 2, dt / 2, dt):
+        x_stage = x + c * slopes[-1] if slopes else x
+        y, dy_dz = residual.function(features(x_stage, u), theta)
+        if S is None:
+            k, S = slope(x_stage, u, y, dy_dz)
+        elif scalar:
+            k, S = _stage_function(slope, S.sparsity())(x_stage, u, y, dy_dz, S, c)
+        else:
+            k, G = slope(x_stage, u, y, dy_dz)
+            S = G + c * ca.mtimes(G[:, :N_MOTION], S)
+        slopes.append(k)
+        sensitivities.append(S)
+    k1, k2, k3, k4 = slopes
+    S1, S2, S3, S4 = sensitivities
+    identity = kind.eye(N_MOTION) if scalar else ca.densify(kind.eye(N_MOTION))
+    d_motion = ca.horzcat(identity, kind(N_MOTION, n)) + dt / 6 * (S1 + 2 * (S2 + S3) + S4)
+    d_position = dt * ca.horzcat(identity, kind(N_MOTION, n))[MOTION_VELOCITY, :]
+    d_position += dt * dt / 6 * (S1 + S2 + S3)[MOTION_VELOCITY, :]
+    d_state = ca.vertcat(d_position, d_motion)
+    A = ca.horzcat(ca.vertcat(kind.eye(3), kind(N_MOTION, 3)), d_state[:, :N_MOTION])
+    outputs = [x + dt / 6 * (k1 + 2 * (k2 + k3) + k4), A, d_state[:, N_MOTION:]]
+    outputs = ca.cse(outputs) if flat else outputs if scalar else [ca.densify(output) for output in outputs]
+    return ca.Function("node", [x, u, theta, dt], outputs, ["x", "u", "theta", "dt"], ["x_next", "A", "B"])
+
+
+def _features_function(vehicle: Vehicle) -> ca.Function:
+    x, u = ca.SX.sym("x", N_STATE), ca.SX.sym("u", vehicle.n_rotors)
+    return ca.Function("features", [x, u], [body_features(x, u)])
+
+
+def _slope_function(vehicle: Vehicle, residual: Residual, *, dense: bool) -> ca.Function:
+    """(x, u, y, dy/dz) -> x' (13,), G = [f_s, f_u] (10, 10 + n) of the corrected dynamics."""
+    x, u = ca.SX.sym("x", N_STATE), ca.SX.sym("u", vehicle.n_rotors)
+    y = ca.SX.sym("y", residual.function.sparsity_out(0))
+    dy_dz = ca.SX.sym("dy_dz", residual.function.sparsity_out(1))
+    correction = ca.SX.sym("correction", N_OUTPUTS)
+    derivative = state_derivative(x, u, vehicle, correction)
+    motion, features = ca.vertcat(x[3:], u), body_features(x, u)
+    partial, by_correction, derivative = (
+        ca.substitute(expression, correction, ca.densify(y))
+        for expression in (ca.jacobian(derivative[3:], motion), ca.jacobian(derivative[3:], correction), derivative)
+    )
+    G = partial + ca.mtimes(by_correction, ca.mtimes(dy_dz, ca.jacobian(features, motion)))
+    G = ca.densify(G) if dense else ca.sparsify(G)
+    return ca.Function("slope", [x, u, y, dy_dz], ca.cse([derivative, G]))
+
+
+def _stage_function(slope: ca.Function, pattern: ca.Sparsity) -> ca.Function:
+    """(x, u, y, dy/dz, S of the last stage, c) -> x', S of this stage, in scalar operations."""
+    x, u, y, dy_dz = (ca.SX.sym(name, slope.sparsity_in(i)) for i, name in enumerate(("x", "u", "y", "dy_dz")))
+    last, c = ca.SX.sym("S", pattern), ca.SX.sym("c")
+    k, G = slope(x, u, y, dy_dz)
+    S = G + c * ca.mtimes(G[:, :N_MOTION], last)
+    return ca.Function("stage", [x, u, y, dy_dz, last, c], ca.cse([k, S]))

@@ -1,0 +1,159 @@
+"""The simplified simulation of Torrente et al. 2021: rigid body, drag, motor loss, process noise, payload.
+
+    delivered thrust   t_i = clip(u_i - k u_i^2 / u_max - noise_i, 0, u_max)
+    body force         F   = [0, 0, sum t_i] - d v_b - c v_b |v_b| + noise          N, per axis
+    v'                     = R F / M + g,   M = m + payload (a point mass at the centre)
+    w'                     = J^-1 (G t + noise - w x J w)
+
+Every noise is white and given by its spectral density, drawn once per integration step h with standard deviation
+density / sqrt(h), so that trajectories have the same statistics for every h. The published code draws force and torque
+with 0.005 N and N m at h = 0.5 ms: densities 1.118e-4. The motor noise's deviation grows with the root of the
+normalised thrust, 0.02 sqrt(u / u_max) u_max at h = 0.5 ms: density 4.472e-4.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple, dataclass
+
+import casadi as ca
+import numpy as np
+
+from quadexp.backend import BufferedFunction, realise, resolve
+from quadexp.dynamics.drag import linear_drag_force, quadratic_drag_force
+from quadexp.dynamics.integrator import rk4_step
+from quadexp.dynamics.motor import thrust_loss
+from quadexp.dynamics.rigid_body import body_features, state_derivative
+from quadexp.residual.base import Residual, feature_names, symbolic_residual
+from quadexp.state import ATTITUDE, N_STATE, RATE, VELOCITY
+from quadexp.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class PlantEffects:
+    """What acts on the vehicle besides its rotors and gravity; all zero is the ideal plant.
+
+    linear_drag: (3,) N s/m. quadratic_drag: (3,) N s^2/m^2. motor_loss: share k of the normalised thrust squared.
+    motor_noise_density: of the normalised thrust at full thrust, 1/sqrt(Hz). force_noise_density: N/sqrt(Hz).
+    torque_noise_density: N m/sqrt(Hz). payload: kg.
+    """
+
+    linear_drag: tuple[float, float, float] = (0.3, 0.3, 0.0)
+    quadratic_drag: tuple[float, float, float] = (0.08, 0.08, 0.08)
+    motor_loss: float = 0.1 / 1.3**2
+    motor_noise_density: float = 0.02 * math.sqrt(5e-4)
+    force_noise_density: float = 0.005 * math.sqrt(5e-4)
+    torque_noise_density: float = 0.005 * math.sqrt(5e-4)
+    payload: float = 0.0
+
+    @classmethod
+    def none(cls) -> PlantEffects:
+        """The ideal plant: what the nominal model says is what happens."""
+        return cls((0.0,) * 3, (0.0,) * 3, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def parameters(self) -> np.ndarray:
+        """The numbers in the order of the plant's symbolic parameter vector, (11,)."""
+        return np.hstack(astuple(self)).astype(float)
+
+
+N_EFFECTS = 11
+LINEAR_DRAG, QUADRATIC_DRAG, LOSS, MOTOR_NOISE, FORCE_NOISE, TORQUE_NOISE, PAYLOAD = (
+    slice(0, 3), slice(3, 6), 6, 7, 8, 9, 10,
+)  # fmt: skip
+
+
+class SimplifiedPlant:
+    """The simplified simulation as a Plant.
+
+    vehicle: true vehicle (without payload). step: largest integration step (s); a control period is divided evenly.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, effects: PlantEffects | None = None, *, step: float = 5e-4, backend: str = "auto"
+    ) -> None:
+        self.vehicle = vehicle
+        self.effects = effects or PlantEffects()
+        self.step = step
+        self._backend = resolve(backend)
+        self._advance: dict[int, BufferedFunction] = {}
+
+    def advance(
+        self, x: np.ndarray, u: np.ndarray, duration: float, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See Plant.advance; RK4 with the noise held over each step."""
+        steps = max(1, math.ceil(duration / self.step - 1e-9))
+        function = self._function(steps)
+        arguments = function.arguments
+        arguments["x"][...], arguments["u"][...] = x, u
+        arguments["step"][...] = duration / steps
+        rng.standard_normal(out=arguments["noise"])
+        function()
+        return function.results["x_next"].copy(), function.results["specific_force"].copy()
+
+    def residual(self) -> Residual:
+        """See Plant.residual: drag, mean motor loss and payload; noise and clipping left out."""
+        n = self.vehicle.n_rotors
+        z, theta = ca.SX.sym("z", len(feature_names(n))), ca.SX.sym("theta", N_EFFECTS)
+        command, delivered = z[6:], _delivered_thrust(z[6:], theta, self.vehicle)
+        nominal = ca.vertcat(0, 0, ca.sum1(command) / self.vehicle.mass)
+        torque = ca.mtimes(ca.DM(self.vehicle.allocation[1:]), delivered - command)
+        acceleration = _body_acceleration(z[:3], delivered, theta, self.vehicle) - nominal
+        outputs = ca.vertcat(acceleration, torque)
+        return symbolic_residual("plant", outputs, z, theta, self.effects.parameters(), source="plant equations")
+
+    def _function(self, steps: int) -> BufferedFunction:
+        if steps not in self._advance:
+            function = BufferedFunction(realise(_advance_function(self.vehicle, steps), self._backend))
+            function.arguments["effects"][...] = self.effects.parameters()
+            self._advance[steps] = function
+        return self._advance[steps]
+
+
+def _delivered_thrust(command, effects, vehicle: Vehicle):
+    """Mean thrust that arrives, (n,) (N)."""
+    return command - thrust_loss(command, effects[LOSS], vehicle.thrust_max)
+
+
+def _body_acceleration(body_velocity, delivered, effects, vehicle: Vehicle):
+    """Acceleration by rotors and drag, body frame (m/s^2)."""
+    force = linear_drag_force(body_velocity, effects[LINEAR_DRAG])
+    force += quadratic_drag_force(body_velocity, effects[QUADRATIC_DRAG])
+    return (force + ca.vertcat(0, 0, ca.sum1(delivered))) / (vehicle.mass + effects[PAYLOAD])
+
+
+def _advance_function(vehicle: Vehicle, steps: int) -> ca.Function:
+    """(x, u, noise (n + 6, steps) standard normal, effects, step (s)) -> x_next, specific force at the end."""
+    n = vehicle.n_rotors
+    x, u, noise = ca.SX.sym("x", N_STATE), ca.SX.sym("u", n), ca.SX.sym("noise", n + 6)
+    effects, step = ca.SX.sym("effects", N_EFFECTS), ca.SX.sym("step")
+    scaled = noise / ca.sqrt(step)
+    motor = effects[MOTOR_NOISE] * ca.sqrt(u * vehicle.thrust_max) * scaled[:n]
+    delivered = ca.fmin(ca.fmax(_delivered_thrust(u, effects, vehicle) - motor, 0), vehicle.thrust_max)
+    force_noise = effects[FORCE_NOISE] * scaled[n : n + 3] / (vehicle.mass + effects[PAYLOAD])
+    torque_noise = effects[TORQUE_NOISE] * scaled[n + 3 :]
+
+    def correction(state):
+        """What the rigid body must be told beyond the delivered thrust: drag, payload and noise."""
+        body_velocity = body_features(state, delivered)[:3]
+        nominal = ca.vertcat(0, 0, ca.sum1(delivered) / vehicle.mass)
+        specific_force = _body_acceleration(body_velocity, delivered, effects, vehicle) + force_noise
+        return specific_force, ca.vertcat(specific_force - nominal, torque_noise)
+
+    x_next = rk4_step(lambda state: state_derivative(state, delivered, vehicle, correction(state)[1]), x, step)
+    q = x_next[ATTITUDE]
+    x_next = ca.vertcat(x_next[:3], q / ca.norm_2(q), x_next[VELOCITY], x_next[RATE])
+    reading, _ = correction(x_next)
+    one = ca.Function("plant_step", [x, u, noise, effects, step], ca.cse([x_next, reading]))
+
+    x, u, noise = ca.MX.sym("x", N_STATE), ca.MX.sym("u", n), ca.MX.sym("noise", n + 6, steps)
+    effects, step = ca.MX.sym("effects", N_EFFECTS), ca.MX.sym("step")
+    state, readings = x, None
+    for column in ca.horzsplit(noise):
+        state, readings = one(state, u, column, effects, step)
+    return ca.Function(
+        "plant_advance",
+        [x, u, noise, effects, step],
+        [state, readings],
+        ["x", "u", "noise", "effects", "step"],
+        ["x_next", "specific_force"],
+    )

@@ -1,0 +1,61 @@
+"""The residual seam: a CasADi function with its parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+FEATURES = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
+OUTPUTS = ("a_x", "a_y", "a_z", "tau_x", "tau_y", "tau_z")
+N_OUTPUTS = len(OUTPUTS)
+
+
+def feature_names(n_rotors: int) -> tuple[str, ...]:
+    """Names of the entries of z: body velocity (m/s), body rate (rad/s), rotor thrusts (N)."""
+    return FEATURES + tuple(f"u_{i}" for i in range(n_rotors))
+
+
+@dataclass(frozen=True)
+class Residual:
+    """A residual model: function, parameters, and where they came from.
+
+    name: what to print ("none", "linear_drag", "gaussian_process", ...).
+    function: CasADi, (z (6 + n,), theta (p,)) -> (y (6,), dy/dz (6, 6 + n)); entries that are always zero are
+        structural zeros, so that whoever embeds it can skip them.
+    theta: parameter values, (p,).
+    source: checkpoint path or a word, for the record.
+    """
+
+    name: str
+    function: ca.Function
+    theta: np.ndarray
+    source: str = ""
+
+    def __call__(self, features: np.ndarray) -> np.ndarray:
+        """Residual at many points: features (k, 6 + n) -> outputs (k, 6) in the units of `OUTPUTS`."""
+        features = np.atleast_2d(features)
+        outputs, _ = self.function(features.T, np.tile(self.theta[:, None], (1, len(features))))
+        return np.array(ca.DM(outputs).full()).T
+
+    @property
+    def is_zero(self) -> bool:
+        """Whether the outputs are structurally zero: nothing is known of the air."""
+        return self.function.nnz_out(0) == 0
+
+
+def symbolic_residual(name: str, outputs, features, theta, values, *, source: str = "") -> Residual:
+    """A residual from SX expressions; the Jacobian by automatic differentiation.
+
+    outputs: SX (6,). features: SX (6 + n,). theta: SX (p,), p may be 0. values: (p,).
+    """
+    jacobian = ca.jacobian(outputs, features)
+    function = ca.Function(
+        f"residual_{name}",
+        [features, theta],
+        [ca.sparsify(outputs), jacobian],
+        ["z", "theta"],
+        ["y", "dy_dz"],
+    )
+    return Residual(name, function, np.asarray(values, float).reshape(-1), source)

@@ -1,0 +1,27 @@
+"""State and input layout, in SI units.
+
+World frame ENU (z up), body frame FLU (x forward, y left, z up). Quaternion body to world, Hamilton, w first.
+
+    x = [p (world, m), q (-), v (world, m/s), w (body, rad/s)]      13 numbers
+    u = [T_0 .. T_{n-1}]                                            commanded static rotor thrusts (N)
+"""
+
+from __future__ import annotations
+
+POSITION = slice(0, 3)  # world, m
+ATTITUDE = slice(3, 7)  # body to world, w first
+VELOCITY = slice(7, 10)  # world, m/s
+RATE = slice(10, 13)  # body, rad/s
+N_STATE = 13
+
+STATE_COLUMNS = (
+    "p_x", "p_y", "p_z",
+    "q_w", "q_x", "q_y", "q_z",
+    "v_x", "v_y", "v_z",
+    "w_x", "w_y", "w_z",
+)  # fmt: skip
+
+
+def input_columns(n_rotors: int) -> tuple[str, ...]:
+    """Names of the input columns, `u_0` .. `u_{n-1}`."""
+    return tuple(f"u_{i}" for i in range(n_rotors))

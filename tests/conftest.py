@@ -1,0 +1,54 @@
+"""Fixtures that every test may use."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+
+import numpy as np
+import pytest
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ["QUADEXP_CACHE"] = os.path.join(tempfile.gettempdir(), f"quadexp-tests-{os.getuid()}")
+
+from quadexp.vehicle import Vehicle
+
+
+@pytest.fixture(scope="session")
+def vehicle() -> Vehicle:
+    """The quadrotor of Torrente et al. 2021's simplified simulation (x layout)."""
+    h = 0.235 / np.sqrt(2)
+    return Vehicle(
+        name="torrente",
+        mass=1.0,
+        inertia=((0.03, 0, 0), (0, 0.03, 0), (0, 0, 0.06)),
+        rotor_position=((h, -h, 0), (-h, -h, 0), (-h, h, 0), (h, h, 0)),
+        rotor_spin=(-1, 1, -1, 1),
+        torque_coefficient=0.013,
+        thrust_min=0.0,
+        thrust_max=20.0,
+        rate_max=20.0,
+    )
+
+
+@pytest.fixture(scope="session")
+def odd_vehicle() -> Vehicle:
+    """Six rotors at odd places, full inertia: nothing cancels by symmetry."""
+    angle = np.arange(6) * np.pi / 3 + 0.2
+    place = np.stack([0.25 * np.cos(angle) + 0.01, 0.22 * np.sin(angle) - 0.02, 0 * angle], axis=-1)
+    return Vehicle(
+        name="odd",
+        mass=1.7,
+        inertia=((0.021, 0.001, -0.002), (0.001, 0.025, 0.0015), (-0.002, 0.0015, 0.04)),
+        rotor_position=tuple(map(tuple, place)),
+        rotor_spin=(1, -1, 1, -1, 1, -1),
+        torque_coefficient=0.017,
+        thrust_min=0.1,
+        thrust_max=9.0,
+        rate_max=20.0,
+    )
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20210131)

@@ -1,0 +1,156 @@
+"""The subproblem's solution against an independent QP solver, with and without active bounds."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from quadexp.backend import BufferedFunction
+from quadexp.control.active_set import ActiveSet, Status, condense
+from quadexp.control.settings import MPCSettings
+from quadexp.control.step import bounded_function, step_function
+from tests.residual.models import make_residual
+from tests.states import random_state
+
+NODES = 8
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["scalar", "matrix"])
+def solvers(request, vehicle):
+    step = step_function(vehicle, make_residual("linear_drag", vehicle), NODES, scalar=request.param)
+    return BufferedFunction(step), BufferedFunction(bounded_function(step, NODES, scalar=request.param))
+
+
+def pose(step: BufferedFunction, vehicle, rng, *, spread: float, terminal: float) -> None:
+    """A subproblem around hover with the reference `spread` away."""
+    settings, a = MPCSettings(terminal_weight=terminal), step.arguments
+    x = random_state(rng, speed=1.0, rate=0.5)
+    x[:7] = np.r_[0, 0, 0, 1, 0, 0, 0] + 0.05 * rng.normal(size=7)
+    x[7:] *= min(1.0, spread)
+    a["X"][...] = x + 0.1 * spread * rng.normal(size=a["X"].shape)
+    a["U"][...] = rng.uniform(1.5, 4, a["U"].shape)
+    a["x0"][...], a["X_ref"][...] = x, x
+    a["X_ref"][:, :3] += spread * rng.normal(size=3)
+    a["U_ref"][...] = vehicle.hover_thrust
+    a["theta"][...] = make_residual("linear_drag", vehicle).theta
+    a["Q"][...], a["R"][...] = settings.state_weight(), settings.thrust_weight(vehicle)
+    a["Q_end"][...] = terminal * settings.state_weight()
+    a["u_min"][...], a["u_max"][...] = 0.0, 6.0
+    a["dt"][...], a["shift"][...] = 0.1, 0.2
+
+
+def independent_solution(step: BufferedFunction, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The same QP, states kept as variables, by qpOASES: no Riccati, no condensing, another solver."""
+    r, a = step.results, step.arguments
+    A, B = (
+        np.stack(np.split(ca.DM(step.function.sparsity_out(name), r[name].reshape(-1)).full(), NODES, axis=1))
+        for name in ("A", "B")
+    )
+    n = B.shape[2]
+    size = NODES * (13 + n)  # du_0, dx_1, du_1, dx_2, ...
+    H, g, E, e = np.zeros((size, size)), np.zeros(size), np.zeros((13 * NODES, size)), np.zeros(13 * NODES)
+    for k in range(NODES):
+        at = k * (13 + n)
+        u, x = slice(at, at + n), slice(at + n, at + n + 13)
+        H[u, u], g[u] = np.diag(a["R"]), r["r"][k]
+        H[x, x], g[x] = np.diag(a["Q_end"] if k == NODES - 1 else a["Q"]), r["q"][k + 1]
+        rows = slice(13 * k, 13 * (k + 1))
+        E[rows, x], E[rows, u], e[rows] = np.eye(13), -B[k], r["b"][k]
+        if k:
+            E[rows, slice(at - 13, at)] = -A[k]
+    lower, upper = np.full(size, -1e3), np.full(size, 1e3)
+    inputs = np.concatenate([np.arange(k * (13 + n), k * (13 + n) + n) for k in range(NODES)])
+    lower[inputs], upper[inputs] = low.reshape(-1), high.reshape(-1)
+    shape = {"h": ca.DM(H).sparsity(), "a": ca.DM(E).sparsity()}
+    solver = ca.conic("check", "qpoases", shape, {"printLevel": "none", "error_on_fail": True})
+    solution = solver(h=ca.DM(H), g=g, a=ca.DM(E), lba=e, uba=e, lbx=lower, ubx=upper)
+    return np.array(solution["x"]).reshape(-1)[inputs].reshape(NODES, n)
+
+
+def hand_over(step: BufferedFunction, bounded: BufferedFunction) -> tuple[np.ndarray, np.ndarray]:
+    for name in ("A", "B", "b", "q", "r"):
+        bounded.arguments[name][...] = step.results[name]
+    for name in ("Q", "Q_end", "R"):
+        bounded.arguments[name][...] = step.arguments[name]
+    u = step.results["U_lin"]
+    return step.arguments["u_min"] - u, step.arguments["u_max"] - u
+
+
+@pytest.mark.parametrize("terminal", [0.0, 1.0])
+def test_without_active_bounds(solvers, vehicle, rng, terminal):
+    step, bounded = solvers
+    for _ in range(5):
+        pose(step, vehicle, rng, spread=0.3, terminal=terminal)
+        step.arguments["u_min"][...], step.arguments["u_max"][...] = -100, 100
+        step()
+        assert step.results["excess"][0] < 0
+        low, high = hand_over(step, bounded)
+        change = step.results["U_new"] - step.results["U_lin"]
+        assert np.abs(change - independent_solution(step, low, high)).max() < 1e-6
+
+
+@pytest.mark.parametrize("spread", [1.0, 4.0])
+def test_with_active_bounds(solvers, vehicle, rng, spread):
+    step, bounded = solvers
+    active_set, active = ActiveSet(bounded, max_sweeps=60), 0
+    for _ in range(12):
+        pose(step, vehicle, rng, spread=spread, terminal=0.0)
+        step()
+        low, high = hand_over(step, bounded)
+        active_set.reset()
+        d_state, d_input, status = active_set.solve(low, high)
+        assert status in (Status.ACTIVE_SET, Status.LAST_RESORT)
+        assert (d_input >= low - 1e-9).all() and (d_input <= high + 1e-9).all()
+        assert np.abs(d_input - independent_solution(step, low, high)).max() < 1e-6
+        active += np.count_nonzero(active_set.side)
+    assert active > 20
+
+
+def test_last_resort_gives_the_same_answer(solvers, vehicle, rng):
+    step, bounded = solvers
+    patient, hasty = ActiveSet(bounded, max_sweeps=60), ActiveSet(bounded, max_sweeps=0)
+    for _ in range(8):
+        pose(step, vehicle, rng, spread=3.0, terminal=0.0)
+        step()
+        low, high = hand_over(step, bounded)
+        patient.reset()
+        d_state, d_input, status = (part if isinstance(part, Status) else part.copy() for part in patient.solve(low, high))
+        assert status == Status.ACTIVE_SET
+        last_state, last_input, status = hasty.solve(low, high)
+        assert status == Status.LAST_RESORT
+        assert np.allclose(last_input, d_input, atol=1e-6)
+        assert np.allclose(last_state, d_state, atol=1e-6)
+        assert np.array_equal(hasty.side, patient.side)
+
+
+def test_warm_start_needs_one_sweep(solvers, vehicle, rng):
+    step, bounded = solvers
+    active_set = ActiveSet(bounded, max_sweeps=60)
+    pose(step, vehicle, rng, spread=3.0, terminal=0.0)
+    step()
+    low, high = hand_over(step, bounded)
+    active_set.solve(low, high)
+    active_set.solve(low, high)
+    assert active_set.sweeps == 1
+
+
+def test_condensing_is_the_recursion(rng):
+    """dx from the condensed maps equals the forward simulation; H and g are the cost's derivatives."""
+    N, s, n = 4, 13, 3
+    A, B, b = rng.normal(size=(N, s, s)) / 4, rng.normal(size=(N, s, n)), rng.normal(size=(N, s))
+    q, r = rng.normal(size=(N + 1, s)), rng.normal(size=(N, n))
+    Q, Q_end, R = rng.uniform(1, 2, s), rng.uniform(1, 2, s), rng.uniform(1, 2, n)
+    H, g, maps, offsets = condense(A, B, b, q, r, Q, Q_end, R)
+
+    def cost(d):
+        d, x, value = d.reshape(N, n), np.zeros(s), 0.0
+        for k in range(N):
+            value += d[k] @ (R * d[k]) / 2 + r[k] @ d[k]
+            x = A[k] @ x + B[k] @ d[k] + b[k]
+            assert np.allclose(x, maps[k] @ d.reshape(-1) + offsets[k])
+            value += x @ ((Q_end if k == N - 1 else Q) * x) / 2 + q[k + 1] @ x
+        return value
+
+    zero, d = np.zeros(N * n), rng.normal(size=N * n)
+    assert cost(d) - cost(zero) == pytest.approx(d @ H @ d / 2 + g @ d)
