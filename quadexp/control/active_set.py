@@ -3,9 +3,8 @@
 Guess which inputs lie at a bound; solve with those held (one masked Riccati sweep); then hold every input that left its
 bounds and release every held one whose multiplier has the wrong sign; repeat until nothing changes (Hintermueller, Ito
 and Kunisch 2003). The end satisfies all optimality conditions, so the input is never a clipped one. The set of the last
-control step is the first guess. Exchanging all offenders at once can cycle; where their number has not fallen for
-PATIENCE sweeps only the last one is exchanged, which cannot (block principal pivoting, Judice and Pires 1994). Should the
-sweeps run out all the same, the problem is condensed to the inputs alone and handed to DAQP, a dual active-set solver.
+control step is the first guess. The method can cycle: after a fixed number of sweeps the problem is condensed to the
+inputs alone and handed to DAQP, a dual active-set solver that ends in finitely many steps.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import numpy as np
 from quadexp.backend import BufferedFunction
 
 TOLERANCE = 1e-9  # N, and gradient units
-PATIENCE = 3  # sweeps without fewer offenders before they are exchanged one at a time
+LAST_RESORT_TOLERANCE = 1e-6  # N, of a projected gradient step at DAQP's answer
 
 
 class Status(IntEnum):
@@ -41,7 +40,7 @@ class ActiveSet:
         self._solve = bounded
         self._max_sweeps = max_sweeps
         self._held, self._value = bounded.arguments["held"], bounded.arguments["value"]
-        self._condensed: ca.Function | None = None
+        self._daqp: BufferedFunction | None = None
         self.side = np.zeros(self._held.shape, int)  # -1 at the lower, +1 at the upper bound, 0 free
         self.sweeps = 0
 
@@ -52,7 +51,7 @@ class ActiveSet:
     def solve(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray, Status]:
         """dX (N, 13), dU (N, n) under low <= dU <= high (N), and how it was found. The arrays are overwritten later."""
         d_state, d_input, gradient = (self._solve.results[name] for name in ("dX", "dU", "gradient"))
-        side, fewest, patience = self.side, self.side.size + 1, PATIENCE
+        side = self.side
         for sweep in range(1, self._max_sweeps + 1):
             self._held[...] = side != 0
             self._value[...] = np.where(side > 0, high, np.where(side < 0, low, 0.0))
@@ -62,40 +61,38 @@ class ActiveSet:
             leaving = (d_input > high + TOLERANCE).astype(int) - (d_input < low - TOLERANCE)
             staying = np.where(side > 0, gradient < TOLERANCE, gradient > -TOLERANCE)
             after = np.where(side == 0, leaving, side * staying)
-            offenders = np.flatnonzero(after != side)
-            if len(offenders) == 0:
+            if np.array_equal(after, side):
                 self.sweeps = sweep
                 return d_state, d_input, Status.ACTIVE_SET
-            if len(offenders) < fewest:
-                fewest, patience = len(offenders), PATIENCE
-            elif patience > 0:
-                patience -= 1
-            else:
-                keep = offenders[:-1]
-                after.flat[keep] = side.flat[keep]
             side = self.side = after
         self.sweeps = self._max_sweeps
         status = self._last_resort(low, high)
         return d_state, d_input, status
 
     def _last_resort(self, low: np.ndarray, high: np.ndarray) -> Status:
-        """Condense to the inputs and solve with DAQP; write dX, dU and the active set."""
+        """Condense to the inputs, solve with DAQP, check the optimality conditions; write dX, dU and the active set."""
         arguments, results = self._solve.arguments, self._solve.results
-        nodes, n = low.shape
-        if self._condensed is None:
-            shape = {"h": ca.Sparsity.dense(nodes * n, nodes * n), "a": ca.Sparsity.dense(0, nodes * n)}
-            self._condensed = ca.conic("last_resort", "daqp", shape, {"error_on_fail": False, "print_time": False})
         hessian, gradient, maps, offsets = condense(
             *(self._dense_blocks(name) for name in ("A", "B")),
             *(arguments[name] for name in ("b", "q", "r", "Q", "Q_end", "R")),
         )
-        solution = self._condensed(h=hessian, g=gradient, lbx=low.reshape(-1), ubx=high.reshape(-1))
-        d_input = np.array(solution["x"]).reshape(-1)
-        if not self._condensed.stats()["success"] or not np.isfinite(d_input).all():
-            self.reset()
+        if not np.isfinite(hessian).all():
             return Status.FAILED
-        results["dU"][...] = np.clip(d_input.reshape(nodes, n), low, high)  # rounding of the solver only
-        results["dX"][...] = (maps @ d_input) + offsets
+        solver = self._daqp = self._daqp or BufferedFunction(_dense_solver(low.size))
+        solver.arguments["h"][...], solver.arguments["g"][...] = hessian, gradient
+        solver.arguments["lbx"][...], solver.arguments["ubx"][...] = low.reshape(-1), high.reshape(-1)
+        try:
+            solver()
+        except RuntimeError:
+            return Status.FAILED
+        d_input = solver.results["x"]
+        # DAQP's own word is not enough: the projected gradient step must leave its answer where it is.
+        step = (hessian @ d_input + gradient) / np.diag(hessian)
+        moved = np.clip(d_input - step, low.reshape(-1), high.reshape(-1)) - d_input
+        if not np.abs(moved).max() < LAST_RESORT_TOLERANCE:
+            return Status.FAILED
+        results["dU"][...] = np.clip(d_input.reshape(low.shape), low, high)  # rounding only
+        results["dX"][...] = maps @ d_input + offsets
         self.side = (results["dU"] >= high - TOLERANCE).astype(int) - (results["dU"] <= low + TOLERANCE)
         return Status.LAST_RESORT
 
@@ -105,6 +102,12 @@ class ActiveSet:
         sparsity = function.sparsity_in(function.index_in(name))
         stacked = ca.DM(sparsity, self._solve.arguments[name].reshape(-1)).full()
         return np.stack(np.split(stacked, len(self.side), axis=1))
+
+
+def _dense_solver(size: int) -> ca.Function:
+    """DAQP on a dense problem with simple bounds."""
+    shape = {"h": ca.Sparsity.dense(size, size), "a": ca.Sparsity(0, size)}
+    return ca.conic("last_resort", "daqp", shape, {"error_on_fail": False, "print_time": False})
 
 
 def condense(A, B, b, q, r, Q, Q_end, R):
@@ -121,6 +124,7 @@ def condense(A, B, b, q, r, Q, Q_end, R):
         row[:, k * n : (k + 1) * n] += B[k]
         maps[k], offsets[k] = row, offset
     weight = np.vstack([np.tile(Q, (nodes - 1, 1)), Q_end])
-    hessian = np.einsum("kij,ki,kil->jl", maps, weight, maps) + np.diag(np.tile(R, nodes))
-    gradient = np.einsum("kij,ki->j", maps, weight * offsets + q[1:]) + r.reshape(-1)
+    flat = maps.reshape(nodes * states, nodes * n)
+    hessian = flat.T @ (weight.reshape(-1, 1) * flat) + np.diag(np.tile(R, nodes))
+    gradient = flat.T @ (weight * offsets + q[1:]).reshape(-1) + r.reshape(-1)
     return hessian, gradient, maps, offsets

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -14,14 +15,14 @@ from quadexp.control.settings import MPCSettings
 from quadexp.control.step import bounded_function, step_function
 from quadexp.errors import QuadexpError
 from quadexp.residual.base import Residual
-from quadexp.state import ATTITUDE
+from quadexp.state import ATTITUDE, N_STATE
 from quadexp.vehicle import Vehicle
 
+MAX_TURN = 0.25  # largest change of a quaternion component that one iteration may make
 CONVERGED = 1e-6  # optimality residual at which the first step stops iterating
 
 
-@dataclass(frozen=True)
-class StepRecord:
+class StepRecord(NamedTuple):
     """How one control step went.
 
     solve_time: s, wall clock of the step as Python sees it. status: see Status. sweeps: active-set sweeps.
@@ -58,7 +59,7 @@ class ModelPredictiveController:
         arguments["R"][...] = settings.thrust_weight(vehicle)
         arguments["u_min"][...], arguments["u_max"][...] = vehicle.thrust_min, vehicle.thrust_max
         arguments["dt"][...] = settings.node_period
-        self._shift = settings.control_period / settings.node_period
+        self._d_state = np.zeros((settings.nodes + 1, N_STATE))
         self.set_parameters(residual.theta)
         for name in ("Q", "Q_end", "R"):
             self._bounded.arguments[name][...] = arguments[name]
@@ -93,36 +94,45 @@ class ModelPredictiveController:
         Raises QuadexpError for a measurement that is not finite. A step that fails returns the last prediction's input
         with status FAILED; whoever flies decides what to do.
         """
-        if not np.isfinite(x0).all():
-            raise QuadexpError("the measured state is not finite")
         began = time.perf_counter()
+        if not math.isfinite(x0 @ x0):
+            raise QuadexpError("the measured state is not finite")
         arguments = self._step.arguments
         arguments["x0"][...] = x0
         arguments["X_ref"][...] = self._same_hemisphere(x0, state_reference)
         arguments["U_ref"][...] = input_reference
-        arguments["shift"][...] = 0.0 if self._cold else self._shift
-        status, sweeps, active, kkt = self._iterate()
         if self._cold:
-            for _ in range(self.settings.initial_iterations - 1):
-                if status == Status.FAILED or kkt < CONVERGED:
-                    break
-                status, sweeps, active, kkt = self._iterate()
-            arguments["shift"][...] = 0.0
-            self._cold = False
+            status, sweeps, active, kkt = self._converge()
+        else:
+            status, sweeps, active, kkt = self._iterate()
         thrust = arguments["U"][0].copy()
         return thrust, StepRecord(time.perf_counter() - began, status, sweeps, active, kkt)
 
+    def _converge(self) -> tuple[Status, int, int, float]:
+        """Iterate on the first measurement, without moving the guess forward."""
+        shift = self._step.arguments["shift"]
+        shift[...] = 0.0
+        for _ in range(self.settings.initial_iterations):
+            outcome = self._iterate()
+            if outcome[0] == Status.FAILED or outcome[3] < CONVERGED:
+                break
+        shift[...] = self.settings.control_period / self.settings.node_period
+        self._cold = False
+        return outcome
+
     def _iterate(self) -> tuple[Status, int, int, float]:
-        """One SQP iteration; the guess X, U becomes the new solution unless it failed."""
+        """One SQP iteration: status, sweeps, active bounds, optimality residual. The guess moves unless it failed."""
         arguments, results = self._step.arguments, self._step.results
         self._step()
-        kkt = float(results["kkt"][0])
-        excess = float(results["excess"][0])
-        if not np.isfinite(excess):
+        excess, turn, kkt = float(results["excess"][0]), float(results["turn"][0]), float(results["kkt"][0])
+        if not math.isfinite(excess + turn):
             return Status.FAILED, 0, 0, kkt
         if excess <= TOLERANCE:  # then the unbounded solution solves the bounded problem too
             self._active_set.reset()
-            arguments["X"][...], arguments["U"][...] = results["X_new"], results["U_new"]
+            if turn <= MAX_TURN:
+                arguments["X"][...], arguments["U"][...] = results["X_new"], results["U_new"]
+            else:
+                self._move(results["X_new"] - results["X_lin"], results["U_new"] - results["U_lin"], MAX_TURN / turn)
             return Status.RICCATI, 0, 0, kkt
         for name in ("A", "B", "b", "q", "r"):
             self._bounded.arguments[name][...] = results[name]
@@ -130,10 +140,16 @@ class ModelPredictiveController:
         d_state, d_input, status = self._active_set.solve(arguments["u_min"] - u, arguments["u_max"] - u)
         if status == Status.FAILED:
             return status, self._active_set.sweeps, 0, kkt
-        arguments["X"][0] = arguments["x0"]
-        arguments["X"][1:] = results["X_lin"][1:] + d_state
-        arguments["U"][...] = u + d_input
+        self._d_state[1:] = d_state
+        turn = np.abs(d_state[:, ATTITUDE]).max()
+        self._move(self._d_state, d_input, min(1.0, MAX_TURN / turn) if turn > 0 else 1.0)
         return status, self._active_set.sweeps, int(np.count_nonzero(self._active_set.side)), kkt
+
+    def _move(self, d_state: np.ndarray, d_input: np.ndarray, length: float) -> None:
+        """Step from the linearisation point; short where an attitude would turn further than its model holds."""
+        arguments, results = self._step.arguments, self._step.results
+        arguments["X"][...] = results["X_lin"] + length * d_state
+        arguments["U"][...] = results["U_lin"] + length * d_input
 
     def _same_hemisphere(self, x0: np.ndarray, state_reference: np.ndarray) -> np.ndarray:
         """The reference with its quaternions' sign turned to the measured one (both mean the same attitude)."""

@@ -34,7 +34,7 @@ class MPCSettings:
     terminal_weight: float = 0.0
     feedforward: bool = True
     initial_iterations: int = 20
-    max_sweeps: int = 60
+    max_sweeps: int = 12
 
     def __post_init__(self) -> None:
         if self.nodes < 2:

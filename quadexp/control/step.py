@@ -15,8 +15,10 @@ import casadi as ca
 from quadexp.control.riccati import adjoint_function, backward_function, first_node_function, forward_function
 from quadexp.dynamics.sensitivity import rk4_sensitivity_function
 from quadexp.residual.base import Residual
-from quadexp.state import N_STATE
+from quadexp.state import ATTITUDE, N_STATE
 from quadexp.vehicle import Vehicle
+
+LENGTH_MIN, LENGTH_MAX = 0.95, 1.05  # of a quaternion at a shooting node
 
 
 def step_function(vehicle: Vehicle, residual: Residual, nodes: int, *, scalar: bool = True) -> ca.Function:
@@ -25,7 +27,7 @@ def step_function(vehicle: Vehicle, residual: Residual, nodes: int, *, scalar: b
     Inputs: X (13, N + 1), U (n, N) last solution; x0 (13,) measured; X_ref, U_ref; theta (p,) residual parameters;
     Q, Q_end (13,), R (n,) weights; u_min, u_max (n,) N; dt node period (s); shift, share of a node to move the last
     solution forward.
-    Outputs: X_new, U_new; excess, largest bound violation (N); kkt, the optimality residual of the shifted guess (the
+    Outputs: X_new, U_new; excess, largest bound violation (N); turn, largest change of a quaternion component; kkt, the optimality residual of the shifted guess (the
     largest of the gaps of the dynamics and of the projected gradient step in u); then the subproblem: A (13, 13 N),
     B (13, n N), b (13, N), q (13, N + 1), r (n, N) and the linearisation point X_lin, U_lin.
     """
@@ -39,7 +41,8 @@ def step_function(vehicle: Vehicle, residual: Residual, nodes: int, *, scalar: b
     dt, shift = ca.MX.sym("dt"), ca.MX.sym("shift")
 
     moved = X[:, :nodes] + shift * (X[:, 1:] - X[:, :nodes])
-    X_lin = ca.horzcat(x0, moved[:, 1:], X[:, nodes])
+    guard = _attitude_guard()
+    X_lin = ca.horzcat(x0, *(guard(x_k) for x_k in ca.horzsplit(ca.horzcat(moved[:, 1:], X[:, nodes]))))
     U_lin = ca.horzcat(U[:, :-1] + shift * (U[:, 1:] - U[:, :-1]), U[:, -1])
     x, u = ca.horzsplit(X_lin), ca.horzsplit(U_lin)
 
@@ -57,6 +60,7 @@ def step_function(vehicle: Vehicle, residual: Residual, nodes: int, *, scalar: b
     X_new = ca.horzcat(x0, *(x[k + 1] + dX[k] for k in range(nodes)))
     U_new = ca.horzcat(*(u[k] + dU[k] for k in range(nodes)))
     high, low = ca.repmat(u_max, 1, nodes), ca.repmat(u_min, 1, nodes)
+    turn = ca.norm_inf(ca.vec(ca.horzcat(*dX)[ATTITUDE, :]))
     excess = ca.mmax(ca.fmax(U_new - high, low - U_new))
 
     gradient = _input_gradient(A, B, q, r, scalar=scalar)
@@ -65,9 +69,9 @@ def step_function(vehicle: Vehicle, residual: Residual, nodes: int, *, scalar: b
     return ca.Function(
         "mpc_step",
         [X, U, x0, X_ref, U_ref, theta, Q, Q_end, R, u_min, u_max, dt, shift],
-        [X_new, U_new, excess, kkt, *(ca.horzcat(*m) for m in (A, B, b, q, r)), X_lin, U_lin],
+        [X_new, U_new, excess, turn, kkt, *(ca.horzcat(*m) for m in (A, B, b, q, r)), X_lin, U_lin],
         ["X", "U", "x0", "X_ref", "U_ref", "theta", "Q", "Q_end", "R", "u_min", "u_max", "dt", "shift"],
-        ["X_new", "U_new", "excess", "kkt", "A", "B", "b", "q", "r", "X_lin", "U_lin"],
+        ["X_new", "U_new", "excess", "turn", "kkt", "A", "B", "b", "q", "r", "X_lin", "U_lin"],
     )
 
 
@@ -104,6 +108,18 @@ def bounded_function(step: ca.Function, nodes: int, *, scalar: bool = True) -> c
         ["A", "B", "b", "q", "r", "Q", "Q_end", "R", "held", "value"],
         ["dX", "dU", "gradient"],
     )
+
+
+def _attitude_guard() -> ca.Function:
+    """State with its quaternion's length brought back between LENGTH_MIN and LENGTH_MAX.
+
+    Integration alone leaves the length within half a percent of one; a full Newton step far from the solution does not,
+    and R(q) grows with the square of the length.
+    """
+    x = ca.SX.sym("x", N_STATE)
+    length = ca.norm_2(x[ATTITUDE])
+    scale = ca.fmin(ca.fmax(length, LENGTH_MIN), LENGTH_MAX) / length
+    return ca.Function("attitude_guard", [x], [ca.vertcat(x[:3], x[ATTITUDE] * scale, x[7:])])
 
 
 def _solve(A, B, b, q, r, Q, Q_end, R, *, scalar: bool):
