@@ -1,0 +1,95 @@
+"""The trajectory seam: a flat output (position and yaw) with its derivatives as a function of time.
+
+World frame ENU (z up), SI units. A trajectory lives on 0 <= t <= duration; outside of it the nearest flat output is
+held, with all derivatives zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from quadexp.errors import UsageError
+
+N_DERIVATIVES = 5  # position, velocity, acceleration, jerk, snap
+
+
+@dataclass(frozen=True)
+class FlatOutput:
+    """A flat output at k times.
+
+    position: (k, 5, 3), world: position (m), velocity, acceleration, jerk, snap (m/s .. m/s^4).
+    yaw: (k, 3): heading (rad), rate (rad/s), acceleration (rad/s^2); None where the heading is free: from 0 at the
+        start the vehicle does not turn about its thrust axis (body yaw rate zero, Torrente et al. 2021; demand.py).
+    """
+
+    position: np.ndarray
+    yaw: np.ndarray | None
+
+
+@runtime_checkable
+class Trajectory(Protocol):
+    """What a reference is made of."""
+
+    @property
+    def duration(self) -> float:
+        """Length, s."""
+
+    @property
+    def peak_speed(self) -> float:
+        """Largest speed, m/s."""
+
+    def flat_output(self, t: np.ndarray) -> FlatOutput:
+        """Flat output at the times t, (k,) (s); held outside 0 .. duration."""
+
+
+def hold_outside(t: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times clipped to 0 .. duration, (k,) (s), and whether each was inside, (k,) bool."""
+    t = np.atleast_1d(np.asarray(t, float))
+    return np.clip(t, 0.0, duration), (t >= 0.0) & (t <= duration)
+
+
+def flat_output_held(position: np.ndarray, yaw: np.ndarray | float | None, inside: np.ndarray) -> FlatOutput:
+    """The flat output with its derivatives zero where `inside`, (k,) bool, is false.
+
+    position: (k, 5, 3), changed in place. yaw: (k, 3), changed in place, or a constant (rad), or None (free).
+    """
+    position[~inside, 1:] = 0.0
+    if yaw is None:
+        return FlatOutput(position, None)
+    headings = np.tile([yaw, 0.0, 0.0], (len(position), 1)) if np.ndim(yaw) == 0 else np.asarray(yaw)
+    headings[~inside, 1:] = 0.0
+    return FlatOutput(position, headings)
+
+
+def sampled_peak_speed(trajectory: Trajectory, step: float = 2e-3) -> float:
+    """Largest speed on a grid of `step` (s), m/s."""
+    t = np.linspace(0.0, trajectory.duration, int(np.ceil(trajectory.duration / step)) + 1)
+    return float(np.linalg.norm(trajectory.flat_output(t).position[:, 1], axis=1).max())
+
+
+def check_positive(**values: float) -> None:
+    """UsageError for the first value that is not a finite number above zero; the keyword is the configuration key."""
+    for key, value in values.items():
+        if not (np.isfinite(value) and value > 0):
+            raise UsageError(f"trajectory.{key}: {value!r} is not allowed, it must be finite and above 0")
+
+
+def check_finite(**values: float | None) -> None:
+    """UsageError for the first value that is neither a finite number nor None; the keyword is the configuration key."""
+    for key, value in values.items():
+        if value is not None and not np.isfinite(value):
+            raise UsageError(f"trajectory.{key}: {value!r} is not allowed, it must be a finite number")
+
+
+def check_point(key: str, value) -> tuple[float, float, float]:
+    """A point in the world as three finite numbers (m); UsageError naming the configuration key otherwise."""
+    try:
+        point = tuple(float(v) for v in value)
+    except (TypeError, ValueError):
+        point = ()
+    if len(point) != 3 or not np.all(np.isfinite(point)):
+        raise UsageError(f"trajectory.{key}: {value!r} is not a point, three finite numbers [x, y, z] in m are needed")
+    return point
