@@ -1,0 +1,148 @@
+"""What a flight is: named columns over time, each with one unit and one frame, and the record of where it came from.
+
+The unit and frame of every column this program writes are stated here once and travel with the file (Arrow field
+metadata), so that a reader in another language needs nothing else.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from quadexp.errors import DataError
+from quadexp.state import STATE_COLUMNS, input_columns
+
+
+class Column(NamedTuple):
+    """unit: SI. frame: "world" (ENU), "body" (FLU) or "". description: one phrase."""
+
+    unit: str
+    frame: str
+    description: str
+
+
+_AXES = "xyz"
+_STATE = {
+    **{f"p_{i}": Column("m", "world", "position") for i in _AXES},
+    **{f"q_{i}": Column("1", "body to world", "attitude quaternion, Hamilton, w first") for i in "wxyz"},
+    **{f"v_{i}": Column("m/s", "world", "velocity") for i in _AXES},
+    **{f"w_{i}": Column("rad/s", "body", "angular velocity") for i in _AXES},
+}
+
+FLIGHT_COLUMNS: dict[str, Column] = {
+    "t": Column("s", "", "time since the start of the flight"),
+    **_STATE,
+    **{
+        f"ref_{name}": column._replace(description=f"reference {column.description}") for name, column in _STATE.items()
+    },
+    **{f"acc_{i}": Column("m/s^2", "body", "specific force an accelerometer reads") for i in _AXES},
+    "solve_time": Column("s", "", "wall time of the control step; the only column that two runs may differ in"),
+    "status": Column("1", "", "0 riccati, 1 active_set, 2 last_resort, 3 failed"),
+    "sweeps": Column("1", "", "active-set sweeps of the control step"),
+    "active": Column("1", "", "input bounds active over the horizon"),
+    "kkt": Column("1", "", "KKT residual of the control step"),
+    "segment": Column("1", "", "number of the uninterrupted stretch the sample belongs to"),
+}
+
+RESIDUAL_COLUMNS: dict[str, Column] = {
+    "flight": Column("1", "", "number of the flight the row comes from"),
+    "flight_name": Column("", "", "name of the flight the row comes from"),
+    "t": Column("s", "", "time since the start of the flight"),
+    "dt": Column("s", "", "duration of the transition"),
+    **{f"v_{i}": Column("m/s", "body", "velocity") for i in _AXES},
+    **{f"w_{i}": Column("rad/s", "body", "angular velocity") for i in _AXES},
+    "thrust": Column("N", "body", "collective thrust commanded"),
+    **{f"a_{i}": Column("m/s^2", "body", "acceleration the rigid body does not explain") for i in _AXES},
+    **{f"tau_{i}": Column("N m", "body", "torque the rigid body does not explain") for i in _AXES},
+}
+
+RESULT_COLUMNS: dict[str, Column] = {
+    "speed": Column("m/s", "", "nominal speed of the trajectory"),
+    "rmse": Column("m", "world", "sqrt(mean ||e||^2) of the position error e"),
+    "mean_error": Column("m", "world", "mean ||e||; Torrente et al. 2021 print this one as RMSE"),
+    "max_error": Column("m", "world", "max ||e||"),
+    "attitude_rmse": Column("rad", "", "sqrt(mean angle^2) of the rotation between attitude and reference"),
+    "solve_time_median": Column("s", "", "wall time of the control step"),
+    "solve_time_p99": Column("s", "", "wall time of the control step"),
+    "solve_time_max": Column("s", "", "wall time of the control step"),
+    "saturated_share": Column("1", "", "share of samples with a rotor at its thrust limit"),
+    "peak_speed": Column("m/s", "world", "largest speed flown"),
+    "duration": Column("s", "", "length of the flight"),
+}
+
+_BY_KIND = {"flight": FLIGHT_COLUMNS, "residuals": RESIDUAL_COLUMNS, "results": RESULT_COLUMNS}
+_INPUT = re.compile(r"(ref_)?u_\d+")
+_ROTOR_SPEED = re.compile(r"rotor_speed_\d+")
+
+
+def describe(name: str, kind: str = "flight") -> Column:
+    """Unit, frame and meaning of a column; an unknown name has none (a user's own column is kept, not refused)."""
+    known = _BY_KIND.get(kind, {}).get(name)
+    if known is not None:
+        return known
+    if match := _INPUT.fullmatch(name):
+        return Column("N", "body", f"{'reference' if match[1] else 'commanded'} static rotor thrust")
+    if _ROTOR_SPEED.fullmatch(name):
+        return Column("rad/s", "", "rotor speed")
+    return Column("", "", "")
+
+
+def n_inputs(columns: Any) -> int:
+    """Number of rotors a table's columns speak of."""
+    return sum(1 for name in columns if re.fullmatch(r"u_\d+", name))
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One flight: columns over time (each (k,)), and metadata that can be written as JSON.
+
+    Columns carry the names, units and frames of `FLIGHT_COLUMNS`. Metadata: config, seed, vehicle, plant, trajectory,
+    controller, model, outcome ("ok", "lost", "solver_failed", "infeasible"), versions, provenance.
+    """
+
+    columns: dict[str, np.ndarray]
+    metadata: dict[str, Any]
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values()))) if self.columns else 0
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        try:
+            return self.columns[name]
+        except KeyError:
+            raise DataError(f"the flight has no column {name!r}") from None
+
+    def stack(self, names: tuple[str, ...] | list[str]) -> np.ndarray:
+        """Several columns side by side, (k, len(names))."""
+        return np.stack([self[name] for name in names], axis=-1)
+
+    @property
+    def n_rotors(self) -> int:
+        return n_inputs(self.columns)
+
+    @property
+    def t(self) -> np.ndarray:
+        """Time, (k,) (s)."""
+        return self["t"]
+
+    @property
+    def state(self) -> np.ndarray:
+        """State, (k, 13), in the order of quadexp/state.py."""
+        return self.stack(STATE_COLUMNS)
+
+    @property
+    def input(self) -> np.ndarray:
+        """Commanded rotor thrusts, (k, n) (N)."""
+        return self.stack(input_columns(self.n_rotors))
+
+    @property
+    def reference_state(self) -> np.ndarray:
+        """Reference state, (k, 13)."""
+        return self.stack([f"ref_{name}" for name in STATE_COLUMNS])
+
+    @property
+    def outcome(self) -> str:
+        return str(self.metadata.get("outcome", "ok"))

@@ -1,0 +1,237 @@
+"""Tables on disk: Parquet, with the record in the schema metadata, appearing whole or not at all.
+
+Under the key `quadexp` the file carries JSON: {"kind": "flight" | "residuals" | "results", "schema": 1, ...}. A file is
+written to a temporary name in its own folder, flushed to the disk, then renamed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.errors import DataError, UsageError
+from quadexp.flight.schema import Flight, describe
+from quadexp.state import STATE_COLUMNS
+
+SCHEMA = 1
+METADATA_KEY = b"quadexp"
+COMMANDS = {"flight": "simulate", "residuals": "collect", "results": "evaluate"}
+
+
+def check_output(path: str | Path, *, force: bool = False, folder: bool = False) -> Path:
+    """Make sure that `path` can be written, before hours of work: the folder it will lie in takes files, and nothing is
+    in the way unless `force`. Nothing is made.
+
+    folder: whether `path` is to be a directory (an existing empty one is nothing in the way).
+    Raises UsageError.
+    """
+    path = Path(path)
+    if folder and path.is_file():
+        raise UsageError(f"{path}: is a file, a folder is needed here: choose another --out")
+    if not folder and path.is_dir():
+        raise UsageError(f"{path}: is a folder, a file name is needed here: choose another --out")
+    occupied = any(path.iterdir()) if folder and path.is_dir() else path.exists()
+    if occupied and not force:
+        raise UsageError(f"{path}: exists already; pass --force to replace it, or choose another --out")
+    above = [path, *path.absolute().parents] if folder else list(path.absolute().parents)
+    nearest = next(parent for parent in above if parent.exists())
+    probe = nearest / f".{path.name}.{os.getpid()}.probe"
+    try:
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written there ({error.strerror}): choose another --out") from None
+    return path
+
+
+@contextlib.contextmanager
+def atomic_path(path: Path):
+    """A temporary name beside `path`; on leaving without an error, the file found there becomes `path`."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        with open(temporary, "rb") as file:
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written ({error.strerror or error})") from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def write_text(path: str | Path, text: str) -> Path:
+    """Write a text file, whole or not at all."""
+    path = Path(path)
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return path
+
+
+def write_bytes(path: str | Path, write: Callable[[Path], Any]) -> Path:
+    """Let `write(temporary path)` make a file, then move it to `path`."""
+    path = Path(path)
+    with atomic_path(path) as temporary:
+        write(temporary)
+    return path
+
+
+def _field(name: str, array: Any, kind: str):
+    import pyarrow as pa
+
+    column = describe(name, kind)
+    metadata = {"unit": column.unit, "frame": column.frame, "description": column.description}
+    return pa.field(name, array.type, metadata={key: value for key, value in metadata.items() if value} or None)
+
+
+def write_table(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, Any], kind: str) -> Path:
+    """Write columns (each (k,)) and JSON-able metadata as one Parquet file."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    arrays = {name: _arrow(values) for name, values in columns.items()}
+    record = json.dumps({**metadata, "kind": kind, "schema": SCHEMA}, sort_keys=True, default=_plain)
+    schema = pa.schema([_field(name, array, kind) for name, array in arrays.items()], metadata={METADATA_KEY: record})
+    table = pa.Table.from_arrays(list(arrays.values()), schema=schema)
+    text = [name for name, array in arrays.items() if pa.types.is_string(array.type)]
+    return write_bytes(
+        path, lambda temporary: pq.write_table(table, temporary, compression="zstd", use_dictionary=text)
+    )
+
+
+def _plain(value: Any) -> Any:
+    """NumPy scalars and arrays, and paths, as JSON."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
+
+
+def read_metadata(path: str | Path, kind: str | None = None) -> dict[str, Any]:
+    """The record of a table, without its rows.
+
+    Raises UsageError where there is no such file, DataError where it is none of ours or of another kind or schema.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = Path(path)
+    if not path.is_file():
+        maker = f" (made by `quadexp {COMMANDS[kind]}`)" if kind in COMMANDS else ""
+        raise UsageError(f"{path}: no such file{maker}")
+    try:
+        schema = pq.read_schema(path)
+    except (pa.ArrowInvalid, OSError) as error:
+        raise DataError(f"{path}: not a Parquet file, or damaged ({first_line(error)})") from None
+    raw = (schema.metadata or {}).get(METADATA_KEY)
+    try:
+        record = json.loads(raw)
+        found, version = record["kind"], record["schema"]
+    except (TypeError, ValueError, KeyError):
+        raise DataError(f"{path}: a Parquet file, but not one that quadexp wrote") from None
+    if version != SCHEMA:
+        raise DataError(f"{path}: written with schema {version}, this program reads schema {SCHEMA}: make it again")
+    if kind is not None and found != kind:
+        raise DataError(f"{path}: holds {found}, {kind} are needed here (made by `quadexp {COMMANDS[kind]}`)")
+    return record
+
+
+def read_table(
+    path: str | Path, kind: str, *, required: Iterable[str] = (), finite: bool | Iterable[str] = False
+) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Columns and record of a table.
+
+    required: columns that must be there. finite: True, or the columns, that may hold neither NaN nor infinity.
+    Raises UsageError or DataError with one line.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    record = read_metadata(path, kind)
+    try:
+        with pq.ParquetFile(path) as file:  # pq.read_table imports pandas for it
+            table = file.read()
+        columns = {name: _numpy(table.column(name)) for name in table.column_names}
+    except (pa.ArrowInvalid, OSError) as error:
+        raise DataError(f"{path}: damaged ({first_line(error)})") from None
+    missing = [name for name in required if name not in columns]
+    if missing:
+        raise DataError(f"{path}: column {missing[0]!r} is missing (it has {', '.join(list(columns)[:12])}, ...)")
+    names = list(columns) if finite is True else [name for name in finite or () if name in columns]
+    check_finite(columns, names, str(path))
+    return columns, record
+
+
+def check_finite(columns: Mapping[str, np.ndarray], names: Iterable[str], where: str) -> None:
+    """Raise DataError naming the first column and row that are not finite."""
+    for name in names:
+        values = columns[name]
+        if values.dtype.kind != "f":
+            continue
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise DataError(
+                f"{where}: column {name!r} is {values[bad[0]]} at row {bad[0]} ({len(bad)} such rows of {len(values)})"
+            )
+
+
+# pyarrow's own conversions from and to numpy import pandas, a third of a second in every process; the buffers do not.
+_FLOATS = {"double": "float64", "float": "float32", "halffloat": "float16"}
+
+
+def _arrow(values: Any) -> Any:
+    """A column of numbers or of text as an Arrow array."""
+    import pyarrow as pa
+
+    values = np.asarray(values)
+    if values.dtype.kind not in "fiu":
+        encoded = [str(value).encode() for value in values.tolist()]
+        offsets = np.concatenate([[0], np.cumsum([len(text) for text in encoded])]).astype(np.int32)
+        return pa.StringArray.from_buffers(len(encoded), pa.py_buffer(offsets), pa.py_buffer(b"".join(encoded)))
+    data = pa.py_buffer(np.ascontiguousarray(values))
+    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [None, data])
+
+
+def _numpy(column: Any) -> np.ndarray:
+    """A column as an array of its own."""
+    import pyarrow as pa
+
+    chunks = []
+    for chunk in column.chunks:
+        if chunk.null_count or not (pa.types.is_floating(chunk.type) or pa.types.is_integer(chunk.type)):
+            chunks.append(np.array(chunk.to_pylist(), dtype=object))
+            continue
+        dtype = np.dtype(_FLOATS.get(str(chunk.type), str(chunk.type)))
+        chunks.append(np.frombuffer(chunk.buffers()[1], dtype, count=chunk.offset + len(chunk))[chunk.offset :])
+    return np.concatenate(chunks) if chunks else np.empty(0)
+
+
+def first_line(error: BaseException) -> str:
+    """The first line of an error's text, shortened."""
+    text = str(error).strip().splitlines()
+    return text[0][:200] if text else type(error).__name__
+
+
+def write_flight(path: str | Path, flight: Flight, **extra: Any) -> Path:
+    """Write a flight; `extra` joins its metadata."""
+    return write_table(path, flight.columns, {**flight.metadata, **extra}, "flight")
+
+
+def read_flight(path: str | Path, *, check: bool = True) -> Flight:
+    """Read a flight. check: refuse NaN in time, state or input (naming column and row)."""
+    required = ("t", *STATE_COLUMNS, "u_0")
+    columns, record = read_table(path, "flight", required=required)
+    if check:
+        names = ["t", *STATE_COLUMNS, *(name for name in columns if name.startswith("u_"))]
+        check_finite(columns, names, str(path))
+    return Flight(columns, record)
