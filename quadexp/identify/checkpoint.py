@@ -1,0 +1,164 @@
+"""Models on disk: a directory with model.json, which is all that a prediction needs, and report.json beside it.
+
+model.json is {"schema", "sha256", "payload"}; the hash is over the payload's canonical JSON (sorted keys, no spaces,
+shortest decimals that give the same double back), so a changed digit is noticed and a round trip changes no bit. No
+code is in it, none is run on loading, and torch is not imported.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.errors import DataError, UsageError
+from quadexp.flight.store import check_output
+from quadexp.identify.linear_drag import LinearDrag
+from quadexp.identify.model import GPModel, OutputPosterior
+from quadexp.vehicle import Vehicle
+
+SCHEMA = 1
+MODEL_FILE = "model.json"
+REPORT_FILE = "report.json"
+KINDS = {GPModel: "gaussian_process", LinearDrag: "linear_drag"}
+COMMANDS = "`quadexp fit-gp DATASET --out {path}` or `quadexp fit-drag DATASET --out {path}`"
+
+
+def save_model(
+    path: str | Path, model: GPModel | LinearDrag, *, report: dict[str, Any] | None = None, force: bool = False
+) -> Path:
+    """Write a checkpoint directory; it appears whole or not at all. Returns the directory.
+
+    report: JSON-able, written as report.json. force: replace the files of an existing checkpoint.
+    Raises UsageError if the directory exists with something in it (without force) or cannot be written.
+    """
+    path = check_output(path, force=force, folder=True)
+    payload = _encode(model)
+    document = {"schema": SCHEMA, "sha256": _hash(payload), "payload": payload}
+    files = {MODEL_FILE: json.dumps(document, allow_nan=False) + "\n"}
+    if report is not None:
+        files[REPORT_FILE] = json.dumps(report, indent=1) + "\n"
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.mkdir(parents=True)
+        for name, text in files.items():
+            with open(temporary / name, "w", encoding="utf-8") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+        if path.exists():
+            for name in reversed(files):
+                os.replace(temporary / name, path / name)
+        else:
+            os.replace(temporary, path)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written ({error.strerror or error})") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return path
+
+
+def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> GPModel | LinearDrag:
+    """Read a checkpoint directory (or its model.json).
+
+    vehicle: whom it must have been fitted for.
+    Raises UsageError if there is none, DataError if it is damaged, of another schema, or for another vehicle.
+    """
+    path = Path(path)
+    file = path / MODEL_FILE if path.is_dir() or path.suffix != ".json" else path
+    if not file.is_file():
+        raise UsageError(f"{path}: no model there; make one with {COMMANDS.format(path=path)}")
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+        schema, digest, payload = document["schema"], document["sha256"], document["payload"]
+    except OSError as error:
+        raise UsageError(f"{file}: cannot be read ({error.strerror})") from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise DataError(f"{file}: damaged, or no model of quadexp ({_line(error)}); fit it again") from None
+    if schema != SCHEMA:
+        raise DataError(f"{file}: written with schema {schema}, this program reads schema {SCHEMA}; fit it again")
+    if _hash(payload) != digest:
+        raise DataError(f"{file}: damaged or edited, its content does not match its sha256; fit it again")
+    try:
+        model = _decode(payload)
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(f"{file}: incomplete ({_line(error)}); fit it again") from None
+    if vehicle is not None:
+        fitted = model.vehicle.get("fingerprint")
+        if fitted != vehicle.fingerprint:
+            raise DataError(
+                f"{path}: fitted for vehicle '{model.vehicle.get('name')}' ({fitted}), not for"
+                f" '{vehicle.name}' ({vehicle.fingerprint}); fit it again from this vehicle's flights"
+            )
+    return model
+
+
+def load_report(path: str | Path) -> dict[str, Any]:
+    """The report.json of a checkpoint directory, {} if it has none."""
+    file = Path(path) / REPORT_FILE
+    try:
+        return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    except ValueError as error:
+        raise DataError(f"{file}: damaged ({_line(error)})") from None
+
+
+def _line(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}".splitlines()[0]
+
+
+def _hash(payload: Any) -> str:
+    text = json.dumps(payload, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _encode(model: GPModel | LinearDrag) -> dict[str, Any]:
+    """The model as JSON types; a variance factor as the rows of its upper triangle, end to end."""
+    payload = asdict(model)
+    for output in payload.get("outputs", ()):
+        factor = output["variance_factor"]
+        output["variance_factor"] = factor[np.triu_indices(len(factor))]
+    return {"kind": KINDS[type(model)]} | json.loads(json.dumps(payload, default=_plain, allow_nan=False))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
+
+
+def _decode(payload: dict[str, Any]) -> GPModel | LinearDrag:
+    content = {key: value for key, value in payload.items() if key != "kind"}
+    if payload["kind"] == KINDS[LinearDrag]:
+        return _drag(content)
+    if payload["kind"] != KINDS[GPModel]:
+        raise ValueError(f"kind {payload['kind']!r}, known are {', '.join(KINDS.values())}")
+    content["outputs"] = tuple(_posterior(output) for output in content["outputs"])
+    content["mean"] = None if content["mean"] is None else _drag(content["mean"])
+    content["linear_drag"] = _drag(content["linear_drag"])
+    return GPModel(**content)
+
+
+def _drag(content: dict[str, Any]) -> LinearDrag:
+    return LinearDrag(**_arrays(content, LinearDrag))
+
+
+def _posterior(content: dict[str, Any]) -> OutputPosterior:
+    content = _arrays(content, OutputPosterior)
+    m = len(content["alpha"])
+    factor = np.zeros((m, m))
+    factor[np.triu_indices(m)] = content["variance_factor"]
+    features = tuple(content["features"])
+    inducing = content["inducing"].reshape(m, len(features))
+    return OutputPosterior(**content | {"variance_factor": factor, "features": features, "inducing": inducing})
+
+
+def _arrays(content: dict[str, Any], kind: type) -> dict[str, Any]:
+    """The fields that `kind` declares as arrays, made so."""
+    names = {f.name for f in fields(kind) if "ndarray" in str(f.type)}
+    return {key: np.array(value, float) if key in names else value for key, value in content.items()}

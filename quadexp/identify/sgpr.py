@@ -1,0 +1,176 @@
+"""Hyperparameters and inducing points by marginal likelihood, with gpytorch, in scaled coordinates.
+
+Exact GP: log N(y | 0, K_XX + sigma_n^2 I). Sparse: Titsias' collapsed variational bound (2009, eq. 9),
+
+    log N(y | 0, Q + sigma_n^2 I) - tr(K_XX - Q) / (2 sigma_n^2),        Q = K_XZ (K_ZZ + jitter sigma_f^2 I)^-1 K_ZX
+
+over all rows, maximised over Z and the hyperparameters together by L-BFGS. The fixed jitter makes the inducing
+variables f(Z) plus a little independent noise: still a lower bound, and the same model in fit and prediction.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import gpytorch
+import numpy as np
+import torch
+from linear_operator.utils.errors import NanError, NotPSDError
+from linear_operator.utils.warnings import NumericalWarning
+from scipy.optimize import minimize
+
+NOISE_FLOOR = 1e-8  # of the output's mean square
+EXACT_LIMIT = 5000  # rows up to which gpytorch must factorise exactly, without conjugate gradients
+REFUSED = 1e10  # value of a step for which the covariance cannot be factorised
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """lengthscale (d,), signal_variance, noise_variance, in scaled coordinates."""
+
+    lengthscale: np.ndarray
+    signal_variance: float
+    noise_variance: float
+
+
+class InducingKernel(gpytorch.kernels.InducingPointKernel):
+    """gpytorch's sparse kernel with a jitter that is part of the model (gpytorch adds one only on failure)."""
+
+    def __init__(self, base_kernel, inducing_points, likelihood, jitter: float):
+        super().__init__(base_kernel, inducing_points, likelihood)
+        self.jitter = jitter
+
+    @property
+    def _inducing_mat(self):
+        matrix = super()._inducing_mat
+        return matrix + self.jitter * self.base_kernel.outputscale * torch.eye(len(matrix), dtype=matrix.dtype)
+
+
+class Regression(gpytorch.models.ExactGP):
+    """Zero-mean GP with an RBF kernel of one length scale a feature, exact or sparse.
+
+    x: (n, d), y: (n,), scaled. inducing: (M, d), or None for the exact GP.
+    """
+
+    def __init__(
+        self, x: np.ndarray, y: np.ndarray, start: Hyperparameters, inducing: np.ndarray | None, jitter: float
+    ):
+        likelihood = gpytorch.likelihoods.GaussianLikelihood(
+            noise_constraint=gpytorch.constraints.GreaterThan(NOISE_FLOOR)
+        )
+        super().__init__(torch.as_tensor(x), torch.as_tensor(y), likelihood)
+        self.mean_module = gpytorch.means.ZeroMean()
+        base = gpytorch.kernels.ScaleKernel(gpytorch.kernels.RBFKernel(ard_num_dims=x.shape[1]))
+        points = None if inducing is None else torch.tensor(inducing)
+        self.covar_module = base if points is None else InducingKernel(base, points, likelihood, jitter)
+        self.double()
+        base.base_kernel.lengthscale = torch.as_tensor(start.lengthscale)
+        base.outputscale = torch.tensor(start.signal_variance, dtype=torch.float64)
+        likelihood.noise = torch.tensor(max(start.noise_variance, 2 * NOISE_FLOOR), dtype=torch.float64)
+        self.base = base
+
+    def forward(self, x):
+        return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
+
+    @property
+    def inducing_points(self) -> np.ndarray:
+        """Inducing points of the sparse GP, (M, d), scaled."""
+        return self.covar_module.inducing_points.detach().numpy().copy()
+
+    @property
+    def hyperparameters(self) -> Hyperparameters:
+        return Hyperparameters(
+            self.base.base_kernel.lengthscale.detach().numpy().reshape(-1).copy(),
+            self.base.outputscale.item(),
+            self.likelihood.noise.item(),
+        )
+
+    def objective(self) -> torch.Tensor:
+        """Log marginal likelihood or its bound, per row."""
+        marginal = gpytorch.mlls.ExactMarginalLogLikelihood(self.likelihood, self)
+        return marginal(self(*self.train_inputs), self.train_targets)
+
+
+def maximise(model: Regression, iterations: int, report: Callable[[int], None] | None = None) -> float:
+    """Maximise the model's objective in place by L-BFGS-B; returns it, per row.
+
+    report: called with the number of iterations done.
+    """
+    model.train()
+    parameters = [p for p in model.parameters() if p.requires_grad]
+    shapes = [p.numel() for p in parameters]
+
+    def load(flat: np.ndarray) -> None:
+        with torch.no_grad():
+            for p, part in zip(parameters, np.split(flat, np.cumsum(shapes)[:-1]), strict=True):
+                p.copy_(torch.from_numpy(part).reshape(p.shape))
+
+    def loss(flat: np.ndarray) -> tuple[float, np.ndarray]:
+        load(flat)
+        model.zero_grad()
+        try:
+            value = -model.objective()
+            value.backward()
+        except (NotPSDError, NanError):
+            return REFUSED, np.zeros_like(flat)
+        gradient = np.concatenate([p.grad.numpy().reshape(-1) for p in parameters])
+        finite = bool(np.isfinite(value.item()) and np.all(np.isfinite(gradient)))
+        return (value.item(), gradient) if finite else (REFUSED, np.zeros_like(flat))
+
+    done = 0
+
+    def step(_) -> None:
+        nonlocal done
+        done += 1
+        if report is not None:
+            report(done)
+
+    flat = np.concatenate([p.detach().numpy().reshape(-1) for p in parameters])
+    with warnings.catch_warnings(), gpytorch.settings.max_cholesky_size(EXACT_LIMIT):
+        warnings.simplefilter("ignore", NumericalWarning)
+        result = minimize(
+            loss, flat, jac=True, method="L-BFGS-B", callback=step,
+            options={"maxiter": iterations, "maxcor": 20, "ftol": 1e-9, "gtol": 1e-6},
+        )  # fmt: skip
+    load(result.x)
+    return -float(result.fun)
+
+
+def rbf(a: np.ndarray, b: np.ndarray, lengthscale: np.ndarray) -> np.ndarray:
+    """exp(-1/2 sum_i ((a_i - b_i) / l_i)^2), (len(a), len(b))."""
+    distance = ((a[:, None, i] - b[None, :, i]) / lengthscale[i] for i in range(a.shape[1]))
+    return np.exp(-0.5 * sum(d * d for d in distance))
+
+
+def sparse_posterior(
+    x: np.ndarray, y: np.ndarray, inducing: np.ndarray, p: Hyperparameters, jitter: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Weights alpha (M,) and variance factor F (M, M) of the optimal variational posterior (Titsias 2009, eqs 6, 10).
+
+    With L L' = K_ZZ + jitter, A = L^-1 K_ZX / sigma_n, B = I + A A': alpha = sigma_f^2 L^-T B^-1 A y / sigma_n and
+    F'F = sigma_f^4 L^-T (I - B^-1) L^-1. Everything goes through L, whose condition is the root of K_ZZ's.
+    """
+    from scipy.linalg import cholesky, eigh, solve_triangular
+
+    m, sf2, sn = len(inducing), p.signal_variance, np.sqrt(p.noise_variance)
+    lower = cholesky(sf2 * (rbf(inducing, inducing, p.lengthscale) + jitter * np.eye(m)), lower=True)
+    a = solve_triangular(lower, sf2 * rbf(inducing, x, p.lengthscale), lower=True) / sn
+    eigenvalue, vector = eigh(a @ a.T)
+    eigenvalue = np.maximum(eigenvalue, 0.0)
+    whitened = vector @ ((vector.T @ (a @ y)) / (1 + eigenvalue)) / sn
+    alpha = sf2 * solve_triangular(lower, whitened, lower=True, trans="T")
+    root = (vector * np.sqrt(eigenvalue / (1 + eigenvalue))).T  # root' root = I - B^-1
+    factor = sf2 * solve_triangular(lower, root.T, lower=True, trans="T").T
+    return alpha, np.asarray(np.linalg.qr(factor, mode="r"))
+
+
+def exact_posterior(x: np.ndarray, y: np.ndarray, p: Hyperparameters) -> tuple[np.ndarray, np.ndarray]:
+    """Weights alpha (n,) and variance factor F (n, n) of the exact GP: (K + sigma_n^2 I)^-1 y and its root."""
+    from scipy.linalg import cholesky, solve_triangular
+
+    n, sf2 = len(x), p.signal_variance
+    lower = cholesky(sf2 * rbf(x, x, p.lengthscale) + p.noise_variance * np.eye(n), lower=True)
+    inverse = solve_triangular(lower, np.eye(n), lower=True)
+    return sf2 * (inverse.T @ (inverse @ y)), np.asarray(np.linalg.qr(sf2 * inverse, mode="r"))

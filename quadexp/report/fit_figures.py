@@ -1,0 +1,240 @@
+"""Figures of a fit: mean and 2-sigma band against held-out data, calibration, error over the number of points.
+
+Each function returns a matplotlib Figure and touches no global state; `quadexp.report.figures.save` writes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.colors import LinearSegmentedColormap, LogNorm
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator, PercentFormatter, ScalarFormatter
+
+from quadexp.identify.dataset import ResidualDataset
+from quadexp.identify.model import GPModel, OutputPosterior
+from quadexp.identify.predict import AXIS, Prediction, predict
+from quadexp.report.figures import COLOURS, MARKERS, STYLE
+
+ORANGE, BLUE, GREY = COLOURS[1], COLOURS[2], "#777777"
+COUNTS = LinearSegmentedColormap.from_list("counts", ["#E4E7EC", "#9AA4B5", "#4A5468"])  # recedes behind the curves
+CURVE_POINTS = 300
+MAX_COLUMNS = 4
+METHOD_COLOURS = {"sgpr": BLUE, "subset": ORANGE, "exact": COLOURS[3]}
+METHOD_NAMES = {"sgpr": "SGPR", "subset": "subset of data", "exact": "exact GP"}
+
+
+def fit_figure(model: GPModel, data: ResidualDataset) -> Figure:
+    """Mean of each output over each of its features with the data, and below it what the mean leaves, with 2 sigma.
+
+    data: rows to show, best held-out ones. Where an output has several features, a panel moves one of them and holds
+    the others at their medians; the data are shifted by what the model says the others' deviations are worth.
+    """
+    shown = [(output, i) for output in model.outputs for i in range(len(output.features))]
+    columns = min(len(shown), MAX_COLUMNS)
+    blocks = -(-len(shown) // columns)
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(3.3 * columns + 0.4, 4.6 * blocks + 0.4), layout="constrained")
+        panels = figure.subplots(2 * blocks, columns, squeeze=False, height_ratios=(1.7, 1) * blocks)
+        for k, (output, i) in enumerate(shown):
+            row, column = divmod(k, columns)
+            _fit_panels(panels[2 * row, column], panels[2 * row + 1, column], model, output, i, data)
+        for k in range(len(shown), blocks * columns):
+            for row in (0, 1):
+                panels[2 * (k // columns) + row, k % columns].set_axis_off()
+        found: dict[str, Any] = {}
+        for panel in panels.flat:
+            for handle, text in zip(*panel.get_legend_handles_labels(), strict=True):
+                found.setdefault(text, handle)
+        figure.legend(list(found.values()), list(found), loc="outside upper center", ncols=len(found))
+    return figure
+
+
+def _fit_panels(upper: Any, lower: Any, model: GPModel, output: OutputPosterior, i: int, data: ResidualDataset) -> None:
+    """upper: mean and data over feature i. lower: data minus mean, the 2-sigma band, the inducing points."""
+    features = data.matrix(output.features)
+    median = np.median(features, axis=0)
+    own = replace(model, outputs=(output,))
+    held = np.tile(median, (len(features), 1))
+    held[:, i] = features[:, i]
+    left = data.matrix([output.output])[:, 0] - _predict(own, features).mean
+    target = _predict(own, held).mean + left
+
+    low, high = model.feature_range.get(output.features[i], [features[:, i].min(), features[:, i].max()])
+    margin = 0.03 * (high - low)
+    grid = np.tile(median, (CURVE_POINTS, 1))
+    grid[:, i] = np.linspace(low, high, CURVE_POINTS)
+    prediction = _predict(own, grid)
+    x, mean, band = grid[:, i], prediction.mean, 2 * prediction.std
+
+    inside = (features[:, i] >= low) & (features[:, i] <= high)  # beyond it the model extrapolates; it sets no limits
+    if not inside.any():
+        inside[:] = True
+    top = _limits(np.concatenate([np.quantile(target[inside], [0.0005, 0.9995]), mean]))
+    bottom = _limits(np.array([-1, 1]) * max(np.quantile(np.abs(left[inside]), 0.998), 1.15 * np.median(band)))
+    for panel, values, limits, size in ((upper, target, top, (60, 36)), (lower, left, bottom, (60, 20))):
+        panel.hexbin(
+            features[:, i], values, gridsize=size, mincnt=1, cmap=COUNTS, norm=LogNorm(), linewidths=0.1,
+            extent=(low - margin, high + margin, *limits), zorder=1,
+        )  # fmt: skip
+        panel.set_xlim(low - margin, high + margin)
+        panel.set_ylim(*limits)
+    upper.plot([], [], linestyle="none", marker="h", color="#6B7690", label="data, darker where denser")
+    upper.fill_between(x, mean - band, mean + band, color=BLUE, alpha=0.25, linewidth=0, label="2 σ", zorder=2)
+    upper.plot(x, mean, color=BLUE, linewidth=1.8, label="GP mean", zorder=4)
+    if output.output in AXIS:
+        line = model.linear_drag.acceleration(_table(output.features, grid))[:, AXIS[output.output]]
+        upper.plot(x, line, color=ORANGE, linestyle=(0, (5, 2)), label="linear drag", zorder=3)
+    lower.fill_between(x, -band, band, color=BLUE, alpha=0.25, linewidth=0, zorder=2)
+    lower.axhline(0, color=BLUE, linewidth=1.4, zorder=3)
+    points = output.inducing[:, i]
+    points = points[(points > low - margin) & (points < high + margin)]
+    lower.plot(
+        points, np.zeros(len(points)), linestyle="none", marker="|", markersize=9, markeredgewidth=1.1, color="black",
+        transform=lower.get_xaxis_transform(), clip_on=False, zorder=5, label="inducing points",
+    )  # fmt: skip
+    others = [
+        f"{symbol(name)} = {value:.1f} {unit(name)}"
+        for j, (name, value) in enumerate(zip(output.features, median, strict=True))
+        if j != i
+    ]
+    heading = f"{symbol(output.output)} over {symbol(output.features[i])}"
+    upper.set_title(heading + (f", at {', '.join(others)}" if others else ""), fontweight="normal")
+    upper.tick_params(labelbottom=False)
+    upper.set_ylabel(axis_label(output.output))
+    lower.set_ylabel(f"minus mean ({unit(output.output)})")
+    lower.set_xlabel(axis_label(output.features[i]))
+
+
+def calibration_figure(model: GPModel, data: ResidualDataset) -> Figure:
+    """Share of held-out rows inside the central interval against the probability the model gives that interval."""
+    from scipy.special import ndtr
+
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(4.4, 4.2), layout="constrained")
+        panel = figure.subplots()
+        panel.plot([0, 1], [0, 1], color=GREY, linewidth=1, linestyle=(0, (4, 3)))
+        panel.text(0.97, 0.04, "overconfident", ha="right", va="center", color=GREY, fontsize=8.5)
+        panel.text(0.03, 0.96, "too careful", ha="left", va="center", color=GREY, fontsize=8.5)
+        for k, (name, prediction) in enumerate(predict(model, data).items()):
+            error = np.abs(data.matrix([name])[:, 0] - prediction.mean) / prediction.std
+            probability = np.sort(2 * ndtr(error) - 1)
+            share = np.arange(1, len(probability) + 1) / len(probability)
+            colour = COLOURS[(k + 1) % len(COLOURS)]
+            panel.plot(probability, share, color=colour, label=symbol(name))
+            for sigma in (1, 2):
+                at = 2 * ndtr(sigma) - 1
+                panel.plot(at, np.mean(error < sigma), color=colour, marker=MARKERS[k], markersize=5, linestyle="none")
+        for sigma in (1, 2):
+            panel.axvline(2 * ndtr(sigma) - 1, color="#BBBBBB", linewidth=0.8, zorder=0)
+            panel.text(
+                2 * ndtr(sigma) - 1, 1.01, f"{sigma} σ", ha="center", va="bottom", fontsize=8.5, color="#444444",
+                transform=panel.get_xaxis_transform(),
+            )  # fmt: skip
+        panel.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
+        panel.set_xlabel("predicted probability of the central interval")
+        panel.set_ylabel("held-out rows inside")
+        for axis in (panel.xaxis, panel.yaxis):
+            axis.set_major_formatter(PercentFormatter(1.0))
+        panel.legend(loc="center right", bbox_to_anchor=(1.0, 0.3))
+    return figure
+
+
+def size_figure(rows: Sequence[Mapping[str, Any]], baseline: Sequence[Mapping[str, Any]] = ()) -> Figure:
+    """Held-out error over the number of inducing points, a panel an output and a line a method.
+
+    rows: of `identify.comparison.compare`. baseline: rows of `identify.evaluation.evaluate`; their linear drag is drawn
+    where it lies within three times of the rest.
+    """
+    outputs = list(dict.fromkeys(row["output"] for row in rows))
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(1.2 + 2.9 * len(outputs), 3.5), layout="constrained")
+        panels = figure.subplots(1, len(outputs), squeeze=False)[0]
+        sizes = sorted({row["inducing"] for row in rows if row["method"] != "exact"})
+        for panel, output in zip(panels, outputs, strict=True):
+            here = [row for row in rows if row["output"] == output]
+            for k, method in enumerate(dict.fromkeys(row["method"] for row in here)):
+                mine = sorted((row["inducing"], row["rmse"]) for row in here if row["method"] == method)
+                colour, label = METHOD_COLOURS.get(method, "black"), METHOD_NAMES.get(method, method)
+                if method == "exact":
+                    panel.axhline(mine[0][1], color=colour, linestyle=(0, (2, 2)), label=f"{label}, {mine[0][0]} rows")
+                else:
+                    panel.plot(*zip(*mine, strict=True), color=colour, marker=MARKERS[k], markersize=5, label=label)
+            top = max(row["rmse"] for row in here)
+            for row in baseline:
+                if row["output"] == output and row["predictor"] == "linear_drag" and row["rmse"] < 3 * top:
+                    panel.axhline(row["rmse"], color=GREY, linestyle=(0, (6, 3)), label="linear drag")
+            panel.set_xscale("log")
+            panel.set_yscale("log")
+            if sizes:
+                panel.xaxis.set_major_locator(FixedLocator(sizes))
+                panel.xaxis.set_minor_locator(NullLocator())
+                panel.xaxis.set_major_formatter(ScalarFormatter())
+            _plain_log_ticks(panel.yaxis)
+            panel.set_title(symbol(output))
+            panel.set_xlabel("inducing points")
+            panel.set_ylabel(f"held-out RMSE ({unit(output)})")
+        found = {
+            text: handle for panel in panels for handle, text in zip(*panel.get_legend_handles_labels(), strict=True)
+        }
+        figure.legend(list(found.values()), list(found), loc="outside upper center", ncols=len(found))
+    return figure
+
+
+def _plain_log_ticks(axis: Any) -> None:
+    """Round decimal ticks inside the limits of a logarithmic axis, with decimals instead of powers."""
+    low, high = axis.get_view_interval()
+    if high / low < 1.6:
+        middle = np.sqrt(low * high)
+        low, high = middle / 1.3, middle * 1.3
+        axis.axes.set_ylim(low, high)
+    steps = (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8) if high / low < 6 else (1, 2, 5)
+    decades = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
+    ticks = [step * 10.0**decade for decade in decades for step in steps]
+    axis.set_major_locator(FixedLocator([tick for tick in ticks if low <= tick <= high]))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(lambda value, _: f"{value:.3g}")
+
+
+def symbol(name: str) -> str:
+    """A column's name as mathematics: a_x -> $a_x$, thrust -> $T$."""
+    letter, _, index = name.partition("_")
+    letter = {"thrust": "T", "tau": r"\tau", "w": r"\omega"}.get(letter, letter)
+    return f"${letter}_{{{index}}}$" if index else f"${letter}$"
+
+
+def unit(name: str) -> str:
+    """Unit of a feature or output."""
+    return {"v": "m/s", "w": "rad/s", "u": "N", "thrust": "N", "a": "m/s²", "tau": "N m"}.get(name.split("_")[0], "")
+
+
+def axis_label(name: str) -> str:
+    """What stands at an axis: quantity, symbol, unit."""
+    words = {
+        "v": "body velocity", "w": "body rate", "u": "rotor thrust", "thrust": "collective thrust",
+        "a": "residual", "tau": "residual torque",
+    }  # fmt: skip
+    return f"{words.get(name.split('_')[0], '')} {symbol(name)} ({unit(name)})".strip()
+
+
+def _limits(values: np.ndarray) -> tuple[float, float]:
+    """Vertical limits around the values, with a little air."""
+    low, high = float(np.min(values)), float(np.max(values))
+    return low - 0.06 * (high - low), high + 0.06 * (high - low)
+
+
+def _predict(model: GPModel, features: np.ndarray) -> Prediction:
+    """Prediction of a model of one output at features (k, d)."""
+    (output,) = model.outputs
+    return predict(model, _table(output.features, features))[output.output]
+
+
+def _table(names: Sequence[str], features: np.ndarray) -> ResidualDataset:
+    """Rows with the given features; what linear drag needs beside them is zero."""
+    columns = {name: np.zeros(len(features)) for name in ("v_x", "v_y", "v_z", "thrust")}
+    columns |= {name: features[:, j] for j, name in enumerate(names)}
+    return ResidualDataset(columns | {"flight": np.zeros(len(features), int)}, {})

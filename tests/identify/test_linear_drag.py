@@ -1,0 +1,86 @@
+"""The drag fit is least squares, and its standard errors say how far off it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadexp.errors import DataError, UsageError
+from quadexp.identify.dataset import ResidualDataset
+from quadexp.identify.linear_drag import fit_linear_drag
+
+DRAG, INTERCEPT, GAIN = np.array([0.31, 0.27, 0.12]), np.array([0.1, -0.2, 0.05]), -0.02
+
+
+def linear_rows(rows=600, seed=0, flights=6, noise=lambda v: 0.3, shared=0.0) -> ResidualDataset:
+    """Rows of exactly linear drag; noise: its standard deviation given the velocity; shared: the same for a flight."""
+    rng = np.random.default_rng(seed)
+    v, thrust = rng.uniform(-10, 10, (rows, 3)), rng.uniform(5, 30, rows)
+    flight = np.arange(rows) * flights // rows
+    a = -DRAG * v + INTERCEPT + noise(v) * rng.normal(size=(rows, 3)) + shared * rng.normal(size=(flights, 3))[flight]
+    a[:, 2] += GAIN * thrust
+    columns = {f"v_{axis}": v[:, i] for i, axis in enumerate("xyz")} | {"thrust": thrust, "flight": flight}
+    columns |= {f"a_{axis}": a[:, i] for i, axis in enumerate("xyz")}
+    return ResidualDataset(columns, {})
+
+
+def test_equals_the_normal_equations_and_the_hc1_sandwich():
+    rows = linear_rows(noise=lambda v: 0.05 + 0.1 * np.abs(v))
+    fit = fit_linear_drag(rows)
+    x = np.column_stack([-rows.columns["v_z"], rows.columns["thrust"], np.ones(600)])
+    y = rows.columns["a_z"]
+    bread = np.linalg.inv(x.T @ x)
+    beta = bread @ x.T @ y
+    e = y - x @ beta
+    errors = np.sqrt(np.diag(bread @ (x.T * e**2) @ x @ bread) * 600 / 597)
+    np.testing.assert_allclose([fit.drag[2], fit.thrust_gain, fit.intercept[2]], beta, rtol=1e-10)
+    np.testing.assert_allclose([fit.drag_error[2], fit.thrust_gain_error, fit.intercept_error[2]], errors, rtol=1e-10)
+    np.testing.assert_allclose(fit.r_squared[2], 1 - np.sum(e**2) / np.sum((y - y.mean()) ** 2), rtol=1e-10)
+    np.testing.assert_allclose(fit.acceleration(rows)[:, 2], x @ beta, rtol=1e-10)
+    np.testing.assert_allclose(fit.parameters, np.concatenate([fit.drag, fit.intercept, [fit.thrust_gain]]))
+
+
+def test_published_model_has_no_intercept_and_no_thrust():
+    rows = linear_rows()
+    fit = fit_linear_drag(rows, intercept=False, thrust=False)
+    v, a = rows.matrix(["v_x", "v_y", "v_z"]), rows.matrix(["a_x", "a_y", "a_z"])
+    np.testing.assert_allclose(fit.drag, -np.sum(v * a, axis=0) / np.sum(v * v, axis=0))
+    assert not fit.intercept.any() and not fit.intercept_error.any() and fit.thrust_gain == 0
+
+
+def coverage(errors: str, **options) -> float:
+    """Share of true coefficients within 1.96 standard errors over 200 seeds (7 coefficients each)."""
+    inside = []
+    for seed in range(200):
+        fit = fit_linear_drag(linear_rows(seed=seed, **options), errors=errors)
+        error = np.concatenate([fit.drag_error, fit.intercept_error, [fit.thrust_gain_error]])
+        inside.append(np.abs(fit.parameters - np.concatenate([DRAG, INTERCEPT, [GAIN]])) < 1.96 * error)
+    return float(np.mean(inside))
+
+
+def test_hc1_covers_where_scatter_grows_with_speed():
+    # 1400 coefficients: one standard deviation of the share is about .006.
+    assert 0.93 < coverage("hc1", rows=300, noise=lambda v: 0.02 + 0.1 * np.abs(v)) < 0.97
+
+
+def test_errors_shared_by_a_flight_need_flight_errors():
+    options = {"rows": 300, "flights": 30, "shared": 0.5}
+    assert coverage("hc1", **options) < 0.90
+    assert 0.91 < coverage("flight", **options) < 0.97
+
+
+def test_few_or_idle_rows_are_refused():
+    with pytest.raises(DataError, match="4 rows for 3 coefficients, at least 5"):
+        fit_linear_drag(linear_rows(rows=4, flights=1))
+    assert np.isfinite(fit_linear_drag(linear_rows(rows=5, flights=1)).parameters).all()
+    idle = linear_rows()
+    still = ResidualDataset(dict(idle.columns) | {"v_z": np.full(600, 1.0)}, {})
+    with pytest.raises(DataError, match="a_z on v_z, thrust: these columns do not vary independently"):
+        fit_linear_drag(still)
+    with pytest.raises(UsageError, match="drag.errors"):
+        fit_linear_drag(idle, errors="best")
+
+
+def test_far_from_the_origin_the_fit_keeps_its_digits():
+    rows = linear_rows(noise=lambda v: 0.0)
+    np.testing.assert_allclose(fit_linear_drag(rows).drag, DRAG, rtol=1e-11)
