@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import difflib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,21 +26,12 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from hydra.plugins.config_source import ConfigResult
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from quadexp.config import SCHEMAS, Config
+from quadexp.config import SCHEMAS, Config, conf_folder
 from quadexp.errors import UsageError
-
-_HERE = Path(__file__).resolve().parent
-
-
-def conf_folder() -> Path:
-    """The configuration folder: beside the package when installed, above it in a checkout."""
-    for folder in (_HERE / "conf", _HERE.parent / "conf"):
-        if (folder / "config.yaml").is_file():
-            return folder
-    raise UsageError(f"no conf/config.yaml beside {_HERE}: the installation is incomplete")
+from quadexp.messages import one_line, suggestion
 
 
 @dataclass(frozen=True)
@@ -154,7 +144,7 @@ class Composer:
                 (override,) = parser.parse_overrides([text])
             except HydraException as error:
                 hint = " (quote a value with blanks or brackets: KEY=\"'VALUE'\")"
-                raise UsageError(f"{text!r}: {_text(error)}{hint}") from None
+                raise UsageError(f"{text!r}: {one_line(error)}{hint}") from None
             if override.is_add() or override.is_force_add() or override.is_delete():
                 raise UsageError(f"{text!r}: keys can be set (KEY=VALUE), not added or deleted")
             if override.package or override.key_or_group.split("/")[0].split(".")[0] in ("hydra", "schema", "sweep"):
@@ -172,18 +162,18 @@ class Composer:
         if value is None and group == "experiment":
             return
         if value not in options:
-            raise UsageError(f"{group}={value}: no such {group}{_suggestion(str(value), options)}")
+            raise UsageError(f"{group}={value}: no such {group}{suggestion(str(value), options)}")
 
     def _check_key(self, config: DictConfig, override: Override) -> None:
         key = override.key_or_group
         node: Any = config
         for i, part in enumerate(parts := key.split(".")):
-            if not isinstance(node, DictConfig) or part not in node:
-                known = sorted(_keys(config)) + [g for g in SCHEMAS if g != key] + ["experiment"]
-                if isinstance(node, DictConfig) and 0 < i:
-                    near = [f"{'.'.join(parts[:i])}.{name}" for name in node]
-                    raise UsageError(f"{key}: no such key{_suggestion(key, near)}")
-                raise UsageError(f"{key}: no such key{_suggestion(key, known)}")
+            if not isinstance(node, DictConfig) or part not in list(node):  # `in node` denies what has no value yet
+                here = [*map(str, config), "experiment"]
+                everywhere = [*_keys(config), *here]
+                if isinstance(node, DictConfig) and i > 0:
+                    here = everywhere = [f"{'.'.join(parts[:i])}.{name}" for name in node]
+                raise UsageError(f"{key}: no such key{suggestion(key, everywhere, here)}")
             node = node._get_node(part)
             if isinstance(node, DictConfig) and node._is_missing():
                 return
@@ -266,29 +256,6 @@ def _keys(config: DictConfig, prefix: str = "") -> Iterator[str]:
             yield f"{prefix}{name}"
 
 
-def _suggestion(found: str, known: Sequence[str]) -> str:
-    """What may have been meant, or everything there is when that is little."""
-    near = difflib.get_close_matches(found, known, n=1, cutoff=0.6)
-    if near:
-        return f"; did you mean {near[0]}?"
-    shown = ", ".join(sorted(known)[:16]) + (", ..." if len(known) > 16 else "")
-    return f"; there are: {shown}" if known else ""
-
-
-def _text(error: BaseException) -> str:
-    """One line from an error of Hydra or OmegaConf and its cause, the most telling part first."""
-    parts = []
-    for part in (error.__cause__, error):
-        if part is None:
-            continue
-        message = getattr(part, "msg", None) if isinstance(part, OmegaConfBaseException) else None
-        lines = (message or str(part)).strip().splitlines()
-        if lines and lines[0] != "None":
-            key = getattr(part, "full_key", None)
-            parts.append((f"{key}: " if key else "") + lines[0].strip())
-    return " - ".join(dict.fromkeys(parts)) or type(error).__name__
-
-
 @contextlib.contextmanager
 def _one_line() -> Iterator[None]:
     try:
@@ -296,7 +263,7 @@ def _one_line() -> Iterator[None]:
     except UsageError:
         raise
     except (HydraException, OmegaConfBaseException, ValueError) as error:
-        raise UsageError(_text(error)) from error
+        raise UsageError(one_line(error)) from error
 
 
 def _register() -> None:

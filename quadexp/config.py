@@ -10,69 +10,13 @@ Nothing heavy is imported here: worker processes and the command line both load 
 
 from __future__ import annotations
 
-import hashlib
-import json
-import math
 import re
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
+from pathlib import Path
 from typing import Any, ClassVar
 
-MISSING = "???"  # OmegaConf's mark of a mandatory value
-_INTERVAL = re.compile(r"([\[(])\s*(\S+?),\s*(\S+?)\s*([\])])")
-
-
-def number(interval: str, unit: str = "", default: Any = MISSING, *, length: int | None = None) -> Any:
-    """A field that holds a number (or a list of `length` numbers) inside an interval such as "(0, 60]"."""
-    metadata = {"interval": interval, "unit": unit, "length": length}
-    return _field(default, metadata)
-
-
-def choice(*allowed: str, default: Any = MISSING) -> Any:
-    """A field that holds one of a few words."""
-    return _field(default, {"choices": allowed})
-
-
-def _field(default: Any, metadata: dict[str, Any]) -> Any:
-    if isinstance(default, (list, dict)):
-        return field(default_factory=lambda: type(default)(default), metadata=metadata)
-    return field(default=default, metadata=metadata)
-
-
-def _inside(value: float, interval: str) -> bool:
-    left, low, high, right = _INTERVAL.fullmatch(interval).groups()  # type: ignore[union-attr]
-    low, high = float(low), float(high)
-    above = value >= low if left == "[" else value > low
-    below = value <= high if right == "]" else value < high
-    return above and below and not math.isnan(value)
-
-
-class Checked:
-    """Checks the intervals and choices that the fields declare; `prefix` is the key of the node."""
-
-    prefix: ClassVar[str] = ""
-
-    def __post_init__(self) -> None:
-        for f in fields(self):  # type: ignore[arg-type]
-            value = getattr(self, f.name)
-            if f.metadata and value is not None and value != MISSING:
-                check_value(f"{self.prefix}{f.name}", value, f.metadata)
-
-
-def check_value(key: str, value: Any, metadata: Any) -> None:
-    """Raise ValueError where a value lies outside what its field's metadata allow."""
-    allowed = metadata.get("choices")
-    if allowed and value not in allowed:
-        raise ValueError(f"{key}={value}: must be one of {', '.join(allowed)}")
-    interval = metadata.get("interval")
-    if not interval:
-        return
-    shown = str(value).replace(" ", "")
-    length = metadata.get("length")
-    if length and (not isinstance(value, (list, tuple)) or len(value) != length):
-        raise ValueError(f"{key}={shown}: must be a list of {length} numbers")
-    for item in value if isinstance(value, (list, tuple)) else [value]:
-        if not _inside(float(item), interval):
-            raise ValueError(f"{key}={shown}: must be in {interval} {metadata.get('unit', '')}".rstrip())
+from quadexp.errors import UsageError
+from quadexp.fields import MISSING, Checked, choice, number
 
 
 # --------------------------------------------------------------------------------------------------------- vehicle
@@ -372,32 +316,11 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "drag": {"linear": DragConfig},
 }
 
-FLIGHT_GROUPS = ("vehicle", "plant", "trajectory", "controller")  # what decides one flight, with model and seed
 
-
-def canonical(value: Any) -> str:
-    """JSON with one spelling for one value, for hashing."""
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
-
-
-def digest(value: Any) -> str:
-    """sha256 of the canonical JSON, 20 hex digits."""
-    return hashlib.sha256(canonical(value).encode()).hexdigest()[:20]
-
-
-def flight_record(config: Config) -> dict[str, Any]:
-    """The part of a configuration that decides one flight, as a plain dictionary."""
-    record = {group: asdict(getattr(config, group)) for group in FLIGHT_GROUPS}
-    return {**record, "model": config.model, "seed": config.seed}
-
-
-def flight_entropy(config: Config) -> int:
-    """Seed of the noise of one flight: from trajectory, plant, vehicle and seed, NOT from controller or model.
-
-    Flights that differ in what the controller knows meet the same noise, so comparisons are paired. What cannot change
-    a flight (names, the back end, the permission to fly beyond the limits) takes no part.
-    """
-    record = flight_record(config)
-    aside = {"name", "backend", "allow_infeasible"}
-    parts = [{k: v for k, v in record[group].items() if k not in aside} for group in ("vehicle", "plant", "trajectory")]
-    return int(digest(["noise", *parts, config.seed]), 16)
+def conf_folder() -> Path:
+    """The configuration folder: beside the package when installed, above it in a checkout."""
+    here = Path(__file__).resolve().parent
+    for folder in (here / "conf", here.parent / "conf"):
+        if (folder / "config.yaml").is_file():
+            return folder
+    raise UsageError(f"no conf/config.yaml beside {here}: the installation is incomplete")

@@ -40,4 +40,5 @@ class Progress:
         tenth = int(10 * done / total) if total else 0
         if tenth > self._said:
             self._said = tenth
-            print(f"{self.label}: {done:g} of {total:g} ({10 * tenth} %)", file=sys.stderr, flush=True)
+            count = f" ({done:g} of {total:g})" if total > 1 else ""
+            print(f"{self.label}: {10 * tenth} %{count}", file=sys.stderr, flush=True)

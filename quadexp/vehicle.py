@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from quadexp.errors import UsageError
+from quadexp.rotor import RotorGeometry
 
 GRAVITY = 9.81  # m/s^2
 
@@ -30,6 +31,8 @@ class Vehicle:
     rotor_spin: (n,), sign of the reaction torque about +z_body per unit thrust (+1 or -1).
     torque_coefficient: reaction torque per thrust, m. thrust_min, thrust_max: per rotor, N.
     rate_max: largest body rate a reference may ask for, rad/s.
+    rotor: shape of the rotors, for blade-element models; None where nobody needs it.
+    static_thrust: k_T,static of the thrust map u = k_T,static w^2 between a thrust and a rotor speed, N s^2.
 
     Raises UsageError where the numbers describe no rigid body or cannot be controlled.
     """
@@ -44,6 +47,8 @@ class Vehicle:
     thrust_max: float
     rate_max: float
     gravity: float = GRAVITY
+    rotor: RotorGeometry | None = None
+    static_thrust: float | None = None
 
     def __post_init__(self) -> None:
         eigenvalues = np.linalg.eigvalsh(self.inertia_matrix)
@@ -65,6 +70,8 @@ class Vehicle:
                 f"vehicle.thrust_max: hovering takes {self.hover_thrust:.3g} N per rotor,"
                 f" outside ({self.thrust_min:g}, {self.thrust_max:g}) N"
             )
+        if self.static_thrust is not None and not self.static_thrust > 0:
+            raise UsageError(f"vehicle.static_thrust={self.static_thrust:g}: must be positive (N s^2)")
 
     @property
     def n_rotors(self) -> int:
@@ -89,5 +96,5 @@ class Vehicle:
     @cached_property
     def fingerprint(self) -> str:
         """Short hash of the physical numbers (not of the name): two vehicles with one fingerprint fly alike."""
-        physics = {key: value for key, value in asdict(self).items() if key != "name"}
+        physics = {key: value for key, value in asdict(self).items() if key != "name" and value is not None}
         return hashlib.sha256(json.dumps(physics, sort_keys=True).encode()).hexdigest()[:12]

@@ -1,14 +1,16 @@
-"""One closed-loop flight: plant, controller and reference, sample by sample."""
+"""One closed-loop flight: plant, sensor, controller and reference, sample by sample."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from quadexp.control.active_set import Status
+from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.mpc import ModelPredictiveController
-from quadexp.errors import QuadexpError
+from quadexp.control.mpc_controller import as_controller
+from quadexp.errors import QuadexpError, UsageError
 from quadexp.flight.schema import Flight
 from quadexp.plant.base import Plant
 from quadexp.residual.base import Residual
@@ -17,6 +19,13 @@ from quadexp.trajectory.flatness import Reference, flat_reference
 
 LOST_DISTANCE = 10.0  # m from the reference: further away nobody calls it tracking
 TIME_RESOLUTION = 1e-9  # s, two sampling times closer than this are one
+INNER_STATES = ("rotor_speed", "induced_velocity")  # (n,) of a plant that has them, logged as columns
+
+
+class Sensor(Protocol):
+    """What stands between the plant's specific force and the controller; see quadexp.sensor."""
+
+    def read(self, specific_force: np.ndarray, rng: np.random.Generator) -> np.ndarray: ...
 
 
 class SampledReference:
@@ -26,19 +35,24 @@ class SampledReference:
     feeds forward, enters attitude, rates and thrusts.
     """
 
-    def __init__(self, trajectory, controller: ModelPredictiveController) -> None:
-        settings = controller.settings
-        samples = int(np.floor(trajectory.duration * settings.rate + 1e-6)) + 1
-        self.t = np.arange(samples) * settings.control_period
+    def __init__(self, trajectory, controller: Controller | ModelPredictiveController) -> None:
+        controller = as_controller(controller)
+        self._trajectory, self._vehicle = trajectory, controller.vehicle
+        samples = int(np.floor(trajectory.duration / controller.control_period + 1e-6)) + 1
+        self.t = np.arange(samples) * controller.control_period
         times = self.t[:, None] + controller.node_times
-        grid, where = np.unique(np.round(times / TIME_RESOLUTION).astype(np.int64), return_inverse=True)
+        self._grid, where = np.unique(np.round(times / TIME_RESOLUTION).astype(np.int64), return_inverse=True)
         self._where = where.reshape(times.shape)
-        residual: Residual | None = controller.residual if settings.feedforward else None
-        if residual is not None and residual.is_zero:
-            residual = None
-        self.reference: Reference = flat_reference(
-            trajectory, grid * TIME_RESOLUTION, controller.vehicle, residual=residual
-        )
+        flat = trajectory.flat_output(self.t)
+        self._position = flat.position
+        self._yaw = np.zeros((samples, 3)) if flat.yaw is None else flat.yaw
+        self.reference: Reference
+        self.renew(controller.residual)
+
+    def renew(self, residual: Residual | None) -> None:
+        """Make attitude, rates and thrusts anew for another belief of the air; UsageError where there are none."""
+        times = self._grid * TIME_RESOLUTION
+        self.reference = flat_reference(self._trajectory, times, self._vehicle, residual=residual)
 
     def __len__(self) -> int:
         return len(self.t)
@@ -48,68 +62,127 @@ class SampledReference:
         where = self._where[k]
         return self.reference.state[where], self.reference.input[where[:-1]]
 
+    def window(self, k: int) -> Window:
+        """What a controller sees of the reference at control instant k."""
+        return Window(*self.horizon(k), self._position[k], self._yaw[k])
+
     def along(self) -> tuple[np.ndarray, np.ndarray]:
         """States (k, 13) and inputs (k, n) at the control instants."""
         where = self._where[:, 0]
         return self.reference.state[where], self.reference.input[where]
 
+    def at(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """State (13,) and input (n,) at control instant k."""
+        where = self._where[k, 0]
+        return self.reference.state[where], self.reference.input[where]
+
 
 def fly(
     plant: Plant,
-    controller: ModelPredictiveController,
+    controller: Controller | ModelPredictiveController,
     reference: SampledReference,
     rng: np.random.Generator,
     *,
     start: np.ndarray | None = None,
+    sensor: Sensor | None = None,
     lost_distance: float = LOST_DISTANCE,
     metadata: dict[str, Any] | None = None,
 ) -> Flight:
     """Fly the reference from its start (or from `start`, (13,)) and return the log, one row per control instant.
 
+    sensor: what the controller's accelerometer makes of the specific force; None: it reads it exactly.
     The flight ends early, with the log up to there, where the vehicle is further than lost_distance (m) from the
-    reference ("lost") or a control step fails ("solver_failed"). metadata is kept and extended by the outcome.
+    reference or its state is not finite ("lost"), or a control step fails ("solver_failed"). metadata is kept and
+    extended by the outcome.
     """
-    state_along, input_along = reference.along()
-    period, rotors = controller.settings.control_period, plant.vehicle.n_rotors
-    samples = len(reference)
-    state, command = np.full((samples, len(STATE_COLUMNS)), np.nan), np.full((samples, rotors), np.nan)
-    specific_force = np.full((samples, 3), np.nan)
-    records = []
+    controller = as_controller(controller)
+    period, rotors = controller.control_period, plant.vehicle.n_rotors
+    renewal = round(controller.reference_period / period)
+    log = _Log(len(reference), rotors)
+    sensor_rng = rng.spawn(1)[0] if sensor is not None else rng
+    reset = getattr(plant, "reset", None)
+    if reset is not None:
+        reset()
 
-    x = state_along[0].copy() if start is None else np.array(start, float)
+    x = reference.at(0)[0].copy() if start is None else np.array(start, float)
     reading = np.array([0.0, 0.0, plant.vehicle.gravity])
-    controller.reset(x, *reference.horizon(0))
-    outcome, cause = "ok", ""
-    for k in range(samples):
-        distance = float(np.linalg.norm(x[POSITION] - state_along[k, POSITION]))
+    measured, speed = None, None
+    controller.reset(x, reference.window(0))
+    outcome, cause, stale = "ok", "", 0
+    for k in range(len(reference)):
+        t = float(reference.t[k])
+        if renewal and k and k % renewal == 0:
+            stale += _renewed(reference, controller.residual)
+        state_reference, input_reference = reference.at(k)
+        distance = float(np.linalg.norm(x[POSITION] - state_reference[POSITION]))
         if not distance <= lost_distance:
-            outcome, cause = "lost", f"{distance:.1f} m from the reference at t={reference.t[k]:.2f} s"
+            outcome, cause = "lost", f"{distance:.1f} m from the reference at t={t:.2f} s"
             break
-        u, record = controller.command(x, *reference.horizon(k))
-        state[k], command[k], specific_force[k] = x, u, reading
-        records.append(record)
+        u, record = controller.step(Measurement(t, x, measured, speed), reference.window(k))
+        inner = [getattr(plant, name) for name in INNER_STATES if hasattr(plant, name)]
+        log.add(x, u, state_reference, input_reference, reading, inner, record, controller.log())
         if record.status == Status.FAILED:
-            outcome, cause = "solver_failed", f"the control step failed at t={reference.t[k]:.2f} s"
+            outcome, cause = "solver_failed", f"the control step failed at t={t:.2f} s"
             break
         x, reading = plant.advance(x, u, period, rng)
-    flown = len(records)
-    if flown == 0:
+        if sensor is not None:
+            reading = sensor.read(reading, sensor_rng)
+        measured, speed = reading, getattr(plant, "rotor_speed", None)
+    if not log.records:
         raise QuadexpError(f"the flight is over before it began: {cause}")
-
-    inputs = input_columns(rotors)
-    columns = {"t": reference.t[:flown]}
-    columns |= dict(zip(STATE_COLUMNS, state[:flown].T, strict=True))
-    columns |= dict(zip(inputs, command[:flown].T, strict=True))
-    columns |= {f"ref_{name}": values for name, values in zip(STATE_COLUMNS, state_along[:flown].T, strict=True)}
-    columns |= {f"ref_{name}": values for name, values in zip(inputs, input_along[:flown].T, strict=True)}
-    columns |= {f"acc_{axis}": values for axis, values in zip("xyz", specific_force[:flown].T, strict=True)}
-    columns |= {
-        "solve_time": np.array([record.solve_time for record in records]),
-        "status": np.array([record.status for record in records], np.int8),
-        "sweeps": np.array([record.sweeps for record in records], np.int16),
-        "active": np.array([record.active for record in records], np.int16),
-        "kkt": np.array([record.kkt for record in records]),
-    }
-    columns = {name: np.ascontiguousarray(values) for name, values in columns.items()}
+    inner_names = [name for name in INNER_STATES if hasattr(plant, name)]
     details = {"outcome": outcome, "cause": cause, "backend": controller.backend}
-    return Flight(columns, {**(metadata or {}), **details})
+    if stale:
+        details["stale_references"] = stale
+    return Flight(log.columns(reference.t, inner_names), {**(metadata or {}), **details})
+
+
+def _renewed(reference: SampledReference, residual: Residual | None) -> int:
+    """Renew the reference; 1 where the new belief admits none and the earlier reference stays, else 0."""
+    try:
+        reference.renew(residual)
+    except UsageError:
+        return 1
+    return 0
+
+
+class _Log:
+    """Rows of a flight, as they come."""
+
+    def __init__(self, samples: int, rotors: int) -> None:
+        self.state, self.state_reference = np.empty((2, samples, len(STATE_COLUMNS)))
+        self.input, self.input_reference = np.empty((2, samples, rotors))
+        self.reading = np.empty((samples, 3))
+        self.inner: list[np.ndarray] = []
+        self.records: list[Any] = []
+        self.extra: list[dict[str, float]] = []
+
+    def add(self, x, u, state_reference, input_reference, reading, inner, record, extra) -> None:
+        k = len(self.records)
+        self.state[k], self.input[k], self.reading[k] = x, u, reading
+        self.state_reference[k], self.input_reference[k] = state_reference, input_reference
+        self.inner.append(np.array(inner))
+        self.records.append(record)
+        self.extra.append(extra)
+
+    def columns(self, t: np.ndarray, inner_names: list[str]) -> dict[str, np.ndarray]:
+        """Named columns of the rows that were flown."""
+        flown, inputs = len(self.records), input_columns(self.input.shape[1])
+        columns = {"t": t[:flown]}
+        columns |= dict(zip(STATE_COLUMNS, self.state[:flown].T, strict=True))
+        columns |= dict(zip(inputs, self.input[:flown].T, strict=True))
+        columns |= {f"ref_{n}": v for n, v in zip(STATE_COLUMNS, self.state_reference[:flown].T, strict=True)}
+        columns |= {f"ref_{n}": v for n, v in zip(inputs, self.input_reference[:flown].T, strict=True)}
+        columns |= {f"acc_{axis}": values for axis, values in zip("xyz", self.reading[:flown].T, strict=True)}
+        columns |= {
+            "solve_time": np.array([record.solve_time for record in self.records]),
+            "status": np.array([record.status for record in self.records], np.int8),
+            "sweeps": np.array([record.sweeps for record in self.records], np.int16),
+            "active": np.array([record.active for record in self.records], np.int16),
+            "kkt": np.array([record.kkt for record in self.records]),
+        }
+        inner = np.array(self.inner)
+        for i, name in enumerate(inner_names):
+            columns |= {f"{name}_{j}": inner[:, i, j] for j in range(inner.shape[2])}
+        columns |= {name: np.array([row[name] for row in self.extra], float) for name in self.extra[0]}
+        return {name: np.ascontiguousarray(values) for name, values in columns.items()}

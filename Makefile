@@ -1,0 +1,51 @@
+# `make` sets everything up and runs the main job; `make test` sets up and runs the tests.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+QUADEXP := $(BIN)/quadexp
+
+# One BLAS thread per process: the sweep fills the cores by itself.
+export OMP_NUM_THREADS ?= 1
+
+.PHONY: all setup quick test lint reproduce reproduce-quick bench clean
+
+all: quick
+
+setup: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	touch $(STAMP)
+
+# simulate -> collect -> fit -> evaluate on a small sweep; a minute or two.
+quick: $(STAMP)
+	$(QUADEXP) simulate controller=nominal_mpc trajectory=circle trajectory.speed=8 --out runs/quick.parquet --force
+	$(QUADEXP) collect --out data/residuals.parquet --force
+	$(QUADEXP) fit-gp data/residuals.parquet --out models/gp --force
+	$(QUADEXP) evaluate --sweep experiment=quick --out results/quick
+
+test: $(STAMP)
+	$(BIN)/python -m pytest -n auto -m 'not slow' tests
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+# Table I of Torrente et al. 2021 at full size, with figures.
+reproduce: $(STAMP)
+	$(QUADEXP) collect experiment=torrente_table1 --out data/torrente.parquet --force
+	$(QUADEXP) fit-gp data/torrente.parquet gp=per_axis --out models/torrente/per_axis --force
+	$(QUADEXP) fit-gp data/torrente.parquet --out models/torrente/best --force
+	$(QUADEXP) evaluate --sweep experiment=torrente_table1 --out results/torrente_table1
+
+# The same claims on fewer flights, as tests that fail where a promised figure is missed.
+reproduce-quick: $(STAMP)
+	$(BIN)/python -m pytest -m slow tests
+
+bench: $(STAMP)
+	$(BIN)/python -m benchmarks.step
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info

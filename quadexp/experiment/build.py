@@ -1,0 +1,169 @@
+"""From a configuration to the things it names: vehicle, plant, trajectory, residual model, controller.
+
+What is costly is made once per process and kept: a worker flies many cells with few controllers.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+from quadexp.config import Config, ControllerConfig, PlantConfig, TrajectoryConfig, VehicleConfig
+from quadexp.errors import DataError, UsageError
+from quadexp.experiment.identity import digest
+from quadexp.vehicle import Vehicle
+
+T = TypeVar("T")
+MODEL_FILE = "model.json"
+_kept: dict[str, Any] = {}
+
+# How to make the checkpoint that a residual needs.
+MAKERS = {
+    "linear_drag": "quadexp fit-drag DATASET --out models/drag",
+    "gaussian_process": "quadexp fit-gp DATASET --out models/gp",
+}
+
+
+def _keep(record: Any, make: Callable[[], T]) -> T:
+    key = digest(record)
+    if key not in _kept:
+        _kept[key] = make()
+    return _kept[key]
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """A checkpoint folder and the hash of its content."""
+
+    path: str
+    sha256: str
+
+
+def build_vehicle(config: VehicleConfig) -> Vehicle:
+    """The vehicle; raises UsageError where the numbers describe none."""
+    numbers = {k: _tuples(v) for k, v in asdict(config).items()}
+    return _keep(["vehicle", asdict(config)], lambda: Vehicle(**numbers))
+
+
+def build_plant(vehicle: Vehicle, config: PlantConfig) -> Any:
+    """The simulated truth."""
+    from quadexp.plant.simplified import PlantEffects, SimplifiedPlant
+
+    def make() -> Any:
+        values = {f.name: _tuples(getattr(config, f.name)) for f in fields(PlantEffects)}
+        return SimplifiedPlant(vehicle, PlantEffects(**values), step=config.step, backend=config.backend)
+
+    return _keep(["plant", vehicle.fingerprint, asdict(config)], make)
+
+
+def build_trajectory(config: TrajectoryConfig) -> Any:
+    """The trajectory; raises UsageError or DataError where its numbers or its file describe none."""
+    from quadexp.trajectory.circle import Circle
+    from quadexp.trajectory.from_file import FileTrajectory
+    from quadexp.trajectory.hover import Hover
+    from quadexp.trajectory.lemniscate import Lemniscate
+    from quadexp.trajectory.random_polynomial import RandomPolynomial
+    from quadexp.trajectory.step import Step
+
+    kinds = {
+        "circle": Circle,
+        "lemniscate": Lemniscate,
+        "random": RandomPolynomial,
+        "hover": Hover,
+        "step": Step,
+        "file": FileTrajectory,
+    }
+    aside = ("name", "kind", "allow_infeasible")
+    arguments = {k: _tuples(v) for k, v in asdict(config).items() if k not in aside}
+    return kinds[config.kind](**arguments)
+
+
+def find_model(config: Config) -> ModelFile | None:
+    """The checkpoint that the controller will fly with, or None where it needs none.
+
+    Raises UsageError where it needs one and there is none: a controller never flies with less than its name says.
+    """
+    controller = config.controller
+    residual = getattr(controller, "residual", "none")
+    if residual not in MAKERS:
+        return None
+    candidates = [config.model] if config.model else list(controller.models)
+    for candidate in candidates:
+        file = Path(candidate) / MODEL_FILE
+        if file.is_file():
+            return ModelFile(candidate, hashlib.sha256(file.read_bytes()).hexdigest())
+    maker = MAKERS[residual]
+    if config.model:
+        raise UsageError(f"model={config.model}: no checkpoint there ({controller.name} needs one; make it: {maker})")
+    looked = " or ".join(candidates) or "nowhere"
+    raise UsageError(f"{controller.name} needs a model and none is in {looked}: give model=PATH, or make one: {maker}")
+
+
+def input_hashes(config: Config, model: ModelFile | None) -> dict[str, str]:
+    """Content hash of every file that a flight reads."""
+    hashes = {"model": model.sha256} if model else {}
+    path = getattr(config.trajectory, "path", None)
+    if path is not None:
+        if not Path(path).is_file():
+            raise UsageError(f"trajectory.path={path}: no such file")
+        hashes["trajectory"] = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    return hashes
+
+
+def build_residual(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
+    """What the controller believes of the air: nothing, the plant's own equations, or a checkpoint."""
+    from quadexp.residual.none import no_residual
+
+    kind = config.controller.residual  # type: ignore[attr-defined]
+    if kind == "none":
+        return no_residual(vehicle)
+    if kind == "plant":
+        return plant.residual()
+    assert model is not None
+    return _keep(["residual", kind, vehicle.fingerprint, model.sha256], lambda: _from_file(kind, vehicle, model))
+
+
+def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
+    from quadexp.identify.checkpoint import load_model
+    from quadexp.residual.gaussian_process import gaussian_process_residual
+    from quadexp.residual.linear_drag import linear_drag_residual
+
+    if hashlib.sha256((Path(model.path) / MODEL_FILE).read_bytes()).hexdigest() != model.sha256:
+        raise DataError(f"{model.path}: has changed since this run began")
+    checkpoint = load_model(model.path, vehicle=vehicle)
+    if kind == "linear_drag":
+        drag = checkpoint.linear_drag
+        return linear_drag_residual(vehicle, drag.drag, drag.intercept, drag.thrust_gain, source=model.path)
+    if not hasattr(checkpoint, "outputs"):
+        raise UsageError(f"{model.path}: holds linear drag, a Gaussian process is needed: {MAKERS[kind]}")
+    return gaussian_process_residual(vehicle, checkpoint.outputs, checkpoint.mean_parameters, source=model.path)
+
+
+def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
+    """The controller; one is kept for every (configuration, model), and begins anew with every flight."""
+    from quadexp.control.mpc import ModelPredictiveController
+
+    kind = config.controller.residual  # type: ignore[attr-defined]
+    believed = asdict(config.plant) if kind == "plant" else model.sha256 if model else ""
+    record = ["controller", vehicle.fingerprint, asdict(config.controller), believed]
+
+    def make() -> Any:
+        residual = build_residual(config, vehicle, plant, model)
+        settings = mpc_settings(config.controller)
+        return ModelPredictiveController(vehicle, residual, settings, backend=config.controller.backend)  # type: ignore[attr-defined]
+
+    return _keep(record, make)
+
+
+def mpc_settings(config: ControllerConfig) -> Any:
+    """The controller's settings; raises UsageError where they contradict each other."""
+    from quadexp.control.settings import MPCSettings
+
+    return MPCSettings(**{f.name: _tuples(getattr(config, f.name)) for f in fields(MPCSettings)})
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(item) for item in value) if isinstance(value, (list, tuple)) else value

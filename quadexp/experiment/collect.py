@@ -1,0 +1,173 @@
+"""Flights for learning, and the data set made from them.
+
+mode "random": smooth random paths, one lap each, their nominal speeds spread evenly over [speed_min, speed_max]; a path
+that takes more thrust than the vehicle has is drawn anew.
+mode "setpoints": jumps between random points, each held for (distance to the next) / (a speed of that range).
+
+Everything is drawn from the seed, and stops at a simulated time: the same command makes the same data set anywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.config import Config
+from quadexp.errors import QuadexpError
+from quadexp.experiment.build import build_controller, build_plant, build_vehicle, find_model
+from quadexp.experiment.evaluate import describe, thrust_excess
+from quadexp.experiment.identity import digest, flight_record
+from quadexp.experiment.provenance import provenance, versions
+from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.flight.schema import Flight
+from quadexp.flight.store import read_flight, write_flight, write_table
+from quadexp.identify.dataset import residual_dataset
+from quadexp.trajectory.base import FlatOutput
+from quadexp.trajectory.random_polynomial import RandomPolynomial
+from quadexp.vehicle import Vehicle
+
+DRAWS = 50  # paths drawn before giving up on one that can be flown
+LOST_DISTANCE = 1e3  # m; a jump of the set-point is no lost flight
+GOLDEN = 0.6180339887498949  # step of an even spread over an interval, however many there will be
+
+
+@dataclass(frozen=True)
+class Setpoints:
+    """Points held one after another, with nothing in between.
+
+    points: (n, 3), world (m). times: (n,), s, when each begins. duration: s.
+    """
+
+    points: np.ndarray
+    times: np.ndarray
+    duration: float
+
+    @property
+    def peak_speed(self) -> float:
+        return 0.0
+
+    def flat_output(self, t: np.ndarray) -> FlatOutput:
+        """See Trajectory.flat_output; all derivatives are zero."""
+        t = np.atleast_1d(np.asarray(t, float))
+        position = np.zeros((len(t), 5, 3))
+        position[:, 0] = self.points[np.searchsorted(self.times, t, side="right").clip(1) - 1]
+        return FlatOutput(position, np.zeros((len(t), 3)))
+
+
+def collect_flights(
+    config: Config, progress: Callable[[float, float], None] = lambda done, total: None
+) -> list[Flight]:
+    """Fly until `collect.duration` seconds are recorded.
+
+    Raises UsageError where the controller lacks its model, QuadexpError where no path of the asked speed can be flown.
+    """
+    model = find_model(config)
+    vehicle = build_vehicle(config.vehicle)
+    plant = build_plant(vehicle, config.plant)
+    controller = build_controller(config, vehicle, plant, model)
+    flown = {group: node for group, node in flight_record(config).items() if group != "trajectory"}
+    record = {**flown, "collect": asdict(config.collect)}
+    sequence = np.random.SeedSequence(int(digest(["collect", record]), 16))
+    speeds = np.random.default_rng(sequence.spawn(1)[0])
+    offset = speeds.random()
+    flights: list[Flight] = []
+    recorded = 0.0
+    while recorded < config.collect.duration - 1e-6:
+        index = len(flights)
+        path_rng, noise_rng = map(np.random.default_rng, sequence.spawn(2))
+        share = (offset + index * GOLDEN) % 1.0
+        speed = config.collect.speed_min + share * (config.collect.speed_max - config.collect.speed_min)
+        trajectory = _trajectory(config, vehicle, speed, config.collect.duration - recorded, path_rng)
+        reference = SampledReference(trajectory, controller)
+        metadata = describe(config, vehicle, model) | {"name": f"flight_{index:03d}", "trajectory": config.collect.mode}
+        metadata["config"] = record
+        flight = fly(plant, controller, reference, noise_rng, lost_distance=LOST_DISTANCE, metadata=metadata)
+        if flight.outcome != "ok":
+            raise QuadexpError(
+                f"flight {index} at {speed:.1f} m/s ended early ({flight.metadata['cause']}); lower collect.speed_max"
+            )
+        flights.append(flight)
+        recorded += float(flight.t[-1])
+        progress(min(round(recorded, 1), config.collect.duration), config.collect.duration)
+    return flights
+
+
+def _trajectory(config: Config, vehicle: Vehicle, speed: float, left: float, rng: np.random.Generator) -> Any:
+    settings = config.collect
+    if settings.mode == "setpoints":
+        return setpoints(settings.extent, settings.clearance, speed, min(settings.flight_duration, left), rng)
+    for _ in range(DRAWS):
+        seed = int(rng.integers(2**31))
+        path = RandomPolynomial(speed=speed, seed=seed, extent=settings.extent, clearance=settings.clearance)
+        if thrust_excess(path, vehicle) is None:
+            return path
+    raise QuadexpError(
+        f"none of {DRAWS} random paths at {speed:.1f} m/s can be flown; lower collect.speed_max"
+        f" ({settings.speed_max:g} m/s) or raise collect.extent ({settings.extent:g} m)"
+    )
+
+
+def setpoints(extent: float, clearance: float, speed: float, duration: float, rng: np.random.Generator) -> Setpoints:
+    """Random points in a cube of side `extent` (m) above `clearance`, held for distance / speed each."""
+    points, times = [rng.uniform(0.0, extent, 3)], [0.0]
+    while times[-1] < duration:
+        point = rng.uniform(0.0, extent, 3)
+        times.append(times[-1] + max(0.1, float(np.linalg.norm(point - points[-1])) / speed))
+        points.append(point)
+    shift = np.array([-extent / 2, -extent / 2, clearance])
+    return Setpoints(np.array(points) + shift, np.array(times), duration)
+
+
+def collect_dataset(
+    config: Config,
+    path: Path,
+    *,
+    flights: Sequence[Path] = (),
+    save_flights: Path | None = None,
+    progress: Callable[[float, float], None] = lambda done, total: None,
+) -> dict[str, Any]:
+    """Write the residual data set of the given flight files, or of flights flown for it; returns what to report."""
+    vehicle = build_vehicle(config.vehicle)
+    if flights:
+        flown = [read_flight(file) for file in flights]
+        names = [str(file) for file in flights]
+        record: dict[str, Any] = {"source": "files"}
+    else:
+        flown = collect_flights(config, progress)
+        names = [flight.metadata["name"] for flight in flown]
+        record = {
+            "source": "flown",
+            "config": flown[0].metadata["config"],
+            "config_hash": digest(flown[0].metadata["config"]),
+        }
+    dataset = residual_dataset(flown, vehicle, frame=config.collect.frame, names=names)
+    if save_flights is not None:
+        for name, flight in zip(names, flown, strict=True):
+            write_flight(save_flights / f"{Path(name).stem}.parquet", flight)
+    metadata = {**dataset.metadata, **record, "seed": config.seed, "versions": versions(), "provenance": provenance()}
+    write_table(path, dataset.columns, metadata, "residuals")
+    speed = np.linalg.norm(dataset.matrix(["v_x", "v_y", "v_z"]), axis=1)
+    seconds = float(np.sum(dataset.columns["dt"]))
+    report = {
+        "path": path,
+        "rows": dataset.n_rows,
+        "flights": len(flown),
+        "duration": seconds,
+        "speed_median": float(np.median(speed)),
+        "speed_p95": float(np.percentile(speed, 95)),
+        "speed_max": float(speed.max()),
+        "plant": None if flights else config.plant.name,
+        "controller": None if flights else config.controller.name,
+        "seed": config.seed,
+    }
+    report["lines"] = [
+        f"{dataset.n_rows} transitions from {len(flown)} flights, {seconds:.0f} s"
+        f" ({config.collect.mode if not flights else 'recorded'}, frame {config.collect.frame})",
+        f"speed: median {report['speed_median']:.1f}, 95 % {report['speed_p95']:.1f},"
+        f" largest {report['speed_max']:.1f} m/s",
+    ]
+    return report

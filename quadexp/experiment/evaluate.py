@@ -1,0 +1,171 @@
+"""One flight from one configuration, and the result row it gives."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.config import Config
+from quadexp.errors import UsageError
+from quadexp.experiment.build import (
+    ModelFile,
+    build_controller,
+    build_plant,
+    build_trajectory,
+    build_vehicle,
+    find_model,
+)
+from quadexp.experiment.identity import digest, flight_entropy, flight_record
+from quadexp.experiment.provenance import provenance, versions
+from quadexp.flight.schema import Flight
+from quadexp.flight.store import write_flight
+from quadexp.report.metrics import flight_metrics
+from quadexp.vehicle import Vehicle
+
+CHECK_STEP = 0.02  # s between the points at which a reference is compared with the vehicle's limits
+
+
+class InfeasibleError(UsageError):
+    """The reference asks for more than the vehicle has."""
+
+
+def generator(config: Config) -> np.random.Generator:
+    """The noise of a flight: the same for every controller on the same trajectory, plant, vehicle and seed."""
+    return np.random.default_rng(np.random.SeedSequence(flight_entropy(config)))
+
+
+def _coarse_reference(trajectory: Any, vehicle: Vehicle) -> Any:
+    from quadexp.trajectory.flatness import flat_reference
+
+    samples = max(2, math.ceil(trajectory.duration / CHECK_STEP) + 1)
+    return flat_reference(trajectory, np.linspace(0.0, trajectory.duration, samples), vehicle)
+
+
+def thrust_excess(trajectory: Any, vehicle: Vehicle, reference: Any = None) -> str | None:
+    """Where the collective thrust is beyond what all rotors have together, or None: such a path nobody can fly."""
+    try:
+        reference = reference or _coarse_reference(trajectory, vehicle)
+    except UsageError as error:
+        return str(error)
+    collective = reference.input.sum(axis=1)
+    low, high = vehicle.n_rotors * vehicle.thrust_min, vehicle.n_rotors * vehicle.thrust_max
+    beyond = np.maximum(collective - high, low - collective)
+    at = int(np.argmax(beyond))
+    if beyond[at] <= 0:
+        return None
+    return (
+        f"it takes {collective[at]:.4g} N of collective thrust at t={reference.t[at]:.2f} s,"
+        f" the vehicle has {low:g} to {high:g} N"
+    )
+
+
+def check_feasible(config: Config, trajectory: Any, vehicle: Vehicle) -> str:
+    """What the reference asks for beyond the vehicle's limits, in one line, "" where nothing.
+
+    A collective thrust beyond what all rotors have together cannot be flown by anyone: InfeasibleError, unless the
+    configuration allows it. A single rotor or a rate beyond its limit, mostly for the yaw that the reference
+    prescribes, costs attitude error and leaves the path flyable: that is only said.
+    """
+    from quadexp.trajectory.feasibility import check_feasible as compare
+
+    reference = _coarse_reference(trajectory, vehicle)
+    excess = thrust_excess(trajectory, vehicle, reference)
+    if excess and not config.trajectory.allow_infeasible:
+        raise InfeasibleError(
+            f"{config.trajectory.name} cannot be flown: {excess};"
+            " lower trajectory.speed, or pass trajectory.allow_infeasible=true"
+        )
+    worst = compare(reference, vehicle)
+    return "" if worst is None else str(worst)
+
+
+def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
+    """Fly one configuration.
+
+    model: the checkpoint; looked for where the configuration says unless given.
+    Raises UsageError (InfeasibleError) before the flight, never for how the flight went: that is its outcome.
+    """
+    from quadexp.experiment.rollout import SampledReference, fly
+
+    model = model or find_model(config)
+    vehicle = build_vehicle(config.vehicle)
+    trajectory = build_trajectory(config.trajectory)
+    note = check_feasible(config, trajectory, vehicle)
+    plant = build_plant(vehicle, config.plant)
+    controller = build_controller(config, vehicle, plant, model)
+    reference = SampledReference(trajectory, controller)
+    flight = fly(plant, controller, reference, generator(config), metadata=describe(config, vehicle, model))
+    flight.metadata["reference_note"] = note
+    flight.metadata["residual"] = {"name": controller.residual.name, "source": controller.residual.source}
+    flight.metadata["row"] = result_row(config, flight)
+    return flight
+
+
+def infeasible_flight(config: Config, model: ModelFile | None, cause: str) -> Flight:
+    """A flight without samples, so that a sweep can remember that it did not happen."""
+    metadata = describe(config, build_vehicle(config.vehicle), model)
+    flight = Flight({"t": np.empty(0)}, metadata | {"outcome": "infeasible", "cause": cause, "backend": ""})
+    flight.metadata["row"] = result_row(config, flight)
+    return flight
+
+
+def describe(config: Config, vehicle: Vehicle, model: ModelFile | None) -> dict[str, Any]:
+    """The record that every flight carries."""
+    record = flight_record(config)
+    return {
+        "config": record,
+        "config_hash": digest(record),
+        "seed": config.seed,
+        "vehicle": {"name": vehicle.name, "fingerprint": vehicle.fingerprint},
+        "plant": config.plant.name,
+        "trajectory": config.trajectory.name,
+        "controller": config.controller.name,
+        "model": model.path if model else "",
+        "model_sha256": model.sha256 if model else "",
+        "versions": versions(),
+        "provenance": provenance(),
+    }
+
+
+def result_row(config: Config, flight: Flight) -> dict[str, Any]:
+    """The row of one flight in a table of results."""
+    metadata = flight.metadata
+    return {
+        "plant": config.plant.name,
+        "vehicle": config.vehicle.name,
+        "trajectory": config.trajectory.name,
+        "speed": getattr(config.trajectory, "speed", None),
+        "controller": config.controller.name,
+        "model": metadata["model"],
+        "seed": config.seed,
+        **flight_metrics(flight, config.vehicle.thrust_min, config.vehicle.thrust_max),
+        "outcome": metadata["outcome"],
+        "backend": metadata.get("backend", ""),
+        "cause": metadata.get("cause", ""),
+    }
+
+
+def failed_row(config: Config, model: ModelFile | None, cause: str) -> dict[str, Any]:
+    """The row of a cell whose process died, took too long, or raised."""
+    empty = Flight({}, {"model": model.path if model else "", "outcome": "failed", "cause": cause})
+    return result_row(config, empty)
+
+
+def evaluate_cell(config: Config, model: ModelFile | None, path: str, key: str) -> dict[str, Any]:
+    """Fly one cell of a sweep, write it to `path`, and return its row."""
+    try:
+        flight = fly_one(config, model)
+    except InfeasibleError as error:
+        flight = infeasible_flight(config, model, str(error))
+    flight.metadata["row"]["key"] = key
+    write_flight(Path(path), flight, key=key)
+    return flight.metadata["row"]
+
+
+def plain(config: Config) -> dict[str, Any]:
+    """The whole configuration as a plain dictionary."""
+    return asdict(config)

@@ -1,0 +1,141 @@
+"""From a data set to a checkpoint, with the report on flights that the fit has not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+from quadexp.config import Config
+from quadexp.errors import DataError
+from quadexp.experiment.build import build_vehicle
+from quadexp.experiment.provenance import provenance, versions
+from quadexp.flight.store import read_table
+from quadexp.identify.checkpoint import save_model
+from quadexp.identify.dataset import ResidualDataset
+
+ProgressCallback = Callable[[float, float], None]
+
+
+def read_dataset(path: str | Path) -> ResidualDataset:
+    """A residual data set from its file; refuses NaN, naming column and row."""
+    columns, record = read_table(path, "residuals", required=("flight", "flight_name", "t", "dt"), finite=True)
+    if not len(columns["flight"]):
+        raise DataError(f"{path}: the data set has no rows; collect again")
+    return ResidualDataset(columns, record)
+
+
+def fit_checkpoint(
+    kind: str,
+    config: Config,
+    dataset: Path,
+    out: Path,
+    *,
+    force: bool = False,
+    figures: bool = True,
+    compare: bool = False,
+    progress: ProgressCallback = lambda done, total: None,
+) -> dict[str, Any]:
+    """Fit (kind "gp" or "drag"), write the checkpoint, return what to report.
+
+    compare: also measure how many inducing points, and which method, it takes.
+    Raises UsageError or DataError before anything is written.
+    """
+    data = read_dataset(dataset)
+    _check_vehicle(data, config, dataset)
+    if kind == "gp":
+        model, report, draw = _fit_gp(data, config, compare=compare, progress=progress)
+    else:
+        model, report, draw = _fit_drag(data, config)
+    report |= {"dataset": str(dataset), "versions": versions(), "provenance": provenance()}
+    save_model(out, model, report=report, force=force)
+    files = draw(out / "figures") if figures else {}
+    lines = [f"{report['summary']} from {data.n_rows} rows of {len(data.flights)} flights"]
+    lines += report_lines(report["rows"], report["held_out_flights"])
+    return {"path": out, "kind": kind, "figures": files, "lines": lines, **report}
+
+
+def _check_vehicle(data: ResidualDataset, config: Config, path: Path) -> None:
+    """A data set knows its vehicle; the configuration must not speak of another one."""
+    vehicle = build_vehicle(config.vehicle)
+    found = (data.metadata.get("vehicle") or {}).get("fingerprint")
+    if found != vehicle.fingerprint:
+        name = (data.metadata.get("vehicle") or {}).get("name")
+        raise DataError(
+            f"{path}: flown by vehicle {name} ({found}), the configuration says {vehicle.name} ({vehicle.fingerprint}):"
+            " pass the vehicle=... it was collected with"
+        )
+
+
+def _fit_gp(data: ResidualDataset, config: Config, *, compare: bool, progress: ProgressCallback) -> tuple:
+    from quadexp.identify.evaluation import fit_with_report
+    from quadexp.identify.model import GPSettings
+
+    values = asdict(config.gp)
+    values["features"] = {output: tuple(names) for output, names in values["features"].items() if names}
+    settings = GPSettings(**{f.name: values[f.name] for f in fields(GPSettings)})
+    fit = fit_with_report(data, settings, callback=lambda message, done: progress(round(done, 2), 1))
+    report = dict(fit.report)
+    chosen = "; ".join(f"{o.output} <- {', '.join(o.features)}" for o in fit.model.outputs)
+    report["summary"] = f"Gaussian processes {chosen} ({settings.inducing} points, {settings.method})"
+    if compare:
+        from quadexp.identify.comparison import compare as compare_sizes
+
+        report["comparison"] = compare_sizes(data, settings, callback=lambda message, done: progress(round(done, 2), 1))
+
+    def draw(folder: Path) -> dict[str, str]:
+        from quadexp.report import fit_figures
+        from quadexp.report.figures import save
+
+        shown = fit.test if fit.test is not None else fit.train
+        made = {"fit": fit_figures.fit_figure(fit.held_out_model, shown)}
+        if fit.test is not None:
+            made["calibration"] = fit_figures.calibration_figure(fit.held_out_model, fit.test)
+        if compare:
+            made["inducing_points"] = fit_figures.size_figure(report["comparison"], report["rows"])
+        return {name: str(save(figure, folder / name)) for name, figure in made.items()}
+
+    return fit.model, report, draw
+
+
+def _fit_drag(data: ResidualDataset, config: Config) -> tuple:
+    from quadexp.identify.evaluation import evaluate_drag, split_by_flight
+    from quadexp.identify.linear_drag import fit_linear_drag
+
+    options = {"intercept": config.drag.intercept, "thrust": config.drag.thrust, "errors": config.drag.errors}
+    rows: list[dict[str, Any]] = []
+    held_out: list[str] = []
+    if config.drag.holdout > 0:
+        train, test = split_by_flight(data, config.drag.holdout, config.drag.seed)
+        rows = evaluate_drag(train, test, **options)
+        held_out = sorted(set(map(str, test.columns["flight_name"])))
+    model = fit_linear_drag(data, **options)
+    report = {"rows": rows, "held_out_flights": held_out, "refitted": True, "summary": f"linear drag {model}"}
+    report["drag"] = {"drag": model.drag.tolist(), "error": model.drag_error.tolist()}
+    return model, report, lambda folder: {}
+
+
+def report_lines(rows: Sequence[Mapping[str, Any]], held_out: Sequence[str]) -> list[str]:
+    """The held-out table for people: a line per output, the predictors beside each other."""
+    if not rows:
+        return ["no flights held out, so no report"]
+    predictors = list(dict.fromkeys(row["predictor"] for row in rows))
+    by_output: dict[str, dict[str, Mapping[str, Any]]] = {}
+    for row in rows:
+        by_output.setdefault(row["output"], {})[row["predictor"]] = row
+    width = 34
+    lines = [
+        f"on {len(held_out)} held-out flights, {rows[0]['n']} rows:"
+        " RMSE, negative log density, share inside 1 and 2 sigma",
+        "        " + "".join(f"{name:<{width}}" for name in predictors),
+    ]
+    for output, found in by_output.items():
+        cells = [
+            f"{row['rmse']:8.4f} {row['nlpd']:7.3f}  {100 * row['inside_1']:3.0f} % {100 * row['inside_2']:3.0f} %"
+            if (row := found.get(name))
+            else ""
+            for name in predictors
+        ]
+        lines.append(f"{output:<8}" + "".join(f"{cell:<{width}}" for cell in cells).rstrip())
+    return lines

@@ -1,0 +1,40 @@
+"""What makes two flights the same: the part of a configuration that decides a flight, and hashes of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict
+from typing import Any
+
+from quadexp.config import Config
+
+FLIGHT_GROUPS = ("vehicle", "plant", "trajectory", "controller")  # what decides one flight, with model and seed
+
+
+def canonical(value: Any) -> str:
+    """JSON with one spelling for one value, for hashing."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def digest(value: Any) -> str:
+    """sha256 of the canonical JSON, 20 hex digits."""
+    return hashlib.sha256(canonical(value).encode()).hexdigest()[:20]
+
+
+def flight_record(config: Config) -> dict[str, Any]:
+    """The part of a configuration that decides one flight, as a plain dictionary."""
+    record = {group: asdict(getattr(config, group)) for group in FLIGHT_GROUPS}
+    return {**record, "model": config.model, "seed": config.seed}
+
+
+def flight_entropy(config: Config) -> int:
+    """Seed of the noise of one flight: from trajectory, plant, vehicle and seed, NOT from controller or model.
+
+    Flights that differ in what the controller knows meet the same noise, so comparisons are paired. What cannot change
+    a flight (names, the back end, the permission to fly beyond the limits) takes no part.
+    """
+    record = flight_record(config)
+    aside = {"name", "backend", "allow_infeasible"}
+    parts = [{k: v for k, v in record[group].items() if k not in aside} for group in ("vehicle", "plant", "trajectory")]
+    return int(digest(["noise", *parts, config.seed]), 16)

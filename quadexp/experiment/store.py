@@ -1,0 +1,106 @@
+"""Cells of a sweep on disk: one flight file per cell, named by the hash of everything that decides it.
+
+    <results>/cells/<2 hex>/<key>.parquet
+
+A cell is done when its file exists; a file appears whole or not at all. Nothing else is remembered between runs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from quadexp.config import Config
+from quadexp.errors import UsageError
+from quadexp.experiment.identity import digest, flight_record
+from quadexp.flight.store import check_output, read_metadata
+
+SCHEMA = 1  # of what a cell is; a higher number makes every older cell unknown
+MARK = "cells"
+
+
+def cell_key(config: Config, inputs: Mapping[str, str], stage: str = "evaluate") -> str:
+    """Key of one flight: sha256 of what decides it, 20 hex digits.
+
+    inputs: content hash of every file the flight reads (checkpoint, trajectory file). Where a checkpoint was looked
+    for takes no part; what was found does.
+    """
+    return digest([SCHEMA, stage, condition(config), sorted(inputs.items())])
+
+
+def condition(config: Config) -> dict[str, Any]:
+    """What was asked for, without the content of the files it names."""
+    record = flight_record(config)
+    return {**record, "controller": {k: v for k, v in record["controller"].items() if k != "models"}}
+
+
+class CellStore:
+    """The cells below one results folder."""
+
+    def __init__(self, root: str | Path) -> None:
+        self.root = Path(root)
+        self.folder = self.root / MARK
+
+    def open(self) -> None:
+        """Make the folder, or refuse: one that holds other things, or that cannot be written.
+
+        Raises UsageError.
+        """
+        if self.root.is_dir() and any(self.root.iterdir()) and not self.folder.is_dir():
+            raise UsageError(f"{self.root}: is a folder of other things, not of results: choose another --out")
+        check_output(self.root, folder=True, force=True)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UsageError(f"{self.folder}: cannot be written ({error.strerror})") from None
+
+    @contextlib.contextmanager
+    def lock(self) -> Iterator[None]:
+        """Keep a second sweep out of this folder while one runs."""
+        with open(self.folder / ".lock", "w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise UsageError(f"{self.root}: another sweep is running there: choose another --out") from None
+            try:
+                yield
+            finally:
+                with contextlib.suppress(OSError):
+                    os.unlink(file.name)
+
+    def path(self, key: str) -> Path:
+        return self.folder / key[:2] / f"{key}.parquet"
+
+    def done(self) -> set[str]:
+        """Keys of the cells that lie there."""
+        return {entry.name.removesuffix(".parquet") for entry in self._entries() if entry.name.endswith(".parquet")}
+
+    def row(self, key: str) -> dict[str, Any]:
+        """Result row of a cell, from the record in its file (the flight is not read)."""
+        return read_metadata(self.path(key), "flight")["row"]
+
+    def remove(self, keys: Iterable[str]) -> None:
+        for key in keys:
+            self.path(key).unlink(missing_ok=True)
+
+    def clean(self) -> None:
+        """Remove what an interrupted run left half-written (call it with the lock held)."""
+        for entry in self._entries():
+            if entry.name.endswith(".tmp"):
+                Path(entry.path).unlink(missing_ok=True)
+
+    def discard_if_empty(self) -> None:
+        """Leave no empty folders behind where nothing was flown."""
+        for folder in (self.folder, self.root):
+            if folder.is_dir() and not any(p for p in folder.rglob("*") if p.is_file()):
+                shutil.rmtree(folder, ignore_errors=True)
+
+    def _entries(self) -> Iterator[os.DirEntry]:
+        for folder in os.scandir(self.folder) if self.folder.is_dir() else ():
+            if folder.is_dir():
+                yield from os.scandir(folder.path)

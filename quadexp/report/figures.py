@@ -1,0 +1,249 @@
+"""Figures of a comparison: error against speed, tracked paths coloured by error, time of the control step.
+
+Each function returns a matplotlib Figure and touches no global state. Colours are Okabe and Ito's, which colour-blind
+readers can tell apart; markers differ as well.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter
+
+from quadexp.experiment.store import CellStore
+from quadexp.flight.schema import Flight
+from quadexp.flight.store import read_flight, write_bytes
+from quadexp.report.metrics import SHOWN, position_error
+from quadexp.report.tables import TITLES, column_labels
+
+COLOURS = ("#000000", "#E69F00", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#8C8C00")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+STYLE = {
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#DDDDDD",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.5,
+    "legend.frameon": False,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "quadexp",
+}
+# Light for small errors, dark for large ones; without the end that white paper swallows.
+ERROR_COLOURS = LinearSegmentedColormap.from_list(
+    "error", matplotlib.colormaps["magma_r"](np.linspace(0.18, 0.97, 256))
+)
+FORMATS = ("svg", "png")
+MAX_PANELS = 6  # of tracked paths in one figure
+
+
+def error_against_speed(rows: Sequence[Mapping[str, Any]], metric: str = "mean_error") -> Figure | None:
+    """Error over nominal speed, a panel per trajectory and a line per controller: mean, least and largest over seeds.
+
+    None where no trajectory was flown at any speed.
+    """
+    factor, unit = SHOWN[metric]
+    labels = column_labels(rows)
+    flown = [
+        (row, label) for row, label in zip(rows, labels, strict=True) if _is_flown(row) and _speed(row) is not None
+    ]
+    names = list(dict.fromkeys(row["trajectory"] for row, _ in flown))
+    if not names:
+        return None
+    order = list(dict.fromkeys(labels))
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(1.4 + 3.1 * len(names), 3.6), layout="constrained")
+        panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
+        for panel, name in zip(panels, names, strict=True):
+            for i, label in enumerate(order):
+                points: dict[float, list[float]] = {}
+                for row, its_label in flown:
+                    if row["trajectory"] == name and its_label == label:
+                        points.setdefault(float(row["speed"]), []).append(factor * row[metric])
+                if not points:
+                    continue
+                speed = np.array(sorted(points))
+                mean = np.array([np.mean(points[v]) for v in speed])
+                low, high = (np.array([f(points[v]) for v in speed]) for f in (min, max))
+                colour, marker = COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]
+                panel.fill_between(speed, low, high, color=colour, alpha=0.2, linewidth=0)
+                panel.plot(speed, mean, color=colour, marker=marker, markersize=4.5, label=label)
+            panel.set_yscale("log")
+            panel.set_title(name)
+            panel.set_xlabel("nominal speed (m/s)")
+            panel.set_xticks(sorted({float(row["speed"]) for row, _ in flown if row["trajectory"] == name}))
+            panel.margins(x=0.08)
+            panel.grid(True, which="minor", axis="y", linewidth=0.3)
+            panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            panel.yaxis.set_minor_formatter(NullFormatter())
+        panels[0].set_ylabel(f"{TITLES[metric]} ({unit})")
+        handles, texts = _legend(panels)
+        room = int(11 * figure.get_figwidth() / (max(map(len, texts)) + 6))
+        figure.legend(handles, texts, loc="outside lower center", ncols=max(1, min(room, len(texts))))
+    return figure
+
+
+def tracked_paths(flights: Sequence[tuple[str, Flight]], title: str = "") -> Figure:
+    """Flown paths seen from above, coloured by the position error, over the reference; one scale for all panels.
+
+    flights: (heading, flight), at most MAX_PANELS are drawn.
+    """
+    flights = flights[:MAX_PANELS]
+    errors = [1e3 * position_error(flight) for _, flight in flights]
+    largest = max(float(error.max()) for error in errors)
+    smallest = max(min(float(np.percentile(error, 5)) for error in errors), 1e-4 * largest)
+    columns = min(len(flights), 3) if len(flights) != 4 else 2
+    lines = math.ceil(len(flights) / columns)
+    across, up = (max(float(np.ptp(f[name])) for _, f in flights) for name in ("p_x", "p_y"))
+    height = 3.0 * min(1.2, max(0.35, up / max(across, 1e-9)))
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(1.4 + 3.0 * columns, 0.9 + (0.7 + height) * lines), layout="constrained")
+        grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
+        norm = LogNorm(smallest, largest) if smallest < largest else Normalize(0.0, largest or 1.0)
+        for panel, (heading, flight), error in zip(grid.flat, flights, errors, strict=False):
+            x, y = flight["p_x"], flight["p_y"]
+            panel.plot(flight["ref_p_x"], flight["ref_p_y"], color="#888888", linewidth=0.8, label="reference")
+            segments = np.stack([np.column_stack([x[:-1], y[:-1]]), np.column_stack([x[1:], y[1:]])], axis=1)
+            flown = LineCollection(segments, cmap=ERROR_COLOURS, norm=norm, linewidth=1.6)
+            flown.set_array(np.maximum((error[:-1] + error[1:]) / 2, smallest))
+            panel.add_collection(flown)
+            panel.plot(x[0], y[0], marker="o", markersize=4, color="#000000", linestyle="none", label="start")
+            panel.set_title(f"{heading}\nmean {error.mean():.3g} mm", fontsize=9)
+            panel.set_aspect("equal")
+        for panel in grid.flat[len(flights) :]:
+            panel.set_visible(False)
+        for panel in grid[-1]:
+            panel.set_xlabel("x (m)")
+        for panel in grid[:, 0]:
+            panel.set_ylabel("y (m)")
+        figure.colorbar(ScalarMappable(norm, ERROR_COLOURS), ax=grid, label="position error (mm)", shrink=0.85)
+        figure.legend(*_legend([grid.flat[0]]), loc="outside lower center", ncols=2)
+        if title:
+            figure.suptitle(title, fontsize=10)
+    return figure
+
+
+def solve_times(rows: Sequence[Mapping[str, Any]]) -> Figure | None:
+    """Time of the control step per controller: medians over its flights of their median and 99th percentile."""
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for row, label in zip(rows, column_labels(rows), strict=True):
+        if _is_flown(row):
+            groups.setdefault(label, []).append(row)
+    if not groups:
+        return None
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 1.1 + 0.4 * len(groups)), layout="constrained")
+        panel = figure.subplots()
+        for i, group in enumerate(groups.values()):
+            median, p99 = (1e6 * float(np.median([row[f"solve_time_{k}"] for row in group])) for k in ("median", "p99"))
+            colour = COLOURS[i % len(COLOURS)]
+            panel.plot([median, p99], [i, i], color=colour, linewidth=2, alpha=0.6, zorder=2)
+            panel.plot(median, i, marker="o", markersize=7, color=colour)
+            panel.plot(p99, i, marker="|", markersize=11, markeredgewidth=2, color=colour)
+            panel.annotate(
+                f"{median:.0f} / {p99:.0f}", (p99, i), (7, 0), textcoords="offset points", va="center", fontsize=8
+            )
+        backends = sorted({row["backend"] for group in groups.values() for row in group if row.get("backend")})
+        panel.set_xscale("log")
+        panel.set_yticks(range(len(groups)), list(groups))
+        panel.invert_yaxis()
+        panel.grid(True, which="minor", axis="x", linewidth=0.3)
+        panel.grid(False, axis="y")
+        panel.margins(x=0.18, y=0.5 / len(groups))
+        panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        panel.xaxis.set_minor_formatter(NullFormatter())
+        panel.set_xlabel("time (us): median (dot) / 99th percentile (bar)")
+        panel.set_title(f"control step, {', '.join(backends)}")
+    return figure
+
+
+def draw_results(
+    rows: Sequence[Mapping[str, Any]], out: str | Path, *, metric: str = "mean_error", redraw: bool = True
+) -> dict[str, str]:
+    """Draw all figures of a sweep into <out>/figures; returns name -> path (of the SVG; a PNG lies beside it).
+
+    redraw: False keeps figures that are there.
+    """
+    folder, store = Path(out) / "figures", CellStore(out)
+    paths = _fastest(rows)
+    makers: dict[str, Callable[[], Figure | None]] = {
+        "error_against_speed": lambda: error_against_speed(rows, metric),
+        "solve_time": lambda: solve_times(rows),
+        **{f"path_{name}": functools.partial(_path_figure, store, name, paths[name]) for name in paths},
+    }
+    files: dict[str, str] = {}
+    for name, make in makers.items():
+        path = (folder / name).with_suffix(".svg")
+        if redraw or not path.exists():
+            figure = make()
+            if figure is None:
+                continue
+            save(figure, path)
+        files[f"figure_{name}"] = str(path)
+    return files
+
+
+def _path_figure(store: CellStore, trajectory: str, chosen: Sequence[tuple[str, Mapping[str, Any]]]) -> Figure:
+    flights = [(label, read_flight(store.path(row["key"]))) for label, row in chosen]
+    speed = _speed(chosen[0][1])
+    return tracked_paths(flights, trajectory if speed is None else f"{trajectory}, {speed:g} m/s")
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a figure as SVG and PNG, whole or not at all; returns the path of the SVG."""
+    with matplotlib.rc_context(STYLE):
+        for form in FORMATS:
+            metadata = {"Date": None} if form == "svg" else None
+            write_bytes(
+                path.with_suffix(f".{form}"),
+                lambda temporary, form=form, metadata=metadata: figure.savefig(
+                    temporary, format=form, dpi=150, metadata=metadata
+                ),
+            )
+    return path.with_suffix(".svg")
+
+
+def _fastest(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[str, Mapping[str, Any]]]]:
+    """For each trajectory the flights at the highest speed that most controllers flew, one per controller."""
+    chosen: dict[str, list[tuple[str, Mapping[str, Any]]]] = {}
+    labels = column_labels(rows)
+    for name in dict.fromkeys(row["trajectory"] for row in rows):
+        by_speed: dict[float, dict[str, Mapping[str, Any]]] = {}
+        for row, label in zip(rows, labels, strict=True):
+            if row["trajectory"] == name and _is_flown(row):
+                by_speed.setdefault(_speed(row) or 0.0, {}).setdefault(label, row)
+        if by_speed:
+            speed = max(by_speed, key=lambda v: (len(by_speed[v]), v))
+            chosen[name] = list(by_speed[speed].items())
+    return chosen
+
+
+def _is_flown(row: Mapping[str, Any]) -> bool:
+    return row["outcome"] == "ok"
+
+
+def _speed(row: Mapping[str, Any]) -> float | None:
+    speed = row["speed"]
+    return None if speed is None or math.isnan(float(speed)) else float(speed)
+
+
+def _legend(panels: Sequence[Any]) -> tuple[list[Any], list[str]]:
+    found: dict[str, Any] = {}
+    for panel in panels:
+        for handle, text in zip(*panel.get_legend_handles_labels(), strict=True):
+            found.setdefault(text, handle)
+    return list(found.values()), list(found)

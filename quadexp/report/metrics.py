@@ -1,0 +1,80 @@
+"""How well a flight followed its reference.
+
+With e the position error (m), phi the angle of the rotation between attitude and reference (rad):
+
+    rmse = sqrt(mean ||e||^2)    mean_error = mean ||e||    max_error = max ||e||    attitude_rmse = sqrt(mean phi^2)
+
+Torrente et al. 2021 print mean ||e|| under the name RMSE; both stand here under their own names. All samples of the
+flight count, ramps included.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from quadexp.flight.schema import Flight
+from quadexp.state import ATTITUDE, POSITION, VELOCITY
+
+SATURATION_MARGIN = 1e-6  # share of the thrust range within which a rotor counts as at its limit
+LAST_RESORT = 2  # value of the `status` column
+
+# Columns of a result row that are errors, with the factor and unit they are shown in.
+SHOWN = {"rmse": (1e3, "mm"), "mean_error": (1e3, "mm"), "max_error": (1e3, "mm")}
+
+
+def position_error(flight: Flight) -> np.ndarray:
+    """Distance to the reference, (k,) (m)."""
+    return np.linalg.norm(flight.state[:, POSITION] - flight.reference_state[:, POSITION], axis=1)
+
+
+def attitude_error(flight: Flight) -> np.ndarray:
+    """Angle of the rotation between attitude and reference, (k,) (rad), in [0, pi]."""
+    flown = Rotation.from_quat(flight.state[:, ATTITUDE], scalar_first=True)
+    wanted = Rotation.from_quat(flight.reference_state[:, ATTITUDE], scalar_first=True)
+    return (wanted.inv() * flown).magnitude()
+
+
+def saturated_share(flight: Flight, thrust_min: float, thrust_max: float) -> float:
+    """Share of the samples in which at least one rotor is commanded to a limit."""
+    margin = SATURATION_MARGIN * (thrust_max - thrust_min)
+    at_limit = (flight.input <= thrust_min + margin) | (flight.input >= thrust_max - margin)
+    return float(at_limit.any(axis=1).mean())
+
+
+def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float) -> dict[str, Any]:
+    """The numbers of a result row that come from the flight itself; NaN for a flight without samples."""
+    if len(flight) == 0:
+        return dict.fromkeys(METRICS, float("nan")) | {"last_resort_count": 0, "duration": 0.0}
+    error, angle, solve_time = position_error(flight), attitude_error(flight), flight["solve_time"]
+    t = flight.t
+    return {
+        "rmse": float(np.sqrt(np.mean(error**2))),
+        "mean_error": float(np.mean(error)),
+        "max_error": float(np.max(error)),
+        "attitude_rmse": float(np.sqrt(np.mean(angle**2))),
+        "saturated_share": saturated_share(flight, thrust_min, thrust_max),
+        "peak_speed": float(np.linalg.norm(flight.state[:, VELOCITY], axis=1).max()),
+        "duration": float(t[-1] - t[0]),
+        "last_resort_count": int(np.sum(flight["status"] == LAST_RESORT)),
+        "solve_time_median": float(np.median(solve_time)),
+        "solve_time_p99": float(np.percentile(solve_time, 99)),
+        "solve_time_max": float(np.max(solve_time)),
+    }
+
+
+METRICS = (
+    "rmse",
+    "mean_error",
+    "max_error",
+    "attitude_rmse",
+    "saturated_share",
+    "peak_speed",
+    "duration",
+    "last_resort_count",
+    "solve_time_median",
+    "solve_time_p99",
+    "solve_time_max",
+)

@@ -1,0 +1,108 @@
+"""A rotor as blade-element theory sees it: its shape, its air, and the coefficients that identification looks for.
+
+Source: Lei & Li 2017, sections 2 and 3. The equations themselves stand in quadexp.dynamics.blade_element.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+
+from quadexp.errors import UsageError
+
+THETA = ("C_d0", "C_la", "C_Dx", "C_Dy", "C_Dz")  # order of the coefficients wherever they are one vector
+C_D0, C_LA, C_DX, C_DY, C_DZ = range(5)
+
+
+@dataclass(frozen=True)
+class RotorGeometry:
+    """Shape of every rotor of a vehicle, and the air around it: what is known without flying.
+
+    radius r: m. chord c: m. twist theta_tw: rad. air_density rho: kg/m^3. reference_area S: m^2, of the body drag.
+    blades: N_b.
+    """
+
+    radius: float
+    chord: float
+    twist: float
+    air_density: float
+    reference_area: float
+    blades: int = 2
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            if not getattr(self, f.name) > 0:
+                raise UsageError(f"vehicle.rotor.{f.name}={getattr(self, f.name)}: must be positive")
+
+    @property
+    def blade_density(self) -> float:
+        """Air density times chord of all blades, halved: N_b rho c / 2 (kg/m^2), the common factor of (14)-(16)."""
+        return self.blades * self.air_density * self.chord / 2
+
+    @property
+    def momentum_factor(self) -> float:
+        """2 rho pi r^2 (kg/m), of the momentum theory (17)."""
+        return 2 * self.air_density * math.pi * self.radius**2
+
+
+@dataclass(frozen=True)
+class BladeCoefficients:
+    """Aerodynamic coefficients, all dimensionless.
+
+    lift_slope C_la: 1/rad. profile_drag C_d0. body_drag C_D: (3,), body axes.
+    """
+
+    lift_slope: float
+    profile_drag: float
+    body_drag: tuple[float, float, float]
+
+    def parameters(self) -> np.ndarray:
+        """theta = (C_d0, C_la, C_Dx, C_Dy, C_Dz), (5,)."""
+        return np.array([self.profile_drag, self.lift_slope, *self.body_drag], float)
+
+    @classmethod
+    def from_parameters(cls, theta: np.ndarray) -> BladeCoefficients:
+        """The inverse of `parameters`; theta (5,)."""
+        c_d0, c_la, *body = (float(value) for value in theta)
+        return cls(c_la, c_d0, (body[0], body[1], body[2]))
+
+
+class MotorCoefficients(NamedTuple):
+    """(18)-(21): T_im = thrust w^2 (N s^2), H_im = hub V_h w (N s^2/m), Q_im = torque w^2 (N m s^2)."""
+
+    thrust: float
+    hub: float
+    torque: float
+
+
+class StaticCoefficients(NamedTuple):
+    """At V = 0: T = thrust w^2 (N s^2), Q = torque w^2 (N m s^2), V_I = inflow w (m)."""
+
+    thrust: float
+    torque: float
+    inflow: float
+
+
+def motor_coefficients(geometry: RotorGeometry, coefficients: BladeCoefficients) -> MotorCoefficients:
+    """k_Tm, k_Hm, k_Qm: what is left of the rotor's forces without any flow through it (18)-(21)."""
+    from quadexp.dynamics.blade_element import blade_forces
+
+    one = blade_forces(geometry, coefficients.profile_drag, coefficients.lift_slope, 1.0, 0.0, 0.0)
+    return MotorCoefficients(*one)
+
+
+def static_coefficients(geometry: RotorGeometry, coefficients: BladeCoefficients) -> StaticCoefficients:
+    """k_T,static, k_Q,static and nu = V_I / w of a rotor in air at rest (Remark 4).
+
+    nu is the positive root of (17) at V = 0: 2 rho pi r^2 nu^2 = a - b nu, with T = a - b nu at w = 1 rad/s.
+    """
+    from quadexp.dynamics.blade_element import blade_forces, static_inflow
+
+    inflow = static_inflow(geometry, coefficients.lift_slope)
+    thrust, _, torque = blade_forces(
+        geometry, coefficients.profile_drag, coefficients.lift_slope, 1.0, float(inflow), 0.0
+    )
+    return StaticCoefficients(thrust, torque, float(inflow))

@@ -1,0 +1,393 @@
+"""The command line as a user meets it: what it prints, where, and with which exit code."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from quadexp.cli import app
+from quadexp.flight.store import read_flight, read_metadata, read_table, write_flight, write_table
+from tests.flight.flights import straight_flight
+
+ROOT = Path(__file__).resolve().parents[2]
+COMMANDS = ("simulate", "collect", "fit-gp", "fit-drag", "evaluate", "show")
+QUICK = ("trajectory=hover", "trajectory.duration=0.5", "controller.backend=interpreted", "plant.backend=interpreted")
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty folder to work in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run(*arguments):
+    """In this process: exit code, output, error output."""
+    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    return done.exit_code, done.stdout, done.stderr
+
+
+def quadexp(*arguments, cwd, **environment):
+    """In a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "quadexp.cli", *map(str, arguments)],
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+def files(folder):
+    return sorted(str(path.relative_to(folder)) for path in Path(folder).rglob("*"))
+
+
+class TestHelp:
+    @pytest.mark.parametrize("command", COMMANDS)
+    def test_every_command_has_an_example(self, command):
+        code, out, _ = run(command, "--help")
+        assert code == 0 and f"quadexp {command} " in out and "--json" in out
+
+    def test_nothing_heavy_is_imported_for_it(self, tmp_path):
+        code = (
+            "import sys; sys.argv = ['quadexp', '--help']\nfrom quadexp.cli import main\n"
+            "try:\n    main()\nexcept SystemExit: pass\n"
+            "heavy = ('torch', 'casadi', 'pandas', 'hydra', 'numpy', 'pyarrow', 'matplotlib', 'scipy', 'rich')\n"
+            "print([name for name in heavy if name in sys.modules], file=sys.stderr)"
+        )
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+        assert done.stderr.strip() == "[]" and "simulate" in done.stdout
+
+    def test_version(self):
+        assert run("--version")[1].startswith("quadexp ")
+
+    @pytest.mark.parametrize("arguments", [("simulat",), ("simulate", "--ot", "x"), ("fit-gp",)])
+    def test_wrong_options_are_one_line(self, arguments, tmp_path):
+        done = quadexp(*arguments, cwd=tmp_path)
+        assert done.returncode == 2 and done.stdout == ""
+        assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
+
+
+class TestSimulate:
+    def test_it_writes_the_flight_and_says_which_model_flew(self, here):
+        code, out, _ = run("simulate", *QUICK, "--out", "runs/a.parquet")
+        assert code == 0
+        lines = out.splitlines()
+        assert lines[0].startswith("nominal_mpc (residual: none) flew hover on simplified, seed 0")
+        assert "outcome     ok" in lines and lines[-1] == "runs/a.parquet"
+        flight = read_flight("runs/a.parquet")
+        assert flight.metadata["config"]["controller"]["name"] == "nominal_mpc"
+        assert flight.metadata["versions"]["quadexp"] and flight.metadata["provenance"]["created"]
+        assert len(flight) == 26  # 0.5 s at 50 Hz, both ends
+
+    def test_json_is_one_object_and_nothing_else(self, here):
+        code, out, _ = run("simulate", *QUICK, "--json", "--out", "a.parquet")
+        record = json.loads(out)
+        assert code == 0 and record["path"] == "a.parquet" and record["outcome"] == "ok"
+        assert record["speed"] is None and record["rmse"] > 0
+
+    def test_the_place_it_writes_to_unless_told(self, here):
+        assert run("simulate", *QUICK)[0] == 0
+        assert run("simulate", *QUICK, "seed=3")[0] == 0
+        assert files(here) == ["runs", "runs/nominal_mpc_hover.parquet", "runs/nominal_mpc_hover_seed3.parquet"]
+
+    def test_an_existing_file_is_refused_before_the_flight(self, here, monkeypatch):
+        Path("a.parquet").write_text("precious")
+        monkeypatch.setattr("quadexp.experiment.evaluate.fly_one", lambda *_: pytest.fail("it flew"))
+        code, out, err = run("simulate", *QUICK, "--out", "a.parquet")
+        assert (code, out) == (2, "") and "a.parquet: exists already; pass --force" in err
+        assert Path("a.parquet").read_text() == "precious"
+        monkeypatch.undo()
+
+    def test_force_replaces_it(self, here):
+        Path("a.parquet").write_text("old")
+        assert run("simulate", *QUICK, "--out", "a.parquet", "--force")[0] == 0
+        assert len(read_flight("a.parquet")) == 26
+
+    def test_a_speed_that_cannot_be_flown(self, here):
+        code, _, err = run("simulate", "trajectory.speed=30", "--out", "a.parquet")
+        assert code == 2 and "cannot be flown: it takes" in err and "the vehicle has 0 to 80 N" in err
+        assert err.count("\n") == 1 and files(here) == []
+
+    @pytest.mark.parametrize("controller", ["gp_mpc", "linear_drag_mpc"])
+    def test_a_controller_without_its_model_never_flies_as_another(self, here, controller):
+        code, _, err = run("simulate", f"controller={controller}", "--out", "a.parquet")
+        assert code == 2 and f"{controller} needs a model and none is in models/" in err and "quadexp fit-" in err
+        code, _, err = run("simulate", f"controller={controller}", "model=models/nowhere", "--out", "a.parquet")
+        assert code == 2 and "model=models/nowhere: no checkpoint there" in err
+        assert files(here) == []
+
+    def test_a_damaged_model(self, here):
+        Path("m").mkdir()
+        Path("m/model.json").write_text("{")
+        code, _, err = run("simulate", "controller=gp_mpc", "model=m", "--out", "a.parquet")
+        assert code == 1 and "m/model.json: damaged" in err and err.count("\n") == 1
+        assert files(here) == ["m", "m/model.json"]
+
+    def test_a_missing_trajectory_file(self, here):
+        code, _, err = run("simulate", "trajectory=file", "trajectory.path=nowhere.csv", "--out", "a.parquet")
+        assert code == 2 and "nowhere.csv" in err and files(here) == []
+
+
+class TestMistakes:
+    @pytest.mark.parametrize("command", ["simulate", "collect", "evaluate"])
+    def test_a_misspelt_key(self, here, command):
+        code, out, err = run(command, "trajectory.sped=8", "--out", "x")
+        assert (code, out) == (2, "")
+        assert err == "error: trajectory.sped: no such key; did you mean trajectory.speed?\n"
+        assert files(here) == []
+
+    @pytest.mark.parametrize("out", ["/proc/quadexp/a.parquet", "file/a.parquet"])
+    def test_a_place_that_cannot_be_written(self, here, out):
+        Path("file").touch()
+        for command in ("simulate", "collect"):
+            code, _, err = run(command, *QUICK, "--out", out)
+            assert code == 2 and "cannot be written there" in err and err.count("\n") == 1
+        code, _, err = run("evaluate", *QUICK, "--out", out)
+        assert code == 2 and "cannot be written" in err
+        assert files(here) == ["file"]
+
+    def test_no_compiler(self, here, monkeypatch):
+        monkeypatch.setattr("quadexp.backend.compiler", lambda: None)
+        arguments = ["trajectory=hover", "trajectory.duration=0.2", "--out", "a.parquet"]
+        code, _, err = run("simulate", *arguments, "controller.backend=compiled")
+        assert code == 2 and "no C compiler found" in err and files(here) == []
+
+    def test_the_unexpected_is_one_line_too(self, here, monkeypatch):
+        def fails(*_):
+            raise RuntimeError("the sky\nis falling")
+
+        monkeypatch.setattr("quadexp.experiment.evaluate.fly_one", fails)
+        code, _, err = run("simulate", *QUICK)
+        assert code == 1
+        assert err == "error: RuntimeError: the sky is falling (QUADEXP_DEBUG=1 shows where)\n"
+
+    def test_debug_shows_where(self, here):
+        done = quadexp("--debug", "simulate", "trajectory.sped=8", cwd=here)
+        assert done.returncode == 2 and "Traceback" in done.stderr
+
+
+class TestEvaluate:
+    SWEEP = ("--sweep", *QUICK, "controller=nominal_mpc,perfect_mpc", "seed=range(2)")
+
+    def test_one_cell(self, here):
+        code, out, _ = run("evaluate", *QUICK, "--out", "r")
+        assert code == 0 and "nominal_mpc" in out and out.splitlines()[-1] == "r"
+        assert len(read_table("r/results.parquet", "results")[0]["key"]) == 1 and not Path("r/figures").exists()
+
+    def test_a_sweep_and_its_table(self, here):
+        done = quadexp("evaluate", *self.SWEEP, "--out", "r", cwd=here)
+        assert done.returncode == 0, done.stderr
+        assert "perfect_mpc" in done.stdout and done.stdout.splitlines()[-1] == "r"
+        assert "flights: 100 % (4 of 4)" in done.stderr
+        columns, record = read_table("r/results.parquet", "results")
+        assert set(columns["outcome"]) == {"ok"} and len(columns["key"]) == 4
+        # Paired: the two controllers met the same noise; without drag to know, hovering is nearly the same flight.
+        assert columns["seed"].tolist() == [0, 1, 0, 1]
+        assert {p.name for p in Path("r/figures").iterdir()} == {
+            f"{name}.{form}" for name in ("path_hover", "solve_time") for form in ("svg", "png")
+        }
+        again = quadexp("evaluate", *self.SWEEP, "--out", "r", "--json", cwd=here)
+        record = json.loads(again.stdout)
+        assert record["flown"] == 0 and len(record["rows"]) == 4
+        assert [row["rmse"] for row in record["rows"]] == columns["rmse"].tolist()
+
+    def test_a_cell_that_cannot_be_flown_is_a_row_and_the_rest_is_flown(self, here):
+        arguments = ["trajectory=circle", "trajectory.speed=2,30", "controller.backend=interpreted"]
+        done = quadexp("evaluate", "--sweep", *arguments, "--no-figures", "--out", "r", cwd=here)
+        assert done.returncode == 1
+        assert done.stderr.splitlines()[-1].startswith(
+            "error: 1 of 2 cells were not flown; the first: circle cannot be"
+        )
+        assert "1 infeasible" in done.stdout and not Path("r/figures").exists()
+        columns, _ = read_table("r/results.parquet", "results")
+        assert columns["outcome"].tolist() == ["ok", "infeasible"] and np.isnan(columns["rmse"][1])
+        assert Path("r/results.csv").exists() and Path("r/table.tex").exists()
+
+    def test_one_cell_that_cannot_be_flown_leaves_nothing(self, here):
+        code, _, err = run("evaluate", "trajectory.speed=30", "--out", "r")
+        assert code == 2 and "cannot be flown" in err and files(here) == []
+
+    def test_a_sweep_without_its_model_leaves_nothing(self, here):
+        code, _, err = run("evaluate", "--sweep", "controller=nominal_mpc,gp_mpc", "--out", "r")
+        assert code == 2 and "gp_mpc needs a model" in err and files(here) == []
+
+    def test_an_experiment_with_a_sweep_wants_to_be_swept(self, here):
+        code, _, err = run("evaluate", "experiment=quick")
+        assert code == 2 and "add --sweep" in err and files(here) == []
+
+    def test_several_values_without_sweep(self, here):
+        code, _, err = run("evaluate", "seed=0,1")
+        assert code == 2 and "use `quadexp evaluate --sweep`" in err
+
+
+class TestLearning:
+    """collect -> fit-drag and fit-gp -> simulate, as small as it goes."""
+
+    @pytest.fixture(scope="class")
+    def chain(self, tmp_path_factory):
+        folder = tmp_path_factory.mktemp("chain")
+        small = ("collect.duration=24", "controller.backend=interpreted", "plant.backend=interpreted")
+        done = [
+            quadexp("collect", *small, "--save-flights", "flights", "--json", cwd=folder),
+            quadexp("fit-drag", "data/residuals.parquet", "--json", cwd=folder),
+            quadexp("fit-gp", "data/residuals.parquet", "gp.inducing=8", "gp.max_rows=300", "--no-figures", cwd=folder),
+        ]
+        for process in done:
+            assert process.returncode == 0, process.stderr
+        return folder, done
+
+    def test_the_data_set(self, chain):
+        folder, done = chain
+        report = json.loads(done[0].stdout)
+        columns, record = read_table(folder / "data/residuals.parquet", "residuals", finite=True)
+        assert report["rows"] == len(columns["t"]) > 1100 and report["duration"] >= 24
+        assert record["config"]["collect"]["mode"] == "random" and record["seed"] == 0
+        assert len(list((folder / "flights").glob("*.parquet"))) == report["flights"] == len(record["flights"])
+        assert len(set(columns["flight"].tolist())) == report["flights"] > 1
+
+    def test_it_is_the_same_whenever_it_is_made(self, chain):
+        folder, _ = chain
+        small = ("collect.duration=24", "controller.backend=interpreted", "plant.backend=interpreted")
+        assert quadexp("collect", *small, "--out", "again.parquet", cwd=folder).returncode == 0
+        first, _ = read_table(folder / "data/residuals.parquet", "residuals")
+        second, _ = read_table(folder / "again.parquet", "residuals")
+        for name in first:
+            np.testing.assert_array_equal(first[name], second[name], err_msg=name)
+
+    def test_recorded_flights_make_the_same_rows(self, chain):
+        folder, _ = chain
+        flights = [part for path in sorted((folder / "flights").glob("*")) for part in ("--flight", path)]
+        done = quadexp("collect", *flights, "--out", "recorded.parquet", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        flown, _ = read_table(folder / "data/residuals.parquet", "residuals")
+        recorded, record = read_table(folder / "recorded.parquet", "residuals")
+        np.testing.assert_array_equal(flown["a_x"], recorded["a_x"])
+        assert record["flights"][0]["name"].endswith("flight_000.parquet")
+
+    def test_both_checkpoints_fly(self, chain, monkeypatch):
+        folder, done = chain
+        assert "on 1 held-out flights" in done[2].stdout or "held-out flights" in done[2].stdout
+        monkeypatch.chdir(folder)
+        for controller, source in (("linear_drag_mpc", "models/drag"), ("gp_mpc", "models/gp")):
+            code, out, err = run("simulate", *QUICK, f"controller={controller}", "--out", f"{controller}.parquet")
+            assert code == 0, err
+            assert f"from {source})" in out.splitlines()[0]
+        # linear_drag_mpc reads the drag of a GP checkpoint too.
+        code, out, _ = run("simulate", *QUICK, "controller=linear_drag_mpc", "model=models/gp", "--out", "c.parquet")
+        assert code == 0 and "(residual: linear_drag from models/gp)" in out
+
+    def test_a_drag_checkpoint_is_no_gaussian_process(self, chain, monkeypatch):
+        monkeypatch.chdir(chain[0])
+        code, _, err = run("simulate", *QUICK, "controller=gp_mpc", "model=models/drag", "--out", "no.parquet")
+        assert code == 2 and "models/drag: holds linear drag, a Gaussian process is needed" in err
+
+    def test_a_checkpoint_of_another_vehicle(self, chain, monkeypatch):
+        monkeypatch.chdir(chain[0])
+        code, _, err = run("simulate", *QUICK, "controller=gp_mpc", "vehicle.mass=1.2", "--out", "no.parquet")
+        assert code == 1 and "fitted for vehicle 'torrente'" in err and not Path("no.parquet").exists()
+
+    def test_a_data_set_of_another_vehicle(self, chain, monkeypatch):
+        monkeypatch.chdir(chain[0])
+        code, _, err = run("fit-drag", "data/residuals.parquet", "vehicle.mass=1.2", "--out", "m")
+        assert code == 1 and "flown by vehicle torrente" in err and not Path("m").exists()
+
+    def test_show(self, chain, monkeypatch):
+        monkeypatch.chdir(chain[0])
+        code, out, _ = run("show", "data/residuals.parquet")
+        assert code == 0 and "residuals" in out and "[m/s, body]" in out and "collect" in out
+        code, out, _ = run("show", "models/gp")
+        assert code == 0 and "a_z         8 points, length scales" in out and "sha256" in out
+        record = json.loads(run("show", "models/drag", "--json")[1])
+        assert record["kind"] == "linear_drag" and len(record["drag"]) == 3
+        code, out, _ = run("show", next(Path("flights").iterdir()))
+        assert code == 0 and "flight" in out
+
+    def test_an_existing_checkpoint_is_refused(self, chain, monkeypatch):
+        monkeypatch.chdir(chain[0])
+        code, _, err = run("fit-drag", "data/residuals.parquet")
+        assert code == 2 and "models/drag: exists already; pass --force" in err
+        assert run("fit-drag", "data/residuals.parquet", "--force")[0] == 0
+
+    def test_one_flight_cannot_be_split(self, chain, monkeypatch):
+        monkeypatch.chdir(chain[0])
+        flight = sorted(Path("flights").iterdir())[0]
+        assert run("collect", "--flight", flight, "--out", "one.parquet")[0] == 0
+        for command in ("fit-drag", "fit-gp"):
+            code, _, err = run(command, "one.parquet", "--out", "one")
+            assert code == 1 and "one flight" in err and err.count("\n") == 1 and not Path("one").exists()
+        assert run("fit-drag", "one.parquet", "drag.holdout=0", "--out", "one")[0] == 0
+
+    def test_a_data_set_without_the_feature_asked_for(self, chain, monkeypatch):
+        monkeypatch.chdir(chain[0])
+        columns, record = read_table("data/residuals.parquet", "residuals")
+        del columns["w_x"]
+        write_table("short.parquet", columns, record, "residuals")
+        code, _, err = run("fit-gp", "short.parquet", "gp.features.a_x=[v_x,w_x]", "--out", "short")
+        assert code == 1 and "column 'w_x' is missing" in err and not Path("short").exists()
+
+    def test_an_empty_data_set(self, chain, monkeypatch):
+        monkeypatch.chdir(chain[0])
+        columns, record = read_table("data/residuals.parquet", "residuals")
+        write_table("empty.parquet", {name: values[:0] for name, values in columns.items()}, record, "residuals")
+        code, _, err = run("fit-gp", "empty.parquet", "--out", "empty")
+        assert code == 1 and "has no rows" in err and not Path("empty").exists()
+
+    def test_nan_in_a_data_set(self, chain, monkeypatch):
+        monkeypatch.chdir(chain[0])
+        columns, record = read_table("data/residuals.parquet", "residuals")
+        columns["a_y"][7] = np.nan
+        write_table("nan.parquet", columns, record, "residuals")
+        code, _, err = run("fit-drag", "nan.parquet", "--out", "nan")
+        assert code == 1 and "nan.parquet: column 'a_y' is nan at row 7" in err and not Path("nan").exists()
+
+
+def test_nan_in_a_flight(here):
+    flight = straight_flight()
+    flight.columns["v_y"][2] = np.nan
+    write_flight("nan.parquet", flight)
+    code, _, err = run("collect", "--flight", "nan.parquet", "--out", "d.parquet")
+    assert code == 1 and "nan.parquet: column 'v_y' is nan at row 2" in err and not Path("d.parquet").exists()
+
+
+class TestShow:
+    def test_a_flight(self, here):
+        run("simulate", *QUICK, "--out", "a.parquet")
+        code, out, _ = run("show", "a.parquet")
+        assert code == 0
+        for expected in ("flight, 26 rows", "outcome     ok", "[m/s, world]", "seed        0", "versions", "made"):
+            assert expected in out
+        record = json.loads(run("show", "a.parquet", "--json")[1])
+        assert (
+            record["kind"] == "flight" and record["columns"]["w_x"]["unit"] == "rad/s" and record["metrics"]["rmse"] > 0
+        )
+
+    def test_results(self, here):
+        run("evaluate", *QUICK, "--out", "r")
+        code, out, _ = run("show", "r")
+        assert code == 0 and "outcomes    1 ok" in out and "| hover |" in out
+
+    def test_nothing_there(self, here):
+        assert run("show", "nowhere")[0] == 2
+        Path("folder").mkdir()
+        code, _, err = run("show", "folder")
+        assert code == 2 and "neither a checkpoint" in err
+
+    def test_something_else(self, here):
+        Path("a.txt").write_text("hello")
+        code, _, err = run("show", "a.txt")
+        assert code == 1 and "not a Parquet file" in err
+
+
+def test_the_record_holds_all_that_was_asked_for(here):
+    run("simulate", *QUICK, "--out", "a.parquet")
+    config = read_metadata("a.parquet")["config"]
+    assert config["plant"]["linear_drag"] == [0.3, 0.3, 0.0] and config["seed"] == 0

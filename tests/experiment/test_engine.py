@@ -1,0 +1,65 @@
+"""The engine: a cell that dies, raises or never ends costs itself one or two attempts and nobody else anything."""
+
+from __future__ import annotations
+
+import os
+import time
+
+import pytest
+
+from quadexp.experiment.engine import CellFailed, run_cells
+from tests.experiment import cells
+
+
+def run(function, jobs, **options):
+    return dict(run_cells(function, jobs, preload=(), **options))
+
+
+def test_every_job_has_its_result():
+    assert run(cells.add, {f"{i}": (i, 1) for i in range(30)}, workers=2) == {f"{i}": i + 1 for i in range(30)}
+
+
+def test_no_jobs_no_processes():
+    assert run(cells.add, {}) == {}
+
+
+def test_workers_use_one_thread_and_the_environment_is_left_alone(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    assert run(cells.threads, {"a": (0,)}, workers=1)["a"] == ("1", "1")
+    assert os.environ["OMP_NUM_THREADS"] == "7" and "OPENBLAS_NUM_THREADS" not in os.environ
+
+
+def test_poisoned_cells_cost_themselves_only(tmp_path):
+    kinds = ["fine", "raise", "kill", "exit", "loop", "kill_once", "also_fine", "still_fine"]
+    results = run(cells.misbehave, {kind: (kind, str(tmp_path)) for kind in kinds}, workers=2, timeout=1.0)
+    assert set(results) == set(kinds)
+    for kind in ("fine", "also_fine", "still_fine", "kill_once"):
+        assert results[kind] == kind
+    assert results["raise"] == CellFailed("ValueError: a bad")
+    assert "died (exit code -9)" in results["kill"].cause
+    assert "died (exit code 3)" in results["exit"].cause
+    assert results["loop"].cause == "took longer than 1 s"
+    tries = {kind: len((tmp_path / kind).read_text()) for kind in kinds}
+    assert tries["raise"] == 1, "an exception would come again"
+    assert tries["kill"] == tries["exit"] == tries["loop"] == 2
+    assert tries["kill_once"] == 2
+
+
+def test_leaving_early_stops_the_workers():
+    results = run_cells(cells.add, {f"{i}": (i, 1) for i in range(200)}, workers=2, preload=())
+    next(results)
+    results.close()
+
+
+def test_overhead_per_cell():
+    jobs = {f"{i}": (i, 1) for i in range(300)}
+    begun = None
+    for _ in run_cells(cells.add, jobs, workers=2, preload=()):
+        begun = begun or time.perf_counter()
+    assert (time.perf_counter() - begun) / len(jobs) < 0.01
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_any_number_of_workers(workers):
+    assert len(run(cells.add, {f"{i}": (i, 1) for i in range(7)}, workers=workers)) == 7

@@ -1,0 +1,165 @@
+"""Flights from configurations: paired noise, the same bits whoever flies them, and what the paper's set-up gives."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadexp.compose import compose, expand
+from quadexp.errors import UsageError
+from quadexp.experiment.collect import Setpoints, collect_flights, setpoints
+from quadexp.experiment.evaluate import InfeasibleError, fly_one, generator
+from quadexp.experiment.store import CellStore
+from quadexp.experiment.sweep import run_sweep
+from quadexp.flight.store import read_flight
+from quadexp.state import STATE_COLUMNS
+from quadexp.trajectory.base import Trajectory
+
+INTERPRETED = ["controller.backend=interpreted", "plant.backend=interpreted"]
+SHORT = ["trajectory=step", "trajectory.duration=1", "trajectory.step_time=0.2", *INTERPRETED]
+
+
+def same_flight(a, b):
+    """Every column but the measured time, to the last bit."""
+    assert list(a.columns) == list(b.columns)
+    for name in a.columns:
+        if name != "solve_time":
+            np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+
+
+class TestFlight:
+    def test_the_same_configuration_is_the_same_flight(self):
+        same_flight(fly_one(compose(SHORT)), fly_one(compose(SHORT)))
+
+    def test_what_was_flown_before_leaves_no_trace(self):
+        first = fly_one(compose(SHORT))
+        fly_one(compose([*SHORT, "trajectory.target=[3,-2,2]"]))
+        fly_one(compose([*SHORT, "controller=perfect_mpc"]))
+        same_flight(first, fly_one(compose(SHORT)))
+
+    def test_another_seed_is_another_flight(self):
+        a, b = fly_one(compose(SHORT)), fly_one(compose([*SHORT, "seed=1"]))
+        assert not np.array_equal(a["p_z"], b["p_z"])
+
+    def test_controllers_meet_the_same_noise(self):
+        draws = [
+            generator(compose(["seed=4", f"controller={name}"])).standard_normal(20)
+            for name in ("nominal_mpc", "perfect_mpc", "gp_mpc")
+        ]
+        np.testing.assert_array_equal(draws[0], draws[1])
+        np.testing.assert_array_equal(draws[0], draws[2])
+        # Two controllers then differ by what they know and not by luck: another seed changes both alike.
+        errors = {
+            name: [
+                fly_one(compose([*SHORT, f"controller={name}", f"seed={s}"])).metadata["row"]["rmse"] for s in (0, 1)
+            ]
+            for name in ("nominal_mpc", "perfect_mpc")
+        }
+        differences = [a - b for a, b in zip(*errors.values(), strict=True)]
+        assert abs(differences[0] - differences[1]) < 0.05 * abs(differences[0]) + 1e-6
+
+    def test_the_record_says_who_flew(self):
+        metadata = fly_one(compose([*SHORT, "controller=perfect_mpc"])).metadata
+        assert metadata["residual"]["name"] == "plant" and metadata["controller"] == "perfect_mpc"
+        assert metadata["row"]["backend"] == "interpreted" and metadata["model"] == ""
+        assert metadata["vehicle"]["name"] == "torrente" and len(metadata["config_hash"]) == 20
+
+    def test_thrust_that_nobody_has_is_refused_with_where_and_how_much(self):
+        with pytest.raises(
+            InfeasibleError, match=r"takes \d+(\.\d+)? N of collective thrust at t=\d+\.\d\d s"
+        ) as caught:
+            fly_one(compose(["trajectory.speed=30"]))
+        assert isinstance(caught.value, UsageError)
+
+    def test_it_can_be_flown_all_the_same(self):
+        overrides = ["trajectory=random", "trajectory.speed=16", "trajectory.allow_infeasible=true", *INTERPRETED]
+        assert fly_one(compose(overrides)).outcome in ("ok", "lost", "solver_failed")
+
+    def test_a_file_can_be_flown(self, tmp_path):
+        t = np.arange(0, 3.01, 0.1)
+        rows = [f"{a:.2f},{np.sin(a):.9f},0,1" for a in t]
+        (tmp_path / "track.csv").write_text("\n".join(["t,p_x,p_y,p_z", *rows]))
+        flight = fly_one(compose(["trajectory=file", f"trajectory.path={tmp_path}/track.csv", *INTERPRETED]))
+        assert flight.outcome == "ok" and flight.metadata["row"]["mean_error"] < 0.3
+
+
+class TestSweepOfFlights:
+    GRID = [*SHORT, "controller=nominal_mpc,perfect_mpc", "trajectory.duration=0.6,1", "seed=range(2)"]
+
+    def test_the_number_of_workers_and_the_order_change_nothing(self, tmp_path):
+        one = run_sweep(expand(self.GRID), tmp_path / "one", workers=1)
+        two = run_sweep(list(reversed(expand(self.GRID))), tmp_path / "two", workers=2)
+        assert not one.not_flown and len(one.rows) == 8
+        rows = {row["key"]: row for row in two.rows}
+        for row in one.rows:
+            a, b = (read_flight(CellStore(tmp_path / folder).path(row["key"])) for folder in ("one", "two"))
+            same_flight(a, b)
+            measured = {name for name in row if name.startswith("solve_time")}
+            assert {k: v for k, v in row.items() if k not in measured} == {
+                k: v for k, v in rows[row["key"]].items() if k not in measured
+            }
+
+    @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+    def test_workers_killed_under_way_cost_nothing_but_time(self, tmp_path):
+        killed = []
+
+        def kill_a_worker(done, total):
+            if done in (2, 6) and done not in killed:
+                killed.append(done)
+                workers = [pid for pid in children_of_children(os.getpid()) if pid != os.getpid()]
+                threading.Timer(0.02, lambda: [os.kill(pid, signal.SIGKILL) for pid in workers[:1]]).start()
+
+        grid = expand([*SHORT, "seed=range(12)"])
+        result = run_sweep(grid, tmp_path / "r", workers=2, progress=kill_a_worker)
+        assert killed == [2, 6] and not result.not_flown and len(result.rows) == 12
+        assert not list((tmp_path / "r").rglob("*.tmp"))
+
+
+def children_of_children(pid):
+    """Worker processes: children of the fork server, which is a child of this process."""
+    parents = {}
+    for entry in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = entry.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        parents[int(entry.parent.name)] = int(fields[1])
+    return [child for child, parent in parents.items() if parents.get(parent) == pid]
+
+
+class TestCollect:
+    def test_setpoints_jump_and_stay(self):
+        points = setpoints(6.0, 1.0, 4.0, 10.0, np.random.default_rng(0))
+        assert isinstance(points, Trajectory) and points.duration == 10.0
+        output = points.flat_output(np.array([0.0, points.times[1] - 1e-6, points.times[1], 1e3]))
+        np.testing.assert_array_equal(output.position[0, 0], output.position[1, 0])
+        np.testing.assert_array_equal(output.position[2, 0], points.points[1])
+        assert np.all(output.position[:, 1:] == 0)
+        assert points.points[:, 2].min() >= 1.0 and np.abs(points.points[:, :2]).max() <= 3.0
+
+    def test_points_given_by_hand(self):
+        points = Setpoints(np.array([[0.0, 0, 1], [1.0, 0, 1]]), np.array([0.0, 2.0]), 4.0)
+        np.testing.assert_array_equal(points.flat_output(np.array([1.9, 2.0])).position[:, 0, 0], [0.0, 1.0])
+
+    @pytest.mark.parametrize("mode", ["random", "setpoints"])
+    def test_it_stops_at_the_simulated_time(self, mode):
+        overrides = [f"collect.mode={mode}", "collect.duration=12", "collect.flight_duration=6", *INTERPRETED]
+        flights = collect_flights(compose(overrides))
+        seconds = sum(flight.t[-1] for flight in flights)
+        assert len(flights) >= 2 and seconds >= 12 - 1e-6
+        assert seconds - flights[-1].t[-1] < 12
+        assert all(np.isfinite(flight.stack(STATE_COLUMNS)).all() for flight in flights)
+        names = [flight.metadata["name"] for flight in flights]
+        assert names[:2] == ["flight_000", "flight_001"] and len(set(names)) == len(names)
+
+    def test_a_speed_that_cannot_be_had_is_said_at_once(self):
+        begun = time.perf_counter()
+        with pytest.raises(Exception, match=r"none of 50 random paths .* lower collect.speed_max"):
+            collect_flights(compose(["collect.speed_min=30", "collect.speed_max=40", *INTERPRETED]))
+        assert time.perf_counter() - begun < 10

@@ -1,0 +1,65 @@
+"""Figures are made, hold what they should, and are the same every time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadexp.report.figures import error_against_speed, save, solve_times, tracked_paths
+from tests.flight.flights import straight_flight
+from tests.report.test_tables import row
+
+
+@pytest.fixture
+def rows():
+    errors = {"nominal_mpc": 0.2, "gp_mpc": 0.004}
+    return [
+        row(controller, speed=speed, seed=seed, trajectory=trajectory, error=error * speed * (1 + 0.1 * seed))
+        | {"solve_time_median": 2e-5, "solve_time_p99": 9e-5, "backend": "compiled"}
+        for controller, error in errors.items()
+        for trajectory in ("circle", "lemniscate")
+        for speed in (4.0, 8.0)
+        for seed in range(3)
+    ]
+
+
+def test_a_panel_per_trajectory_and_a_line_per_controller(rows):
+    figure = error_against_speed(rows)
+    assert [panel.get_title() for panel in figure.axes] == ["circle", "lemniscate"]
+    panel = figure.axes[0]
+    assert panel.get_yscale() == "log"
+    assert [line.get_label() for line in panel.lines] == ["nominal_mpc", "gp_mpc"]
+    np.testing.assert_allclose(panel.lines[0].get_xdata(), [4, 8])
+    np.testing.assert_allclose(panel.lines[0].get_ydata(), [200 * 4 * 1.1, 200 * 8 * 1.1])
+    spread = panel.collections[0].get_paths()[0].vertices[:, 1]
+    assert spread.min() == pytest.approx(200 * 4) and spread.max() == pytest.approx(200 * 8 * 1.2)
+
+
+def test_what_was_not_flown_is_not_drawn(rows):
+    lost = [made | {"outcome": "lost"} for made in rows]
+    assert error_against_speed(lost) is None and solve_times(lost) is None
+
+
+def test_paths_share_one_colour_scale():
+    flights = [("a", straight_flight(20, (0.0, 0.2, 0.0))), ("b", straight_flight(20, (0.0, 0.01, 0.0)))]
+    figure = tracked_paths(flights, "circle, 8 m/s")
+    drawn = [panel.collections[0] for panel in figure.axes[:2]]
+    assert drawn[0].norm is drawn[1].norm
+    np.testing.assert_allclose(drawn[0].get_array(), 200.0)
+    assert "mean 10 mm" in figure.axes[1].get_title()
+
+
+def test_a_perfect_flight_can_be_drawn(tmp_path):
+    assert save(tracked_paths([("perfect", straight_flight(20))]), tmp_path / "p").exists()
+
+
+def test_solve_times_show_median_and_p99(rows):
+    panel = solve_times(rows).axes[0]
+    assert [text.get_text() for text in panel.texts] == ["20 / 90", "20 / 90"]
+
+
+def test_svg_and_png_are_written_and_repeatable(rows, tmp_path):
+    first = save(error_against_speed(rows), tmp_path / "a" / "error").read_bytes()
+    assert (tmp_path / "a" / "error.png").stat().st_size > 5000
+    assert save(error_against_speed(rows), tmp_path / "b" / "error").read_bytes() == first
+    assert not [p for p in tmp_path.rglob("*") if p.suffix == ".tmp"]
