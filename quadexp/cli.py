@@ -243,7 +243,7 @@ def evaluate(
     if sweep if figures is None else figures:
         from quadexp.report.figures import draw_results
 
-        files |= draw_results(result.rows, out, redraw=result.flown > 0)
+        files |= draw_results(result.rows, out, metric=first.evaluate.metric, redraw=result.flown > 0)
     if json:
         emit(
             {"out": out, "files": files, "flown": result.flown, "not_flown": len(result.not_flown), "rows": result.rows}
@@ -294,7 +294,7 @@ def _results_name(given: list[str], config: Any, sweep: bool) -> str:
 def main() -> None:
     """Entry point: wrong options too are one line and exit code 2."""
     try:
-        code = app(standalone_mode=False)
+        code = app(standalone_mode=False, prog_name="quadexp")
     except typer.Abort:
         code = 1
     except Exception as error:

@@ -86,6 +86,7 @@ class Composer:
     def _cell(self, overrides: list[str], values: dict[str, set[str]]) -> Cell:
         varied = [o for o in overrides if len(values[_key(o)]) > 1 and _key(o) not in _COLUMN_KEYS]
         config = self._compose(self._parse(overrides))
+        config.sweep = None  # a cell is one flight
         return Cell(config, tuple(overrides), " ".join(varied))
 
     def _grids(self, parsed: list[Override]) -> Iterator[list[Override]]:

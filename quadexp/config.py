@@ -15,180 +15,32 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar
 
+from quadexp.config_flight import (
+    CircleConfig,
+    ControllerConfig,
+    FileConfig,
+    HoverConfig,
+    LemniscateConfig,
+    MPCConfig,
+    PlantConfig,
+    RandomConfig,
+    SimplifiedPlantConfig,
+    StepConfig,
+    TrajectoryConfig,
+    VehicleConfig,
+)
+from quadexp.config_lei_li import (
+    BladeElementPlantConfig,
+    FeedbackConfig,
+    LeiLiCircleConfig,
+    RectangleConfig,
+    RLSMPCConfig,
+    SensorConfig,
+)
 from quadexp.errors import UsageError
 from quadexp.fields import MISSING, Checked, choice, number
 
 
-# --------------------------------------------------------------------------------------------------------- vehicle
-@dataclass
-class VehicleConfig(Checked):
-    """Physical parameters of a multirotor; see quadexp/vehicle.py."""
-
-    prefix: ClassVar[str] = "vehicle."
-
-    name: str = MISSING
-    mass: float = number("(0, 100]", "kg")
-    inertia: Any = MISSING  # (3, 3), body frame, kg m^2
-    rotor_position: Any = MISSING  # (n, 3), body frame, m
-    rotor_spin: list[float] = MISSING  # type: ignore[assignment]  # (n,), sign of the reaction torque about +z_body
-    torque_coefficient: float = number("[0, 1]", "m")
-    thrust_min: float = number("[0, 1000]", "N per rotor")
-    thrust_max: float = number("(0, 1000]", "N per rotor")
-    rate_max: float = number("(0, 100]", "rad/s")
-    gravity: float = number("(0, 100]", "m/s^2", 9.81)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.inertia = _rows("vehicle.inertia", self.inertia, n=3)
-        self.rotor_position = _rows("vehicle.rotor_position", self.rotor_position)
-
-
-def _rows(key: str, rows: Any, n: int | None = None) -> Any:
-    """Rows of three numbers each, as floats."""
-    try:
-        made = [[float(item) for item in row] for row in rows]
-    except (TypeError, ValueError):
-        made = []
-    if not made or any(len(row) != 3 for row in made) or (n is not None and len(made) != n):
-        raise ValueError(f"{key}={str(rows).replace(' ', '')}: must be {n or 'some'} rows of 3 numbers each")
-    return made
-
-
-# ----------------------------------------------------------------------------------------------------------- plant
-@dataclass
-class PlantConfig(Checked):
-    """What every plant has. kind: which plant of quadexp/plant/ (set by the schema)."""
-
-    prefix: ClassVar[str] = "plant."
-
-    name: str = MISSING
-    kind: str = MISSING
-    step: float = number("(0, 0.02]", "s")
-    backend: str = choice("auto", "compiled", "interpreted")
-
-
-@dataclass
-class SimplifiedPlantConfig(PlantConfig):
-    """Torrente's simplified simulation; see quadexp/plant/simplified.py."""
-
-    kind: str = "simplified"
-    linear_drag: list[float] = number("[0, 100]", "N s/m", length=3)
-    quadratic_drag: list[float] = number("[0, 100]", "N s^2/m^2", length=3)
-    motor_loss: float = number("[0, 1)", "")
-    motor_noise_density: float = number("[0, 1]", "1/sqrt(Hz)")
-    force_noise_density: float = number("[0, 10]", "N/sqrt(Hz)")
-    torque_noise_density: float = number("[0, 10]", "N m/sqrt(Hz)")
-    payload: float = number("[0, 100]", "kg")
-
-
-# ------------------------------------------------------------------------------------------------------ trajectory
-@dataclass
-class TrajectoryConfig(Checked):
-    """What every trajectory has. kind: which one of quadexp/trajectory/ (set by the schema).
-
-    allow_infeasible: fly a reference although it asks for more than the vehicle has.
-    """
-
-    prefix: ClassVar[str] = "trajectory."
-
-    name: str = MISSING
-    kind: str = MISSING
-    allow_infeasible: bool = False
-
-
-@dataclass
-class CircleConfig(TrajectoryConfig):
-    """A circle, started and ended at rest; speed is the nominal (cruising) speed."""
-
-    kind: str = "circle"
-    speed: float = number("(0, 60]", "m/s")
-    acceleration: float = number("(0, 50]", "m/s^2")
-    radius: float = number("(0, 1000]", "m")
-    height: float = number("[-1000, 1000]", "m")
-
-
-@dataclass
-class LemniscateConfig(CircleConfig):
-    """A lemniscate (r cos th, r sin th cos th), started and ended at rest."""
-
-    kind: str = "lemniscate"
-
-
-@dataclass
-class RandomConfig(TrajectoryConfig):
-    """A smooth random path through a few keypoints; speed = mean keypoint distance / segment time."""
-
-    kind: str = "random"
-    speed: float = number("(0, 60]", "m/s")
-    seed: int = number("[0, 4294967295]", "")
-    keypoints: int = number("[4, 200]", "points")
-    extent: float = number("(0, 1000]", "m")
-    clearance: float = number("[-1000, 1000]", "m")
-
-
-@dataclass
-class HoverConfig(TrajectoryConfig):
-    """Staying at a point."""
-
-    kind: str = "hover"
-    position: list[float] = number("[-1e6, 1e6]", "m", length=3)
-    yaw: float = number("[-7, 7]", "rad")
-    duration: float = number("(0, 3600]", "s")
-
-
-@dataclass
-class StepConfig(TrajectoryConfig):
-    """A jump of the set-point."""
-
-    kind: str = "step"
-    start: list[float] = number("[-1e6, 1e6]", "m", length=3)
-    target: list[float] = number("[-1e6, 1e6]", "m", length=3)
-    step_time: float = number("[0, 3600]", "s")
-    duration: float = number("(0, 3600]", "s")
-
-
-@dataclass
-class FileConfig(TrajectoryConfig):
-    """A trajectory from a CSV or TUM file."""
-
-    kind: str = "file"
-    path: str = MISSING
-
-
-# ------------------------------------------------------------------------------------------------------ controller
-@dataclass
-class ControllerConfig(Checked):
-    """What every controller has. models: where to look for a checkpoint when `model` is not given, in this order."""
-
-    prefix: ClassVar[str] = "controller."
-
-    name: str = MISSING
-    kind: str = MISSING
-    models: list[str] = field(default_factory=list)
-
-
-@dataclass
-class MPCConfig(ControllerConfig):
-    """Model predictive control; see quadexp/control/settings.py. residual: what it believes of the air."""
-
-    kind: str = "mpc"
-    residual: str = choice("none", "linear_drag", "gaussian_process", "plant")
-    backend: str = choice("auto", "compiled", "interpreted")
-    horizon: float = number("(0, 10]", "s")
-    nodes: int = number("[2, 200]", "nodes")
-    rate: float = number("[1, 1000]", "Hz")
-    position_weight: list[float] = number("[0, 1e6]", "", length=3)
-    attitude_weight: list[float] = number("[0, 1e6]", "", length=4)
-    velocity_weight: list[float] = number("[0, 1e6]", "", length=3)
-    rate_weight: list[float] = number("[0, 1e6]", "", length=3)
-    input_weight: float = number("(0, 1e6]", "")
-    terminal_weight: float = number("[0, 1e6]", "")
-    feedforward: bool = True
-    initial_iterations: int = number("[1, 1000]", "")
-    max_sweeps: int = number("[1, 1000]", "")
-
-
-# ----------------------------------------------------------------------------------------- collect, gp, drag, evaluate
 @dataclass
 class CollectConfig(Checked):
     """How a data set is flown: flights of `flight_duration` until `duration` is reached, speeds spread evenly over
@@ -287,6 +139,7 @@ class Config(Checked):
 
     vehicle: VehicleConfig = MISSING  # type: ignore[assignment]
     plant: PlantConfig = MISSING  # type: ignore[assignment]
+    sensor: SensorConfig = MISSING  # type: ignore[assignment]
     trajectory: TrajectoryConfig = MISSING  # type: ignore[assignment]
     controller: ControllerConfig = MISSING  # type: ignore[assignment]
     collect: CollectConfig = MISSING  # type: ignore[assignment]
@@ -301,7 +154,8 @@ class Config(Checked):
 # Schemas by the name that conf/ files extend: `defaults: [/schema/trajectory/circle@_here_, _self_]`.
 SCHEMAS: dict[str, dict[str, type]] = {
     "vehicle": {"rigid": VehicleConfig},
-    "plant": {"simplified": SimplifiedPlantConfig},
+    "plant": {"simplified": SimplifiedPlantConfig, "blade_element": BladeElementPlantConfig},
+    "sensor": {"accelerometer": SensorConfig},
     "trajectory": {
         "circle": CircleConfig,
         "lemniscate": LemniscateConfig,
@@ -309,8 +163,10 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "hover": HoverConfig,
         "step": StepConfig,
         "file": FileConfig,
+        "rectangle": RectangleConfig,
+        "lei_li_circle": LeiLiCircleConfig,
     },
-    "controller": {"mpc": MPCConfig},
+    "controller": {"mpc": MPCConfig, "feedback": FeedbackConfig, "rls_mpc": RLSMPCConfig},
     "collect": {"flights": CollectConfig},
     "gp": {"sparse": GPConfig},
     "drag": {"linear": DragConfig},

@@ -17,3 +17,7 @@ class UsageError(QuadexpError):
 
 class DataError(QuadexpError):
     """A file was found but cannot be used: damaged, incomplete, from another schema, or not finite."""
+
+
+class ModelDomainError(QuadexpError):
+    """A physical model was asked for a point where it has no answer, or more than one."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from types import TracebackType
+from typing import Any
 
 
 class Progress:
@@ -11,8 +12,8 @@ class Progress:
 
     def __init__(self, label: str) -> None:
         self.label = label
-        self._bar = None
-        self._task = None
+        self._bar: Any = None
+        self._task: Any = None
         self._said = 0
 
     def __enter__(self) -> Progress:

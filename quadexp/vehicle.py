@@ -21,6 +21,9 @@ from quadexp.errors import UsageError
 from quadexp.rotor import RotorGeometry
 
 GRAVITY = 9.81  # m/s^2
+# A rigid body's largest principal moment is at most the sum of the others; measured ones may miss that by a little
+# (those of Lei & Li 2017 do by 1.2 %).
+INERTIA_TOLERANCE = 0.02
 
 
 @dataclass(frozen=True)
@@ -54,10 +57,11 @@ class Vehicle:
         eigenvalues = np.linalg.eigvalsh(self.inertia_matrix)
         if not np.allclose(self.inertia_matrix, self.inertia_matrix.T):
             raise UsageError("vehicle.inertia: the matrix must be symmetric")
-        if eigenvalues[0] <= 0 or eigenvalues[2] > eigenvalues[0] + eigenvalues[1] + 1e-12:
+        if eigenvalues[0] <= 0 or eigenvalues[2] > (1 + INERTIA_TOLERANCE) * (eigenvalues[0] + eigenvalues[1]):
             raise UsageError(
                 f"vehicle.inertia: principal moments {eigenvalues.round(6).tolist()} kg m^2 belong to no rigid body"
-                " (all must be positive and none larger than the sum of the other two)"
+                " (all must be positive, and none larger than the sum of the other two, give or take"
+                f" {INERTIA_TOLERANCE:.0%})"
             )
         if len(self.rotor_spin) != self.n_rotors:
             raise UsageError(

@@ -11,13 +11,16 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
-from quadexp.config import Config, ControllerConfig, PlantConfig, TrajectoryConfig, VehicleConfig
+from quadexp.config import Config, ControllerConfig, PlantConfig, SensorConfig, TrajectoryConfig, VehicleConfig
 from quadexp.errors import DataError, UsageError
+from quadexp.experiment import build_lei_li
 from quadexp.experiment.identity import digest
+from quadexp.rotor import RotorGeometry
 from quadexp.vehicle import Vehicle
 
 T = TypeVar("T")
 MODEL_FILE = "model.json"
+KEPT = 64  # things kept at most, the oldest goes first: a sweep over a plant's numbers makes a plant a cell
 _kept: dict[str, Any] = {}
 
 # How to make the checkpoint that a residual needs.
@@ -30,7 +33,10 @@ MAKERS = {
 def _keep(record: Any, make: Callable[[], T]) -> T:
     key = digest(record)
     if key not in _kept:
-        _kept[key] = make()
+        made = make()
+        while len(_kept) >= KEPT:
+            del _kept[next(iter(_kept))]
+        _kept[key] = made
     return _kept[key]
 
 
@@ -45,18 +51,32 @@ class ModelFile:
 def build_vehicle(config: VehicleConfig) -> Vehicle:
     """The vehicle; raises UsageError where the numbers describe none."""
     numbers = {k: _tuples(v) for k, v in asdict(config).items()}
+    if numbers.get("rotor") is not None:
+        numbers["rotor"] = RotorGeometry(**numbers["rotor"])
     return _keep(["vehicle", asdict(config)], lambda: Vehicle(**numbers))
 
 
 def build_plant(vehicle: Vehicle, config: PlantConfig) -> Any:
     """The simulated truth."""
+    makers = {"simplified": _simplified_plant, "blade_element": build_lei_li.blade_element_plant}
+    return _keep(["plant", vehicle.fingerprint, asdict(config)], lambda: makers[config.kind](vehicle, config))
+
+
+def _simplified_plant(vehicle: Vehicle, config: Any) -> Any:
     from quadexp.plant.simplified import PlantEffects, SimplifiedPlant
 
-    def make() -> Any:
-        values = {f.name: _tuples(getattr(config, f.name)) for f in fields(PlantEffects)}
-        return SimplifiedPlant(vehicle, PlantEffects(**values), step=config.step, backend=config.backend)
+    values = {f.name: _tuples(getattr(config, f.name)) for f in fields(PlantEffects)}
+    return SimplifiedPlant(vehicle, PlantEffects(**values), step=config.step, backend=config.backend)
 
-    return _keep(["plant", vehicle.fingerprint, asdict(config)], make)
+
+def build_sensor(config: SensorConfig) -> Any:
+    """What the controller measures specific force with; None for a perfect accelerometer."""
+    bias, noise = config.accelerometer_bias, config.accelerometer_noise
+    if not any(bias) and not any(noise):
+        return None
+    from quadexp.sensor.accelerometer import Accelerometer
+
+    return Accelerometer(_tuples(bias), _tuples(noise))
 
 
 def build_trajectory(config: TrajectoryConfig) -> Any:
@@ -64,8 +84,10 @@ def build_trajectory(config: TrajectoryConfig) -> Any:
     from quadexp.trajectory.circle import Circle
     from quadexp.trajectory.from_file import FileTrajectory
     from quadexp.trajectory.hover import Hover
+    from quadexp.trajectory.lei_li_circle import LeiLiCircle
     from quadexp.trajectory.lemniscate import Lemniscate
     from quadexp.trajectory.random_polynomial import RandomPolynomial
+    from quadexp.trajectory.rectangle import Rectangle
     from quadexp.trajectory.step import Step
 
     kinds = {
@@ -75,8 +97,10 @@ def build_trajectory(config: TrajectoryConfig) -> Any:
         "hover": Hover,
         "step": Step,
         "file": FileTrajectory,
+        "rectangle": Rectangle,
+        "lei_li_circle": LeiLiCircle,
     }
-    aside = ("name", "kind", "allow_infeasible")
+    aside = ("name", "kind", "allow_infeasible", "lost_distance")
     arguments = {k: _tuples(v) for k, v in asdict(config).items() if k not in aside}
     return kinds[config.kind](**arguments)
 
@@ -144,25 +168,39 @@ def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
 
 def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
     """The controller; one is kept for every (configuration, model), and begins anew with every flight."""
-    from quadexp.control.mpc import ModelPredictiveController
-
-    kind = config.controller.residual  # type: ignore[attr-defined]
-    believed = asdict(config.plant) if kind == "plant" else model.sha256 if model else ""
-    record = ["controller", vehicle.fingerprint, asdict(config.controller), believed]
+    controller = config.controller
+    believed = asdict(config.plant) if _knows_plant(controller) else model.sha256 if model else ""
+    record = ["controller", vehicle.fingerprint, asdict(controller), believed]
 
     def make() -> Any:
+        settings = controller_settings(controller)
+        if controller.kind == "feedback":
+            return build_lei_li.feedback_controller(controller, settings, vehicle, plant)
+        if controller.kind == "rls_mpc":
+            return build_lei_li.identifying_mpc(controller, settings, vehicle)
+        from quadexp.control.mpc import ModelPredictiveController
+        from quadexp.control.mpc_controller import PredictiveController
+
         residual = build_residual(config, vehicle, plant, model)
-        settings = mpc_settings(config.controller)
-        return ModelPredictiveController(vehicle, residual, settings, backend=config.controller.backend)  # type: ignore[attr-defined]
+        mpc = ModelPredictiveController(vehicle, residual, settings, backend=controller.backend)  # type: ignore[attr-defined]
+        return PredictiveController(mpc)
 
     return _keep(record, make)
 
 
-def mpc_settings(config: ControllerConfig) -> Any:
+def _knows_plant(config: ControllerConfig) -> bool:
+    """Whether the controller is told the plant's own equations or coefficients."""
+    if config.kind == "feedback":
+        return build_lei_li.variant(config).parameters == "true"
+    return getattr(config, "residual", "none") == "plant"
+
+
+def controller_settings(config: ControllerConfig) -> Any:
     """The controller's settings; raises UsageError where they contradict each other."""
     from quadexp.control.settings import MPCSettings
 
-    return MPCSettings(**{f.name: _tuples(getattr(config, f.name)) for f in fields(MPCSettings)})
+    kind = build_lei_li.feedback_settings() if config.kind == "feedback" else MPCSettings
+    return kind(**{f.name: _tuples(getattr(config, f.name)) for f in fields(kind)})
 
 
 def _tuples(value: Any) -> Any:

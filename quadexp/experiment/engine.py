@@ -15,6 +15,8 @@ from typing import Any
 
 from pebble import ProcessExpired, ProcessPool
 
+from quadexp.errors import QuadexpError
+
 ATTEMPTS = 2  # for a cell whose process died or took too long
 QUEUED = 4  # cells handed out per worker, so that no worker waits
 PRELOAD = ("casadi", "numpy", "scipy.spatial.transform", "pyarrow.parquet")
@@ -49,7 +51,8 @@ def run_cells(
     """
     jobs = dict(jobs)
     attempts_left = dict.fromkeys(jobs, ATTEMPTS)
-    waiting, again = iter(jobs), []
+    waiting = iter(jobs)
+    again: list[str] = []
     workers = min(workers or default_workers(), max(1, len(jobs)))
     saved = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))
@@ -100,4 +103,6 @@ def _cause(error: Exception, timeout: float | None) -> str:
     if isinstance(error, ProcessExpired):
         return f"its process died (exit code {error.exitcode})"
     text = str(error).strip().splitlines()
+    if isinstance(error, QuadexpError):
+        return text[0] if text else type(error).__name__
     return f"{type(error).__name__}: {text[0] if text else ''}"[:300].rstrip(": ")

@@ -15,6 +15,7 @@ from quadexp.experiment.build import (
     ModelFile,
     build_controller,
     build_plant,
+    build_sensor,
     build_trajectory,
     build_vehicle,
     find_model,
@@ -98,9 +99,18 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     plant = build_plant(vehicle, config.plant)
     controller = build_controller(config, vehicle, plant, model)
     reference = SampledReference(trajectory, controller)
-    flight = fly(plant, controller, reference, generator(config), metadata=describe(config, vehicle, model))
+    flight = fly(
+        plant,
+        controller,
+        reference,
+        generator(config),
+        start=getattr(trajectory, "start_state", None),
+        sensor=build_sensor(config.sensor),
+        lost_distance=config.trajectory.lost_distance,
+        metadata=describe(config, vehicle, model),
+    )
     flight.metadata["reference_note"] = note
-    flight.metadata["residual"] = {"name": controller.residual.name, "source": controller.residual.source}
+    flight.metadata["residual"] = {"name": controller.name, "source": controller.source}
     flight.metadata["row"] = result_row(config, flight)
     return flight
 

@@ -131,11 +131,10 @@ def report_lines(rows: Sequence[Mapping[str, Any]], held_out: Sequence[str]) -> 
         "        " + "".join(f"{name:<{width}}" for name in predictors),
     ]
     for output, found in by_output.items():
-        cells = [
-            f"{row['rmse']:8.4f} {row['nlpd']:7.3f}  {100 * row['inside_1']:3.0f} % {100 * row['inside_2']:3.0f} %"
-            if (row := found.get(name))
-            else ""
-            for name in predictors
-        ]
+        cells = [_score(found[name]) if name in found else "" for name in predictors]
         lines.append(f"{output:<8}" + "".join(f"{cell:<{width}}" for cell in cells).rstrip())
     return lines
+
+
+def _score(row: Mapping[str, Any]) -> str:
+    return f"{row['rmse']:8.4f} {row['nlpd']:7.3f}  {100 * row['inside_1']:3.0f} % {100 * row['inside_2']:3.0f} %"

@@ -9,7 +9,13 @@ from typing import Any
 
 from quadexp.config import Config
 
-FLIGHT_GROUPS = ("vehicle", "plant", "trajectory", "controller")  # what decides one flight, with model and seed
+FLIGHT_GROUPS = (
+    "vehicle",
+    "plant",
+    "sensor",
+    "trajectory",
+    "controller",
+)  # what decides one flight, with model and seed
 
 
 def canonical(value: Any) -> str:
@@ -32,9 +38,12 @@ def flight_entropy(config: Config) -> int:
     """Seed of the noise of one flight: from trajectory, plant, vehicle and seed, NOT from controller or model.
 
     Flights that differ in what the controller knows meet the same noise, so comparisons are paired. What cannot change
-    a flight (names, the back end, the permission to fly beyond the limits) takes no part.
+    a flight (names, where a file lies, the back end, what a flight may ask for and when it is over) takes no part.
     """
     record = flight_record(config)
-    aside = {"name", "backend", "allow_infeasible"}
-    parts = [{k: v for k, v in record[group].items() if k not in aside} for group in ("vehicle", "plant", "trajectory")]
+    aside = {"name", "backend", "allow_infeasible", "lost_distance", "path"}
+    parts = [
+        {k: v for k, v in record[group].items() if k not in aside and v is not None}
+        for group in ("vehicle", "plant", "trajectory")
+    ]
     return int(digest(["noise", *parts, config.seed]), 16)

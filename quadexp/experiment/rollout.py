@@ -10,7 +10,7 @@ from quadexp.control.active_set import Status
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.mpc import ModelPredictiveController
 from quadexp.control.mpc_controller import as_controller
-from quadexp.errors import QuadexpError, UsageError
+from quadexp.errors import ModelDomainError, QuadexpError, UsageError
 from quadexp.flight.schema import Flight
 from quadexp.plant.base import Plant
 from quadexp.residual.base import Residual
@@ -124,7 +124,11 @@ def fly(
         if record.status == Status.FAILED:
             outcome, cause = "solver_failed", f"the control step failed at t={t:.2f} s"
             break
-        x, reading = plant.advance(x, u, period, rng)
+        try:
+            x, reading = plant.advance(x, u, period, rng)
+        except ModelDomainError as error:
+            outcome, cause = "lost", str(error)
+            break
         if sensor is not None:
             reading = sensor.read(reading, sensor_rng)
         measured, speed = reading, getattr(plant, "rotor_speed", None)

@@ -15,7 +15,14 @@ from typing import Any
 
 from quadexp.compose import Cell
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.experiment.build import ModelFile, build_trajectory, build_vehicle, find_model, input_hashes, mpc_settings
+from quadexp.experiment.build import (
+    ModelFile,
+    build_trajectory,
+    build_vehicle,
+    controller_settings,
+    find_model,
+    input_hashes,
+)
 from quadexp.experiment.engine import CellFailed, run_cells
 from quadexp.experiment.evaluate import check_feasible, evaluate_cell, failed_row
 from quadexp.experiment.identity import canonical, digest, flight_record
@@ -84,7 +91,7 @@ def prepare(cells: Sequence[Cell]) -> list[Job]:
         if reads not in found:
             model = find_model(config)
             found[reads] = model, input_hashes(config, model)
-            mpc_settings(config.controller)
+            controller_settings(config.controller)
             build_vehicle(config.vehicle)
         model, inputs = found[reads]
         if model is None:

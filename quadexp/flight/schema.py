@@ -73,7 +73,28 @@ RESULT_COLUMNS: dict[str, Column] = {
     "duration": Column("s", "", "length of the flight"),
 }
 
-_BY_KIND = {"flight": FLIGHT_COLUMNS, "residuals": RESIDUAL_COLUMNS, "results": RESULT_COLUMNS}
+_COEFFICIENTS = {
+    "C_d0": Column("1", "", "profile drag coefficient of the blades"),
+    "C_la": Column("1/rad", "", "lift slope of the blades"),
+    **{f"C_D{i}": Column("1", "body", "drag coefficient of the airframe") for i in _AXES},
+}
+ESTIMATE_COLUMNS: dict[str, Column] = {
+    "t": Column("s", "", "time since the start of the flight"),
+    **{name: column._replace(description=f"{column.description}, in use") for name, column in _COEFFICIENTS.items()},
+    **{f"raw_{name}": column for name, column in _COEFFICIENTS.items()},
+    **{
+        f"std_{name}": column._replace(description=f"standard error of the {column.description}")
+        for name, column in _COEFFICIENTS.items()
+    },
+    **{f"error_{i}": Column("m/s^2", "body", "specific force less its prediction") for i in _AXES},
+}
+
+_BY_KIND = {
+    "flight": FLIGHT_COLUMNS,
+    "residuals": RESIDUAL_COLUMNS,
+    "results": RESULT_COLUMNS,
+    "estimates": ESTIMATE_COLUMNS,
+}
 _INPUT = re.compile(r"(ref_)?u_\d+")
 _ROTOR_SPEED = re.compile(r"rotor_speed_\d+")
 

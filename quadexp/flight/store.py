@@ -21,7 +21,7 @@ from quadexp.state import STATE_COLUMNS
 
 SCHEMA = 1
 METADATA_KEY = b"quadexp"
-COMMANDS = {"flight": "simulate", "residuals": "collect", "results": "evaluate"}
+COMMANDS = {"flight": "simulate", "residuals": "collect", "results": "evaluate", "estimates": "identify"}
 
 
 def check_output(path: str | Path, *, force: bool = False, folder: bool = False) -> Path:

@@ -92,7 +92,7 @@ def error_against_speed(rows: Sequence[Mapping[str, Any]], metric: str = "mean_e
             panel.yaxis.set_minor_formatter(NullFormatter())
         panels[0].set_ylabel(f"{TITLES[metric]} ({unit})")
         handles, texts = _legend(panels)
-        room = int(11 * figure.get_figwidth() / (max(map(len, texts)) + 6))
+        room = int(13 * figure.get_figwidth() / (max(map(len, texts)) + 6))
         figure.legend(handles, texts, loc="outside lower center", ncols=max(1, min(room, len(texts))))
     return figure
 
@@ -181,7 +181,7 @@ def draw_results(
     folder, store = Path(out) / "figures", CellStore(out)
     paths = _fastest(rows)
     makers: dict[str, Callable[[], Figure | None]] = {
-        "error_against_speed": lambda: error_against_speed(rows, metric),
+        f"{metric.removesuffix('_error')}_error_against_speed": lambda: error_against_speed(rows, metric),
         "solve_time": lambda: solve_times(rows),
         **{f"path_{name}": functools.partial(_path_figure, store, name, paths[name]) for name in paths},
     }

@@ -99,13 +99,17 @@ def column_labels(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     models: dict[str, set[str]] = {}
     for row in rows:
         models.setdefault(row["controller"], set()).add(row["model"])
+    paths = set().union(*models.values())
+    short = {path: path.rstrip("/").rpartition("/")[2] for path in paths}
+    if len(set(short.values())) < len(paths):  # two checkpoints of one name: say where they lie
+        short = {path: path for path in paths}
     plants = {row["plant"] for row in rows}
     vehicles = {row["vehicle"] for row in rows}
     labels = []
     for row in rows:
         label = row["controller"]
         if len(models[label]) > 1 and row["model"]:
-            label += f" {row['model']}"
+            label += f" {short[row['model']]}"
         if row.get("variant"):  # "controller.nodes=20" is said as "nodes=20"
             label += "".join(f" {part.rpartition('.')[2]}" for part in row["variant"].split(" "))
         if len(plants) > 1:
@@ -227,8 +231,15 @@ def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
     writer = csv.DictWriter(stream, ROW_COLUMNS, lineterminator="\n", extrasaction="ignore")
     writer.writeheader()
     for row in rows:
-        writer.writerow({name: repr(v) if isinstance(v := row.get(name, ""), float) else v for name in ROW_COLUMNS})
+        writer.writerow({name: _csv_value(row.get(name)) for name in ROW_COLUMNS})
     return stream.getvalue()
+
+
+def _csv_value(value: Any) -> str:
+    """Shortest digits that give the number back; nothing for what is not there."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    return repr(value) if isinstance(value, float) else str(value)
 
 
 def to_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

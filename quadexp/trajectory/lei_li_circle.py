@@ -1,7 +1,7 @@
 """The circle of Lei & Li 2017, Example 2: one half of every lap at one speed, the other at twice that, jumping between.
 
 In the paper's NED, (-r cos a, r sin a), height 5 m, r = 28 m, with a = pi t / 20 on 0 .. 20 s, then a twice as quick on
-20 .. 30 s, then again with a period of 30 s: 4.398 and 8.796 m/s. Here in ENU, x east and y north. Heading north.
+20 .. 30 s, then again with a period of 30 s: 4.398 and 8.796 m/s. Here in ENU, x east and y north. Heading north. The acceleration is the path's own.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ class LeiLiCircle:
     """A circle with two speeds, clockwise seen from above, started at its southernmost point.
 
     radius: m. slow_half: duration of the slow half of a lap, s (the fast one takes half of that). duration, height: s, m.
-    printed_acceleration: the paper flies with a_d = 0 all around the circle; False gives the true derivatives.
     start: "printed", the paper's initial state (at rest in the middle of the circle, on the ground), or "reference".
     Raises UsageError where a number is out of range.
     """
@@ -31,7 +30,6 @@ class LeiLiCircle:
     slow_half: float = 20.0
     duration: float = 60.0
     height: float = 5.0
-    printed_acceleration: bool = True
     start: str = "printed"
 
     def __post_init__(self) -> None:
@@ -61,6 +59,4 @@ class LeiLiCircle:
         position = np.zeros((len(t), N_DERIVATIVES, 3))
         position[:, :, 0], position[:, :, 1] = point.real, point.imag
         position[:, 0, 2] = self.height
-        if self.printed_acceleration:
-            position[:, 2:] = 0.0
         return flat_output_held(position, NORTH, inside)

@@ -62,11 +62,13 @@ def test_columns_tell_apart_whatever_differs():
     ]
     table = error_table(rows)
     assert table.columns == (
-        "gp_mpc models/a @simplified",
-        "gp_mpc models/b @simplified",
+        "gp_mpc a @simplified",
+        "gp_mpc b @simplified",
         "nominal_mpc nodes=20 @simplified",
         "nominal_mpc @ideal",
     )
+    same_name = [row("gp_mpc", model="here/gp"), row("gp_mpc", model="there/gp")]
+    assert error_table(same_name).columns == ("gp_mpc here/gp", "gp_mpc there/gp")
     # The ideal plant is no rival: nobody flies there but one.
     assert not table.entries[table.rows[0], "nominal_mpc @ideal"].best
 

@@ -1,0 +1,70 @@
+"""The controller seam: a measurement and a window of the reference in, rotor thrusts and a record of the step out.
+
+World ENU, body FLU, SI units. A controller never sees the plant: what a flight stack could not measure does not cross.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from quadexp.control.mpc import StepRecord
+from quadexp.residual.base import Residual
+from quadexp.vehicle import Vehicle
+
+
+class Measurement(NamedTuple):
+    """What is known of the vehicle at a control instant, just before the new command.
+
+    t: s. state: (13,). specific_force: accelerometer reading (3,), body (m/s^2). rotor_speed: (n,) (rad/s), or None
+    where the vehicle does not measure it. Both are None at the first instant, when nothing has been flown yet.
+    """
+
+    t: float
+    state: np.ndarray
+    specific_force: np.ndarray | None
+    rotor_speed: np.ndarray | None
+
+
+class Window(NamedTuple):
+    """The reference as a controller may see it.
+
+    state: (N + 1, 13) at its node times from now. input: (N, n), N. position: (5, 3), world: position (m) .. snap, now.
+    yaw: heading (rad), rate, acceleration (3,), now; zero where the heading is free.
+    """
+
+    state: np.ndarray
+    input: np.ndarray
+    position: np.ndarray
+    yaw: np.ndarray
+
+
+class Controller(Protocol):
+    """Tracks a reference: `reset` once, then `step` every control period.
+
+    vehicle: what the controller believes it flies. control_period: s. node_times: (N + 1,), s from now, where it wants the
+    reference. residual: what references should contain of the air, None for nothing. reference_period: s, after which the
+    rest of the reference is made anew from `residual`, where that changes in flight; 0: never.
+    name, source: what it knows of the air, and from where. backend: what its functions run on.
+    """
+
+    vehicle: Vehicle
+    control_period: float
+    node_times: np.ndarray
+    reference_period: float
+    backend: str
+    name: str
+    source: str
+
+    @property
+    def residual(self) -> Residual | None: ...
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """Begin a flight in the state x, (13,); nothing of an earlier flight is left."""
+
+    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
+        """Rotor thrusts, (n,) (N), and how the step went."""
+
+    def log(self) -> dict[str, float]:
+        """Further columns of the last step, the same names at every step."""

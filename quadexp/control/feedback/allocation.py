@@ -1,0 +1,44 @@
+"""Control allocation, Lei & Li 2017, equation (27): rotor speeds squared that give a thrust and three torques.
+
+    (T, Gamma) = Pi (w_1^2 .. w_n^2),    Pi = [k; -k y; k x; q s]     per rotor at (x, y), FRD
+
+k: thrust, q: drag torque per speed squared, s: sign of the reaction torque about the body's z axis (down). In the
+paper's '+' layout, arm d, the inverse is
+
+    w_1^2 = T/4k + Gamma_y/2dk - Gamma_z/4q,   w_2^2 = T/4k - Gamma_x/2dk + Gamma_z/4q,   ...
+
+so k and q only divide: with q near zero a small yaw torque asks for any speed. Estimates are clipped before they come
+here (identify.rls), which keeps both at half of a plausible value or more.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from quadexp.control.feedback.frames import FRD_FLU
+from quadexp.errors import UsageError
+from quadexp.vehicle import Vehicle
+
+
+def unit_allocation(vehicle: Vehicle) -> np.ndarray:
+    """Pi for k = q = 1, (4, 4), FRD.
+
+    Raises UsageError for a vehicle without four rotors.
+    """
+    if vehicle.n_rotors != 4:
+        raise UsageError(
+            f"vehicle={vehicle.name}: feedback control allocates to 4 rotors, this one has {vehicle.n_rotors}"
+        )
+    x, y, _ = FRD_FLU @ np.array(vehicle.rotor_position, float).T
+    return np.stack([np.ones(4), -y, x, -np.array(vehicle.rotor_spin, float)])
+
+
+def allocate(thrust, torque, thrust_coefficient, torque_coefficient, inverse: np.ndarray):
+    """Squared rotor speeds, (4,) (rad^2/s^2): equation (27) solved.
+
+    thrust: T (N). torque: Gamma (3,), FRD (N m). thrust_coefficient: k (N s^2). torque_coefficient: q (N m s^2).
+    inverse: of `unit_allocation`, (4, 4).
+    """
+    share = ca.vertcat(ca.vertcat(thrust, torque[0], torque[1]) / thrust_coefficient, torque[2] / torque_coefficient)
+    return ca.mtimes(inverse, share)

@@ -1,0 +1,136 @@
+"""The feedback controller of Lei & Li 2017 behind the controller seam."""
+
+from __future__ import annotations
+
+import time
+from functools import cache
+from typing import Protocol
+
+import casadi as ca
+import numpy as np
+
+from quadexp.backend import BufferedFunction, realise, resolve
+from quadexp.control.active_set import Status
+from quadexp.control.base import Measurement, Window
+from quadexp.control.feedback.aerodynamics import body_velocity
+from quadexp.control.feedback.frames import FRD_FLU
+from quadexp.control.feedback.law import law_function
+from quadexp.control.feedback.secondary import hover_rotor_speed
+from quadexp.control.feedback.settings import FeedbackSettings, Variant
+from quadexp.control.mpc import StepRecord
+from quadexp.errors import UsageError
+from quadexp.vehicle import Vehicle
+
+INNER_TOLERANCE = 1e-10  # rad/s and rad, at which the fixed point without delay has settled
+
+
+class Aerodynamics(Protocol):
+    """Where the coefficients come from: known, or identified in flight.
+
+    theta: (C_d0, C_la, C_Dx, C_Dy, C_Dz), (5,), as they may be used. source: for the record.
+    """
+
+    theta: np.ndarray
+    source: str
+
+    def reset(self) -> None:
+        """Begin a flight."""
+
+    def update(self, measurement: Measurement, rotor_speed: np.ndarray) -> None:
+        """Learn from a measurement; rotor_speed (n,) (rad/s), measured or commanded."""
+
+    def log(self) -> dict[str, float]:
+        """Columns for the flight."""
+
+
+class FeedbackController:
+    """Tracks position and heading of the reference; see Controller.
+
+    vehicle: with rotor geometry and thrust map. aerodynamics: coefficients for the variant's compensation.
+    """
+
+    reference_period = 0.0
+    residual = None
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        settings: FeedbackSettings,
+        variant: Variant,
+        aerodynamics: Aerodynamics,
+        *,
+        backend: str = "auto",
+    ) -> None:
+        if vehicle.rotor is None or vehicle.static_thrust is None:
+            raise UsageError(
+                f"vehicle={vehicle.name}: feedback control needs vehicle.rotor and vehicle.static_thrust;"
+                " vehicle=lei_li has them"
+            )
+        self.vehicle, self.settings, self.variant, self.aerodynamics = vehicle, settings, variant, aerodynamics
+        self.backend, self.control_period = resolve(backend), settings.control_period
+        self.node_times = np.zeros(1)
+        self.name = "thrust_map" if variant.parameters == "none" else "blade_element"
+        self.source = aerodynamics.source
+        self._law = BufferedFunction(_law(vehicle, settings, variant, self.backend))
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset; before the first sample the rotors hover and R_d = I."""
+        arguments = self._law.arguments
+        self.aerodynamics.reset()
+        arguments["velocity_last"][...] = FRD_FLU @ body_velocity(x)
+        arguments["rotor_speed_last"][...] = hover_rotor_speed(self.vehicle)
+        arguments["eta_d_last"][...], arguments["observer_last"][...] = 0.0, 0.0
+
+    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
+        """See Controller.step; a command that is not finite has status FAILED."""
+        began = time.perf_counter()
+        arguments, results = self._law.arguments, self._law.results
+        if measurement.specific_force is not None:
+            if measurement.rotor_speed is not None:
+                arguments["rotor_speed_last"][...] = measurement.rotor_speed
+            self.aerodynamics.update(measurement, arguments["rotor_speed_last"])
+        arguments["x"][...] = measurement.state
+        arguments["reference"][...] = window.position[:3]
+        arguments["yaw"][...] = window.yaw[0]
+        arguments["theta"][...] = self.aerodynamics.theta
+        self._law()
+        if not self.variant.delayed:
+            self._settle()
+        for name in ("rotor_speed", "eta_d", "observer", "velocity"):
+            arguments[f"{name}_last"][...] = results[name]
+        thrust = results["thrust"].copy()
+        status = Status.RICCATI if np.isfinite(thrust).all() else Status.FAILED
+        held = int(results["floored"][0] + results["limited"][0])
+        return thrust, StepRecord(time.perf_counter() - began, status, 0, held, 0.0)
+
+    def log(self) -> dict[str, float]:
+        """See Controller.log: desired tilt and its error (rad, FRD), safety options used, coefficients."""
+        results = self._law.results
+        roll, pitch, _ = results["eta_d"]
+        return {
+            "phi_d": roll,
+            "theta_d": pitch,
+            "error_eta": float(np.sqrt(results["error"] @ results["error"])),
+            "cone": results["outside"][0],
+            "floored": results["floored"][0],
+            "limited": results["limited"][0],
+            **self.aerodynamics.log(),
+        }
+
+    def _settle(self) -> None:
+        """Secondary terms of this sample instead of the one before: repeat the law on its own answer."""
+        arguments, results = self._law.arguments, self._law.results
+        for _ in range(self.settings.inner_iterations):
+            change = np.abs(arguments["rotor_speed_last"] - results["rotor_speed"]).max()
+            change += np.abs(arguments["eta_d_last"] - results["eta_d"]).max()
+            if not change > INNER_TOLERANCE:
+                return
+            for name in ("rotor_speed", "eta_d", "velocity"):
+                arguments[f"{name}_last"][...] = results[name]
+            self._law()
+
+
+@cache
+def _law(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant, backend: str) -> ca.Function:
+    """The law on a resolved back end, built once per process and structure."""
+    return realise(law_function(vehicle, settings, variant), backend)

@@ -1,0 +1,64 @@
+"""The paper's frames and the project's: world NED and ENU, body FRD and FLU, Euler angles and quaternion.
+
+    a_NED = P a_ENU,   P = [0 1 0; 1 0 0; 0 0 -1]          (x north = y, y east = x, z down = -z)
+    a_FRD = F a_FLU,   F = diag(1, -1, -1)
+    R (FRD to NED) = P R (FLU to ENU) F,    yaw_NED = pi/2 - yaw_ENU
+
+P and F are their own inverses. Attitude R(phi, theta, psi) of Lei & Li 2017, equation (8): ZYX.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from quadexp.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
+
+NED_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+FRD_FLU = np.diag([1.0, -1.0, -1.0])
+
+
+def yaw_ned(yaw_enu):
+    """Heading clockwise from north (rad), of a heading counter-clockwise from east (rad); its own inverse."""
+    return math.pi / 2 - yaw_enu
+
+
+def rotation_euler(eta):
+    """R(phi, theta, psi), (3, 3), FRD to NED, of eta (3,) (rad): equation (8)."""
+    (cp, ct, cs), (sp, st, ss) = ([f(eta[i]) for i in range(3)] for f in (ca.cos, ca.sin))
+    return ca.vertcat(
+        ca.horzcat(ct * cs, sp * st * cs - cp * ss, cp * st * cs + sp * ss),
+        ca.horzcat(ct * ss, sp * st * ss + cp * cs, cp * st * ss - sp * cs),
+        ca.horzcat(-st, sp * ct, cp * ct),
+    )
+
+
+def euler_angles(R):
+    """eta = (phi, theta, psi), (3,) (rad), of R (3, 3), FRD to NED; theta in [-pi/2, pi/2]."""
+    sine = ca.fmin(ca.fmax(-R[2, 0], -1.0), 1.0)
+    return ca.vertcat(ca.atan2(R[2, 1], R[2, 2]), ca.asin(sine), ca.atan2(R[1, 0], R[0, 0]))
+
+
+def state_from_ned(
+    position: Sequence[float], eta: Sequence[float], velocity: Sequence[float], rate: Sequence[float]
+) -> np.ndarray:
+    """State (13,) in ENU/FLU of a pose in NED/FRD.
+
+    position: xi (3,) NED (m). eta: phi, theta, psi (rad). velocity: (3,) NED (m/s). rate: Omega (3,) FRD (rad/s).
+    """
+    x = np.empty(N_STATE)
+    x[POSITION], x[VELOCITY], x[RATE] = NED_ENU @ position, NED_ENU @ velocity, FRD_FLU @ rate
+    R = NED_ENU @ ca.DM(rotation_euler(ca.DM(list(eta)))).full() @ FRD_FLU
+    x[ATTITUDE] = Rotation.from_matrix(R).as_quat(canonical=True, scalar_first=True)
+    return x
+
+
+def ned_from_state(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """xi (3,) NED (m), eta (3,) (rad), velocity (3,) NED (m/s), Omega (3,) FRD (rad/s) of a state (13,)."""
+    R = NED_ENU @ Rotation.from_quat(x[ATTITUDE], scalar_first=True).as_matrix() @ FRD_FLU
+    eta = ca.DM(euler_angles(ca.DM(R))).full().ravel()
+    return NED_ENU @ x[POSITION], eta, NED_ENU @ x[VELOCITY], FRD_FLU @ x[RATE]

@@ -1,0 +1,76 @@
+"""Settings of the feedback controller, with the values of Lei & Li 2017, and its variants."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from quadexp.errors import UsageError
+
+PAPER_TILT = math.radians(60.0)
+
+
+@dataclass(frozen=True)
+class FeedbackSettings:
+    """Gains, observer and safety options.
+
+    rate: control steps per second, 1/h (Hz). *_proportional, *_derivative: diagonals of K_p (1/s^2) and K_d (1/s).
+    observer_bandwidth: w0 (rad/s). cone: keep the desired thrust in the cone that a multirotor can hold: a downward
+    demand of at least thrust_share_min m g, tilted by at most tilt_max (rad).
+    rotor_speed_min: no rotor is commanded below it (rad/s), so that no speed squared is negative.
+    inner_iterations: limit of the fixed point that replaces the one-sample delay where a variant has none.
+    """
+
+    rate: float = 100.0
+    position_proportional: tuple[float, ...] = (0.3, 0.3, 0.3)
+    position_derivative: tuple[float, ...] = (0.9, 0.9, 0.9)
+    attitude_proportional: tuple[float, ...] = (0.8, 0.8, 0.8)
+    attitude_derivative: tuple[float, ...] = (2.4, 2.4, 2.4)
+    observer_bandwidth: float = 6.0
+    cone: bool = True
+    thrust_share_min: float = 0.3
+    tilt_max: float = PAPER_TILT
+    rotor_speed_min: float = 50.0
+    inner_iterations: int = 50
+
+    def __post_init__(self) -> None:
+        if not 0 < self.tilt_max < math.pi / 2:
+            raise UsageError(f"controller.tilt_max={self.tilt_max:g}: must be between 0 and pi/2 rad")
+
+    @property
+    def control_period(self) -> float:
+        """h, s."""
+        return 1.0 / self.rate
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What a feedback controller compensates, and by which coefficients.
+
+    hub, drag: hub force H and body drag D in (32), (33). thrust, torque: secondary delta_T in (33), delta_Gamma in (40).
+    allocation: coefficients of (27): "motor" k_Tm, k_Qm; "static" k_T,static, k_Q,static of the parameters; "vehicle" the
+    static ones of the vehicle's own thrust map. parameters: "identified" in flight, "true", or "none" needed.
+    delayed: H, delta_T and delta_Gamma of the sample before (as printed), or of this one by a fixed point.
+    """
+
+    hub: bool = True
+    drag: bool = True
+    thrust: bool = True
+    torque: bool = True
+    allocation: str = "motor"
+    parameters: str = "identified"
+    delayed: bool = True
+
+
+_NOTHING = {"hub": False, "drag": False, "thrust": False, "torque": False}
+
+VARIANTS: dict[str, Variant] = {
+    "rls": Variant(),
+    "static": Variant(**_NOTHING, allocation="vehicle", parameters="none"),  # Remark 7, the baseline
+    "literal": Variant(**_NOTHING),  # Section 5 read literally: k_Tm is 1.74 times what hovering rotors give
+    "nocomp_statid": Variant(**_NOTHING, allocation="static"),
+    "oracle": Variant(parameters="true"),
+    "oracle_impl": Variant(parameters="true", delayed=False),
+    "rls_noH": Variant(hub=False),
+    "static_H": Variant(**(_NOTHING | {"hub": True}), allocation="vehicle", parameters="true"),
+}

@@ -1,0 +1,61 @@
+"""The model predictive controller whose model of the air is identified in flight.
+
+The blade-element residual has its coefficients as runtime parameters: recursive least squares renews them before every
+step, and nothing is rebuilt. Attitude and thrusts of the reference contain the air too; they are made anew from the
+newest coefficients every reference_period, a slower task beside the control loop.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from quadexp.control.base import Measurement, Window
+from quadexp.control.feedback.aerodynamics import IdentifiedCoefficients
+from quadexp.control.mpc import ModelPredictiveController, StepRecord
+from quadexp.control.mpc_controller import PredictiveController
+from quadexp.dynamics.blade_element import static_rotor_speed
+from quadexp.residual.base import Residual
+
+
+class IdentifyingController(PredictiveController):
+    """See Controller.
+
+    mpc: with a blade-element residual. identified: its coefficients. reference_period: s, 0 keeps the first reference.
+    """
+
+    def __init__(
+        self, mpc: ModelPredictiveController, identified: IdentifiedCoefficients, reference_period: float
+    ) -> None:
+        super().__init__(mpc)
+        self.identified, self.reference_period = identified, reference_period
+
+    @property
+    def residual(self) -> Residual | None:
+        """The model with the newest coefficients."""
+        return replace(self.mpc.residual, theta=self.identified.theta) if self.settings.feedforward else None
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset."""
+        super().reset(x, window)
+        self.identified.reset()
+        self._commanded = np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust)
+
+    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
+        """See Controller.step; where rotor speeds are not measured, the commanded ones are taken for them."""
+        began = time.perf_counter()
+        if measurement.specific_force is not None:
+            speed = measurement.rotor_speed
+            if speed is None:
+                speed = static_rotor_speed(self._commanded, self.vehicle.static_thrust)
+            self.identified.update(measurement, speed)
+        self.mpc.set_parameters(self.identified.theta)
+        thrust, record = super().step(measurement, window)
+        self._commanded = thrust
+        return thrust, record._replace(solve_time=time.perf_counter() - began)
+
+    def log(self) -> dict[str, float]:
+        """See Controller.log: the coefficients in use."""
+        return self.identified.log()

@@ -1,0 +1,34 @@
+"""An accelerometer with a bias and white noise on every axis (Lei & Li 2017, equation 22).
+
+    A = F / m + B + W,   W ~ N(0, sigma^2)                                  body frame FLU, m/s^2
+
+F / m is the specific force, what an accelerometer at the centre of mass feels: all forces but gravity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from quadexp.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Accelerometer:
+    """bias B and noise_std sigma: (3,), body axes FLU (m/s^2); sigma is that of one reading."""
+
+    bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    noise_std: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not np.all(np.isfinite(self.bias)) or not min(self.noise_std) >= 0:
+            raise UsageError("sensor.accelerometer: the bias must be finite and the noise not negative")
+
+    def read(self, specific_force: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """One reading, (3,) (m/s^2), of a specific force (3,); three numbers are drawn whatever the noise."""
+        return specific_force + np.array(self.bias) + np.array(self.noise_std) * rng.standard_normal(3)
+
+
+# B_accel = (.001, -.001, .001) in the paper's FRD; its "N(0, 0.05^2)" is read as a standard deviation of 0.05 m/s^2.
+LEI_LI = Accelerometer(bias=(0.001, 0.001, -0.001), noise_std=(0.05, 0.05, 0.05))
