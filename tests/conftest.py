@@ -11,6 +11,7 @@ import pytest
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ["QUADEXP_CACHE"] = os.path.join(tempfile.gettempdir(), f"quadexp-tests-{os.getuid()}")
 
+from quadexp.rotor import BladeCoefficients, RotorGeometry, static_coefficients
 from quadexp.vehicle import Vehicle
 
 
@@ -46,6 +47,33 @@ def odd_vehicle() -> Vehicle:
         thrust_min=0.1,
         thrust_max=9.0,
         rate_max=20.0,
+    )
+
+
+@pytest.fixture(scope="session")
+def blade() -> BladeCoefficients:
+    """True coefficients of Lei & Li 2017, Table 1."""
+    return BladeCoefficients(lift_slope=3.32, profile_drag=0.22, body_drag=(0.01, 0.01, 0.02))
+
+
+@pytest.fixture(scope="session")
+def lei_li(blade) -> Vehicle:
+    """The quadrotor of Lei & Li 2017 (+ layout, Table 1, in FLU)."""
+    d = 0.225
+    rotor = RotorGeometry(0.12, 0.025, np.pi / 12, 1.205, np.pi * d**2)
+    static = static_coefficients(rotor, blade)
+    return Vehicle(
+        name="lei_li",
+        mass=0.985,
+        inertia=((0.956e-2, 0, -0.1019e-2), (0, 0.9417e-2, 0.1019e-2), (-0.1019e-2, 0.1019e-2, 1.8762e-2)),
+        rotor_position=((d, 0, 0), (0, -d, 0), (-d, 0, 0), (0, d, 0)),
+        rotor_spin=(1, -1, 1, -1),
+        torque_coefficient=static.torque / static.thrust,
+        thrust_min=0.0,
+        thrust_max=20.0,
+        rate_max=20.0,
+        rotor=rotor,
+        static_thrust=static.thrust,
     )
 
 

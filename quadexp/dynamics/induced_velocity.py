@@ -29,7 +29,7 @@ from quadexp.dynamics.blade_element import (
     thrust_loss_per_flow,
     unloaded_thrust,
 )
-from quadexp.rotor import RotorGeometry
+from quadexp.rotor import STANDING, RotorGeometry
 
 SAFE_ITERATIONS = 60  # halving alone would reach 1e-12 m/s of any bracket in 50
 
@@ -88,14 +88,16 @@ def balance(geometry: RotorGeometry, lift_slope, w, in_plane_squared, axial, ter
 def starting_point(equation: Balance):
     """An estimate of V_I (m/s), exact where V_h = 0; two Newton steps bring it within 2e-4 m/s in cruise.
 
-    V_I > V_z (13): the smaller of the solution without in-plane speed, K V_I u = a - b u, and of one Newton step from
-    0, which is Glauert's V_I = T / (K |V|) at high speed; else that step, which then starts left of the root.
+    V_I > V_z (13): the smaller of two upper bounds, the solution without in-plane speed, K V_I u = a - b u, and a Newton
+    step from max(V_z, 0), which is Glauert's V_I = T / (K |V|) at high speed. Else a step from 0, left of the root.
     """
     K, a, b, squared, axial = equation
     vertical = (K * axial - b + ca.sqrt((K * axial + b) ** 2 + 4 * K * a)) / (2 * K)
-    glauert = (a + b * axial) / (K * ca.sqrt(squared + axial * axial + TINY_SPEED**2) + b)
-    below = ca.logic_and(axial > 0, equation.value(axial) > 0)
-    return ca.if_else(below, ca.fmin(glauert, axial), ca.fmax(ca.fmin(vertical, glauert), axial))
+    descent = ca.fmax(axial, 0)
+    above = equation.value(descent) < 0
+    from_zero = (a + b * axial) / (K * ca.sqrt(squared + axial * axial + TINY_SPEED**2) + b)
+    from_descent = descent - equation.value(descent) / equation.slope(descent)
+    return ca.if_else(above, ca.fmin(vertical, from_descent), ca.fmin(from_zero, descent))
 
 
 def newton(equation: Balance, start, iterations: int):
@@ -166,7 +168,7 @@ def solution_function(geometry: RotorGeometry, terms: CrossTerms = ADOPTED) -> c
     equation = balance(geometry, lift_slope, w, squared, axial, terms)
     induced = safe_newton(equation)
     moving = squared + axial * axial > 0
-    stopped, unique = w <= 0, root_is_unique(equation, induced)
+    stopped, unique = w <= STANDING, root_is_unique(equation, induced)
     finite = ca.fabs(lift_slope) + ca.fabs(w) + squared + ca.fabs(axial) < ca.inf
     status = ca.if_else(unique, int(Defined.OK), int(Defined.NOT_UNIQUE))
     status = ca.if_else(stopped, ca.if_else(moving, int(Defined.STOPPED), int(Defined.OK)), status)

@@ -26,7 +26,7 @@ from quadexp.errors import ModelDomainError, UsageError
 from quadexp.plant.blade_element_period import PeriodModel, checked_period, fast_period
 from quadexp.residual.base import Residual, feature_names
 from quadexp.residual.blade_element import blade_element_correction, require_rotor, residual_from_correction
-from quadexp.rotor import C_D0, IDLE_SPEED, BladeCoefficients, static_coefficients
+from quadexp.rotor import C_D0, IDLE_SPEED, STANDING, BladeCoefficients, static_coefficients
 from quadexp.vehicle import Vehicle
 
 
@@ -36,8 +36,8 @@ class BladeElementEffects:
 
     printed_coefficients: the misprinted cross terms of (14), (15), for comparison only.
     rotor_local_velocity: every rotor meets v + omega x r_i, not v. motor_lag: time constant of the rotor speeds, s.
-    rotor_speed_min: idle speed, rad/s; zero lets rotors stop, where the model is defined in still air only.
-    rotor_speed_max: rad/s, None for no limit. thrust_limits: clip commands to the vehicle's limits (the paper has none).
+    rotor_speed_min: idle speed, rad/s; with zero rotors may stop, which the model allows in still air only.
+    rotor_speed_max: rad/s, None: no limit. thrust_limits: clip commands to the vehicle's limits (the paper has none).
     payload: kg.
     """
 
@@ -131,7 +131,8 @@ class BladeElementPlant:
             function.arguments[name][...] = value
         function()
         x_next, results = function.results["x_next"], function.results
-        if results["doubt"][0] != 0.0 or not math.isfinite(x_next @ x_next):
+        trusted = results["doubt"][0] == 0.0 and math.isfinite(x_next @ x_next)
+        if not trusted or values["w_command"].min() <= STANDING:
             results = self._fly_checked(steps, values)
         self.rotor_speed, self.induced_velocity = results["w_next"].copy(), results["induced_velocity"].copy()
         self.time += duration
@@ -142,7 +143,7 @@ class BladeElementPlant:
         if self.effects.thrust_limits:
             u = np.clip(u, self.vehicle.thrust_min, self.vehicle.thrust_max)
         w = np.sqrt(np.maximum(u, 0.0) / self.vehicle.static_thrust)
-        return np.clip(w, self.effects.rotor_speed_min, self.effects.rotor_speed_max)
+        return np.clip(w, max(self.effects.rotor_speed_min, STANDING), self.effects.rotor_speed_max)
 
     def residual(self) -> Residual:
         """See Plant.residual: as things stand now; motor lag and the upper limits are left out."""

@@ -6,9 +6,11 @@ depends on the attitude, rates and rotor thrusts that follow from y itself. Unkn
 lateral part of a_air seen in the tilt frame as l; the flatness map (flat_map.py) under a given y gives z, and
 
     l     <-  l + (1 - M)^-1 (r_l(z) - l),    M = d r_l / d l through the tilt's effect on v_body  (quasi-Newton)
-    rest  <-  r(z)
+    rest  <-  r(z) + dr/du du,    (G + diag(m, 1, 1, 1) dr/du) du = diag(m, 1, 1, 1) (rest - r(z))
 
-until nothing changes. M: d l turns the tilt frame by d theta, (d theta x f)_xy = -d l, which changes the velocity seen
+until nothing changes. Where the thrusts that l'' asks for act on l again (rotors near their limits), this does not
+settle; then l' and l'' are taken as zero in the rates and torques. The second line solves for thrusts whose own effect on the air counts: a rotor's true thrust may
+grow twice as fast as its static one, and then rest <- r(z) alone would not settle. M: d l turns the tilt frame by d theta, (d theta x f)_xy = -d l, which changes the velocity seen
 in it by v x d theta. The step is taken as a turn of f, at most MAX_TURN, since |f| is given and l near |f| is where l
 itself would be a bad coordinate. Rotor thrusts, with G the vehicle's allocation:
 
@@ -34,6 +36,8 @@ from quadexp.vehicle import Vehicle
 MAX_TURN = 0.3  # rad, by which one iteration may turn the specific force in the tilt frame
 MIN_SHARE = 0.02  # share of the specific force that an iteration leaves to the rotors' axis
 MIN_DETERMINANT = 0.3  # of 1 - M: below it the step is the plain one, l <- r_l
+PLAIN_ITERATIONS, SHORT_STEP = 30, 0.3  # with l' = l'' = 0: iterations before shorter steps, and their length
+KINK = 0.5  # m/s^2, N m: change that may be left at the instants where a rotor meets its limit
 SETTLED = 0.3  # m/s^2: until l changes by less in an iteration its differences in time are noise, and taken as zero
 
 
@@ -139,19 +143,25 @@ def agreeing_air(
         air = Air(np.concatenate([lateral, start[2:]]), *calculus.differentiate(lateral))
     if model is None:
         return air, flat_motion(demand, vehicle, air, calculus)
-    for _ in range(settings.max_iterations):
-        motion = flat_motion(demand, vehicle, air, calculus)
-        velocity = motion.frame.into_frame(demand.path[1])
-        thrusts = _within_limits(motion.thrusts, vehicle)
-        y, gradient = model(np.concatenate([twisted(velocity, motion.chi), motion.rate, thrusts]))
-        asked = np.concatenate([untwisted(y[:2], motion.chi), y[2:]])
-        change = np.abs(asked - air.outputs).max(axis=0)
-        lateral = _next_lateral(asked[:2] - air.outputs[:2], motion, velocity, gradient)
-        settled = settled or np.abs(lateral - air.outputs[:2]).max() < SETTLED
-        slopes = calculus.differentiate(lateral if settled else np.zeros_like(lateral))
-        air = Air(np.concatenate([lateral, asked[2:]]), *slopes)
-        if settled and change.max() < settings.tolerance:
-            return air, motion
+    for held in (False, True):
+        for i in range(settings.max_iterations):
+            motion = flat_motion(demand, vehicle, air, calculus)
+            velocity = motion.frame.into_frame(demand.path[1])
+            thrusts = _within_limits(motion.thrusts, vehicle)
+            y, gradient, by_thrust = model(np.concatenate([twisted(velocity, motion.chi), motion.rate, thrusts]))
+            asked = np.concatenate([untwisted(y[:2], motion.chi), y[2:]])
+            change = np.abs(asked - air.outputs).max(axis=0)
+            lateral = _next_lateral(asked[:2] - air.outputs[:2], motion, velocity, gradient)
+            settled = settled or np.abs(lateral - air.outputs[:2]).max() < SETTLED
+            slopes = calculus.differentiate(lateral if settled and not held else np.zeros_like(lateral))
+            by_thrust = by_thrust * (motion.thrusts == thrusts)  # a rotor at its limit answers no more
+            rest = _next_rest(air.outputs[2:], asked[2:], by_thrust, vehicle)
+            outputs = np.concatenate([lateral, rest])
+            if held and i >= PLAIN_ITERATIONS:
+                outputs = air.outputs + SHORT_STEP * (outputs - air.outputs)
+            if settled and change.max() < (KINK if held and i == settings.max_iterations - 1 else settings.tolerance):
+                return Air(outputs, *slopes), motion
+            air = Air(outputs, *slopes)
     worst = int(np.argmax(change))
     raise UsageError(
         f"the reference under residual {model.name!r} does not converge: still changing by {change[worst]:.2g}"
@@ -177,6 +187,22 @@ def _within_limits(thrusts: np.ndarray, vehicle: Vehicle) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(torque == 0, 1.0, room / torque).min(axis=0)
     return collective + np.clip(share, 0.0, 1.0) * torque
+
+
+def _next_rest(used: np.ndarray, asked: np.ndarray, by_thrust: np.ndarray, vehicle: Vehicle) -> np.ndarray:
+    """The next a_air,z and tau_air, (4, k).
+
+    used, asked: (4, k), m/s^2 and N m. by_thrust: their derivative by the rotor thrusts, (4, n, k).
+    """
+    if not by_thrust.any():
+        return asked
+    weight = np.array([vehicle.mass, 1.0, 1.0, 1.0])
+    gradient = by_thrust.transpose(2, 0, 1)
+    system = vehicle.allocation + weight[:, None] * gradient
+    right = (weight[:, None] * (used - asked)).T[..., None]
+    turned = system.transpose(0, 2, 1)
+    change = turned @ np.linalg.solve(system @ turned, right)  # the smallest one where there are more than four rotors
+    return asked + (gradient @ change)[..., 0].T
 
 
 def _next_lateral(difference: np.ndarray, motion: Motion, velocity: np.ndarray, gradient: np.ndarray) -> np.ndarray:

@@ -1,0 +1,349 @@
+"""Time of one control step as Python sees it, against acados where it is importable.
+
+    python -m benchmarks.step [--acados-python PYTHON] [--nodes 10 20] [--cases none drag gp20 gp100]
+
+Both sides solve the same problem along the same states and references, taken from a closed loop of our controller on a
+circle at 8 m/s, whose drag the model knows and where no bound is active: set the measured state and the references,
+iterate once, read the first input. One core, garbage collector off, rounds that alternate between all contestants;
+printed are medians over the rounds of each round's median and 99th percentile, ratios likewise, so that a machine that
+changes its speed between rounds does not decide. acados runs in processes of its own (its libraries and CasADi's
+clash); for its options see acados_step.py.
+
+Two checks stand beside the times. "same problem": some steps iterated to convergence on both sides, largest difference
+of the first input, acados to ours. "left by one iteration": how far the first input of one iteration a step stays from
+the converged one, median over the same steps. It differs with the warm start: ours moves the last solution forward by
+the control period, acados's stays in place.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.compose import compose
+from quadexp.control.active_set import Status
+from quadexp.control.mpc import ModelPredictiveController
+from quadexp.control.settings import MPCSettings
+from quadexp.experiment.build import build_vehicle
+from quadexp.experiment.rollout import SampledReference
+from quadexp.plant import PlantEffects, SimplifiedPlant
+from quadexp.residual.base import Residual
+from quadexp.residual.gaussian_process import GPOutput, gaussian_process_residual
+from quadexp.residual.linear_drag import linear_drag_residual
+from quadexp.residual.none import no_residual
+from quadexp.trajectory import Circle
+from quadexp.vehicle import Vehicle
+
+CASES = ("none", "drag", "gp20", "gp100")
+BACKENDS = ("interpreted", "compiled")
+ACADOS_OPTIONS = ("default", "best", "tuned", "expert")
+SKIPPED = 50  # steps of the closed loop before the first that is measured
+CONVERGE_EVERY = 25  # as in acados_step.py
+DRAG = np.array([0.3, 0.3, 0.1])  # 1/s
+QUADRATIC_DRAG = 0.012  # 1/m, in the cases with a GP
+LENGTHSCALE = np.array([3.0, 3.0, 2.0])  # m/s
+
+# (ratio, issue's limit)
+RATIOS = {
+    ("compiled", "acados default"): 0.25,
+    ("compiled", "acados best"): 0.45,
+    ("interpreted", "acados default"): 1.0,
+    ("compiled", "acados tuned"): None,
+    ("compiled", "acados expert"): None,
+}
+
+Log = list[tuple[np.ndarray, np.ndarray, np.ndarray]]  # measured state (13,), references (N + 1, 13) and (N, n)
+
+
+def gp_points(m: int) -> tuple[np.ndarray, np.ndarray]:
+    """Inducing points (3, M) and weights (3, M) of three 1-D GPs on body velocity that model a smooth drag."""
+    rng = np.random.default_rng(0)
+    points = np.tile(np.linspace(-14, 14, m), (3, 1))
+    weights = np.zeros((3, m))
+    for axis, length in enumerate(LENGTHSCALE):
+        v = points[axis]
+        kernel = np.exp(-0.5 * ((v[:, None] - v) / length) ** 2)
+        target = -DRAG[axis] * v - QUADRATIC_DRAG * v * np.abs(v) + 1e-2 * rng.standard_normal(m)
+        weights[axis] = np.linalg.solve(kernel + 1e-2 * np.eye(m), target)
+    return points, weights
+
+
+def make_residual(case: str, vehicle: Vehicle) -> tuple[Residual, dict[str, Any]]:
+    """Residual of a case, and its numbers for the other side."""
+    if case == "none":
+        return no_residual(vehicle), {"kind": "none"}
+    if case == "drag":
+        return linear_drag_residual(vehicle, DRAG), {"kind": "linear_drag", "drag": DRAG.tolist()}
+    points, weights = gp_points(int(case.removeprefix("gp")))
+    outputs = [
+        GPOutput(f"a_{axis}", (f"v_{axis}",), points[i][:, None], weights[i], LENGTHSCALE[i : i + 1])
+        for i, axis in enumerate("xyz")
+    ]
+    numbers = {"kind": "gp", "Z": points.tolist(), "alpha": weights.tolist(), "lengthscale": LENGTHSCALE.tolist()}
+    return gaussian_process_residual(vehicle, outputs), numbers
+
+
+def make_plant(case: str, vehicle: Vehicle) -> SimplifiedPlant:
+    """The simulation whose drag the residual of a case describes, without noise."""
+    effects = PlantEffects.none()
+    if case != "none":
+        effects = replace(effects, linear_drag=tuple(vehicle.mass * DRAG))
+    if case.startswith("gp"):
+        effects = replace(effects, quadratic_drag=(vehicle.mass * QUADRATIC_DRAG,) * 3)
+    return SimplifiedPlant(vehicle, effects, backend="auto")
+
+
+def fly_circle(plant: SimplifiedPlant, controller: ModelPredictiveController, steps: int) -> Log:
+    """What the controller was asked in each step of a closed loop on the circle, the quaternions on one hemisphere."""
+    reference = SampledReference(Circle(speed=8.0, acceleration=1.0), controller)
+    x, rng, log = reference.along()[0][0], np.random.default_rng(0), []
+    controller.reset(x, *reference.horizon(0))
+    for k in range(min(SKIPPED + steps, len(reference))):
+        states, inputs = reference.horizon(k)
+        if states[0, 3:7] @ x[3:7] < 0:
+            states[:, 3:7] *= -1
+        u, record = controller.command(x, states, inputs)
+        if k >= SKIPPED:
+            if record.status != Status.RICCATI:
+                raise SystemExit(f"step {k}: a bound is active, the times would not compare")
+            log.append((x, states, inputs))
+        x, _ = plant.advance(x, u, controller.settings.control_period, rng)
+    return log
+
+
+def measure(controller: ModelPredictiveController, log: Log) -> tuple[np.ndarray, np.ndarray]:
+    """Seconds of each step, and the first inputs, (K, n)."""
+    controller.reset(*log[0])
+    for _ in range(100):
+        controller.command(*log[0])
+    controller.reset(*log[0])
+    controller.command(*log[0])
+    seconds, inputs = [], []
+    gc.collect()
+    gc.disable()
+    for x, states, thrusts in log:
+        began = time.perf_counter()
+        u, _ = controller.command(x, states, thrusts)
+        seconds.append(time.perf_counter() - began)
+        inputs.append(u)
+    gc.enable()
+    return np.array(seconds), np.array(inputs)
+
+
+def converge(controller: ModelPredictiveController, log: Log) -> np.ndarray:
+    """First inputs of every CONVERGE_EVERY-th step, each iterated to convergence from its reference."""
+    inputs = []
+    for step in log[::CONVERGE_EVERY]:
+        controller.reset(*step)
+        inputs.append(controller.command(*step)[0])
+    return np.array(inputs)
+
+
+def problem(controller: ModelPredictiveController, numbers: dict[str, Any], log: Log) -> dict[str, Any]:
+    """The same problem for acados, as JSON."""
+    settings, vehicle = controller.settings, controller.vehicle
+    place = np.array(vehicle.rotor_position)
+    states, xref, uref = (np.array(part).tolist() for part in zip(*log, strict=True))
+    return {
+        "mass": vehicle.mass,
+        "inertia": np.diag(vehicle.inertia_matrix).tolist(),
+        "rotor_x": place[:, 0].tolist(),
+        "rotor_y": place[:, 1].tolist(),
+        "torque_sign": list(vehicle.rotor_spin),
+        "c_tau": vehicle.torque_coefficient,
+        "u_min": vehicle.thrust_min,
+        "u_max": vehicle.thrust_max,
+        "Q": settings.state_weight().tolist(),
+        "R": settings.thrust_weight(vehicle).tolist(),
+        "terminal_weight": settings.terminal_weight,
+        "horizon": settings.horizon,
+        "nodes": settings.nodes,
+        "residual": numbers,
+        "states": states,
+        "xref": xref,
+        "uref": uref,
+    }
+
+
+class Acados:
+    """acados_step.py at work on a problem, one process; `missing` says why there is none."""
+
+    def __init__(self, process: subprocess.Popen, errors: Path) -> None:
+        self._process, self._errors = process, errors
+        self.missing = ""
+        self.version = ""
+
+    def wait_until_built(self, cores: set[int]) -> None:
+        self.version = (self._read() or {}).get("acados", "")
+        if not self.missing:
+            pin(self._process.pid, cores)
+
+    def ask(self, question: str) -> dict[str, Any] | None:
+        """The answer to "measure" or "converge"."""
+        if self.missing:
+            return None
+        print(question, file=self._process.stdin, flush=True)
+        return self._read()
+
+    def _read(self) -> dict[str, Any] | None:
+        line = self._process.stdout.readline()
+        if line:
+            return json.loads(line)
+        self.missing = (self._errors.read_text().strip().splitlines() or ["no message"])[-1]
+        return None
+
+
+@contextmanager
+def acados(python: str, folder: Path, options: str) -> Iterator[Acados]:
+    """A process that builds acados's solver for folder/problem.json."""
+    errors = folder / f"{options}.err"
+    script = Path(__file__).with_name("acados_step.py")
+    command = [python, str(script), "--problem", str(folder / "problem.json"), "--options", options]
+    one_thread = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
+    with errors.open("w") as stderr:
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=stderr,
+            text=True,
+            cwd=folder,
+            env=os.environ | one_thread,
+        )
+    try:
+        yield Acados(process, errors)
+    finally:
+        process.communicate()
+
+
+def pin(pid: int, cores: set[int]) -> None:
+    """Bind a process to cores, where the system can."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(pid, cores)
+
+
+def compare(vehicle: Vehicle, case: str, nodes: int, steps: int, rounds: int, acados_python: str) -> dict[str, Any]:
+    """One row of the table: times of every contestant, ratios, differences of the first input."""
+    residual, numbers = make_residual(case, vehicle)
+    settings = MPCSettings(nodes=nodes)
+    own = {name: ModelPredictiveController(vehicle, residual, settings, backend=name) for name in BACKENDS}
+    log = fly_circle(make_plant(case, vehicle), own["compiled"], steps)
+    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else {0}
+    one = {min(cores)}
+    seconds: dict[str, list[np.ndarray]] = {}
+    inputs, missing = {}, {}
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+        folder = Path(name)
+        (folder / "problem.json").write_text(json.dumps(problem(own["compiled"], numbers, log)))
+        others = {}
+        for options in ACADOS_OPTIONS:
+            other = others[f"acados {options}"] = stack.enter_context(acados(acados_python, folder, options))
+            other.wait_until_built(one)
+        pin(0, one)
+        for _ in range(rounds):
+            for name, controller in own.items():
+                times, inputs[name] = measure(controller, log)
+                seconds.setdefault(name, []).append(times)
+            for name, other in others.items():
+                if answer := other.ask("measure"):
+                    seconds.setdefault(name, []).append(np.array(answer["seconds"]))
+                    inputs[name] = np.array(answer["u0"])
+        converged = {name: converge(controller, log) for name, controller in own.items()}
+        for name, other in others.items():
+            if answer := other.ask("converge"):
+                converged[name] = np.array(answer["u0"])
+            if other.missing:
+                missing[name] = other.missing
+        version = next((other.version for other in others.values() if other.version), "")
+        pin(0, cores)
+
+    micro = {name: 1e6 * np.array(times) for name, times in seconds.items()}  # (rounds, K)
+    medians = {name: np.median(times, axis=1) for name, times in micro.items()}
+    left = {name: np.abs(inputs[name][::CONVERGE_EVERY] - u).max(axis=1) for name, u in converged.items()}
+    p99 = {name: np.median(np.percentile(times, 99, axis=1)) for name, times in micro.items()}
+    return {
+        "case": case,
+        "nodes": nodes,
+        "acados": version,
+        "times_us": {name: {"median": float(np.median(medians[name])), "p99": float(p99[name])} for name in medians},
+        "ratios": {
+            f"{a} / {b}": float(np.median(medians[a] / medians[b])) for a, b in RATIOS if a in medians and b in medians
+        },
+        "same_problem_N": {name: float(np.abs(u - converged["compiled"]).max()) for name, u in converged.items()},
+        "left_by_one_iteration_N": {name: float(np.median(errors)) for name, errors in left.items()},
+        "missing": missing,
+    }
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The rows as Markdown: times, then ratios, then agreement."""
+    contestants = [*BACKENDS, *(f"acados {options}" for options in ACADOS_OPTIONS)]
+    parts = ["Microseconds a step, median (99th percentile):", ""]
+    parts += _markdown(contestants, rows, lambda row, name: _time(row["times_us"].get(name)))
+    if any(row["ratios"] for row in rows):
+        limits = ["-" if limit is None else f"<= {limit:g}" for limit in RATIOS.values()]
+        ratios = [f"{a} / {b}" for a, b in RATIOS]
+        parts += ["", "Ratios, with the limit promised:", ""]
+        parts += _markdown(ratios, rows, lambda row, name: _number(row["ratios"].get(name), ".2f"), limits)
+    names = ["compiled", "acados default", "acados best"]
+    parts += ["", "First input, same problem: largest difference of the converged ones (N):", ""]
+    parts += _markdown(names[1:], rows, lambda row, name: _number(row["same_problem_N"].get(name), ".0e"))
+    parts += ["", "First input, left by one iteration: median distance to the converged one (N):", ""]
+    parts += _markdown(names, rows, lambda row, name: _number(row["left_by_one_iteration_N"].get(name), ".0e"))
+    versions = sorted({row["acados"] for row in rows} - {""})
+    parts += ["", *(f"acados {version}" for version in versions)]
+    parts += [f"acados is missing: {why}" for why in sorted({why for row in rows for why in row["missing"].values()})]
+    return "\n".join(parts)
+
+
+def _markdown(
+    columns: list[str], rows: list[dict[str, Any]], cell: Callable[[dict, str], str], limits: list[str] | None = None
+) -> list[str]:
+    cells = [[row["case"], str(row["nodes"]), *(cell(row, name) for name in columns)] for row in rows]
+    lines = [["correction", "N", *columns], *([["limit", "", *limits]] if limits else []), *cells]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    lines.insert(1, ["-" * width for width in widths])
+    return ["| " + " | ".join(text.ljust(w) for text, w in zip(line, widths, strict=True)) + " |" for line in lines]
+
+
+def _time(figures: dict[str, float] | None) -> str:
+    return "missing" if figures is None else f"{figures['median']:.1f} ({figures['p99']:.0f})"
+
+
+def _number(value: float | None, form: str) -> str:
+    return "missing" if value is None else format(value, form)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--acados-python", default=sys.executable, help="interpreter that can import acados_template")
+    parser.add_argument("--steps", type=int, default=500)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--nodes", type=int, nargs="+", default=[10, 20])
+    parser.add_argument("--cases", nargs="+", default=list(CASES), choices=CASES)
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of the tables")
+    arguments = parser.parse_args()
+    vehicle = build_vehicle(compose([]).vehicle)
+    rows = []
+    for nodes in arguments.nodes:
+        for case in arguments.cases:
+            print(f"{case}, N = {nodes} ...", file=sys.stderr, flush=True)
+            rows.append(compare(vehicle, case, nodes, arguments.steps, arguments.rounds, arguments.acados_python))
+    print(json.dumps(rows) if arguments.json else table(rows))
+
+
+if __name__ == "__main__":
+    main()
