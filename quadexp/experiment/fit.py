@@ -103,7 +103,7 @@ def _fit_drag(data: ResidualDataset, config: Config) -> tuple:
     from quadexp.identify.evaluation import evaluate_drag, split_by_flight
     from quadexp.identify.linear_drag import fit_linear_drag
 
-    options = {"intercept": config.drag.intercept, "thrust": config.drag.thrust, "errors": config.drag.errors}
+    options = {name: getattr(config.drag, name) for name in ("intercept", "thrust", "loss", "errors")}
     rows: list[dict[str, Any]] = []
     held_out: list[str] = []
     if config.drag.holdout > 0:

@@ -1,13 +1,18 @@
-"""Linear rotor drag fitted to residuals by least squares (RDRv: Faessler et al. 2018; Torrente et al. 2021, sec. IV).
+"""Linear rotor drag fitted to residuals (RDRv: Faessler et al. 2018; Torrente et al. 2021, sec. IV).
 
     a_x = -d_x v_x + b_x        a_y = -d_y v_y + b_y        a_z = -d_z v_z + b_z + kappa T
 
 v the body velocity (m/s), T the collective thrust (N). The published fit has b = 0 and kappa = 0; on z that makes the
 drag answer for the motors' loss, which goes with the thrust.
 
-Standard errors are heteroscedasticity-robust (HC1, MacKinnon & White 1985): (X'X)^-1 X' diag(e^2) X (X'X)^-1 n/(n - p),
-because the scatter grows with speed where the true drag is not linear. errors="flight" sums the scores X_k e_k within
-each flight first (cluster-robust, Liang & Zeger 1986): larger, and the right ones where rows of one flight err alike.
+loss="huber" (default) minimises sum rho(e / s) with Huber's rho, quadratic up to 1.345 robust standard deviations s
+(1.4826 median |e|) and linear beyond (Huber 1964): where the true drag is not linear, the few fastest rows then no longer
+bend the line for all others, and the controller that uses it tracks better. loss="squares" is the published fit.
+
+Standard errors are heteroscedasticity-robust (HC1, MacKinnon & White 1985): with psi = rho', H = X' diag(psi') X,
+H^-1 X' diag(psi^2) X H^-1 n/(n - p), because the scatter grows with speed where the true drag is not linear.
+errors="flight" sums the scores X_k psi_k within each flight first (cluster-robust, Liang & Zeger 1986): larger, and the
+right ones where rows of one flight err alike.
 """
 
 from __future__ import annotations
@@ -21,6 +26,10 @@ from quadexp.errors import DataError, UsageError
 from quadexp.identify.dataset import THRUST, ResidualDataset
 
 ERRORS = ("hc1", "flight")
+LOSSES = ("huber", "squares")
+HUBER = 1.345  # robust standard deviations; 95 % efficient where the scatter is normal
+MAD_TO_STD = 1.4826
+ROUNDS = 200  # of reweighting, at the most
 AXES = "xyz"
 
 
@@ -30,7 +39,7 @@ class LinearDrag:
 
     drag: (3,) 1/s. intercept: (3,) m/s^2. thrust_gain: 1/kg. *_error: standard errors, same shapes (0: not fitted).
     residual_std: (3,), root mean square of what is left, m/s^2. r_squared: (3,), share of the variance explained.
-    n: rows. errors: which standard errors. vehicle, dataset: fingerprint and hash of what it was fitted to.
+    n: rows. errors: which standard errors. loss: which fit. vehicle, dataset: fingerprint and hash of what it was fitted to.
     """
 
     drag: np.ndarray
@@ -43,6 +52,7 @@ class LinearDrag:
     r_squared: np.ndarray
     n: int
     errors: str = "hc1"
+    loss: str = "huber"
     vehicle: dict[str, Any] = field(default_factory=dict)
     dataset: dict[str, Any] = field(default_factory=dict)
 
@@ -77,18 +87,25 @@ def constant_mean(value: np.ndarray) -> LinearDrag:
 
 
 def fit_linear_drag(
-    dataset: ResidualDataset, *, intercept: bool = True, thrust: bool = True, errors: str = "hc1"
+    dataset: ResidualDataset,
+    *,
+    intercept: bool = True,
+    thrust: bool = True,
+    errors: str = "hc1",
+    loss: str = "huber",
 ) -> LinearDrag:
-    """Least squares of the residual acceleration on body velocity, axis by axis.
+    """Regression of the residual acceleration on body velocity, axis by axis.
 
     intercept, thrust: whether b and kappa are fitted (False, False is the published model).
-    errors: "hc1" or "flight", see the module.
+    errors: "hc1" or "flight"; loss: "huber" or "squares"; see the module.
 
     Raises DataError if there are fewer rows than two more than coefficients, or if they do not tell the coefficients
     apart (a velocity that never changes, say).
     """
     if errors not in ERRORS:
         raise UsageError(f"drag.errors: '{errors}' is none of {', '.join(ERRORS)}")
+    if loss not in LOSSES:
+        raise UsageError(f"drag.loss: '{loss}' is none of {', '.join(LOSSES)}")
     n = dataset.n_rows
     drag, offset, gain = np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2)
     std, r_squared = np.zeros(3), np.zeros(3)
@@ -99,7 +116,9 @@ def fit_linear_drag(
         if intercept:
             design = np.column_stack([design, np.ones(n)])
         target = dataset.matrix([f"a_{axis}"])[:, 0]
-        coefficients, error, left = _least_squares(design, target, groups, f"a_{axis} on {', '.join(names)}")
+        coefficients, error, left = _regression(
+            design, target, groups, f"a_{axis} on {', '.join(names)}", robust=loss == "huber"
+        )
         drag[:, i] = coefficients[0], error[0]
         if intercept:
             offset[:, i] = coefficients[-1], error[-1]
@@ -110,12 +129,12 @@ def fit_linear_drag(
         r_squared[i] = 1 - np.sum(left**2) / spread if spread > 0 else 0.0
     return LinearDrag(
         drag[0], offset[0], float(gain[0]), drag[1], offset[1], float(gain[1]),
-        std, r_squared, n, errors, dict(dataset.metadata.get("vehicle") or {}), dataset.summary(),
+        std, r_squared, n, errors, loss, dict(dataset.metadata.get("vehicle") or {}), dataset.summary(),
     )  # fmt: skip
 
 
-def _least_squares(
-    design: np.ndarray, target: np.ndarray, groups: np.ndarray, what: str
+def _regression(
+    design: np.ndarray, target: np.ndarray, groups: np.ndarray, what: str, *, robust: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Coefficients, sandwich standard errors, and residuals; scores are summed within groups."""
     n, p = design.shape
@@ -123,17 +142,29 @@ def _least_squares(
         raise DataError(f"drag fit of {what}: {n} rows for {p} coefficients, at least {p + 2} are needed")
     scale = np.linalg.norm(design, axis=0)
     scale[scale == 0] = 1.0
-    q, r = np.linalg.qr(design / scale)
-    if np.abs(np.diag(r)).min() < 1e-8:
+    x = design / scale
+    if np.abs(np.diag(np.linalg.qr(x, mode="r"))).min() < 1e-8:
         raise DataError(
             f"drag fit of {what}: these columns do not vary independently over the {n} rows, so their coefficients"
             " cannot be told apart: add flights with more motion, or leave out the intercept or the thrust term"
         )
-    coefficients = np.linalg.solve(r, q.T @ target) / scale
-    left = target - design @ coefficients
+    coefficients = np.linalg.lstsq(x, target, rcond=None)[0]
+    limit = np.inf
+    for _ in range(ROUNDS if robust else 0):
+        left = target - x @ coefficients
+        limit = HUBER * MAD_TO_STD * np.median(np.abs(left))
+        if not limit > 1e-12 * np.abs(target).max():  # most rows lie on the line already
+            limit = np.inf
+            break
+        root = np.sqrt(np.minimum(1.0, limit / np.maximum(np.abs(left), limit)))
+        before, coefficients = coefficients, np.linalg.lstsq(x * root[:, None], target * root, rcond=None)[0]
+        if np.abs(coefficients - before).max() <= 1e-12 * np.abs(coefficients).max():
+            break
+    left = target - x @ coefficients
+    inside = np.abs(left) <= limit
     scores = np.zeros((groups.max() + 1, p))
-    np.add.at(scores, groups, q * left[:, None])
+    np.add.at(scores, groups, x * np.clip(left, -limit, limit)[:, None])
     clusters = len(scores)
     correction = n / (n - p) if clusters == n else clusters / max(clusters - 1, 1) * (n - 1) / (n - p)
-    half = np.linalg.solve(r, scores.T) / scale[:, None]
-    return coefficients, np.sqrt(correction * np.sum(half**2, axis=1)), left
+    half = np.linalg.solve(x[inside].T @ x[inside], scores.T) / scale[:, None]
+    return coefficients / scale, np.sqrt(correction * np.sum(half**2, axis=1)), left

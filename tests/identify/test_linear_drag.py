@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from quadexp.errors import DataError, UsageError
 from quadexp.identify.dataset import ResidualDataset
@@ -26,7 +27,7 @@ def linear_rows(rows=600, seed=0, flights=6, noise=lambda v: 0.3, shared=0.0) ->
 
 def test_equals_the_normal_equations_and_the_hc1_sandwich():
     rows = linear_rows(noise=lambda v: 0.05 + 0.1 * np.abs(v))
-    fit = fit_linear_drag(rows)
+    fit = fit_linear_drag(rows, loss="squares")
     x = np.column_stack([-rows.columns["v_z"], rows.columns["thrust"], np.ones(600)])
     y = rows.columns["a_z"]
     bread = np.linalg.inv(x.T @ x)
@@ -42,10 +43,41 @@ def test_equals_the_normal_equations_and_the_hc1_sandwich():
 
 def test_published_model_has_no_intercept_and_no_thrust():
     rows = linear_rows()
-    fit = fit_linear_drag(rows, intercept=False, thrust=False)
+    fit = fit_linear_drag(rows, intercept=False, thrust=False, loss="squares")
     v, a = rows.matrix(["v_x", "v_y", "v_z"]), rows.matrix(["a_x", "a_y", "a_z"])
     np.testing.assert_allclose(fit.drag, -np.sum(v * a, axis=0) / np.sum(v * v, axis=0))
     assert not fit.intercept.any() and not fit.intercept_error.any() and fit.thrust_gain == 0
+
+
+def test_huber_is_the_minimum_of_its_loss():
+    """At the fit's own scale no other coefficients give a smaller Huber loss: scipy's minimiser agrees."""
+    rows = linear_rows(noise=lambda v: 0.05 + 0.1 * np.abs(v))
+    fit = fit_linear_drag(rows)
+    x = np.column_stack([-rows.columns["v_x"], np.ones(600)])
+    y = rows.columns["a_x"]
+    limit = 1.345 * 1.4826 * np.median(np.abs(y - x @ [fit.drag[0], fit.intercept[0]]))
+
+    def loss(beta):
+        e = np.abs(y - x @ beta)
+        return np.sum(np.where(e <= limit, e**2 / 2, limit * (e - limit / 2)))
+
+    best = minimize(loss, [0.0, 0.0], method="Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-14, "maxiter": 4000})
+    np.testing.assert_allclose([fit.drag[0], fit.intercept[0]], best.x, atol=1e-7)
+
+
+def test_huber_is_not_bent_by_a_few_fast_rows():
+    """Drag 0.3 v + 0.02 v|v| with one row in fifty three times as fast: the line follows the many."""
+    rng = np.random.default_rng(0)
+    v = rng.uniform(-6, 6, 2000)
+    v[::50] *= 3
+    a = -0.3 * v - 0.02 * v * np.abs(v) + 0.01 * rng.normal(size=2000)
+    columns = {f"v_{axis}": v * (1 + 0.1 * i) for i, axis in enumerate("xyz")} | {f"a_{axis}": a for axis in "xyz"}
+    columns |= {"thrust": rng.uniform(5, 30, 2000), "flight": np.zeros(2000, int)}
+    rows = ResidualDataset(columns, {})
+    slow = np.abs(v) <= 6
+    best = -np.sum(v[slow] * a[slow]) / np.sum(v[slow] ** 2)
+    robust, squares = (fit_linear_drag(rows, loss=loss).drag[0] for loss in ("huber", "squares"))
+    assert abs(robust - best) < 0.3 * abs(squares - best)
 
 
 def coverage(errors: str, **options) -> float:
@@ -79,6 +111,8 @@ def test_few_or_idle_rows_are_refused():
         fit_linear_drag(still)
     with pytest.raises(UsageError, match="drag.errors"):
         fit_linear_drag(idle, errors="best")
+    with pytest.raises(UsageError, match="drag.loss"):
+        fit_linear_drag(idle, loss="cubes")
 
 
 def test_far_from_the_origin_the_fit_keeps_its_digits():

@@ -35,7 +35,9 @@ def by_hand(V, w, y, theta, P, C_la, A=0.5, B=1 / 6):
     u = np.array([paper.induced(w_i, V_h, V[2], C_la, A) for w_i in w]) - V[2]
     phi_1 = rho * c * r**2 * w.sum() / 2
     phi_2 = -B * rho * c * r * th * u.sum() + rho * c * (u**2 / w).sum() / 2
-    phi_3 = rho * c * r**3 * th * (w**2).sum() / 3 - rho * c * r**2 * (u * w).sum() / 2 + 4 * A * rho * c * r * th * V_h**2
+    phi_3 = (
+        rho * c * r**3 * th * (w**2).sum() / 3 - rho * c * r**2 * (u * w).sum() / 2 + 4 * A * rho * c * r * th * V_h**2
+    )
     phi_4 = rho * paper.S * np.linalg.norm(V) / 2
     rows = [
         np.array([-V[0] * phi_1, -V[0] * phi_2, -V[0] * phi_4]) / paper.M,
@@ -128,13 +130,13 @@ def test_forgetting_is_weighted_least_squares(lei_li, data, rng):
 
 @pytest.mark.parametrize("gauss_newton", [False, True])
 def test_finds_the_truth_without_noise(lei_li, data, gauss_newton):
-    """V_I solved with the current estimate: self-consistent, so the truth is where it ends."""
+    """V_I solved with the current estimate: self-consistent, so the truth is where it ends; slowly for C_Dz."""
     settings = RLSSettings.scaled(noise=1e-4, relative_std=1.0, gauss_newton=gauss_newton)
     estimator = run(BladeElementRLS(lei_li, HALF, settings), data)
     for _ in range(3):
         run(estimator, data)
-    assert estimator.theta == pytest.approx(TRUE, rel=0.02 if gauss_newton else 0.2, abs=5e-4)
-    assert estimator.theta[1] == pytest.approx(3.32, rel=1e-3)
+    assert estimator.theta[:4] == pytest.approx(TRUE[:4], rel=5e-3, abs=5e-4)
+    assert estimator.theta[4] == pytest.approx(TRUE[4], rel=0.02 if gauss_newton else 0.5)
 
 
 def test_gauss_newton_follows_the_induced_velocity(lei_li, data):
@@ -167,7 +169,9 @@ def test_standard_error_is_the_spread(lei_li, data):
     found = []
     for seed in range(30):
         force = data.specific_force + np.random.default_rng(seed).normal(0, 0.05, data.specific_force.shape)
-        found.append(run(BladeElementRLS(lei_li, HALF, RLSSettings.scaled(relative_std=2.0, gauss_newton=True)), data, force))
+        found.append(
+            run(BladeElementRLS(lei_li, HALF, RLSSettings.scaled(relative_std=2.0, gauss_newton=True)), data, force)
+        )
     spread = np.array([estimator.raw for estimator in found]).std(0)
     assert spread == pytest.approx(found[0].standard_error(0.05), rel=0.45)
 
@@ -200,7 +204,9 @@ class TestSafety:
 
     def test_standing_rotors_tell_nothing(self, lei_li):
         estimator = BladeElementRLS(lei_li, HALF)
-        assert np.array_equal(estimator.update(np.ones(3), np.array([500, 0, 500, 500.0]), np.ones(3)), HALF.parameters())
+        assert np.array_equal(
+            estimator.update(np.ones(3), np.array([500, 0, 500, 500.0]), np.ones(3)), HALF.parameters()
+        )
         assert (estimator.samples, estimator.skipped) == (0, 1)
 
     @pytest.mark.parametrize("which", range(3))
