@@ -38,13 +38,12 @@ def thrust(w: float, V_h: float, V_z: float, V_I: float, C_la: float = C_LA, A: 
 def induced(w: float, V_h: float, V_z: float, C_la: float = C_LA, A: float = 0.5) -> float:
     """The largest root of (14) = (17): scanned from above, then Brent's method."""
 
-    def g(V_I: float) -> float:
-        momentum = 2 * RHO * math.pi * R**2 * V_I * math.hypot(V_h, V_I - V_z)
+    def g(V_I):
+        momentum = 2 * RHO * math.pi * R**2 * V_I * np.hypot(V_h, V_I - V_z)
         return momentum - thrust(w, V_h, V_z, V_I, C_la, A)
 
     grid = np.linspace(60, min(V_z, 0) - 1, 6000)
-    values = np.array([g(V_I) for V_I in grid])
-    first = int(np.argmax(values < 0))
+    first = int(np.argmax(g(grid) < 0))
     return brentq(g, grid[first], grid[first - 1], xtol=1e-15, rtol=9e-16, maxiter=300)
 
 

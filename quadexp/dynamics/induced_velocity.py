@@ -88,8 +88,8 @@ def balance(geometry: RotorGeometry, lift_slope, w, in_plane_squared, axial, ter
 def starting_point(equation: Balance):
     """An estimate of V_I (m/s), exact where V_h = 0; two Newton steps bring it within 2e-4 m/s in cruise.
 
-    V_I > V_z (13): the smaller of two upper bounds, the solution without in-plane speed, K V_I u = a - b u, and a Newton
-    step from max(V_z, 0), which is Glauert's V_I = T / (K |V|) at high speed. Else a step from 0, left of the root.
+    V_I > V_z (13): the smaller of two upper bounds, the solution without in-plane speed, K V_I u = a - b u, and a
+    Newton step from max(V_z, 0), which is Glauert's V_I = T / (K |V|) at high speed. Else a Newton step from 0.
     """
     K, a, b, squared, axial = equation
     vertical = (K * axial - b + ca.sqrt((K * axial + b) ** 2 + 4 * K * a)) / (2 * K)

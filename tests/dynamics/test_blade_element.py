@@ -75,7 +75,7 @@ def test_hover(lei_li, blade):
     w = np.sqrt(lei_li.hover_thrust / lei_li.static_thrust)
     point = aerodynamic_point(lei_li, blade, np.zeros(3), np.full(4, w))
     assert point.induced_velocity == pytest.approx(np.full(4, 4.70714871732553), rel=1e-13)
-    assert paper.HOVER == pytest.approx(4.70714871732553, rel=1e-14)
+    assert pytest.approx(4.70714871732553, rel=1e-14) == paper.HOVER
     assert point.force == pytest.approx([0, 0, paper.M * paper.G], abs=1e-12)
     assert point.torque == pytest.approx(np.zeros(3), abs=1e-15)
 
@@ -168,7 +168,7 @@ class TestWhereItIsNotDefined:
 
     def test_stopped_rotor_in_still_air(self, lei_li, blade):
         point = aerodynamic_point(lei_li, blade, np.zeros(3), [500, 500, 0, 500])
-        assert point.thrust[2] == pytest.approx(0, abs=1e-20)
+        assert point.thrust[2] == pytest.approx(0, abs=1e-15)
         assert point.force[2] == pytest.approx(3 * 8.66293500e-6 * 500**2, rel=1e-9)
 
     def test_own_wake(self, lei_li, blade):

@@ -26,7 +26,9 @@ def plant(lei_li, blade) -> BladeElementPlant:
 def cruise(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """A state of fast flight and a command."""
     x = random_state(rng, speed=4.0, rate=1.0)
-    x[ATTITUDE] = Rotation.from_euler("zyx", [rng.uniform(-3, 3), *rng.uniform(-0.6, 0.6, 2)]).as_quat(scalar_first=True)
+    x[ATTITUDE] = Rotation.from_euler("zyx", [rng.uniform(-3, 3), *rng.uniform(-0.6, 0.6, 2)]).as_quat(
+        scalar_first=True
+    )
     return x, rng.uniform(1.5, 4, 4)
 
 
@@ -196,7 +198,9 @@ class TestCornersOfTheModel:
         """The point of tests/dynamics that has three roots below V_z: refused, with rotor, time and reason."""
         x, w = LEVEL.copy(), 586.4380536131179
         x[VELOCITY] = [3.2350675658648784, 0, -16.29553718864495]
-        with pytest.raises(ModelDomainError, match=r"rotor 0 at t=0.0000 s: descending through its own wake .*V_h=3.24"):
+        with pytest.raises(
+            ModelDomainError, match=r"rotor 0 at t=0.0000 s: descending through its own wake .*V_h=3.24"
+        ):
             plant.advance(x, np.full(4, lei_li.static_thrust * w**2), 0.01)
 
     def test_steep_descent_below_it(self, lei_li, blade):

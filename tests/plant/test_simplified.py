@@ -58,7 +58,9 @@ def test_published_noise_amplitudes(vehicle):
     effects = PlantEffects()
     assert effects.force_noise_density / np.sqrt(5e-4) == pytest.approx(0.005)
     assert effects.motor_noise_density / np.sqrt(5e-4) == pytest.approx(0.02)
-    plant = SimplifiedPlant(vehicle, PlantEffects((0,) * 3, (0,) * 3, 0.0, force_noise_density=0), backend="interpreted")
+    plant = SimplifiedPlant(
+        vehicle, PlantEffects((0,) * 3, (0,) * 3, 0.0, force_noise_density=0), backend="interpreted"
+    )
     rng, u = np.random.default_rng(2), 5.0
     speed = np.array([plant.advance(HOVER, np.full(4, u), 5e-4, rng)[0][9] for _ in range(3000)])
     amplitude = np.sqrt(4) * 20 * 0.02 * np.sqrt(u / 20)  # N, four independent rotors

@@ -74,7 +74,9 @@ def test_regular_at_rest_and_at_idle(residual, u, v):
 def test_below_idle_it_stays(lei_li, residual):
     """Rotors idle at 50 rad/s, 0.0217 N: below, value and derivative are those of the idle, and dy/du = 0."""
     idle = lei_li.static_thrust * 50**2
-    at_idle, below = (residual.function(features([3.0, 1, 0], np.full(4, u)), residual.theta) for u in (idle, 0.3 * idle))
+    at_idle, below = (
+        residual.function(features([3.0, 1, 0], np.full(4, u)), residual.theta) for u in (idle, 0.3 * idle)
+    )
     assert np.array_equal(at_idle[0].full(), below[0].full())
     assert np.all(below[1].full()[:, 6:] == 0)
 
