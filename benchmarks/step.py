@@ -33,6 +33,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.machine import cores, machine, pin
 from quadexp.compose import compose
 from quadexp.control.active_set import Status
 from quadexp.control.mpc import ModelPredictiveController
@@ -186,10 +187,11 @@ class Acados:
         self.missing = ""
         self.version = ""
 
-    def wait_until_built(self, cores: set[int]) -> None:
+    def wait_until_built(self, chosen: set[int]) -> None:
+        """Returns when the solver is there, bound to the chosen cores (building it may take all of them)."""
         self.version = (self._read() or {}).get("acados", "")
         if not self.missing:
-            pin(self._process.pid, cores)
+            pin(self._process.pid, chosen)
 
     def ask(self, question: str) -> dict[str, Any] | None:
         """The answer to "measure" or "converge"."""
@@ -229,20 +231,14 @@ def acados(python: str, folder: Path, options: str) -> Iterator[Acados]:
         process.communicate()
 
 
-def pin(pid: int, cores: set[int]) -> None:
-    """Bind a process to cores, where the system can."""
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(pid, cores)
-
-
 def compare(vehicle: Vehicle, case: str, nodes: int, steps: int, rounds: int, acados_python: str) -> dict[str, Any]:
     """One row of the table: times of every contestant, ratios, differences of the first input."""
     residual, numbers = make_residual(case, vehicle)
     settings = MPCSettings(nodes=nodes)
     own = {name: ModelPredictiveController(vehicle, residual, settings, backend=name) for name in BACKENDS}
     log = fly_circle(make_plant(case, vehicle), own["compiled"], steps)
-    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else {0}
-    one = {min(cores)}
+    every = cores()
+    one = {min(every)}
     seconds: dict[str, list[np.ndarray]] = {}
     inputs, missing = {}, {}
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
@@ -268,7 +264,7 @@ def compare(vehicle: Vehicle, case: str, nodes: int, steps: int, rounds: int, ac
             if other.missing:
                 missing[name] = other.missing
         version = next((other.version for other in others.values() if other.version), "")
-        pin(0, cores)
+        pin(0, every)
 
     micro = {name: 1e6 * np.array(times) for name, times in seconds.items()}  # (rounds, K)
     medians = {name: np.median(times, axis=1) for name, times in micro.items()}
@@ -342,7 +338,7 @@ def main() -> None:
         for case in arguments.cases:
             print(f"{case}, N = {nodes} ...", file=sys.stderr, flush=True)
             rows.append(compare(vehicle, case, nodes, arguments.steps, arguments.rounds, arguments.acados_python))
-    print(json.dumps(rows) if arguments.json else table(rows))
+    print(json.dumps(rows) if arguments.json else f"{machine()}\n\n{table(rows)}")
 
 
 if __name__ == "__main__":

@@ -24,8 +24,12 @@ import numpy as np
 from quadexp.errors import QuadexpError, UsageError
 
 BACKENDS = ("auto", "compiled", "interpreted")
-# libmvec's vector exponential needs the finite-math flags; NaN measurements are refused before any call.
-FLAGS = ("-O3", "-march=native", "-ffast-math", "-fno-signed-zeros", "-fPIC", "-shared")
+# For compiling, not for linking: with -ffast-math gcc before 13 links code that turns off subnormals in the whole
+# process. libmvec's vector exponential needs that flag; NaN measurements are refused before any call. Straight-line
+# scalar code gets slower from being vectorised piecewise. CasADi's helper functions are global, and inlined only where
+# nobody may interpose them.
+FLAGS = ("-O3", "-march=native", "-ffast-math", "-fno-tree-slp-vectorize", "-fno-semantic-interposition", "-fPIC")
+GCC_FLAGS = ("-fno-tree-reassoc",)  # CasADi's order of operations is the better one; clang refuses the flag
 
 
 def cache_folder() -> Path:
@@ -53,14 +57,23 @@ def compiler() -> str | None:
 
 
 @cache
+def _compiler_version() -> str:
+    return subprocess.run([compiler(), "--version"], capture_output=True, text=True, check=True).stdout
+
+
+@cache
+def _flags() -> tuple[str, ...]:
+    return FLAGS + GCC_FLAGS if "Free Software Foundation" in _compiler_version() else FLAGS
+
+
+@cache
 def _toolchain() -> str:
     """What besides the source decides the binary: compiler version, flags, processor features."""
-    version = subprocess.run([compiler(), "--version"], capture_output=True, text=True, check=True).stdout
     features = platform.processor() + platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
         features += next((line for line in cpuinfo.read_text().splitlines() if line.startswith("flags")), "")
-    return "\n".join([version, " ".join(FLAGS), features])
+    return "\n".join([_compiler_version(), " ".join(_flags()), features])
 
 
 @cache
@@ -103,13 +116,16 @@ def _compile(function: ca.Function) -> Path:
         try:
             if not library.exists():
                 with tempfile.TemporaryDirectory(dir=folder, prefix=".build-") as scratch:
-                    source_file, built = Path(scratch) / "source.c", Path(scratch) / "built.so"
-                    source_file.write_text(source)
-                    command = [compiler(), *FLAGS, str(source_file), "-o", str(built), "-lm"]
-                    done = subprocess.run(command, capture_output=True, text=True)
-                    if done.returncode != 0:
-                        reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
-                        raise QuadexpError(f"{command[0]} could not compile {function.name()}: {reason}")
+                    code, unlinked, built = (str(Path(scratch) / f"built{suffix}") for suffix in (".c", ".o", ".so"))
+                    Path(code).write_text(source)
+                    for command in (
+                        [compiler(), *_flags(), "-c", code, "-o", unlinked],
+                        [compiler(), "-shared", unlinked, "-o", built, "-lm"],
+                    ):
+                        done = subprocess.run(command, capture_output=True, text=True)
+                        if done.returncode != 0:
+                            reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
+                            raise QuadexpError(f"{command[0]} could not compile {function.name()}: {reason}")
                     os.replace(built, library)
         finally:
             Path(lock.name).unlink(missing_ok=True)

@@ -13,6 +13,8 @@ from typing import Annotated, Any
 import typer
 
 from quadexp import __version__
+from quadexp.cli_identify import identify
+from quadexp.cli_results import results
 from quadexp.completion import complete
 from quadexp.errors import QuadexpError
 from quadexp.terminal import emit, guarded, print_table, say
@@ -59,7 +61,9 @@ def root(
     quadexp simulate    one flight                          -> runs/*.parquet
     quadexp collect     flights for learning                -> data/residuals.parquet
     quadexp fit-gp      Gaussian processes from a data set  -> models/gp
+    quadexp identify    blade-element coefficients          -> data/estimates/*
     quadexp evaluate    controllers compared                -> results/*
+    quadexp report      results as one page                 -> report.html
     """
 
 
@@ -218,6 +222,7 @@ def evaluate(
     """
     from quadexp.compose import Cell, session
     from quadexp.errors import UsageError
+    from quadexp.experiment.engines import build_engine
     from quadexp.experiment.sweep import run_sweep
     from quadexp.progress import Progress
 
@@ -233,8 +238,9 @@ def evaluate(
             cells,
             out,
             metric=first.evaluate.metric,
-            workers=first.evaluate.workers,
-            timeout=first.evaluate.timeout,
+            baseline=first.evaluate.baseline,
+            confidence=first.evaluate.confidence,
+            engine=build_engine(first),
             force=force,
             isolate=sweep,
             progress=progress,
@@ -244,9 +250,20 @@ def evaluate(
         from quadexp.report.figures import draw_results
 
         files |= draw_results(result.rows, out, metric=first.evaluate.metric, redraw=result.flown > 0)
+        if first.evaluate.figures != "standard":
+            from quadexp.report import lei_li
+
+            files |= lei_li.draw(first.evaluate.figures, result.rows, out)
     if json:
         emit(
-            {"out": out, "files": files, "flown": result.flown, "not_flown": len(result.not_flown), "rows": result.rows}
+            {
+                "out": out,
+                "files": files,
+                "flown": result.flown,
+                "not_flown": len(result.not_flown),
+                "rows": list(result.rows),
+                "statistics": result.statistics.record(first.evaluate.metric),
+            }
         )
     else:
         print_table(result.table)
@@ -277,6 +294,85 @@ def show(
         emit({key: value for key, value in summary.items() if key != "lines"})
     else:
         print("\n".join(summary["lines"]))
+
+
+app.command("identify")(identify)
+app.command("results")(results)
+
+
+@app.command("compare")
+@guarded
+def compare_two(
+    a: Annotated[Path, typer.Argument(help="A flight, results folder, or checkpoint folder.")],
+    b: Annotated[Path, typer.Argument(help="Another one of the same kind.")],
+    json: Json = False,
+) -> None:
+    """Say what differs between two flights, results or checkpoints: configuration, outcome, figures.
+
+    \b
+    quadexp compare runs/a.parquet runs/b.parquet
+    quadexp compare results/table1 results/table1_again
+    """
+    from quadexp.report.compare import compare
+
+    report = compare(a, b)
+    if json:
+        emit({key: value for key, value in report.items() if key != "lines"})
+    else:
+        print("\n".join(report["lines"]))
+
+
+@app.command()
+@guarded
+def report(
+    results: Annotated[Path, typer.Argument(help="Results folder of `quadexp evaluate --sweep`.")],
+    out: Out = Path("report.html"),
+    figures: Annotated[
+        Path | None, typer.Option("--figures", metavar="DIR", help="Write the figures as PDF too, for a paper.")
+    ] = None,
+    baseline: Annotated[
+        str | None, typer.Option("--baseline", metavar="CONTROLLER", help="Whom the others are compared with.")
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Write a comparison as one page that opens without a network: answer, tables, figures, replay, provenance.
+
+    \b
+    quadexp report results/table1 --out report.html
+    quadexp report results/table1 --out report.html --figures paper/figures
+    """
+    from quadexp.report.page import make_report
+
+    made = make_report(results, out, figures=figures, baseline=baseline, force=force)  # type: ignore[arg-type]
+    if json:
+        emit(made)
+        return
+    print("\n".join([*made["answer"], made["note"], *map(str, made["figures"].values()), str(made["path"])]))
+
+
+@app.command()
+@guarded
+def export(
+    flight: Annotated[Path, typer.Argument(help="A flight of `quadexp simulate`, or of a sweep.")],
+    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="csv, tum, px4csv, mcap or rerun.")],
+    out: Out = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Write a flight for other programs; mcap and rerun need the extra [viz].
+
+    \b
+    quadexp export runs/a.parquet --to rerun --out a.rrd
+    quadexp export runs/a.parquet --to px4csv --out a_px4
+    """
+    from quadexp.flight.exporters import export_flight
+
+    files = export_flight(flight, to, out, force=force)
+    if json:
+        emit({"format": to, "files": files})
+        return
+    print("\n".join(map(str, files.values())))
 
 
 def _flight_name(config: Any) -> str:

@@ -8,44 +8,33 @@ Hydra uses to a copy of the nodes they touch, which gives the same configuration
 from __future__ import annotations
 
 import contextlib
-import copy
+import functools
+import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from hydra import initialize_config_dir
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra._internal.config_repository import CachingConfigRepository
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-from hydra._internal.defaults_list import create_defaults_list
 from hydra.core.config_search_path import SearchPathQuery
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
-from hydra.plugins.config_source import ConfigResult
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
+from quadexp.cells import Cell as Cell
+from quadexp.cells import Cells, Grid
+from quadexp.compose_base import Bases, Repository
 from quadexp.config import SCHEMAS, Config, conf_folder
 from quadexp.errors import UsageError
 from quadexp.messages import one_line, suggestion
 
-
-@dataclass(frozen=True)
-class Cell:
-    """One configuration of a sweep. overrides: what made it. varied: the overrides that differ within the sweep and
-    that no column of the result table names by itself."""
-
-    config: Config
-    overrides: tuple[str, ...]
-    varied: str = ""
-
-
-# Varied keys that the result table has a column for.
-_COLUMN_KEYS = {"vehicle", "plant", "trajectory", "controller", "trajectory.speed", "model", "seed", "experiment"}
+_INTEGER = re.compile(r"0|-?[1-9]\d{0,17}")
+PARSED_KEPT = 50_000  # overrides that are remembered at most
 
 
 class Composer:
@@ -53,8 +42,12 @@ class Composer:
 
     def __init__(self, loader: ConfigLoaderImpl) -> None:
         self._loader = loader
-        self._repository = _Repository(loader.repository)
-        self._bases: dict[tuple[str, ...], _Base] = {}
+        self._repository = Repository(loader.repository)
+        self._bases = Bases(loader, self._repository)
+        self._parsed: dict[str, Override] = {}
+        self._groups: dict[str, bool] = {}
+        self._integers: dict[str, Override] = {}
+        self._checked: set[tuple] = set()
 
     def compose(self, overrides: Sequence[str] = ()) -> Config:
         """The configuration of one run.
@@ -65,29 +58,30 @@ class Composer:
         with _one_line():
             return self._compose(self._parse(overrides))
 
-    def expand(self, overrides: Sequence[str] = ()) -> list[Cell]:
+    def expand(self, overrides: Sequence[str] = ()) -> Cells:
         """Every combination of a sweep: the values on the command line, over those of the experiment's `sweep:`.
 
-        All are composed and checked before any is returned.
+        All are composed and checked before any is returned; they are composed again when they are asked for.
         """
         with _one_line():
             parsed = self._parse(overrides, sweep=True)
-            batches = [BasicSweeper.split_arguments(grid, None)[0] for grid in self._grids(parsed)]
-            single: dict[str, set[str]] = {}
-            for override in (o for batch in batches for cell in batch for o in cell):
-                single.setdefault(_key(override), set()).add(override)
-            cells = [self._cell(cell, single) for batch in batches for cell in batch]
+            cells = Cells([_product(grid) for grid in self._grids(parsed)], self._cell_config)
+            for i in range(len(cells)):
+                self._cell_config(cells.overrides(i))
         return cells
 
     def options(self, group: str) -> list[str]:
         """Names of a group's options."""
         return [name for name in self._repository.get_group_options(group) if not name.startswith("_")]
 
-    def _cell(self, overrides: list[str], values: dict[str, set[str]]) -> Cell:
-        varied = [o for o in overrides if len(values[_key(o)]) > 1 and _key(o) not in _COLUMN_KEYS]
-        config = self._compose(self._parse(overrides))
+    @functools.cached_property
+    def _controllers(self) -> list[str]:
+        return self.options("controller")
+
+    def _cell_config(self, overrides: Sequence[str]) -> Config:
+        config = self._compose(self._parse(overrides), shared=True)
         config.sweep = None  # a cell is one flight
-        return Cell(config, tuple(overrides), " ".join(varied))
+        return config
 
     def _grids(self, parsed: list[Override]) -> Iterator[list[Override]]:
         """The parsed overrides of every grid: one, or one for each mapping under `sweep:` of the experiments."""
@@ -113,49 +107,61 @@ class Composer:
                 own = [f"{key}={_as_override(text)}" for key, text in grid.items() if key not in given]
                 yield choice + self._parse(own, sweep=True) + rest
 
-    def _compose(self, parsed: list[Override]) -> Config:
+    def _compose(self, parsed: list[Override], *, shared: bool = False) -> Config:
         groups = [o for o in parsed if self._is_group(o)]
         key = tuple(o.input_line or "" for o in groups)
-        if key not in self._bases:
-            self._bases[key] = self._base(groups)
+        base = self._bases.get(key, groups)
         values = [o for o in parsed if not self._is_group(o)]
         for override in values:
-            self._check_key(self._bases[key].config, override)
-        return self._bases[key].with_values(values)
-
-    def _base(self, groups: list[Override]) -> _Base:
-        """What Hydra's load_configuration composes, without Hydra's own settings."""
-        defaults = create_defaults_list(
-            self._repository, "config", overrides_list=groups, prepend_hydra=False, skip_missing=False
-        )
-        config = self._loader._compose_config_from_defaults_list(defaults.defaults, self._repository)
-        OmegaConf.set_struct(config, True)
-        return _Base(config)
+            if (key, override.key_or_group) not in self._checked:
+                self._check_key(base.config, override)
+                self._checked.add((key, override.key_or_group))
+        config = base.shared(values) if shared else base.with_values(values)
+        baseline = config.evaluate.baseline
+        if baseline not in self._controllers:
+            hint = suggestion(baseline, self._controllers)
+            raise UsageError(f"evaluate.baseline={baseline}: no such controller{hint}")
+        return config
 
     def _is_group(self, override: Override) -> bool:
-        return self._repository.group_exists(override.key_or_group)
+        name = override.key_or_group
+        if name not in self._groups:
+            self._groups[name] = self._repository.group_exists(name)
+        return self._groups[name]
 
     def _parse(self, overrides: Sequence[str], *, sweep: bool = False) -> list[Override]:
-        parser = OverridesParser.create(config_loader=self._loader)
-        parsed = []
-        for text in overrides:
-            if "=" not in text:
-                raise UsageError(f"{text!r}: expected KEY=VALUE, such as trajectory.speed=8")
-            try:
-                (override,) = parser.parse_overrides([text])
-            except HydraException as error:
-                hint = " (quote a value with blanks or brackets: KEY=\"'VALUE'\")"
-                raise UsageError(f"{text!r}: {one_line(error)}{hint}") from None
-            if override.is_add() or override.is_force_add() or override.is_delete():
-                raise UsageError(f"{text!r}: keys can be set (KEY=VALUE), not added or deleted")
-            if override.package or override.key_or_group.split("/")[0].split(".")[0] in ("hydra", "schema", "sweep"):
-                raise UsageError(f"{text!r}: not a key of this program")
-            if override.is_sweep_override() and not sweep:
+        return [self._parse_one(text, sweep) for text in overrides]
+
+    def _parse_one(self, text: str, sweep: bool) -> Override:
+        known = self._parsed.get(text)
+        if known is not None:
+            return known
+        key, _, value = text.partition("=")
+        if _INTEGER.fullmatch(value) and key in self._integers:  # the grammar costs half a millisecond a text
+            return replace(self._integers[key], _value=int(value), input_line=text)
+        if "=" not in text:
+            raise UsageError(f"{text!r}: expected KEY=VALUE, such as trajectory.speed=8")
+        try:
+            (override,) = OverridesParser.create(config_loader=self._loader).parse_overrides([text])
+        except HydraException as error:
+            hint = " (quote a value with blanks or brackets: KEY=\"'VALUE'\")"
+            raise UsageError(f"{text!r}: {one_line(error)}{hint}") from None
+        if override.is_add() or override.is_force_add() or override.is_delete():
+            raise UsageError(f"{text!r}: keys can be set (KEY=VALUE), not added or deleted")
+        if override.package or override.key_or_group.split("/")[0].split(".")[0] in ("hydra", "schema", "sweep"):
+            raise UsageError(f"{text!r}: not a key of this program")
+        if override.is_sweep_override():
+            if not sweep:
                 raise UsageError(f"{text!r}: several values for one key; use `quadexp evaluate --sweep` for that")
-            if self._is_group(override) and not override.is_sweep_override():
-                self._check_option(override)
-            parsed.append(override)
-        return parsed
+            return override
+        if self._is_group(override):
+            self._check_option(override)
+        if len(self._parsed) > PARSED_KEPT:
+            self._parsed.clear()
+        self._parsed[text] = override
+        if type(override._value) is int:
+            self._integers[key] = override
+        return override
 
     def _check_option(self, override: Override) -> None:
         group, value = override.key_or_group, override.value()
@@ -180,65 +186,18 @@ class Composer:
                 return
 
 
-class _Repository(CachingConfigRepository):
-    """Reads every configuration file once, and hands out copies, because composing merges in place."""
-
-    def load_config(self, config_path: str) -> ConfigResult | None:
-        return copy.deepcopy(super().load_config(config_path))
-
-
-class _Base:
-    """A composed configuration before its value overrides, with its untouched nodes made into objects only once."""
-
-    def __init__(self, config: DictConfig) -> None:
-        self.config = config
-        self._nodes = [name for name in config if isinstance(config._get_node(name), DictConfig)]
-        self._objects: dict[str, Any] = {}
-        # Nodes that refer to others; a reference to a root value (${seed}) is resolved in a copy with the root values.
-        self._referring = {name for name in self._nodes if "${" in str(OmegaConf.to_container(config[name]))}
-        roots = [f"${{{name}}}" for name in config if name not in self._nodes]
-        text = str(OmegaConf.to_container(config))
-        self._separable = text.count("${") == sum(text.count(root) for root in roots)
-
-    def with_values(self, values: list[Override]) -> Config:
-        separable = self._separable and not any("${" in (o.input_line or "") for o in values)
-        touched = {o.key_or_group.split(".")[0] for o in values} | self._referring
-        kept = [name for name in self._nodes if separable and name not in touched and not self._missing(name)]
-        part = _without(self.config, kept)
-        ConfigLoaderImpl._apply_overrides_to_config(values, part)
-        missing = sorted(OmegaConf.missing_keys(part))
-        if missing:
-            raise UsageError(f"{missing[0]}: has no value; give {missing[0]}=VALUE")
-        # to_object resolves, makes the dataclasses, and so checks the ranges.
-        made = {str(name): _object(part, name) for name in part}
-        return Config(**made, **{name: copy.deepcopy(self._object(name)) for name in kept})
-
-    def _missing(self, name: str) -> bool:
-        return name not in self._objects and bool(OmegaConf.missing_keys(self.config[name]))
-
-    def _object(self, name: str) -> Any:
-        if name not in self._objects:
-            self._objects[name] = _object(self.config, name)
-        return self._objects[name]
-
-
-def _without(config: DictConfig, names: Sequence[str]) -> DictConfig:
-    """A copy of the configuration without some of its nodes."""
-    part = OmegaConf.create({})
-    for name in config:
-        if name not in names:
-            part._set_item_impl(name, copy.deepcopy(config._get_node(name)))
-    OmegaConf.set_struct(part, True)
-    return part
-
-
-def _object(config: DictConfig, name: Any) -> Any:
-    value = config[name]
-    return OmegaConf.to_object(value) if OmegaConf.is_config(value) else value
-
-
-def _key(override: str) -> str:
-    return override.partition("=")[0]
+def _product(overrides: Sequence[Override]) -> Grid:
+    """The values of every key, as overrides; of a key that is given twice the last counts."""
+    grid: dict[str, tuple[str, ...]] = {}
+    for override in overrides:
+        key = override.get_key_element()
+        if not override.is_sweep_override():
+            grid[key] = (f"{key}={override.get_value_element_as_str()}",)
+        elif override.is_discrete_sweep():
+            grid[key] = tuple(f"{key}={value}" for value in override.sweep_string_iterator())
+        else:
+            raise UsageError(f"{override.input_line!r}: not a list of values; use commas, range, choice or glob")
+    return tuple(grid.values())
 
 
 def _as_override(value: Any) -> str:
@@ -298,7 +257,7 @@ def compose(overrides: Sequence[str] = (), extra: Path | None = None) -> Config:
         return composer.compose(overrides)
 
 
-def expand(overrides: Sequence[str] = (), extra: Path | None = None) -> list[Cell]:
+def expand(overrides: Sequence[str] = (), extra: Path | None = None) -> Cells:
     """All configurations of a sweep; see Composer.expand."""
     with session(extra) as composer:
         return composer.expand(overrides)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar
 
+from quadexp.config_engine import DaskConfig, EngineConfig, SlurmConfig
 from quadexp.config_flight import (
     CircleConfig,
     ControllerConfig,
@@ -124,14 +125,19 @@ class DragConfig(Checked):
 class EvaluateConfig(Checked):
     """How a comparison is run and shown; nothing here changes a flight.
 
-    metric: what the table shows. workers: processes (0: one a core). timeout: wall time a flight may take.
+    metric: what the table shows. figures: which beside the standard ones. baseline: controller that the others are compared with. confidence: of intervals.
+    workers: processes (0: one a core). timeout: wall time a flight may take. memory: of its process (0: no limit).
     """
 
     prefix: ClassVar[str] = "evaluate."
 
     metric: str = choice("mean_error", "rmse", "max_error", default="mean_error")
+    figures: str = choice("standard", "lei_li", "adaptation", default="standard")
+    baseline: str = "nominal_mpc"
+    confidence: float = number("[0.5, 0.9999]", "", 0.95)
     workers: int = number("[0, 1024]", "processes", 0)
     timeout: float = number("(0, 86400]", "s", 600.0)
+    memory: float = number("[0, 4096]", "GB", 4.0)
 
 
 @dataclass
@@ -146,6 +152,7 @@ class Config(Checked):
     collect: CollectConfig = MISSING  # type: ignore[assignment]
     gp: GPConfig = MISSING  # type: ignore[assignment]
     drag: DragConfig = MISSING  # type: ignore[assignment]
+    engine: EngineConfig = MISSING  # type: ignore[assignment]
     evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
     model: str | None = None
     seed: int = number("[0, 4294967295]", "", 0)
@@ -171,6 +178,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "collect": {"flights": CollectConfig},
     "gp": {"sparse": GPConfig},
     "drag": {"linear": DragConfig},
+    "engine": {"local": EngineConfig, "dask": DaskConfig, "slurm": SlurmConfig},
 }
 
 

@@ -79,7 +79,8 @@ class LeiLiCircleConfig(TrajectoryConfig):
 @dataclass
 class RLSConfig(Checked):
     """Identification in flight; see quadexp/identify/rls.py. profile_drag, lift_slope, body_drag: first values.
-    relative_std: if given, P_0 is the square of relative_std times the first values, else covariance times identity."""
+    relative_std: if given, P_0 is the square of relative_std times the first values, else covariance times identity.
+    change_threshold: mean square prediction error, over that of the noise, at which P goes back to P_0."""
 
     prefix: ClassVar[str] = "controller.rls."
 
@@ -95,6 +96,7 @@ class RLSConfig(Checked):
     rotor_range: list[float] = number("(0, 100]", "of the first values", length=2)
     drag_range: list[float] = number("[0, 100]", "", length=2)
     clip: bool = True
+    change_threshold: float | None = number("(1, 1e9]", "", None)
 
 
 @dataclass

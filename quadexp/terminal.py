@@ -81,4 +81,9 @@ def print_table(table: Any) -> None:
     console = Console()
     if not console.is_terminal:
         console = Console(width=200)
-    console.print(to_rich(table))
+    shown = to_rich(table)
+    if console.measure(shown, options=console.options.update(max_width=10_000)).maximum > console.width:
+        shown = to_rich(table, stacked=True)
+    console.print(shown)
+    for note in table.notes:
+        console.print(note, markup=False, highlight=False, soft_wrap=True)

@@ -46,7 +46,7 @@ class ActiveSet:
 
     def reset(self) -> None:
         """Forget the active set of the last step."""
-        self.side[:] = 0
+        self.side.fill(0)
 
     def solve(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray, Status]:
         """dX (N, 13), dU (N, n) under low <= dU <= high (N), and how it was found. The arrays are overwritten later."""

@@ -41,11 +41,11 @@ class Window(NamedTuple):
 
 
 class Controller(Protocol):
-    """Tracks a reference: `reset` once, then `step` every control period.
+    """Tracks a reference: `forget` before the reference is made, `reset` once, then `step` every control period.
 
-    vehicle: what the controller believes it flies. control_period: s. node_times: (N + 1,), s from now, where it wants the
-    reference. residual: what references should contain of the air, None for nothing. reference_period: s, after which the
-    rest of the reference is made anew from `residual`, where that changes in flight; 0: never.
+    vehicle: what the controller believes it flies. control_period: s. node_times: (N + 1,), s from now, where it wants
+    the reference. residual: what references should contain of the air, None for nothing. reference_period: s, after
+    which the reference is made anew where `residual` is another object than before; 0: never.
     name, source: what it knows of the air, and from where. backend: what its functions run on.
     """
 
@@ -59,6 +59,9 @@ class Controller(Protocol):
 
     @property
     def residual(self) -> Residual | None: ...
+
+    def forget(self) -> None:
+        """Unlearn what earlier flights taught."""
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """Begin a flight in the state x, (13,); nothing of an earlier flight is left."""

@@ -59,6 +59,11 @@ class ModelPredictiveController:
         arguments["R"][...] = settings.thrust_weight(vehicle)
         arguments["u_min"][...], arguments["u_max"][...] = vehicle.thrust_min, vehicle.thrust_max
         arguments["dt"][...] = settings.node_period
+        self._x0, self._X_ref, self._U_ref = (arguments[name] for name in ("x0", "X_ref", "U_ref"))
+        self._X, self._U = arguments["X"], arguments["U"]
+        self._X_new, self._U_new = (self._step.results[name] for name in ("X_new", "U_new"))
+        self._checks, self._thrust = self._step.results["checks"], self._U[0]
+        self._attitude, self._attitude_ref = self._x0[ATTITUDE], self._X_ref[0, ATTITUDE]
         self._d_state = np.zeros((settings.nodes + 1, N_STATE))
         self.set_parameters(residual.theta)
         for name in ("Q", "Q_end", "R"):
@@ -72,16 +77,17 @@ class ModelPredictiveController:
     @property
     def prediction(self) -> tuple[np.ndarray, np.ndarray]:
         """Predicted states (N + 1, 13) and inputs (N, n) of the last step; overwritten by the next."""
-        return self._step.arguments["X"], self._step.arguments["U"]
+        return self._X, self._U
 
     def reset(self, x0: np.ndarray, state_reference: np.ndarray, input_reference: np.ndarray) -> None:
         """Start anew from a guess on the reference; the next `command` iterates to convergence.
 
         x0: (13,). state_reference: (N + 1, 13). input_reference: (N, n), N.
         """
-        arguments = self._step.arguments
-        arguments["X"][...] = self._same_hemisphere(x0, state_reference)
-        arguments["U"][...] = np.clip(input_reference, self.vehicle.thrust_min, self.vehicle.thrust_max)
+        self._X[...] = state_reference
+        if state_reference[0, ATTITUDE] @ x0[ATTITUDE] < 0:
+            self._X[:, ATTITUDE] *= -1
+        self._U[...] = np.clip(input_reference, self.vehicle.thrust_min, self.vehicle.thrust_max)
         self._active_set.reset()
         self._cold = True
 
@@ -95,17 +101,15 @@ class ModelPredictiveController:
         with status FAILED; whoever flies decides what to do.
         """
         began = time.perf_counter()
-        if not math.isfinite(x0 @ x0):
+        if not math.isfinite(sum(x0.tolist())):
             raise QuadexpError("the measured state is not finite")
-        arguments = self._step.arguments
-        arguments["x0"][...] = x0
-        arguments["X_ref"][...] = self._same_hemisphere(x0, state_reference)
-        arguments["U_ref"][...] = input_reference
-        if self._cold:
-            status, sweeps, active, kkt = self._converge()
-        else:
-            status, sweeps, active, kkt = self._iterate()
-        thrust = arguments["U"][0].copy()
+        self._x0[...] = x0
+        self._X_ref[...] = state_reference
+        self._U_ref[...] = input_reference
+        if self._attitude_ref.dot(self._attitude) < 0:  # q and -q are one attitude: compare on the measured side
+            self._X_ref[:, ATTITUDE] *= -1
+        status, sweeps, active, kkt = self._converge() if self._cold else self._iterate()
+        thrust = self._thrust.copy()
         return thrust, StepRecord(time.perf_counter() - began, status, sweeps, active, kkt)
 
     def _converge(self) -> tuple[Status, int, int, float]:
@@ -122,18 +126,19 @@ class ModelPredictiveController:
 
     def _iterate(self) -> tuple[Status, int, int, float]:
         """One SQP iteration: status, sweeps, active bounds, optimality residual. The guess moves unless it failed."""
-        arguments, results = self._step.arguments, self._step.results
         self._step()
-        excess, turn, kkt = float(results["excess"][0]), float(results["turn"][0]), float(results["kkt"][0])
+        excess, turn, kkt = self._checks.tolist()
         if not math.isfinite(excess + turn):
             return Status.FAILED, 0, 0, kkt
         if excess <= TOLERANCE:  # then the unbounded solution solves the bounded problem too
             self._active_set.reset()
             if turn <= MAX_TURN:
-                arguments["X"][...], arguments["U"][...] = results["X_new"], results["U_new"]
+                self._X[...], self._U[...] = self._X_new, self._U_new
             else:
-                self._move(results["X_new"] - results["X_lin"], results["U_new"] - results["U_lin"], MAX_TURN / turn)
+                x, u = self._step.results["X_lin"], self._step.results["U_lin"]
+                self._move(self._X_new - x, self._U_new - u, MAX_TURN / turn)
             return Status.RICCATI, 0, 0, kkt
+        arguments, results = self._step.arguments, self._step.results
         for name in ("A", "B", "b", "q", "r"):
             self._bounded.arguments[name][...] = results[name]
         u = results["U_lin"]
@@ -147,17 +152,9 @@ class ModelPredictiveController:
 
     def _move(self, d_state: np.ndarray, d_input: np.ndarray, length: float) -> None:
         """Step from the linearisation point; short where an attitude would turn further than its model holds."""
-        arguments, results = self._step.arguments, self._step.results
-        arguments["X"][...] = results["X_lin"] + length * d_state
-        arguments["U"][...] = results["U_lin"] + length * d_input
-
-    def _same_hemisphere(self, x0: np.ndarray, state_reference: np.ndarray) -> np.ndarray:
-        """The reference with its quaternions' sign turned to the measured one (both mean the same attitude)."""
-        if state_reference[0, ATTITUDE] @ x0[ATTITUDE] >= 0:
-            return state_reference
-        flipped = state_reference.copy()
-        flipped[:, ATTITUDE] *= -1
-        return flipped
+        results = self._step.results
+        self._X[...] = results["X_lin"] + length * d_state
+        self._U[...] = results["U_lin"] + length * d_input
 
 
 _built: dict[tuple, tuple[ca.Function, ca.Function]] = {}

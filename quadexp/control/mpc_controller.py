@@ -26,6 +26,9 @@ class PredictiveController:
         known = self.mpc.residual
         return known if self.settings.feedforward and not known.is_zero else None
 
+    def forget(self) -> None:
+        """See Controller.forget; nothing is learned in flight."""
+
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         self.mpc.reset(x, window.state, window.input)

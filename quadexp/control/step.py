@@ -27,9 +27,10 @@ def step_function(vehicle: Vehicle, residual: Residual, nodes: int, *, scalar: b
     Inputs: X (13, N + 1), U (n, N) last solution; x0 (13,) measured; X_ref, U_ref; theta (p,) residual parameters;
     Q, Q_end (13,), R (n,) weights; u_min, u_max (n,) N; dt node period (s); shift, share of a node to move the last
     solution forward.
-    Outputs: X_new, U_new; excess, largest bound violation (N); turn, largest change of a quaternion component; kkt, the optimality residual of the shifted guess (the
-    largest of the gaps of the dynamics and of the projected gradient step in u); then the subproblem: A (13, 13 N),
-    B (13, n N), b (13, N), q (13, N + 1), r (n, N) and the linearisation point X_lin, U_lin.
+    Outputs: X_new, U_new; checks (3,): the largest bound violation (N), the largest change of a quaternion component,
+    and the optimality residual of the shifted guess (the largest of the gaps of the dynamics and of the projected
+    gradient step in u); then the subproblem: A (13, 13 N), B (13, n N), b (13, N), q (13, N + 1), r (n, N) and the
+    linearisation point X_lin, U_lin.
     """
     n = vehicle.n_rotors
     node = rk4_sensitivity_function(vehicle, residual, scalar=scalar)
@@ -69,9 +70,9 @@ def step_function(vehicle: Vehicle, residual: Residual, nodes: int, *, scalar: b
     return ca.Function(
         "mpc_step",
         [X, U, x0, X_ref, U_ref, theta, Q, Q_end, R, u_min, u_max, dt, shift],
-        [X_new, U_new, excess, turn, kkt, *(ca.horzcat(*m) for m in (A, B, b, q, r)), X_lin, U_lin],
+        [X_new, U_new, ca.vertcat(excess, turn, kkt), *(ca.horzcat(*m) for m in (A, B, b, q, r)), X_lin, U_lin],
         ["X", "U", "x0", "X_ref", "U_ref", "theta", "Q", "Q_end", "R", "u_min", "u_max", "dt", "shift"],
-        ["X_new", "U_new", "excess", "turn", "kkt", "A", "B", "b", "q", "r", "X_lin", "U_lin"],
+        ["X_new", "U_new", "checks", "A", "B", "b", "q", "r", "X_lin", "U_lin"],
     )
 
 

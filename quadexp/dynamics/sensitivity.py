@@ -15,57 +15,63 @@ from __future__ import annotations
 import casadi as ca
 
 from quadexp.dynamics.rigid_body import body_features, state_derivative
+from quadexp.dynamics.scalars import as_scalars
 from quadexp.residual.base import N_OUTPUTS, Residual
 from quadexp.state import N_STATE
 from quadexp.vehicle import Vehicle
 
 N_MOTION = N_STATE - 3  # s = [q, v, w]
 MOTION_VELOCITY = slice(4, 7)  # v within s
+FLAT_LIMIT = 100  # scalar operations of a residual, beyond which one function called four times beats four copies
 
 
 def rk4_sensitivity_function(vehicle: Vehicle, residual: Residual, *, scalar: bool = True) -> ca.Function:
     """(x (13,), u (n,), theta (p,), dt (s)) -> x_next (13,), A (13, 13), B (13, n).
 
-    scalar: one flat scalar expression with all structural zeros left out, which compiles to the fastest code (as far as
-    the residual is scalar too); otherwise dense matrix products, which the virtual machine runs fastest.
+    scalar: scalar operations with all structural zeros left out, which compile to the fastest code; otherwise dense
+    matrix products, which the virtual machine runs fastest. A residual that is large or in matrix operations stays a
+    call.
     """
-    flat = scalar and residual.function.is_a("SXFunction")
+    flat = scalar and residual.function.is_a("SXFunction") and residual.function.n_instructions() < FLAT_LIMIT
     kind = ca.SX if flat else ca.MX
-    n = vehicle.n_rotors
-    x, u = kind.sym("x", N_STATE), kind.sym("u", n)
+    x, u = kind.sym("x", N_STATE), kind.sym("u", vehicle.n_rotors)
     theta, dt = kind.sym("theta", residual.function.size1_in(1)), kind.sym("dt")
-    features, slope = _features_function(vehicle), _slope_function(vehicle, residual, dense=not scalar)
+    slope = _slope_function(vehicle, residual, dense=not scalar)
 
-    S = None
-    slopes, sensitivities = [], []
-    for c in (0, dt / 2, dt / 2, dt):
-        x_stage = x + c * slopes[-1] if slopes else x
-        y, dy_dz = residual.function(features(x_stage, u), theta)
-        if S is None:
-            k, S = slope(x_stage, u, y, dy_dz)
-        elif scalar:
-            k, S = _stage_function(slope, S.sparsity())(x_stage, u, y, dy_dz, S, c)
-        else:
-            k, G = slope(x_stage, u, y, dy_dz)
-            S = G + c * ca.mtimes(G[:, :N_MOTION], S)
+    def chained_stage(x_stage, u, y, dy_dz, S, c):
+        k, G = slope(x_stage, u, y, dy_dz)
+        return k, G + c * ca.mtimes(G[:, :N_MOTION], S)
+
+    stage, combine = (as_scalars(f) if scalar else f for f in (chained_stage, _combine))
+    k, S = slope(x, u, *residual.function(as_scalars(body_features)(x, u), theta))
+    slopes, sensitivities = [k], [S]
+    for c in (dt / 2, dt / 2, dt):
+        x_stage, z = as_scalars(_stage_point)(x, u, slopes[-1], c)
+        k, S = stage(x_stage, u, *residual.function(z, theta), sensitivities[-1], c)
         slopes.append(k)
         sensitivities.append(S)
-    k1, k2, k3, k4 = slopes
-    S1, S2, S3, S4 = sensitivities
-    identity = kind.eye(N_MOTION) if scalar else ca.densify(kind.eye(N_MOTION))
-    d_motion = ca.horzcat(identity, kind(N_MOTION, n)) + dt / 6 * (S1 + 2 * (S2 + S3) + S4)
-    d_position = dt * ca.horzcat(identity, kind(N_MOTION, n))[MOTION_VELOCITY, :]
-    d_position += dt * dt / 6 * (S1 + S2 + S3)[MOTION_VELOCITY, :]
-    d_state = ca.vertcat(d_position, d_motion)
-    A = ca.horzcat(ca.vertcat(kind.eye(3), kind(N_MOTION, 3)), d_state[:, :N_MOTION])
-    outputs = [x + dt / 6 * (k1 + 2 * (k2 + k3) + k4), A, d_state[:, N_MOTION:]]
+    outputs = combine(x, dt, *slopes, *sensitivities)
     outputs = ca.cse(outputs) if flat else outputs if scalar else [ca.densify(output) for output in outputs]
     return ca.Function("node", [x, u, theta, dt], outputs, ["x", "u", "theta", "dt"], ["x_next", "A", "B"])
 
 
-def _features_function(vehicle: Vehicle) -> ca.Function:
-    x, u = ca.SX.sym("x", N_STATE), ca.SX.sym("u", vehicle.n_rotors)
-    return ca.Function("features", [x, u], [body_features(x, u)])
+def _stage_point(x, u, k, c):
+    """State of the stage after slope k, and the features there."""
+    x_stage = x + c * k
+    return x_stage, body_features(x_stage, u)
+
+
+def _combine(x, dt, k1, k2, k3, k4, S1, S2, S3, S4):
+    """x_next, A, B from the slopes and sensitivities of the four stages."""
+    kind, n = type(x), S1.size2() - N_MOTION
+    start = ca.horzcat(kind.eye(N_MOTION), kind(N_MOTION, n))
+    middle = S2 + S3
+    three = S1 + middle
+    d_motion = start + dt / 6 * (three + middle + S4)
+    d_position = dt * start[MOTION_VELOCITY, :] + dt * dt / 6 * three[MOTION_VELOCITY, :]
+    d_state = ca.vertcat(d_position, d_motion)
+    A = ca.horzcat(ca.vertcat(kind.eye(3), kind(N_MOTION, 3)), d_state[:, :N_MOTION])
+    return [x + dt / 6 * (k1 + 2 * (k2 + k3) + k4), A, d_state[:, N_MOTION:]]
 
 
 def _slope_function(vehicle: Vehicle, residual: Residual, *, dense: bool) -> ca.Function:
@@ -83,12 +89,3 @@ def _slope_function(vehicle: Vehicle, residual: Residual, *, dense: bool) -> ca.
     G = partial + ca.mtimes(by_correction, ca.mtimes(dy_dz, ca.jacobian(features, motion)))
     G = ca.densify(G) if dense else ca.sparsify(G)
     return ca.Function("slope", [x, u, y, dy_dz], ca.cse([derivative, G]))
-
-
-def _stage_function(slope: ca.Function, pattern: ca.Sparsity) -> ca.Function:
-    """(x, u, y, dy/dz, S of the last stage, c) -> x', S of this stage, in scalar operations."""
-    x, u, y, dy_dz = (ca.SX.sym(name, slope.sparsity_in(i)) for i, name in enumerate(("x", "u", "y", "dy_dz")))
-    last, c = ca.SX.sym("S", pattern), ca.SX.sym("c")
-    k, G = slope(x, u, y, dy_dz)
-    S = G + c * ca.mtimes(G[:, :N_MOTION], last)
-    return ca.Function("stage", [x, u, y, dy_dz, last, c], ca.cse([k, S]))

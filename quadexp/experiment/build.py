@@ -15,12 +15,13 @@ from quadexp.config import Config, ControllerConfig, PlantConfig, SensorConfig, 
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment import build_lei_li
 from quadexp.experiment.identity import digest
+from quadexp.experiment.inputs import located
 from quadexp.rotor import RotorGeometry
 from quadexp.vehicle import Vehicle
 
 T = TypeVar("T")
 MODEL_FILE = "model.json"
-KEPT = 64  # things kept at most, the oldest goes first: a sweep over a plant's numbers makes a plant a cell
+KEPT = 64  # things kept at most, the one not used for longest goes: a sweep over plants makes a plant a cell
 _kept: dict[str, Any] = {}
 
 # How to make the checkpoint that a residual needs.
@@ -32,12 +33,11 @@ MAKERS = {
 
 def _keep(record: Any, make: Callable[[], T]) -> T:
     key = digest(record)
-    if key not in _kept:
-        made = make()
-        while len(_kept) >= KEPT:
-            del _kept[next(iter(_kept))]
-        _kept[key] = made
-    return _kept[key]
+    made = _kept.pop(key) if key in _kept else make()
+    while len(_kept) >= KEPT:
+        del _kept[next(iter(_kept))]
+    _kept[key] = made
+    return made
 
 
 @dataclass(frozen=True)
@@ -102,6 +102,8 @@ def build_trajectory(config: TrajectoryConfig) -> Any:
     }
     aside = ("name", "kind", "allow_infeasible", "lost_distance")
     arguments = {k: _tuples(v) for k, v in asdict(config).items() if k not in aside}
+    if "path" in arguments:
+        arguments["path"] = str(located(arguments["path"]))
     return kinds[config.kind](**arguments)
 
 
@@ -145,6 +147,7 @@ def build_residual(config: Config, vehicle: Vehicle, plant: Any, model: ModelFil
     if kind == "none":
         return no_residual(vehicle)
     if kind == "plant":
+        plant.reset()  # as things stand before any change in flight
         return plant.residual()
     assert model is not None
     return _keep(["residual", kind, vehicle.fingerprint, model.sha256], lambda: _from_file(kind, vehicle, model))
@@ -155,9 +158,10 @@ def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
     from quadexp.residual.gaussian_process import gaussian_process_residual
     from quadexp.residual.linear_drag import linear_drag_residual
 
-    if hashlib.sha256((Path(model.path) / MODEL_FILE).read_bytes()).hexdigest() != model.sha256:
+    folder = located(model.path)
+    if hashlib.sha256((folder / MODEL_FILE).read_bytes()).hexdigest() != model.sha256:
         raise DataError(f"{model.path}: has changed since this run began")
-    checkpoint = load_model(model.path, vehicle=vehicle)
+    checkpoint = load_model(folder, vehicle=vehicle)
     if kind == "linear_drag":
         drag = checkpoint.linear_drag
         return linear_drag_residual(vehicle, drag.drag, drag.intercept, drag.thrust_gain, source=model.path)
@@ -169,7 +173,7 @@ def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
 def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
     """The controller; one is kept for every (configuration, model), and begins anew with every flight."""
     controller = config.controller
-    believed = asdict(config.plant) if _knows_plant(controller) else model.sha256 if model else ""
+    believed = asdict(config.plant) if knows_plant(controller) else model.sha256 if model else ""
     record = ["controller", vehicle.fingerprint, asdict(controller), believed]
 
     def make() -> Any:
@@ -188,7 +192,7 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
     return _keep(record, make)
 
 
-def _knows_plant(config: ControllerConfig) -> bool:
+def knows_plant(config: ControllerConfig) -> bool:
     """Whether the controller is told the plant's own equations or coefficients."""
     if config.kind == "feedback":
         return build_lei_li.variant(config).parameters == "true"

@@ -91,4 +91,4 @@ def identification(config: RLSConfig, vehicle: Vehicle) -> Any:
     first = BladeCoefficients(config.lift_slope, config.profile_drag, tuple(config.body_drag))
     values = {f.name: getattr(config, f.name) for f in fields(RLSSettings) if hasattr(config, f.name)}
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
-    return IdentifiedCoefficients(BladeElementRLS(vehicle, first, RLSSettings(**values)))
+    return IdentifiedCoefficients(BladeElementRLS(vehicle, first, RLSSettings(**values)), config.change_threshold)

@@ -6,21 +6,18 @@ costs a fork and a replaced one is there at once. Every worker uses one thread o
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, TimeoutError, wait
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
-from pebble import ProcessExpired, ProcessPool
-
-from quadexp.errors import QuadexpError
+from quadexp.config import Config
+from quadexp.experiment.build import ModelFile
+from quadexp.experiment.child import GONE, PRELOAD, cause, one_thread, start_pool
 
 ATTEMPTS = 2  # for a cell whose process died or took too long
 QUEUED = 4  # cells handed out per worker, so that no worker waits
-PRELOAD = ("casadi", "numpy", "scipy.spatial.transform", "pyarrow.parquet")
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -30,6 +27,45 @@ class CellFailed:
     cause: str
 
 
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A cell to fly and the file it shall be."""
+
+    key: str
+    config: Config
+    model: ModelFile | None
+    path: str
+
+
+CellFunction = Callable[[Config, ModelFile | None, str, str], dict[str, Any]]  # see evaluate.evaluate_cell
+
+
+class Engine(Protocol):
+    """Flies the cells of a sweep somewhere; the files and rows that come of it are the same wherever that is."""
+
+    def fly(self, function: CellFunction, tasks: Iterable[Task]) -> Iterator[tuple[str, dict[str, Any] | CellFailed]]:
+        """Call `function(config, model, path, key)` for every task; yield (key, row or CellFailed) as they end.
+
+        When a row is yielded the file of its cell lies at the path of its task. Tasks are taken as they can be flown,
+        in their order. Leaving the iterator early, or an interrupt, ends whatever the engine started.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class LocalEngine:
+    """The processes of this machine. workers: 0 for one a core. timeout: s of wall time a cell may take.
+    memory: GB that a process may take, None for no limit."""
+
+    workers: int = 0
+    timeout: float | None = None
+    memory: float | None = None
+
+    def fly(self, function: CellFunction, tasks: Iterable[Task]) -> Iterator[tuple[str, Any]]:
+        jobs = ((task.key, (task.config, task.model, task.path, task.key)) for task in tasks)
+        return run_cells(function, jobs, workers=self.workers, timeout=self.timeout, memory=self.memory)
+
+
 def default_workers() -> int:
     """Cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -37,72 +73,55 @@ def default_workers() -> int:
 
 def run_cells(
     function: Callable[..., Any],
-    jobs: Mapping[str, tuple],
+    jobs: Mapping[str, tuple] | Iterable[tuple[str, tuple]],
     *,
     workers: int = 0,
     timeout: float | None = None,
+    memory: float | None = None,
     preload: Sequence[str] = PRELOAD,
 ) -> Iterator[tuple[str, Any]]:
     """Call `function(*arguments)` for every job in worker processes; yield (key, result or CellFailed) as they end.
 
-    jobs: key -> arguments, handed out in this order. timeout: s of wall time a call may take.
+    jobs: key -> arguments, handed out in this order, taken when they are. timeout: s of wall time a call may take.
+    memory: GB a worker may take.
     A call that raises fails at once (it would raise again); one whose process dies or that takes too long is tried
     once more. Leaving the iterator early, or an interrupt, stops every worker.
     """
-    jobs = dict(jobs)
-    attempts_left = dict.fromkeys(jobs, ATTEMPTS)
-    waiting = iter(jobs)
-    again: list[str] = []
-    workers = min(workers or default_workers(), max(1, len(jobs)))
-    saved = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([*preload, function.__module__])
-    pool = ProcessPool(max_workers=workers, context=context)
-    running: dict[Future, str] = {}
+    workers = workers or default_workers()
+    if isinstance(jobs, Mapping):
+        workers = min(workers, max(1, len(jobs)))
+        jobs = jobs.items()
+    waiting = ((key, arguments, ATTEMPTS) for key, arguments in jobs)
+    again: list[tuple[str, tuple, int]] = []
+    running: dict[Future, tuple[str, tuple, int]] = {}
+    with one_thread():
+        pool = start_pool(workers, memory, [*preload, function.__module__])
 
-    def hand_out() -> None:
-        while len(running) < QUEUED * workers:
-            key = again.pop() if again else next(waiting, None)
-            if key is None:
-                return
-            attempts_left[key] -= 1
-            running[pool.schedule(function, args=jobs[key], timeout=timeout)] = key
+        def hand_out() -> None:
+            while len(running) < QUEUED * workers:
+                job = again.pop() if again else next(waiting, None)
+                if job is None:
+                    return
+                running[pool.schedule(function, args=job[1], timeout=timeout)] = job
 
-    try:
-        hand_out()
-        while running:
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                key = running.pop(future)
-                try:
-                    yield key, future.result()
-                except (ProcessExpired, TimeoutError) as error:
-                    if attempts_left[key] > 0:
-                        again.append(key)
-                    else:
-                        yield key, CellFailed(_cause(error, timeout))
-                except Exception as error:
-                    yield key, CellFailed(_cause(error, timeout))
+        try:
             hand_out()
-    finally:
-        if running:
-            pool.stop()
-        else:
-            pool.close()
-        pool.join()
-        for name, value in saved.items():
-            if value is None:
-                os.environ.pop(name, None)
+            while running:
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    key, arguments, attempts = running.pop(future)
+                    try:
+                        yield key, future.result()
+                    except GONE as error:
+                        if attempts > 1:
+                            again.append((key, arguments, attempts - 1))
+                        else:
+                            yield key, CellFailed(cause(error, timeout))
+                    except Exception as error:
+                        yield key, CellFailed(cause(error, timeout))
+                hand_out()
+        finally:
+            if running:
+                pool.stop()
             else:
-                os.environ[name] = value
-
-
-def _cause(error: Exception, timeout: float | None) -> str:
-    if isinstance(error, TimeoutError):
-        return f"took longer than {timeout:g} s"
-    if isinstance(error, ProcessExpired):
-        return f"its process died (exit code {error.exitcode})"
-    text = str(error).strip().splitlines()
-    if isinstance(error, QuadexpError):
-        return text[0] if text else type(error).__name__
-    return f"{type(error).__name__}: {text[0] if text else ''}"[:300].rstrip(": ")
+                pool.close()
+            pool.join()

@@ -37,6 +37,7 @@ class SampledReference:
 
     def __init__(self, trajectory, controller: Controller | ModelPredictiveController) -> None:
         controller = as_controller(controller)
+        controller.forget()
         self._trajectory, self._vehicle = trajectory, controller.vehicle
         samples = int(np.floor(trajectory.duration / controller.control_period + 1e-6)) + 1
         self.t = np.arange(samples) * controller.control_period
@@ -46,11 +47,15 @@ class SampledReference:
         flat = trajectory.flat_output(self.t)
         self._position = flat.position
         self._yaw = np.zeros((samples, 3)) if flat.yaw is None else flat.yaw
+        self._believed: Residual | None | object = self  # nothing yet
         self.reference: Reference
         self.renew(controller.residual)
 
     def renew(self, residual: Residual | None) -> None:
         """Make attitude, rates and thrusts anew for another belief of the air; UsageError where there are none."""
+        if residual is self._believed:
+            return
+        self._believed = residual
         times = self._grid * TIME_RESOLUTION
         self.reference = flat_reference(self._trajectory, times, self._vehicle, residual=residual)
 
@@ -100,10 +105,7 @@ def fly(
     renewal = round(controller.reference_period / period)
     log = _Log(len(reference), rotors)
     sensor_rng = rng.spawn(1)[0] if sensor is not None else rng
-    reset = getattr(plant, "reset", None)
-    if reset is not None:
-        reset()
-
+    plant.reset()
     x = reference.at(0)[0].copy() if start is None else np.array(start, float)
     reading = np.array([0.0, 0.0, plant.vehicle.gravity])
     measured, speed = None, None

@@ -35,7 +35,11 @@ def cell_key(config: Config, inputs: Mapping[str, str], stage: str = "evaluate")
 
 def condition(config: Config) -> dict[str, Any]:
     """What was asked for, without the content of the files it names."""
-    record = flight_record(config)
+    return without_places(flight_record(config))
+
+
+def without_places(record: Mapping[str, Any]) -> dict[str, Any]:
+    """A flight's record without where its checkpoint was looked for."""
     return {**record, "controller": {k: v for k, v in record["controller"].items() if k != "models"}}
 
 

@@ -73,10 +73,54 @@ RESULT_COLUMNS: dict[str, Column] = {
     "duration": Column("s", "", "length of the flight"),
 }
 
+# One row per metric, condition and contestant; `unit` names the unit of the columns that are in the metric's own.
+_OWN = "see `unit`"
+STATISTIC_COLUMNS: dict[str, Column] = {
+    "speed": RESULT_COLUMNS["speed"],
+    "setting": Column("", "", "what else varies between the conditions"),
+    "variant": Column("", "", "settings of the controller that vary"),
+    "label": Column("", "", "controller, and what tells it from the others"),
+    "confidence": Column("1", "", "of every interval"),
+    "seeds": Column("1", "", "cells asked for"),
+    "n": Column("1", "", "flights that ended well, which the mean is over"),
+    "mean": Column(_OWN, "", "mean over the seeds"),
+    **{f: Column(_OWN, "", f"{end} limit of the mean") for f, end in (("low", "lower"), ("high", "upper"))},
+    "std": Column(_OWN, "", "standard deviation over the seeds"),
+    "interval": Column("", "", "BCa bootstrap, t, constant, or none"),
+    "success": Column("1", "", "share that ended well, of all but the infeasible; limits by Wilson"),
+    "baseline": Column("", "", "label of whom it is compared with"),
+    "pairs": Column("1", "", "seeds on which both ended well"),
+    "left_out": Column("", "", "seeds that make no pair, by cause"),
+    "baseline_mean": Column(_OWN, "", "mean of the baseline over the pairs"),
+    "difference": Column(_OWN, "", "mean of contestant - baseline over the pairs"),
+    "reduction": Column("%", "", "100 (1 - mean / baseline mean) over the pairs"),
+    "effect": Column("1", "", "matched-pairs rank-biserial correlation, positive where smaller than the baseline"),
+    "cohen_d": Column("1", "", "mean over standard deviation of the differences, positive where smaller"),
+    "p": Column("1", "", "paired permutation test of the mean difference, two-sided"),
+    "p_holm": Column("1", "", "p corrected for the number of comparisons"),
+    "p_least": Column("1", "", "the least p that so many pairs can give"),
+    "comparisons": Column("1", "", "over how many p_holm is corrected"),
+}
+for _name in ("success", "difference", "reduction"):
+    for _end in ("low", "high"):
+        STATISTIC_COLUMNS[f"{_name}_{_end}"] = STATISTIC_COLUMNS[_name]._replace(description=f"{_end} limit of {_name}")
+
 _COEFFICIENTS = {
     "C_d0": Column("1", "", "profile drag coefficient of the blades"),
     "C_la": Column("1/rad", "", "lift slope of the blades"),
     **{f"C_D{i}": Column("1", "body", "drag coefficient of the airframe") for i in _AXES},
+}
+# What a controller or plant of Lei & Li's system logs besides.
+FLIGHT_COLUMNS |= {
+    **{name: column._replace(description=f"{column.description}, in use") for name, column in _COEFFICIENTS.items()},
+    "clips": Column("1", "", "entries of the estimate clipped so far"),
+    "reopened": Column("1", "", "times the estimator found a change so far"),
+    "phi_d": Column("rad", "FRD in NED", "desired roll angle"),
+    "theta_d": Column("rad", "FRD in NED", "desired pitch angle"),
+    "error_eta": Column("rad", "", "norm of the Euler angles' distance to the desired ones"),
+    "cone": Column("1", "", "1 where the desired thrust was moved into the cone"),
+    "floored": Column("1", "", "rotors commanded at the least speed"),
+    "limited": Column("1", "", "rotors commanded at the largest thrust"),
 }
 ESTIMATE_COLUMNS: dict[str, Column] = {
     "t": Column("s", "", "time since the start of the flight"),
@@ -94,8 +138,10 @@ _BY_KIND = {
     "residuals": RESIDUAL_COLUMNS,
     "results": RESULT_COLUMNS,
     "estimates": ESTIMATE_COLUMNS,
+    "statistics": STATISTIC_COLUMNS,
 }
 _INPUT = re.compile(r"(ref_)?u_\d+")
+_INDUCED_VELOCITY = re.compile(r"induced_velocity_\d+")
 _ROTOR_SPEED = re.compile(r"rotor_speed_\d+")
 
 
@@ -108,6 +154,8 @@ def describe(name: str, kind: str = "flight") -> Column:
         return Column("N", "body", f"{'reference' if match[1] else 'commanded'} static rotor thrust")
     if _ROTOR_SPEED.fullmatch(name):
         return Column("rad/s", "", "rotor speed")
+    if _INDUCED_VELOCITY.fullmatch(name):
+        return Column("m/s", "body", "induced velocity through the rotor, downwards")
     return Column("", "", "")
 
 

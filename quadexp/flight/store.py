@@ -21,7 +21,13 @@ from quadexp.state import STATE_COLUMNS
 
 SCHEMA = 1
 METADATA_KEY = b"quadexp"
-COMMANDS = {"flight": "simulate", "residuals": "collect", "results": "evaluate", "estimates": "identify"}
+COMMANDS = {
+    "flight": "simulate",
+    "residuals": "collect",
+    "results": "evaluate",
+    "estimates": "identify",
+    "statistics": "evaluate",
+}
 
 
 def check_output(path: str | Path, *, force: bool = False, folder: bool = False) -> Path:

@@ -93,19 +93,25 @@ class BladeElementRLS:
 
     def reset(self) -> None:
         """Begin anew from the first values."""
-        theta_0, s, arguments = self.initial.parameters(), self.settings, self._step.arguments
+        theta_0, arguments = self.initial.parameters(), self._step.arguments
         for axis, at in zip("xyz", AXES, strict=True):
-            first = theta_0[list(at)]
-            spread = np.full(len(at), s.covariance)
-            if s.relative_std is not None:
-                spread = (s.relative_std * np.maximum(np.abs(first), 1e-3)) ** 2
-            arguments[f"theta_{axis}"][...], arguments[f"P_{axis}"][...] = first, np.diag(spread)
+            arguments[f"theta_{axis}"][...] = theta_0[list(at)]
+        self.reopen()
         self.weight, self.samples, self.skipped = 0.5, 0, 0
         self.clips = np.zeros(len(THETA), int)
         self.raw = theta_0.copy()
         self.theta = self._within_bounds(theta_0)
         self.error, self.regressors = np.full(3, np.nan), np.full((3, len(THETA)), np.nan)
         self.induced_velocity = np.full(self.vehicle.n_rotors, np.nan)
+
+    def reopen(self) -> None:
+        """Doubt the estimates as much as the first values were, P = P_0, and keep them: after a change of the vehicle."""
+        theta_0, s = self.initial.parameters(), self.settings
+        for axis, at in zip("xyz", AXES, strict=True):
+            spread = np.full(len(at), s.covariance)
+            if s.relative_std is not None:
+                spread = (s.relative_std * np.maximum(np.abs(theta_0[list(at)]), 1e-3)) ** 2
+            self._step.arguments[f"P_{axis}"][...] = np.diag(spread)
 
     def update(self, body_velocity: np.ndarray, rotor_speed: np.ndarray, specific_force: np.ndarray) -> np.ndarray:
         """Take in one sample and return the values to use, (5,).

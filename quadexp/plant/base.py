@@ -15,6 +15,10 @@ class Plant(Protocol):
 
     vehicle: Vehicle
 
+    def reset(self) -> None:
+        """Begin a flight: forget what an earlier one left behind."""
+        ...
+
     def advance(
         self, x: np.ndarray, u: np.ndarray, duration: float, rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray]:

@@ -77,6 +77,9 @@ class SimplifiedPlant:
         self._backend = resolve(backend)
         self._advance: dict[int, BufferedFunction] = {}
 
+    def reset(self) -> None:
+        """See Plant.reset; this plant remembers nothing."""
+
     def advance(
         self, x: np.ndarray, u: np.ndarray, duration: float, rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray]:

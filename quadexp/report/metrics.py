@@ -13,7 +13,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from quadexp.flight.schema import Flight
 from quadexp.state import ATTITUDE, POSITION, VELOCITY
@@ -32,6 +31,8 @@ def position_error(flight: Flight) -> np.ndarray:
 
 def attitude_error(flight: Flight) -> np.ndarray:
     """Angle of the rotation between attitude and reference, (k,) (rad), in [0, pi]."""
+    from scipy.spatial.transform import Rotation  # half of the start of a command that only shows results
+
     flown = Rotation.from_quat(flight.state[:, ATTITUDE], scalar_first=True)
     wanted = Rotation.from_quat(flight.reference_state[:, ATTITUDE], scalar_first=True)
     return (wanted.inv() * flown).magnitude()

@@ -95,7 +95,7 @@ def _table(path: Path) -> dict[str, Any]:
         summary["flights"] = record.get("flights", [])
         lines += _residual_lines(record, columns)
     elif kind == "results":
-        lines += _result_lines(record, columns)
+        lines += _result_lines(record, columns, path.parent)
     lines += _config_lines(record.get("config"))
     if kind != "results":
         lines += _unit_lines(summary["columns"])
@@ -120,8 +120,9 @@ def _residual_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]
     return lines
 
 
-def _result_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> list[str]:
-    from quadexp.report.tables import error_table, from_columns, to_markdown
+def _result_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], folder: Path) -> list[str]:
+    from quadexp.report.statistics_file import results_statistics
+    from quadexp.report.tables import from_columns, table_of, to_markdown
 
     rows = from_columns(columns)
     outcomes: dict[str, int] = {}
@@ -129,7 +130,10 @@ def _result_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]) 
         outcomes[row["outcome"]] = outcomes.get(row["outcome"], 0) + 1
     lines = ["outcomes    " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items())]
     if rows:
-        lines += ["", *to_markdown(error_table(rows, record.get("metric", "mean_error"))).splitlines(), ""]
+        options = {name: record[name] for name in ("baseline", "confidence") if name in record}
+        statistics, metric = results_statistics(folder, rows, **options), record.get("metric", "mean_error")
+        table = table_of(statistics.of(metric), statistics.pooled(metric))
+        lines += ["", *to_markdown(table).splitlines(), ""]
     return lines
 
 

@@ -1,4 +1,4 @@
-"""The error table: trajectory and speed down, controllers across, the mean over seeds in each cell.
+"""The error table: trajectory and speed down, controllers across, the mean over seeds and its interval in each cell.
 
 One table, four forms: terminal (rich), Markdown, LaTeX (booktabs), and the rows behind it as CSV and Parquet.
 """
@@ -9,12 +9,16 @@ import csv
 import io
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from quadexp.report.metrics import SHOWN
+from quadexp.report.overall import Overall, overall
+from quadexp.report.pairing import contestant_labels, contestant_of, split_variant, variant_parts
+from quadexp.report.statistics import BASELINE, CONFIDENCE, Statistic, compute_statistics
+from quadexp.report.wording import notes, with_interval
 
 # Columns of a result row, in the order they are written.
 ROW_COLUMNS = (
@@ -47,6 +51,8 @@ TEXT_COLUMNS = (
 )  # fmt: skip
 INTEGER_COLUMNS = ("seed", "last_resort_count")
 
+_LATEX = str.maketrans({c: f"\\{c}" for c in "&%$#_{}"} | {"\\": r"\textbackslash{}", "<": "$<$"})
+
 TITLES = {"rmse": "RMSE", "mean_error": "mean error", "max_error": "largest error"}
 
 
@@ -54,112 +60,120 @@ TITLES = {"rmse": "RMSE", "mean_error": "mean error", "max_error": "largest erro
 class Entry:
     """One cell of the table.
 
-    mean, spread: over the flights that ended well (shown unit); spread is the standard deviation, NaN for one flight.
-    flights: how many there were. lost: outcome -> count of those that did not end well.
+    mean, low, high: over the flights that ended well, with its interval (shown unit); NaN where there is none.
+    spread: their standard deviation. flights: how many there were. lost: outcome -> count of those that did not end
+    well. best: the least mean among the rivals with the highest success rate. significant: differs from the baseline.
     """
 
     mean: float
     spread: float
     flights: int
     lost: Mapping[str, int]
+    low: float = math.nan
+    high: float = math.nan
+    success: float = math.nan
     best: bool = False
+    significant: bool = False
 
-    def text(self) -> str:
-        """Such as "12.3", "12.3 (1 lost)" or "3 lost"."""
+    def text(self, emphasis: str = "{}") -> str:
+        """Such as "12.3", "240.6 [239.9, 241.2]*", "12.3 (1 lost)" or "3 lost". emphasis: of the mean if it is best."""
         lost = ", ".join(f"{count} {outcome}" for outcome, count in self.lost.items())
         if math.isnan(self.mean):
             return lost or "-"
-        return significant(self.mean) + (f" ({lost})" if lost else "")
+        mean, limits = with_interval(self.mean, self.low, self.high)
+        mean = emphasis.format(mean) if self.best else mean
+        return mean + limits + ("*" if self.significant else "") + (f" ({lost})" if lost else "")
 
 
 @dataclass(frozen=True)
 class ErrorTable:
-    """rows: (trajectory, speed text). columns: controller labels. entries: (row, column) -> Entry."""
+    """rows: (trajectory, speed text). columns: controller labels. entries: (row, column) -> Entry. notes: lines below,
+    what the numbers are and how they compare over all."""
 
     metric: str
     unit: str
     rows: tuple[tuple[str, str], ...]
     columns: tuple[str, ...]
     entries: Mapping[tuple[tuple[str, str], str], Entry]
+    notes: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
         return f"{TITLES[self.metric]} ({self.unit})"
 
 
-def significant(value: float) -> str:
-    """Three significant digits or one decimal, whichever says more: 0.0123, 1.23, 12.3, 123.4."""
-    if value == 0 or not math.isfinite(value):
-        return f"{value:g}"
-    return f"{value:.{max(1, 2 - math.floor(math.log10(abs(value))))}f}"
-
-
 def column_labels(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """What stands over each row's column: the controller, and whatever else tells two columns apart."""
-    models: dict[str, set[str]] = {}
-    for row in rows:
-        models.setdefault(row["controller"], set()).add(row["model"])
-    paths = set().union(*models.values())
-    short = {path: path.rstrip("/").rpartition("/")[2] for path in paths}
-    if len(set(short.values())) < len(paths):  # two checkpoints of one name: say where they lie
-        short = {path: path for path in paths}
+    labels = contestant_labels(list(dict.fromkeys(map(contestant_of, rows))))
     plants = {row["plant"] for row in rows}
     vehicles = {row["vehicle"] for row in rows}
-    labels = []
+    made = []
     for row in rows:
-        label = row["controller"]
-        if len(models[label]) > 1 and row["model"]:
-            label += f" {short[row['model']]}"
-        if row.get("variant"):  # "controller.nodes=20" is said as "nodes=20"
-            label += "".join(f" {part.rpartition('.')[2]}" for part in row["variant"].split(" "))
-        if len(plants) > 1:
-            label += f" @{row['plant']}"
-        if len(vehicles) > 1:
-            label += f" @{row['vehicle']}"
-        labels.append(label)
-    return labels
+        parts = [labels[contestant_of(row)], *variant_parts(split_variant(row.get("variant") or "")[1])]
+        parts += [f"@{row['plant']}"] if len(plants) > 1 else []
+        parts += [f"@{row['vehicle']}"] if len(vehicles) > 1 else []
+        made.append(" ".join(parts))
+    return made
 
 
-def error_table(rows: Sequence[Mapping[str, Any]], metric: str = "mean_error") -> ErrorTable:
-    """The table of one metric; the best of a row is marked among the flights on one plant and vehicle."""
+def table_rows(statistics: Sequence[Statistic]) -> list[dict[str, Any]]:
+    """What `column_labels` asks of a row, of statistics."""
+    names = ("plant", "vehicle", "controller", "model")
+    return [
+        {**{name: getattr(s, name) for name in names}, "variant": f"{s.variant} {s.setting}".strip()}
+        for s in statistics
+    ]
+
+
+def error_table(
+    rows: Sequence[Mapping[str, Any]],
+    metric: str = "mean_error",
+    *,
+    baseline: str = BASELINE,
+    confidence: float = CONFIDENCE,
+) -> ErrorTable:
+    """The table of one metric from result rows; see `table_of`."""
+    options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
+    statistics = compute_statistics(rows, metrics=(metric,), **options)
+    return table_of(statistics, overall(rows, metric=metric, **options))
+
+
+def table_of(statistics: Sequence[Statistic], pooled: Sequence[Overall] = ()) -> ErrorTable:
+    """The table of one metric's statistics; the best of a row is marked among the flights on one plant and vehicle."""
+    metric = statistics[0].metric
     factor, unit = SHOWN[metric]
-    groups: dict[tuple[tuple[str, str], str], list[Mapping[str, Any]]] = {}
     order: dict[tuple[str, float], tuple[str, str]] = {}
     columns: dict[str, tuple[str, str]] = {}
-    for row, label in zip(rows, column_labels(rows), strict=True):
-        speed = row["speed"]
-        speed = math.nan if speed is None else float(speed)
-        line = (row["trajectory"], "" if math.isnan(speed) else f"{speed:g}")
-        order.setdefault((row["trajectory"], -1.0 if math.isnan(speed) else speed), line)
-        columns.setdefault(label, (row["plant"], row["vehicle"]))
-        groups.setdefault((line, label), []).append(row)
-    entries = {at: _entry(group, metric, factor) for at, group in groups.items()}
+    entries: dict[tuple[tuple[str, str], str], Entry] = {}
+    for statistic, label in zip(statistics, column_labels(table_rows(statistics)), strict=True):
+        speed = statistic.speed
+        line = (statistic.trajectory, "" if math.isnan(speed) else f"{speed:g}")
+        order.setdefault((statistic.trajectory, -1.0 if math.isnan(speed) else speed), line)
+        columns.setdefault(label, (statistic.plant, statistic.vehicle))
+        entries[line, label] = Entry(
+            mean=factor * statistic.mean,
+            spread=factor * statistic.std,
+            flights=statistic.seeds,
+            lost=statistic.failures,
+            low=factor * statistic.low,
+            high=factor * statistic.high,
+            success=statistic.success,
+            significant=statistic.significant,
+        )
     names = list(dict.fromkeys(name for name, _ in order))
     lines = tuple(order[key] for key in sorted(order, key=lambda key: (names.index(key[0]), key[1])))
     for line in lines:
         for world in set(columns.values()):
             rivals = [c for c in columns if columns[c] == world and (line, c) in entries]
-            means = {c: entries[line, c].mean for c in rivals if not math.isnan(entries[line, c].mean)}
-            if len(rivals) > 1 and means:
-                best = min(means, key=lambda c: means[c])
-                entry = entries[line, best]
-                entries[line, best] = Entry(entry.mean, entry.spread, entry.flights, entry.lost, best=True)
-    return ErrorTable(metric, unit, lines, tuple(columns), entries)
+            able = [c for c in rivals if not math.isnan(entries[line, c].mean)]
+            if len(rivals) > 1 and able:
+                best = min(able, key=lambda c: (-entries[line, c].success, entries[line, c].mean))
+                entries[line, best] = replace(entries[line, best], best=True)
+    return ErrorTable(metric, unit, lines, tuple(columns), entries, notes(statistics, pooled))
 
 
-def _entry(group: Sequence[Mapping[str, Any]], metric: str, factor: float) -> Entry:
-    good = [factor * row[metric] for row in group if row["outcome"] == "ok"]
-    lost: dict[str, int] = {}
-    for row in group:
-        if row["outcome"] != "ok":
-            lost[row["outcome"]] = lost.get(row["outcome"], 0) + 1
-    mean = float(np.mean(good)) if good else math.nan
-    spread = float(np.std(good, ddof=1)) if len(good) > 1 else math.nan
-    return Entry(mean, spread, len(group), lost)
-
-
-def to_rich(table: ErrorTable) -> Any:
-    """A rich Table for the terminal."""
+def to_rich(table: ErrorTable, *, stacked: bool = False) -> Any:
+    """A rich Table for the terminal. stacked: intervals below their means, for a narrow one."""
     from rich.table import Table
 
     shown = Table(title=table.title, title_justify="left")
@@ -168,7 +182,8 @@ def to_rich(table: ErrorTable) -> Any:
     for heading in table.columns:
         shown.add_column(heading, justify="right", overflow="fold")
     for line in table.rows:
-        shown.add_row(*line, *(_decorated(table, line, column, "[bold]{}[/bold]") for column in table.columns))
+        cells = [_decorated(table, line, column, "[bold]{}[/bold]") for column in table.columns]
+        shown.add_row(*line, *(cell.replace(" [", "\n[") if stacked else cell for cell in cells))
     return shown
 
 
@@ -176,25 +191,29 @@ def to_markdown(table: ErrorTable) -> str:
     """A Markdown table."""
     head = ["trajectory", "m/s", *table.columns]
     lines = [
-        f"{table.title}, mean over seeds",
+        table.title,
         "",
-        _pipes(head),
-        _pipes(["---", "---:"] + ["---:"] * len(table.columns)),
+        pipes(head),
+        pipes(["---", "---:"] + ["---:"] * len(table.columns)),
     ]
     lines += [
-        _pipes([*line, *(_decorated(table, line, column, "**{}**") for column in table.columns)]) for line in table.rows
+        pipes([*line, *(_decorated(table, line, column, "**{}**") for column in table.columns)]) for line in table.rows
     ]
+    # A star would begin a list.
+    lines += ["", *(f"- {note.replace('* ', '&ast; ')}" for note in table.notes)]
     return "\n".join(lines) + "\n"
 
 
 def to_latex(table: ErrorTable) -> str:
     """A LaTeX tabular with booktabs rules."""
-    head = ["trajectory", "m/s", *table.columns]
+    last = len(table.columns) + 2
     lines = [
-        f"% {table.title}, mean over seeds; needs \\usepackage{{booktabs}}",
+        r"% needs \usepackage{booktabs}",
+        *(f"% {note}" for note in table.notes),
         r"\begin{tabular}{lr" + "r" * len(table.columns) + "}",
         r"\toprule",
-        " & ".join(map(_escape, head)) + r" \\",
+        rf" & & \multicolumn{{{last - 2}}}{{c}}{{{escape(table.title)}}} \\ \cmidrule(l){{3-{last}}}",
+        " & ".join(map(escape, ["trajectory", "speed (m/s)", *table.columns])) + r" \\",
         r"\midrule",
     ]
     previous = None
@@ -203,7 +222,7 @@ def to_latex(table: ErrorTable) -> str:
             lines.append(r"\addlinespace")
         previous = line[0]
         cells = [_decorated(table, line, column, r"\textbf{{{}}}") for column in table.columns]
-        lines.append(" & ".join([*map(_escape, line), *cells]) + r" \\")
+        lines.append(" & ".join([*map(escape, line), *cells]) + r" \\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
 
 
@@ -211,18 +230,18 @@ def _decorated(table: ErrorTable, line: tuple[str, str], column: str, best: str)
     entry = table.entries.get((line, column))
     if entry is None:
         return "-"
-    text = entry.text().replace("_", r"\_") if best.startswith("\\") else entry.text()
-    return best.format(text) if entry.best else text
+    if not best.startswith("\\"):
+        return entry.text(best)
+    return entry.text(best).replace("_", r"\_").replace("*", "$^*$")
 
 
-def _pipes(cells: Iterable[str]) -> str:
+def pipes(cells: Iterable[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-def _escape(text: str) -> str:
-    for character in "\\&%$#_{}":
-        text = text.replace(character, r"\textbackslash{}" if character == "\\" else f"\\{character}")
-    return text
+def escape(text: str) -> str:
+    """Text for LaTeX."""
+    return text.translate(_LATEX)
 
 
 def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -231,11 +250,11 @@ def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
     writer = csv.DictWriter(stream, ROW_COLUMNS, lineterminator="\n", extrasaction="ignore")
     writer.writeheader()
     for row in rows:
-        writer.writerow({name: _csv_value(row.get(name)) for name in ROW_COLUMNS})
+        writer.writerow({name: csv_value(row.get(name)) for name in ROW_COLUMNS})
     return stream.getvalue()
 
 
-def _csv_value(value: Any) -> str:
+def csv_value(value: Any) -> str:
     """Shortest digits that give the number back; nothing for what is not there."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""

@@ -58,63 +58,67 @@ def gaussian_process_residual(
             if feature not in (*names, COLLECTIVE_THRUST):
                 raise UsageError(f"gp feature {feature!r}: allowed are {', '.join((*names, COLLECTIVE_THRUST))}")
     mean = np.zeros(N_PARAMETERS) if mean_parameters is None else np.asarray(mean_parameters, float)
-    blocks = [mean]
-    for o in outputs:
-        scale = 1.0 / (np.sqrt(2.0) * np.asarray(o.lengthscale, float))
-        points = np.asarray(o.inducing, float).reshape(len(o.alpha), len(o.features)) * scale
-        blocks += [scale, points.T.reshape(-1), np.asarray(o.alpha, float)]
+    scales = [1.0 / (np.sqrt(2.0) * np.asarray(o.lengthscale, float)) for o in outputs]
+    points = [
+        (np.asarray(o.inducing, float).reshape(len(o.alpha), len(o.features)) * scale).T.reshape(-1)
+        for o, scale in zip(outputs, scales, strict=True)
+    ]
+    alphas = [np.asarray(o.alpha, float) for o in outputs]
     function = _posterior_mean_function(names, structure, with_mean=bool(np.any(mean)))
-    return Residual("gaussian_process", function, np.concatenate(blocks), source)
+    return Residual("gaussian_process", function, np.concatenate([mean, *scales, *points, *alphas]), source)
 
 
 def _posterior_mean_function(
     names: tuple[str, ...], structure: tuple[tuple[str, tuple[str, ...], int], ...], *, with_mean: bool
 ) -> ca.Function:
-    """(z, theta) -> y, dy/dz for outputs of the given (output, features, number of points)."""
-    n_features = len(names)
-    z = ca.MX.sym("z", n_features)
-    theta = ca.MX.sym("theta", N_PARAMETERS + sum(len(f) * (m + 1) + m for _, f, m in structure))
-    values, gradients, rows = [], [], []
-    at = N_PARAMETERS
-    for output, features, m in structure:
-        d = len(features)
-        scale, points, alpha = (
-            theta[at : at + d],
-            theta[at + d : at + d + d * m],
-            theta[at + d + d * m : at + d + d * m + m],
-        )
-        at += d + d * m + m
-        distance = []
-        for i, feature in enumerate(features):
-            phi = ca.sum1(z[6:]) if feature == COLLECTIVE_THRUST else z[names.index(feature)]
-            distance.append(scale[i] * phi - points[i * m : (i + 1) * m])
-        exponent = distance[0] * distance[0]
-        for e in distance[1:]:
-            exponent = exponent + e * e
-        weighted = alpha * ca.exp(-exponent)
-        values.append(ca.sum1(weighted))
-        gradients += [-2 * scale[i] * ca.dot(weighted, distance[i]) for i in range(d)]
-        rows.append(OUTPUTS.index(output))
-    assemble = _assembly_function(names, structure, rows, with_mean=with_mean)
-    y, dy_dz = assemble(z, theta[:N_PARAMETERS], ca.vertcat(*values), ca.vertcat(*gradients))
+    """(z, theta) -> y, dy/dz for outputs of the given (output, features, number of points).
+
+    theta: parameters of the mean function, then s, s Z and alpha of all outputs, one after the other.
+    """
+    n_alpha = [m for _, _, m in structure]
+    n_point = [m for _, features, m in structure for _ in features]
+    sizes = [N_PARAMETERS, len(n_point), sum(n_point), sum(n_alpha)]
+    z, theta = ca.MX.sym("z", len(names)), ca.MX.sym("theta", sum(sizes))
+    drag, scale, points, alpha = _split(theta, sizes)
+    select, assemble = _scalar_functions(names, structure, with_mean=with_mean)
+
+    scaled = ca.vertsplit(select(z, scale))
+    distance = [feature - point for feature, point in zip(scaled, _split(points, n_point), strict=True)]
+    of_output = [i for i, (_, features, _) in enumerate(structure) for _ in features]
+    exponent = [sum(d * d for d, i in zip(distance, of_output, strict=True) if i == o) for o in range(len(structure))]
+    kernel = ca.exp(-ca.vertcat(*exponent))  # all outputs at once: a long loop
+    weighted = _split(alpha * kernel, n_alpha)
+    values = [ca.dot(a, k) for a, k in zip(_split(alpha, n_alpha), _split(kernel, n_alpha), strict=True)]
+    slopes = [ca.dot(weighted[i], d) for d, i in zip(distance, of_output, strict=True)]
+    y, dy_dz = assemble(z, drag, scale, ca.vertcat(*values), ca.vertcat(*slopes))
     return ca.Function("residual_gaussian_process", [z, theta], [y, dy_dz], ["z", "theta"], ["y", "dy_dz"])
 
 
-def _assembly_function(names, structure, rows, *, with_mean: bool) -> ca.Function:
-    """(z, mean parameters, values, gradients) -> y, dy/dz with structural zeros, mean function added."""
+def _split(vector, sizes: Sequence[int]):
+    return ca.vertsplit(vector, np.cumsum([0, *sizes]).tolist())
+
+
+def _scalar_functions(names, structure, *, with_mean: bool) -> tuple[ca.Function, ca.Function]:
+    """What comes before and after the sums over points:
+
+    (z, s) -> s phi of all features; (z, drag, s, (alpha k) 1, (alpha k)^T d) -> y, dy/dz with structural zeros, where
+    drag are the parameters of the mean function.
+    """
     z, drag = ca.SX.sym("z", len(names)), ca.SX.sym("drag", N_PARAMETERS)
+    n_features = sum(len(features) for _, features, _ in structure)
+    scale, slope = ca.SX.sym("scale", n_features), ca.SX.sym("slope", n_features)
     value = ca.SX.sym("value", len(structure))
-    gradient = ca.SX.sym("gradient", sum(len(features) for _, features, _ in structure))
     y, dy_dz = ca.SX(N_OUTPUTS, 1), ca.SX(N_OUTPUTS, len(names))
     if with_mean:
         y[:3] = linear_drag_acceleration(z, drag)
         dy_dz[:3, :] = ca.jacobian(y[:3], z)
-    at = 0
-    for i, (row, (_, features, _)) in enumerate(zip(rows, structure, strict=True)):
+    phi = []
+    for i, (output, features, _) in enumerate(structure):
+        row = OUTPUTS.index(output)
         y[row] += value[i]
         for feature in features:
-            columns = range(6, len(names)) if feature == COLLECTIVE_THRUST else [names.index(feature)]
-            for column in columns:
-                dy_dz[row, column] += gradient[at]
-            at += 1
-    return ca.Function("assemble", [z, drag, value, gradient], [ca.sparsify(y), ca.sparsify(dy_dz)])
+            columns = list(range(6, len(names))) if feature == COLLECTIVE_THRUST else [names.index(feature)]
+            dy_dz[row, columns] -= 2 * scale[len(phi)] * slope[len(phi)]
+            phi.append(ca.sum1(z[columns]))
+    select = ca.Function("select", [z, scale], [scale * ca.vertcat(*phi)])
+    return select, ca.Function("assemble", [z, drag, scale, value, slope], [ca.sparsify(y), ca.sparsify(dy_dz)])

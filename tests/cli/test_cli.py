@@ -17,7 +17,7 @@ from quadexp.flight.store import read_flight, read_metadata, read_table, write_f
 from tests.flight.flights import straight_flight
 
 ROOT = Path(__file__).resolve().parents[2]
-COMMANDS = ("simulate", "collect", "fit-gp", "fit-drag", "evaluate", "show")
+COMMANDS = ("simulate", "collect", "fit-gp", "fit-drag", "evaluate", "show", "compare", "report", "export")
 QUICK = ("trajectory=hover", "trajectory.duration=0.5", "controller.backend=interpreted", "plant.backend=interpreted")
 
 

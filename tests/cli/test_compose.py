@@ -122,7 +122,7 @@ MISTAKES = {
     "controler=gp_mpc": r"controler: no such key; did you mean controller\?",
     "controller=gpmpc": r"controller=gpmpc: no such controller; did you mean gp_mpc\?",
     "controller=zzz": "no such controller; there are: .*nominal_mpc, .*perfect_mpc",
-    "experiment=nope": "no such experiment; there are: quick",
+    "experiment=nope": "no such experiment; there are: adaptation, families",
     "zzzz=3": "zzzz: no such key; there are:",
     "+controller=gp_mpc": "keys can be set .* not added or deleted",
     "+foo=1": "keys can be set .* not added or deleted",

@@ -84,7 +84,7 @@ def test_without_active_bounds(solvers, vehicle, rng, terminal):
         pose(step, vehicle, rng, spread=0.3, terminal=terminal)
         step.arguments["u_min"][...], step.arguments["u_max"][...] = -100, 100
         step()
-        assert step.results["excess"][0] < 0
+        assert step.results["checks"][0] < 0
         low, high = hand_over(step, bounded)
         change = step.results["U_new"] - step.results["U_lin"]
         assert np.abs(change - independent_solution(step, low, high)).max() < 1e-6
@@ -115,7 +115,9 @@ def test_last_resort_gives_the_same_answer(solvers, vehicle, rng):
         step()
         low, high = hand_over(step, bounded)
         patient.reset()
-        d_state, d_input, status = (part if isinstance(part, Status) else part.copy() for part in patient.solve(low, high))
+        d_state, d_input, status = (
+            part if isinstance(part, Status) else part.copy() for part in patient.solve(low, high)
+        )
         assert status == Status.ACTIVE_SET
         last_state, last_input, status = hasty.solve(low, high)
         assert status == Status.LAST_RESORT

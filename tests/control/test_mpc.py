@@ -1,4 +1,4 @@
-"""The controller as a whole: near the converged problem, exact in its bounds, alike on both back ends, failing loudly."""
+"""The controller: near the converged problem, exact in its bounds, alike on both back ends, failing loudly."""
 
 from __future__ import annotations
 
@@ -23,6 +23,11 @@ def hover_reference(controller, vehicle, target=(0.0, 0.0, 0.0)):
     nodes = controller.settings.nodes
     state = np.tile(np.r_[target, 1, np.zeros(9)], (nodes + 1, 1))
     return state, np.full((nodes, vehicle.n_rotors), vehicle.hover_thrust)
+
+
+def position_error(flight) -> np.ndarray:
+    """Position minus reference, (k, 3) (m)."""
+    return flight.stack(["p_x", "p_y", "p_z"]) - flight.stack(["ref_p_x", "ref_p_y", "ref_p_z"])
 
 
 @pytest.mark.parametrize(("residual", "bound"), [("plant", 1e-3), ("linear_drag", 1e-2)])
@@ -126,18 +131,19 @@ def test_node_period_need_not_be_a_multiple_of_the_control_period(vehicle, nodes
     settings = MPCSettings(nodes=nodes)
     controller = ModelPredictiveController(vehicle, make_residual("none", vehicle), settings, backend="interpreted")
     flight = fly(plant, controller, SampledReference(Circle(speed=3.0), controller), np.random.default_rng(0))
-    error = np.linalg.norm(flight.stack(["p_x", "p_y", "p_z"]) - flight.stack(["ref_p_x", "ref_p_y", "ref_p_z"]), axis=1)
-    assert error.max() < 2e-3
+    assert np.linalg.norm(position_error(flight), axis=1).max() < 2e-3
 
 
 def test_hover_and_step_settle(vehicle):
     plant = SimplifiedPlant(vehicle, PlantEffects.none(), backend="interpreted")
     controller = ModelPredictiveController(vehicle, make_residual("none", vehicle), backend="interpreted")
-    for trajectory in (Hover(position=(0, 0, 1), duration=1.0), Step(start=(0, 0, 1), target=(1, 1, 2), step_time=0.5, duration=6.0)):
+    for trajectory in (
+        Hover(position=(0, 0, 1), duration=1.0),
+        Step(start=(0, 0, 1), target=(1, 1, 2), step_time=0.5, duration=6.0),
+    ):
         flight = fly(plant, controller, SampledReference(trajectory, controller), np.random.default_rng(0))
         assert flight.metadata["outcome"] == "ok"
-        last = flight.stack(["p_x", "p_y", "p_z"])[-1] - flight.stack(["ref_p_x", "ref_p_y", "ref_p_z"])[-1]
-        assert np.linalg.norm(last) < 1e-3
+        assert np.linalg.norm(position_error(flight)[-1]) < 1e-3
 
 
 def test_a_lost_flight_stops_with_its_log(vehicle):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import time
@@ -53,7 +54,7 @@ def quick_cell(config, model, path, key):
 
 
 def poisoned_cell(config, model, path, key):
-    """Seed 1 kills its process while it writes, seed 2 raises, seed 3 never ends."""
+    """Seed 1 kills its process while it writes, 2 raises, 3 never ends, 4 eats all memory, 5 segfaults."""
     if config.seed == 1:
         Path(path).with_name(f".{Path(path).name}.{os.getpid()}.tmp").write_bytes(b"half")
         os.kill(os.getpid(), signal.SIGKILL)
@@ -61,6 +62,12 @@ def poisoned_cell(config, model, path, key):
         raise ValueError("this seed does not work")
     if config.seed == 3:
         time.sleep(1000)
+    if config.seed == 4:
+        eaten = []
+        while True:
+            eaten.append(bytearray(50_000_000))
+    if config.seed == 5:
+        ctypes.string_at(0)
     return quick_cell(config, model, path, key)
 
 

@@ -16,8 +16,10 @@ import pytest
 from quadexp.compose import expand
 from quadexp.errors import UsageError
 from quadexp.experiment import store as cell_store
+from quadexp.experiment.engine import LocalEngine
+from quadexp.experiment.plan import Plan
 from quadexp.experiment.store import CellStore, cell_key
-from quadexp.experiment.sweep import SweepInterrupted, prepare, run_sweep
+from quadexp.experiment.sweep import SweepInterrupted, run_sweep
 from quadexp.flight.store import read_flight, read_table
 from tests.experiment import cells
 
@@ -51,6 +53,8 @@ class TestKeys:
                 "seed=0",
                 "evaluate.workers=7",
                 "evaluate.metric=rmse",
+                "evaluate.baseline=gp_mpc",
+                "evaluate.confidence=0.9",
                 "gp.inducing=50",
                 "collect.duration=5",
             )
@@ -74,7 +78,7 @@ class TestKeys:
 
     def test_cells_that_are_one_flight_are_flown_once(self):
         # nominal_mpc reads no checkpoint, whatever `model` says.
-        assert len(prepare(expand(["model=a,b", "controller=nominal_mpc"]))) == 1
+        assert len(Plan(expand(["model=a,b", "controller=nominal_mpc"]))) == 1
 
 
 class TestSweep:
@@ -90,7 +94,8 @@ class TestSweep:
         assert [r["mean_error"] for r in result.rows[:3]] == pytest.approx([0.0, 0.01, 0.02])
         written = files(tmp_path / "r")
         assert len([f for f in written if f.startswith("cells")]) == 12
-        assert {"results.parquet", "results.csv", "table.md", "table.tex"} < set(written)
+        tables = {"results.parquet", "results.csv", "table.md", "table.tex", "statistics.parquet", "statistics.csv"}
+        assert tables < set(written)
         columns, record = read_table(tmp_path / "r" / "results.parquet", "results")
         assert len(columns["key"]) == 12 and len(record["conditions"]) == 12
         flight = read_flight(CellStore(tmp_path / "r").path(columns["key"][0]))
@@ -152,26 +157,35 @@ class TestSweep:
             fly(expand(["trajectory=step", "trajectory.duration=0.5,5"]), tmp_path / "r")
         assert files(tmp_path) == []
 
-    def test_the_order_of_flying_takes_controllers_in_turn(self, grid):
-        from quadexp.experiment.sweep import _interleaved
+    def test_cells_of_one_controller_are_flown_one_after_the_other(self, grid):
+        plan = Plan(grid)
+        names = [plan.job(key).cell.config.controller.name for key in plan.flying_order(list(plan.places))]
+        # One of each first, so that two workers begin by building two controllers and not the same one.
+        assert names == ["nominal_mpc", "perfect_mpc", *["nominal_mpc"] * 5, *["perfect_mpc"] * 5]
 
-        names = [job.cell.config.controller.name for job in _interleaved(prepare(grid))]
-        assert names == ["nominal_mpc", "perfect_mpc"] * 6
+    def test_the_order_depends_on_what_is_built_and_not_on_what_is_flown(self):
+        plan = Plan(expand(["controller=nominal_mpc", "controller.nodes=10,20", "controller.horizon=1,2", "seed=0,1"]))
+        jobs = [plan.job(key) for key in plan.flying_order(list(plan.places))]
+        assert sorted(job.key for job in jobs) == sorted(plan.places)
+        nodes = [(job.cell.config.controller.nodes, job.cell.config.controller.horizon) for job in jobs]
+        assert nodes == [(10, 1.0), (20, 1.0), (10, 1.0), (10, 2.0), (10, 2.0), (20, 1.0), (20, 2.0), (20, 2.0)]
 
 
 class TestPoison:
     def test_each_poisoned_cell_is_a_failed_row_and_the_rest_flies(self, tmp_path):
-        grid = expand(["seed=range(6)"])
-        result = run_sweep(grid, tmp_path / "r", function=cells.poisoned_cell, workers=2, timeout=1.0)
-        assert [row["outcome"] for row in result.rows] == ["ok", "failed", "failed", "failed", "ok", "ok"]
+        grid = expand(["seed=range(8)"])
+        engine = LocalEngine(2, timeout=2.0, memory=0.6)
+        result = run_sweep(grid, tmp_path / "r", function=cells.poisoned_cell, engine=engine)
+        assert [row["outcome"] for row in result.rows] == ["ok", *["failed"] * 5, "ok", "ok"]
         causes = [row["cause"] for row in result.rows]
         assert "died" in causes[1] and causes[2] == "ValueError: this seed does not work" and "longer" in causes[3]
+        assert causes[4] == "took more memory than evaluate.memory allows" and "exit code -11" in causes[5]
         assert math.isnan(result.rows[1]["mean_error"])
         assert not [name for name in files(tmp_path) if name.endswith(".tmp")]
         assert len([name for name in files(tmp_path) if "cells/" in name]) == 3
         # The failed ones are tried again next time, and only they.
         again = run_sweep(grid, tmp_path / "r", function=cells.quick_cell, workers=2)
-        assert again.flown == 3 and not again.not_flown
+        assert again.flown == 5 and not again.not_flown
 
     def test_a_damaged_cell_is_named(self, grid, tmp_path):
         result = fly(grid[:2], tmp_path / "r")

@@ -13,14 +13,15 @@ from quadexp.flight.store import read_table, write_table
 from quadexp.report.tables import (
     ROW_COLUMNS,
     error_table,
+    escape,
     from_columns,
-    significant,
     to_columns,
     to_csv,
     to_latex,
     to_markdown,
     to_rich,
 )
+from quadexp.report.wording import significant, with_interval
 
 
 def row(controller="nominal_mpc", speed=8.0, seed=0, error=0.24, **more):
@@ -97,7 +98,8 @@ def test_markdown_and_latex():
     assert r"circle & 8 & 200.0 & \textbf{4.00} \\" in latex
     assert r"nominal\_mpc & gp\_mpc" in latex
     assert latex.count(r"\toprule") == latex.count(r"\bottomrule") == 1
-    assert latex.count("&") == 2 * 3
+    assert r"trajectory & speed (m/s) & nominal\_mpc" in latex and r"\multicolumn{2}{c}{mean error (mm)}" in latex
+    assert latex.count("&") == 2 + 2 * 3
 
 
 def test_latex_escapes_outcomes_with_underscores():
@@ -122,3 +124,52 @@ def test_csv_and_parquet_hold_every_column_in_full_precision(tmp_path):
     again = from_columns(columns)
     assert again[0]["mean_error"] == 1 / 3 and again[1]["outcome"] == "infeasible"
     assert np.isnan(again[1]["speed"]) and isinstance(again[0]["seed"], int)
+
+
+class TestIntervals:
+    def test_on_a_narrow_terminal_intervals_stand_below_their_means(self):
+        from rich.console import Console
+
+        table = error_table([row(seed=s, error=0.2 + 0.01 * s) for s in range(3)])
+        console = Console(width=60, file=io.StringIO())
+        console.print(to_rich(table, stacked=True))
+        lines = [line.split("│")[-2].strip() for line in console.file.getvalue().splitlines() if "│" in line]
+        assert lines == ["210.0", "[185.2, 234.8]"]  # 10 mm spread, t(0.975, 2) = 4.303
+
+    def test_digits_follow_the_interval(self):
+        assert with_interval(240.57, 239.91, 241.22) == ("240.6", " [239.9, 241.2]")
+        assert with_interval(240.57, 240.53, 240.61) == ("240.57", " [240.53, 240.61]")
+        assert with_interval(0.8291, 0.7331, 0.9247) == ("0.829", " [0.733, 0.925]")
+        assert with_interval(12.3, math.nan, math.nan) == ("12.3", "")
+        assert with_interval(5.0, 5.0, 5.0) == ("5.00", " [5.00, 5.00]")
+
+    def test_mean_interval_mark_and_failures_in_every_form(self):
+        rows = [row(seed=seed, error=0.2 + 0.001 * seed) for seed in range(6)]
+        rows += [row("gp_mpc", seed=seed, error=0.004 + 0.0001 * seed) for seed in range(6)]
+        rows[1] |= {"outcome": "lost"}
+        rows += [row(seed=6, error=0.2), row("gp_mpc", seed=6, error=0.004)]
+        table = error_table(rows)
+        nominal, gp = (table.entries[table.rows[0], column] for column in table.columns)
+        assert gp.significant and not nominal.significant  # six pairs: p = 2 / 2^6
+        assert nominal.low < nominal.mean < nominal.high
+        text = f"[{gp.low:.2f}, {gp.high:.2f}]"
+        assert f"**{gp.mean:.2f}** {text}*" in to_markdown(table)
+        assert rf"\textbf{{{gp.mean:.2f}}} {text}$^*$" in to_latex(table)
+        assert "] (1 lost) |" in to_markdown(table)
+        assert "- &ast; differs from nominal_mpc: p < 0.05" in to_markdown(table)
+        assert table.notes[0].startswith("mean over 7 seeds [95 % interval: BCa bootstrap]")
+
+    def test_a_controller_that_loses_flights_is_not_the_best(self):
+        rows = [row(seed=0, error=0.2), row(seed=1, error=0.2)]
+        rows += [row("gp_mpc", seed=0, error=0.01), row("gp_mpc", seed=1, outcome="lost", error=math.nan)]
+        table = error_table(rows)
+        assert [table.entries[table.rows[0], c].best for c in table.columns] == [True, False]
+
+    def test_the_note_says_how_many_seeds_a_significant_line_takes(self):
+        rows = [row(seed=s, error=0.2 + 0.01 * s) for s in range(5)] + [row("gp_mpc", seed=s) for s in range(5)]
+        assert error_table(rows).notes[1] == (
+            "5 pairs a line cannot show significance (p is 0.0625 at least, over 1 comparison): 6 could"
+        )
+
+    def test_latex_escapes_everything(self):
+        assert escape("a_b & 5 % < {x} \\") == r"a\_b \& 5 \% $<$ \{x\} \textbackslash{}"

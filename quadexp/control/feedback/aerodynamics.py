@@ -13,6 +13,9 @@ from quadexp.state import ATTITUDE, VELOCITY
 if TYPE_CHECKING:
     from quadexp.identify.rls import BladeElementRLS
 
+SURPRISE_SAMPLES = 10  # samples over which prediction errors are averaged
+FIRST_WAIT, NEXT_WAIT = 100, 50  # samples before a change is looked for: at the start, and after one was found
+
 
 def body_velocity(x: np.ndarray) -> np.ndarray:
     """Velocity in the body frame, (3,), FLU (m/s), of a state (13,)."""
@@ -48,16 +51,23 @@ class KnownCoefficients:
 
 
 class IdentifiedCoefficients:
-    """Coefficients by recursive least squares from accelerometer and rotor speeds, anew in every flight."""
+    """Coefficients by recursive least squares from accelerometer and rotor speeds, anew in every flight.
+
+    change_threshold: the estimator is opened again (BladeElementRLS.reopen) where the mean square of its prediction
+    errors over the last samples is this many times that of the assumed noise: the vehicle or its air has changed. None
+    never does.
+    """
 
     source = "RLS in flight"
 
-    def __init__(self, estimator: BladeElementRLS) -> None:
-        self.estimator = estimator
+    def __init__(self, estimator: BladeElementRLS, change_threshold: float | None = None) -> None:
+        self.estimator, self.change_threshold = estimator, change_threshold
+        self.reset()
 
     def reset(self) -> None:
         """Begin a flight with the first values."""
         self.estimator.reset()
+        self.reopened, self._surprise, self._wait = 0, 1.0, FIRST_WAIT
 
     @property
     def theta(self) -> np.ndarray:
@@ -66,9 +76,18 @@ class IdentifiedCoefficients:
 
     def update(self, measurement: Measurement, rotor_speed: np.ndarray) -> None:
         """Learn from a measurement; rotor_speed (n,) (rad/s)."""
-        self.estimator.update(body_velocity(measurement.state), rotor_speed, measurement.specific_force)
+        estimator = self.estimator
+        estimator.update(body_velocity(measurement.state), rotor_speed, measurement.specific_force)
+        if self.change_threshold is not None and estimator.samples:
+            error = estimator.error / estimator.settings.noise
+            self._surprise += (error @ error / 3 - self._surprise) / SURPRISE_SAMPLES
+            self._wait -= 1
+            if self._wait <= 0 and self._surprise > self.change_threshold:
+                estimator.reopen()
+                self.reopened, self._wait = self.reopened + 1, NEXT_WAIT
 
     def log(self) -> dict[str, float]:
-        """The estimate used, by its names, and how often one of its entries was clipped so far."""
+        """The estimate used, by its names; how often an entry was clipped and the estimator opened again so far."""
         estimator = self.estimator
-        return {**dict(zip(THETA, estimator.theta.tolist(), strict=True)), "clips": float(estimator.clips.sum())}
+        counts = {"clips": float(estimator.clips.sum()), "reopened": float(self.reopened)}
+        return {**dict(zip(THETA, estimator.theta.tolist(), strict=True)), **counts}

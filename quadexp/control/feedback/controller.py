@@ -73,6 +73,9 @@ class FeedbackController:
         self.source = aerodynamics.source
         self._law = BufferedFunction(_law(vehicle, settings, variant, self.backend))
 
+    def forget(self) -> None:
+        """See Controller.forget; `reset` does it, since references contain nothing of the air here."""
+
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset; before the first sample the rotors hover and R_d = I."""
         arguments = self._law.arguments

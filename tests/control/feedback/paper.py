@@ -1,6 +1,6 @@
-"""Lei & Li 2017 in plain numpy, in the paper's frames, written from the equations alone: what the controller is held to.
+"""One sample of Lei & Li's control law, (27)-(40), in plain numpy and in the paper's frames: NED, FRD, '+' layout.
 
-NED world, FRD body, '+' layout. Nothing is imported from the program.
+Nothing is imported from the program; the rotors are those of tests/paper.py.
 """
 
 from __future__ import annotations
@@ -9,10 +9,9 @@ from math import pi, sqrt
 
 import numpy as np
 
-M, ARM, RADIUS, CHORD, TWIST, G, RHO = 0.985, 0.225, 0.120, 0.025, 15 * pi / 180, 9.81, 1.205
-S = pi * ARM**2
-J = 1e-2 * np.array([[0.9560, 0, 0.1019], [0, 0.9417, 0.1019], [0.1019, 0.1019, 1.8762]])
-TRUE = dict(C_d0=0.220, C_la=3.320, C_D=np.array([0.010, 0.010, 0.020]))
+from tests.paper import RHO, TH, C, G, J, M, R, S, point
+from tests.paper import D as ARM
+
 E = np.eye(3)
 
 
@@ -27,52 +26,6 @@ def rotation(eta):
     )
 
 
-def thrust(u, w, v_h, c_la):
-    """(14) with A = 1/2; u: through-flow."""
-    return (
-        RHO * CHORD * RADIUS**3 * TWIST * c_la * w**2 / 3
-        - RHO * CHORD * RADIUS**2 * c_la * u * w / 2
-        + RHO * CHORD * RADIUS * TWIST * c_la * v_h**2 / 2
-    )
-
-
-def induced(v_h, v_z, w, c_la):
-    """(17) by halving; with V_I > V_z where that root exists, else with the through-flow's sign kept."""
-
-    def gap(v_i):
-        u = v_i - v_z
-        return 2 * RHO * pi * RADIUS**2 * v_i * sqrt(v_h**2 + u**2) - thrust(u, w, v_h, c_la)
-
-    low, high = max(v_z, 0.0), 100.0
-    if gap(low) > 0:
-        low, high = -100.0, low
-    for _ in range(200):
-        middle = (low + high) / 2
-        low, high = (middle, high) if gap(middle) < 0 else (low, middle)
-    return (low + high) / 2
-
-
-def rotors(v, w, coefficients):
-    """T_i, h_i = H_i / V_h, Q_i of all rotors: (14), (15) with B = 1/6, (16)."""
-    c_la, c_d0 = coefficients["C_la"], coefficients["C_d0"]
-    v_h = np.hypot(v[0], v[1])
-    v_i = np.array([induced(v_h, v[2], w_i, c_la) for w_i in w])
-    u = v_i - v[2]
-    T = thrust(u, w, v_h, c_la)
-    h = (
-        RHO * CHORD * RADIUS**2 * c_d0 * w / 2
-        - RHO * CHORD * RADIUS * TWIST * c_la * u / 6
-        + RHO * CHORD * c_la * u**2 / w / 2
-    )
-    Q = (
-        RHO * CHORD * RADIUS**4 * c_d0 * w**2 / 4
-        + 3 * RHO * CHORD * RADIUS**2 * c_d0 * v_h**2 / 4
-        + T * u / w
-        + h * v_h**2 / w
-    )
-    return T, h, Q, v_i
-
-
 def moments(T, Q):
     """(5)."""
     return np.array([ARM * (T[3] - T[1]), ARM * (T[0] - T[2]), -Q[0] + Q[1] - Q[2] + Q[3]])
@@ -85,28 +38,24 @@ def drag(v, coefficients):
 
 def motor(coefficients):
     """k_Tm, k_Qm."""
-    return (
-        RHO * CHORD * RADIUS**3 * TWIST * coefficients["C_la"] / 3,
-        RHO * CHORD * RADIUS**4 * coefficients["C_d0"] / 4,
-    )
+    return RHO * C * R**3 * TH * coefficients["C_la"] / 3, RHO * C * R**4 * coefficients["C_d0"] / 4
 
 
 def static(coefficients):
     """k_T,static and k_Q,static."""
     k, q = motor(coefficients)
     c_la = coefficients["C_la"]
-    nu = 0.5 * sqrt(
-        CHORD**2 * c_la**2 / (16 * pi**2) + 2 * CHORD * RADIUS * TWIST * c_la / (3 * pi)
-    ) - CHORD * c_la / (8 * pi)
-    k_static = k - RHO * CHORD * RADIUS**2 * c_la * nu / 2
+    nu = 0.5 * sqrt(C**2 * c_la**2 / (16 * pi**2) + 2 * C * R * TH * c_la / (3 * pi)) - C * c_la / (8 * pi)
+    k_static = k - RHO * C * R**2 * c_la * nu / 2
     return k_static, q + k_static * nu
 
 
 def secondary(v, w, coefficients):
-    """H, delta_T, delta_Gamma."""
-    T, h, Q, _ = rotors(v, w, coefficients)
+    """H (2,), delta_T, delta_Gamma."""
+    air = point(v, w, **coefficients)
     k, q = motor(coefficients)
-    return h.sum(), T.sum() - k * (w**2).sum(), moments(T, Q) - moments(k * w**2, q * w**2)
+    hub = v[:2] / np.hypot(v[0], v[1]) * air.H.sum()
+    return hub, air.T.sum() - k * (w**2).sum(), moments(air.T, air.Q) - moments(k * w**2, q * w**2)
 
 
 def observer_step(x, y, bandwidth, period, halvings=12):
@@ -138,18 +87,13 @@ def control(
     terms: hub force, body drag, secondary thrust, secondary torque, each 0 or 1. coefficient_pair: of the allocation.
     Returns w^2 (4,), eta_d (3,), both observers, u_T.
     """
-    R = rotation(eta)
-    v = R.T @ velocity
+    v = rotation(eta).T @ velocity
     hub, delta_T, delta_Gamma = secondary(last["v"], last["w"], coefficients)
     D = drag(v, coefficients) * terms[1]
-    H = last["v"] * hub * terms[0]
+    H = hub * terms[0]
     R_last = rotation(last["eta_d"])
     u_xi = -(0.3 * (xi - xi_d) + 0.9 * (velocity - v_d))
-    u_T = (
-        -R_last @ E[0] * (H[0] + D[0])
-        - R_last @ E[1] * (H[1] + D[1])
-        - M * (u_xi - G * E[2] + a_d)
-    )
+    u_T = -R_last @ E[0] * (H[0] + D[0]) - R_last @ E[1] * (H[1] + D[1]) - M * (u_xi - G * E[2] + a_d)
     size = np.linalg.norm(u_T)
     T = size - delta_T * terms[2] - D[2]
     phi_d = np.arcsin((u_T[0] * np.sin(psi_d) - u_T[1] * np.cos(psi_d)) / size)

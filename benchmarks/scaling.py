@@ -1,0 +1,261 @@
+"""What a sweep costs beside its flights, on the processes of this machine and on a Dask cluster of it.
+
+    python -m benchmarks.scaling [--parts overhead dask driver rerun order store] [--cells 2000] [--json]
+
+overhead, dask   short flights on one and on two workers: time per cell beside the flight itself, in which the file is
+                 written; efficiency of the second worker; memory of a worker
+driver           20 000 cells without a flight: memory of the driver as they come in, time per cell
+rerun            the command again, when all is flown: seconds of the whole process
+order            flights whose controllers must all be built, in the order of the plan and shuffled: builds, seconds
+store            scan of the cells, footers, and the table, by number of cells
+
+Nothing is left behind. Other load on the machine shows in every figure: processor seconds stand beside where they can.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.scaling_cells import resident, timed_cell, trivial_cell
+from quadexp.compose import compose, expand
+from quadexp.experiment.engine import Engine, LocalEngine, Task
+from quadexp.experiment.plan import Plan
+from quadexp.experiment.rows import Rows
+from quadexp.experiment.store import CellStore
+from quadexp.experiment.sweep import run_sweep
+from quadexp.experiment.sweep_table import RESULTS
+from quadexp.flight.store import read_table, write_table
+
+SHORT = ["trajectory=step", "trajectory.duration=0.4", "trajectory.step_time=0.2"]
+CONTROLLERS = "controller=nominal_mpc,perfect_mpc"
+Record = dict[str, Any]
+
+
+@contextmanager
+def folder() -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(prefix="quadexp-scaling-") as name:
+        yield Path(name)
+
+
+def tasks(plan: Plan, out: Path, order: list[str] | None = None) -> Iterator[Task]:
+    store = CellStore(out)
+    keys = list(plan.places)
+    for job in map(plan.job, order or plan.flying_order(keys)):
+        path = store.path(job.key)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield Task(job.key, job.cell.config, job.model, str(path))
+
+
+def fly(engine: Engine, plan: Plan, order: list[str] | None = None) -> Record:
+    """Fly everything; s from the first worker's start to the last result, and the sums over all cells."""
+    with folder() as out:
+        spent = time.process_time()
+        began, first, rows = time.perf_counter(), 0.0, []
+        for _, row in engine.fly(timed_cell, tasks(plan, out, order)):
+            first = first or time.perf_counter() - began
+            if not isinstance(row, dict):
+                raise SystemExit(f"a cell failed: {row.cause}")
+            rows.append({name: value for name, value in row.items() if name in SUMMED})
+        wall = time.perf_counter() - began
+        spent = time.process_time() - spent
+    total = {name: sum(row[name] for row in rows) for name in SUMMED[:4]}
+    return {
+        "cells": len(rows),
+        "wall": wall,
+        "first": first,
+        "driver_cpu": spent,
+        **total,
+        "resident": max(row["resident"] for row in rows),
+        "processes": len({row["process"] for row in rows}),
+    }
+
+
+SUMMED = ("flight_seconds", "flight_cpu", "write_seconds", "builds", "resident", "process")
+
+
+def overhead(engines: dict[int, Callable[[], Engine]], cells: int) -> Record:
+    """One and two workers on the same cells."""
+    plan = Plan(expand([*SHORT, CONTROLLERS, f"seed=range({cells // 2})"]))
+    found: Record = {}
+    for workers, engine in engines.items():
+        run = fly(engine(), plan)
+        idle = workers * run["wall"] - run["flight_seconds"]
+        run |= {
+            "flight_ms": 1e3 * run["flight_seconds"] / cells,
+            "write_ms": 1e3 * run["write_seconds"] / cells,
+            "beside_ms": 1e3 * idle / cells,
+            "driver_cpu_ms": 1e3 * run["driver_cpu"] / cells,
+        }
+        found[f"{workers} workers"] = run
+    one, two = found["1 workers"], found["2 workers"]
+    found["efficiency"] = one["wall"] / (2 * two["wall"])
+    found["efficiency once started"] = (one["wall"] - one["first"]) / (2 * (two["wall"] - two["first"]))
+    return found
+
+
+def driver(cells: int) -> Record:
+    """Memory of the driver, in a process of its own."""
+    code = f"from benchmarks.scaling import driver_memory; driver_memory({cells})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def driver_memory(cells: int) -> None:
+    seen: dict[int, float] = {}
+    marks = {int(cells * share) for share in (0.01, 0.1, 0.25, 0.5, 0.75)} | {cells}
+    began = 0.0
+
+    def progress(done: int, total: int) -> None:
+        nonlocal began
+        began = began or time.perf_counter()
+        if done in marks:
+            seen[done] = resident()
+
+    before = resident()
+    grid = expand([*SHORT, CONTROLLERS, f"seed=range({cells // 2})"])
+    with folder() as out:
+        run_sweep(grid, out / "r", engine=LocalEngine(2), function=trivial_cell, progress=progress)
+        seconds = time.perf_counter() - began
+    record = {"before": before, "resident": seen, "at_the_end": resident(), "peak": resident(name="VmHWM")}
+    print(json.dumps({**record, "ms_per_cell": 1e3 * seconds / cells}))
+
+
+def rerun(cells: int) -> Record:
+    """The whole command on a finished sweep, three times."""
+    overrides = [*SHORT, CONTROLLERS, f"seed=range({cells // 2})"]
+    with folder() as out:
+        run_sweep(expand(overrides), out / "r", engine=LocalEngine(2))
+        command = [sys.executable, "-m", "quadexp.cli", "evaluate", "--sweep", *overrides, "--out", str(out / "r")]
+        seconds, used = [], []
+        for _ in range(3):
+            began, before = time.perf_counter(), os.times()
+            subprocess.run([*command, "--no-figures"], capture_output=True, check=True)
+            seconds.append(time.perf_counter() - began)
+            used.append(os.times().children_user - before.children_user)
+        began = time.perf_counter()
+        run_sweep(expand(overrides), out / "r")
+        own = time.perf_counter() - began
+    return {"cells": cells, "seconds": seconds, "cpu_seconds": used, "own_seconds": own}
+
+
+def order() -> Record:
+    """Eighty controllers of two flights each: more than a worker keeps."""
+    masses = ",".join(f"{0.01 * i:g}" for i in range(1, 81))
+    plan = Plan(expand([*SHORT, "controller=perfect_mpc", f"plant.payload={masses}", "seed=range(4)"]))
+    keys = list(plan.places)
+    shuffled = random.Random(0).sample(keys, len(keys))
+    found = {}
+    for name, chosen in (("as planned", None), ("shuffled", shuffled)):
+        run = fly(LocalEngine(2), plan, chosen)
+        found[name] = {key: run[key] for key in ("cells", "builds", "wall", "flight_cpu", "resident")}
+    return found
+
+
+def store(sizes: list[int]) -> Record:
+    """Cost of what grows with the cells, on files without content and rows of random numbers."""
+    found: Record = {}
+    with folder() as out:
+        flown = run_sweep(expand([*SHORT, "seed=range(20)"]), out / "few", engine=LocalEngine(2))
+        few = CellStore(out / "few")
+        keys = [row["key"] for row in flown.rows]
+        began = time.perf_counter()
+        for key in keys:
+            few.row(key)
+        found["footer_ms"] = 1e3 * (time.perf_counter() - began) / len(keys)
+        found["bytes_per_cell"] = int(np.mean([few.path(key).stat().st_size for key in keys]))
+        template = flown.rows[0]
+        for size in sizes:
+            many = CellStore(out / str(size))
+            for i in range(size):
+                path = many.path(f"{i * 2654435761 % 2**64:020x}")
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.touch()
+            began = time.perf_counter()
+            assert len(many.done()) == size
+            scan = time.perf_counter() - began
+            rows = Rows(size)
+            before = resident()
+            for i in range(size):
+                rows[i] = {**template, "key": f"{i:020x}", "seed": i, "rmse": i / size}
+            filled = resident() - before
+            began = time.perf_counter()
+            write_table(out / RESULTS, rows.columns(), {"conditions": []}, "results")
+            written = time.perf_counter() - began
+            began = time.perf_counter()
+            read_table(out / RESULTS, "results")
+            read = time.perf_counter() - began
+            bytes_per_row = (out / RESULTS).stat().st_size / size
+            found[f"{size}"] = {
+                "scan_s": scan,
+                "write_table_s": written,
+                "read_table_s": read,
+                "row_bytes_on_disk": bytes_per_row,
+                "row_bytes_in_memory": 1e6 * filled / size,
+            }
+        began = time.perf_counter()
+        cells = expand([*SHORT, CONTROLLERS, f"seed=range({sizes[-1] // 2})"])
+        found["compose_ms"] = 1e3 * (time.perf_counter() - began) / sizes[-1]
+        before, began = resident(), time.perf_counter()
+        plan = Plan(cells)
+        found["plan_ms"] = 1e3 * (time.perf_counter() - began) / len(plan)
+        found["plan_bytes_per_cell"] = 1e6 * (resident() - before) / len(plan)
+    return found
+
+
+def dask_engine(workers: int) -> Engine:
+    from quadexp.experiment.engines import build_engine
+
+    return build_engine(compose(["engine=dask", f"evaluate.workers={workers}"]))
+
+
+PARTS: dict[str, Callable[[int], Record]] = {
+    "overhead": lambda cells: overhead({1: lambda: LocalEngine(1), 2: lambda: LocalEngine(2)}, cells),
+    "dask": lambda cells: overhead({1: lambda: dask_engine(1), 2: lambda: dask_engine(2)}, cells),
+    "driver": lambda cells: driver(10 * cells),
+    "rerun": rerun,
+    "order": lambda cells: order(),
+    "store": lambda cells: store([10 * cells, 50 * cells]),
+}
+
+
+def lines(record: Record, indent: str = "  ") -> Iterator[str]:
+    for name, value in record.items():
+        if isinstance(value, dict):
+            yield f"{indent}{name}"
+            yield from lines(value, indent + "  ")
+        elif isinstance(value, list):
+            yield f"{indent}{name:<26}{', '.join(f'{item:.3g}' for item in value)}"
+        else:
+            yield f"{indent}{name:<26}{value:.4g}" if isinstance(value, float) else f"{indent}{name:<26}{value}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--parts", nargs="+", choices=list(PARTS), default=list(PARTS))
+    parser.add_argument("--cells", type=int, default=2000)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    arguments = parser.parse_args()
+    found: Record = {}
+    for part in arguments.parts:
+        found[part] = {"load before": os.getloadavg()[0], **PARTS[part](arguments.cells)}
+        if not arguments.json:
+            print("\n".join([part, *lines(found[part])]), flush=True)
+    if arguments.json:
+        print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,148 @@
+"""How clusters start: on this machine, at a scheduler's address, on hosts over SSH, in jobs of Slurm."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import dask
+from distributed import Client, LocalCluster
+from distributed.security import Security
+
+from quadexp.config_engine import ClusterConfig, DaskConfig, SlurmConfig
+from quadexp.errors import QuadexpError, UsageError
+from quadexp.experiment.child import THREADS
+
+CONNECT = 20.0  # s to wait for a scheduler
+ENVIRONMENT = {"DASK_DISTRIBUTED__WORKER__DAEMON": "False", **dict.fromkeys(THREADS, "1")}
+# A worker's cells run in children with a memory limit of their own; it must neither pause nor kill itself over them.
+SETTINGS = {
+    "distributed.worker.daemon": False,
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.memory.terminate": False,
+    "distributed.nanny.pre-spawn-environ": {name: "1" for name in THREADS},
+}
+
+
+@contextlib.contextmanager
+def open_cluster(config: ClusterConfig, workers: int) -> Iterator[Client]:
+    """A client of the configured cluster; what was started for it ends with the context.
+
+    workers: processes, where we start them. Raises UsageError for what the configuration gets wrong, QuadexpError where
+    the cluster cannot be reached.
+    """
+    if not os.environ.get("QUADEXP_DEBUG"):
+        for name in ("distributed", "dask_jobqueue", "asyncssh"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(dask.config.set({**SETTINGS, "distributed.comm.timeouts.connect": f"{CONNECT:g}s"}))
+        client, where = None, "the cluster"
+        try:
+            cluster, where = _cluster(config, workers, stack)
+            client = Client(cluster, security=_security(config), timeout=CONNECT, set_as_default=False)
+        except QuadexpError:
+            raise
+        except Exception as error:
+            reason = str(error).strip().splitlines() or [type(error).__name__]
+            raise QuadexpError(f"{where} cannot be had: {reason[0]}") from error
+        stack.enter_context(client)
+        yield client
+
+
+def _cluster(config: ClusterConfig, workers: int, stack: contextlib.ExitStack) -> tuple[Any, str]:
+    """A cluster that ends with `stack`, or the address of one; and how to call it."""
+    if isinstance(config, SlurmConfig):
+        return stack.enter_context(_slurm(config, workers)), "the Slurm cluster"
+    assert isinstance(config, DaskConfig)
+    if config.address:
+        return config.address, f"engine.address={config.address}"
+    if config.hosts:
+        return stack.enter_context(_ssh(config, workers)), f"engine.hosts={','.join(config.hosts)}"
+    protocol = "tls://" if config.tls else "tcp://"
+    cluster = LocalCluster(
+        n_workers=workers,
+        threads_per_worker=1,
+        host="127.0.0.1",
+        protocol=protocol,
+        security=_security(config),
+        dashboard_address=None,
+        worker_dashboard_address=None,
+        memory_limit=0,
+        silence_logs=logging.CRITICAL,
+    )
+    return stack.enter_context(cluster), "a cluster of this machine"
+
+
+_temporary: dict[str, Security] = {}
+
+
+def _security(config: ClusterConfig) -> Security | None:
+    """Certificates as given, made for the occasion, or none."""
+    if not config.tls and not (isinstance(config, DaskConfig) and (config.address or "").startswith("tls:")):
+        return None
+    if config.tls_ca is not None:
+        for name in ("tls_ca", "tls_cert", "tls_key"):
+            if not Path(getattr(config, name)).is_file():
+                raise UsageError(f"engine.{name}={getattr(config, name)}: no such file")
+        cert = {f"tls_{role}_cert": config.tls_cert for role in ("client", "scheduler", "worker")}
+        key = {f"tls_{role}_key": config.tls_key for role in ("client", "scheduler", "worker")}
+        return Security(tls_ca_file=config.tls_ca, require_encryption=True, **cert, **key)
+    if isinstance(config, DaskConfig) and (config.address or config.hosts):
+        raise UsageError("engine.tls: a cluster elsewhere needs engine.tls_ca, engine.tls_cert and engine.tls_key")
+    if isinstance(config, SlurmConfig) and config.shared is None:
+        raise UsageError("engine.tls: Slurm's nodes need engine.shared=FOLDER to get the certificates")
+    if "made" not in _temporary:
+        _temporary["made"] = Security.temporary()
+    return _temporary["made"]
+
+
+def _ssh(config: DaskConfig, workers: int) -> Any:
+    from distributed import SSHCluster
+
+    return SSHCluster(
+        [config.hosts[0], *config.hosts],
+        connect_options={"known_hosts": _known_hosts()},
+        worker_options={"nthreads": 1, "n_workers": max(1, workers // len(config.hosts)), "memory_limit": 0},
+        scheduler_options={"dashboard": False, "port": 0},
+        remote_python=config.remote_python or sys.executable,
+        security=_security(config),
+    )
+
+
+def _known_hosts() -> str:
+    """SSH checks the hosts' keys, as on the command line."""
+    return str(Path.home() / ".ssh" / "known_hosts")
+
+
+def _slurm(config: SlurmConfig, workers: int) -> Any:
+    from dask_jobqueue import SLURMCluster
+
+    folder = Path(config.shared) if config.shared else None
+    cluster = SLURMCluster(
+        cores=1,
+        processes=1,
+        memory=f"{config.job_memory:g}GB",
+        walltime=config.walltime,
+        queue=config.queue,
+        account=config.account,
+        interface=config.interface,
+        python=config.python,
+        job_extra_directives=list(config.directives),
+        job_script_prologue=[*(f"export {k}={v}" for k, v in ENVIRONMENT.items()), *config.prologue],
+        worker_extra_args=["--memory-limit", "0"],
+        log_directory=str(folder / "logs") if folder else None,
+        shared_temp_directory=str(folder) if folder else None,
+        security=_security(config),
+        protocol="tls://" if config.tls else None,
+        scheduler_options={"dashboard": False},
+        silence_logs="critical",
+    )
+    cluster.scale(jobs=workers)
+    return cluster

@@ -1,0 +1,115 @@
+"""What runs inside a Dask worker: every cell in a child process, so that a crash or an endless loop stays one cell."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import shutil
+import tempfile
+import threading
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+from distributed import WorkerPlugin, get_worker
+
+from quadexp.experiment.child import GONE, PRELOAD, cause, one_thread, start_pool
+from quadexp.experiment.engine import ATTEMPTS, CellFailed, Task
+from quadexp.experiment.inputs import use_copies
+from quadexp.experiment.provenance import versions
+
+FOLDER = "quadexp-"  # beginning of the names of a worker's own folders
+
+
+class CellRunner(WorkerPlugin):
+    """The child processes of a worker, as many as it has threads, and a folder for the files of their cells.
+
+    timeout: s of wall time a cell may take. memory: GB a child may take. expected: versions that a worker must have,
+    because results must not depend on where they were made.
+    """
+
+    def __init__(self, name: str, timeout: float | None, memory: float | None, expected: Mapping[str, str]) -> None:
+        self.name, self._timeout, self._memory, self._expected = name, timeout, memory, dict(expected)
+
+    def setup(self, worker: Any) -> None:
+        other = {name: there for name, there in versions().items() if self._expected.get(name, there) != there}
+        if other:
+            name, there = next(iter(other.items()))
+            raise RuntimeError(f"this worker has {name} {there}, the driver {self._expected[name]}")
+        if multiprocessing.current_process().daemon:
+            raise RuntimeError(
+                "this worker may not have children: start it with DASK_DISTRIBUTED__WORKER__DAEMON=False in its"
+                " environment, or with --no-nanny"
+            )
+        self._workers = worker.state.nthreads
+        self._folder = tempfile.mkdtemp(prefix=FOLDER, dir=worker.local_directory)
+        self._pool: Any = None
+        self._lock = threading.Lock()
+
+    def teardown(self, worker: Any) -> None:
+        if self._pool is not None:
+            self._pool.stop()
+            self._pool.join()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def fly(self, function: Callable, task: Task, copies: Mapping[str, str]) -> Any:
+        """(row, content of the cell's file), or CellFailed."""
+        arguments = (function, task.config, task.model, task.key, self._folder, copies)
+        for attempt in range(ATTEMPTS):
+            try:
+                return self._schedule(function, arguments).result()
+            except GONE as error:
+                if attempt == ATTEMPTS - 1:
+                    return CellFailed(cause(error, self._timeout))
+            except Exception as error:
+                return CellFailed(cause(error, self._timeout))
+        raise AssertionError
+
+    def _schedule(self, function: Callable, arguments: tuple) -> Future:
+        with self._lock:
+            if self._pool is None:
+                with one_thread():
+                    self._pool = start_pool(self._workers, self._memory, [*PRELOAD, function.__module__])
+            return self._pool.schedule(child_cell, args=arguments, timeout=self._timeout)
+
+
+class InputFile(WorkerPlugin):
+    """A file that flights read, on every worker, also on those that join later. name: of the plugin, by its content.
+
+    file: its name there. content: of it.
+    """
+
+    def __init__(self, name: str, file: str, content: bytes) -> None:
+        self.name, self._file, self._content = name, file, content
+
+    def setup(self, worker: Any) -> None:
+        self.folder = tempfile.mkdtemp(prefix=FOLDER, dir=worker.local_directory)
+        self.path = str(Path(self.folder) / self._file)
+        Path(self.path).write_bytes(self._content)
+
+    def teardown(self, worker: Any) -> None:
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def run_cell(runner: str, function: Callable, task: Task, inputs: Mapping[str, tuple[str, bool]]) -> Any:
+    """A Dask task: fly one cell in a child of this worker.
+
+    inputs: path as configured -> name of the InputFile, and whether the path means its folder.
+    """
+    plugins = get_worker().plugins
+    copies = {
+        path: plugins[name].folder if is_folder else plugins[name].path for path, (name, is_folder) in inputs.items()
+    }
+    return plugins[runner].fly(function, task, copies)
+
+
+def child_cell(function: Callable, config: Any, model: Any, key: str, folder: str, copies: Mapping[str, str]) -> Any:
+    """In the child: fly, and give back the row with the file's content (None if there is no file)."""
+    use_copies(copies)
+    path = Path(folder) / f"{key}.{os.getpid()}.parquet"
+    try:
+        row = function(config, model, str(path), key)
+        return row, path.read_bytes() if path.is_file() else None
+    finally:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,76 @@
+"""Processes that fly cells: pools of them, what each does at its start, and what is said of one that ends badly.
+
+A child ends with the process that started it, whatever happens to that one, and takes no more memory than it may.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import multiprocessing
+import os
+import resource
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import TimeoutError
+
+from pebble import ProcessExpired, ProcessPool
+
+from quadexp.errors import QuadexpError
+
+PRELOAD = ("casadi", "numpy", "scipy.spatial.transform", "pyarrow.parquet")
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+GONE = (ProcessExpired, TimeoutError)  # how a call ends whose process died or took too long
+_SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
+
+
+def start_pool(workers: int, memory: float | None, preload: Sequence[str]) -> ProcessPool:
+    """A pool whose processes are forked from one server that has `preload` imported.
+
+    memory: GB of data (heap and private maps) a process may take, None for no limit.
+    """
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(list(dict.fromkeys(preload)))
+    return ProcessPool(max_workers=workers, context=context, initializer=begin, initargs=(memory,))
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Processes started inside use one thread of linear algebra each."""
+    saved = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in saved.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def begin(memory: float | None) -> None:
+    """First thing in a child: it dies with its parent, and asks for no more memory than it may have."""
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
+    if memory:
+        limit = int(memory * 1e9)
+        _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+        if hard == resource.RLIM_INFINITY or limit < hard:
+            resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
+
+
+def cause(error: BaseException, timeout: float | None) -> str:
+    """One line for a call that has no result."""
+    if isinstance(error, TimeoutError):
+        return f"took longer than {timeout:g} s"
+    if isinstance(error, ProcessExpired):
+        return f"its process died (exit code {error.exitcode})"
+    if isinstance(error, MemoryError):
+        return "took more memory than evaluate.memory allows"
+    text = str(error).strip().splitlines()
+    if isinstance(error, QuadexpError):
+        return text[0] if text else type(error).__name__
+    return f"{type(error).__name__}: {text[0] if text else ''}"[:300].rstrip(": ")

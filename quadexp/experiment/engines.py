@@ -1,0 +1,41 @@
+"""From a configuration to the engine it names."""
+
+from __future__ import annotations
+
+import importlib
+
+from quadexp.config import Config
+from quadexp.errors import UsageError
+from quadexp.experiment.engine import Engine, LocalEngine, default_workers
+
+EXTRA = "pip install 'quadexp[cluster]'"
+
+
+def build_engine(config: Config) -> Engine:
+    """The engine; nothing is started before the first cell is flown.
+
+    Raises UsageError where what it needs is not installed.
+    """
+    settings = config.evaluate
+    memory = settings.memory or None
+    engine = config.engine
+    if engine.kind == "local":
+        return LocalEngine(settings.workers, settings.timeout, memory)
+    needed = ["distributed"]
+    needed += ["cryptography"] if engine.tls else []  # type: ignore[attr-defined]
+    needed += ["dask_jobqueue"] if engine.kind == "slurm" else ["asyncssh"] if engine.hosts else []  # type: ignore[attr-defined]
+    for name in needed:
+        try:
+            importlib.import_module(name)
+        except ModuleNotFoundError:
+            raise UsageError(f"engine={engine.name} needs {name}, which is not installed: {EXTRA}") from None
+    from quadexp.cluster.driver import DaskEngine
+    from quadexp.cluster.start import open_cluster
+
+    workers = settings.workers or default_workers()
+    return DaskEngine(
+        lambda: open_cluster(engine, workers),  # type: ignore[arg-type]
+        settings.timeout,
+        memory,
+        engine.wait,  # type: ignore[attr-defined]
+    )

@@ -1,0 +1,102 @@
+"""The rows of a sweep while it runs: what earlier runs left, what comes in, and now and then a copy on disk.
+
+A row stands in the footer of its cell; reading it costs half a millisecond, so a sweep that goes on reads the table of
+the run before, and footers only of what is newer. While a sweep is not finished its rows lie in cells/rows.parquet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.errors import DataError
+from quadexp.experiment.plan import Plan
+from quadexp.experiment.rows import Rows
+from quadexp.experiment.store import CellStore
+from quadexp.flight.store import read_table, write_table, write_text
+from quadexp.report.statistics_file import Statistics, results_statistics, write_comparison
+from quadexp.report.tables import ErrorTable, to_csv
+
+RESULTS = "results.parquet"
+UNFINISHED = "rows.parquet"
+CELLS_BETWEEN = 5000  # new rows after which they are written, or a quarter of those there, whichever is more
+
+
+class SweepTable:
+    """Rows of a plan's cells, at the places the plan gives them."""
+
+    def __init__(self, store: CellStore, plan: Plan) -> None:
+        self._store, self._plan = store, plan
+        self.rows = Rows(len(plan))
+        self._unwritten = 0
+
+    def recall(self) -> None:
+        """Take the rows of all cells that are there; those that failed are left out, to be flown again."""
+        done = self._store.done()
+        for path in (self._store.folder / UNFINISHED, self._store.root / RESULTS):
+            if path.exists():
+                self._recall_table(path, done)
+        for key, place in self._plan.places.items():
+            if key in done and not self.rows.filled[place]:
+                self._set(key, self._store.row(key))
+
+    def lacking(self) -> list[str]:
+        """Keys of the cells without a row."""
+        return [key for key, place in self._plan.places.items() if not self.rows.filled[place]]
+
+    def add(self, key: str, row: Mapping[str, Any]) -> None:
+        """A cell was flown."""
+        self._set(key, row)
+        self._unwritten += 1
+        if self._unwritten >= max(CELLS_BETWEEN, int(self.rows.filled.sum()) // 4):
+            write_table(self._store.folder / UNFINISHED, self.rows.columns(), {}, "results")
+            self._unwritten = 0
+
+    def settled(self) -> None:
+        """The rows lie in the table of results now."""
+        (self._store.folder / UNFINISHED).unlink(missing_ok=True)
+
+    def _set(self, key: str, row: Mapping[str, Any]) -> None:
+        place = self._plan.places[key]
+        self.rows[place] = {**row, "key": key, "variant": self._plan.varied[place]}
+
+    def _recall_table(self, path: Path, done: set[str]) -> None:
+        try:
+            columns, _ = read_table(path, "results", required=("key", "outcome"))
+        except DataError:
+            if path.name == UNFINISHED:  # nothing is lost: the footers say the same
+                return
+            raise
+        places = self._plan.places
+        found = [
+            (i, places[key])
+            for i, (key, outcome) in enumerate(zip(columns["key"], columns["outcome"], strict=True))
+            if key in done and key in places and outcome != "failed" and not self.rows.filled[places[key]]
+        ]
+        if found:
+            chosen, at = np.array(found).T
+            varied = np.array([self._plan.varied[place] for place in at], dtype=object)
+            self.rows.put(at, {**columns, "variant": _scattered(varied, chosen, len(columns["key"]))}, chosen)
+
+
+def write_results(root: Path, rows: Rows, record: Mapping[str, Any]) -> tuple[Statistics, ErrorTable, dict[str, str]]:
+    """Write the rows and all that is made from them; returns statistics, the error table and name -> path.
+
+    record: metric of the table, baseline and confidence of the statistics, and what else goes with the rows.
+    """
+    statistics = results_statistics(root, rows, baseline=record["baseline"], confidence=record["confidence"])
+    files = {
+        "results": write_table(root / RESULTS, rows.columns(), record, "results"),
+        "csv": write_text(root / "results.csv", to_csv(rows)),
+    }
+    table, made = write_comparison(root, statistics, record["metric"])
+    return statistics, table, {name: str(path) for name, path in files.items()} | made
+
+
+def _scattered(values: np.ndarray, places: np.ndarray, length: int) -> np.ndarray:
+    out = np.full(length, "", dtype=object)
+    out[places] = values
+    return out

@@ -1,0 +1,253 @@
+"""What differs between two flights, two results or two checkpoints: in configuration, in outcome, in figures.
+
+Everything is said as b against a: difference = b - a, relative = 100 (b - a) / a (%).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.errors import UsageError
+from quadexp.flight.schema import Flight
+from quadexp.flight.store import read_flight, read_metadata
+from quadexp.report.summary import MODEL_FILE, RESULTS_FILE, summarise
+from quadexp.report.wording import number
+from quadexp.state import POSITION
+
+ABSENT = "-"
+MOST_LINES = 16  # settings shown; --json has all
+MEASURED = ("solve_time",)  # columns that two runs of one flight may differ in
+
+# Figures of a flight, with the factor and unit they are shown in.
+FIGURES = {
+    "mean_error": (1e3, "mm"),
+    "rmse": (1e3, "mm"),
+    "max_error": (1e3, "mm"),
+    "attitude_rmse": (180 / math.pi, "deg"),
+    "saturated_share": (100.0, "%"),
+    "peak_speed": (1.0, "m/s"),
+    "duration": (1.0, "s"),
+    "last_resort_count": (1.0, ""),
+    "solve_time_median": (1e6, "us"),
+    "solve_time_p99": (1e6, "us"),
+}
+
+
+def compare(a: str | Path, b: str | Path) -> dict[str, Any]:
+    """What differs; `lines` is for people, the rest for programs (SI units).
+
+    Raises UsageError where there is nothing, where a and b are of two kinds, or of one that cannot be compared.
+    """
+    kinds = [kind_of(Path(path)) for path in (a, b)]
+    for path, kind in zip((a, b), kinds, strict=True):
+        if kind not in ("flight", "results", "checkpoint"):
+            raise UsageError(f"{path}: holds {kind}; flights, results and checkpoints can be compared")
+    if kinds[0] != kinds[1]:
+        raise UsageError(f"cannot compare {_a(kinds[0])} ({a}) with {_a(kinds[1])} ({b}): give two of one kind")
+    if kinds[0] == "results":
+        from quadexp.report.compare_results import compare_results
+
+        return compare_results(Path(a), Path(b))
+    return (compare_flights if kinds[0] == "flight" else compare_checkpoints)(Path(a), Path(b))
+
+
+def _a(kind: str) -> str:
+    return kind if kind == "results" else f"a {kind}"
+
+
+def kind_of(path: Path) -> str:
+    """ "flight", "results", "checkpoint", or whatever else the file says that it holds."""
+    if not path.exists():
+        raise UsageError(f"{path}: no such file or folder")
+    if path.name == MODEL_FILE or (path / MODEL_FILE).is_file():
+        return "checkpoint"
+    if path.is_dir():
+        if not (path / RESULTS_FILE).is_file():
+            raise UsageError(f"{path}: neither a checkpoint ({MODEL_FILE}) nor results ({RESULTS_FILE}) in this folder")
+        return "results"
+    return read_metadata(path)["kind"]
+
+
+def flat(value: Any, prefix: str = "") -> dict[str, Any]:
+    """Nested mappings as dotted keys."""
+    if not isinstance(value, Mapping):
+        return {prefix[:-1]: value}
+    return {key: item for name, inner in value.items() for key, item in flat(inner, f"{prefix}{name}.").items()}
+
+
+def differing(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """Dotted key -> [value in a, value in b], for those that differ; "-" stands for a key that is not there."""
+    left, right = flat(a), flat(b)
+    keys = list(dict.fromkeys([*left, *right]))
+    values = {key: [left.get(key, ABSENT), right.get(key, ABSENT)] for key in keys}
+    return {key: pair for key, pair in values.items() if pair[0] != pair[1]}
+
+
+def change(a: Any, b: Any) -> dict[str, float]:
+    """a, b, difference b - a, relative (%), NaN where not defined."""
+    a, b = (math.nan if value is None else float(value) for value in (a, b))
+    relative = 100 * (b - a) / a if a else (0.0 if a == b else math.nan)
+    return {"a": a, "b": b, "difference": b - a, "relative": relative}
+
+
+def record_of(metadata: Mapping[str, Any]) -> dict[str, Any]:
+    """What decides a flight: its configuration, the content of its checkpoint, and the versions that flew it."""
+    git = (metadata.get("provenance") or {}).get("git") or {}
+    return {
+        **(metadata.get("config") or {}),
+        "model_sha256": (metadata.get("model_sha256") or "")[:12],
+        "versions": {**(metadata.get("versions") or {}), "commit": (git.get("commit") or "")[:10]},
+        "backend": metadata.get("backend", ""),
+    }
+
+
+def compare_flights(a: Path, b: Path) -> dict[str, Any]:
+    """Two flights: settings, outcome, metrics, and how far apart the paths lie."""
+    flights = [read_flight(path, check=False) for path in (a, b)]
+    rows = [flight.metadata.get("row") or {} for flight in flights]
+    for path, row in zip((a, b), rows, strict=True):
+        if not row:
+            raise UsageError(f"{path}: a flight without a result row (a recorded one?): it cannot be compared")
+    settings = differing(*(record_of(flight.metadata) for flight in flights))
+    outcome = [row["outcome"] for row in rows]
+    causes = [flight.metadata.get("cause") or "" for flight in flights]
+    metrics = {name: change(rows[0].get(name), rows[1].get(name)) for name in FIGURES}
+    paths = _paths(*flights)
+    heads = [
+        f"{row['controller']} on {row['trajectory']}{_speed(row)}, {row['plant']}, seed {row['seed']}" for row in rows
+    ]
+    lines = [f"a  {a}: {heads[0]}", f"b  {b}: {heads[1]}", "", *setting_lines(settings), ""]
+    said = [f"{word}{f' ({cause})' if cause else ''}" for word, cause in zip(outcome, causes, strict=True)]
+    lines += [f"outcome  {said[0]}" if said[0] == said[1] else f"outcome  {said[0]} -> {said[1]}", ""]
+    lines += [
+        *figure_lines({f"{name} ({unit})" if unit else name: (metrics[name], f) for name, (f, unit) in FIGURES.items()})
+    ]
+    lines += ["", f"samples  {paths['text']}"]
+    return {
+        "kind": "flight",
+        "a": str(a),
+        "b": str(b),
+        "configuration": settings,
+        "outcome": outcome,
+        "metrics": metrics,
+        "paths": paths,
+        "lines": lines,
+    }
+
+
+def _speed(row: Mapping[str, Any]) -> str:
+    return "" if row["speed"] is None or math.isnan(row["speed"]) else f" at {row['speed']:g} m/s"
+
+
+def _paths(a: Flight, b: Flight) -> dict[str, Any]:
+    """How far apart two flights are at the same times, as far as they have the same times."""
+    count = min(len(a), len(b))
+    if count == 0 or not np.array_equal(a.t[:count], b.t[:count]):
+        return {"common": 0, "identical": False, "text": "not at the same times: the paths are not compared"}
+    names = [name for name in a.columns if name in b.columns and name not in MEASURED]
+    same = len(a) == len(b) and set(a.columns) == set(b.columns)
+    if same and all(np.array_equal(a[name], b[name], equal_nan=a[name].dtype.kind == "f") for name in names):
+        return {
+            "common": count,
+            "identical": True,
+            "text": f"all {count} are the same to the last bit, solve times apart",
+        }
+    apart = np.linalg.norm(a.state[:count, POSITION] - b.state[:count, POSITION], axis=1)
+    at = int(np.argmax(apart))
+    length = "" if len(a) == len(b) else f" of {len(a)} and {len(b)}"
+    text = f"at most {1e3 * apart[at]:.4g} mm apart, at t = {a.t[at]:.2f} s ({count} common samples{length})"
+    return {"common": count, "identical": False, "distance": float(apart[at]), "t": float(a.t[at]), "text": text}
+
+
+def compare_checkpoints(a: Path, b: Path) -> dict[str, Any]:
+    """Two checkpoints: what they were fitted to and how, their parameters, and their held-out errors."""
+    found = [summarise(path) for path in (a, b)]
+    records = [
+        {
+            "kind": one["kind"],
+            **{name: one[name] for name in ("vehicle", "dataset", "settings", "versions")},
+            "outputs": {name: {"features": output["features"]} for name, output in one["outputs"].items()},
+        }
+        for one in found
+    ]
+    settings = differing(*records)
+    left, right = (_parameters(path, one) for path, one in zip((a, b), found, strict=True))
+    names = [name for name in left if name in right]
+    metrics = {name: change(left[name], right[name]) for name in names}
+    lines = [f"a  {a}: {found[0]['kind']}", f"b  {b}: {found[1]['kind']}", "", *setting_lines(settings), ""]
+    lines += figure_lines({name: (metrics[name], 1.0) for name in names})
+    only = {side: [n for n in mine if n not in its] for side, mine, its in (("a", left, right), ("b", right, left))}
+    lines += [f"only in {side}: {', '.join(missing)}" for side, missing in only.items() if missing]
+    return {
+        "kind": "checkpoint",
+        "a": str(a),
+        "b": str(b),
+        "configuration": settings,
+        "metrics": metrics,
+        "only": only,
+        "lines": lines,
+    }
+
+
+def _parameters(path: Path, summary: Mapping[str, Any]) -> dict[str, float]:
+    """The numbers of a checkpoint by name; held-out errors from the report beside it, where there is one."""
+    folder = path.parent if path.name == MODEL_FILE else path
+    values: dict[str, float] = {}
+    try:
+        rows = json.loads((folder / "report.json").read_text(encoding="utf-8")).get("rows", [])
+    except (OSError, ValueError):
+        rows = []
+    units = {"a": "m/s^2", "t": "N m"}
+    for row in rows:
+        if row.get("predictor") != "zero":
+            name = f"held-out RMSE of {row['output']} by {row['predictor']} ({units[row['output'][0]]})"
+            values[name] = row["rmse"]
+    values |= {f"drag_{axis} (1/s)": value for axis, value in zip("xyz", summary["drag"], strict=True)}
+    for output, one in summary["outputs"].items():
+        values[f"{output} signal"], values[f"{output} noise"] = one["signal_std"], one["noise_std"]
+        scales = zip(one["features"], one["lengthscale"], strict=True)
+        values |= {f"{output} length of {feature}": scale for feature, scale in scales}
+    return values
+
+
+def setting_lines(settings: Mapping[str, list[Any]]) -> list[str]:
+    """The settings that differ, a line each, at most as many as fit a screen."""
+    if not settings:
+        return ["configuration  the same"]
+    shown = {key: [_short(value) for value in pair] for key, pair in list(settings.items())[:MOST_LINES]}
+    width = max(map(len, shown))
+    left = max(len(pair[0]) for pair in shown.values())
+    count = f"{len(settings)} setting{'s' if len(settings) > 1 else ''} differ{'' if len(settings) > 1 else 's'}"
+    lines = [f"configuration  {count}"]
+    lines += [f"  {key:<{width}}  {pair[0]:<{left}}  {pair[1]}" for key, pair in shown.items()]
+    rest = len(settings) - len(shown)
+    return lines + ([f"  and {rest} more (--json has all)"] if rest else [])
+
+
+def _short(value: Any, width: int = 36) -> str:
+    text = "null" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+    return text if len(text) <= width else text[: width - 3] + "..."
+
+
+def figure_lines(figures: Mapping[str, tuple[Mapping[str, float], float]]) -> list[str]:
+    """A table of changes. figures: name -> (change, factor it is shown with)."""
+    rows = [["", "a", "b", "b - a", "relative"]]
+    for name, (one, factor) in figures.items():
+        numbers = [number(factor * one[key]) for key in ("a", "b", "difference")]
+        rows.append([name, *numbers, said_relative(one["relative"])])
+    widths = [max(len(row[i]) for row in rows) for i in range(5)]
+    return [
+        "  ".join([f"{row[0]:<{widths[0]}}", *(f"{c:>{w}}" for c, w in zip(row[1:], widths[1:], strict=True))])
+        for row in rows
+    ]
+
+
+def said_relative(value: float) -> str:
+    """Such as "-99.1 %", "same", or "-" where there is none."""
+    return "-" if math.isnan(value) else "same" if value == 0 else f"{value:+.3g} %"

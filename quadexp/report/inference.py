@@ -1,0 +1,216 @@
+"""What a few paired numbers say: intervals, effects and tests. Arrays in, numbers out.
+
+With n values x_i, mean m, standard deviation s, confidence 1 - alpha, and paired differences d_i = x_i - b_i:
+
+    mean       BCa bootstrap (Efron 1987, JASA 82(397)) where it can hold its confidence; else m +- t s / sqrt(n)
+    reduction  100 (1 - mean x / mean b), the same two ways
+    share      (k + z^2/2 +- z sqrt(k (n - k) / n + z^2/4)) / (n + z^2)        (Wilson 1927, JASA 22(158))
+    p          share of the 2^n sign patterns g with |sum g_i d_i| >= |sum d_i|  (Fisher 1935, Design of Experiments)
+    effect     (R- - R+) / (R- + R+), R the rank sums of |d_i| by sign of d_i    (Kerby 2014, Compr. Psychol. 3)
+    Holm       p_(i) -> max over j <= i of min(1, (m - j + 1) p_(j))             (Holm 1979, Scand. J. Stat. 6(2))
+
+Why not the bootstrap for every n: it never leaves the range of the data, which holds the median with probability
+1 - 2^(1-n), so below 6 values no bootstrap reaches 95 %; and for small n it is too narrow by the factor by which normal
+quantiles and the n in s are. So its level is widened to that of t, Phi(-sqrt(n/(n-1)) t) a side (Hesterberg 2015,
+Am. Stat. 69(4), section 3.3): measured on normal data, 95 % intervals of 6, 8 and 10 values then hold the mean in 93,
+94 and 95 % of the cases, where the plain BCa has 85, 88 and 90 %. Above 200 values it agrees with t.
+
+Why the permutation test and not Wilcoxon's: it tests the difference of means that the tables show, and is exact for few
+seeds. Why the rank-biserial effect and not Cohen's d: paired flights meet the same noise, so the spread of their
+differences is tiny and d runs into the hundreds, which says how quiet the noise is; the rank-biserial is bounded. Both
+are given.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtr, ndtri, stdtrit
+
+RESAMPLES = 9999
+MOST_BOOTSTRAPPED = 200  # values; beyond, the t interval is the same
+MOST_EXACT = 30  # pairs whose 2^n sign patterns are counted
+MOST_DRAWN = 200  # pairs whose sign patterns are drawn; beyond, their sum is normal
+DRAWS = 99_999
+SAME = 1e-12  # relative difference below which two sums are one
+
+
+class Interval(NamedTuple):
+    """Confidence limits. method: "BCa", "t", "constant" (all values the same) or "none" (fewer than two values)."""
+
+    low: float
+    high: float
+    method: str
+
+
+NO_INTERVAL = Interval(math.nan, math.nan, "none")
+
+
+def least_count(confidence: float) -> int:
+    """The least number of values whose range holds the median with this confidence: 1 - 2^(1-n) >= confidence."""
+    return math.ceil(1 - math.log2(1 - confidence) - 1e-9)
+
+
+def student(confidence: float, degrees: float) -> float:
+    """Quantile of Student's t, two-sided."""
+    return float(stdtrit(degrees, (1 + confidence) / 2))
+
+
+def mean_interval(values: np.ndarray, confidence: float = 0.95, *, least: float = -math.inf, seed: int = 0) -> Interval:
+    """Interval of the mean of `values`, (n,). least: what the mean cannot be below (0 for an error)."""
+    values = np.asarray(values, float)
+    n = len(values)
+    if n < 2:
+        return NO_INTERVAL
+    mean = float(np.mean(values))
+    if np.ptp(values) <= SAME * abs(mean):
+        return Interval(mean, mean, "constant")
+    limits = _bootstrap((values,), lambda x, axis=-1: np.mean(x, axis=axis), confidence, seed)
+    if limits is None:
+        half = student(confidence, n - 1) * float(np.std(values, ddof=1)) / math.sqrt(n)
+        limits = Interval(mean - half, mean + half, "t")
+    return limits._replace(low=max(limits.low, least))
+
+
+def reduction_interval(
+    values: np.ndarray, baseline: np.ndarray, confidence: float = 0.95, *, seed: int = 0
+) -> Interval:
+    """Interval of 100 (1 - mean values / mean baseline) (%) over pairs, both (n,), baseline with a mean above zero.
+
+    t: by the delta method, with z_i = x_i - (mean x / mean b) b_i in place of x_i.
+    """
+    values, baseline = np.asarray(values, float), np.asarray(baseline, float)
+    n = len(values)
+    if n < 2 or not np.mean(baseline) > 0:
+        return NO_INTERVAL
+    ratio = float(np.mean(values) / np.mean(baseline))
+    reduction = 100 * (1 - ratio)
+    linear = 100 * (values - ratio * baseline) / float(np.mean(baseline))
+    if np.ptp(linear) <= SAME * 100:
+        return Interval(reduction, reduction, "constant")
+
+    def statistic(x: np.ndarray, b: np.ndarray, axis: int = -1) -> np.ndarray:
+        return 100 * (1 - np.mean(x, axis=axis) / np.mean(b, axis=axis))
+
+    limits = _bootstrap((values, baseline), statistic, confidence, seed)
+    if limits is None:
+        half = student(confidence, n - 1) * float(np.std(linear, ddof=1)) / math.sqrt(n)
+        limits = Interval(reduction - half, reduction + half, "t")
+    return limits
+
+
+def widened(confidence: float, n: int) -> float:
+    """Confidence at which a bootstrap of n values has the width of a t interval."""
+    return 1 - 2 * float(ndtr(-math.sqrt(n / (n - 1)) * student(confidence, n - 1)))
+
+
+def _bootstrap(samples: tuple[np.ndarray, ...], statistic, confidence: float, seed: int) -> Interval | None:
+    """BCa limits, or None where there are too few or too many values or BCa is not defined."""
+    n = len(samples[0])
+    if not least_count(confidence) <= n <= MOST_BOOTSTRAPPED:
+        return None
+    from scipy.stats import bootstrap
+
+    result = bootstrap(
+        samples,
+        statistic,
+        paired=len(samples) > 1,
+        vectorized=True,
+        axis=-1,
+        n_resamples=RESAMPLES,
+        confidence_level=widened(confidence, n),
+        method="BCa",
+        random_state=np.random.default_rng(seed),
+    ).confidence_interval
+    low, high = float(result.low), float(result.high)
+    return Interval(low, high, "BCa") if math.isfinite(low) and math.isfinite(high) else None
+
+
+def success_interval(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Wilson's limits of a share; NaN without trials."""
+    if trials == 0:
+        return math.nan, math.nan
+    z = float(ndtri((1 + confidence) / 2))
+    centre = successes + z**2 / 2
+    half = z * math.sqrt(successes * (trials - successes) / trials + z**2 / 4)
+    low, high = (centre - half) / (trials + z**2), (centre + half) / (trials + z**2)
+    return (0.0 if successes == 0 else low), (1.0 if successes == trials else high)
+
+
+def paired_permutation(differences: np.ndarray, *, seed: int = 0) -> float:
+    """Two-sided p of "each difference is as likely to have the other sign", (n,); NaN without differences.
+
+    Exact up to 30 pairs; beyond by 99,999 drawn patterns, (1 + hits) / (1 + draws); beyond 200 by the normal limit.
+    """
+    differences = np.asarray(differences, float)
+    n = len(differences)
+    if n == 0:
+        return math.nan
+    scale = float(np.abs(differences).sum())
+    if scale == 0:
+        return 1.0
+    differences = differences / scale
+    observed = abs(float(differences.sum())) - SAME
+    if observed <= 0:
+        return 1.0
+    if n > MOST_DRAWN:
+        return 2 * float(ndtr(-observed / math.sqrt(float(np.sum(differences**2)))))
+    if n > MOST_EXACT:
+        rng = np.random.default_rng(seed)
+        signs = rng.integers(0, 2, size=(DRAWS, n), dtype=np.int8)
+        sums = 2 * (signs @ differences) - differences.sum()
+        return (1 + int(np.count_nonzero(np.abs(sums) >= observed))) / (1 + DRAWS)
+    # Sums over the sign patterns of each half of the pairs; every pattern of all is one of either half.
+    left, right = _signed_sums(differences[: n // 2]), np.sort(_signed_sums(differences[n // 2 :]))
+    above = len(right) * len(left) - int(np.searchsorted(right, observed - left, side="left").sum())
+    return 2 * above / 2.0**n
+
+
+def _signed_sums(values: np.ndarray) -> np.ndarray:
+    """Sum of the values under every pattern of signs, (2^n,)."""
+    sums = np.zeros(1)
+    for value in values:
+        sums = np.concatenate([sums - value, sums + value])
+    return sums
+
+
+def least_p(n: int) -> float:
+    """The least p that n pairs can give: two of 2^n patterns."""
+    return 2.0 ** (1 - n) if n > 0 else math.nan
+
+
+def rank_biserial(differences: np.ndarray) -> float:
+    """Matched-pairs rank-biserial correlation in [-1, 1]: 1 where every difference is negative (less than the
+    baseline). Differences of zero take no part; NaN without any."""
+    differences = np.asarray(differences, float)
+    if len(differences) == 0:
+        return math.nan
+    differences = differences[differences != 0]
+    if len(differences) == 0:
+        return 0.0
+    _, place, count = np.unique(np.abs(differences), return_inverse=True, return_counts=True)
+    rank = (np.cumsum(count) - (count - 1) / 2)[place]  # ties share the mean of their ranks
+    return float(-np.sum(np.sign(differences) * rank) / np.sum(rank))
+
+
+def cohen_d(differences: np.ndarray) -> float:
+    """Mean over standard deviation of the paired differences, sign turned: positive where less than the baseline.
+
+    NaN for fewer than two, or where all are the same."""
+    differences = np.asarray(differences, float)
+    if len(differences) < 2 or np.ptp(differences) <= SAME * np.abs(differences).max():
+        return math.nan
+    return float(-np.mean(differences) / np.std(differences, ddof=1))
+
+
+def holm(p: np.ndarray) -> np.ndarray:
+    """p-values corrected for their number by Holm's step-down procedure, (m,); NaN stays, and does not count."""
+    p = np.asarray(p, float)
+    adjusted = np.full(p.shape, math.nan)
+    known = np.flatnonzero(~np.isnan(p))
+    order = known[np.argsort(p[known], kind="stable")]
+    factors = len(order) - np.arange(len(order))
+    adjusted[order] = np.maximum.accumulate(np.minimum(1.0, factors * p[order]))
+    return adjusted

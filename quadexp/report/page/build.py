@@ -1,0 +1,198 @@
+"""Put the page together: read, draw, pack, render; and the figures as PDF."""
+
+from __future__ import annotations
+
+import base64
+import functools
+import json
+import math
+import shlex
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from quadexp import __version__
+from quadexp.errors import QuadexpError
+from quadexp.flight.store import check_output, write_bytes, write_text
+from quadexp.report.page import palette
+from quadexp.report.page.answer import answer
+from quadexp.report.page.drawing import PageFigures, draw_page, draw_paper
+from quadexp.report.page.names import spoken
+from quadexp.report.page.numbers import duration, percent
+from quadexp.report.page.provenance import origin, portable
+from quadexp.report.page.replay import BUDGET, choose_cases, pack_replay
+from quadexp.report.page.sections import scoreboard, tables, worst, worst_rows
+from quadexp.report.page.source import Comparison, read_comparison
+from quadexp.report.tables import TITLES, to_csv
+
+LIMIT = 2_000_000  # bytes of the page
+DATA_LIMIT = 250_000  # bytes of the CSV that travels inside it
+SHAPE_PATHS = {
+    "circle": "M-4.4 0A4.4 4.4 0 1 1 4.4 0A4.4 4.4 0 1 1 -4.4 0Z",
+    "square": "M-4-4H4V4H-4Z",
+    "diamond": "M0-5L5 0L0 5L-5 0Z",
+    "triangle": "M0-4.8L4.8 4H-4.8Z",
+    "wedge": "M0 4.8L4.8-4H-4.8Z",
+    "plus": "M-1.8-5H1.8V-1.8H5V1.8H1.8V5H-1.8V1.8H-5V-1.8H-1.8Z",
+    "cross": "M-5-2.6L-2.6-5L0-2.4L2.6-5L5-2.6L2.4 0L5 2.6L2.6 5L0 2.4L-2.6 5L-5 2.6L-2.4 0Z",
+    "star": "M0-5L1.4-1.6L5-1.5L2.1.7L3.1 4.4L0 2.3L-3.1 4.4L-2.1.7L-5-1.5L-1.4-1.6Z",
+}
+TEMPLATES = files("quadexp.report.page") / "templates"
+
+
+def make_report(
+    results: str | Path,
+    out: str | Path,
+    *,
+    figures: str | Path | None = None,
+    baseline: str | None = None,
+    force: bool = False,
+) -> dict[str, Any]:
+    """Write the report of a results folder as one HTML file; returns what it says and where it lies.
+
+    figures: folder for the same figures as PDF. baseline: controller that others are compared with.
+    Raises UsageError or DataError, before anything is written.
+    """
+    out = check_output(out, force=force)
+    if figures is not None:
+        check_output(figures, force=True, folder=True)
+    comparison = read_comparison(results, baseline=baseline)
+    drawn = draw_page(comparison)
+    page = render(comparison, drawn, _report_command(comparison, out, figures, baseline))
+    write_text(out, page)
+    written = {} if figures is None else _write_paper(Path(figures), draw_paper(comparison, drawn))
+    said = answer(comparison)
+    size = len(page.encode())
+    return {"path": out, "bytes": size, "answer": list(said.sentences), "note": said.note, "figures": written}
+
+
+def _write_paper(folder: Path, figures: Mapping[str, Figure]) -> dict[str, Path]:
+    """Figures as PDF; the same figures give the same bytes."""
+    written = {}
+    for name, figure in figures.items():
+        write = functools.partial(figure.savefig, format="pdf", metadata={"CreationDate": None})
+        written[name] = write_bytes(folder / f"{name}.pdf", write)
+    return written
+
+
+def render(comparison: Comparison, drawn: PageFigures, command: str) -> str:
+    """The page; with fewer flights to replay where it would be too large."""
+    for budget in (BUDGET, BUDGET // 3, 0):
+        page = _render(comparison, drawn, command, budget)
+        if len(page.encode()) < LIMIT:
+            return page
+    raise QuadexpError(
+        f"the report would be {len(page.encode()) / 1e6:.1f} MB, more than {LIMIT / 1e6:g}: report on fewer conditions"
+    )
+
+
+def _render(comparison: Comparison, drawn: PageFigures, command: str, budget: int) -> str:
+    from jinja2 import Environment
+
+    bad = worst_rows(comparison)
+    cases = choose_cases(comparison, bad)
+    packed, kept = pack_replay(comparison, cases, budget) if budget else ([], [])
+    said, board, numbers = answer(comparison), scoreboard(comparison), tables(comparison)
+    environment = Environment(autoescape=True, trim_blocks=False)
+    light, dark = palette.css_blocks()
+    confidence = comparison.confidence
+    return environment.from_string(_template("report.html.j2")).render(
+        version=__version__,
+        title=comparison.root.resolve().name,
+        answer=said,
+        sections=_sections(drawn, bool(packed)),
+        metric_title=TITLES.get(comparison.metric, comparison.metric),
+        baseline=comparison.reference,
+        board=board,
+        all_well=all(row["complete"] for row in board),
+        tables=numbers,
+        alpha=1 - confidence,
+        looks=comparison.look,
+        shapes=SHAPE_PATHS,
+        spoken=spoken,
+        css_light=light,
+        css_dark=dark,
+        style=_safe(_template("style.css")),
+        replay=bool(packed),
+        replay_json=json.dumps(packed, separators=(",", ":")).replace("<", "\\u003c"),
+        page_script=_template("page.js"),
+        replay_script=_template("replay.js").replace("@@SHAPES@@", json.dumps(SHAPE_PATHS)),
+        speed_panels=drawn.speed,
+        speed_labels=drawn.speed_labels,
+        pareto=drawn.pareto,
+        pareto_lines=_pareto_lines(comparison, drawn),
+        fits=drawn.fits,
+        estimates=drawn.estimates,
+        worst=worst(comparison, bad, {case: i for i, case in enumerate(kept)}),
+        many_worlds=len(comparison.worlds) > 1,
+        origin=origin(comparison),
+        downloads=_downloads(comparison) if budget else [],
+        report_command=command,
+    )
+
+
+def _template(name: str) -> str:
+    return (TEMPLATES / name).read_text(encoding="utf-8")
+
+
+def _safe(text: str) -> Any:
+    from markupsafe import Markup
+
+    return Markup(text)
+
+
+def _sections(drawn: PageFigures, replay: bool) -> list[tuple[str, str]]:
+    wanted = [
+        ("replay", "Replay", replay),
+        ("tables", "Numbers", True),
+        ("speed", "Speed", bool(drawn.speed)),
+        ("time", "Time", bool(drawn.pareto)),
+        ("learned", "Learned", bool(drawn.fits or drawn.estimates)),
+        ("worst", "Worst", True),
+        ("provenance", "Provenance", True),
+    ]
+    return [(anchor, name) for anchor, name, there in wanted if there]
+
+
+def _pareto_lines(comparison: Comparison, drawn: PageFigures) -> list[dict[str, str]]:
+    """A line for everyone in the figure: where it stands."""
+    lines = []
+    for label, (time, error, *_) in drawn.points.items():
+        against = f"{percent(error)} of {spoken(comparison.reference)}'s error" if comparison.reference else ""
+        size = "what others are measured by" if label == comparison.reference else against
+        period = comparison.period(label)
+        load = f", {_share(100 * time / period)} of its period" if math.isfinite(period) else ""
+        where = (
+            "a bound" if label in comparison.bounds else "on the front" if label in drawn.front else "behind the front"
+        )
+        lines.append({"label": label, "text": f"{where}: {size + ', in ' if size else ''}{duration(time)}{load}."})
+    return lines
+
+
+def _share(value: float) -> str:
+    return percent(value) if value >= 0.05 else f"under {percent(0.1)}"
+
+
+def _downloads(comparison: Comparison) -> list[tuple[str, str]]:
+    """Tables as links that carry them; the rows where they are not too many."""
+    from quadexp.report.statistics_file import statistics_csv
+
+    made: Sequence[tuple[str, str]] = [
+        ("statistics.csv", statistics_csv(comparison.statistics)),
+        ("results.csv", to_csv(comparison.rows)),
+    ]
+    return [
+        (name, "data:text/csv;base64," + base64.b64encode(text.encode()).decode())
+        for name, text in made
+        if len(text) <= DATA_LIMIT
+    ]
+
+
+def _report_command(comparison: Comparison, out: Path, figures: str | Path | None, baseline: str | None) -> str:
+    words = ["quadexp", "report", portable(comparison.root), "--out", portable(out)]
+    words += ["--baseline", baseline] if baseline else []
+    words += ["--figures", portable(Path(figures))] if figures else []
+    return " ".join(map(shlex.quote, words))

@@ -1,0 +1,235 @@
+"""The report's figures: panel by panel as inline SVG for the page, and put together as Figures for paper."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from quadexp.flight.schema import Flight, describe
+from quadexp.report.page.figures import (
+    course_title,
+    courses,
+    labels_on,
+    pareto_front,
+    pareto_panel,
+    pareto_points,
+    speed_panel,
+)
+from quadexp.report.page.fits import Checkpoint, estimate_panel, fit_panel, identified, read_checkpoint, truth
+from quadexp.report.page.names import spoken
+from quadexp.report.page.numbers import number, percent
+from quadexp.report.page.palette import PAGE, PAPER
+from quadexp.report.page.source import Comparison
+from quadexp.report.page.svg import STYLE, inline_svg
+
+SIZE = 3.9, 3.0  # inches, of a panel
+WIDE = 6.2, 4.1
+MAX_COURSES = 12
+MAX_ESTIMATES = 4  # flights whose coefficients are drawn
+PREDICTORS = {"gp": "GP", "linear_drag": "linear drag", "zero": "nothing"}
+
+Draw = Callable[..., None]  # (panel, palette=Palette)
+
+
+@dataclass
+class PageFigures:
+    """SVG of every part, and what the text beside it needs. speed: a panel a course. fits, estimates: as the template
+    takes them. checkpoints, estimated: what they were drawn from."""
+
+    speed: list[str] = field(default_factory=list)
+    speed_labels: list[str] = field(default_factory=list)
+    pareto: str = ""
+    points: dict[str, tuple[float, float, float, float]] = field(default_factory=dict)
+    front: list[str] = field(default_factory=list)
+    fits: list[dict[str, Any]] = field(default_factory=list)
+    estimates: list[dict[str, Any]] = field(default_factory=list)
+    checkpoints: list[Checkpoint] = field(default_factory=list)
+    estimated: list[tuple[str, list[tuple[str, Flight]]]] = field(default_factory=list)
+
+
+def draw_page(comparison: Comparison) -> PageFigures:
+    """All figures of the page."""
+    made = PageFigures()
+    drawn: list[list[str]] = []
+    for i, course in enumerate(courses(comparison)[:MAX_COURSES]):
+        draw = partial(speed_panel, comparison=comparison, course=course)
+        made.speed.append(panel_svg(draw, f"speed{i}", f"Error over speed, {course_title(comparison, course)}"))
+        drawn.append(labels_on(comparison, course))
+    made.speed_labels = list(dict.fromkeys(label for labels in drawn for label in labels))
+    made.points = pareto_points(comparison)
+    made.front = pareto_front(made.points, comparison.bounds)
+    if made.points:
+        draw = partial(pareto_panel, comparison=comparison)
+        made.pareto = panel_svg(draw, "pareto", "Error against computing time", WIDE)
+    made.checkpoints = checkpoints(comparison)
+    made.fits = [_fit(checkpoint, i) for i, checkpoint in enumerate(made.checkpoints)]
+    made.estimated = estimated(comparison)
+    made.estimates = [_estimates(comparison, title, flights, i) for i, (title, flights) in enumerate(made.estimated)]
+    return made
+
+
+def panel_svg(draw: Draw, name: str, label: str, size: tuple[float, float] = SIZE) -> str:
+    """One panel as inline SVG."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        draw(figure.subplots(), palette=PAGE)
+        return inline_svg(figure, name, label)
+
+
+def checkpoints(comparison: Comparison) -> list[Checkpoint]:
+    """Checkpoints that flew, each once."""
+    found: dict[str, str] = {}
+    for row in comparison.rows:
+        if row["model"] and row["model"] not in found and row["outcome"] not in ("failed", "infeasible"):
+            record = comparison.flight_record(row)
+            found[row["model"]] = (record or {}).get("model_sha256", "")
+    return [read_checkpoint(path, sha256) for path, sha256 in found.items()]
+
+
+def _fit(checkpoint: Checkpoint, i: int) -> dict[str, Any]:
+    path = checkpoint.path.rstrip("/")
+    if checkpoint.model is None:
+        return {"path": path, "panels": [], "text": f"Not drawn: {checkpoint.note or 'it holds linear drag only'}."}
+    outputs = checkpoint.model.outputs
+    panels = [
+        panel_svg(
+            partial(fit_panel, checkpoint=checkpoint, output=output),
+            f"fit{i}{k}",
+            f"Residual {output.output} over {output.features[0]}",
+        )
+        for k, output in enumerate(outputs)
+    ]
+    chosen = "; ".join(f"{o.output} from {', '.join(o.features)}, {len(o.alpha)} points" for o in outputs)
+    dataset = checkpoint.model.dataset
+    rows = f" Fitted to {dataset['rows']} rows of {dataset['flights']} flights." if dataset.get("rows") else ""
+    return {
+        "path": path,
+        "panels": panels,
+        "text": f"{chosen}.{rows}",
+        "has_data": checkpoint.data is not None,
+        **_scores(checkpoint.report.get("rows", [])),
+    }
+
+
+def _scores(rows: list[Mapping[str, Any]]) -> dict[str, Any]:
+    """Held-out errors of a checkpoint's report, a line an output and a column a predictor."""
+    predictors = [name for name in dict.fromkeys(row["predictor"] for row in rows) if name in PREDICTORS]
+    found = {(row["output"], row["predictor"]): row for row in rows}
+    lines = []
+    for output in dict.fromkeys(row["output"] for row in rows):
+        cells = [found.get((output, predictor)) for predictor in predictors]
+        lines.append(
+            {
+                "name": output.partition("_")[0],
+                "index": output.partition("_")[2],
+                "unit": describe(output, "residuals").unit.replace("^2", "²"),
+                "cells": [
+                    {"rmse": f"{cell['rmse']:.3g}", "inside": percent(100 * cell["inside_2"], 0)} if cell else {}
+                    for cell in cells
+                ],
+            }
+        )
+    return {"scores": lines, "predictors": [PREDICTORS[name] for name in predictors]}
+
+
+def estimated(comparison: Comparison) -> list[tuple[str, list[tuple[str, Flight]]]]:
+    """Per trajectory and plant the flights that identified coefficients: fastest speed, one flight a contestant."""
+    chosen: dict[tuple[str, str], dict[str, Mapping[str, Any]]] = {}
+    for row in comparison.rows:
+        if "rls" not in row["controller"] and not row["controller"].startswith("literal"):
+            continue
+        if row["outcome"] in ("failed", "infeasible"):
+            continue
+        best = chosen.setdefault((row["plant"], row["trajectory"]), {})
+        label = comparison.label(row)
+        rival = best.get(label)
+        if rival is None or (row["speed"] or 0) > (rival["speed"] or 0):
+            best[label] = row
+    made = []
+    for (plant, trajectory), rows in chosen.items():
+        flights = [(label, f) for label, row in rows.items() if (f := comparison.flight(row)) is not None]
+        flights = [(label, f) for label, f in flights if identified(f)][:MAX_ESTIMATES]
+        if flights:
+            made.append((f"{trajectory} on {plant}", flights))
+    return made
+
+
+def _estimates(comparison: Comparison, title: str, flights: list[tuple[str, Flight]], i: int) -> dict[str, Any]:
+    names = identified(flights[0][1])
+    draws = _estimate_draws(comparison, flights)
+    panels = [panel_svg(draws[name], f"estimate{i}{name}", f"{name} identified over time") for name in names]
+    known = [(name, true) for name in names if (true := truth(flights[0][1], name)) is not None]
+    last = flights[0][1]
+    ends = [
+        f"{name} {number(float(last[name][-1]))} of {number(float(true[-1]))}"
+        for name, true in known
+        if math.isfinite(float(last[name][-1]))
+    ]
+    text = f"Dashed: the plant's own value. At the end, {spoken(flights[0][0])}: {', '.join(ends)}." if ends else ""
+    return {"title": title, "labels": [label for label, _ in flights], "panels": panels, "text": text}
+
+
+def _estimate_draws(comparison: Comparison, flights: list[tuple[str, Flight]]) -> dict[str, Draw]:
+    colours = {label: look.colour for label, look in comparison.look.items()}
+    return {
+        name: partial(estimate_panel, name=name, flights=flights, colours=colours) for name in identified(flights[0][1])
+    }
+
+
+def draw_paper(comparison: Comparison, drawn: PageFigures) -> dict[str, Figure]:
+    """The same figures for a paper: name -> Figure with all its panels and a legend."""
+    figures: dict[str, Figure] = {}
+    flown = courses(comparison)[:MAX_COURSES]
+    if flown:
+        draws: list[Draw] = [partial(speed_panel, comparison=comparison, course=course) for course in flown]
+        figures["error_against_speed"] = _sheet(draws, _handles(comparison, drawn.speed_labels))
+    if drawn.points:
+        figures["error_against_time"] = _sheet([partial(pareto_panel, comparison=comparison)], [], WIDE)
+    for checkpoint in drawn.checkpoints:
+        if checkpoint.model is not None:
+            draws = [partial(fit_panel, checkpoint=checkpoint, output=output) for output in checkpoint.model.outputs]
+            figures[_file("residuals", checkpoint.path)] = _sheet(draws, [])
+    for title, flights in drawn.estimated:
+        draws = list(_estimate_draws(comparison, flights).values())
+        figures[_file("coefficients", title)] = _sheet(draws, _handles(comparison, [label for label, _ in flights]))
+    return figures
+
+
+def _sheet(draws: list[Draw], handles: list[Line2D], size: tuple[float, float] = SIZE) -> Figure:
+    """Panels in rows of up to three, a legend below."""
+    columns = min(3, len(draws))
+    lines = -(-len(draws) // columns)
+    with matplotlib.rc_context(STYLE):
+        legend = 0.35 * -(-len(handles) // 4)
+        figure = Figure(figsize=(0.85 * size[0] * columns, 0.9 * size[1] * lines + legend), layout="constrained")
+        panels = figure.subplots(lines, columns, squeeze=False)
+        for panel, draw in zip(panels.flat, draws, strict=False):
+            draw(panel, palette=PAPER)
+        for panel in panels.flat[len(draws) :]:
+            panel.set_axis_off()
+        if handles:
+            figure.legend(handles=handles, loc="outside lower center", ncols=min(4, len(handles)))
+    return figure
+
+
+def _handles(comparison: Comparison, labels: list[str]) -> list[Line2D]:
+    return [
+        Line2D(
+            [], [], color=PAPER.series[look.colour], marker=look.marker, linestyle=look.dashes, label=spoken(label),
+            markeredgecolor=PAPER.panel, markeredgewidth=0.7,
+        )
+        for label in labels
+        if (look := comparison.look[label])
+    ]  # fmt: skip
+
+
+def _file(prefix: str, name: str) -> str:
+    """A file name without blanks or separators."""
+    return f"{prefix}_" + "".join(c if c.isalnum() else "_" for c in name.strip("/")).strip("_")

@@ -1,0 +1,237 @@
+"""The panels of the report, drawn on axes that are given: error over speed, error over time of the step.
+
+Every function takes a Palette, so that the same panel goes onto the page (themed) and onto paper (PDF).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+
+from quadexp.report.page.names import spoken
+from quadexp.report.page.numbers import duration, shown
+from quadexp.report.page.palette import Palette
+from quadexp.report.page.source import Comparison
+from quadexp.report.statistics import Statistic
+from quadexp.report.tables import TITLES
+
+AROUND = 2.5  # times that an interval may reach beyond the means before the panel cuts it
+Course = tuple[str, str, str, str]  # plant, vehicle, trajectory, other settings
+
+
+def dress(panel: Any, palette: Palette) -> None:
+    """Colours of frame, ticks and grid."""
+    panel.set_facecolor("none")
+    panel.grid(True, color=palette.rule, linewidth=0.6)
+    for spine in panel.spines.values():
+        spine.set_color(palette.rule)
+    panel.spines["left"].set_visible(False)
+    panel.tick_params(which="both", colors=palette.muted, labelcolor=palette.muted)
+    panel.xaxis.label.set_color(palette.muted)
+    panel.yaxis.label.set_color(palette.muted)
+
+
+def courses(comparison: Comparison) -> list[Course]:
+    """What was flown at one speed or more, and ended well at least once."""
+    found = [
+        (s.plant, s.vehicle, s.trajectory, s.setting)
+        for s in comparison.select(comparison.metric)
+        if s.n and not math.isnan(s.speed)
+    ]
+    return list(dict.fromkeys(found))
+
+
+def course_title(comparison: Comparison, course: Course) -> str:
+    """The trajectory, and of plant, vehicle and settings what tells it from the others."""
+    plant, vehicle, trajectory, setting = course
+    worlds = comparison.worlds
+    parts = [trajectory]
+    parts += [plant] if len({w[0] for w in worlds}) > 1 else []
+    parts += [vehicle] if len({w[1] for w in worlds}) > 1 else []
+    return ", ".join([*parts, *([setting] if setting else [])])
+
+
+def _on(comparison: Comparison, course: Course) -> list[Statistic]:
+    chosen = [s for s in comparison.select(comparison.metric) if s.n]
+    return [s for s in chosen if (s.plant, s.vehicle, s.trajectory, s.setting) == course]
+
+
+def labels_on(comparison: Comparison, course: Course) -> list[str]:
+    """Who ended a flight of it well, in the order of the page."""
+    flown = {comparison.labels[s.contestant] for s in _on(comparison, course)}
+    return [label for label in comparison.look if label in flown]
+
+
+def error_limits(comparison: Comparison) -> tuple[float, float]:
+    """Vertical limits that all panels of error over speed share, in the shown unit."""
+    factor, _ = shown(comparison.metric)
+    chosen = [s for s in comparison.select(comparison.metric) if s.n and not math.isnan(s.speed)]
+    means = [factor * s.mean for s in chosen if s.mean > 0]
+    if not means:
+        return 0.1, 10.0
+    ends = [factor * v for s in chosen for v in (s.low, s.high) if math.isfinite(v) and v > 0]
+    low, high = min([*means, *ends]), max([*means, *ends])
+    return max(low / 1.35, min(means) / AROUND), min(high * 1.35, max(means) * AROUND)
+
+
+def speed_panel(panel: Any, comparison: Comparison, course: Course, palette: Palette) -> None:
+    """Mean error over nominal speed with its interval, a line a contestant.
+
+    Points of one speed are set apart a little, so that intervals can be told from one another.
+    """
+    factor, unit = shown(comparison.metric)
+    chosen = _on(comparison, course)
+    labels = labels_on(comparison, course)
+    speeds = sorted({s.speed for s in chosen})
+    apart = 0.012 * ((speeds[-1] - speeds[0]) or 1.0)
+    for k, label in enumerate(labels):
+        mine = sorted((s for s in chosen if comparison.labels[s.contestant] == label), key=lambda s: s.speed)
+        look = comparison.look[label]
+        colour = palette.series[look.colour]
+        x = np.array([s.speed for s in mine]) + apart * (k - (len(labels) - 1) / 2)
+        mean, low, high = (factor * np.array([getattr(s, name) for s in mine]) for name in ("mean", "low", "high"))
+        known = np.isfinite(low) & np.isfinite(high)
+        panel.vlines(x[known], np.maximum(low[known], 1e-9), high[known], color=colour, linewidth=3.2, alpha=0.35)
+        panel.plot(
+            x, mean, color=colour, marker=look.marker, linestyle=look.dashes, markeredgecolor=palette.panel,
+            markeredgewidth=0.7, label=label, zorder=4 if label == comparison.best else 3,
+        )  # fmt: skip
+    panel.set_yscale("log")
+    panel.set_ylim(*error_limits(comparison))
+    panel.set_xticks(speeds)
+    panel.set_xlim(speeds[0] - 6 * apart, speeds[-1] + 6 * apart)
+    panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    plain_log(panel.yaxis)
+    panel.set_xlabel("nominal speed (m/s)")
+    panel.set_ylabel(f"{TITLES[comparison.metric]} ({unit})")
+    panel.set_title(course_title(comparison, course), color=palette.ink)
+    dress(panel, palette)
+
+
+def plain_log(axis: Any) -> None:
+    """Ticks 1, 2, 5 of every decade (decades alone where there are many), without powers."""
+    low, high = axis.get_view_interval()
+    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    steps = (1, 2, 5) if high / low < 300 else (1,)
+    axis.set_major_locator(FixedLocator([s * 10.0**d for d in decades for s in steps if low <= s * 10.0**d <= high]))
+    axis.set_minor_locator(FixedLocator([]))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def pareto_points(comparison: Comparison) -> dict[str, tuple[float, float, float, float]]:
+    """Label -> (time of the step, s; error, its low, its high) of everyone that ended a flight well.
+
+    The error is in percent of the baseline's over all conditions where there is a baseline, else the geometric mean in
+    the shown unit (without an interval).
+    """
+    points = {}
+    factor, _ = shown(comparison.metric)
+    for label in comparison.order:
+        time, one = comparison.time(label), comparison.overall.get(label)
+        if not math.isfinite(time):
+            continue
+        if comparison.reference is None:
+            points[label] = (time, factor * comparison.geometric_mean(label), math.nan, math.nan)
+        elif label == comparison.reference:
+            points[label] = (time, 100.0, math.nan, math.nan)
+        elif one is not None and math.isfinite(one.reduction):
+            points[label] = (time, 100 - one.reduction, 100 - one.reduction_high, 100 - one.reduction_low)
+    return points
+
+
+def pareto_front(points: dict[str, tuple[float, float, float, float]], bounds: Sequence[str] = ()) -> list[str]:
+    """Labels that no other beats in both time and error, by time. bounds: who takes no part, for nobody can have it."""
+    rivals = {label: point for label, point in points.items() if label not in bounds}
+    front = [
+        label
+        for label, (time, error, *_) in rivals.items()
+        if not any(t <= time and e <= error and (t, e) != (time, error) for t, e, *_ in rivals.values())
+    ]
+    return sorted(front, key=lambda label: points[label][0])
+
+
+def pareto_panel(panel: Any, comparison: Comparison, palette: Palette) -> None:
+    """Error against the time of one control step, both logarithmic; the front joined, the deadline marked.
+
+    A point: median time; the whisker to the right: 99th percentile; the vertical bar: interval of the error.
+    """
+    points = pareto_points(comparison)
+    front = pareto_front(points, comparison.bounds)
+    tails = {label: comparison.time(label, "p99") for label in points}
+    corners = [points[label][:2] for label in front]
+    stairs = [(t, e) for (t0, e0), (t1, _) in zip(corners, corners[1:], strict=False) for t, e in ((t0, e0), (t1, e0))]
+    path = np.array([*stairs, *corners[-1:]])
+    if len(front) > 1:
+        panel.plot(1e6 * path[:, 0], path[:, 1], color=palette.accent, linewidth=1.1, alpha=0.6, zorder=1)
+    for label, (time, error, low, high) in points.items():
+        look, colour = comparison.look[label], palette.series[comparison.look[label].colour]
+        faded = 1.0 if label in front else 0.75
+        if math.isfinite(low):
+            panel.vlines(1e6 * time, max(low, 1e-6), high, color=colour, linewidth=3.2, alpha=0.35)
+        panel.hlines(error, 1e6 * time, 1e6 * max(tails[label], time), color=colour, linewidth=1.0, alpha=0.55)
+        panel.plot(
+            1e6 * time, error, color=colour, marker=look.marker, markersize=8, alpha=faded, zorder=4,
+            linestyle="none", markeredgewidth=1.4 if label in comparison.bounds else 0.8,
+            markeredgecolor=colour if label in comparison.bounds else palette.panel,
+            markerfacecolor="none" if label in comparison.bounds else colour,
+        )  # fmt: skip
+    periods = [p for label in points if math.isfinite(p := comparison.period(label))]
+    times = [1e6 * t for t in (*(p[0] for p in points.values()), *tails.values(), *periods)]
+    errors = [v for p in points.values() for v in p[1:] if math.isfinite(v) and v > 0]
+    panel.set_xscale("log")
+    panel.set_yscale("log")
+    panel.set_xlim(min(times) / 1.5, max(times) * 1.9)
+    panel.set_ylim(min(errors) / 2.2, max(errors) * 2.2)
+    if periods:
+        deadline = 1e6 * min(periods)
+        panel.axvspan(deadline, panel.get_xlim()[1], color=palette.alarm, alpha=0.08, linewidth=0)
+        panel.axvline(deadline, color=palette.alarm, linewidth=1.0)
+        panel.annotate(
+            f"next command due, {duration(min(periods), exact=True)}", (deadline, 0.03), (-4, 0),
+            xycoords=("data", "axes fraction"), textcoords="offset points", rotation=90, ha="right", va="bottom",
+            color=palette.alarm, fontsize=7.5,
+        )  # fmt: skip
+    _name_points(panel, comparison, points, front, palette)
+    plain_log(panel.yaxis)
+    plain_log(panel.xaxis)
+    panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: duration(1e-6 * value, exact=True)))
+    panel.set_xlabel("time of one control step: median, whisker to the 99th percentile")
+    unit = shown(comparison.metric)[1]
+    against = comparison.reference and f"error (% of {spoken(comparison.reference)})"
+    panel.set_ylabel(against or f"{TITLES[comparison.metric]} ({unit}), geometric mean")
+    dress(panel, palette)
+
+
+def _name_points(
+    panel: Any, comparison: Comparison, points: dict[str, tuple], front: Sequence[str], palette: Palette
+) -> None:
+    """Write the names beside the points, each where it covers neither another name nor another point."""
+    height = 72 * panel.figure.get_size_inches()[1]
+    at = {
+        label: panel.transData.transform((1e6 * time, error)) * 72 / panel.figure.dpi
+        for label, (time, error, *_) in points.items()
+    }
+    taken = [(x - 5, y - 5, x + 5, y + 5) for x, y in at.values()]
+    for label in sorted(points, key=lambda label: -points[label][1]):
+        name = spoken(label)
+        x, y = at[label]
+        spots = [(-2, 8), (-2, -17), (-2, 20), (-2, -29), (-2, 32)]
+        boxes = [(x + dx, y + dy, x + dx + 5.1 * len(name), y + dy + 9) for dx, dy in spots]
+        free = [not any(_overlap(box, other) for other in taken) and 0 < box[1] < height for box in boxes]
+        chosen = free.index(True) if any(free) else 0
+        taken.append(boxes[chosen])
+        panel.annotate(
+            name, points[label][:2] * np.array([1e6, 1.0]), spots[chosen], textcoords="offset points", ha="left",
+            va="bottom", color=palette.series[comparison.look[label].colour], fontsize=8.5,
+            fontweight="bold" if label in front else "normal",
+        )  # fmt: skip
+
+
+def _overlap(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
+    """Whether two boxes (left, bottom, right, top) meet."""
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]

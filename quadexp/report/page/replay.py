@@ -1,0 +1,163 @@
+"""Flights packed for the replay: a case is one condition and seed, flown by several controllers over one reference.
+
+Of a track are kept, on a time grid that all tracks of a case share: the position error (so that it can be magnified
+without loss), the attitude and the rotor thrusts, as integers in base64:
+
+    error = int16 * error_step (m)      attitude = int16 / 32767      thrust = uint8 / 255 of the range
+    position = reference + error        reference = centre + int16 * reference_step (m)
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from quadexp.flight.schema import Flight
+from quadexp.report.page.figures import course_title
+from quadexp.report.page.names import spoken
+from quadexp.report.page.source import Comparison
+from quadexp.report.pairing import condition_of
+
+BUDGET = 900_000  # characters of packed tracks
+MAX_TRACKS = 8
+MAX_CASES = 24
+MAX_SAMPLES = 1500
+LEAST_STEP = 0.02  # s
+INT16 = 32767
+SOME_ROTORS = [[0.17, -0.17, 0.0], [-0.17, -0.17, 0.0], [-0.17, 0.17, 0.0], [0.17, 0.17, 0.0]]  # m, unless recorded
+
+Case = tuple[tuple, int]  # condition, seed
+
+
+def case_of(row: Mapping[str, Any]) -> Case:
+    return condition_of(row), int(row["seed"])
+
+
+def choose_cases(comparison: Comparison, worst: Sequence[Mapping[str, Any]]) -> list[Case]:
+    """The fastest and hardest condition first, the cases of the worst flights, then the other conditions; each once."""
+    seeds: dict[tuple, dict[int, int]] = {}
+    largest: dict[tuple, float] = {}
+    for row in comparison.rows:
+        if row["outcome"] == "ok":
+            largest[condition_of(row)] = max(largest.get(condition_of(row), 0.0), row["max_error"])
+        if row["outcome"] != "infeasible":
+            found = seeds.setdefault(condition_of(row), {})
+            found[int(row["seed"])] = found.get(int(row["seed"]), 0) + (row["outcome"] == "ok")
+
+    def first(condition: tuple) -> tuple:
+        return condition[:2] != comparison.world, -(condition[3] or 0.0), -largest.get(condition, 0.0)
+
+    cases: list[Case] = []
+    for condition in sorted(seeds, key=first):
+        found = seeds[condition]
+        cases.append((condition, max(found, key=lambda seed: (found[seed], -seed))))
+    cases[1:1] = [case_of(row) for row in worst[:3]]
+    return list(dict.fromkeys(cases))[:MAX_CASES]
+
+
+def pack_replay(
+    comparison: Comparison, cases: Sequence[Case], budget: int = BUDGET
+) -> tuple[list[dict[str, Any]], list[Case]]:
+    """As many cases as the budget holds, as JSON, and which they are."""
+    by_case: dict[Case, list[Mapping[str, Any]]] = {}
+    for row in comparison.rows:
+        by_case.setdefault(case_of(row), []).append(row)
+    packed: list[dict[str, Any]] = []
+    kept: list[Case] = []
+    for case in cases:
+        made = _pack(comparison, case, by_case[case])
+        if made is None:
+            continue
+        budget -= _size(made)
+        if budget < 0 and packed:
+            break
+        packed.append(made)
+        kept.append(case)
+    return packed, kept
+
+
+def _pack(comparison: Comparison, case: Case, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    rank = {label: k for k, label in enumerate(comparison.look)}
+    first = [comparison.best, comparison.reference, *comparison.bounds]
+    rows = sorted(rows, key=lambda row: (comparison.label(row) not in first, rank[comparison.label(row)]))[:MAX_TRACKS]
+    flights = [(comparison.label(row), flight) for row in rows if (flight := comparison.flight(row)) is not None]
+    flights = [(label, flight) for label, flight in flights if "ref_p_x" in flight.columns]
+    if not flights:
+        return None
+    longest = max((flight for _, flight in flights), key=lambda flight: flight.t[-1])
+    duration = float(longest.t[-1])
+    step = max(LEAST_STEP, float(np.median(np.diff(longest.t))), duration / MAX_SAMPLES)
+    t = np.arange(math.floor(duration / step + 1e-9) + 1) * step
+    reference = _resample(longest, _reference(longest), t)
+    centre = (reference.min(axis=0) + reference.max(axis=0)) / 2
+    (condition, seed) = case
+    plant, vehicle, _, speed, setting = condition
+    rate = "" if speed is None else f" at {speed:g} m/s"
+    config = longest.metadata.get("config", {}).get("vehicle", {})
+    tracks = [_track(comparison, label, flight, t, config) for label, flight in flights]
+    return {
+        "title": f"{course_title(comparison, (plant, vehicle, condition[2], setting))}{rate}, seed {seed}",
+        "step": step,
+        "samples": len(t),
+        "rotors": config.get("rotor_position") or SOME_ROTORS,
+        "centre": centre.tolist(),
+        **_integers("reference", reference - centre),
+        "tracks": sorted(tracks, key=lambda track: rank[track["label"]]),
+    }
+
+
+def _track(
+    comparison: Comparison, label: str, flight: Flight, t: np.ndarray, vehicle: Mapping[str, Any]
+) -> dict[str, Any]:
+    t = t[t <= flight.t[-1] + 1e-9]
+    error = _resample(flight, flight.stack(["p_x", "p_y", "p_z"]) - _reference(flight), t)
+    attitude = _resample(flight, _continuous(flight.stack(["q_w", "q_x", "q_y", "q_z"])), t)
+    attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
+    low, high = vehicle.get("thrust_min", 0.0), vehicle.get("thrust_max") or float(flight.input.max())
+    thrust = np.clip((_resample(flight, flight.input, t) - low) / (high - low), 0, 1)
+    look = comparison.look[label]
+    return {
+        "label": label,
+        "name": spoken(label),
+        "colour": look.colour,
+        "shape": look.shape,
+        "samples": len(t),
+        "outcome": flight.outcome,
+        "cause": flight.metadata.get("cause", ""),
+        **_integers("error", error),
+        "attitude": _text(np.round(attitude * INT16).astype("<i2")),
+        "thrust": _text(np.round(thrust * 255).astype("u1")),
+    }
+
+
+def _continuous(q: np.ndarray) -> np.ndarray:
+    """Quaternions without jumps of their sign."""
+    flips = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
+    return q * np.cumprod(np.concatenate([[1.0], flips]))[:, None]
+
+
+def _reference(flight: Flight) -> np.ndarray:
+    return flight.stack(["ref_p_x", "ref_p_y", "ref_p_z"])
+
+
+def _resample(flight: Flight, values: np.ndarray, t: np.ndarray) -> np.ndarray:
+    return np.stack([np.interp(t, flight.t, column) for column in values.T], axis=-1)
+
+
+def _integers(name: str, values: np.ndarray) -> dict[str, Any]:
+    """Values as int16 and the step between two of them."""
+    step = float(np.abs(values).max()) / INT16 or 1e-9
+    return {name: _text(np.round(values / step).astype("<i2")), f"{name}_step": step}
+
+
+def _text(values: np.ndarray) -> str:
+    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
+
+
+def _size(case: Mapping[str, Any]) -> int:
+    texts = [case["reference"], *(track[name] for track in case["tracks"] for name in ("error", "attitude", "thrust"))]
+    return sum(map(len, texts))

@@ -1,0 +1,237 @@
+"""What a report is made from: the rows of a comparison, their statistics, and who takes which part in it."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.cells import Cells, Grid
+from quadexp.errors import DataError, UsageError
+from quadexp.experiment.store import CellStore
+from quadexp.flight.schema import Flight
+from quadexp.flight.store import read_flight, read_metadata, read_table
+from quadexp.report.overall import Overall, overall
+from quadexp.report.page.names import BASELINES, is_bound
+from quadexp.report.page.palette import Look, looks
+from quadexp.report.pairing import Condition, Contestant, condition_of, contestant_labels, contestant_of
+from quadexp.report.statistics import CONFIDENCE, Statistic
+from quadexp.report.statistics_file import results_statistics
+from quadexp.report.tables import from_columns
+
+RESULTS = "results.parquet"
+TABLED = ("mean_error", "rmse", "max_error")
+World = tuple[str, str]  # plant, vehicle
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Results with their statistics. metric: the one that decides. baseline: a controller's name."""
+
+    root: Path
+    rows: list[dict[str, Any]]
+    record: Mapping[str, Any]
+    statistics: list[Statistic]
+    metric: str
+    baseline: str
+    confidence: float
+    digest: str
+
+    @cached_property
+    def labels(self) -> dict[Contestant, str]:
+        return contestant_labels(list(dict.fromkeys(map(contestant_of, self.rows))))
+
+    @cached_property
+    def conditions(self) -> list[Condition]:
+        return list(dict.fromkeys(map(condition_of, self.rows)))
+
+    @cached_property
+    def world(self) -> World:
+        """The plant and vehicle that the answer speaks of: those that most controllers flew, then most flights."""
+        who: dict[World, set[str]] = {}
+        flights: dict[World, int] = {}
+        for row in self.rows:
+            world = row["plant"], row["vehicle"]
+            if row["outcome"] not in ("failed", "infeasible"):
+                who.setdefault(world, set()).add(self.label(row))
+                flights[world] = flights.get(world, 0) + 1
+        return max(flights, key=lambda w: (len(who[w]), flights[w])) if flights else self._first_world
+
+    @property
+    def _first_world(self) -> World:
+        return self.rows[0]["plant"], self.rows[0]["vehicle"]
+
+    @cached_property
+    def worlds(self) -> list[World]:
+        return list(dict.fromkeys((row["plant"], row["vehicle"]) for row in self.rows))
+
+    @cached_property
+    def main_rows(self) -> list[dict[str, Any]]:
+        """The rows of the world that the answer speaks of."""
+        return [row for row in self.rows if (row["plant"], row["vehicle"]) == self.world]
+
+    @cached_property
+    def overall(self) -> dict[str, Overall]:
+        """Label -> comparison with the baseline over all conditions of that world."""
+        made = overall(self.main_rows, metric=self.metric, baseline=self.baseline, confidence=self.confidence)
+        return {self.labels[one.controller, one.model, one.variant]: one for one in made}
+
+    @cached_property
+    def errors(self) -> dict[str, dict[Condition, float]]:
+        """Label -> condition -> mean of the metric over seeds (SI), in the world of the answer."""
+        found: dict[str, dict[Condition, float]] = {}
+        for s in self.select(self.metric):
+            if s.condition[:2] == self.world:
+                by_condition = found.setdefault(self.labels[s.contestant], {})
+                if s.n:
+                    by_condition[s.condition] = s.mean
+        return found
+
+    def geometric_mean(self, label: str) -> float:
+        """Of the errors over the conditions that it ended well in, SI; NaN without any."""
+        values = [value for value in self.errors.get(label, {}).values() if value > 0]
+        return float(np.exp(np.mean(np.log(values)))) if values else math.nan
+
+    @cached_property
+    def flyers(self) -> list[str]:
+        """Labels of that world, in order of appearance."""
+        return list(dict.fromkeys(map(self.label, self.main_rows)))
+
+    @cached_property
+    def order(self) -> list[str]:
+        """Labels of that world, the best first; those that never ended well at the end."""
+        return sorted(self.flyers, key=lambda label: (math.isnan(m := self.rank(label)), m))
+
+    def rank(self, label: str) -> float:
+        """What contestants are ordered by: the ratio to the baseline where there is one, else the error."""
+        one = self.overall.get(label)
+        if one is not None and math.isfinite(one.reduction):
+            return (1 - one.reduction / 100) * self.geometric_mean(self.reference or label)
+        return self.geometric_mean(label)
+
+    @cached_property
+    def controllers(self) -> dict[str, str]:
+        """Label -> controller."""
+        return {label: contestant[0] for contestant, label in self.labels.items()}
+
+    @property
+    def bounds(self) -> list[str]:
+        return [label for label in self.order if is_bound(self.controllers[label])]
+
+    @cached_property
+    def reference(self) -> str | None:
+        """Label of the baseline in that world, where it flew and is one."""
+        found = [label for label in self.flyers if self.controllers[label] == self.baseline]
+        return found[0] if len(found) == 1 else None
+
+    @cached_property
+    def best(self) -> str | None:
+        """The least error among those that are neither bound nor baseline and that lost the fewest flights."""
+        rivals = [
+            x for x in self.order if x not in self.bounds and x != self.reference and not math.isnan(self.rank(x))
+        ]
+        if not rivals:
+            return None
+        success = {label: self.success(label)[0] for label in rivals}
+        most = max(success.values())
+        return next(label for label in rivals if success[label] == most)
+
+    def success(self, label: str) -> tuple[float, int, int]:
+        """Share, number and count of all its flights in that world that ended well (infeasible ones are no trial)."""
+        mine = [row for row in self.main_rows if self.label(row) == label and row["outcome"] != "infeasible"]
+        good = sum(row["outcome"] == "ok" for row in mine)
+        return good / len(mine) if mine else math.nan, good, len(mine)
+
+    @cached_property
+    def look(self) -> dict[str, Look]:
+        others = [label for label in self.labels.values() if label not in self.order]
+        return looks([*self.order, *others], self.reference, self.best, self.bounds)
+
+    @cached_property
+    def grids(self) -> list[Grid]:
+        """What the sweep was asked for; empty where the record does not say."""
+        return [tuple(map(tuple, grid)) for grid in self.record.get("grids", [])]
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {row["key"]: i for i, row in enumerate(self.rows)}
+
+    def asked(self, row: Mapping[str, Any]) -> tuple[str, ...]:
+        """The overrides of a row's cell, where the record says; else empty."""
+        cells = Cells(self.grids, lambda overrides: None)  # type: ignore[arg-type,return-value]
+        return cells.overrides(self._places[row["key"]]) if len(cells) == len(self.rows) else ()
+
+    def sample(self, count: int) -> list[dict[str, Any]]:
+        """Metadata of at most `count` flights, spread over all of them."""
+        chosen = self.rows[:: max(1, -(-len(self.rows) // count))]
+        return [record for row in chosen if (record := self.flight_record(row)) is not None]
+
+    def label(self, row: Mapping[str, Any]) -> str:
+        return self.labels[contestant_of(row)]
+
+    def select(self, metric: str) -> list[Statistic]:
+        return [s for s in self.statistics if s.metric == metric]
+
+    def time(self, label: str, which: str = "median") -> float:
+        """Time of the control step, s: median over its flights of their median or p99."""
+        mine = [r[f"solve_time_{which}"] for r in self.main_rows if self.label(r) == label and r["outcome"] == "ok"]
+        return float(np.median(mine)) if mine else math.nan
+
+    def period(self, label: str) -> float:
+        """Time between two commands, s; NaN where no flight says."""
+        row = next((r for r in self.main_rows if self.label(r) == label and r["outcome"] != "failed"), None)
+        record = self.flight_record(row) if row else None
+        rate = ((record or {}).get("config", {}).get("controller") or {}).get("rate")
+        return 1 / rate if rate else math.nan
+
+    def flight_record(self, row: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Metadata of a row's flight; None where its file is gone."""
+        try:
+            return read_metadata(CellStore(self.root).path(row["key"]), "flight")
+        except (UsageError, DataError):
+            return None
+
+    def flight(self, row: Mapping[str, Any]) -> Flight | None:
+        """The flight of a row; None where its file is gone or holds no samples."""
+        try:
+            flight = read_flight(CellStore(self.root).path(row["key"]), check=False)
+        except (UsageError, DataError):
+            return None
+        return flight if len(flight) > 1 else None
+
+
+def read_comparison(path: str | Path, *, baseline: str | None = None) -> Comparison:
+    """Results folder (or its results.parquet) with statistics; UsageError or DataError where there is none."""
+    path = Path(path)
+    file = path / RESULTS if path.is_dir() else path
+    columns, record = read_table(file, "results")
+    rows = from_columns(columns)
+    if not rows:
+        raise DataError(f"{file}: holds no flights; run the sweep again")
+    flown = {row["controller"] for row in rows}
+    if baseline is not None and baseline not in flown:
+        raise UsageError(f"--baseline {baseline}: did not fly here; there are {', '.join(sorted(flown))}")
+    chosen = baseline or _baseline(record, flown)
+    confidence = float(record.get("confidence", CONFIDENCE))
+    statistics = results_statistics(file.parent, rows, baseline=chosen, confidence=confidence).rows
+    return Comparison(
+        root=file.parent,
+        rows=rows,
+        record=record,
+        statistics=statistics,
+        metric=record.get("metric", "mean_error"),
+        baseline=chosen,
+        confidence=confidence,
+        digest=hashlib.sha256(file.read_bytes()).hexdigest(),
+    )
+
+
+def _baseline(record: Mapping[str, Any], flown: set[str]) -> str:
+    asked = record.get("baseline")
+    return next((name for name in (asked, *BASELINES) if name in flown), asked or BASELINES[0])

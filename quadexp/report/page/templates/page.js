@@ -1,0 +1,34 @@
+(() => {
+"use strict";
+const html = document.documentElement;
+const remembered = key => { try { return localStorage.getItem(key); } catch { return null; } };
+const remember = (key, value) => { try { localStorage.setItem(key, value); } catch { /* a file may have no storage */ } };
+const system = matchMedia("(prefers-color-scheme: dark)");
+const isDark = () => (html.dataset.theme || (system.matches ? "dark" : "light")) === "dark";
+const changed = () => document.dispatchEvent(new Event("themechange"));
+const theme = remembered("quadexp-theme");
+if (theme === "light" || theme === "dark") html.dataset.theme = theme;
+document.querySelector("[data-theme-switch]").onclick = () => {
+  html.dataset.theme = isDark() ? "light" : "dark";
+  remember("quadexp-theme", html.dataset.theme);
+  changed();
+};
+system.addEventListener("change", changed);
+
+const tabs = [...document.querySelectorAll("[data-metric-switch]")];
+const choose = metric => {
+  for (const tab of tabs) tab.setAttribute("aria-pressed", String(tab.dataset.metricSwitch === metric));
+  for (const part of document.querySelectorAll("[data-metric]")) part.hidden = part.dataset.metric !== metric;
+};
+for (const tab of tabs) tab.onclick = () => choose(tab.dataset.metricSwitch);
+if (tabs.length) choose(tabs[0].dataset.metricSwitch);
+
+for (const button of document.querySelectorAll("[data-copy]")) {
+  button.onclick = async () => {
+    const text = button.dataset.copy, said = button.textContent;
+    try { await navigator.clipboard.writeText(text); button.textContent = "Copied"; }
+    catch { prompt("Copy the command:", text); }
+    setTimeout(() => { button.textContent = said; }, 1500);
+  };
+}
+})();

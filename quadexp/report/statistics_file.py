@@ -1,0 +1,156 @@
+"""Statistics on disk, computed again only when the rows behind them change, and the tables made from them.
+
+<results>/statistics.parquet, .csv    every metric, long
+<results>/table.md, .tex              one metric: the error table, and in table.md the comparisons
+<results>/comparison.tex              one metric: every contestant against the baseline
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.errors import QuadexpError
+from quadexp.flight.store import read_metadata, read_table, write_table, write_text
+from quadexp.report.comparison_table import comparison_latex, comparison_markdown
+from quadexp.report.overall import Overall, overall
+from quadexp.report.pairing import Row
+from quadexp.report.statistics import BASELINE, COMPARED, CONFIDENCE, DESCRIBED, Statistic, compute_statistics
+from quadexp.report.tables import ErrorTable, csv_value, table_of, to_latex, to_markdown
+
+FILE = "statistics.parquet"
+VERSION = 1  # of how the numbers are computed; another one makes stored statistics unknown
+_KINDS = {field.name: str(field.type) for field in fields(Statistic)}
+_DTYPES = {"int": np.int64, "float": float, "str": object}
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """rows: per metric, condition and contestant. overall: per metric and contestant, over all conditions."""
+
+    rows: list[Statistic]
+    overall: list[Overall]
+    baseline: str
+    confidence: float
+    fingerprint: str
+
+    def of(self, metric: str) -> list[Statistic]:
+        return [row for row in self.rows if row.metric == metric]
+
+    def record(self, metric: str) -> list[dict[str, Any]]:
+        """Of one metric, for JSON."""
+        return [asdict(row) for row in self.of(metric)]
+
+    def pooled(self, metric: str) -> list[Overall]:
+        return [entry for entry in self.overall if entry.metric == metric]
+
+
+def results_statistics(
+    root: str | Path | None, rows: Sequence[Row], *, baseline: str = BASELINE, confidence: float = CONFIDENCE
+) -> Statistics:
+    """The statistics of result rows: those in the folder `root` if they are of these very rows, else computed."""
+    fingerprint = _fingerprint(rows, baseline, confidence)
+    if root is not None:
+        try:
+            columns, record = read_table(Path(root) / FILE, "statistics", required=list(_KINDS))
+        except QuadexpError:
+            record = {}
+        if record.get("fingerprint") == fingerprint:
+            pooled = [_with_nan(entry) for entry in record["overall"]]
+            return Statistics(from_statistics_columns(columns), pooled, baseline, confidence, fingerprint)
+    options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
+    pooled = [entry for metric in COMPARED for entry in overall(rows, metric=metric, **options)]
+    return Statistics(compute_statistics(rows, **options), pooled, baseline, confidence, fingerprint)
+
+
+def write_statistics(root: str | Path, statistics: Statistics) -> dict[str, str]:
+    """Write both files unless they hold these statistics already; returns name -> path."""
+    path, text = Path(root) / FILE, (Path(root) / FILE).with_suffix(".csv")
+    try:
+        same = text.is_file() and read_metadata(path, "statistics").get("fingerprint") == statistics.fingerprint
+    except QuadexpError:
+        same = False
+    if not same:
+        record = {
+            "baseline": statistics.baseline,
+            "confidence": statistics.confidence,
+            "fingerprint": statistics.fingerprint,
+            "overall": [_without_nan(entry) for entry in statistics.overall],
+        }
+        write_table(path, statistics_columns(statistics.rows), record, "statistics")
+        write_text(text, statistics_csv(statistics.rows))
+    return {"statistics": str(path), "statistics_csv": str(text)}
+
+
+def write_comparison(root: str | Path, statistics: Statistics, metric: str) -> tuple[ErrorTable, dict[str, str]]:
+    """Write the statistics and the tables of one metric; returns the error table and name -> path."""
+    root = Path(root)
+    table = table_of(statistics.of(metric), statistics.pooled(metric))
+    compared = statistics.of(metric)
+    text = f"{to_markdown(table)}\n{comparison_markdown(compared)}".rstrip() + "\n"
+    files = {
+        "markdown": str(write_text(root / "table.md", text)),
+        "latex": str(write_text(root / "table.tex", to_latex(table))),
+    }
+    latex = comparison_latex(compared)
+    if latex:
+        files["comparison"] = str(write_text(root / "comparison.tex", latex))
+    else:
+        (root / "comparison.tex").unlink(missing_ok=True)
+    return table, files | write_statistics(root, statistics)
+
+
+def statistics_columns(statistics: Sequence[Statistic]) -> dict[str, np.ndarray]:
+    """As columns with settled types, for Parquet."""
+    return {
+        name: np.array([getattr(row, name) for row in statistics], dtype=_DTYPES[kind]) for name, kind in _KINDS.items()
+    }
+
+
+def from_statistics_columns(columns: Mapping[str, np.ndarray]) -> list[Statistic]:
+    lists = [columns[name].tolist() for name in _KINDS]
+    return [Statistic(**dict(zip(_KINDS, values, strict=True))) for values in zip(*lists, strict=True)]
+
+
+def statistics_csv(statistics: Sequence[Statistic]) -> str:
+    """Numbers in full precision, nothing for NaN."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(_KINDS)
+    writer.writerows([csv_value(getattr(row, name)) for name in _KINDS] for row in statistics)
+    return stream.getvalue()
+
+
+def _fingerprint(rows: Sequence[Row], baseline: str, confidence: float) -> str:
+    """sha256 of all that the statistics depend on, 20 hex digits."""
+    names = ("plant", "vehicle", "trajectory", "speed", "controller", "model", "variant", "seed", "outcome")
+    digest = hashlib.sha256(json.dumps([VERSION, baseline, confidence]).encode())
+    for row in rows:
+        digest.update(repr([_settled(row.get(name)) for name in (*names, *COMPARED, *DESCRIBED)]).encode())
+    return digest.hexdigest()[:20]
+
+
+def _settled(value: Any) -> Any:
+    """One spelling for one value, whether it was just computed or read from a file."""
+    if value is None or value == "":
+        return ""
+    value = value.item() if hasattr(value, "item") else value
+    return "" if value != value else value  # NaN
+
+
+def _without_nan(entry: Overall) -> dict[str, Any]:
+    return {name: None if value != value else value for name, value in asdict(entry).items()}
+
+
+def _with_nan(entry: Mapping[str, Any]) -> Overall:
+    fields: dict[str, Any] = {name: math.nan if value is None else value for name, value in entry.items()}
+    return Overall(**fields)

@@ -1,0 +1,101 @@
+"""`quadexp compare` and the statistics of `quadexp evaluate`, as a user meets them."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from quadexp.flight.store import read_table
+from tests.cli.test_cli import QUICK, quadexp, run
+
+SWEEP = ("--sweep", *QUICK, "controller=nominal_mpc,perfect_mpc", "seed=range(3)", "--no-figures")
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty folder to work in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("flown")
+    done = quadexp("evaluate", *SWEEP, "--out", "r", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder / "r"
+
+
+@pytest.fixture
+def results(here, flown):
+    shutil.copytree(flown, here / "r")
+    return here
+
+
+class TestCompare:
+    def test_two_flights(self, here):
+        run("simulate", *QUICK, "--out", "a.parquet")
+        run("simulate", *QUICK, "plant.payload=0.1", "--out", "b.parquet")
+        code, out, _ = run("compare", "a.parquet", "b.parquet")
+        assert code == 0 and "configuration  1 setting differs" in out and "plant.payload  0  0.1" in out
+        assert len(out.splitlines()) < 30
+        record = json.loads(run("compare", "a.parquet", "b.parquet", "--json")[1])
+        assert record["configuration"] == {"plant.payload": [0.0, 0.1]} and "lines" not in record
+        assert record["metrics"]["rmse"]["difference"] > 0
+
+    def test_a_flight_flown_twice_is_the_same_flight(self, here):
+        for name in "ab":
+            run("simulate", *QUICK, "seed=4", "--out", f"{name}.parquet")
+        out = run("compare", "a.parquet", "b.parquet")[1]
+        assert "configuration  the same" in out and "are the same to the last bit" in out
+
+    def test_two_results(self, results):
+        assert run("evaluate", *SWEEP, "plant.payload=0.05", "--out", "heavy")[0] == 0
+        code, out, _ = run("compare", "r", "heavy")
+        assert code == 0 and "plant.payload  0  0.05" in out and "6 ok" in out
+        record = json.loads(run("compare", "r", "heavy", "--json")[1])
+        assert record["pairs"] == 6 and [one["pairs"] for one in record["metrics"]] == [3, 3]
+
+    @pytest.mark.parametrize(
+        ("arguments", "code", "said"),
+        [
+            (("nowhere", "r"), 2, "nowhere: no such file or folder"),
+            (("r", "r/statistics.parquet"), 2, "holds statistics; flights, results and checkpoints can be compared"),
+            (("r", "cell"), 2, "cannot compare results (r) with a flight"),
+            (("r", "r/table.md"), 1, "not a Parquet file"),
+        ],
+    )
+    def test_what_cannot_be_compared_is_one_line(self, results, arguments, code, said):
+        cell = str(next(Path("r/cells").glob("*/*.parquet")))
+        found, out, err = run("compare", *(cell if word == "cell" else word for word in arguments))
+        assert (found, out) == (code, "") and said in err and err.count("\n") == 1
+
+
+class TestStatistics:
+    def test_files_and_the_lines_below_the_table(self, results):
+        code, out, _ = run("evaluate", *SWEEP, "--out", "r")
+        assert code == 0 and "mean over 3 seeds [95 % interval: Student's t]" in out
+        assert "perfect_mpc: " in out and "nominal_mpc over 1 condition (3 pairs" in out
+        columns, record = read_table("r/statistics.parquet", "statistics")
+        assert record["baseline"] == "nominal_mpc" and set(columns["label"]) == {"nominal_mpc", "perfect_mpc"}
+        with open("r/statistics.csv") as file:
+            rows = list(csv.DictReader(file))
+        assert [float(row["mean"]) for row in rows] == columns["mean"].tolist()
+        assert "against nominal_mpc" in Path("r/table.md").read_text() and Path("r/comparison.tex").exists()
+
+    def test_baseline_and_confidence_change_no_cell(self, results):
+        cells = sorted(Path("r/cells").rglob("*.parquet"))
+        more = ("evaluate.baseline=perfect_mpc", "evaluate.confidence=0.5", "evaluate.metric=rmse")
+        code, out, _ = run("evaluate", *SWEEP, *more, "--out", "r")
+        assert code == 0 and "[50 % interval:" in out and "RMSE (mm)" in out and "than perfect_mpc" in out
+        assert sorted(Path("r/cells").rglob("*.parquet")) == cells
+        assert "than perfect_mpc" in run("show", "r")[1]
+
+    def test_a_misspelt_baseline(self, here):
+        code, _, err = run("evaluate", *SWEEP, "evaluate.baseline=nominl_mpc", "--out", "x")
+        assert code == 2 and "evaluate.baseline=nominl_mpc: no such controller; did you mean nominal_mpc?" in err
+        assert not Path("x").exists()

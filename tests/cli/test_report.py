@@ -1,0 +1,56 @@
+"""`quadexp report` and `quadexp export` as a user meets them."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from quadexp.cli import app
+from quadexp.flight.store import write_flight
+from tests.flight.flights import straight_flight
+
+QUICK = ("trajectory=hover", "trajectory.duration=0.3", "controller.backend=interpreted", "plant.backend=interpreted")
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run(*arguments):
+    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    return done.exit_code, done.stdout, done.stderr
+
+
+def test_from_a_sweep_to_a_page(here):
+    sweep = ("controller=nominal_mpc,perfect_mpc", "seed=0,1", "--no-figures", "--out", "results/hover")
+    assert run("evaluate", "--sweep", *QUICK, *sweep)[0] == 0
+    code, out, _ = run("report", "results/hover", "--out", "page.html", "--figures", "paper")
+    lines = out.splitlines()
+    assert code == 0 and lines[-1] == "page.html" and "All 4 flights ended well." in out
+    assert "paper/error_against_time.pdf" in lines
+    text = (here / "page.html").read_text(encoding="utf-8")
+    assert lines[0].split("(")[0] in text
+    assert "quadexp evaluate --sweep trajectory=hover" in text and str(here) not in text
+    assert run("report", "results/hover", "--out", "page.html")[0] == 2  # it is there
+    code, out, _ = run("report", "results/hover", "--out", "page.html", "--force", "--json")
+    record = json.loads(out)
+    assert code == 0 and record["path"] == "page.html" and len(record["answer"]) == 2
+
+
+def test_no_results_is_one_line(here):
+    code, out, err = run("report", "results/none")
+    assert (code, out) == (2, "") and err.count("\n") == 1 and "results/none: no such file" in err
+
+
+def test_export_prints_the_files(here):
+    write_flight("a.parquet", straight_flight(5))
+    code, out, _ = run("export", "a.parquet", "--to", "tum", "--out", "out/a.tum")
+    assert code == 0 and out.splitlines() == ["out/a.tum", "out/a_reference.tum"]
+    code, out, _ = run("export", "a.parquet", "--to", "csv", "--json")
+    assert code == 0 and json.loads(out)["files"]["csv"] == "a.csv"
+    code, _, err = run("export", "a.parquet", "--to", "rosbag")
+    assert code == 2 and "no such format" in err

@@ -1,0 +1,247 @@
+"""Sweeps on a real Dask cluster: the same files and rows as at home, whatever is killed in between."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+
+from quadexp.cluster.driver import DaskEngine
+from quadexp.cluster.start import open_cluster
+from quadexp.compose import compose, expand
+from quadexp.errors import QuadexpError, UsageError
+from quadexp.experiment.engine import LocalEngine
+from quadexp.experiment.engines import build_engine
+from quadexp.experiment.store import CellStore
+from quadexp.experiment.sweep import run_sweep
+from quadexp.flight.store import read_flight
+from tests.experiment import cells
+from tests.experiment.dask_cluster import Cluster
+from tests.experiment.test_sweep import files
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+
+INTERPRETED = ["controller.backend=interpreted", "plant.backend=interpreted"]
+SHORT = ["trajectory=step", "trajectory.duration=0.4", "trajectory.step_time=0.2", *INTERPRETED]
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    cluster = Cluster(tmp_path_factory.mktemp("cluster"))
+    yield cluster
+    cluster.stop()
+
+
+@pytest.fixture
+def engine(cluster):
+    return on(cluster)
+
+
+def on(cluster, **options):
+    config = compose(["engine=dask", f"engine.address={cluster.address}"]).engine
+    return DaskEngine(lambda: open_cluster(config, 1), **options)
+
+
+def same_results(first, second):
+    """All of two sweeps but the measured times and what says when and where, to the last bit."""
+    assert [row["key"] for row in first.rows] == [row["key"] for row in second.rows]
+    for a, b in zip(first.rows, second.rows, strict=True):
+        assert _settled(a) == _settled(b)
+        flights = [read_flight(CellStore(result.out).path(a["key"])) for result in (first, second)]
+        assert list(flights[0].columns) == list(flights[1].columns)
+        for name in flights[0].columns:
+            if name != "solve_time":
+                assert flights[0][name].tobytes() == flights[1][name].tobytes(), name
+        records = [flight.metadata for flight in flights]
+        for record in records:
+            record["row"] = _settled(record["row"])
+            del record["provenance"]["created"]
+        assert records[0] == records[1]
+
+
+def _settled(row):
+    return {name: value for name, value in row.items() if not name.startswith("solve_time")}
+
+
+class TestSameEverywhere:
+    def test_flights_equal_those_of_this_machine_bit_for_bit(self, engine, tmp_path):
+        grid = [*SHORT, "controller=nominal_mpc,perfect_mpc", "seed=range(3)"]
+        at_home = run_sweep(expand(grid), tmp_path / "home", workers=2)
+        away = run_sweep(expand(grid), tmp_path / "away", engine=engine)
+        assert away.flown == 6 and not away.not_flown
+        same_results(at_home, away)
+        assert not [name for name in files(tmp_path) if name.endswith((".tmp", ".lock"))]
+
+    def test_files_that_flights_read_travel_to_the_workers(self, engine, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)  # relative names, which mean nothing where the workers are
+        Path("track.csv").write_text("t,p_x,p_y,p_z\n" + "".join(f"{i / 10},{i / 50},0,1\n" for i in range(12)))
+        make_checkpoint(tmp_path / "models/drag")
+        grid = ["trajectory=file", "trajectory.path=track.csv", "controller=linear_drag_mpc", "model=models/drag"]
+        grid = [*grid, *INTERPRETED, "seed=0,1"]
+        away = run_sweep(expand(grid), "away", engine=engine)
+        assert not away.not_flown, away.not_flown[0]["cause"]
+        same_results(run_sweep(expand(grid), "home", workers=1), away)
+
+    def test_a_sweep_goes_on_with_another_engine(self, engine, tmp_path):
+        part = run_sweep(expand([*SHORT, "seed=range(2)"]), tmp_path / "r", workers=1)
+        whole = run_sweep(expand([*SHORT, "seed=range(4)"]), tmp_path / "r", engine=engine)
+        assert (part.flown, whole.flown) == (2, 2) and len(whole.rows) == 4
+        assert run_sweep(expand([*SHORT, "seed=range(4)"]), tmp_path / "r").flown == 0
+
+
+class TestPoison:
+    def test_each_poisoned_cell_is_a_failed_row_and_the_rest_flies(self, cluster, tmp_path):
+        engine = on(cluster, timeout=2.0, memory=0.6)
+        result = run_sweep(expand(["seed=range(8)"]), tmp_path / "r", function=cells.poisoned_cell, engine=engine)
+        causes = {row["seed"]: row["cause"] for row in result.rows if row["outcome"] == "failed"}
+        assert set(causes) == {1, 2, 3, 4, 5}
+        assert "died (exit code -9)" in causes[1] and "died (exit code -11)" in causes[5]
+        assert causes[2] == "ValueError: this seed does not work" and causes[3] == "took longer than 2 s"
+        assert "memory" in causes[4]
+        assert len([name for name in files(tmp_path) if "cells/" in name]) == 3
+
+
+class TestKill:
+    GRID = "seed=range(30)"
+
+    @pytest.fixture(scope="class")
+    def undisturbed(self, tmp_path_factory):
+        return run_sweep(expand([self.GRID]), tmp_path_factory.mktemp("r") / "r", function=cells.quick_cell, workers=2)
+
+    def test_workers_and_nannies_killed_under_way(self, tmp_path, undisturbed):
+        cluster = Cluster(tmp_path / "cluster", workers=3)
+        done = []
+
+        def disturb(count, total):
+            done.append(count)
+            if count in (5, 10):
+                nanny = cluster.workers[count // 10]
+                victims = cluster.workers_of(nanny)
+                assert victims
+                if count == 10:  # the nanny first, or it would start another worker
+                    victims.insert(0, nanny.pid)
+                threading.Timer(0.05, lambda: [os.kill(pid, signal.SIGKILL) for pid in victims]).start()
+
+        try:
+            result = run_sweep(
+                expand([self.GRID]), tmp_path / "r", function=cells.slow_cell, engine=on(cluster), progress=disturb
+            )
+        finally:
+            cluster.stop()
+        assert done == list(range(31)) and not result.not_flown
+        same_results(undisturbed, result)
+        assert not [name for name in files(tmp_path / "r") if name.endswith((".tmp", ".lock"))]
+
+    def test_no_worker_left_is_said_and_the_same_command_goes_on(self, tmp_path, undisturbed):
+        cluster = Cluster(tmp_path / "cluster", workers=1)
+
+        def kill(count, total):
+            if count == 4:
+                os.killpg(cluster.workers[0].pid, signal.SIGKILL)
+
+        try:
+            with pytest.raises(QuadexpError, match="no worker for 1 s .*run the same command to continue"):
+                run_sweep(
+                    expand([self.GRID]),
+                    tmp_path / "r",
+                    function=cells.slow_cell,
+                    engine=on(cluster, wait=1.0),
+                    progress=kill,
+                )
+        finally:
+            cluster.stop()
+        left = len(CellStore(tmp_path / "r").done())
+        assert 4 <= left < 30
+        result = run_sweep(expand([self.GRID]), tmp_path / "r", function=cells.quick_cell, workers=2)
+        assert result.flown == 30 - left
+        same_results(undisturbed, result)
+
+    def test_the_scheduler_killed(self, tmp_path, monkeypatch):
+        monkeypatch.setattr("quadexp.cluster.start.CONNECT", 2.0)
+        cluster = Cluster(tmp_path / "cluster", workers=1)
+
+        def kill(count, total):
+            if count == 3:
+                os.killpg(cluster.scheduler.pid, signal.SIGKILL)
+
+        try:
+            with pytest.raises(QuadexpError, match="scheduler is gone|no worker for"):
+                run_sweep(
+                    expand([self.GRID]),
+                    tmp_path / "r",
+                    function=cells.slow_cell,
+                    engine=on(cluster, wait=2.0),
+                    progress=kill,
+                )
+        finally:
+            cluster.stop()
+        assert len(CellStore(tmp_path / "r").done()) >= 3
+
+
+class TestMistakes:
+    @pytest.mark.parametrize("engine", ["dask", "slurm"])
+    def test_the_extra_is_missing(self, monkeypatch, engine):
+        monkeypatch.setitem(sys.modules, "distributed", None)
+        with pytest.raises(UsageError, match=r"needs distributed, .* pip install 'quadexp\[cluster\]'"):
+            build_engine(compose([f"engine={engine}"]))
+
+    @pytest.mark.parametrize(
+        ("overrides", "says"),
+        [
+            (["engine.address=tcp://127.0.0.1:1"], "engine.address=tcp://127.0.0.1:1 cannot be had"),
+            (["engine.address=tls://127.0.0.1:1"], "needs engine.tls_ca"),
+            (["engine.tls=true", "engine.tls_ca=a", "engine.tls_cert=b", "engine.tls_key=c"], "tls_ca=a: no such file"),
+        ],
+    )
+    def test_one_line_says_what_is_wrong(self, overrides, says, tmp_path, monkeypatch):
+        monkeypatch.setattr("quadexp.cluster.start.CONNECT", 0.5)
+        engine = build_engine(compose(["engine=dask", *overrides]))
+        with pytest.raises(QuadexpError, match=says) as caught:
+            run_sweep(expand(SHORT), tmp_path / "r", engine=engine)
+        assert "\n" not in str(caught.value)
+
+    def test_a_worker_that_may_not_have_children_is_refused(self, tmp_path):
+        cluster = Cluster(tmp_path / "cluster", workers=0)
+        cluster.add_worker(DASK_DISTRIBUTED__WORKER__DAEMON="True")
+        try:
+            with pytest.raises(QuadexpError, match="start it with DASK_DISTRIBUTED__WORKER__DAEMON=False"):
+                run_sweep(expand(SHORT), tmp_path / "r", engine=on(cluster))
+        finally:
+            cluster.stop()
+
+    def test_nothing_is_started_for_a_finished_sweep(self, tmp_path):
+        run_sweep(expand(SHORT), tmp_path / "r", engine=LocalEngine(1))
+        engine = DaskEngine(lambda: pytest.fail("it started a cluster"))
+        begun = time.perf_counter()
+        assert run_sweep(expand(SHORT), tmp_path / "r", engine=engine).flown == 0
+        assert time.perf_counter() - begun < 1.0
+
+
+def test_a_cluster_of_this_machine_with_certificates(tmp_path):
+    pytest.importorskip("cryptography")
+    engine = build_engine(compose(["engine=dask", "engine.tls=true", "evaluate.workers=1"]))
+    result = run_sweep(expand([*SHORT, "seed=0,1"]), tmp_path / "r", engine=engine)
+    assert result.flown == 2 and not result.not_flown
+
+
+def make_checkpoint(folder):
+    """A linear-drag checkpoint with numbers by hand."""
+    import numpy as np
+
+    from quadexp.experiment.build import build_vehicle
+    from quadexp.identify.checkpoint import save_model
+    from quadexp.identify.linear_drag import LinearDrag
+
+    vehicle = build_vehicle(compose([]).vehicle)
+    numbers = {"drag": np.array([0.3, 0.3, 0.1]), "intercept": np.zeros(3), "thrust_gain": 0.0}
+    errors = {"drag_error": np.zeros(3), "intercept_error": np.zeros(3), "thrust_gain_error": 0.0}
+    fit = {"residual_std": np.zeros(3), "r_squared": np.ones(3), "n": 10}
+    named = {"name": vehicle.name, "fingerprint": vehicle.fingerprint}
+    save_model(folder, LinearDrag(**numbers, **errors, **fit, vehicle=named))

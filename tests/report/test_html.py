@@ -1,0 +1,202 @@
+"""The report as a file: what it says, how large it is, what it would load. Nothing here needs a browser."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from quadexp.errors import UsageError
+from quadexp.flight.store import read_table
+from quadexp.report.page import make_report
+from quadexp.report.page.figures import pareto_front
+from quadexp.report.page.provenance import sweep_command
+from quadexp.report.page.source import read_comparison
+from quadexp.report.statistics_file import results_statistics
+from quadexp.report.tables import from_columns, table_of
+from tests.report.results import ERRORS, make_results
+
+BARE = re.compile(r"[\s*()]")  # what is set differently on the page and in the terminal
+VOID = {"meta", "link", "input", "br", "path", "use", "circle", "polyline"}
+
+
+class Page(HTMLParser):
+    """Cells of the tables, attributes that load something, and whether every element is closed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tables: dict[str, list[list[str]]] = {}
+        self.loads: list[str] = []
+        self.ids: list[str] = []
+        self.open: list[str] = []
+        self._table: list[list[str]] | None = None
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        given = dict(attrs)
+        self.loads += [given[name] for name in ("src", "href", "xlink:href", "action") if given.get(name)]
+        self.ids += [given["id"]] if "id" in given else []
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag == "table" and "data-table" in given:
+            self._table = self.tables[given["data-table"]] = []
+        if self._table is not None and tag == "tr":
+            self._table.append([])
+        if self._table and tag in ("td", "th"):
+            self._table[-1].append("")
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        if tag in VOID:
+            return
+        assert self.open.pop() == tag
+        if tag == "table":
+            self._table = None
+
+    def handle_data(self, data):
+        if self._table and self._table[-1]:
+            self._table[-1][-1] += data
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    return make_results(tmp_path_factory.mktemp("made") / "table1")
+
+
+@pytest.fixture(scope="module")
+def made(results, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("page")
+    return make_report(results, folder / "report.html", figures=folder / "figures")
+
+
+@pytest.fixture(scope="module")
+def text(made):
+    return made["path"].read_text(encoding="utf-8")
+
+
+def test_one_file_under_two_megabytes_that_loads_nothing(made, text):
+    assert made["bytes"] == made["path"].stat().st_size < 2_000_000
+    page = Page(text)
+    assert page.open == []  # well formed
+    assert [url for url in page.loads if not url.startswith(("#", "data:"))] == []
+    assert not re.search(r"@import|url\((?!['\"]?(#|data:))", text)
+    assert not re.search(r"\bfetch\(|XMLHttpRequest|WebSocket|import\(", text)
+    assert len(page.ids) == len(set(page.ids))
+
+
+def test_the_answer_comes_from_the_numbers(made, results):
+    first, second = made["answer"]
+    comparison = read_comparison(results)
+    one = comparison.overall["gp_mpc"]
+    expected = 100 * (1 - ERRORS["gp_mpc"] / ERRORS["nominal_mpc"])  # 95 %, the same noise for both
+    assert one.reduction == pytest.approx(expected, abs=0.01)
+    assert "by 95.0\u202f%" in first and "GP MPC, the best of 2 ways, tracks 20 times closer than nominal MPC" in first
+    assert "within 33\u202f% of perfect MPC" in first
+    assert second.startswith("It runs in real time") and "50.0\u202fµs" in second and "20\u202fms" in second
+    assert "1 of 96 flights did not end well (lost)" in made["note"]
+
+
+def test_the_numbers_on_the_page_are_those_of_the_table(text, results):
+    columns, _ = read_table(results / "results.parquet", "results")
+    statistics = results_statistics(None, from_columns(columns))
+    tables = Page(text).tables
+    assert set(tables) == {"mean_error", "rmse", "max_error"}
+    for metric, cells in tables.items():
+        table = table_of(statistics.of(metric))
+        by_label = dict(zip(read_comparison(results).look, range(2, 6), strict=True))
+        assert len(cells) == 1 + len(table.rows)
+        for line, row in zip(cells[1:], table.rows, strict=True):
+            for label in table.columns:
+                entry = table.entries[row, label]
+                assert BARE.sub("", line[by_label[label]]) == BARE.sub("", entry.text())
+
+
+def test_a_lost_flight_is_counted_and_stands_first_among_the_worst(text):
+    assert "23 of 24" in text
+    worst = text[text.index('<section id="worst"') :]
+    assert worst.index("lost: 10.2 m from the reference") < worst.index("nominal MPC")
+    assert "left out: 1 lost" in text
+
+
+def test_the_replay_holds_the_flights(text):
+    cases = json.loads(re.search(r'id="replay-data">(.*?)</script>', text, re.DOTALL)[1])
+    first = cases[0]
+    assert first["title"].endswith("at 8 m/s, seed 0") and len(first["tracks"]) == 4
+    track = next(track for track in first["tracks"] if track["label"] == "nominal_mpc")
+    error = np.frombuffer(base64.b64decode(track["error"]), "<i2").reshape(-1, 3) * track["error_step"]
+    t = np.arange(first["samples"]) * first["step"]
+    np.testing.assert_allclose(error[:, 1:], 0, atol=1e-9)
+    assert error[:, 0].max() == pytest.approx(8 * ERRORS["nominal_mpc"], rel=0.1)
+    reference = np.frombuffer(base64.b64decode(first["reference"]), "<i2").reshape(-1, 3) * first["reference_step"]
+    np.testing.assert_allclose(reference[:, 0] + first["centre"][0], 5 * np.cos(8 * t / 5), atol=1e-3)
+    assert any(track["outcome"] == "lost" and track["samples"] == 60 for case in cases for track in case["tracks"])
+
+
+def test_provenance_lets_every_figure_be_made_again(text, results):
+    assert "sha256" in text and "some cpu" in text
+    assert "quadexp evaluate --sweep trajectory=circle,lemniscate trajectory.speed=4,8" in text
+    assert str(results.parent) not in text  # a page that travels names no folder of this machine
+    assert "quadexp simulate trajectory=lemniscate trajectory.speed=8 controller=linear_drag_mpc seed=3" in text
+
+
+def test_commands_of_sweeps():
+    one = [((("a=1", "a=2")), ("seed=0",))]
+    assert sweep_command(one, "results/x") == "quadexp evaluate --sweep a=1,2 seed=0 --out results/x"
+    named = [(("experiment=e",), ("a=1",)), (("experiment=e",), ("b=2",))]
+    assert sweep_command(named, "results/x") == "quadexp evaluate --sweep experiment=e --out results/x"
+    assert sweep_command([], "results/x") == ""
+
+
+def test_figures_for_paper(made):
+    files = made["figures"]
+    assert set(files) == {"error_against_speed", "error_against_time"}
+    assert all(path.read_bytes().startswith(b"%PDF") for path in files.values())
+
+
+def test_the_same_results_give_the_same_page(results, text, tmp_path):
+    again = make_report(results, tmp_path / "report.html", figures=tmp_path / "figures")
+    assert again["path"].read_text(encoding="utf-8") == text
+
+
+def test_both_themes_and_both_motions_are_provided_for(text):
+    for wanted in ("prefers-color-scheme:dark", "prefers-reduced-motion", "@media print", ":focus-visible"):
+        assert wanted in text
+    assert "var(--series-0)" in text and not re.search(r"#fe[0-9a-f]{2}fd", text)  # no stand-in colour is left
+
+
+def test_the_front_is_nobody_beaten_in_both():
+    points = {"a": (1.0, 9.0, 0, 0), "b": (2.0, 3.0, 0, 0), "c": (3.0, 4.0, 0, 0), "d": (4.0, 1.0, 0, 0)}
+    assert pareto_front(points) == ["a", "b", "d"]
+    assert pareto_front(points, ["d"]) == ["a", "b"]
+
+
+@pytest.mark.parametrize("controllers", [("gp_mpc",), ("nominal_mpc",), ("perfect_mpc", "linear_drag_mpc")])
+def test_results_without_a_baseline_or_a_rival(tmp_path, controllers):
+    made = make_report(make_results(tmp_path / "few", controllers=controllers, lost=False), tmp_path / "report.html")
+    assert all(sentence.endswith(".") and "nan" not in sentence for sentence in made["answer"])
+
+
+def test_an_absent_cell_leaves_the_numbers(tmp_path):
+    root = make_results(tmp_path / "some")
+    for path in (root / "cells").rglob("*.parquet"):
+        path.unlink()
+    text = make_report(root, tmp_path / "report.html")["path"].read_text(encoding="utf-8")
+    assert Page(text).tables["rmse"] and 'id="replay"' not in text
+
+
+def test_refusals(results, tmp_path):
+    with pytest.raises(UsageError, match="no such file"):
+        make_report(tmp_path / "nothing", tmp_path / "report.html")
+    with pytest.raises(UsageError, match="did not fly here"):
+        make_report(results, tmp_path / "report.html", baseline="rls_mpc")
+    (tmp_path / "report.html").write_text("precious")
+    with pytest.raises(UsageError, match="--force"):
+        make_report(results, tmp_path / "report.html")

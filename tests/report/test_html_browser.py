@@ -1,0 +1,216 @@
+"""The report in a headless Chromium; skipped where there is none (test_html.py checks the file itself)."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+
+import pytest
+
+from quadexp.report.page import make_report
+from tests.report.results import make_results
+
+BROWSER = next(
+    (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
+)
+DRIVER = shutil.which("chromedriver")
+pytestmark = pytest.mark.skipif(not (BROWSER and DRIVER), reason="needs chromium and chromedriver on the PATH")
+FLAGS = (
+    "--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("browser")
+    return make_report(make_results(folder / "table1"), folder / "report.html")["path"]
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    webdriver = pytest.importorskip("selenium.webdriver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = BROWSER
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture
+def opened(browser, page):
+    """The page, freshly loaded at desktop width."""
+    return show(browser, page)
+
+
+def show(browser, page, width=1280, height=900, **media):
+    features = [{"name": f"prefers-{name.replace('_', '-')}", "value": value} for name, value in media.items()]
+    metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+    for kind in ("browser", "performance"):
+        browser.get_log(kind)
+    browser.get(page.as_uri())
+    wait(browser, "document.querySelector('[data-replay=time]').textContent !== '0.00 s'")
+    return browser
+
+
+def wait(browser, condition, seconds=10.0):
+    until = time.monotonic() + seconds
+    while not browser.execute_script(f"return Boolean({condition})"):
+        assert time.monotonic() < until, f"waited in vain for {condition}"
+        time.sleep(0.02)
+
+
+def clock(browser):
+    return float(browser.execute_script("return document.querySelector('[data-replay=scrub]').value"))
+
+
+def press(browser, key, where="[data-replay=scene]", **more):
+    event = json.dumps({"key": key, "bubbles": True, "cancelable": True, **more})
+    browser.execute_script(f"document.querySelector('{where}').dispatchEvent(new KeyboardEvent('keydown', {event}))")
+    time.sleep(0.1)
+
+
+def picture(browser):
+    return browser.execute_script("return document.querySelector('[data-replay=scene]').toDataURL()")
+
+
+def test_no_error_and_no_request(opened):
+    assert opened.get_log("browser") == []
+    events = [json.loads(entry["message"])["message"] for entry in opened.get_log("performance")]
+    asked = [e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"]
+    assert asked and [url for url in asked if not url.startswith(("file:", "data:"))] == []
+
+
+def test_the_first_screen_holds_the_answer_and_the_best(opened):
+    for selector in ("[data-answer]", "[data-scoreboard] .top"):
+        box = opened.execute_script(f"return document.querySelector('{selector}').getBoundingClientRect().toJSON()")
+        assert box["top"] >= 0 and box["bottom"] <= 900
+
+
+@pytest.mark.parametrize("width", [320, 390, 768, 1280])
+def test_nothing_is_wider_than_the_screen(browser, page, width):
+    show(browser, page, width=width)
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+
+
+def test_the_replay_plays_and_pauses(opened):
+    began, before = clock(opened), picture(opened)
+    opened.execute_script("document.querySelector('[data-replay=play]').click()")
+    wait(opened, f"document.querySelector('[data-replay=scrub]').value > {began} + 0.1")
+    opened.execute_script("document.querySelector('[data-replay=play]').click()")
+    time.sleep(0.1)
+    stopped = clock(opened)
+    time.sleep(0.2)
+    assert clock(opened) == stopped > began and picture(opened) != before
+
+
+def test_speed_scales_time(opened):
+    def after(seconds, rate):
+        opened.execute_script(
+            "const s = document.querySelector('[data-replay=rate]'); s.value = arguments[0];"
+            "const b = document.querySelector('[data-replay=scrub]'); b.value = 0; b.dispatchEvent(new Event('input'));"
+            "document.querySelector('[data-replay=play]').click()",
+            rate,
+        )
+        time.sleep(seconds)
+        opened.execute_script("document.querySelector('[data-replay=play]').click()")
+        time.sleep(0.1)
+        return clock(opened)
+
+    assert after(0.5, "0.1") < 0.3 < after(0.5, "2")
+
+
+def test_keys(opened):
+    began = clock(opened)
+    press(opened, "ArrowRight")
+    assert clock(opened) == pytest.approx(began + 0.1, abs=0.021)
+    press(opened, "Home")
+    assert clock(opened) == 0
+    press(opened, "+")
+    assert opened.execute_script("return document.querySelector('[data-replay=rate]').value") == "2"
+    press(opened, "-")
+    press(opened, " ")
+    wait(opened, "document.querySelector('[data-replay=scrub]').value > 0.05")
+    press(opened, " ")
+    before = picture(opened)
+    press(opened, "ArrowRight", shiftKey=True)
+    assert picture(opened) != before  # turned
+    press(opened, "1")
+    assert opened.execute_script("return document.querySelector('.pilot').getAttribute('aria-pressed')") == "false"
+
+
+def test_dragging_turns_and_the_trace_scrubs(opened):
+    drag = (
+        "const c = document.querySelector(arguments[0]), b = c.getBoundingClientRect();"
+        "const at = (k, x) => c.dispatchEvent(new PointerEvent(k, {pointerId: 1, bubbles: true,"
+        " clientX: b.left + x * b.width, clientY: b.top + b.height / 2}));"
+        "c.setPointerCapture = () => {};"
+        "at('pointerdown', arguments[1]); at('pointermove', arguments[2]); at('pointerup', arguments[2])"
+    )
+    before = picture(opened)
+    opened.execute_script(drag, "[data-replay=scene]", 0.4, 0.6)
+    time.sleep(0.1)
+    assert picture(opened) != before
+    opened.execute_script(drag, "[data-replay=trace]", 0.2, 0.9)
+    time.sleep(0.1)
+    assert 2.4 < clock(opened) < 3.0  # of 3 s
+
+
+def test_the_error_shown_is_that_of_the_flight(opened):
+    press(opened, "Home")
+    shown = opened.execute_script(
+        "return [...document.querySelectorAll('.pilot')].map(p => [p.textContent, p.querySelector('.now').textContent])"
+    )
+    errors = {text.removesuffix(now): float(now.split()[0]) for text, now in shown}
+    assert errors["nominal MPC"] == pytest.approx(160, rel=0.1)  # half of 40 mm per m/s at 8 m/s
+    assert errors["nominal MPC"] / errors["GP MPC"] == pytest.approx(20, rel=0.02)
+
+
+def test_a_worst_flight_opens_in_the_replay(opened):
+    opened.execute_script("document.querySelector('[data-open-case]').click()")
+    time.sleep(0.2)
+    press(opened, "End")
+    assert "lost" in opened.execute_script("return document.querySelector('[data-replay=pilots]').textContent")
+    assert opened.execute_script("return document.activeElement.dataset.replay") == "scene"
+
+
+def test_metrics_switch(opened):
+    opened.execute_script("document.querySelector('[data-metric-switch=rmse]').click()")
+    seen = "return [...document.querySelectorAll('[data-metric]')].filter(e => !e.hidden).map(e => e.dataset.metric)"
+    assert opened.execute_script(seen) == ["rmse"]
+
+
+def test_themes(browser, page):
+    ground = "return getComputedStyle(document.body).backgroundColor"
+    show(browser, page, color_scheme="light")
+    light = browser.execute_script(ground)
+    show(browser, page, color_scheme="dark")
+    dark = browser.execute_script(ground)
+    assert light != dark
+    browser.execute_script("document.querySelector('[data-theme-switch]').click()")
+    assert browser.execute_script(ground) == light
+    browser.execute_script("localStorage.clear()")
+
+
+def test_everything_that_acts_is_reached_by_tab_and_shows_its_focus(opened):
+    hidden = opened.execute_script(
+        "return [...document.querySelectorAll('button, select, input, a[href]')].filter(e => e.tabIndex < 0).length"
+    )
+    assert hidden == 0
+    nameless = opened.execute_script(
+        "return [...document.querySelectorAll('button, select, input')].filter(e => !(e.textContent.trim() ||"
+        " e.getAttribute('aria-label') || e.closest('label'))).length"
+    )
+    assert nameless == 0
+    from selenium.webdriver.common.keys import Keys
+
+    opened.execute_script("document.body.focus(); window.scrollTo(0, 0)")
+    opened.switch_to.active_element.send_keys(Keys.TAB, Keys.TAB)
+    outline = "const s = getComputedStyle(document.activeElement); return s.outlineStyle + ' ' + s.outlineWidth"
+    assert opened.execute_script(outline) == "solid 2px"

@@ -1,0 +1,217 @@
+"""Intervals, effects and tests against enumeration, hand-worked numbers, scipy, and coverage on synthetic data."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from quadexp.report import inference
+from quadexp.report.inference import (
+    cohen_d,
+    holm,
+    least_count,
+    least_p,
+    mean_interval,
+    paired_permutation,
+    rank_biserial,
+    reduction_interval,
+    success_interval,
+    widened,
+)
+
+
+def enumerated_p(differences):
+    sums = [
+        abs(sum(s * d for s, d in zip(signs, differences, strict=True)))
+        for signs in itertools.product((-1, 1), repeat=len(differences))
+    ]
+    observed = abs(sum(differences))
+    return sum(value >= observed - 1e-12 for value in sums) / len(sums)
+
+
+class TestInterval:
+    def test_few_values_have_students_interval(self):
+        values = np.array([3.0, 5.0, 4.0])  # mean 4, s 1, t(0.975, 2) = 4.302653
+        low, high, method = mean_interval(values)
+        assert method == "t"
+        assert (low, high) == pytest.approx((4 - 4.302653 / math.sqrt(3), 4 + 4.302653 / math.sqrt(3)), rel=1e-6)
+
+    def test_two_values_and_one(self):
+        low, high, method = mean_interval(np.array([1.0, 2.0]))
+        assert method == "t" and high - 1.5 == pytest.approx(12.7062 / 2, rel=1e-5)  # t(0.975, 1) s / sqrt(2)
+        assert mean_interval(np.array([1.0, 2.0]), least=0.0).low == 0.0
+        for values in ([], [7.0]):
+            limits = mean_interval(np.array(values))
+            assert math.isnan(limits.low) and math.isnan(limits.high) and limits.method == "none"
+
+    def test_values_that_are_all_the_same(self):
+        assert mean_interval(np.full(8, 0.1)) == (pytest.approx(0.1), pytest.approx(0.1), "constant")
+
+    @pytest.mark.parametrize(("confidence", "count"), [(0.5, 2), (0.75, 3), (0.95, 6), (0.99, 8)])
+    def test_the_bootstrap_begins_where_its_range_can_hold_the_confidence(self, confidence, count):
+        assert least_count(confidence) == count
+        assert 1 - 2.0 ** (1 - count) >= confidence > 1 - 2.0 ** (2 - count)
+        values = np.random.default_rng(0).normal(size=count)
+        assert mean_interval(values, confidence).method == "BCa"
+        assert mean_interval(values[:-1], confidence).method == ("t" if count > 2 else "none")
+
+    def test_it_is_scipys_bca_at_the_widened_level(self):
+        values = np.random.default_rng(3).exponential(size=12)
+        wanted = scipy.stats.bootstrap(
+            (values,),
+            np.mean,
+            n_resamples=inference.RESAMPLES,
+            confidence_level=widened(0.95, 12),
+            method="BCa",
+            random_state=np.random.default_rng(0),
+        ).confidence_interval
+        assert mean_interval(values)[:2] == pytest.approx((wanted.low, wanted.high), rel=1e-12)
+        assert mean_interval(values) == mean_interval(values)
+
+    def test_the_widened_level_is_that_of_students_interval(self):
+        # Half width of a normal bootstrap: z sqrt((n-1)/n) s / sqrt(n), to be t s / sqrt(n).
+        for n in (6, 20, 200):
+            z = scipy.stats.norm.ppf((1 + widened(0.95, n)) / 2)
+            assert z * math.sqrt((n - 1) / n) == pytest.approx(scipy.stats.t.ppf(0.975, n - 1), rel=1e-9)
+
+    def test_many_values_have_students_interval_which_is_the_bootstraps(self, monkeypatch):
+        values = np.random.default_rng(5).gamma(3.0, size=400)
+        wanted = mean_interval(values)
+        assert wanted.method == "t"
+        monkeypatch.setattr(inference, "MOST_BOOTSTRAPPED", 400)
+        half = (wanted.high - wanted.low) / 2
+        assert mean_interval(values)[:2] == pytest.approx(wanted[:2], abs=0.1 * half)
+
+    # Measured in 2000 runs: 95, 93 and 95 % for the normal, where the plain bootstrap has 85 % at 6 values; an
+    # exponential of few values is hard for every method. The bounds are 3 standard errors below.
+    @pytest.mark.parametrize(
+        ("name", "mean", "n", "least"),
+        [
+            ("normal", 0.0, 3, 0.92),
+            ("normal", 0.0, 6, 0.89),
+            ("normal", 0.0, 10, 0.92),
+            ("exponential", 1.0, 6, 0.87),
+            ("exponential", 1.0, 20, 0.90),
+        ],
+    )
+    def test_coverage(self, name, mean, n, least, monkeypatch):
+        monkeypatch.setattr(inference, "RESAMPLES", 999)
+        rng = np.random.default_rng(17)
+        held = 0
+        for run in range(600):
+            low, high, _ = mean_interval(getattr(rng, name)(size=n), seed=run)
+            held += low <= mean <= high
+        assert least <= held / 600 <= 0.98
+
+    @pytest.mark.parametrize("n", [4, 8])
+    def test_coverage_of_the_reduction(self, n, monkeypatch):
+        monkeypatch.setattr(inference, "RESAMPLES", 999)
+        rng = np.random.default_rng(23)
+        runs, held = 300, 0
+        for run in range(runs):
+            common = rng.normal(size=n)  # paired: the same noise in both
+            own, base = 5 + 0.3 * common + 0.2 * rng.normal(size=n), 20 + common + 0.4 * rng.normal(size=n)
+            low, high, _ = reduction_interval(own, base, seed=run)
+            held += low <= 75.0 <= high
+        assert 0.90 <= held / runs <= 0.99
+
+    def test_a_reduction_that_is_the_same_everywhere(self):
+        base = np.array([10.0, 20.0, 40.0])
+        assert reduction_interval(0.25 * base, base) == (75.0, 75.0, "constant")
+        assert reduction_interval(base, np.zeros(3)).method == "none"
+
+
+class TestSuccess:
+    @pytest.mark.parametrize(("k", "n"), [(0, 5), (3, 5), (5, 5), (17, 20)])
+    def test_wilson_as_scipy_has_it(self, k, n):
+        wanted = scipy.stats.binomtest(k, n).proportion_ci(0.95, method="wilson")
+        assert success_interval(k, n) == pytest.approx((wanted.low, wanted.high), rel=1e-9, abs=1e-12)
+
+    def test_no_trials(self):
+        assert all(map(math.isnan, success_interval(0, 0)))
+
+
+class TestPermutation:
+    @pytest.mark.parametrize("n", [1, 2, 3, 5, 8, 11])
+    def test_it_is_the_enumeration(self, n):
+        rng = np.random.default_rng(n)
+        for shift in (0.0, 0.5, 3.0):
+            differences = rng.normal(shift, 1.0, n)
+            assert paired_permutation(differences) == enumerated_p(differences)
+
+    def test_ties_count(self):
+        # Sums of +-1 +-1 +-2 are at least 2 in size for 6 of 8 patterns (all but 1-1... of which: +-(1+1-2) = 0).
+        assert paired_permutation([1.0, -1.0, 2.0]) == enumerated_p([1, -1, 2]) == 6 / 8
+        assert paired_permutation([0.1, 0.2, -0.3]) == 1.0  # 0.1 + 0.2 - 0.3 is not zero in floating point
+        assert paired_permutation(np.zeros(4)) == 1.0 and math.isnan(paired_permutation([]))
+
+    def test_all_of_one_sign_has_the_least_p(self):
+        for n in (2, 5, 9, 30):
+            assert paired_permutation(-np.arange(1.0, n + 1)) == least_p(n) == 2 / 2**n
+
+    def test_it_is_scipys(self):
+        differences = np.random.default_rng(9).normal(0.4, 1, 10)
+        wanted = scipy.stats.permutation_test(
+            (differences, np.zeros(10)),
+            lambda x, y, axis: np.mean(x - y, axis=axis),
+            permutation_type="samples",
+            vectorized=True,
+            n_resamples=np.inf,
+        )
+        assert paired_permutation(differences) == pytest.approx(wanted.pvalue, rel=1e-12)
+
+    def test_on_signed_ranks_it_is_wilcoxons(self):
+        differences = np.random.default_rng(11).normal(0.4, 1, 25)
+        ranks = np.sign(differences) * scipy.stats.rankdata(np.abs(differences))
+        assert paired_permutation(ranks) == pytest.approx(scipy.stats.wilcoxon(differences, method="exact").pvalue)
+
+    def test_drawn_patterns_and_the_normal_limit_agree_with_counting(self, monkeypatch):
+        differences = np.random.default_rng(13).normal(0.1, 1, 28)
+        exact = paired_permutation(differences)
+        assert 0.01 < exact < 0.5
+        monkeypatch.setattr(inference, "MOST_EXACT", 20)
+        drawn = paired_permutation(differences)
+        assert drawn == pytest.approx(exact, abs=4 * math.sqrt(exact / inference.DRAWS)) and drawn != exact
+        monkeypatch.setattr(inference, "MOST_DRAWN", 20)
+        assert paired_permutation(differences) == pytest.approx(exact, rel=0.1)
+
+    def test_it_errs_as_often_as_it_says(self):
+        rng = np.random.default_rng(19)
+        p = np.array([paired_permutation(rng.standard_t(3, 7)) for _ in range(2000)])
+        for alpha in (0.05, 0.2):
+            assert np.mean(p <= alpha) <= alpha + 3 * math.sqrt(alpha * (1 - alpha) / 2000)
+
+
+class TestEffect:
+    def test_rank_biserial_by_hand(self):
+        # Ranks of 3, 1, 2, 4 are themselves; negative ones sum to 8, the positive one is 2: (8 - 2) / 10.
+        assert rank_biserial([-3.0, -1.0, 2.0, -4.0]) == pytest.approx(0.6)
+        assert rank_biserial([-1.0, 1.0, 0.0]) == 0.0  # a tie; zero takes no part
+        assert rank_biserial([-1.0, -2.0]) == 1.0 and rank_biserial([3.0]) == -1.0
+        assert rank_biserial([0.0]) == 0.0 and math.isnan(rank_biserial([]))
+
+    def test_rank_biserial_from_wilcoxons_statistic(self):
+        differences = np.random.default_rng(2).integers(-6, 5, 15).astype(float)
+        differences = differences[differences != 0]
+        n = len(differences)
+        plus = scipy.stats.wilcoxon(differences, alternative="greater", method="asymptotic").statistic
+        assert rank_biserial(differences) == pytest.approx(1 - 4 * plus / (n * (n + 1)))
+
+    def test_cohen(self):
+        assert cohen_d([-1.0, -2.0, -3.0]) == pytest.approx(2.0)  # mean -2, standard deviation 1
+        assert math.isnan(cohen_d([1.0])) and math.isnan(cohen_d([0.5, 0.5]))
+
+
+class TestHolm:
+    def test_by_hand(self):
+        # 4 x 0.005, 3 x 0.01, 2 x 0.03, and 1 x 0.04 raised to its predecessor's 0.06.
+        assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+
+    def test_never_above_one_and_nan_does_not_count(self):
+        adjusted = holm([0.6, math.nan, 0.5])
+        assert adjusted[[0, 2]] == pytest.approx([1.0, 1.0]) and math.isnan(adjusted[1])
+        assert holm([0.02, math.nan])[0] == 0.02 and len(holm([])) == 0
