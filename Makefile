@@ -8,7 +8,7 @@ QUADEXP := $(BIN)/quadexp
 # One BLAS thread per process: the sweep fills the cores by itself.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: all setup quick test lint reproduce reproduce-quick bench clean
+.PHONY: all setup quick test lint reproduce reproduce-torrente reproduce-lei-li reproduce-quick bench clean
 
 all: quick
 
@@ -33,12 +33,26 @@ lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-# Table I of Torrente et al. 2021 at full size, with figures.
-reproduce: $(STAMP)
+# The two papers at full size, with figures.
+reproduce: reproduce-torrente reproduce-lei-li
+
+# Table I of Torrente et al. 2021.
+reproduce-torrente: $(STAMP)
 	$(QUADEXP) collect experiment=torrente_table1 --out data/torrente.parquet --force
 	$(QUADEXP) fit-gp data/torrente.parquet gp=per_axis --out models/torrente/per_axis --force
 	$(QUADEXP) fit-gp data/torrente.parquet --out models/torrente/best --force
 	$(QUADEXP) evaluate --sweep experiment=torrente_table1 --out results/torrente_table1
+
+# Examples 1 and 2 of Lei & Li 2017, then both families of controllers on both plants, then changes in mid-flight.
+reproduce-lei-li: $(STAMP)
+	$(QUADEXP) evaluate --sweep experiment=lei_li_example1 --out results/lei_li_example1
+	$(QUADEXP) evaluate --sweep experiment=lei_li_example2 --out results/lei_li_example2
+	$(QUADEXP) collect vehicle=lei_li plant=blade_element --out data/lei_li_blade_element.parquet --force
+	$(QUADEXP) fit-gp data/lei_li_blade_element.parquet gp=blade_element --out models/lei_li/blade_element --force
+	$(QUADEXP) collect vehicle=lei_li plant=simplified --out data/lei_li_simplified.parquet --force
+	$(QUADEXP) fit-gp data/lei_li_simplified.parquet --out models/lei_li/simplified --force
+	-$(QUADEXP) evaluate --sweep experiment=families --out results/families
+	$(QUADEXP) evaluate --sweep experiment=adaptation --out results/adaptation
 
 # The same claims on fewer flights, as tests that fail where a promised figure is missed.
 reproduce-quick: $(STAMP)

@@ -13,19 +13,21 @@ at 4 .. 12 m/s with an acceleration of a quarter of the speed per second, random
 from __future__ import annotations
 
 import argparse
+import ctypes
 import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from benchmarks.machine import machine
 
+PR_SET_CHILD_SUBREAPER = 36  # <linux/prctl.h>
 MEMORY_LIMIT = 1.0  # GB a process
 CONTROLLERS = "nominal_mpc,linear_drag_mpc,gp_mpc,perfect_mpc"
 SPEEDS = (4, 6, 8, 10, 12)  # m/s, nominal
@@ -62,15 +64,31 @@ def run(command: Sequence[str], folder: Path) -> Measured:
         _, status, usage = os.wait4(process.pid, 0)
         seconds = time.perf_counter() - began
         process.returncode = os.waitstatus_to_exitcode(status)
+        usages = [usage, *orphans()]
         stdout.seek(0)
         stderr.seek(0)
         if process.returncode != 0:
             reason = (stderr.read().strip().splitlines() or ["no message"])[-1]
             raise SystemExit(f"quadexp {' '.join(command)}: {reason}")
         unit = 1 if sys.platform == "darwin" else 1024  # bytes of ru_maxrss
-        return Measured(
-            seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * unit / 1e9, json.loads(stdout.read())
-        )
+        processor = sum(usage.ru_utime + usage.ru_stime for usage in usages)
+        memory = max(usage.ru_maxrss for usage in usages) * unit / 1e9
+        return Measured(seconds, processor, memory, json.loads(stdout.read()))
+
+
+def adopt_orphans() -> None:
+    """Become the parent of processes that outlive theirs, as the workers' server of a sweep does: to see their use."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def orphans() -> Iterator[Any]:
+    """Resource usage of the adopted processes, as they end."""
+    while True:
+        try:
+            yield os.wait4(-1, 0)[2]
+        except ChildProcessError:
+            return
 
 
 def write_sweep(folder: Path) -> Path:
@@ -142,6 +160,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="work here, and leave what is made")
     arguments = parser.parse_args()
+    adopt_orphans()
     if arguments.keep:
         arguments.keep.mkdir(parents=True)
         measured = measure(arguments.keep.resolve())

@@ -18,7 +18,9 @@ def identify(
         str | None, typer.Option("--vehicle", metavar="NAME", help="Of the configuration, not the flight's own.")
     ] = None,
     paper: Annotated[bool, typer.Option("--paper", help="P_0 = 50 and unit noise, as Lei & Li, not scaled.")] = False,
-    conf: Annotated[Path | None, typer.Option("--conf", metavar="DIR", help="A configuration folder of your own.")] = None,
+    conf: Annotated[
+        Path | None, typer.Option("--conf", metavar="DIR", help="A configuration folder of your own.")
+    ] = None,
     force: Annotated[bool, typer.Option("--force", "-f", help="Replace what is there.")] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
 ) -> None:

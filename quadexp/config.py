@@ -125,7 +125,8 @@ class DragConfig(Checked):
 class EvaluateConfig(Checked):
     """How a comparison is run and shown; nothing here changes a flight.
 
-    metric: what the table shows. figures: which beside the standard ones. baseline: controller that the others are compared with. confidence: of intervals.
+    metric: what the table shows. figures: which beside the standard ones.
+    baseline: controller that the others are compared with. confidence: of intervals.
     workers: processes (0: one a core). timeout: wall time a flight may take. memory: of its process (0: no limit).
     """
 

@@ -72,8 +72,7 @@ def _cluster(config: ClusterConfig, workers: int, stack: contextlib.ExitStack) -
         host="127.0.0.1",
         protocol=protocol,
         security=_security(config),
-        dashboard_address=None,
-        worker_dashboard_address=None,
+        dashboard_address="127.0.0.1:0",
         memory_limit=0,
         silence_logs=logging.CRITICAL,
     )

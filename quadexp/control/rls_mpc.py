@@ -16,9 +16,7 @@ from quadexp.control.base import Measurement, Window
 from quadexp.control.feedback.aerodynamics import IdentifiedCoefficients
 from quadexp.control.mpc import ModelPredictiveController, StepRecord
 from quadexp.control.mpc_controller import PredictiveController
-from quadexp.dynamics.blade_element import static_rotor_speed
 from quadexp.residual.base import Residual
-
 
 # Changes of (C_d0, C_la, C_D) that are worth a new reference: each moves the force by about 0.05 m/s^2 at 10 m/s.
 NOTABLE = np.array([0.004, 0.015, 0.004, 0.004, 0.004])
@@ -62,7 +60,7 @@ class IdentifyingController(PredictiveController):
         if measurement.specific_force is not None:
             speed = measurement.rotor_speed
             if speed is None:
-                speed = static_rotor_speed(self._commanded, self.vehicle.static_thrust)
+                speed = np.sqrt(np.maximum(self._commanded, 0.0) / self.vehicle.static_thrust)
             self.identified.update(measurement, speed)
         self.mpc.set_parameters(self.identified.theta)
         thrust, record = super().step(measurement, window)

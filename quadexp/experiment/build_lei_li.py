@@ -17,7 +17,7 @@ def blade_element_plant(vehicle: Vehicle, config: BladeElementPlantConfig) -> An
 
     if vehicle.rotor is None:
         raise UsageError(
-            f"plant={config.name}: vehicle={vehicle.name} has no vehicle.rotor (shape of its rotors); vehicle=lei_li has"
+            f"plant={config.name}: vehicle={vehicle.name} has no vehicle.rotor (its rotors' shape); vehicle=lei_li has"
         )
     values = {
         f.name: getattr(config, f.name) for f in fields(BladeElementEffects) if getattr(config, f.name) is not None

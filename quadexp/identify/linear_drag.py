@@ -6,8 +6,8 @@ v the body velocity (m/s), T the collective thrust (N). The published fit has b 
 drag answer for the motors' loss, which goes with the thrust.
 
 loss="huber" (default) minimises sum rho(e / s) with Huber's rho, quadratic up to 1.345 robust standard deviations s
-(1.4826 median |e|) and linear beyond (Huber 1964): where the true drag is not linear, the few fastest rows then no longer
-bend the line for all others, and the controller that uses it tracks better. loss="squares" is the published fit.
+(1.4826 median |e|) and linear beyond (Huber 1964): where the true drag is not linear, the few fastest rows then no
+longer bend the line for all others, and the controller that uses it tracks better. loss="squares" is the published fit.
 
 Standard errors are heteroscedasticity-robust (HC1, MacKinnon & White 1985): with psi = rho', H = X' diag(psi') X,
 H^-1 X' diag(psi^2) X H^-1 n/(n - p), because the scatter grows with speed where the true drag is not linear.
@@ -39,7 +39,8 @@ class LinearDrag:
 
     drag: (3,) 1/s. intercept: (3,) m/s^2. thrust_gain: 1/kg. *_error: standard errors, same shapes (0: not fitted).
     residual_std: (3,), root mean square of what is left, m/s^2. r_squared: (3,), share of the variance explained.
-    n: rows. errors: which standard errors. loss: which fit. vehicle, dataset: fingerprint and hash of what it was fitted to.
+    n: rows. errors: which standard errors. loss: which fit.
+    vehicle, dataset: fingerprint and hash of what it was fitted to.
     """
 
     drag: np.ndarray

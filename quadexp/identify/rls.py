@@ -105,7 +105,7 @@ class BladeElementRLS:
         self.induced_velocity = np.full(self.vehicle.n_rotors, np.nan)
 
     def reopen(self) -> None:
-        """Doubt the estimates as much as the first values were, P = P_0, and keep them: after a change of the vehicle."""
+        """Doubt the estimates as much as the first values, P = P_0, and keep them: after a change of the vehicle."""
         theta_0, s = self.initial.parameters(), self.settings
         for axis, at in zip("xyz", AXES, strict=True):
             spread = np.full(len(at), s.covariance)

@@ -98,7 +98,8 @@ def expected_table(rows: Sequence[Mapping[str, Any]]) -> str:
         ended = "ok" if not lost else f"{len(lost)} lost: {lost[0]}"
         options = " ".join(part.rpartition(".")[2] for part in variant.split(" "))
         lines.append(
-            f"| {trajectory} | {'' if speed is None else f'{speed:g}'} | {controller} | {options} | {len(group)} | {shown} |"
+            f"| {trajectory} | {'' if speed is None else f'{speed:g}'} | {controller} | {options}"
+            f" | {len(group)} | {shown} |"
             f" {'' if expected is None else expected} | {against} | {ended} |"
         )
     return "\n".join(lines) + "\n"

@@ -1,7 +1,8 @@
 """The circle of Lei & Li 2017, Example 2: one half of every lap at one speed, the other at twice that, jumping between.
 
 In the paper's NED, (-r cos a, r sin a), height 5 m, r = 28 m, with a = pi t / 20 on 0 .. 20 s, then a twice as quick on
-20 .. 30 s, then again with a period of 30 s: 4.398 and 8.796 m/s. Here in ENU, x east and y north. Heading north. The acceleration is the path's own.
+20 .. 30 s, then again with a period of 30 s: 4.398 and 8.796 m/s. Here in ENU, x east and y north. Heading north. The
+acceleration is the path's own.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ START_EULER = (0.0, 0.0, 90.0)  # roll, pitch, yaw of FLU in ENU, deg
 class LeiLiCircle:
     """A circle with two speeds, clockwise seen from above, started at its southernmost point.
 
-    radius: m. slow_half: duration of the slow half of a lap, s (the fast one takes half of that). duration, height: s, m.
+    radius: m. slow_half: duration of the slow half of a lap, s (the fast one takes half of that).
+    duration, height: s, m.
     start: "printed", the paper's initial state (at rest in the middle of the circle, on the ground), or "reference".
     Raises UsageError where a number is out of range.
     """

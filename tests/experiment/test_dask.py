@@ -21,9 +21,9 @@ from quadexp.experiment.engine import LocalEngine
 from quadexp.experiment.engines import build_engine
 from quadexp.experiment.store import CellStore
 from quadexp.experiment.sweep import run_sweep
-from quadexp.flight.store import read_flight
 from tests.experiment import cells
 from tests.experiment.dask_cluster import Cluster
+from tests.experiment.same import same_results
 from tests.experiment.test_sweep import files
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
@@ -47,27 +47,6 @@ def engine(cluster):
 def on(cluster, **options):
     config = compose(["engine=dask", f"engine.address={cluster.address}"]).engine
     return DaskEngine(lambda: open_cluster(config, 1), **options)
-
-
-def same_results(first, second):
-    """All of two sweeps but the measured times and what says when and where, to the last bit."""
-    assert [row["key"] for row in first.rows] == [row["key"] for row in second.rows]
-    for a, b in zip(first.rows, second.rows, strict=True):
-        assert _settled(a) == _settled(b)
-        flights = [read_flight(CellStore(result.out).path(a["key"])) for result in (first, second)]
-        assert list(flights[0].columns) == list(flights[1].columns)
-        for name in flights[0].columns:
-            if name != "solve_time":
-                assert flights[0][name].tobytes() == flights[1][name].tobytes(), name
-        records = [flight.metadata for flight in flights]
-        for record in records:
-            record["row"] = _settled(record["row"])
-            del record["provenance"]["created"]
-        assert records[0] == records[1]
-
-
-def _settled(row):
-    return {name: value for name, value in row.items() if not name.startswith("solve_time")}
 
 
 class TestSameEverywhere:

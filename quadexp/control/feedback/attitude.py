@@ -46,7 +46,8 @@ def attitude_torque(eta, rate, error, eta_d_dot, eta_d_ddot, proportional, deriv
     """Gamma_m, (3,), FRD (N m): equations (39), (40).
 
     eta, error: (3,) (rad). rate: Omega (3,) (rad/s). eta_d_dot, eta_d_ddot: (3,) (rad/s, rad/s^2).
-    proportional, derivative: gains (3,) (1/s^2, 1/s). inertia: J (3, 3), FRD (kg m^2). secondary: delta_Gamma (3,) (N m).
+    proportional, derivative: gains (3,) (1/s^2, 1/s). inertia: J (3, 3), FRD (kg m^2).
+    secondary: delta_Gamma (3,) (N m).
     """
     eta_dot = euler_rates(eta, rate)
     u_eta = -(proportional * error + derivative * (eta_dot - eta_d_dot))

@@ -25,7 +25,8 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
 
     Inputs: x (13,) and reference (3, 3) [p, v, a] (columns) and yaw, ENU/FLU; theta (5,); of the sample before:
     velocity_last (3,) FRD, rotor_speed_last (n,), eta_d_last (3,), observer_last (3, 2).
-    Outputs: thrust (n,), commanded static thrusts (N); rotor_speed (n,); eta_d (3,); observer (3, 2); velocity (3,) FRD;
+    Outputs: thrust (n,), commanded static thrusts (N); rotor_speed (n,); eta_d (3,); observer (3, 2);
+    velocity (3,) FRD;
     error: e_eta (3,); outside: the thrust vector was moved into the cone (0 or 1); floored: rotors held at
     the least speed; limited: rotors held at the largest thrust; u_T (3,), NED.
     """

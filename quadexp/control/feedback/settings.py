@@ -47,8 +47,10 @@ class FeedbackSettings:
 class Variant:
     """What a feedback controller compensates, and by which coefficients.
 
-    hub, drag: hub force H and body drag D in (32), (33). thrust, torque: secondary delta_T in (33), delta_Gamma in (40).
-    allocation: coefficients of (27): "motor" k_Tm, k_Qm; "static" k_T,static, k_Q,static of the parameters; "vehicle" the
+    hub, drag: hub force H and body drag D in (32), (33).
+    thrust, torque: secondary delta_T in (33), delta_Gamma in (40).
+    allocation: coefficients of (27): "motor" k_Tm, k_Qm; "static" k_T,static, k_Q,static of the parameters; "vehicle"
+    the
     static ones of the vehicle's own thrust map. parameters: "identified" in flight, "true", or "none" needed.
     delayed: H, delta_T and delta_Gamma of the sample before (as printed), or of this one by a fixed point.
     """

@@ -10,10 +10,10 @@ from quadexp.report.page.names import spoken
 from quadexp.report.page.numbers import (
     SPACE,
     duration,
-    interval,
     listed,
     number,
     percent,
+    percent_with_interval,
     probability,
     shown,
     span,
@@ -61,7 +61,6 @@ def _gain(comparison: Comparison) -> str:
         return (
             f"{_capital(spoken(best))} tracks best, with a {metric} of {_error(comparison, best)}{_bound(comparison)}."
         )
-    limits = interval(one.reduction_low, one.reduction_high, one.reduction)
     if one.reduction <= 0:
         return (
             f"Knowing the aerodynamics buys nothing here: the best way, {spoken(best)}, has a {metric}"
@@ -71,8 +70,9 @@ def _gain(comparison: Comparison) -> str:
     ratio = 1 / (1 - one.reduction / 100)
     rivals = [x for x in comparison.order if x not in comparison.bounds and x != base]
     among = f"the best of {len(rivals)} ways" if len(rivals) > 1 else "the one way tried"
+    reduction, limits = percent_with_interval(one.reduction, one.reduction_low, one.reduction_high)
     said = (
-        f"Knowing the aerodynamics cuts the {metric} by {percent(one.reduction)}{f' {limits}' if limits else ''}:"
+        f"Knowing the aerodynamics cuts the {metric} by {reduction}{f' {limits}' if limits else ''}:"
         f" {spoken(best)}, {among}, tracks {times(ratio)} times closer than {spoken(base)}"
         f" ({_error(comparison, best)} against {_error(comparison, base)}){_bound(comparison)}"
     )

@@ -50,6 +50,16 @@ def percent(value: float, least_decimals: int = 1) -> str:
     return f"{value:.{min(decimals, 4)}f}{SPACE}%".replace("-", MINUS)
 
 
+def percent_with_interval(value: float, low: float, high: float) -> tuple[str, str]:
+    """Such as ("99.01 %", "[98.98, 99.04]"): as many decimals as the interval needs; "" where there is none."""
+    half = (high - low) / 2
+    if not half > 0 or not math.isfinite(half):
+        return percent(value), ""
+    decimals = min(max(1, -math.floor(math.log10(half))), 3)
+    texts = [f"{v:.{decimals}f}".replace("-", MINUS) for v in (value, low, high)]
+    return f"{texts[0]}{SPACE}%", f"[{texts[1]},{NOBREAK}{texts[2]}]"
+
+
 def duration(seconds: float, exact: bool = False) -> str:
     """A time in the unit that suits it: 40.3 µs, 14.2 ms, 2.10 s. exact: without zeros at its end."""
     if not math.isfinite(seconds):

@@ -1,8 +1,8 @@
 """Colours of the page in its two themes and of the figures on paper, and who wears which colour, marker and dash.
 
-Figures of the page are drawn once, in marker colours that `svg.py` replaces by CSS variables, so one drawing serves
-both themes. Series colours keep 3:1 against their ground, can be told apart by colour-blind readers, and differ in marker
-and dash as well.
+Figures of the page are drawn once, in stand-in colours that `svg.py` replaces by CSS variables, so one drawing serves
+both themes. Series colours keep 3:1 against their ground and can be told apart by colour-blind readers; they differ in
+marker and dash as well.
 """
 
 from __future__ import annotations

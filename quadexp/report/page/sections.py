@@ -11,7 +11,17 @@ import numpy as np
 from quadexp.report.metrics import position_error
 from quadexp.report.page.figures import course_title
 from quadexp.report.page.names import KNOWS, spoken
-from quadexp.report.page.numbers import MINUS, NOBREAK, alike, duration, interval, number, percent, probability, shown
+from quadexp.report.page.numbers import (
+    MINUS,
+    NOBREAK,
+    alike,
+    duration,
+    interval,
+    number,
+    percent_with_interval,
+    probability,
+    shown,
+)
 from quadexp.report.page.source import TABLED, Comparison
 from quadexp.report.pairing import Condition, condition_of
 from quadexp.report.statistics import Statistic
@@ -43,8 +53,8 @@ def scoreboard(comparison: Comparison) -> list[dict[str, Any]]:
                 "error": number(mean),
                 "unit": unit,
                 "at": 4 + 92 * (math.log(mean) - low) / span if mean > 0 else None,
-                "change": _change(one.reduction) if one else "",
-                "limits": _change_limits(one) if one else "",
+                "change": _change(one.reduction, one.reduction_low, one.reduction_high)[0] if one else "",
+                "limits": _change(one.reduction, one.reduction_low, one.reduction_high)[1] if one else "",
                 "p": probability(one.p_holm) if one else "",
                 "median": duration(comparison.time(label)),
                 "p99": duration(comparison.time(label, "p99")),
@@ -62,16 +72,12 @@ def _role(comparison: Comparison, label: str) -> str:
     return "baseline" if label == comparison.reference else "bound" if label in comparison.bounds else ""
 
 
-def _change(reduction: float) -> str:
-    """A reduction as a change: 98.6 % less is −98.6 %."""
+def _change(reduction: float, low: float = math.nan, high: float = math.nan) -> tuple[str, str]:
+    """A reduction as a change, and its interval: 98.6 % less is −98.6 %."""
     if not math.isfinite(reduction):
-        return ""
-    text = percent(-reduction)
-    return text if text.startswith(MINUS) else f"+{text}"
-
-
-def _change_limits(one: Any) -> str:
-    return interval(-one.reduction_high, -one.reduction_low, -one.reduction)
+        return "", ""
+    text, limits = percent_with_interval(-reduction, -high, -low)
+    return text if text.startswith(MINUS) else f"+{text}", limits
 
 
 def tables(comparison: Comparison) -> list[dict[str, Any]]:
@@ -138,7 +144,7 @@ def _difference_cell(s: Statistic | None, factor: float) -> dict[str, Any]:
     return {
         "text": text if s.difference < 0 else f"+{text}",
         "limits": interval(factor * s.difference_low, factor * s.difference_high, factor * s.difference),
-        "change": _change(s.reduction),
+        "change": _change(s.reduction)[0],
         "p": probability(s.p_holm) if s.comparisons * s.p_least < 1 - s.confidence else "",
         "left": s.left_out,
         "sure": s.significant,
