@@ -9,8 +9,8 @@ lateral part of a_air seen in the tilt frame as l; the flatness map (flat_map.py
     rest  <-  r(z) + dr/du du,    (G + diag(m, 1, 1, 1) dr/du) du = diag(m, 1, 1, 1) (rest - r(z))
 
 until nothing changes. Where the thrusts that l'' asks for act on l again (rotors near their limits), this does not
-settle; then l' and l'' are taken as zero in the rates and torques. The second line solves for thrusts whose own effect on
-the air counts: a rotor's true thrust may grow twice as fast as its static one, and then rest <- r(z) alone would not
+settle; then l' and l'' are taken as zero in the rates and torques. The second line solves for thrusts whose own effect
+on the air counts: a rotor's true thrust may grow twice as fast as its static one, and then rest <- r(z) alone would not
 settle. M: d l turns the tilt frame by d theta, (d theta x f)_xy = -d l, which changes the velocity seen in it by
 v x d theta. The step is taken as a turn of f, at most MAX_TURN, since |f| is given and l near |f| is where l itself
 would be a bad coordinate. Rotor thrusts, with G the vehicle's allocation:
