@@ -43,28 +43,37 @@ def open_cluster(config: ClusterConfig, workers: int) -> Iterator[Client]:
             logging.getLogger(name).setLevel(logging.CRITICAL)
     with contextlib.ExitStack() as stack:
         stack.enter_context(dask.config.set({**SETTINGS, "distributed.comm.timeouts.connect": f"{CONNECT:g}s"}))
-        client, where = None, "the cluster"
+        where = _name(config)
         try:
-            cluster, where = _cluster(config, workers, stack)
+            cluster = _cluster(config, workers, stack)
             client = Client(cluster, security=_security(config), timeout=CONNECT, set_as_default=False)
         except QuadexpError:
             raise
         except Exception as error:
-            reason = str(error).strip().splitlines() or [type(error).__name__]
-            raise QuadexpError(f"{where} cannot be had: {reason[0]}") from error
+            said = [line for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
+            raise QuadexpError(f"{where} cannot be had: {said[-1 if config.kind == 'slurm' else 0]}") from error
         stack.enter_context(client)
         yield client
 
 
-def _cluster(config: ClusterConfig, workers: int, stack: contextlib.ExitStack) -> tuple[Any, str]:
-    """A cluster that ends with `stack`, or the address of one; and how to call it."""
+def _name(config: ClusterConfig) -> str:
+    """What to call the cluster in an error."""
+    if not isinstance(config, DaskConfig):
+        return "the Slurm cluster"
+    if config.address:
+        return f"engine.address={config.address}"
+    return f"engine.hosts={','.join(config.hosts)}" if config.hosts else "a cluster of this machine"
+
+
+def _cluster(config: ClusterConfig, workers: int, stack: contextlib.ExitStack) -> Any:
+    """A cluster that ends with `stack`, or the address of one."""
     if isinstance(config, SlurmConfig):
-        return stack.enter_context(_slurm(config, workers)), "the Slurm cluster"
+        return stack.enter_context(_slurm(config, workers))
     assert isinstance(config, DaskConfig)
     if config.address:
-        return config.address, f"engine.address={config.address}"
+        return config.address
     if config.hosts:
-        return stack.enter_context(_ssh(config, workers)), f"engine.hosts={','.join(config.hosts)}"
+        return stack.enter_context(_ssh(config, workers))
     protocol = "tls://" if config.tls else "tcp://"
     cluster = LocalCluster(
         n_workers=workers,
@@ -76,7 +85,7 @@ def _cluster(config: ClusterConfig, workers: int, stack: contextlib.ExitStack) -
         memory_limit=0,
         silence_logs=logging.CRITICAL,
     )
-    return stack.enter_context(cluster), "a cluster of this machine"
+    return stack.enter_context(cluster)
 
 
 _temporary: dict[str, Security] = {}
@@ -124,7 +133,10 @@ def _slurm(config: SlurmConfig, workers: int) -> Any:
     from dask_jobqueue import SLURMCluster
 
     folder = Path(config.shared) if config.shared else None
-    cluster = SLURMCluster(
+    if folder is not None:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return SLURMCluster(
+        n_workers=workers,
         cores=1,
         processes=1,
         memory=f"{config.job_memory:g}GB",
@@ -143,5 +155,3 @@ def _slurm(config: SlurmConfig, workers: int) -> Any:
         scheduler_options={"dashboard": False},
         silence_logs="critical",
     )
-    cluster.scale(jobs=workers)
-    return cluster

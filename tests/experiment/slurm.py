@@ -40,7 +40,7 @@ CONF = """
     MpiDefault=none
     AccountingStorageType=accounting_storage/none
     JobAcctGatherType=jobacct_gather/none
-    NodeName={host} NodeAddr=127.0.0.1 CPUs={cores} State=UNKNOWN
+    NodeName={host} NodeAddr=127.0.0.1 CPUs={cores} RealMemory=8000 State=UNKNOWN
     PartitionName=main Nodes={host} Default=YES MaxTime=INFINITE State=UP
 """
 

@@ -13,6 +13,7 @@ if not os.environ.get("QUADEXP_SLURM"):
     pytest.skip("a check by hand: set QUADEXP_SLURM=1", allow_module_level=True)
 
 from quadexp.compose import compose, expand
+from quadexp.errors import QuadexpError
 from quadexp.experiment.engines import build_engine
 from quadexp.experiment.sweep import run_sweep
 from tests.experiment import cells
@@ -53,6 +54,11 @@ def test_the_same_results_as_at_home(slurm, engine, tmp_path, tls):
     away = run_sweep(expand(grid), tmp_path / "away", engine=engine(tls))
     assert away.flown == 6 and not away.not_flown
     same_results(run_sweep(expand(grid), tmp_path / "home", workers=1), away)
+
+
+def test_a_job_that_slurm_refuses(engine, tmp_path):
+    with pytest.raises(QuadexpError, match="the Slurm cluster cannot be had: sbatch: error: .*artition"):
+        run_sweep(expand(SHORT), tmp_path / "r", engine=engine("engine.queue=nowhere"))
 
 
 def test_a_worker_killed_and_a_job_cancelled_under_way(slurm, engine, tmp_path):
