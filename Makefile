@@ -56,7 +56,7 @@ reproduce-lei-li: $(STAMP)
 
 # The same claims on fewer flights, as tests that fail where a promised figure is missed.
 reproduce-quick: $(STAMP)
-	$(BIN)/python -m pytest -m slow tests
+	$(BIN)/python -m pytest -n auto --dist loadscope -m slow tests
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.step
