@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -98,17 +99,27 @@ def resolve(backend: str) -> str:
 
 def realise(function: ca.Function, backend: str) -> ca.Function:
     """The function on a resolved back end. Raises QuadexpError where compiling fails."""
-    return ca.external(function.name(), str(_compile(function))) if backend == "compiled" else function
+    return realise_together([function], backend)[0]
 
 
-def _compile(function: ca.Function) -> Path:
-    """Path of the shared library with the function, compiled unless the cache has it."""
-    generator = ca.CodeGenerator(function.name(), {"with_header": False})
-    generator.add(function)
+def realise_together(functions: Sequence[ca.Function], backend: str) -> list[ca.Function]:
+    """Functions on a resolved back end, compiled into one library: what they have in common is compiled once."""
+    if backend != "compiled":
+        return list(functions)
+    library = str(_compile(functions))
+    return [ca.external(function.name(), library) for function in functions]
+
+
+def _compile(functions: Sequence[ca.Function]) -> Path:
+    """Path of the shared library with the functions, compiled unless the cache has it."""
+    name = functions[0].name()
+    generator = ca.CodeGenerator(name, {"with_header": False})
+    for function in functions:
+        generator.add(function)
     source = generator.dump()
     key = hashlib.sha256(f"{_toolchain()}\n{source}".encode()).hexdigest()[:24]
     folder = cache_folder()
-    library = folder / f"{function.name()}_{key}.so"
+    library = folder / f"{name}_{key}.so"
     if library.exists():
         return library
     with open(folder / f"{key}.lock", "w") as lock:
@@ -125,7 +136,7 @@ def _compile(function: ca.Function) -> Path:
                         done = subprocess.run(command, capture_output=True, text=True)
                         if done.returncode != 0:
                             reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
-                            raise QuadexpError(f"{command[0]} could not compile {function.name()}: {reason}")
+                            raise QuadexpError(f"{command[0]} could not compile {name}: {reason}")
                     os.replace(built, library)
         finally:
             Path(lock.name).unlink(missing_ok=True)

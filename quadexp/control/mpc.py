@@ -9,7 +9,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from quadexp.backend import BufferedFunction, realise, resolve
+from quadexp.backend import BufferedFunction, realise_together, resolve
 from quadexp.control.active_set import TOLERANCE, ActiveSet, Status
 from quadexp.control.settings import MPCSettings
 from quadexp.control.step import bounded_function, step_function
@@ -157,15 +157,14 @@ class ModelPredictiveController:
         self._U[...] = results["U_lin"] + length * d_input
 
 
-_built: dict[tuple, tuple[ca.Function, ca.Function]] = {}
+_built: dict[tuple, tuple[ca.Function, ...]] = {}
 
 
-def _functions(vehicle: Vehicle, residual: Residual, nodes: int, backend: str) -> tuple[ca.Function, ca.Function]:
+def _functions(vehicle: Vehicle, residual: Residual, nodes: int, backend: str) -> tuple[ca.Function, ...]:
     """Step and bounded solver on the resolved back end; built once per process and structure."""
     key = (vehicle.fingerprint, residual.function.serialize(), nodes, backend)
     if key not in _built:
-        scalar = backend == "compiled"
-        step = step_function(vehicle, residual, nodes, scalar=scalar)
-        bounded = bounded_function(step, nodes, scalar=scalar)
-        _built[key] = realise(step, backend), realise(bounded, backend)
+        step = step_function(vehicle, residual, nodes, scalar=backend == "compiled")
+        bounded = bounded_function(step, nodes)
+        _built[key] = tuple(realise_together([step, bounded], backend))
     return _built[key]

@@ -84,6 +84,12 @@ def adjoint_function(kind, a: ca.Sparsity, b: ca.Sparsity) -> ca.Function:
     )
 
 
+def riccati_functions(kind, a: ca.Sparsity, b: ca.Sparsity) -> dict[str, ca.Function]:
+    """The functions of a node by name, for matrices of type kind (SX or MX) where A and B have the patterns a and b."""
+    makers = (backward_function, first_node_function, forward_function, adjoint_function)
+    return {function.name(): function for function in (make(kind, a, b) for make in makers)}
+
+
 def _function(name: str, arguments: list, results: list) -> ca.Function:
     return ca.Function(
         name, arguments, ca.cse([ca.densify(result) if name != "backward" else result for result in results])

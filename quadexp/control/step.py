@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import casadi as ca
 
-from quadexp.control.riccati import adjoint_function, backward_function, first_node_function, forward_function
+from quadexp.control.riccati import riccati_functions
 from quadexp.dynamics.sensitivity import rk4_sensitivity_function
 from quadexp.residual.base import Residual
 from quadexp.state import ATTITUDE, N_STATE
 from quadexp.vehicle import Vehicle
 
+PASSES = ("backward", "first_node", "forward", "adjoint")
 LENGTH_MIN, LENGTH_MAX = 0.95, 1.05  # of a quaternion at a shooting node
 
 
@@ -57,14 +58,15 @@ def step_function(vehicle: Vehicle, residual: Residual, nodes: int, *, scalar: b
     q = [Q * d for d in deviation[:nodes]] + [Q_end * deviation[nodes]]
     r = [R * e for e in effort]
 
-    dX, dU = _solve(A, B, b, q, r, Q, Q_end, R, scalar=scalar)
+    passes = riccati_functions(ca.SX if scalar else ca.MX, A[0].sparsity(), B[0].sparsity())
+    dX, dU = _solve(passes, A, B, b, q, r, Q, Q_end, R)
     X_new = ca.horzcat(x0, *(x[k + 1] + dX[k] for k in range(nodes)))
     U_new = ca.horzcat(*(u[k] + dU[k] for k in range(nodes)))
     high, low = ca.repmat(u_max, 1, nodes), ca.repmat(u_min, 1, nodes)
     turn = ca.norm_inf(ca.vec(ca.horzcat(*dX)[ATTITUDE, :]))
     excess = ca.mmax(ca.fmax(U_new - high, low - U_new))
 
-    gradient = _input_gradient(A, B, q, r, scalar=scalar)
+    gradient = _input_gradient(passes, A, B, q, r)
     projected = [u[k] - ca.fmin(ca.fmax(u[k] - gradient[k], u_min), u_max) for k in range(nodes)]
     kkt = ca.fmax(ca.norm_inf(ca.vertcat(*b)), ca.norm_inf(ca.vertcat(*projected)))
     return ca.Function(
@@ -76,7 +78,7 @@ def step_function(vehicle: Vehicle, residual: Residual, nodes: int, *, scalar: b
     )
 
 
-def bounded_function(step: ca.Function, nodes: int, *, scalar: bool = True) -> ca.Function:
+def bounded_function(step: ca.Function, nodes: int) -> ca.Function:
     """The subproblem of `step` with some inputs held: (A, B, b, q, r, Q, Q_end, R, held (n, N), value (n, N)).
 
     held is 1 where an input's change is fixed to value (N), else 0. Returns dX (13, N), dU (n, N) and gradient (n, N),
@@ -96,12 +98,13 @@ def bounded_function(step: ca.Function, nodes: int, *, scalar: bool = True) -> c
     B_free = [ca.mtimes(B_k, ca.diag(f)) for B_k, f in zip(B, free, strict=True)]
     b_fixed = [b_k + ca.mtimes(B_k, v) for b_k, B_k, v in zip(b, B, fixed, strict=True)]
     r_free = [f * r_k for f, r_k in zip(free, r, strict=True)]
-    dX, dU = _solve(A, B_free, b_fixed, q, r_free, Q, Q_end, R, scalar=scalar)
+    passes = {name: step.get_function(name) for name in PASSES}  # the very same ones, to be compiled once
+    dX, dU = _solve(passes, A, B_free, b_fixed, q, r_free, Q, Q_end, R)
     dU = [du + v for du, v in zip(dU, fixed, strict=True)]
 
     q_at = [q_k + Q * dx for q_k, dx in zip(q[1:nodes], dX[:-1], strict=True)] + [q[nodes] + Q_end * dX[-1]]
     r_at = [r_k + R * du for r_k, du in zip(r, dU, strict=True)]
-    gradient = _input_gradient(A, B, [q[0], *q_at], r_at, scalar=scalar)
+    gradient = _input_gradient(passes, A, B, [q[0], *q_at], r_at)
     return ca.Function(
         "mpc_bounded",
         [A_all, B_all, b_all, q_all, r_all, Q, Q_end, R, held_all, value_all],
@@ -123,29 +126,26 @@ def _attitude_guard() -> ca.Function:
     return ca.Function("attitude_guard", [x], [ca.vertcat(x[:3], x[ATTITUDE] * scale, x[7:])])
 
 
-def _solve(A, B, b, q, r, Q, Q_end, R, *, scalar: bool):
+def _solve(passes: dict[str, ca.Function], A, B, b, q, r, Q, Q_end, R):
     """Deviations dX_1..dX_N and dU_0..dU_{N-1} of the unbounded subproblem (Riccati recursion)."""
-    nodes = len(A)
-    kind, a_pattern, b_pattern = ca.SX if scalar else ca.MX, A[0].sparsity(), B[0].sparsity()
-    backward, forward = (make(kind, a_pattern, b_pattern) for make in (backward_function, forward_function))
+    nodes, backward = len(A), passes["backward"]
     P, p = ca.project(ca.diag(Q_end), backward.sparsity_in(0)), q[nodes]
     K, k = [None] * nodes, [None] * nodes
     for i in range(nodes - 1, 0, -1):
         P, p, K[i], k[i] = backward(P, p, A[i], B[i], b[i], q[i], r[i], Q, R)
-    k[0] = first_node_function(kind, a_pattern, b_pattern)(P, p, A[0], B[0], b[0], q[0], r[0], Q, R)
+    k[0] = passes["first_node"](P, p, A[0], B[0], b[0], q[0], r[0], Q, R)
     dU = [-k[0]]
     dX = [ca.mtimes(B[0], dU[0]) + b[0]]
     for i in range(1, nodes):
-        du, dx = forward(dX[-1], A[i], B[i], b[i], K[i], k[i])
+        du, dx = passes["forward"](dX[-1], A[i], B[i], b[i], K[i], k[i])
         dU.append(du)
         dX.append(dx)
     return dX, dU
 
 
-def _input_gradient(A, B, q, r, *, scalar: bool):
+def _input_gradient(passes: dict[str, ca.Function], A, B, q, r):
     """Derivative of the Lagrangian with respect to each input, the adjoint run backwards from the last node."""
-    adjoint = adjoint_function(ca.SX if scalar else ca.MX, A[0].sparsity(), B[0].sparsity())
     multiplier, gradient = q[len(A)], [None] * len(A)
     for k in range(len(A) - 1, -1, -1):
-        multiplier, gradient[k] = adjoint(multiplier, A[k], B[k], q[k], r[k])
+        multiplier, gradient[k] = passes["adjoint"](multiplier, A[k], B[k], q[k], r[k])
     return gradient

@@ -19,7 +19,7 @@ NODES = 8
 @pytest.fixture(scope="module", params=[True, False], ids=["scalar", "matrix"])
 def solvers(request, vehicle):
     step = step_function(vehicle, make_residual("linear_drag", vehicle), NODES, scalar=request.param)
-    return BufferedFunction(step), BufferedFunction(bounded_function(step, NODES, scalar=request.param))
+    return BufferedFunction(step), BufferedFunction(bounded_function(step, NODES))
 
 
 def pose(step: BufferedFunction, vehicle, rng, *, spread: float, terminal: float) -> None:
