@@ -8,7 +8,7 @@ QUADEXP := $(BIN)/quadexp
 # One BLAS thread per process: the sweep fills the cores by itself.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: all setup quick test lint reproduce reproduce-torrente reproduce-lei-li reproduce-quick bench clean
+.PHONY: all setup quick test lint reproduce reproduce-torrente reproduce-lei-li reproduce-quick test-slow bench clean
 
 all: quick
 
@@ -56,6 +56,10 @@ reproduce-lei-li: $(STAMP)
 
 # The same claims on fewer flights, as tests that fail where a promised figure is missed.
 reproduce-quick: $(STAMP)
+	$(BIN)/python -m pytest -m slow tests/reproduction
+
+# Every slow test, the 200 seeds of each of Lei & Li's examples among them; ten minutes or more.
+test-slow: $(STAMP)
 	$(BIN)/python -m pytest -n auto --dist loadscope -m slow tests
 
 bench: $(STAMP)
