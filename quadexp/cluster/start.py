@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -42,7 +44,8 @@ def open_cluster(config: ClusterConfig, workers: int) -> Iterator[Client]:
         for name in ("distributed", "dask_jobqueue", "asyncssh"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
     with contextlib.ExitStack() as stack:
-        stack.enter_context(dask.config.set({**SETTINGS, "distributed.comm.timeouts.connect": f"{CONNECT:g}s"}))
+        connect = {"distributed.comm.timeouts.connect": f"{CONNECT:g}s"}
+        stack.enter_context(dask.config.set({**SETTINGS, **connect, **_tls_settings(config)}))
         where = _name(config)
         try:
             cluster = _cluster(config, workers, stack)
@@ -50,8 +53,8 @@ def open_cluster(config: ClusterConfig, workers: int) -> Iterator[Client]:
         except QuadexpError:
             raise
         except Exception as error:
-            said = [line for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
-            raise QuadexpError(f"{where} cannot be had: {said[-1 if config.kind == 'slurm' else 0]}") from error
+            said = str(error).strip().splitlines() or [type(error).__name__]
+            raise QuadexpError(f"{where} cannot be had: {said[0]}") from error
         stack.enter_context(client)
         yield client
 
@@ -111,14 +114,32 @@ def _security(config: ClusterConfig) -> Security | None:
     return _temporary["made"]
 
 
+def _tls_settings(config: ClusterConfig) -> dict[str, Any]:
+    """Given certificates as Dask settings, which processes started over SSH inherit."""
+    if not config.tls or config.tls_ca is None:
+        return {}
+    found: dict[str, Any] = {"distributed.comm.require-encryption": True}
+    found["distributed.comm.tls.ca-file"] = config.tls_ca
+    for role in ("client", "scheduler", "worker"):
+        found[f"distributed.comm.tls.{role}.cert"] = config.tls_cert
+        found[f"distributed.comm.tls.{role}.key"] = config.tls_key
+    return found
+
+
 def _ssh(config: DaskConfig, workers: int) -> Any:
     from distributed import SSHCluster
 
+    protocol = "tls://" if config.tls else "tcp://"
     return SSHCluster(
         [config.hosts[0], *config.hosts],
         connect_options={"known_hosts": _known_hosts()},
-        worker_options={"nthreads": 1, "n_workers": max(1, workers // len(config.hosts)), "memory_limit": 0},
-        scheduler_options={"dashboard": False, "port": 0},
+        worker_options={
+            "nthreads": 1,
+            "n_workers": max(1, workers // len(config.hosts)),
+            "memory_limit": 0,
+            "protocol": protocol,
+        },
+        scheduler_options={"dashboard": False, "port": 0, "protocol": protocol},
         remote_python=config.remote_python or sys.executable,
         security=_security(config),
     )
@@ -135,8 +156,7 @@ def _slurm(config: SlurmConfig, workers: int) -> Any:
     folder = Path(config.shared) if config.shared else None
     if folder is not None:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return SLURMCluster(
-        n_workers=workers,
+    cluster = SLURMCluster(
         cores=1,
         processes=1,
         memory=f"{config.job_memory:g}GB",
@@ -155,3 +175,24 @@ def _slurm(config: SlurmConfig, workers: int) -> Any:
         scheduler_options={"dashboard": False},
         silence_logs="critical",
     )
+    try:
+        _refused(cluster.job_script())
+    except BaseException:
+        cluster.close()
+        raise
+    cluster.scale(jobs=workers)
+    return cluster
+
+
+def _refused(script: str) -> None:
+    """Raise UsageError where Slurm would not take the job: dask-jobqueue only logs that, and no worker ever comes."""
+    with tempfile.NamedTemporaryFile("w", suffix=".sh") as file:
+        file.write(script)
+        file.flush()
+        try:
+            done = subprocess.run(["sbatch", "--test-only", file.name], capture_output=True, text=True)
+        except FileNotFoundError:
+            raise UsageError("engine=slurm: there is no sbatch here") from None
+    if done.returncode:
+        said = [line for line in done.stderr.splitlines() if line.strip()] or ["no reason given"]
+        raise UsageError(f"engine=slurm: Slurm takes no such job: {said[0]}")

@@ -98,11 +98,16 @@ class CellStore:
             if entry.name.endswith(".tmp"):
                 Path(entry.path).unlink(missing_ok=True)
 
-    def discard_if_empty(self) -> None:
-        """Leave no empty folders behind where nothing was flown."""
-        for folder in (self.folder, self.root):
-            if folder.is_dir() and not any(p for p in folder.rglob("*") if p.is_file()):
-                shutil.rmtree(folder, ignore_errors=True)
+    @contextlib.contextmanager
+    def emptied(self) -> Iterator[None]:
+        """Leave no empty folders behind where what is done inside fails before anything was flown."""
+        try:
+            yield
+        except BaseException:
+            for folder in (self.folder, self.root):
+                if folder.is_dir() and not any(path.is_file() for path in folder.rglob("*")):
+                    shutil.rmtree(folder, ignore_errors=True)
+            raise
 
     def _entries(self) -> Iterator[os.DirEntry]:
         for folder in os.scandir(self.folder) if self.folder.is_dir() else ():

@@ -83,7 +83,7 @@ def run_sweep(
             config = job.cell.config
             check_feasible(config, build_trajectory(config.trajectory), build_vehicle(config.vehicle))
     store.open()
-    with store.lock():
+    with store.emptied(), store.lock():
         if not force:
             _refuse_another_sweep(store, plan)
         store.clean()

@@ -57,7 +57,7 @@ def test_the_same_results_as_at_home(slurm, engine, tmp_path, tls):
 
 
 def test_a_job_that_slurm_refuses(engine, tmp_path):
-    with pytest.raises(QuadexpError, match="the Slurm cluster cannot be had: sbatch: error: .*artition"):
+    with pytest.raises(QuadexpError, match="engine=slurm: Slurm takes no such job: .*artition"):
         run_sweep(expand(SHORT), tmp_path / "r", engine=engine("engine.queue=nowhere"))
 
 
