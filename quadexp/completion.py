@@ -15,9 +15,10 @@ import typer
 def groups(extra: Path | None = None) -> dict[str, list[str]]:
     """Configuration groups and their options: a listing of the folders."""
     from quadexp.config import conf_folder
+    from quadexp.plugins import plugin_folders
 
     found: dict[str, set[str]] = {}
-    for root in (conf_folder(), extra):
+    for root in (conf_folder(), *plugin_folders().values(), extra):
         for folder in sorted(root.iterdir()) if root and root.is_dir() else ():
             if folder.is_dir():
                 found.setdefault(folder.name, set()).update(path.stem for path in folder.glob("*.yaml"))

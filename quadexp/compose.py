@@ -32,6 +32,7 @@ from quadexp.compose_base import Bases, Repository
 from quadexp.config import SCHEMAS, Config, conf_folder
 from quadexp.errors import UsageError
 from quadexp.messages import one_line, suggestion
+from quadexp.plugins import import_from, plugin_folders
 
 _INTEGER = re.compile(r"0|-?[1-9]\d{0,17}")
 PARSED_KEPT = 50_000  # overrides that are remembered at most
@@ -236,16 +237,23 @@ def _register() -> None:
 
 @contextlib.contextmanager
 def session(extra: Path | None = None) -> Iterator[Composer]:
-    """A Composer over conf/ and, if given, a user's own folder of the same layout, which has precedence."""
+    """A Composer over conf/, installed plugins and, if given, a user's own folder of the same layout.
+
+    The user's folder goes before all others; modules in it can be named under `_target_`.
+    """
     if extra is not None and not extra.is_dir():
         raise UsageError(f"--conf {extra}: no such folder")
+    folders = [*plugin_folders().items(), *([("user", extra.resolve())] if extra is not None else [])]
+    if extra is not None:
+        import_from(extra.resolve())
     _register()
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(conf_folder()), job_name="quadexp", version_base="1.3"):
         loader = GlobalHydra.instance().config_loader()
-        if extra is not None:
+        if folders:
             path = loader.get_search_path()
-            path.prepend("user", f"file://{extra.resolve()}", anchor=SearchPathQuery(provider="schema"))
+            for provider, folder in folders:
+                path.prepend(provider, f"file://{folder}", anchor=SearchPathQuery(provider="schema"))
             loader = ConfigLoaderImpl(config_search_path=path)
             GlobalHydra.instance().hydra.config_loader = loader  # type: ignore[union-attr]
         yield Composer(loader)  # type: ignore[arg-type]

@@ -15,6 +15,12 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar
 
+from quadexp.config_custom import (
+    CustomControllerConfig,
+    CustomPlantConfig,
+    CustomResidualMPCConfig,
+    CustomTrajectoryConfig,
+)
 from quadexp.config_engine import DaskConfig, EngineConfig, SlurmConfig
 from quadexp.config_flight import (
     CircleConfig,
@@ -163,7 +169,11 @@ class Config(Checked):
 # Schemas by the name that conf/ files extend: `defaults: [/schema/trajectory/circle@_here_, _self_]`.
 SCHEMAS: dict[str, dict[str, type]] = {
     "vehicle": {"rigid": VehicleConfig},
-    "plant": {"simplified": SimplifiedPlantConfig, "blade_element": BladeElementPlantConfig},
+    "plant": {
+        "simplified": SimplifiedPlantConfig,
+        "blade_element": BladeElementPlantConfig,
+        "custom": CustomPlantConfig,
+    },
     "sensor": {"accelerometer": SensorConfig},
     "trajectory": {
         "circle": CircleConfig,
@@ -174,8 +184,15 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "file": FileConfig,
         "rectangle": RectangleConfig,
         "lei_li_circle": LeiLiCircleConfig,
+        "custom": CustomTrajectoryConfig,
     },
-    "controller": {"mpc": MPCConfig, "feedback": FeedbackConfig, "rls_mpc": RLSMPCConfig},
+    "controller": {
+        "mpc": MPCConfig,
+        "feedback": FeedbackConfig,
+        "rls_mpc": RLSMPCConfig,
+        "custom": CustomControllerConfig,
+        "custom_residual_mpc": CustomResidualMPCConfig,
+    },
     "collect": {"flights": CollectConfig},
     "gp": {"sparse": GPConfig},
     "drag": {"linear": DragConfig},

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from quadexp.config import Config, ControllerConfig, PlantConfig, SensorConfig, TrajectoryConfig, VehicleConfig
 from quadexp.errors import DataError, UsageError
-from quadexp.experiment import build_lei_li
+from quadexp.experiment import build_custom, build_lei_li
 from quadexp.experiment.identity import digest
 from quadexp.experiment.inputs import located
 from quadexp.rotor import RotorGeometry
@@ -58,7 +58,11 @@ def build_vehicle(config: VehicleConfig) -> Vehicle:
 
 def build_plant(vehicle: Vehicle, config: PlantConfig) -> Any:
     """The simulated truth."""
-    makers = {"simplified": _simplified_plant, "blade_element": build_lei_li.blade_element_plant}
+    makers = {
+        "simplified": _simplified_plant,
+        "blade_element": build_lei_li.blade_element_plant,
+        "custom": build_custom.custom_plant,
+    }
     return _keep(["plant", vehicle.fingerprint, asdict(config)], lambda: makers[config.kind](vehicle, config))
 
 
@@ -81,6 +85,8 @@ def build_sensor(config: SensorConfig) -> Any:
 
 def build_trajectory(config: TrajectoryConfig) -> Any:
     """The trajectory; raises UsageError or DataError where its numbers or its file describe none."""
+    if config.kind == "custom":
+        return build_custom.custom_trajectory(config)
     from quadexp.trajectory.circle import Circle
     from quadexp.trajectory.from_file import FileTrajectory
     from quadexp.trajectory.hover import Hover
@@ -132,6 +138,7 @@ def input_hashes(config: Config, model: ModelFile | None) -> dict[str, str]:
     """Content hash of every file that a flight reads."""
     hashes = {"model": model.sha256} if model else {}
     path = getattr(config.trajectory, "path", None)
+    hashes |= build_custom.source_hashes(config)
     if path is not None:
         if not Path(path).is_file():
             raise UsageError(f"trajectory.path={path}: no such file")
@@ -149,6 +156,8 @@ def build_residual(config: Config, vehicle: Vehicle, plant: Any, model: ModelFil
     if kind == "plant":
         plant.reset()  # as things stand before any change in flight
         return plant.residual()
+    if kind == "custom":
+        return build_custom.custom_residual(vehicle, config.controller)
     assert model is not None
     return _keep(["residual", kind, vehicle.fingerprint, model.sha256], lambda: _from_file(kind, vehicle, model))
 
@@ -177,6 +186,8 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
     record = ["controller", vehicle.fingerprint, asdict(controller), believed]
 
     def make() -> Any:
+        if controller.kind == "custom":
+            return build_custom.custom_controller(vehicle, controller)
         settings = controller_settings(controller)
         if controller.kind == "feedback":
             return build_lei_li.feedback_controller(controller, settings, vehicle, plant)
@@ -200,7 +211,9 @@ def knows_plant(config: ControllerConfig) -> bool:
 
 
 def controller_settings(config: ControllerConfig) -> Any:
-    """The controller's settings; raises UsageError where they contradict each other."""
+    """The controller's settings, None for one's own; raises UsageError where they contradict each other."""
+    if config.kind == "custom":
+        return None
     from quadexp.control.settings import MPCSettings
 
     kind = build_lei_li.feedback_settings() if config.kind == "feedback" else MPCSettings

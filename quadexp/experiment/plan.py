@@ -117,7 +117,8 @@ class Plan:
     def _job(self, cell: Cell) -> Job:
         config = cell.config
         controller, vehicle = self._text(config.controller), self._text(config.vehicle)
-        reads = (config.model, controller, vehicle, getattr(config.trajectory, "path", None))
+        own = (getattr(config.trajectory, "_target_", None), getattr(config.plant, "_target_", None))
+        reads = (config.model, controller, vehicle, getattr(config.trajectory, "path", None), *own)
         if reads not in self._found:
             model = find_model(config)
             self._found[reads] = model, input_hashes(config, model)
@@ -150,7 +151,7 @@ class Plan:
 def _structure(config: Config, vehicle: str) -> str:
     """What the functions of a controller are generated and compiled from, beside its numbers."""
     controller = config.controller
-    parts = [getattr(controller, name, None) for name in ("kind", "residual", "nodes", "backend", "variant")]
+    parts = [getattr(controller, name, None) for name in ("kind", "residual", "nodes", "backend", "variant", "_target_")]
     return canonical([vehicle, parts])
 
 

@@ -1,0 +1,55 @@
+"""A controller of one's own: geometric tracking on SE(3) (Lee, Leok & McClamroch 2010), reference rates fed forward.
+
+f = m (a_ref + g e_z - k_p e_p - k_v e_v),   T = f . R e_z
+tau = J (-k_R e_R - k_w (w - w_ref)) + w x J w,   e_R = 1/2 vee(R_d' R - R' R_d)
+"""
+
+import time
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from quadexp.control.active_set import Status
+from quadexp.control.mpc import StepRecord
+from quadexp.state import ATTITUDE, POSITION, RATE, VELOCITY
+
+
+class GeometricController:
+    """Gains: 1/s^2 and 1/s. rate: of control, Hz. See quadexp/control/base.py for what a controller has."""
+
+    residual, reference_period, backend = None, 0.0, "interpreted"
+    name, source = "none", ""
+
+    def __init__(self, vehicle, *, rate=200.0, position=6.0, velocity=4.0, attitude=120.0, angular=16.0):
+        self.vehicle, self.control_period, self.node_times = vehicle, 1.0 / rate, np.zeros(1)
+        self.gains = position, velocity, attitude, angular
+        self.mixer = np.linalg.pinv(vehicle.allocation)
+
+    def forget(self):
+        pass
+
+    def reset(self, x, window):
+        pass
+
+    def step(self, measurement, window):
+        began = time.perf_counter()
+        x, reference, vehicle = measurement.state, window.state[0], self.vehicle
+        k_p, k_v, k_R, k_w = self.gains
+        R, R_ref = Rotation.from_quat(np.stack([x[ATTITUDE], reference[ATTITUDE]]), scalar_first=True).as_matrix()
+        error_p, error_v = x[POSITION] - reference[POSITION], x[VELOCITY] - reference[VELOCITY]
+        force = window.position[2] + [0, 0, vehicle.gravity] - k_p * error_p - k_v * error_v  # per mass
+        z = force / np.linalg.norm(force)
+        y = np.cross(z, R_ref[:, 0])  # heading as in the reference
+        y /= np.linalg.norm(y)
+        R_d = np.stack([np.cross(y, z), y, z], axis=1)
+        skew = 0.5 * (R_d.T @ R - R.T @ R_d)
+        error_R = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
+        w, J = x[RATE], vehicle.inertia_matrix
+        torque = J @ (-k_R * error_R - k_w * (w - reference[RATE])) + np.cross(w, J @ w)
+        wanted = self.mixer @ np.array([vehicle.mass * force @ R[:, 2], *torque])
+        u = np.clip(wanted, vehicle.thrust_min, vehicle.thrust_max)
+        status = Status.RICCATI if np.isfinite(u).all() else Status.FAILED
+        return u, StepRecord(time.perf_counter() - began, status, 0, int((u != wanted).sum()), 0.0)
+
+    def log(self):
+        return {}

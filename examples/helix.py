@@ -1,0 +1,50 @@
+"""A trajectory of one's own: an upward helix from rest to rest.
+
+    p = (r cos th, r sin th, z0 + pitch th / 2 pi),    th(t) = 2 pi turns s(t / duration)
+
+s is the polynomial of ninth order that starts and ends with four derivatives of zero, so that position, velocity,
+acceleration, jerk and snap are continuous: what differential flatness needs.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from quadexp.trajectory.base import FlatOutput, check_positive, flat_output_held, hold_outside
+from quadexp.trajectory.phasor import phasor
+
+SMOOTH = Polynomial([0, 0, 0, 0, 0, 126, -420, 540, -315, 70])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Helix:
+    """speed: largest speed, m/s. radius, height (of the start): m. pitch: climb per turn, m. turns: how many."""
+
+    speed: float
+    radius: float = 3.0
+    pitch: float = 1.0
+    turns: float = 3.0
+    height: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_positive(speed=self.speed, radius=self.radius, turns=self.turns)
+
+    @property
+    def duration(self) -> float:
+        length = 2 * np.pi * self.turns * np.hypot(self.radius, self.pitch / (2 * np.pi))
+        return length * SMOOTH.deriv()(0.5) / self.speed
+
+    @property
+    def peak_speed(self) -> float:
+        return self.speed
+
+    def flat_output(self, t: np.ndarray) -> FlatOutput:
+        t, inside = hold_outside(t, self.duration)
+        share = t / self.duration
+        shape = [SMOOTH(share), *(SMOOTH.deriv(n)(share) / self.duration**n for n in range(1, 5))]
+        angle = 2 * np.pi * self.turns * np.stack(shape, axis=1)
+        point = self.radius * phasor(angle)
+        climb = self.pitch / (2 * np.pi) * angle
+        climb[:, 0] += self.height
+        return flat_output_held(np.stack([point.real, point.imag, climb], axis=2), None, inside)
