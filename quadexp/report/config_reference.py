@@ -1,0 +1,163 @@
+"""The reference of every configuration key, from the schemas and from conf/ itself.
+
+    python -m quadexp.report.config_reference > docs/configuration.md
+
+Type, range and unit are the schemas' own, the meaning is that of quadexp/config_meaning.py, and the value is what the
+option sets that is taken by default, or else the one of the schema's own name, or the first that extends it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from typing import Any, get_type_hints
+
+import yaml
+
+from quadexp.config import SCHEMAS, Config, EvaluateConfig, conf_folder
+from quadexp.config_meaning import MEANINGS
+
+ASIDE = {"name", "kind", "sweep"}  # set by the option, not by its user
+HEAD = """# Configuration reference
+
+Every key can be given on the command line as `KEY=VALUE` (`trajectory.speed=8`), in a file of your own (`--conf DIR`,
+laid out as `conf/`), or swept (`quadexp evaluate --sweep trajectory.speed=4,8,12`). A value outside its range is
+refused before anything runs. This page is made from the schemas and from `conf/`:
+`python -m quadexp.report.config_reference > docs/configuration.md`.
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Key:
+    """One row of the reference; all fields are text."""
+
+    name: str
+    kind: str
+    value: str
+    allowed: str
+    meaning: str
+
+
+def reference() -> str:
+    """The whole page, Markdown."""
+    chosen = _chosen()
+    parts = [HEAD, "## Run\n", _table(_root_keys())]
+    for group, schemas in SCHEMAS.items():
+        options = _options(group)
+        listed = ", ".join(f"`{name}`" for name in options)
+        parts.append(f"## {group}\n\n`{group}=` {listed}\n")
+        for schema, node in schemas.items():
+            title = f"### {group}: schema `{schema}`" if len(schemas) > 1 else ""
+            using = [name for name, used in options.items() if used == schema]
+            using.sort(key=lambda name: (name != chosen.get(group), name != schema))
+            example = f" Options: {', '.join(f'`{name}`' for name in using)}." if using and len(schemas) > 1 else ""
+            doc = " ".join((node.__doc__ or "").split())
+            values = _values(group, using[0]) if using else {}
+            parts.append("\n".join(filter(None, [title, "", f"{doc}{example}"])) + "\n")
+            parts.append(_table(_keys(node, f"{group}.", values)))
+    return "\n".join(parts)
+
+
+def keys() -> list[str]:
+    """Every key there is, without what options of one's own add."""
+    found = [key.name for key in _root_keys()]
+    for group, schemas in SCHEMAS.items():
+        found += [key.name for node in schemas.values() for key in _keys(node, f"{group}.", {})]
+    return sorted(set(found))
+
+
+def _root_keys() -> Iterator[Key]:
+    values = yaml.safe_load((conf_folder() / "config.yaml").read_text(encoding="utf-8"))
+    groups = set(SCHEMAS)
+    for f in dataclasses.fields(Config):
+        if f.name == "evaluate":
+            yield from _keys(EvaluateConfig, "evaluate.", values["evaluate"])
+        elif f.name not in groups | ASIDE:
+            yield _key(f, "", Config, values.get(f.name))
+
+
+def _keys(node: type, prefix: str, values: Any) -> Iterator[Key]:
+    """The keys of a node and of those inside it."""
+    hints = get_type_hints(node)
+    for f in dataclasses.fields(node):
+        if f.name in ASIDE:
+            continue
+        inner = _node(hints[f.name])
+        value = values.get(f.name) if isinstance(values, dict) else None
+        if inner is not None:
+            yield from _keys(inner, f"{prefix}{f.name}.", value or {})
+        else:
+            yield _key(f, prefix, node, value)
+
+
+def _node(hint: Any) -> type | None:
+    """The dataclass that a type hint names, alone or beside None."""
+    found = [part for part in getattr(hint, "__args__", (hint,)) if dataclasses.is_dataclass(part)]
+    return found[0] if found else None
+
+
+def _key(f: Any, prefix: str, node: type, value: Any) -> Key:
+    kind = str(get_type_hints(node)[f.name]).replace("typing.", "")
+    kind = re.sub(r"<class '(\w+)'>", r"\1", kind)
+    allowed = ", ".join(f"`{word}`" for word in f.metadata.get("choices", ()))
+    if f.metadata.get("interval"):
+        allowed = f"{f.metadata['interval']} {f.metadata.get('unit', '')}".strip()
+        if f.metadata.get("length"):
+            allowed = f"{f.metadata['length']} numbers in {allowed}"
+    if value is None and f.default not in (dataclasses.MISSING, "???"):
+        value = f.default
+    if value is None and f.default_factory is not dataclasses.MISSING:
+        value = f.default_factory()
+    shown = "" if f.default == "???" and value is None else yaml.safe_dump(value, default_flow_style=True, width=1e6)
+    shown = shown.replace("\n...", "").strip()
+    return Key(f"{prefix}{f.name}", kind, shown, allowed, MEANINGS.get(f"{prefix}{f.name}", ""))
+
+
+def _chosen() -> dict[str, str]:
+    """The option that config.yaml takes of every group."""
+    defaults = yaml.safe_load((conf_folder() / "config.yaml").read_text(encoding="utf-8"))["defaults"]
+    return {group: option for entry in defaults if isinstance(entry, dict) for group, option in entry.items()}
+
+
+def _options(group: str) -> dict[str, str]:
+    """Options of a group, and the schema each extends in the end."""
+    return {path.stem: _schema(group, path.stem) for path in sorted((conf_folder() / group).glob("*.yaml"))}
+
+
+def _schema(group: str, option: str) -> str:
+    schema = ""
+    for default in _read(group, option).get("defaults", ()):
+        if isinstance(default, str) and default.startswith(f"/schema/{group}/"):
+            schema = default.removeprefix(f"/schema/{group}/").partition("@")[0]
+        elif isinstance(default, str) and default != "_self_":
+            schema = schema or _schema(group, default)
+    return schema
+
+
+def _values(group: str, option: str) -> dict[str, Any]:
+    """What an option sets, with what it inherits from others."""
+    values: dict[str, Any] = {}
+    content = _read(group, option)
+    for default in content.pop("defaults", ["_self_"]):
+        if default == "_self_":
+            values |= content
+        elif isinstance(default, str) and not default.startswith("/"):
+            values |= _values(group, default)
+    return values
+
+
+def _read(group: str, option: str) -> dict[str, Any]:
+    return yaml.safe_load((conf_folder() / group / f"{option}.yaml").read_text(encoding="utf-8")) or {}
+
+
+def _table(keys: Iterator[Key]) -> str:
+    lines = ["| key | type | value | allowed | meaning |", "|---|---|---|---|---|"]
+    for key in keys:
+        cells = [f"`{key.name}`", key.kind, f"`{key.value}`" if key.value else "", key.allowed, key.meaning]
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    print(reference(), end="")
