@@ -1,12 +1,15 @@
 """Tables on disk: Parquet, with the record in the schema metadata, appearing whole or not at all.
 
-Under the key `quadexp` the file carries JSON: {"kind": "flight" | "residuals" | "results", "schema": 1, ...}. A file is
-written to a temporary name in its own folder, flushed to the disk, then renamed.
+Under the key `quadexp` the file carries JSON: {"kind": "flight" | "residuals" | "results", "schema": 2, ...}, and under
+`quadexp_sha256` the hash of that text and of the columns' names; every page of data carries a checksum. A changed bit is
+therefore noticed wherever it is. A file is written to a temporary name in its own folder, flushed to the disk, then
+renamed.
 """
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 from collections.abc import Callable, Iterable, Mapping
@@ -19,8 +22,9 @@ from quadexp.errors import DataError, UsageError
 from quadexp.flight.schema import Flight, describe
 from quadexp.state import STATE_COLUMNS
 
-SCHEMA = 1
+SCHEMA = 2
 METADATA_KEY = b"quadexp"
+HASH_KEY = b"quadexp_sha256"
 COMMANDS = {
     "flight": "simulate",
     "residuals": "collect",
@@ -104,12 +108,18 @@ def write_table(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[
 
     arrays = {name: _arrow(values) for name, values in columns.items()}
     record = json.dumps({**metadata, "kind": kind, "schema": SCHEMA}, sort_keys=True, default=_plain)
-    schema = pa.schema([_field(name, array, kind) for name, array in arrays.items()], metadata={METADATA_KEY: record})
+    fields = [_field(name, array, kind) for name, array in arrays.items()]
+    digest = _digest(record.encode(), list(arrays))
+    schema = pa.schema(fields, metadata={METADATA_KEY: record, HASH_KEY: digest})
     table = pa.Table.from_arrays(list(arrays.values()), schema=schema)
     text = [name for name, array in arrays.items() if pa.types.is_string(array.type)]
-    return write_bytes(
-        path, lambda temporary: pq.write_table(table, temporary, compression="zstd", use_dictionary=text)
-    )
+    options = {"compression": "zstd", "use_dictionary": text, "write_page_checksum": True}
+    return write_bytes(path, lambda temporary: pq.write_table(table, temporary, **options))
+
+
+def _digest(record: bytes, names: list[str]) -> bytes:
+    """Hash of a table's record and of its columns' names."""
+    return hashlib.sha256(b"\0".join([record, *(name.encode() for name in names)])).hexdigest().encode()
 
 
 def _plain(value: Any) -> Any:
@@ -137,8 +147,10 @@ def read_metadata(path: str | Path, kind: str | None = None) -> dict[str, Any]:
         raise UsageError(f"{path}: no such file{maker}")
     try:
         schema = pq.read_schema(path)
-    except (pa.ArrowInvalid, OSError) as error:
+    except (pa.ArrowException, OSError, MemoryError) as error:
         raise DataError(f"{path}: not a Parquet file, or damaged ({first_line(error)})") from None
+    except (UnicodeError, ValueError, OverflowError) as error:
+        raise DataError(f"{path}: damaged ({first_line(error)})") from None
     raw = (schema.metadata or {}).get(METADATA_KEY)
     try:
         record = json.loads(raw)
@@ -147,6 +159,8 @@ def read_metadata(path: str | Path, kind: str | None = None) -> dict[str, Any]:
         raise DataError(f"{path}: a Parquet file, but not one that quadexp wrote") from None
     if version != SCHEMA:
         raise DataError(f"{path}: written with schema {version}, this program reads schema {SCHEMA}: make it again")
+    if schema.metadata.get(HASH_KEY) != _digest(raw, schema.names):
+        raise DataError(f"{path}: damaged, its record does not match its hash: make it again")
     if kind is not None and found != kind:
         raise DataError(f"{path}: holds {found}, {kind} are needed here (made by `quadexp {COMMANDS[kind]}`)")
     return record
@@ -165,10 +179,10 @@ def read_table(
 
     record = read_metadata(path, kind)
     try:
-        with pq.ParquetFile(path) as file:  # pq.read_table imports pandas for it
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:  # pq.read_table imports pandas for it
             table = file.read()
         columns = {name: _numpy(table.column(name)) for name in table.column_names}
-    except (pa.ArrowInvalid, OSError) as error:
+    except (pa.ArrowException, OSError, MemoryError, ValueError, OverflowError) as error:
         raise DataError(f"{path}: damaged ({first_line(error)})") from None
     missing = [name for name in required if name not in columns]
     if missing:

@@ -112,7 +112,7 @@ class TestBadFiles:
         monkeypatch.setattr("quadexp.flight.store.SCHEMA", 7)
         path = write_flight(tmp_path / "a.parquet", straight_flight())
         monkeypatch.undo()
-        with pytest.raises(DataError, match="written with schema 7, this program reads schema 1"):
+        with pytest.raises(DataError, match="written with schema 7, this program reads schema 2"):
             read_flight(path)
 
     def test_missing_column(self, tmp_path):
