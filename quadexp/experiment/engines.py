@@ -27,8 +27,8 @@ def build_engine(config: Config) -> Engine:
     for name in needed:
         try:
             importlib.import_module(name)
-        except ModuleNotFoundError:
-            raise UsageError(f"engine={engine.name} needs {name}, which is not installed: {EXTRA}") from None
+        except ImportError:
+            raise UsageError(f"engine={engine.name} needs {name}, which is not (wholly) installed: {EXTRA}") from None
     from quadexp.cluster.driver import DaskEngine
     from quadexp.cluster.start import open_cluster
 

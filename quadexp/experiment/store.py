@@ -97,6 +97,8 @@ class CellStore:
         for entry in self._entries():
             if entry.name.endswith(".tmp"):
                 Path(entry.path).unlink(missing_ok=True)
+        for path in self.root.glob(".*.tmp"):
+            path.unlink(missing_ok=True)
 
     @contextlib.contextmanager
     def emptied(self) -> Iterator[None]:

@@ -1,9 +1,9 @@
 """Tables on disk: Parquet, with the record in the schema metadata, appearing whole or not at all.
 
-Under the key `quadexp` the file carries JSON: {"kind": "flight" | "residuals" | "results", "schema": 2, ...}, and under
-`quadexp_sha256` the hash of that text and of the columns' names; every page of data carries a checksum. A changed bit is
-therefore noticed wherever it is. A file is written to a temporary name in its own folder, flushed to the disk, then
-renamed.
+Under the key `quadexp` the file carries JSON: {"kind": "flight" | "residuals" | "results", "schema": 2, ...}, and
+under `quadexp_sha256` the hash of that text and of the columns' names; every page of data carries a checksum. A changed
+bit is therefore noticed wherever it is. A file is written to a temporary name in its own folder, flushed to the disk,
+then renamed.
 """
 
 from __future__ import annotations
@@ -249,8 +249,8 @@ def write_flight(path: str | Path, flight: Flight, **extra: Any) -> Path:
 
 def read_flight(path: str | Path, *, check: bool = True) -> Flight:
     """Read a flight. check: refuse NaN in time, state or input (naming column and row)."""
-    required = ("t", *STATE_COLUMNS, "u_0")
-    columns, record = read_table(path, "flight", required=required)
+    thrust = () if read_metadata(path).get("recorded") else ("u_0",)  # a log seldom says the rotors' thrust
+    columns, record = read_table(path, "flight", required=("t", *STATE_COLUMNS, *thrust))
     if check:
         names = ["t", *STATE_COLUMNS, *(name for name in columns if name.startswith("u_"))]
         check_finite(columns, names, str(path))

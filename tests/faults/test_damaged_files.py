@@ -1,4 +1,4 @@
-"""Damaged files: every changed bit and every missing byte ends in the right data or in a clear line, never in others."""
+"""Damaged files: a changed bit or a missing byte ends in the right data or in a clear line, never in other data."""
 
 from __future__ import annotations
 

@@ -1,0 +1,119 @@
+"""Files that cannot be written, or not to their end: nothing half, nothing lost, one clear line."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import subprocess
+
+import pytest
+
+from quadexp.flight.store import read_flight
+from tests.faults.command import FLY, one_line, run
+
+
+def files(folder):
+    return sorted(path.name for path in folder.rglob("*") if path.is_file())
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system with room for 16 kB, where one may be mounted."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    done = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16k", "tmpfs", place], capture_output=True)
+    if done.returncode:
+        pytest.skip("no file system can be mounted here")
+    yield place
+    subprocess.run(["umount", place], check=True)
+
+
+def test_the_disk_is_full(small_disk, tmp_path):
+    """The old flight is still there and whole, although a new one was to replace it."""
+    path = small_disk / "a.parquet"
+    assert run(*FLY, "--out", tmp_path / "a.parquet").returncode == 0
+    with contextlib.suppress(OSError):
+        (small_disk / "ballast").write_bytes(b"0" * 16384)
+    line = one_line(run(*FLY, "--out", path))
+    assert str(path) in line and "No space left on device" in line
+    assert files(small_disk) == ["ballast"]
+
+
+def test_a_file_may_not_grow(tmp_path):
+    """The limit is met in the middle of writing."""
+    path = tmp_path / "a.parquet"
+    assert run(*FLY, "--out", path).returncode == 0
+    whole = path.read_bytes()
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+    # SIGXFSZ is ignored by Python: the write itself fails
+    line = one_line(run(*FLY, "--out", path, "--force", limit=limit))
+    assert str(path) in line and "too large" in line
+    assert path.read_bytes() == whole and files(tmp_path) == ["a.parquet"]
+
+
+@pytest.fixture
+def closed(tmp_path):
+    """A folder that takes no files, not even from the superuser where that one runs the tests."""
+    folder = tmp_path / "closed"
+    folder.mkdir()
+    if os.getuid():
+        folder.chmod(0o555)
+        yield folder, "Permission denied"
+        folder.chmod(0o755)
+        return
+    done = subprocess.run(["mount", "-t", "tmpfs", "-o", "ro", "tmpfs", folder], capture_output=True)
+    if done.returncode:
+        pytest.skip("no file system can be mounted here")
+    yield folder, "Read-only file system"
+    subprocess.run(["umount", folder], check=True)
+
+
+def test_a_folder_that_takes_no_files(closed):
+    """Said before the flight, not after it; in a folder below it too."""
+    folder, cause = closed
+    for path in (folder / "a.parquet", folder / "deeper" / "a.parquet"):
+        done = run(*FLY, "--out", path)
+        assert f"{path}: cannot be written there ({cause})" in one_line(done) and done.returncode == 2
+    sweep = run("evaluate", "--sweep", "--no-figures", *FLY[1:], "--out", folder / "results")
+    assert str(folder / "results") in one_line(sweep) and cause in sweep.stderr
+    assert files(folder) == []
+
+
+KILL = """
+import os, signal
+replace = os.replace
+def kill(source, target, **options):
+    if str(target).endswith({name!r}):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return replace(source, target, **options)
+os.replace = kill
+"""
+
+
+def test_killed_between_write_and_rename(tmp_path):
+    """What was there is there still; the next run writes as if nothing had been."""
+    path = tmp_path / "a.parquet"
+    assert run(*FLY, "--out", path).returncode == 0
+    before = read_flight(path)
+    done = run(*FLY, "seed=3", "--out", path, "--force", before=KILL.format(name="a.parquet"))
+    assert done.returncode == -9
+    assert read_flight(path).metadata["seed"] == before.metadata["seed"] == 0
+    assert run(*FLY, "seed=3", "--out", path, "--force").returncode == 0
+    assert read_flight(path).metadata["seed"] == 3
+
+
+def test_a_sweep_killed_between_write_and_rename(tmp_path):
+    """Every cell once, and no temporary file, after the same command again."""
+    out = tmp_path / "results"
+    sweep = ("evaluate", "--sweep", "--no-figures", *FLY[1:], "seed=0,1", "evaluate.workers=1", "--out", out)
+    done = run(*sweep, before=KILL.format(name="results.parquet"))
+    assert done.returncode == -9
+    again = run(*sweep)
+    assert again.returncode == 0, again.stderr
+    assert not [name for name in files(out) if name.endswith(".tmp")]
+    rows = (out / "results.csv").read_text().strip().splitlines()
+    assert len(rows) == 3
