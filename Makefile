@@ -8,7 +8,7 @@ QUADEXP := $(BIN)/quadexp
 # One BLAS thread per process: the sweep fills the cores by itself.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: all setup quick test lint reproduce reproduce-torrente reproduce-lei-li reproduce-quick test-slow bench clean
+.PHONY: all setup quick test lint reproduce reproduce-torrente reproduce-lei-li reproduce-quick test-slow properties mutation stress bench clean
 
 all: quick
 
@@ -48,10 +48,10 @@ reproduce-lei-li: $(STAMP)
 	$(QUADEXP) evaluate --sweep experiment=lei_li_example1 --out results/lei_li_example1
 	$(QUADEXP) evaluate --sweep experiment=lei_li_example2 --out results/lei_li_example2
 	$(QUADEXP) collect vehicle=lei_li plant=blade_element --out data/lei_li_blade_element.parquet --force
-	$(QUADEXP) fit-gp data/lei_li_blade_element.parquet gp=blade_element --out models/lei_li/blade_element --force
+	$(QUADEXP) fit-gp data/lei_li_blade_element.parquet vehicle=lei_li plant=blade_element gp=blade_element --out models/lei_li/blade_element --force
 	$(QUADEXP) collect vehicle=lei_li plant=simplified --out data/lei_li_simplified.parquet --force
-	$(QUADEXP) fit-gp data/lei_li_simplified.parquet --out models/lei_li/simplified --force
-	-$(QUADEXP) evaluate --sweep experiment=families --out results/families
+	$(QUADEXP) fit-gp data/lei_li_simplified.parquet vehicle=lei_li plant=simplified --out models/lei_li/simplified --force
+	$(QUADEXP) evaluate --sweep experiment=families --out results/families
 	$(QUADEXP) evaluate --sweep experiment=adaptation --out results/adaptation
 
 # The same claims on fewer flights, as tests that fail where a promised figure is missed.
@@ -62,8 +62,21 @@ reproduce-quick: $(STAMP)
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -n auto --dist loadscope -m slow tests
 
+# The property tests on up to four hundred examples each, drawn anew every time.
+properties: $(STAMP)
+	HYPOTHESIS_PROFILE=slow $(BIN)/python -m pytest -n auto tests/properties
+
+# Wrong signs and constants, one at a time: do the tests notice? A drawn sample; MUTANTS=0: all of them, hours.
+MUTANTS ?= 20
+mutation: $(STAMP)
+	$(BIN)/python -m tests.mutation.mutate --sample $(MUTANTS) --seed 0
+
+# 10,000 states and references that no flight should bring, for every model of the air.
+stress: $(STAMP)
+	$(BIN)/python -m benchmarks.stress
+
 bench: $(STAMP)
-	$(BIN)/python -m benchmarks.step
+	$(BIN)/python -m benchmarks.all
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info

@@ -57,6 +57,7 @@ def test_published_noise_amplitudes(vehicle):
     """At their 0.5 ms step the densities give the published 0.005 N, and 0.02 sqrt(u) of the normalised thrust."""
     effects = PlantEffects()
     assert effects.force_noise_density / np.sqrt(5e-4) == pytest.approx(0.005)
+    assert effects.torque_noise_density / np.sqrt(5e-4) == pytest.approx(0.005)
     assert effects.motor_noise_density / np.sqrt(5e-4) == pytest.approx(0.02)
     plant = SimplifiedPlant(
         vehicle, PlantEffects((0,) * 3, (0,) * 3, 0.0, force_noise_density=0), backend="interpreted"

@@ -1,0 +1,106 @@
+"""Every integrator keeps its order on real dynamics: rigid bodies with drag, and both plants."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given
+
+from quadexp.dynamics import integrator
+from quadexp.dynamics.rigid_body import corrected_function
+from quadexp.dynamics.sensitivity import rk4_sensitivity_function
+from quadexp.plant import SimplifiedPlant
+from quadexp.plant.blade_element import BladeElementPlant
+from quadexp.plant.blade_element_period import METHODS
+from tests.properties.strategies import (
+    few,
+    generators,
+    make_blade,
+    make_effects,
+    make_residual,
+    make_upright_state,
+    vehicles,
+)
+
+ORDER = {"euler_step": 1, "rk4_step": 4}
+DURATION = 0.16  # s
+
+
+def gentle_thrusts(rng, vehicle) -> np.ndarray:
+    """Hover, give or take two percent: light vehicles with uneven thrusts turn too fast for coarse steps."""
+    return vehicle.hover_thrust * rng.uniform(0.98, 1.02, vehicle.n_rotors)
+
+
+def observed_order(flown, coarse: int) -> float:
+    """log2 of the ratio of successive differences under halved steps: the order, without an exact solution."""
+    one, two, four = (flown(coarse * k) for k in (1, 2, 4))
+    return float(np.log2(np.linalg.norm(one - two) / np.linalg.norm(two - four)))
+
+
+def test_no_integrator_is_missing_here():
+    found = {name for name, _ in inspect.getmembers(integrator, inspect.isfunction) if name.endswith("_step")}
+    assert found == set(ORDER)
+    assert {step.__name__ for step in METHODS.values()} == set(ORDER)
+
+
+@pytest.mark.parametrize("name", ORDER)
+@given(vehicles(), generators)
+def test_order_on_a_rigid_body_with_drag(name, vehicle, rng):
+    residual = make_residual("linear_drag", vehicle, rng)
+    f, x0, u = corrected_function(vehicle, residual), make_upright_state(rng), gentle_thrusts(rng, vehicle)
+    x, h = ca.MX.sym("x", 13), ca.MX.sym("h")
+    step = getattr(integrator, name)
+    one = ca.Function("one", [x, h], [step(lambda s: f(s, u, residual.theta), x, h)])
+
+    def flown(steps):
+        return np.array(one.mapaccum(steps)(x0, DURATION / steps))[:, -1]
+
+    assert observed_order(flown, 8 if ORDER[name] == 4 else 64) == pytest.approx(ORDER[name], abs=0.3)
+
+
+@few
+@given(vehicles(flat=True), generators)
+def test_order_of_the_plants(vehicle, rng):
+    """Without noise the simplified plant is of order 4; the blade-element plant of the order of its method.
+
+    Drag that is quadratic per axis, v |v|, is left out: its second derivative jumps where v crosses zero, and no method
+    keeps its order across a jump.
+    """
+    x0, u, blade = make_upright_state(rng), gentle_thrusts(rng, vehicle), make_blade(rng)
+    effects = replace(make_effects(rng), quadratic_drag=(0.0, 0.0, 0.0))
+
+    def simplified(steps):
+        plant = SimplifiedPlant(vehicle, effects, step=DURATION / steps, backend="interpreted")
+        return plant.advance(x0, u, DURATION, rng)[0]
+
+    assert observed_order(simplified, 4) == pytest.approx(4, abs=0.6)
+    for method, order, coarse in (("euler", 1, 32), ("rk4", 4, 4)):
+
+        def blade_element(steps, method=method):
+            plant = BladeElementPlant(vehicle, blade, step=DURATION / steps, method=method, backend="interpreted")
+            return plant.advance(x0, u, DURATION)[0]
+
+        assert observed_order(blade_element, coarse) == pytest.approx(order, abs=0.6)
+
+
+@few
+@given(vehicles(), generators)
+def test_the_sensitivity_s_step_is_rk4_of_order_four(vehicle, rng):
+    """x_next of the linearised node converges as RK4 does, and its A has the order of x_next: both from one tableau."""
+    residual = make_residual("gaussian_process", vehicle, rng)
+    node = rk4_sensitivity_function(vehicle, residual, scalar=False)
+    x0, u = make_upright_state(rng), gentle_thrusts(rng, vehicle)
+
+    def flown(steps):
+        x, chain = x0, np.eye(13)
+        for _ in range(steps):
+            x, A, _ = (np.array(part) for part in node(x, u, residual.theta, DURATION / steps))
+            chain = A @ chain
+        return np.r_[x.reshape(-1), chain.reshape(-1)]
+
+    assert observed_order(lambda n: flown(n)[:13], 12) == pytest.approx(4, abs=0.6)
+    assert observed_order(lambda n: flown(n)[13:], 12) == pytest.approx(4, abs=0.6)
