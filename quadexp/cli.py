@@ -13,8 +13,11 @@ from typing import Annotated, Any
 import typer
 
 from quadexp import __version__
+from quadexp.cli_check import check
 from quadexp.cli_identify import identify
+from quadexp.cli_import import import_flights
 from quadexp.cli_results import results
+from quadexp.cli_validate import validate
 from quadexp.completion import complete
 from quadexp.errors import QuadexpError
 from quadexp.terminal import emit, guarded, print_table, say
@@ -61,7 +64,7 @@ def root(
     quadexp simulate    one flight                          -> runs/*.parquet
     quadexp collect     flights for learning                -> data/residuals.parquet
     quadexp fit-gp      Gaussian processes from a data set  -> models/gp
-    quadexp identify    blade-element coefficients          -> data/estimates/*
+    quadexp identify    thrust, drag and air from flights   -> models/*
     quadexp evaluate    controllers compared                -> results/*
     quadexp report      results as one page                 -> report.html
     """
@@ -249,7 +252,13 @@ def evaluate(
     if sweep if figures is None else figures:
         from quadexp.report.figures import draw_results
 
-        files |= draw_results(result.rows, out, metric=first.evaluate.metric, redraw=result.flown > 0)
+        files |= draw_results(
+            result.rows,
+            out,
+            metric=first.evaluate.metric,
+            confidence=first.evaluate.confidence,
+            redraw=result.flown > 0,
+        )
         if first.evaluate.figures != "standard":
             from quadexp.report import lei_li
 
@@ -296,8 +305,11 @@ def show(
         print("\n".join(summary["lines"]))
 
 
+app.command("check")(check)
 app.command("identify")(identify)
+app.command("import")(import_flights)
 app.command("results")(results)
+app.command("validate")(validate)
 
 
 @app.command("compare")

@@ -45,6 +45,9 @@ FLIGHT_COLUMNS: dict[str, Column] = {
     "active": Column("1", "", "input bounds active over the horizon"),
     "kkt": Column("1", "", "KKT residual of the control step"),
     "segment": Column("1", "", "number of the uninterrupted stretch the sample belongs to"),
+    **{f"wind_{i}": Column("m/s", "world", "velocity of the air") for i in _AXES},
+    "thrust_acceleration": Column("m/s^2", "body", "collective thrust over mass, as the log has it"),
+    "battery_voltage": Column("V", "", "voltage of the battery"),
 }
 
 RESIDUAL_COLUMNS: dict[str, Column] = {
@@ -143,6 +146,7 @@ _BY_KIND = {
 _INPUT = re.compile(r"(ref_)?u_\d+")
 _INDUCED_VELOCITY = re.compile(r"induced_velocity_\d+")
 _ROTOR_SPEED = re.compile(r"rotor_speed_\d+")
+_MOTOR_COMMAND = re.compile(r"motor_command_\d+")
 
 
 def describe(name: str, kind: str = "flight") -> Column:
@@ -154,6 +158,8 @@ def describe(name: str, kind: str = "flight") -> Column:
         return Column("N", "body", f"{'reference' if match[1] else 'commanded'} static rotor thrust")
     if _ROTOR_SPEED.fullmatch(name):
         return Column("rad/s", "", "rotor speed")
+    if _MOTOR_COMMAND.fullmatch(name):
+        return Column("1", "", "normalised command of the motor, 0 to 1")
     if _INDUCED_VELOCITY.fullmatch(name):
         return Column("m/s", "body", "induced velocity through the rotor, downwards")
     return Column("", "", "")

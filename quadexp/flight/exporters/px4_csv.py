@@ -30,6 +30,8 @@ UNITS = {
     "vehicle_attitude": "q[0..3]: quaternion FRD to NED, w first",
     "vehicle_angular_velocity": "xyz[0..2]: rad/s (FRD)",
     "actuator_outputs": "output[i]: commanded static thrust of rotor i (N)",
+    "actuator_motors": "control[i]: normalised command of rotor i, in the vehicle's own order",
+    "battery_status": "voltage_v: V",
     "sensor_combined": "gyro_rad: rad/s, accelerometer_m_s2: m/s^2 (FRD), *_integral_dt: us",
 }
 
@@ -49,19 +51,27 @@ def write(flight: Flight, path: Path) -> dict[str, Path]:
 
 def topics(flight: Flight, timestamp: np.ndarray) -> dict[str, Topic]:
     """The topics that the flight has columns for; timestamp: (k,) (us)."""
-    gyro = _body(flight, "w")
-    made = {
-        "vehicle_local_position": _position(flight, "", "heading"),
-        "vehicle_attitude": _vector("q", _attitude(flight, "")),
-        "vehicle_angular_velocity": _vector("xyz", gyro),
-        "actuator_outputs": {"noutputs": np.full(len(flight), flight.n_rotors)} | _vector("output", flight.input),
-    }
-    if "ref_p_x" in flight.columns:
+    has = flight.columns.keys()  # a recorded flight may lack any of them
+    made: dict[str, Topic] = {}
+    if {"p_x", "v_x", "q_w"} <= has:
+        made["vehicle_local_position"] = _position(flight, "", "heading")
+    if "q_w" in has:
+        made["vehicle_attitude"] = _vector("q", _attitude(flight, ""))
+    if "w_x" in has:
+        made["vehicle_angular_velocity"] = _vector("xyz", _body(flight, "w"))
+    if flight.n_rotors:
+        made["actuator_outputs"] = {"noutputs": np.full(len(flight), flight.n_rotors)} | _vector("output", flight.input)
+    commands = [name for name in flight.columns if name.startswith("motor_command_")]
+    if commands:
+        made["actuator_motors"] = _vector("control", flight.stack(commands))
+    if "battery_voltage" in has:
+        made["battery_status"] = {"voltage_v": flight["battery_voltage"]}
+    if {"ref_p_x", "ref_v_x", "ref_q_w"} <= has:
         made["vehicle_local_position_setpoint"] = _position(flight, "ref_", "yaw")
-    if "acc_x" in flight.columns:
+    if {"acc_x", "w_x"} <= has:
         interval = np.diff(timestamp, prepend=timestamp[:1])
         made["sensor_combined"] = (
-            _vector("gyro_rad", gyro)
+            _vector("gyro_rad", _body(flight, "w"))
             | {"gyro_integral_dt": interval}
             | _vector("accelerometer_m_s2", _body(flight, "acc"))
             | {"accelerometer_integral_dt": interval}

@@ -1,0 +1,118 @@
+"""From log files to flight files: import, quality check across the logs, write."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from quadexp.errors import UsageError
+from quadexp.flight.importers.importing import Imported, Options, import_logs
+from quadexp.flight.store import check_output, write_flight
+from quadexp.vehicle import Vehicle
+
+
+@dataclass
+class Outcome:
+    """One log: what it became. path: of the flight, None where none was written, with the cause."""
+
+    log: Path
+    path: Path | None = None
+    cause: str = ""
+    summary: str = ""
+    notes: list[str] = field(default_factory=list)
+    findings: list[Any] = field(default_factory=list)
+
+    def lines(self) -> list[str]:
+        """For people: one line on what it became, then what there is to say of it."""
+        head = (
+            f"{self.log.name}: {self.summary} -> {self.path}"
+            if self.path
+            else f"{self.log.name}: NOT IMPORTED: {self.cause}"
+        )
+        findings = [f"  {finding.message}" for finding in self.findings]
+        return [head, *(f"  {note}" for note in self.notes), *findings]
+
+    def record(self) -> dict[str, Any]:
+        return {
+            "log": self.log, "path": self.path, "cause": self.cause, "notes": self.notes,
+            "findings": [finding.record() for finding in self.findings],
+        }  # fmt: skip
+
+
+def import_files(
+    logs: Sequence[Path],
+    out: Path,
+    options: Options,
+    *,
+    vehicle: str | None = None,
+    conf: Path | None = None,
+    force: bool = False,
+    keep: bool = False,
+) -> Iterator[Outcome]:
+    """Write <out>/<name of the log>.parquet for every log that can be imported, one after the other.
+
+    A log with a blocking finding, and a second log with the content of another, are not written unless `keep`.
+    Raises UsageError where the request is wrong; what is wrong with one log is its outcome.
+    """
+    if not logs:
+        raise UsageError("import: no log given")
+    paths = {log: out / f"{log.stem}.parquet" for log in logs}
+    for path, count in Counter(out / f"{log.stem}.parquet" for log in logs).items():
+        if count > 1:
+            raise UsageError(f"import: {count} logs would be written to {path}: give them one by one, with other --out")
+    for path in paths.values():
+        check_output(path, force=force)
+    named = None if vehicle is None else _vehicle(vehicle, conf)
+    seen: dict[str, str] = {}
+    for one in import_logs(list(logs), named, options):
+        yield _finish(one, paths[one.path], seen, keep)
+
+
+def _finish(one: Imported, path: Path, seen: dict[str, str], keep: bool) -> Outcome:
+    if one.flight is None:
+        return Outcome(one.path, cause=one.error.removeprefix(f"{one.path}: "))
+    source = one.flight.metadata.get("source", {})
+    twin = seen.setdefault(source.get("sha256", str(one.path)), one.path.name)
+    findings = list(one.findings)
+    if twin != one.path.name:
+        findings.insert(0, _duplicate(twin))
+    blocking = [finding for finding in findings if finding.severity == "blocking"]
+    if blocking and not keep:
+        names = ", ".join(dict.fromkeys(finding.name for finding in blocking))
+        cause = f"{names} (below); --keep writes it all the same"
+        if path.exists():  # --force was given: what an earlier import made must not pass for this one
+            path.unlink()
+            cause += f"; the earlier {path} was removed"
+        return Outcome(one.path, cause=cause, notes=one.notes, findings=findings)
+    record = {"findings": [finding.record() for finding in findings]} if source else {}
+    write_flight(path, one.flight, **record)
+    return Outcome(one.path, path, summary=_summary(one), notes=one.notes, findings=findings)
+
+
+def _duplicate(twin: str) -> Any:
+    from quadexp.flight.check import Finding
+
+    return Finding("duplicate", "blocking", "the whole file", f"the same bytes as {twin}", "every flight once")
+
+
+def _summary(one: Imported) -> str:
+    flight = one.flight
+    assert flight is not None
+    t = flight.t
+    source = flight.metadata.get("source", {})
+    text = f"{source.get('format') or 'quadexp'}, {float(t[-1] - t[0]) if len(t) else 0:.1f} s"
+    if "rate" in source:
+        text += f" at {source['rate']:.4g} Hz"
+    if "cropped" in source:
+        text += f" (log {source['cropped'][0]:.1f} to {source['cropped'][1]:.1f} s)"
+    return f"{text}, {len(flight.columns)} columns"
+
+
+def _vehicle(name: str, conf: Path | None) -> Vehicle:
+    from quadexp.compose import compose
+    from quadexp.experiment.build import build_vehicle
+
+    return build_vehicle(compose([f"vehicle={name}"], conf).vehicle)

@@ -1,0 +1,179 @@
+"""Is a recorded flight what it says it is? Faults by name, with their place, their size and what is allowed.
+
+The order matters: rows that cannot be are found first and left out of what follows; then units, frames, signs and the
+clock are tried against the motion itself; then, with what was found undone, offsets, spikes and commands. So a log in
+degrees is said to be in degrees, not to spin too fast.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from quadexp.flight.check import clock, commands, consistency, timing
+from quadexp.flight.check import rows as row_checks
+from quadexp.flight.check.duplicates import check_duplicates
+from quadexp.flight.check.finding import Finding, worst_first
+from quadexp.flight.check.windows import STREAMS, Windows, cut, rotation_matrices, window_starts
+from quadexp.flight.schema import Flight
+from quadexp.vehicle import Vehicle
+
+__all__ = ["Finding", "check_flight", "check_flights"]
+
+LEAST_WINDOWS = 10
+SHORT = 2.0  # s
+THRUST_MARGIN = 2.0  # times the largest thrust: knocks and vibration besides
+HARD_LIMIT = 320.0  # m/s^2: a 32 g accelerometer
+
+
+def check_flight(flight: Flight, vehicle: Vehicle | None = None) -> list[Finding]:
+    """Everything that is wrong with one flight, worst first.
+
+    vehicle: whose limits the commands must keep; None: unknown. Raises DataError where there is no column t.
+    """
+    t = np.asarray(flight.t, float)
+    streams = _streams(flight)
+    if len(t) < 3:
+        return [Finding("no_flight", "blocking", "all rows", f"{len(t)} rows", f"{SHORT:g} s of flight")]
+    segment = flight.columns.get("segment")
+    found = clock.check_clock(t, position=streams.get("p"), velocity=streams.get("v"), segment=segment)
+    found += row_checks.check_finite(flight.columns, t)
+    repeated, first = row_checks.check_repeats(flight.columns, t)
+    if repeated:  # the clock's complaints about those rows are its symptom
+        found = [one for one in found if one.name not in ("clock_repeated", "clock_jump")] + repeated
+        found += [one for one in clock.check_clock(t[first]) if one.name == "clock_jump"]
+    if "q" in streams:
+        found += row_checks.check_quaternion(streams["q"], t)
+    if any(one.name in ("clock_repeated", "clock_jump") and one.blocks for one in found):
+        first &= _later(t)
+    t, streams = t[first], {name: values[first] for name, values in streams.items()}
+    segment = None if segment is None else np.asarray(segment)[first]
+    kept = Flight({name: values[first] for name, values in flight.columns.items()}, flight.metadata)
+    if len(t) < 3 or not np.isfinite(t).all():
+        return worst_first(found)
+    flown = commands.check_flown(kept, streams, vehicle)
+    if flown:
+        return worst_first(found + flown)
+
+    frozen, masks = row_checks.check_frozen(streams, t)
+    found += frozen
+    bad = _spiky(streams)
+    for mask in masks.values():
+        bad |= mask
+    for values in streams.values():
+        bad |= ~np.isfinite(values).all(axis=1)
+    repaired, explained = _consistency(t, streams, bad, segment)
+    found += explained
+
+    imu = timing.imu_offset(t, repaired, ~bad, vectors=True)
+    motor = _motor_offset(kept, t, repaired)
+    found += timing.offset_findings(imu, motor)
+    spikes, _ = row_checks.check_spikes(repaired, t, _limits(vehicle))
+    found += [one for one in spikes if one.name not in {other.name for other in found}]
+    found += commands.check_commands(kept, vehicle)
+    if t[-1] - t[0] < SHORT:
+        found.append(Finding("short", "warning", "all rows", f"{t[-1] - t[0]:.2f} s", f"{SHORT:g} s"))
+    return worst_first(_without_symptoms(found))
+
+
+def check_flights(
+    flights: Mapping[str, Flight], vehicles: Mapping[str, Vehicle | None] | Vehicle | None = None
+) -> dict[str, list[Finding]]:
+    """Findings of every flight by its name, those about two flights (duplicates) among them."""
+    same = check_duplicates(flights)
+    found = {}
+    for name, flight in flights.items():
+        vehicle = vehicles.get(name) if isinstance(vehicles, Mapping) else vehicles
+        found[name] = worst_first(same.get(name, []) + check_flight(flight, vehicle))
+    return found
+
+
+def _streams(flight: Flight) -> dict[str, np.ndarray]:
+    """The motion's streams that the flight has, those without a single finite row left out."""
+    found = {}
+    for name, columns in STREAMS.items():
+        if all(column in flight.columns for column in columns):
+            values = flight.stack(columns).astype(float)
+            if np.isfinite(values).all(axis=1).any():
+                found[name] = values
+    return found
+
+
+def _later(t: np.ndarray) -> np.ndarray:
+    from quadexp.flight.signal import increasing
+
+    return increasing(t)
+
+
+def _spiky(streams: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Rows with a value far from what the stream usually is, in any unit, (k,)."""
+    length = len(next(iter(streams.values()))) if streams else 0
+    bad = np.zeros(length, bool)
+    for name, values in streams.items():
+        if name == "q":
+            continue
+        middle = np.nanmedian(values, axis=0)
+        spread = np.nanmax(np.nanquantile(np.abs(values - middle), 0.8, axis=0))
+        bad |= np.nan_to_num(np.abs(values - middle)).max(axis=1) > 12 * spread
+    return bad if bad.mean() < 0.5 else np.zeros(length, bool)
+
+
+def whole(t: np.ndarray, streams: Mapping[str, np.ndarray]) -> Windows:
+    """The flight as one window, for repairs."""
+    values = {name: streams[name][None] if name in streams else None for name in STREAMS}
+    rotation = None if values["q"] is None else rotation_matrices(values["q"])
+    return Windows(t=t[None], **values, rotation=rotation)
+
+
+def _consistency(t, streams, bad, segment):
+    """Streams with what was found undone, and the findings."""
+    starts, half = window_starts(t, ~bad, segment)
+    if len(starts) < LEAST_WINDOWS:
+        return streams, []
+    start = timing.imu_offset(t, streams, ~bad, vectors=False)
+    shifted = dict(streams)
+    if start is not None and start.certain and start.correlation > 0.7 and abs(start.seconds) > timing.ALLOWED:
+        for name in ("w", "f"):
+            if name in streams:
+                columns = np.nan_to_num(streams[name]).T
+                shifted[name] = np.stack([np.interp(t + start.seconds, t, column) for column in columns], axis=-1)
+    explained, windows = consistency.explain(cut(t, shifted, starts, half))
+    found = [one.finding() for one in explained] + consistency.disagreements(windows)
+    all_of_it = whole(t, streams)
+    for one in explained:
+        all_of_it = one.repair.apply(all_of_it)
+    repaired = {name: getattr(all_of_it, name)[0] for name in streams}
+    finite = np.all([np.isfinite(values).all(axis=1) for values in streams.values()], axis=0)
+    starts, half = window_starts(t, finite, segment)
+    if len(starts) >= LEAST_WINDOWS:
+        found += consistency.stray(cut(t, repaired, starts, half))
+    return repaired, found
+
+
+def _motor_offset(flight: Flight, t: np.ndarray, streams: Mapping[str, np.ndarray]):
+    if "f" not in streams:
+        return None
+    for kind, names in commands.command_columns(flight).items():
+        values = flight.stack(names).astype(float)
+        return timing.motor_offset(
+            t, np.sum(values**2 if kind == "rotor_speed" else values, axis=1), streams["f"][:, 2]
+        )
+    return None
+
+
+def _limits(vehicle: Vehicle | None) -> dict[str, float]:
+    """Largest specific force that can be real."""
+    if vehicle is None:
+        return {"f": HARD_LIMIT}
+    thrust = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
+    return {"f": min(HARD_LIMIT, THRUST_MARGIN * thrust + 2 * vehicle.gravity)}
+
+
+def _without_symptoms(found: list[Finding]) -> list[Finding]:
+    """What a named fault explains is not said again."""
+    names = {one.name for one in found if one.blocks}
+    broken = {"acceleration_outlier", "rate_outlier", "position_outlier", "velocity_outlier", "frozen_sensor"}
+    if names & broken or any(one.name in broken for one in found):
+        found = [one for one in found if one.name != "inconsistent"]
+    return found

@@ -1,0 +1,127 @@
+"""Motor commands that cannot be, or that sit at their limits; and whether anything flew."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from quadexp.flight.check.finding import Finding, rows, span
+from quadexp.flight.schema import Flight
+from quadexp.flight.signal.crop import runs
+from quadexp.vehicle import Vehicle
+
+ROUNDING = 0.005  # of the range: what quantisation and resampling may add
+SATURATED = 0.05  # share of the samples of one rotor
+SPIKE = 15.0
+SPIKE_FLOOR = 0.5  # of the range
+FASTEST_ROTOR = 1e4  # rad/s: 95 000 rpm, above any propeller drive
+
+
+def command_columns(flight: Flight) -> dict[str, list[str]]:
+    """Columns of rotor signals by kind, in rotor order."""
+    found: dict[str, list[str]] = {}
+    for kind in ("motor_command", "u", "rotor_speed"):
+        names = [name for name in flight.columns if re.fullmatch(rf"{kind}_\d+", name)]
+        if names:
+            found[kind] = sorted(names, key=lambda name: int(name.rpartition("_")[2]))
+    return found
+
+
+def limits(kind: str, vehicle: Vehicle | None) -> tuple[float, float, str] | None:
+    """Least and largest value that a rotor signal may have, and its unit; None where nobody knows."""
+    if kind == "motor_command":
+        return 0.0, 1.0, ""
+    if kind == "rotor_speed":
+        fastest = FASTEST_ROTOR
+        if vehicle is not None and vehicle.static_thrust:
+            fastest = 1.5 * float(np.sqrt(vehicle.thrust_max / vehicle.static_thrust))
+        return 0.0, fastest, " rad/s"
+    return None if vehicle is None else (vehicle.thrust_min, vehicle.thrust_max, " N")
+
+
+def check_commands(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
+    """Commands out of range, spikes, saturation."""
+    found = []
+    for kind, names in command_columns(flight).items():
+        allowed = limits(kind, vehicle)
+        values = flight.stack(names).astype(float)
+        if allowed is None or not np.isfinite(values).any():
+            continue
+        low, high, unit = allowed
+        slack = ROUNDING * (high - low)
+        finite = np.where(np.isfinite(values), values, low)
+        outside = (finite < low - slack) | (finite > high + slack)
+        allowed_range = f"{low:g}..{high:.4g}{unit}"
+        if outside.any():
+            mask = outside.any(axis=1)
+            start, stop = max(runs(mask), key=lambda run: run[1] - run[0])
+            columns = " ".join(name for name, bad in zip(names, outside.any(axis=0), strict=True) if bad)
+            text = f"{finite[outside].min():.4g} to {finite[outside].max():.4g}{unit} in {mask.sum()} rows"
+            first = int(np.argmax(mask))
+            where = f"{columns}, {rows(start, stop, flight.t)} longest, {rows(first, first + 1, flight.t)} first"
+            found.append(
+                Finding("impossible_command", "blocking", where, text, allowed_range, span=span(flight.t, start, stop))
+            )
+        found += _spikes(kind, names, np.clip(finite, low, high), outside, high - low, flight.t)
+        if kind == "rotor_speed":
+            continue
+        full = finite >= high - 2e-3 * (high - low)
+        share = full.mean(axis=0)
+        if share.max() > 0:
+            k = int(np.argmax(share))
+            text = f"{share[k]:.2%} of the samples at full command"
+            severity = "warning" if share[k] > SATURATED else "info"
+            found.append(Finding("saturation", severity, names[k], text, f"{SATURATED:.0%}"))
+    return found
+
+
+def _spikes(kind, names, values, outside, width, t) -> list[Finding]:
+    """Single commands far from both neighbours, within a range of the given width."""
+    if len(t) < 9:
+        return []
+    from scipy.ndimage import median_filter
+
+    away = np.abs(values - median_filter(values, size=(5, 1), mode="nearest"))
+    noise = 1.4826 * np.median(away, axis=0)
+    bad = (away > np.maximum(SPIKE * noise, SPIKE_FLOOR * width)) & ~outside
+    rare = bad.any(axis=1).mean()
+    if not bad.any() or rare > 0.02:  # so often, it is how this controller flies
+        return []
+    row, column = np.unravel_index(int(np.argmax(np.where(bad, away, 0))), away.shape)
+    text = f"{values[row, column]:.4g}, {away[row, column]:.3g} from its neighbours, {bad.any(axis=1).sum()} such rows"
+    allowed = f"{max(SPIKE * noise[column], SPIKE_FLOOR * width):.3g}"
+    return [Finding("command_outlier", "warning", f"{names[column]}, {rows(row, row + 1, t)}", text, allowed)]
+
+
+def check_flown(flight: Flight, streams: dict[str, np.ndarray], vehicle: Vehicle | None) -> list[Finding]:
+    """Whether there is a flight in the file."""
+    t = flight.t
+    reasons = []
+    for kind, names in command_columns(flight).items():
+        values = np.nan_to_num(flight.stack(names).astype(float))
+        if kind == "u":
+            idle = 0.2 * (vehicle.mass * vehicle.gravity / len(names) if vehicle is not None else 0.0)
+        else:
+            idle = 0.05 if kind == "motor_command" else 1.0
+        if np.median(values) > max(idle, 1e-6):
+            return []
+        reasons.append(f"{kind}_* at {np.quantile(values, 0.99):.3g}")
+    still = True
+    if "p" in streams:
+        low, high = np.nanquantile(streams["p"], [0.01, 0.99], axis=0)
+        spread = float(np.nanmax(high - low))
+        still &= bool(spread < 0.1)
+        reasons.append(f"position within {spread:.2g} m")
+    if "v" in streams:
+        fastest = float(np.nanquantile(np.linalg.norm(streams["v"], axis=1), 0.99))
+        still &= fastest < 0.15
+        reasons.append(f"speed to {fastest:.2g} m/s")
+    if not still or not reasons:
+        return []
+    stopped = any(reason.startswith(("motor", "u_", "rotor")) for reason in reasons)
+    noise = float(np.nanstd(streams["w"])) if "w" in streams else 0.0
+    if not stopped and noise > 0.02:  # a hover without motor signals: rotors shake the gyro
+        return []
+    text = f"{', '.join(reasons)} over {t[-1] - t[0]:.1f} s"
+    return [Finding("no_flight", "blocking", "all rows", text, "motors running or motion", "leave the file out")]

@@ -1,0 +1,237 @@
+"""Units, frames, signs and clock of a flight: which hypothesis makes its streams agree with one another.
+
+The score of a hypothesis is the log likelihood of the relations' residuals, each axis with a variance of its own,
+
+    J = sum over relations and axes of log(r^2 + floor^2),
+
+r the root mean square residual of the smaller nine tenths (spikes are another check's business). A repair is taken
+when it lowers J by more than `LEAST_GAIN` and leaves what it changed in agreement; then the search goes on with the
+repaired flight, so that faults in several streams are named one by one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from quadexp.flight.check.finding import Finding
+from quadexp.flight.check.repairs import COLUMNS, Repair, clock_repair, repairs, scale_repairs
+from quadexp.flight.check.windows import SIDES, STREAMS, Pair, Windows, pairs
+
+KEPT = 0.9  # share of the windows that a residual is taken over
+LEAST_GAIN = 0.35  # clean flights of every kind at hand stay below 0.06
+TIE = 0.15  # of J a unit of cost: a repair that claims more must explain more
+MOST_FAULTS = 4
+STRAY = 12.0  # robust standard deviations
+STRAY_FLOOR = {"acceleration_outlier": 8.0, "rate_outlier": 4.0}  # m/s^2 and rad/s, means over a window
+ALIKE = 0.98  # correlation above which a factor between two streams means something
+DISAGREE = 0.7  # residual over signal above which two streams say different things
+WEIGHT = {"force (p)": 0.5, "thrust": 1.0, "thrust (p)": 0.5}
+WORDS = {
+    "velocity": ("v against dp/dt", "m/s"),
+    "rate": ("w against the derivative of the attitude", "rad/s"),
+    "force": ("acc against R^T (dv/dt + g)", "m/s^2"),
+    "force (p)": ("acc against R^T (d2p/dt2 + g)", "m/s^2"),
+    "push": ("acc_z against thrust along +z", "m/s^2"),
+    "thrust": ("R^T (dv/dt + g) against thrust along +z", "m/s^2"),
+    "thrust (p)": ("R^T (d2p/dt2 + g) against thrust along +z", "m/s^2"),
+}
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Of one relation: residual, signal, (3,), both root mean square; correlation and gain over its moving axes."""
+
+    relation: str
+    residual: np.ndarray
+    signal: np.ndarray
+    correlation: float
+    gain: float
+    floor: float
+
+    @property
+    def score(self) -> float:
+        return WEIGHT.get(self.relation, 1.0) * float(np.sum(np.log(self.residual**2 + self.floor**2)))
+
+    @property
+    def ratio(self) -> float:
+        """Residual over signal, the floor taken off: 0 perfect, 1 unrelated, 2 reversed."""
+        excess = np.sqrt(np.maximum(0.0, np.sum(self.residual**2) - 3 * self.floor**2))
+        return float(excess / max(np.sqrt(np.sum(self.signal**2)), self.floor))
+
+    @property
+    def words(self) -> str:
+        what, unit = WORDS[self.relation]
+        r, s = np.sqrt(np.sum(self.residual**2)), np.sqrt(np.sum(self.signal**2))
+        return f"{what}: differs by {r:.3g} {unit} rms of {s:.3g}"
+
+
+def agreement(pair: Pair) -> Agreement:
+    """Compare the two sides of a relation over the smaller nine tenths of its windows."""
+    gap = pair.found - pair.expected
+    size = np.sum((gap / np.maximum(np.median(np.abs(gap), axis=0), 1e-9)) ** 2, axis=1)
+    kept = size <= np.quantile(size, KEPT)
+    gap, expected, found = gap[kept], pair.expected[kept], pair.found[kept]
+    a, b = expected - expected.mean(axis=0), found - found.mean(axis=0)
+    power = np.sum(a * a) * np.sum(b * b)
+    correlation = float(np.sum(a * b) / np.sqrt(power)) if power > 0 else 0.0
+    gain = float(np.sqrt(np.sum(b * b) / np.sum(a * a)) * np.sign(correlation)) if power > 0 else 1.0
+    signal = np.sqrt(np.maximum(np.mean(a * a, axis=0), 0))
+    return Agreement(pair.relation, np.sqrt(np.mean(gap**2, axis=0)), signal, correlation, gain, pair.floor)
+
+
+def agreements(
+    windows: Windows, known: dict[str, Agreement] | None = None, changed: str = "tpqvwf"
+) -> dict[str, Agreement]:
+    """Of every relation; those that have none of the streams `changed` are taken from `known`."""
+    return {**(known or {}), **{pair.relation: agreement(pair) for pair in pairs(windows, touching=changed)}}
+
+
+def present(windows: Windows) -> frozenset[str]:
+    return frozenset(name for name in STREAMS if getattr(windows, name) is not None)
+
+
+def _total(found: dict[str, Agreement]) -> float:
+    return sum(one.score for one in found.values())
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A repair that was taken, what it did to the relations it touches, and by how much it lowered J."""
+
+    repair: Repair
+    before: dict[str, Agreement]
+    after: dict[str, Agreement]
+    gain: float
+
+    def finding(self) -> Finding:
+        touched = [
+            name
+            for name, one in self.before.items()
+            if np.sum(one.residual**2) > 1.3 * np.sum(self.after[name].residual ** 2)
+        ] or list(self.before)
+        name = max(touched, key=lambda relation: self.before[relation].score - self.after[relation].score)
+        _, unit = WORDS[name]
+        rest = np.sqrt(np.sum(self.after[name].residual ** 2))
+        return Finding(
+            self.repair.name,
+            "blocking",
+            self.repair.where,
+            f"{self.repair.text}: {self.before[name].words}, by {rest:.3g} {unit} once that is undone",
+            "SI units, world ENU, body FLU, quaternion body to world with w first",
+            "state it in the mapping of the import",
+        )
+
+
+def explain(windows: Windows) -> tuple[list[Explained], Windows]:
+    """The repairs that the flight needs, most telling first, and the windows after them."""
+    taken: list[Explained] = []
+    before = agreements(windows)
+    clock = _clock(before)
+    if clock is not None:
+        windows = clock.apply(windows)
+        after = agreements(windows)
+        taken.append(Explained(clock, before, after, _total(before) - _total(after)))
+        before = after
+    while before and not _settled(before) and len(taken) < MOST_FAULTS:
+        best: tuple[float, Repair, Windows, dict[str, Agreement]] | None = None
+        for repair in (*repairs(present(windows)), *_scales(before)):
+            if taken and repair.streams == taken[-1].repair.streams and repair.name == taken[-1].repair.name:
+                continue
+            changed = repair.apply(windows)
+            after = agreements(changed, before, repair.streams)
+            value = _total(before) - _total(after) - TIE * repair.cost
+            if value > LEAST_GAIN and _plausible(before, after) and (best is None or value > best[0]):
+                best = (value, repair, changed, after)
+        if best is None:
+            break
+        value, repair, windows, after = best
+        taken.append(Explained(repair, before, after, value))
+        before = after
+    return taken, windows
+
+
+def _scales(found: dict[str, Agreement]) -> tuple[Repair, ...]:
+    """Factors between two streams that are otherwise alike."""
+    for relation, streams, least in (("velocity", "vp", 0.015), ("rate", "wq", 0.05)):
+        one = found.get(relation)
+        if one is not None and one.correlation > ALIKE:
+            return scale_repairs(one.gain, streams) if abs(one.gain - 1) > least else ()
+    return ()
+
+
+def _clock(found: dict[str, Agreement]) -> Repair | None:
+    """A clock that runs wrong: velocity against dp/dt and rates against the attitude are off by one factor.
+
+    Where the gyro is too noisy to say by how much it is off, a small factor is put down to the clock as well: scales
+    of position or velocity that are wrong by a few per cent are rarer than that.
+    """
+    velocity, rate = found.get("velocity"), found.get("rate")
+    if velocity is None:
+        if rate is None or rate.correlation < 0.995 or abs(rate.gain - 1) < 0.03:
+            return None
+        return clock_repair(rate.gain) if abs(rate.gain / np.degrees(1) - 1) > 0.1 else None
+    if velocity.correlation < ALIKE or abs(velocity.gain - 1) < 0.015:
+        return None
+    size = np.log(velocity.gain)
+    if rate is None or rate.correlation < 0.7:
+        return clock_repair(velocity.gain) if abs(size) < 0.15 else None
+    share = np.log(rate.gain) / size
+    if rate.correlation > ALIKE or abs(size) > 0.3:
+        return clock_repair(velocity.gain) if 0.5 < share < 1.5 else None
+    return clock_repair(velocity.gain)
+
+
+def _settled(found: dict[str, Agreement]) -> bool:
+    """Whether every relation holds to within what its sensors differ by, on every axis: there is nothing to explain."""
+    return all((one.residual < 0.7 * one.floor).all() for one in found.values())
+
+
+def _plausible(before: dict[str, Agreement], after: dict[str, Agreement]) -> bool:
+    """A repair must bring two streams together, not only make both small, and must break nothing."""
+    better = [name for name in after if after[name].score < before[name].score - 0.1]
+    worse = [name for name in after if after[name].score > before[name].score + 1.0]
+    return bool(better) and not worse and any(after[name].ratio < DISAGREE for name in better)
+
+
+def stray(windows: Windows) -> list[Finding]:
+    """Stretches where an accelerometer or gyro leaves the motion that the other sensors see, agreeing elsewhere."""
+    found = []
+    every = {pair.relation: pair for pair in pairs(windows)}
+    for name, relations in (("acceleration_outlier", ("force", "force (p)")), ("rate_outlier", ("rate",))):
+        pair = next((every[relation] for relation in relations if relation in every), None)
+        if pair is None:
+            continue
+        size = np.linalg.norm(pair.found - pair.expected, axis=1)
+        limit = max(STRAY * 1.4826 * float(np.median(size)), STRAY_FLOOR[name])
+        bad = size > limit
+        if bad.mean() < 0.005 or bad.mean() > 0.4:  # a knock, or something else than a stretch
+            continue
+        halves = len(size) == 2 * len(windows.t)
+        time = np.concatenate([windows.t[:, 0]] * 2) if halves else windows.t[:, 0]
+        low, high = float(time[bad].min()), float(time[bad].max())
+        text = f"off by up to {size.max():.4g} {WORDS[pair.relation][1]} in {bad.mean():.1%} of the windows"
+        column = COLUMNS["w" if name == "rate_outlier" else "f"]
+        where = f"{column}, {low:.2f}..{high:.2f} s"
+        found.append(Finding(name, "blocking", where, text, f"{limit:.3g} from the motion", span=(low, high)))
+    return found
+
+
+def disagreements(windows: Windows) -> list[Finding]:
+    """Relations that no repair explains."""
+    found = []
+    for one in agreements(windows).values():
+        moving = np.sqrt(np.sum(one.signal**2)) > 2 * one.floor
+        if moving and one.ratio > DISAGREE and one.correlation < 0.5:
+            columns = ", ".join(COLUMNS[name] for name in SIDES[one.relation])
+            found.append(
+                Finding(
+                    "inconsistent",
+                    "blocking",
+                    columns,
+                    f"{one.words}, correlation {one.correlation:.2f}; no change of unit, frame or sign mends it",
+                    f"{DISAGREE:.0%} of the signal",
+                )
+            )
+    return found

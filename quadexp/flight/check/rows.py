@@ -1,0 +1,217 @@
+"""Rows that cannot be: not finite, repeated, frozen, spikes, quaternions that are none."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from quadexp.flight.check.finding import Finding, rows, span
+from quadexp.flight.check.windows import STREAMS, attitude_rate
+from quadexp.flight.signal.crop import runs
+
+NORM = 0.01  # of a quaternion: what rounding to two digits leaves
+NORM_BLOCKS = 0.1
+FROZEN = 0.2  # s
+LEAST_ROWS = 8
+MOVES = 0.05  # rad/s or m/s: what a frozen sensor would have had to see
+SPIKE = 12.0  # robust standard deviations
+# The least that counts as a spike: beyond what flying does within a few samples.
+SPIKE_FLOOR = {"p": 0.05, "v": 0.5, "w": 8.0, "f": 30.0}
+NAMES = {"p": "position", "q": "attitude", "v": "velocity", "w": "rate", "f": "acceleration"}
+COLUMNS = {"p": "p_*", "q": "q_*", "v": "v_*", "w": "w_*", "f": "acc_*"}
+
+
+def check_finite(columns: dict[str, np.ndarray], t: np.ndarray) -> list[Finding]:
+    """Columns with NaN or infinity."""
+    found = []
+    for name, values in columns.items():
+        if name == "t" or values.dtype.kind != "f":
+            continue
+        bad = ~np.isfinite(values)
+        if not bad.any():
+            continue
+        bursts = runs(bad)
+        start, stop = max(bursts, key=lambda run: run[1] - run[0])
+        text = f"{bad.sum()} values in {len(bursts)} {'run' if len(bursts) == 1 else 'runs'}"
+        found.append(
+            Finding(
+                "not_finite", "blocking", f"{name}, {rows(start, stop, t)}", text, "none", span=span(t, start, stop)
+            )
+        )
+    return _gathered(found)
+
+
+def _gathered(found: list[Finding]) -> list[Finding]:
+    """Columns that fail alike, as one finding."""
+    groups: dict[tuple, list[str]] = {}
+    for one in found:
+        column, _, place = one.where.partition(", ")
+        groups.setdefault((one.name, one.severity, place, one.measured, one.allowed, one.span), []).append(column)
+    return [
+        Finding(name, severity, f"{' '.join(columns)}, {place}", measured, allowed, span=when)
+        for (name, severity, place, measured, allowed, when), columns in groups.items()
+    ]
+
+
+def check_quaternion(q: np.ndarray, t: np.ndarray) -> list[Finding]:
+    """Norm and sign of quaternions (k, 4)."""
+    off = np.abs(np.linalg.norm(q, axis=1) - 1)
+    off = np.where(np.isfinite(off), off, 0)
+    found = []
+    if off.max(initial=0) > NORM:
+        start, stop = max(runs(off > NORM), key=lambda run: run[1] - run[0])
+        text = f"norm off by {off.max():.3g}, {np.mean(off > NORM):.2%} of the rows by more than allowed"
+        severity = "blocking" if off.max() > NORM_BLOCKS else "warning"
+        found.append(
+            Finding(
+                "quaternion_norm",
+                severity,
+                f"q_*, {rows(start, stop, t)}",
+                text,
+                f"{NORM:g}",
+                span=span(t, start, stop),
+            )
+        )
+    flips = np.flatnonzero(np.sum(q[1:] * q[:-1], axis=1) < -0.5)
+    if len(flips):
+        text = f"the sign flips {len(flips)} times (the same attitude)"
+        where = f"q_*, {rows(flips[0] + 1, flips[0] + 2, t)} first"
+        found.append(Finding("quaternion_sign", "info", where, text, "none where it is interpolated"))
+    return found
+
+
+def check_repeats(columns: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Finding], np.ndarray]:
+    """Rows that occur twice, time aside; and a mask of the first of each, (k,)."""
+    names = [name for name in columns if name != "t" and name != "segment" and columns[name].dtype.kind in "fiu"]
+    kept = np.ones(len(t), bool)
+    if not names or len(t) < LEAST_ROWS:
+        return [], kept
+    table = np.ascontiguousarray(np.stack([np.asarray(columns[name], float) for name in names], axis=-1))
+    if np.ptp(table[:, 0]) == 0:
+        return [], kept
+    _, first, inverse = np.unique(table.view(f"V{8 * table.shape[1]}").ravel(), return_index=True, return_inverse=True)
+    again = first[inverse.ravel()] < np.arange(len(t))
+    stuck = np.zeros(len(t), bool)
+    for start, stop in runs(np.concatenate([[False], (table[1:] == table[:-1]).all(axis=1)])):
+        stuck[start:stop] = stop - start >= LEAST_ROWS  # all sensors frozen, or nothing moves: see check_frozen
+    again &= ~stuck
+    if again.sum() < 2:
+        return [], kept
+    start, stop = max(runs(again), key=lambda run: run[1] - run[0])
+    source = int(first[inverse.ravel()[start]])
+    text = f"{again.sum()} rows ({again.mean():.2%}) repeat earlier ones to the last digit, these row {source} and on"
+    severity = "blocking" if again.mean() > 0.001 else "warning"
+    finding = Finding(
+        "duplicated_rows", severity, rows(start, stop, t), text, "none", "leave them out", span(t, start, stop)
+    )
+    return [finding], kept & ~again
+
+
+def check_frozen(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Finding], dict[str, np.ndarray]]:
+    """Sensors that repeat one value while the vehicle moves; masks of those rows by stream."""
+    found, masks = [], {}
+    step = float(np.median(np.diff(t))) if len(t) > 2 else 0.0
+    least = max(LEAST_ROWS, int(np.ceil(FROZEN / step))) if step > 0 else len(t) + 1
+    moving = _moving(streams, t)
+    for name, values in streams.items():
+        same = np.concatenate([[False], (values[1:] == values[:-1]).all(axis=1)])
+        stuck, worst, total = np.zeros(len(t), bool), None, 0
+        for start, stop in runs(same):
+            if stop - start + 1 >= least and np.mean(moving[name][start - 1 : stop]) > MOVES:
+                stuck[start - 1 : stop] = True
+                total += 1
+                if worst is None or stop - start > worst[1] - worst[0] - 1:
+                    worst = (start - 1, stop)
+        axes = [] if total else _dead(values, moving[name])
+        if worst is not None:
+            masks[name] = stuck
+            text = f"one value for {t[worst[1] - 1] - t[worst[0]]:.2f} s while the vehicle moves, {total} times"
+            share = stuck.mean()
+            severity = "blocking" if share > 0.02 else "warning"
+            text += f" ({share:.1%} of the rows)"
+            where = f"{COLUMNS[name]}, {rows(*worst, t)}"
+            found.append(Finding("frozen_sensor", severity, where, text, f"{FROZEN:g} s", span=span(t, *worst)))
+        elif axes:
+            columns = " ".join(STREAMS[name][i] for i in axes)
+            text = "one value throughout while the vehicle moves"
+            found.append(Finding("frozen_sensor", "blocking", columns, text, f"{FROZEN:g} s"))
+    return found, masks
+
+
+def _dead(values: np.ndarray, moving: np.ndarray) -> list[int]:
+    """Axes that never change though others of the sensor do."""
+    still = np.ptp(values, axis=0) == 0
+    return [] if still.all() or np.mean(moving) < MOVES else [int(i) for i in np.flatnonzero(still)]
+
+
+def _moving(streams: dict[str, np.ndarray], t: np.ndarray) -> dict[str, np.ndarray]:
+    """How fast the vehicle moves (rad/s, m/s), (k,), as the streams other than the named one see it."""
+    step = np.maximum(np.diff(t), 1e-9)
+
+    def size(x: np.ndarray) -> np.ndarray:
+        return np.nan_to_num(np.linalg.norm(x, axis=1))
+
+    speed = {}
+    if "v" in streams:
+        speed["v"] = size(streams["v"])
+    if "p" in streams:
+        speed["p"] = size(np.vstack([np.diff(streams["p"], axis=0) / step[:, None], np.zeros(3)]))
+    turning = {}
+    if "w" in streams:
+        turning["w"] = size(streams["w"])
+    if "q" in streams:
+        turning["q"] = size(np.vstack([attitude_rate(t, streams["q"]) if len(t) > 1 else [], np.zeros(3)]))
+    zero = np.zeros(len(t))
+    linear = {name: sum((x for key, x in speed.items() if key != name), zero) for name in "pv"}
+    angular = {name: sum((x for key, x in turning.items() if key != name), zero) for name in "qw"}
+    every = sum(speed.values(), zero) + sum(turning.values(), zero)
+    return {**linear, **angular, "f": every}
+
+
+def check_spikes(
+    streams: dict[str, np.ndarray], t: np.ndarray, limit: dict[str, float]
+) -> tuple[list[Finding], dict[str, np.ndarray]]:
+    """Single values far from their neighbours, or beyond a limit; masks of those rows by stream.
+
+    limit: largest magnitude that the vehicle allows, by stream.
+    """
+    from scipy.ndimage import median_filter
+
+    found, masks = [], {}
+    for name, values in streams.items():
+        if name == "q" or len(t) < 9:
+            continue
+        finite = np.where(np.isfinite(values), values, 0)
+        away = np.abs(finite - median_filter(finite, size=(7, 1), mode="nearest"))
+        noise = 1.4826 * np.median(away, axis=0)
+        threshold = np.maximum(SPIKE * noise, SPIKE_FLOOR[name])
+        size = np.linalg.norm(finite, axis=1)
+        beyond = size > limit.get(name, np.inf)
+        bad = (away > threshold).any(axis=1) | beyond
+        if not bad.any():
+            continue
+        masks[name] = bad
+        worst = int(np.argmax(np.where(beyond, size, 0) + np.max(away / threshold, axis=1)))
+        start, stop = next(run for run in runs(bad) if run[0] <= worst < run[1])
+        share = bad.mean()
+        if beyond[worst]:
+            column = STREAMS[name][int(np.argmax(np.abs(finite[worst])))]
+            text = f"magnitude {size[worst]:.4g}, {column} {finite[worst, STREAMS[name].index(column)]:.4g}"
+            allowed = f"magnitude {limit[name]:.3g}"
+        else:
+            axis = int(np.argmax(away[worst] / threshold))
+            column = STREAMS[name][axis]
+            text = f"{finite[worst, axis]:.4g}, {away[worst, axis]:.3g} from its neighbours"
+            allowed = f"{threshold[axis]:.3g} from the neighbours"
+        severity = "blocking" if share > 0.002 or beyond.mean() > 0.0005 else "warning"
+        where = f"{column}, {rows(start, stop, t)}"
+        found.append(
+            Finding(
+                f"{NAMES[name]}_outlier",
+                severity,
+                where,
+                f"{text}; {bad.sum()} rows ({share:.2%})",
+                allowed,
+                span=span(t, start, stop),
+            )
+        )
+    return found, masks

@@ -1,0 +1,62 @@
+"""Units and axes that a log may use, and what they are in SI, ENU (world) and FLU (body)."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from quadexp.errors import UsageError
+
+STANDARD_GRAVITY = 9.80665  # m/s^2, what "g" means on an accelerometer
+_TURN = 2 * np.pi
+
+# What a unit is in SI, by dimension; the first is SI.
+UNITS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3, "ft": 0.3048},
+    "velocity": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6, "kn": 1852 / 3600, "ft/s": 0.3048},
+    "rate": {"rad/s": 1.0, "deg/s": np.pi / 180, "mrad/s": 1e-3, "mdeg/s": np.pi / 180e3},
+    "acceleration": {"m/s^2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "cm/s^2": 1e-2},
+    "angle": {"rad": 1.0, "deg": np.pi / 180, "cdeg": np.pi / 18000},
+    "rotor_speed": {"rad/s": 1.0, "rpm": _TURN / 60, "krpm": _TURN / 60e-3, "Hz": _TURN, "deg/s": np.pi / 180},
+    "voltage": {"V": 1.0, "mV": 1e-3, "cV": 1e-2},
+    "force": {"N": 1.0, "mN": 1e-3, "gf": 1e-3 * STANDARD_GRAVITY},
+    "none": {"1": 1.0},
+}
+
+# Axes of a frame in ENU or FLU, as the log's components: "y x -z" says ENU = (log y, log x, -log z).
+WORLD_FRAMES = {"enu": "x y z", "nwu": "-y x z", "ned": "y x -z", "nue": "z x y", "eus": "x -z y"}
+BODY_FRAMES = {"flu": "x y z", "frd": "x -y -z", "rfu": "y -x z", "rdf": "z -x -y", "luf": "z x y"}
+_AXIS = re.compile(r"([+-]?)([xyz])")
+
+
+def unit_factor(dimension: str, unit: str, where: str) -> float:
+    """What one `unit` is in SI."""
+    known = UNITS[dimension]
+    if unit not in known:
+        raise UsageError(f"{where}: unit {unit!r} is not known; allowed are {', '.join(known)}")
+    return known[unit]
+
+
+def axes_matrix(kind: str, frame: str, where: str) -> np.ndarray:
+    """Signed permutation S, (3, 3): vector in ENU (kind "world") or FLU ("body") = S (vector as logged).
+
+    frame: a name ("NED"), or what each axis of ENU or FLU is in the log, such as "y x -z".
+    """
+    names = WORLD_FRAMES if kind == "world" else BODY_FRAMES
+    text = names.get(str(frame).lower(), str(frame).lower())
+    parts = [_AXIS.fullmatch(part) for part in text.replace(",", " ").split()]
+    if len(parts) != 3 or not all(parts) or len({part[2] for part in parts if part}) != 3:
+        raise UsageError(
+            f"{where}: frame {frame!r} is not known; allowed are {', '.join(n.upper() for n in names)},"
+            ' or three signed axes such as "y x -z"'
+        )
+    matrix = np.zeros((3, 3))
+    for row, part in enumerate(parts):
+        matrix[row, "xyz".index(part[2])] = -1.0 if part[1] == "-" else 1.0  # type: ignore[index]
+    return matrix
+
+
+def is_rotation(matrix: np.ndarray) -> bool:
+    return bool(np.linalg.det(matrix) > 0)

@@ -1,0 +1,101 @@
+"""Figures of a quality check: what one sensor says against what the others imply, over time, faults marked.
+
+Three columns, three axes: velocity against dp/dt, specific force against R^T (dv/dt + g), body rate against the
+derivative of the attitude, all as means over windows of 0.1 s (quadexp/flight/check/windows.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from quadexp.flight.check.finding import Finding
+from quadexp.flight.check.windows import STREAMS, Pair, cut, pairs, window_starts
+from quadexp.flight.schema import Flight
+from quadexp.report.figures import COLOURS, STYLE
+
+COLUMNS = (
+    (("velocity",), "velocity, world (m/s)", "v", "dp/dt"),
+    (("force", "force (p)", "thrust", "thrust (p)"), "specific force, body (m/s²)", "acc", "$R^T$(dv/dt + g)"),
+    (("rate",), "body rate (rad/s)", "w", "from the attitude"),
+)
+FOUND, EXPECTED = COLOURS[2], COLOURS[1]
+MARKS = {"info": "#999999", "warning": COLOURS[1], "blocking": COLOURS[5]}
+MOST_LINES = 6
+QUIET = 0.995  # quantile that sets an axis's limits: one spike must not flatten the rest
+
+
+def consistency_figure(name: str, flight: Flight, findings: Sequence[Finding]) -> Figure:
+    """Overlays of a flight's streams with the findings beneath the title and their time spans shaded."""
+    t, relations = _relations(flight)
+    with matplotlib.rc_context(STYLE):
+        shown = [finding for finding in findings if finding.severity != "info"]
+        figure = Figure(figsize=(11, 6.4 + 0.16 * min(len(shown), MOST_LINES)), layout="constrained")
+        figure.suptitle("\n".join([name, *_lines(shown)]), fontsize=9, ha="left", x=0.01)
+        panels = figure.subplots(3, 3, sharex=True)
+        for column, (names, title, found, expected) in enumerate(COLUMNS):
+            pair = next((relations[key] for key in names if key in relations), None)
+            panels[0, column].set_title(title)
+            for row, axis in enumerate("xyz"):
+                panel = panels[row, column]
+                if pair is None:
+                    panel.text(0.5, 0.5, "not in the flight", transform=panel.transAxes, ha="center", color="#777777")
+                    panel.set_yticks([])
+                else:
+                    _draw(panel, t, pair, row, found, expected)
+                for finding in shown:
+                    if finding.span is not None:
+                        low, high = finding.span
+                        panel.axvspan(low, max(high, low + 0.02), color=MARKS[finding.severity], alpha=0.3, lw=0)
+                if column == 0:
+                    panel.set_ylabel(axis)
+            panels[2, column].set_xlabel("t (s)")
+            if pair is not None:
+                panels[0, column].legend(loc="upper right", ncols=2, fontsize=8)
+        return figure
+
+
+def _lines(findings: Sequence[Finding]) -> list[str]:
+    lines = [f"{one.severity}: {one.name}: {one.where}: {one.measured}" for one in findings[:MOST_LINES]]
+    lines = [line if len(line) < 175 else line[:172] + "..." for line in lines]
+    if len(findings) > MOST_LINES:
+        lines.append(f"and {len(findings) - MOST_LINES} more")
+    return lines or ["nothing that blocks or warns"]
+
+
+def _relations(flight: Flight) -> tuple[np.ndarray, dict[str, Pair]]:
+    t = np.asarray(flight.t, float)
+    streams = {
+        name: flight.stack(columns).astype(float)
+        for name, columns in STREAMS.items()
+        if all(column in flight.columns for column in columns)
+    }
+    good = np.isfinite(t)
+    streams = {name: values for name, values in streams.items() if np.isfinite(values).all(axis=1).mean() > 0.5}
+    for values in streams.values():
+        good &= np.isfinite(values).all(axis=1)
+    starts, half = window_starts(t, good, flight.columns.get("segment"))
+    if not len(starts):
+        return t[:0], {}
+    windows = cut(t, streams, starts, half)
+    return windows.t, {pair.relation: pair for pair in pairs(windows)}
+
+
+def _draw(panel, t: np.ndarray, pair: Pair, row: int, found: str, expected: str) -> None:
+    half = t.shape[1] // 2
+    halves = len(pair.found) == 2 * len(t)  # both halves of a window were compared
+    time = np.concatenate([t[:, half // 2], t[:, half + half // 2]]) if halves else t[:, half]
+    order = np.argsort(time, kind="stable")
+    time, a, b = time[order], pair.expected[order, row], pair.found[order, row]
+    broken = np.flatnonzero(np.diff(time) > 3 * np.median(np.diff(time))) + 1 if len(time) > 2 else []
+    time, a, b = (np.insert(x, broken, np.nan) for x in (time, a, b))
+    panel.plot(time, a, color=EXPECTED, lw=1.6, label=expected)
+    if not pair.relation.startswith("thrust"):
+        panel.plot(time, b, color=FOUND, lw=0.8, label=found)
+    both = np.concatenate([a, b])
+    low, high = np.nanquantile(both, [1 - QUIET, QUIET])
+    margin = max(0.15 * (high - low), 3 * pair.floor)
+    panel.set_ylim(low - margin, high + margin)

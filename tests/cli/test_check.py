@@ -1,0 +1,78 @@
+"""quadexp check: what it prints, its exit codes, JSON, figures."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from quadexp.cli import app
+from quadexp.flight.schema import Flight
+from quadexp.flight.store import read_flight, write_flight
+
+FLY = (
+    "simulate", "controller=nominal_mpc", "trajectory=circle", "trajectory.speed=6", "sensor=lei_li",
+    "controller.backend=interpreted", "plant.backend=interpreted",
+)  # fmt: skip
+
+
+def run(*arguments):
+    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    return done.exit_code, done.stdout, done.stderr
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """good: a flight; turned: its quaternions conjugated; copy: the good one again; dropped: rows missing."""
+    folder = tmp_path_factory.mktemp("runs")
+    assert run(*FLY, "--out", folder / "good.parquet")[0] == 0
+    good = read_flight(folder / "good.parquet")
+    columns = good.columns | {f"q_{axis}": -good[f"q_{axis}"] for axis in "xyz"}
+    write_flight(folder / "turned.parquet", Flight(columns, good.metadata))
+    write_flight(folder / "copy.parquet", good)
+    rows = np.random.default_rng(0).random(len(good)) > 0.05
+    write_flight(folder / "dropped.parquet", Flight({name: x[rows] for name, x in good.columns.items()}, good.metadata))
+    return folder
+
+
+def test_a_clean_flight(folder):
+    code, out, _ = run("check", folder / "good.parquet")
+    assert code == 0 and out.strip().splitlines()[-1] == "1 flight: 1 clean, 0 with warnings, 0 blocked"
+
+
+def test_a_fault_blocks_and_says_where(folder):
+    code, out, error = run("check", folder / "good.parquet", folder / "turned.parquet")
+    assert code == 1 and "1 of 2 flights have findings that block" in error
+    assert "quaternion_conjugate" in out and "world to body" in out and "q_*" in out
+
+
+def test_a_duplicate_is_said_of_the_second(folder):
+    code, out, _ = run("check", folder / "good.parquet", folder / "copy.parquet", "--json")
+    good, copy = json.loads(out)["flights"]
+    assert code == 1 and not good["blocked"] and copy["blocked"]
+    assert [one["name"] for one in copy["findings"] if one["blocks"]] == ["duplicate"]
+
+
+def test_strict_lets_warnings_block(folder):
+    assert run("check", folder / "dropped.parquet")[0] == 0
+    code, out, _ = run("check", folder / "dropped.parquet", "--strict", "--json")
+    record = json.loads(out)
+    assert code == 1 and record["strict"] and record["blocked"] == 1
+    (finding,) = [one for one in record["flights"][0]["findings"] if one["severity"] == "warning"]
+    assert finding["name"] == "dropped_samples"
+    assert {"where", "measured", "allowed", "message", "blocks", "severity"} <= set(finding)
+
+
+def test_figures(folder, tmp_path):
+    code, out, _ = run("check", folder / "turned.parquet", "--figures", tmp_path / "figures")
+    assert code == 1 and (tmp_path / "figures" / "turned.svg").is_file()
+    assert str(tmp_path / "figures" / "turned.svg") in out
+
+
+def test_what_is_no_flight_is_one_line(tmp_path):
+    (tmp_path / "a.parquet").write_bytes(b"no")
+    code, _, error = run("check", tmp_path / "a.parquet")
+    assert code == 1 and len(error.strip().splitlines()) == 1
+    assert run("check", tmp_path / "missing.parquet")[0] == 2

@@ -1,0 +1,309 @@
+"""A flight that is known by hand, and logs of it as other programs write them.
+
+The path is a Lissajous figure with a turning nose; attitude, rates, specific force and rotor commands follow from it by
+rigid-body dynamics with linear drag, so that every column is consistent with every other.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+G = 9.81
+DRAG = np.array([0.4, 0.3, 0.1])  # 1/s, body axes
+NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+FRD = np.diag([1.0, -1.0, -1.0])
+# Rotors of vehicle=torrente and crazyflie: front right, back right, back left, front left (x, y signs, spin).
+ROTORS = np.array([[1, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]], float)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """t (k,), and p, v, acc (specific force, FLU), w (FLU), each (k, 3); q (k, 4) w first; command (k, 4), 0 to 1."""
+
+    t: np.ndarray
+    p: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    w: np.ndarray
+    acc: np.ndarray
+    command: np.ndarray
+    voltage: np.ndarray
+
+    @property
+    def R(self) -> Rotation:
+        return Rotation.from_quat(self.q, scalar_first=True)
+
+
+def truth(duration: float = 30.0, rate: float = 100.0, seed: int = 0) -> Truth:
+    """A flight of some 5 m/s; body rate and angular acceleration by differences on a grid ten times finer."""
+    rng = np.random.default_rng(seed)
+    fine = 10
+    t = np.arange(int(duration * rate) * fine + 1) / (rate * fine)
+    amplitude, omega, phase = np.array([4.0, 3.0, 0.7]), np.array([0.9, 1.3, 1.1]), rng.uniform(0, 6, 3)
+    s, c = np.sin(np.outer(t, omega) + phase), np.cos(np.outer(t, omega) + phase)
+    p = amplitude * s + [0.0, 0.0, 3.0]
+    v, a = amplitude * omega * c, -amplitude * omega**2 * s
+    yaw = 0.6 * np.sin(0.5 * t) + 0.3
+    R = _attitude(v, a, yaw)
+    force = R.apply(a + [0.0, 0.0, G], inverse=True)
+    body = R.apply(v, inverse=True)
+    w = (R[:-1].inv() * R[1:]).as_rotvec() * rate * fine
+    w = np.concatenate([w[:1], 0.5 * (w[1:] + w[:-1]), w[-1:]])
+    torque = np.gradient(w, t, axis=0)
+    thrust = force[:, 2] + DRAG[2] * body[:, 2]
+    mixed = np.stack(
+        [thrust / 4 + 0.02 * (y * torque[:, 0] - x * torque[:, 1]) + 0.05 * s_ * torque[:, 2] for x, y, s_ in ROTORS], 1
+    )
+    command = np.sqrt(np.clip(mixed, 0.01, None) / 6.0)
+    q = R.as_quat(scalar_first=True)
+    q *= np.cumprod(np.concatenate([[1.0], np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)]))[:, None]
+    voltage = 16.4 - 0.02 * t
+    k = slice(None, None, fine)
+    return Truth(t[k], p[k], q[k], v[k], w[k], force[k], command[k], voltage[k])
+
+
+def _attitude(v: np.ndarray, a: np.ndarray, yaw: np.ndarray) -> Rotation:
+    """Attitude with R^T (a + g e_z) + D R^T v along z, by fixed-point iteration on the drag."""
+    R = Rotation.from_euler("Z", yaw[:, None])
+    for _ in range(30):
+        total = a + [0.0, 0.0, G] + R.apply(DRAG * R.apply(v, inverse=True))
+        z = total / np.linalg.norm(total, axis=1, keepdims=True)
+        x = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], 1)
+        y = np.cross(z, x)
+        y /= np.linalg.norm(y, axis=1, keepdims=True)
+        R = Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=2))
+    return R
+
+
+def write_csv(path: Path, columns: dict[str, np.ndarray], digits: int = 9) -> Path:
+    names = ",".join(columns)
+    np.savetxt(
+        path, np.column_stack(list(columns.values())), delimiter=",", header=names, comments="", fmt=f"%.{digits + 6}g"
+    )
+    return path
+
+
+def _named(names: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    return dict(zip(names.split("|"), values.T, strict=True))
+
+
+def frd_quaternion(f: Truth) -> np.ndarray:
+    """FRD to NED, w first."""
+    return (Rotation.from_matrix(NED) * f.R * Rotation.from_matrix(FRD)).as_quat(scalar_first=True)
+
+
+def rotorpy(path: Path, f: Truth) -> Path:
+    """As RotorPy's to_dataframe: seconds, ENU and FLU, quaternion with w last, rotor speeds."""
+    return write_csv(path, {
+        "time": f.t, **_named("x|y|z", f.p), **_named("xdot|ydot|zdot", f.v),
+        **_named("qx|qy|qz|qw", f.q[:, [1, 2, 3, 0]]),
+        **_named("wx|wy|wz", f.w), **_named("windx|windy|windz", 0 * f.v), **_named("r1|r2|r3|r4", 2500 * f.command),
+        **_named("xdes|ydes|zdes", f.p + 0.01), **_named("xdotdes|ydotdes|zdotdes", f.v),
+    })  # fmt: skip
+
+
+def euroc(path: Path, f: Truth) -> Path:
+    """As EuRoC's ground truth: nanoseconds since 1970, units in the names."""
+    return write_csv(path, {
+        "#timestamp [ns]": 1.4e18 + 1e9 * f.t, **_named("p_RS_R_x [m]|p_RS_R_y [m]|p_RS_R_z [m]", f.p),
+        **_named("q_RS_w []|q_RS_x []|q_RS_y []|q_RS_z []", f.q),
+        **_named("v_RS_R_x [m s^-1]|v_RS_R_y [m s^-1]|v_RS_R_z [m s^-1]", f.v),
+        **_named("b_w_RS_S_x [rad s^-1]|b_w_RS_S_y [rad s^-1]|b_w_RS_S_z [rad s^-1]", 0 * f.w + 0.01),
+        **_named("a_RS_S_x [m s^-2]|a_RS_S_y [m s^-2]|a_RS_S_z [m s^-2]", f.acc),
+        **_named("w_RS_S_x [rad s^-1]|w_RS_S_y [rad s^-1]|w_RS_S_z [rad s^-1]", f.w),
+    }, digits=13)  # fmt: skip
+
+
+def ulog2csv(path: Path, f: Truth) -> Path:
+    """One table of PX4's fields: microseconds, NED and FRD, pulse widths, motors in PX4's order."""
+    return write_csv(path, {
+        "timestamp": 5e6 + 1e6 * f.t, **_named("x|y|z", f.p @ NED.T), **_named("vx|vy|vz", f.v @ NED.T),
+        **_named("q[0]|q[1]|q[2]|q[3]", frd_quaternion(f)), **_named("xyz[0]|xyz[1]|xyz[2]", f.w @ FRD),
+        **_named("accelerometer_m_s2[0]|accelerometer_m_s2[1]|accelerometer_m_s2[2]", f.acc @ FRD),
+        **_named("output[0]|output[1]|output[2]|output[3]", 1000 + 1000 * f.command[:, [0, 2, 3, 1]]),
+        "voltage_v": f.voltage,
+    }, digits=12)  # fmt: skip
+
+
+def betaflight(path: Path, f: Truth) -> Path:
+    """As blackbox_decode: microseconds, counts of 2048 a g, degrees a second, no position and no attitude."""
+    names = {"loopIteration": np.arange(len(f.t)) * 4.0, "time (us)": 81e6 + 1e6 * f.t,
+             **_named("axisP[0]|axisP[1]|axisP[2]", f.w * 3)}  # fmt: skip
+    names |= _named("gyroADC[0] (deg/s)|gyroADC[1] (deg/s)|gyroADC[2] (deg/s)", np.degrees(f.w))
+    names |= _named("accSmooth[0]|accSmooth[1]|accSmooth[2]", 2048 / G * f.acc)
+    names |= _named("motor[0]|motor[1]|motor[2]|motor[3]", 48 + 1999 * f.command[:, [1, 0, 2, 3]])
+    names |= {"vbatLatest (V)": f.voltage}
+    write_csv(path, names)
+    lines = path.read_text().splitlines()
+    lines[0] += ",flightModeFlags (flags)"
+    path.write_text(
+        "\n".join([lines[0].replace(",", ", "), *(f"{line},ANGLE_MODE|HORIZON" for line in lines[1:])]) + "\n"
+    )
+    return path
+
+
+def neurobem(path: Path, f: Truth) -> Path:
+    """As the NeuroBEM set: velocity in the body, rotor speeds, derivatives beside what was measured."""
+    body = f.R.apply(f.v, inverse=True)
+    return write_csv(path, {
+        "t": f.t, **_named("ang acc x|ang acc y|ang acc z", np.gradient(f.w, f.t, axis=0)),
+        **_named("ang vel x|ang vel y|ang vel z", f.w), **_named("quat x|quat y|quat z|quat w", f.q[:, [1, 2, 3, 0]]),
+        **_named("acc x|acc y|acc z", f.acc), **_named("vel x|vel y|vel z", body), **_named("pos x|pos y|pos z", f.p),
+        **_named("mot 1|mot 2|mot 3|mot 4", 2500 * f.command[:, [1, 2, 0, 3]]),
+        **_named("dmot 1|dmot 2|dmot 3|dmot 4", np.gradient(f.command, f.t, axis=0)), "vbat": f.voltage,
+    })  # fmt: skip
+
+
+def unnamed(path: Path, f: Truth) -> Path:
+    """No name says anything: attitude world to body with w last, degrees a second, g, milliseconds, z down."""
+    q = frd_quaternion(f) * [1, -1, -1, -1]
+    columns = np.column_stack([
+        1e3 * f.t, f.p @ NED.T, np.degrees(f.w @ FRD), q[:, [1, 2, 3, 0]], f.v @ NED.T, f.acc @ FRD / 9.80665,
+        65535 * f.command,
+    ])  # fmt: skip
+    return write_csv(path, {f"c{i}": column for i, column in enumerate(columns.T)})
+
+
+# ------------------------------------------------------------------------------------------------------------- ULog
+_C = {"uint64_t": "Q", "float": "f", "uint8_t": "B", "uint16_t": "H", "int32_t": "i", "uint32_t": "I", "bool": "?"}
+
+
+class ULogWriter:
+    """A small valid ULog: header, flag bits, formats, parameters, subscriptions, data in the order of time.
+
+    See https://docs.px4.io/main/en/dev_log/ulog_file_format.html
+    """
+
+    def __init__(self, parameters: dict[str, float] | None = None) -> None:
+        self.definitions = b"".join([
+            b"ULog\x01\x12\x35\x01", struct.pack("<Q", 1_000_000), self._message(b"B", bytes(40)),
+            *(self._parameter(key, value) for key, value in (parameters or {}).items()),
+        ])  # fmt: skip
+        self.formats: dict[str, str] = {}
+        self.subscriptions: list[bytes] = []
+        self.data: list[tuple[int, bytes]] = []
+
+    @staticmethod
+    def _message(kind: bytes, content: bytes) -> bytes:
+        return struct.pack("<H", len(content)) + kind + content
+
+    def _parameter(self, key: str, value: float) -> bytes:
+        name = f"float {key}".encode()
+        return self._message(b"P", struct.pack("<B", len(name)) + name + struct.pack("<f", value))
+
+    def format(self, name: str, fields: str) -> None:
+        """fields: as PX4 writes them, `uint64_t timestamp;float[4] q;`."""
+        self.formats[name] = fields
+
+    def topic(self, name: str, t: np.ndarray, values: np.ndarray, code: str, instance: int = 0) -> None:
+        """t: (k,) s. values: (k, m), everything after the timestamp, packed by `code` (of struct)."""
+        number = len(self.subscriptions)
+        self.subscriptions.append(self._message(b"A", struct.pack("<BH", instance, number) + name.encode()))
+        pack = struct.Struct(f"<HQ{code}")
+        floats = [kind in "fd" for count, kind in re.findall(r"(\d*)([a-zA-Z?])", code) for _ in range(int(count or 1))]
+        for stamp, row in zip((1e6 * t).round().astype(int).tolist(), values.tolist(), strict=True):
+            row = [value if real else int(value) for value, real in zip(row, floats, strict=True)]
+            self.data.append((stamp, self._message(b"D", pack.pack(number, stamp, *row))))
+
+    def write(self, path: Path) -> Path:
+        formats = [self._message(b"F", f"{name}:{fields}".encode()) for name, fields in self.formats.items()]
+        ordered = [message for _, message in sorted(self.data, key=lambda item: item[0])]
+        path.write_bytes(b"".join([self.definitions, *formats, *self.subscriptions, *ordered]))
+        return path
+
+
+def ulog(path: Path, f: Truth, version: str = "new", start: float = 5.0) -> Path:
+    """A log of PX4 about 1.14 ("new") or 1.8 ("old"): attitude at half the rate, motors and battery on their own."""
+    t, position, velocity = f.t + start, f.p @ NED.T, f.v @ NED.T
+    q, w, acc = frd_quaternion(f), f.w @ FRD, f.acc @ FRD
+    motors = f.command[:, [0, 2, 3, 1]]
+    log = ULogWriter(
+        {"PWM_MAIN_MIN": 1000.0, "PWM_MAIN_MAX": 2000.0} if version == "new" else {"PWM_MIN": 1000.0, "PWM_MAX": 2000.0}
+    )
+    log.format("vehicle_local_position", "uint64_t timestamp;float x;float y;float z;float vx;float vy;float vz;")
+    log.topic("vehicle_local_position", t[::2], np.hstack([position, velocity])[::2], "6f")
+    log.format(
+        "sensor_combined", "uint64_t timestamp;float[3] gyro_rad;uint32_t gyro_integral_dt;float[3] accelerometer_m_s2;"
+    )
+    log.topic("sensor_combined", t, np.column_stack([w, np.full(len(t), 5000), acc]), "3fI3f")
+    log.format("battery_status", "uint64_t timestamp;float voltage_v;")
+    log.topic("battery_status", t[::20], f.voltage[::20, None], "f")
+    if version == "new":
+        log.format("vehicle_attitude", "uint64_t timestamp;uint64_t timestamp_sample;float[4] q;")
+        stamps = (1e6 * t[::2]).round()[:, None]
+        log.topic("vehicle_attitude", t[::2] + 0.0005, np.hstack([stamps, q[::2]]), "Q4f")
+        log.format("vehicle_angular_velocity", "uint64_t timestamp;float[3] xyz;")
+        log.topic("vehicle_angular_velocity", t, w, "3f")
+        log.format("actuator_motors", "uint64_t timestamp;uint16_t reversible_flags;float[12] control;")
+        control = np.hstack([motors, np.full((len(t), 8), np.nan)])
+        log.topic("actuator_motors", t, np.column_stack([np.zeros(len(t)), control]), "H12f")
+        log.format("esc_report", "uint64_t timestamp;int32_t esc_rpm;float esc_voltage;")
+        log.format("esc_status", "uint64_t timestamp;uint8_t esc_count;uint8_t[7] _padding0;esc_report[4] esc;")
+        rows = np.column_stack([np.full(len(t), 4), *([np.zeros(len(t))] * 7), *(
+            column for m in motors.T for column in (np.zeros(len(t)), 20000 * m, f.voltage))])  # fmt: skip
+        log.topic("esc_status", t[::2], rows[::2], "B7B" + "Qif" * 4)
+    else:
+        log.format("vehicle_attitude", "uint64_t timestamp;float rollspeed;float pitchspeed;float yawspeed;float[4] q;")
+        log.topic("vehicle_attitude", t, np.hstack([w, q]), "7f")
+        log.format("actuator_outputs", "uint64_t timestamp;uint32_t noutputs;float[16] output;")
+        outputs = np.hstack([1000 + 1000 * motors, np.full((len(t), 4), 900.0), np.zeros((len(t), 8))])
+        log.topic("actuator_outputs", t, np.column_stack([np.full(len(t), 8), outputs]), "I16f")
+    return log.write(path)
+
+
+# -------------------------------------------------------------------------------------------------------------- ROS
+def rosbag(path: Path, f: Truth, version: int) -> Path:
+    """Odometry (velocity in the body), IMU, battery; of ROS 1 (a file) or ROS 2 (a folder)."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
+    if version == 1:
+        from rosbags.rosbag1 import Writer
+
+        writer, encode = Writer(path), store.serialize_ros1
+    else:
+        from rosbags.rosbag2 import Writer as Writer2
+
+        writer, encode = Writer2(path, version=9), store.serialize_cdr  # type: ignore[assignment]
+    T = store.types
+    prefix = "{}/msg/{}"
+    make = {name.rsplit("/", 1)[-1]: kind for name, kind in T.items()}
+    vector = lambda v: make["Vector3"](*map(float, v))  # noqa: E731
+    quaternion = lambda q: make["Quaternion"](float(q[1]), float(q[2]), float(q[3]), float(q[0]))  # noqa: E731
+
+    def header(k: int, stamp: float, frame: str):
+        time = T["builtin_interfaces/msg/Time"](int(stamp), int(round(1e9 * (stamp % 1))))
+        return make["Header"](k, time, frame) if version == 1 else make["Header"](time, frame)
+
+    body, none = f.R.apply(f.v, inverse=True), np.zeros(36)
+    with writer:
+        odometry = writer.add_connection("/drone/odometry", prefix.format("nav_msgs", "Odometry"), typestore=store)
+        imu = writer.add_connection("/drone/imu/data", prefix.format("sensor_msgs", "Imu"), typestore=store)
+        wanted = writer.add_connection(
+            "/drone/setpoint", prefix.format("geometry_msgs", "PoseStamped"), typestore=store
+        )
+        for k, t in enumerate(f.t + 1.7e9):
+            stamp = int(round(1e9 * t))
+            pose = make["Pose"](make["Point"](*map(float, f.p[k])), quaternion(f.q[k]))
+            twist = make["Twist"](vector(body[k]), vector(f.w[k]))
+            message = make["Odometry"](
+                header(k, t, "world"),
+                "base_link",
+                make["PoseWithCovariance"](pose, none),
+                make["TwistWithCovariance"](twist, none),
+            )
+            writer.write(odometry, stamp, encode(message, odometry.msgtype))
+            zero = np.zeros(9)
+            message = make["Imu"](
+                header(k, t, "imu"), quaternion(f.q[k]), zero, vector(f.w[k]), zero, vector(f.acc[k]), zero
+            )
+            writer.write(imu, stamp, encode(message, imu.msgtype))
+            shifted = make["Pose"](make["Point"](*map(float, f.p[k] + 1)), quaternion(f.q[k]))
+            writer.write(wanted, stamp, encode(make["PoseStamped"](header(k, t, "world"), shifted), wanted.msgtype))
+    return path
