@@ -62,7 +62,7 @@ def feedback_controller(config: FeedbackConfig, settings: Any, vehicle: Vehicle,
     if chosen.parameters == "none":
         aerodynamics: Any = KnownCoefficients(np.zeros(5), "the vehicle's thrust map")
     elif chosen.parameters == "identified":
-        aerodynamics = identification(config.rls, vehicle)
+        aerodynamics = identification(config.rls, vehicle, config.backend)
     elif hasattr(plant, "coefficients"):
         aerodynamics = KnownCoefficients(plant.coefficients.parameters(), "plant equations")
     else:
@@ -76,13 +76,13 @@ def identifying_mpc(config: RLSMPCConfig, settings: Any, vehicle: Vehicle) -> An
     from quadexp.control.rls_mpc import IdentifyingController
     from quadexp.residual.blade_element import blade_element_residual
 
-    identified = identification(config.rls, vehicle)
+    identified = identification(config.rls, vehicle, config.backend)
     residual = blade_element_residual(vehicle, identified.estimator.initial, identified.source)
     mpc = ModelPredictiveController(vehicle, residual, settings, backend=config.backend)
     return IdentifyingController(mpc, identified, config.reference_period)
 
 
-def identification(config: RLSConfig, vehicle: Vehicle) -> Any:
+def identification(config: RLSConfig, vehicle: Vehicle, backend: str) -> Any:
     """Coefficients identified in flight, as configured."""
     from quadexp.control.feedback.aerodynamics import IdentifiedCoefficients
     from quadexp.identify.rls import BladeElementRLS, RLSSettings
@@ -91,4 +91,5 @@ def identification(config: RLSConfig, vehicle: Vehicle) -> Any:
     first = BladeCoefficients(config.lift_slope, config.profile_drag, tuple(config.body_drag))
     values = {f.name: getattr(config, f.name) for f in fields(RLSSettings) if hasattr(config, f.name)}
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
-    return IdentifiedCoefficients(BladeElementRLS(vehicle, first, RLSSettings(**values)), config.change_threshold)
+    estimator = BladeElementRLS(vehicle, first, RLSSettings(**values), backend=backend)
+    return IdentifiedCoefficients(estimator, config.change_threshold)

@@ -9,6 +9,7 @@ accelerometer's noise (`RLSSettings.scaled`) hardly ever needs it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,14 +120,14 @@ class BladeElementRLS:
         body_velocity: (3,) FLU (m/s). rotor_speed: (n,) (rad/s). specific_force: reading (3,) FLU (m/s^2). All of the
         same instant. Raises QuadexpError where they are not finite.
         """
-        total = float(np.sum(body_velocity)) + float(np.sum(rotor_speed)) + float(np.sum(specific_force))
-        if not np.isfinite(total):
+        arguments, results = self._step.arguments, self._step.results
+        v, w, y = (arguments[name] for name in ("v", "w", "y"))
+        v[...], w[...], y[...] = body_velocity, rotor_speed, specific_force
+        if not math.isfinite(v @ v + w @ w + y @ y):
             raise QuadexpError("identification: the measured velocity, rotor speeds or specific force are not finite")
-        if np.min(rotor_speed) < SLOWEST:
+        if min(w.tolist()) < SLOWEST:
             self.skipped += 1
             return self.theta
-        arguments, results = self._step.arguments, self._step.results
-        arguments["v"][...], arguments["w"][...], arguments["y"][...] = body_velocity, rotor_speed, specific_force
         arguments["used"][...] = self.theta
         self._step()
         for axis in "xyz":

@@ -11,12 +11,14 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from quadexp.flight.schema import Flight
 from quadexp.report.figures import COLOURS, STYLE
 from quadexp.report.metrics import position_error
 from quadexp.rotor import THETA
 
+PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 GREY = "#777777"
 SYMBOLS = {"C_d0": "$C_{d0}$", "C_la": r"$C_{l\alpha}$ (1/rad)"} | {f"C_D{a}": f"$C_{{D{a}}}$" for a in "xyz"}
@@ -64,6 +66,8 @@ def running_mean_figure(flights: Mapping[str, Flight], title: str) -> Figure:
                 panel.plot(flight.t, np.cumsum(error) / count, label=name, **style_of(name))
         panels[0].set(ylabel=r"running mean of $\|e_\xi\|$ (m)", title="position")
         panels[1].set(ylabel=r"running mean of $\|e_\eta\|$ (rad)", title="attitude", yscale="log")
+        panels[1].yaxis.set_major_formatter(PLAIN)
+        panels[1].yaxis.set_minor_formatter(PLAIN)
         for panel in panels:
             panel.set_xlabel("time (s)")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(flights))
@@ -140,6 +144,8 @@ def adaptation_figure(flights: Mapping[str, Mapping[str, Flight]], titles: Mappi
                 fontsize=8,
             )
             panel.set(yscale="log", title=titles.get(plant, plant), xlabel="time (s)", ylim=(0.05, 1000))
+            panel.yaxis.set_major_formatter(PLAIN)
+            panel.yaxis.set_minor_formatter(NullFormatter())
         panels[0].set_ylabel("position error (mm)")
         handles = panels[0].get_legend_handles_labels()
         figure.legend(*handles, loc="outside lower center", ncols=len(handles[0]))

@@ -196,15 +196,24 @@ class TestIdentifyingMPC:
             ("circle", 8),
             pytest.param("circle", 19, marks=pytest.mark.slow),
             pytest.param("lemniscate", 8, marks=pytest.mark.slow),
+            pytest.param("lemniscate", 9, marks=pytest.mark.slow),
         ],
     )
     def test_after_10_s_it_flies_as_if_it_had_been_told(self, trajectory, speed):
-        """Highest speeds that need no more than the vehicle has; means over seeds, since the accelerometer is noisy."""
+        """Up to the highest speeds within the vehicle's limits; means over seeds, since the accelerometer is noisy.
+
+        On the lemniscate at 9 m/s the MPC leaves 14 mm even without any air (its inputs are held for a tenth of a
+        second), so that perfect_mpc itself is 20 % of nominal_mpc: there only the first bound has a meaning.
+        """
         path = (f"trajectory={trajectory}", f"trajectory.speed={speed}")
         perfect, nominal = (self.late_rmse(name, *path) for name in ("perfect_mpc", "nominal_mpc"))
         found = np.mean([self.late_rmse("rls_mpc", *path, f"seed={seed}") for seed in range(3)])
         assert found < 1.10 * perfect
-        assert found < 0.20 * nominal
+        if speed == 9:
+            floor = self.late_rmse("nominal_mpc", *path, "plant=ideal")
+            assert floor > 0.12 * nominal and perfect > 0.19 * nominal
+        else:
+            assert found < 0.20 * nominal
 
     def test_it_finds_a_payload_and_a_fouled_rotor(self):
         """One second after the change the error is within a tenth of what the nominal model has."""
