@@ -1,20 +1,80 @@
-"""From flight files to files of identified coefficients."""
+"""From flight files to identified coefficients, by one of two methods.
+
+rls         Lei & Li's recursive least squares on the blade-element model, flight by flight: needs rotor speeds and the
+            rotors' geometry, and gives C_d0, C_la and C_D.
+regression  thrust curve, drag and lumped blade-element coefficients over all flights together: needs some signal of the
+            thrust, and gives a vehicle model (quadexp.experiment.identify_vehicle).
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from quadexp.config_flight import RotorConfig, VehicleConfig
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.provenance import provenance, versions
 from quadexp.flight.schema import Flight
-from quadexp.flight.store import check_output, read_flight, write_table
+from quadexp.flight.store import check_finite, check_output, read_flight, read_table, write_table
 from quadexp.identify.offline import Identification, identify_flight
 from quadexp.identify.rls import RLSSettings
+from quadexp.identify.samples import QUATERNION, rotor_columns
 from quadexp.vehicle import Vehicle
+
+METHODS = ("rls", "regression")
+
+
+class Choice(NamedTuple):
+    """A method, and why it was chosen."""
+
+    method: str
+    reason: str
+
+
+def choose_method(paths: Sequence[Path], asked: str | None, vehicle: Vehicle | None) -> Choice:
+    """rls where the flights have rotor speeds and the rotors' geometry is known, else regression.
+
+    vehicle: the one named, None for the flights' own. Raises UsageError for an unknown method.
+    """
+    if asked is not None:
+        if asked not in METHODS:
+            raise UsageError(f"identify --method: '{asked}' is none of {', '.join(METHODS)}")
+        return Choice(asked, "as asked")
+    if not paths:
+        raise UsageError("identify: no flight given")
+    for path in paths:
+        flight = read_recorded(path)
+        if not rotor_columns(flight, "rotor_speed"):
+            return Choice("regression", f"{path} has no rotor speeds")
+        known = vehicle or own_vehicle(flight)
+        if known is not None and known.rotor is None:
+            return Choice("regression", f"the geometry of {known.name}'s rotors is not known")
+        if known is None and flight.metadata.get("recorded"):
+            return Choice("regression", f"{path} is of a vehicle that is not in the configuration")
+    return Choice("rls", "rotor speeds and the rotors' geometry are known")
+
+
+def read_recorded(path: Path) -> Flight:
+    """A flight that may lack the commanded thrusts, as a log does; time, attitude and velocity must be finite."""
+    needed = ("t", *QUATERNION, "v_x", "v_y", "v_z")
+    columns, record = read_table(path, "flight", required=needed)
+    check_finite(columns, needed, str(path))
+    return Flight(columns, record)
+
+
+def own_vehicle(flight: Flight, conf: Path | None = None) -> Vehicle | None:
+    """The vehicle that a flight's record describes, or names if the configuration has the same; None for neither."""
+    if (flight.metadata.get("config") or {}).get("vehicle"):
+        return _recorded(flight, Path(str(flight.metadata.get("name", "flight"))))
+    record = flight.metadata.get("vehicle") or {}
+    try:
+        named = configured_vehicle(str(record["name"]), conf) if record.get("name") else None
+    except UsageError:
+        return None
+    return named if named is not None and named.fingerprint == record.get("fingerprint") else None
 
 
 def identify_files(
@@ -39,7 +99,7 @@ def identify_files(
         raise UsageError(f"identify: two flights named {twice[0].stem} would both be written to {twice[0]}")
     for path in paths:
         check_output(path, force=force)
-    named = None if vehicle is None else _configured(vehicle, conf)
+    named = None if vehicle is None else configured_vehicle(vehicle, conf)
     found = []
     for path in flights:
         flight = read_flight(path)
@@ -51,7 +111,8 @@ def identify_files(
     return list(zip(paths, found, strict=True))
 
 
-def _configured(name: str, conf: Path | None) -> Vehicle:
+def configured_vehicle(name: str, conf: Path | None) -> Vehicle:
+    """A vehicle of the configuration, or of the folder `conf`; raises UsageError where it has none of that name."""
     from quadexp.compose import compose
 
     return build_vehicle(compose([f"vehicle={name}"], conf).vehicle)

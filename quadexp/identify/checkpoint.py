@@ -21,18 +21,24 @@ from quadexp.errors import DataError, UsageError
 from quadexp.flight.store import check_output
 from quadexp.identify.linear_drag import LinearDrag
 from quadexp.identify.model import GPModel, OutputPosterior
+from quadexp.identify.term_mean import TermMean
+from quadexp.identify.terms import TermModel
+from quadexp.identify.thrust_curve import ThrustCurve
+from quadexp.identify.vehicle_model import VehicleModel
 from quadexp.vehicle import Vehicle
 
 SCHEMA = 1
 MODEL_FILE = "model.json"
 REPORT_FILE = "report.json"
-KINDS = {GPModel: "gaussian_process", LinearDrag: "linear_drag"}
-COMMANDS = "`quadexp fit-gp DATASET --out {path}` or `quadexp fit-drag DATASET --out {path}`"
+Model = GPModel | LinearDrag | VehicleModel
+KINDS = {GPModel: "gaussian_process", LinearDrag: "linear_drag", VehicleModel: "vehicle_model"}
+COMMANDS = (
+    "`quadexp fit-gp DATASET --out {path}`, `quadexp fit-drag DATASET --out {path}` or `quadexp identify FLIGHT..."
+    " --out {path}`"
+)
 
 
-def save_model(
-    path: str | Path, model: GPModel | LinearDrag, *, report: dict[str, Any] | None = None, force: bool = False
-) -> Path:
+def save_model(path: str | Path, model: Model, *, report: dict[str, Any] | None = None, force: bool = False) -> Path:
     """Write a checkpoint directory; it appears whole or not at all. Returns the directory.
 
     report: JSON-able, written as report.json. force: replace the files of an existing checkpoint.
@@ -64,7 +70,7 @@ def save_model(
     return path
 
 
-def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> GPModel | LinearDrag:
+def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Model:
     """Read a checkpoint directory (or its model.json).
 
     vehicle: whom it must have been fitted for.
@@ -117,7 +123,7 @@ def _hash(payload: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _encode(model: GPModel | LinearDrag) -> dict[str, Any]:
+def _encode(model: Model) -> dict[str, Any]:
     """The model as JSON types; a variance factor as the rows of its upper triangle, end to end."""
     payload = asdict(model)
     for output in payload.get("outputs", ()):
@@ -132,20 +138,42 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} cannot be written as JSON")
 
 
-def _decode(payload: dict[str, Any]) -> GPModel | LinearDrag:
+def _decode(payload: dict[str, Any]) -> Model:
     content = {key: value for key, value in payload.items() if key != "kind"}
     if payload["kind"] == KINDS[LinearDrag]:
         return _drag(content)
+    if payload["kind"] == KINDS[VehicleModel]:
+        return _vehicle_model(content)
     if payload["kind"] != KINDS[GPModel]:
         raise ValueError(f"kind {payload['kind']!r}, known are {', '.join(KINDS.values())}")
     content["outputs"] = tuple(_posterior(output) for output in content["outputs"])
-    content["mean"] = None if content["mean"] is None else _drag(content["mean"])
+    content["mean"] = None if content["mean"] is None else _mean(content["mean"])
     content["linear_drag"] = _drag(content["linear_drag"])
     return GPModel(**content)
 
 
+def _mean(content: dict[str, Any]) -> LinearDrag | TermMean:
+    return TermMean(_terms(content["model"]), content["mass"]) if "model" in content else _drag(content)
+
+
 def _drag(content: dict[str, Any]) -> LinearDrag:
     return LinearDrag(**_arrays(content, LinearDrag))
+
+
+def _vehicle_model(content: dict[str, Any]) -> VehicleModel:
+    content["thrust"] = ThrustCurve(**_arrays(content["thrust"], ThrustCurve))
+    for kind in ("linear", "quadratic", "blade_element"):
+        content[kind] = None if content[kind] is None else _terms(content[kind])
+    return VehicleModel(**content | {"notes": tuple(content["notes"])})
+
+
+def _terms(content: dict[str, Any]) -> TermModel:
+    per_axis = {key: tuple(np.array(row, float) for row in content[key]) for key in ("coefficients", "covariance")}
+    whole = {key: np.array(content[key], float) for key in ("residual_std", "condition")}
+    terms = {"terms": tuple(map(tuple, content["terms"])), "freedom": tuple(content["freedom"])}
+    if isinstance(content["momentum"], list):
+        terms["momentum"] = tuple(content["momentum"])
+    return TermModel(**content | per_axis | whole | terms)
 
 
 def _posterior(content: dict[str, Any]) -> OutputPosterior:

@@ -91,6 +91,9 @@ def _table(path: Path) -> dict[str, Any]:
             lines += flight_lines(record)
         else:
             lines.append(f"outcome     {record.get('outcome')}: {record.get('cause')}")
+    elif kind == "flight" and record.get("recorded"):
+        summary |= {"source": record.get("source"), "findings": record.get("findings", [])}
+        lines += _recorded_lines(record, columns)
     elif kind == "residuals":
         summary["flights"] = record.get("flights", [])
         lines += _residual_lines(record, columns)
@@ -101,6 +104,17 @@ def _table(path: Path) -> dict[str, Any]:
         lines += _unit_lines(summary["columns"])
     lines += _provenance_lines(record)
     return summary | {"lines": lines}
+
+
+def _recorded_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> list[str]:
+    """Where a recorded flight came from, and what the quality check said of it."""
+    source, t = record.get("source", {}), columns["t"]
+    file, form, rate = (source.get(key) for key in ("file", "format", "rate"))
+    hertz = f" at {rate:.4g} Hz" if isinstance(rate, (int, float)) else ""
+    lines = [f"recorded    {file} ({form}), {float(t[-1] - t[0]) if len(t) else 0.0:.1f} s{hertz}"]
+    if all(name in columns for name in ("v_x", "v_y", "v_z")) and len(t):
+        lines.append(f"peak speed  {float(np.sqrt(sum(columns[f'v_{i}'] ** 2 for i in 'xyz')).max()):.2f} m/s")
+    return lines + [f"finding     {finding['message']}" for finding in record.get("findings", [])]
 
 
 def _residual_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> list[str]:
@@ -138,7 +152,8 @@ def _result_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], 
 
 
 def _checkpoint(path: Path) -> dict[str, Any]:
-    from quadexp.identify.checkpoint import load_model
+    from quadexp.identify.checkpoint import KINDS, load_model, load_report
+    from quadexp.identify.vehicle_model import VehicleModel
 
     model = load_model(path)
     file = path / MODEL_FILE
@@ -149,7 +164,7 @@ def _checkpoint(path: Path) -> dict[str, Any]:
     outputs = getattr(model, "outputs", ())
     summary: dict[str, Any] = {
         "path": str(path),
-        "kind": "gaussian_process" if outputs else "linear_drag",
+        "kind": KINDS[type(model)],
         "schema": record.get("schema"),
         "bytes": file.stat().st_size,
         "vehicle": dict(model.vehicle),
@@ -181,12 +196,27 @@ def _checkpoint(path: Path) -> dict[str, Any]:
             f"{name:<12}{output['inducing']} points, length scales {scales};"
             f" signal {output['signal_std']:.3g}, noise {output['noise_std']:.3g} {describe(name, 'residuals').unit}"
         )
-    lines.append(f"drag        {model.linear_drag}")
+    if isinstance(model, VehicleModel):
+        summary |= {"thrust": str(model.thrust), "best": model.best}
+        summary["models"] = {kind: one.rows() for kind, one in model.models.items()}
+        lines += _vehicle_lines(model, load_report(path))
+    else:
+        lines.append(f"drag        {model.linear_drag}")
     settings = {k: v for k, v in summary["settings"].items() if k != "features"}
     if settings:
         lines.append("settings    " + ", ".join(f"{k} {v}" for k, v in settings.items()))
     lines += _provenance_lines(summary)
     return summary | {"lines": lines}
+
+
+def _vehicle_lines(model: Any, report: Mapping[str, Any]) -> list[str]:
+    """Coefficients with 95 % intervals, and the ladder of models where the report has it."""
+    from quadexp.report.identify_lines import model_lines, selection_lines
+
+    lines = model_lines(model)
+    if report.get("selection"):
+        lines += selection_lines(report["selection"], model.best)
+    return lines + [f"note        {note}" for note in model.notes]
 
 
 def _config_lines(config: Mapping[str, Any] | None) -> list[str]:

@@ -1,4 +1,4 @@
-"""quadexp identify: coefficients and their confidence from a recorded flight."""
+"""quadexp identify: coefficients and their confidence from flights, by recursive least squares or by regression."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ import pytest
 from typer.testing import CliRunner
 
 from quadexp.cli import app
+from quadexp.flight.schema import Flight
 from quadexp.flight.store import read_flight, read_table, write_flight
+from quadexp.identify.checkpoint import load_model
+from tests.identify.logged_flights import DRAG, logged_flight
 
 FLY = (
     "simulate", "vehicle=lei_li", "plant=blade_element", "sensor=lei_li", "trajectory=rectangle",
@@ -75,3 +78,81 @@ def test_mistakes_are_one_line(flight, tmp_path):
     code, _, error = run("identify", flight, twice, "--out", tmp_path / "e")
     assert code == 2 and "two flights named a" in error
     assert np.isfinite(read_flight(flight)["C_la"]).all()
+
+
+@pytest.fixture(scope="module")
+def logged(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("flights")
+    return [write_flight(folder / f"log_{seed}.parquet", logged_flight(seed, seconds=10)) for seed in range(2)]
+
+
+def test_says_which_method_and_why(flight, logged, tmp_path):
+    code, _, error = run("identify", flight, "--out", tmp_path / "e")
+    assert code == 0 and "rls: rotor speeds and the rotors' geometry are known" in error
+    code, _, error = run("identify", *logged, "--out", tmp_path / "m", "--no-figures")
+    assert code == 0 and f"regression: {logged[0]} has no rotor speeds" in error
+    code, out, error = run("identify", flight, "--method", "regression", "--out", tmp_path / "r", "--no-figures")
+    assert code == 0 and "regression: as asked" in error and "on rotor_speed: c_2" in out
+    assert load_model(tmp_path / "r").blade_element.terms[2] == ("thrust", "inflow", "advance", "body")
+
+
+def test_logs_give_a_vehicle_model_with_intervals_series_and_figures(logged, tmp_path):
+    out = tmp_path / "model"
+    code, text, error = run("identify", *logged, "--out", out, "--drag", "linear")
+    assert code == 0, error
+    lines = text.strip().splitlines()
+    assert lines[-1] == str(out)
+    assert lines[0].startswith("regression on 2 flights of known, 2000 samples, 20 s")
+    assert any(line.startswith("+ linear drag") for line in lines) and "each flight alone" in lines
+    model = load_model(out)
+    assert model.drag.drag == pytest.approx(DRAG, abs=0.04)
+    columns, _ = read_table(out / "estimates.parquet", "estimates")
+    assert columns["linear_linear_x"][-1] == pytest.approx(model.linear.coefficient("x", "linear")[0], rel=1e-8)
+    assert columns["std_linear_linear_x"][-1] == pytest.approx(model.linear.coefficient("x", "linear")[1], rel=1e-8)
+    assert columns["std_linear_linear_x"][100] > 2 * columns["std_linear_linear_x"][-1]
+    assert set(np.unique(columns["flight"])) == {0, 1}
+    for name in ("thrust", "drag", "models", "estimates_linear"):
+        assert (out / "figures" / f"{name}.png").stat().st_size > 10_000
+    shown = run("show", out)[1]
+    assert "checkpoint, vehicle_model" in shown and "thrust      on motor_command V/4" in shown
+    assert any(line in shown for line in lines if line.startswith("+ linear drag"))
+
+
+def test_regression_as_json_and_its_options(logged, tmp_path):
+    code, out, _ = run(
+        "identify", *logged, "--out", tmp_path / "m", "--no-figures", "--json", "--drag", "quadratic",
+        "--thrust-curve", "s+s2", "--loss", "huber",
+    )  # fmt: skip
+    found = json.loads(out)
+    assert code == 0 and found["method"] == "regression" and set(found["models"]) == {"linear", "quadratic"}
+    assert found["other_loss"]["loss"] == "squares" and "c_1" in found["thrust"] and "c_2" in found["thrust"]
+    d_x = next(row for row in found["models"]["linear"] if (row["axis"], row["term"]) == ("x", "linear"))
+    assert d_x["low"] < d_x["value"] < d_x["high"] and d_x["unit"] == "1/s"
+    code, _, error = run("identify", *logged, "--out", tmp_path / "m", "--no-figures")
+    assert code == 2 and "exists already; pass --force" in error
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--method", "magic"], "'magic' is none of rls, regression"),
+        (["--drag", "cubic"], "drag 'cubic' is none of linear, quadratic, blade_element"),
+        (["--thrust-curve", "s3"], "'s3' is none of auto, s, s2, s+s2"),
+        (["--voltage-exponent", "x"], "'x' is neither a number nor fit"),
+        (["--signal", "pwm"], "thrust signal 'pwm' is none of"),
+        (["--paper"], "is for --method rls"),
+    ],
+)
+def test_a_wrong_option_is_one_line_and_writes_nothing(logged, tmp_path, options, message):
+    code, _, error = run("identify", *logged, "--out", tmp_path / "m", "--no-figures", *options)
+    assert code == 2 and message in error and not (tmp_path / "m").exists()
+
+
+def test_a_flight_given_twice_or_lacking_a_column_is_refused(logged, tmp_path):
+    code, _, error = run("identify", logged[0], logged[0], "--out", tmp_path / "m")
+    assert code == 2 and "is given twice" in error
+    whole = logged_flight(5, seconds=5)
+    bare = Flight({k: v for k, v in whole.columns.items() if k != "acc_y"}, whole.metadata)
+    path = write_flight(tmp_path / "bare.parquet", bare)
+    code, _, error = run("identify", path, "--out", tmp_path / "m")
+    assert code == 1 and "bare: column 'acc_y' is missing" in error

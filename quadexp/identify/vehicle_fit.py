@@ -1,0 +1,199 @@
+"""From flights to a vehicle model, and which of its models a flight that was not seen speaks for.
+
+Along z the thrust curve and the drag are one regression. Quadratic and blade-element terms then are fitted to what the
+curve leaves, the curve's scale among them (the term `thrust`), so that no drag has to answer for it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from quadexp.errors import DataError, UsageError
+from quadexp.flight.schema import Flight
+from quadexp.identify.body_drag import LINEAR, QUADRATIC
+from quadexp.identify.lumped import SELF_CONSISTENT, lumped_terms, momentum_of
+from quadexp.identify.lumped_fit import fit_inflow
+from quadexp.identify.regression import Regression, regress
+from quadexp.identify.samples import Samples, choose_signal, gather
+from quadexp.identify.terms import AXES, TermModel, term_columns, term_model
+from quadexp.identify.thrust_curve import ThrustCurve, fit_thrust_samples, thrust_columns
+from quadexp.identify.vehicle_model import KINDS, VehicleModel
+from quadexp.vehicle import Vehicle
+
+LEVELS = ("nominal", "offset", *KINDS)
+LEVEL_NAMES = {
+    "nominal": "nominal thrust", "offset": "+ offsets", "linear": "+ linear drag", "quadratic": "+ quadratic drag",
+    "blade_element": "blade element, lumped",
+}  # fmt: skip
+_OFFSET = (("offset",), ("offset",), ())
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How a vehicle model is fitted.
+
+    signal, reference_voltage, powers, thrust_intercept, per_rotor: of the thrust curve, None for what the flights
+    suggest; voltage_exponent: None fits it. radius: of the rotors, m, for the induced velocity. loss: squares or huber.
+    kinds: models to fit besides linear. mass: kg, where no vehicle says it.
+    """
+
+    signal: str | None = None
+    reference_voltage: float | None = None
+    voltage_exponent: float | None = 1.0
+    powers: tuple[int, ...] | None = None
+    thrust_intercept: bool | None = None
+    per_rotor: bool = False
+    radius: float | None = None
+    mass: float | None = None
+    loss: str = "squares"
+    kinds: tuple[str, ...] = KINDS
+
+    def __post_init__(self) -> None:
+        for kind in self.kinds:
+            if kind not in KINDS:
+                raise UsageError(f"identify: drag '{kind}' is none of {', '.join(KINDS)}")
+
+
+class AxisFit(NamedTuple):
+    """One regression. axis: "x", "y" or "z". design: (n, p), target: (n,) m/s^2."""
+
+    axis: str
+    design: np.ndarray
+    target: np.ndarray
+    found: Regression
+
+
+@dataclass(frozen=True)
+class LevelFit:
+    """A thrust curve, the terms beyond it (or None), and the regressions that they came from."""
+
+    curve: ThrustCurve
+    model: TermModel | None
+    axes: tuple[AxisFit, ...] = ()
+
+    def residual(self, samples: Samples) -> np.ndarray:
+        """Specific force that it does not explain, (k, 3) (m/s^2)."""
+        rotors = self.curve.of_signal(samples.signal, samples.voltage)
+        left = samples.force.copy()
+        left[:, 2] -= rotors.sum(axis=1)
+        return left if self.model is None else left - self.model.acceleration(samples.velocity, rotors)
+
+
+def fit_level(level: str, samples: Samples, settings: FitSettings, momentum: float = 0.0) -> LevelFit:
+    """One rung of the ladder LEVELS. Raises DataError where the samples do not tell its terms apart."""
+    with_drag = level in KINDS
+    curve, joint = fit_thrust_samples(
+        samples, reference_voltage=settings.reference_voltage, voltage_exponent=settings.voltage_exponent,
+        powers=settings.powers, intercept=settings.thrust_intercept, per_rotor=settings.per_rotor, drag=with_drag,
+        loss=settings.loss,
+    )  # fmt: skip
+    if level == "nominal":
+        return LevelFit(curve, None)
+    rotors = curve.of_signal(samples.signal, samples.voltage)
+    target = samples.force - rotors.sum(axis=1)[:, None] * [0, 0, 1]
+    terms: tuple[tuple[str, ...], ...] = {"offset": _OFFSET, "linear": LINEAR}.get(level, QUADRATIC)
+    ready: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    inflow: float | tuple = 0.0
+    if level == "blade_element":
+        terms, inflow = lumped_terms(0.0), 0.0
+        if momentum:
+            found = fit_inflow(samples.velocity, rotors, target[:, 2], momentum, settings.loss)
+            terms, inflow, ready["z"] = SELF_CONSISTENT, tuple(found.inflow), (found.design, found.target)
+    axes = []
+    for i, names in enumerate(terms):
+        if AXES[i] == "z" and level in ("offset", "linear"):  # the curve's own regression, whose last columns they are
+            axes.append(AxisFit("z", thrust_columns(curve, samples, drag=with_drag), samples.force[:, 2], joint))
+            continue
+        design, aim = ready.get(AXES[i]) or (term_columns(names, i, samples.velocity, rotors, inflow), target[:, i])
+        one = regress(
+            design, aim, [f"{name}_{AXES[i]}" for name in names], samples.segment, samples.flight,
+            what=f"{LEVEL_NAMES[level].lstrip('+ ')} along {AXES[i]}", loss=settings.loss,
+        )  # fmt: skip
+        axes.append(AxisFit(AXES[i], design, aim, one))
+    model = term_model(level, terms, [one.found for one in axes], curve.rotors, inflow, settings.loss)
+    return LevelFit(curve, model, tuple(axes))
+
+
+def fit_vehicle_model(
+    flights: Sequence[Flight],
+    vehicle: Vehicle | None = None,
+    settings: FitSettings | None = None,
+    *,
+    names: Sequence[str] | None = None,
+    samples: Samples | None = None,
+    best: str | None = None,
+) -> VehicleModel:
+    """Thrust curve, linear drag and, where the flights allow, quadratic drag and lumped blade-element coefficients.
+
+    vehicle: for name, mass and rotor radius; None takes the flights' own record of the name. best: which model to
+    call the best, by a held-out comparison; None: the last that could be fitted.
+    Raises DataError where not even linear drag can be, or where flights are of different vehicles.
+    """
+    settings = settings or FitSettings()
+    samples = samples or gather(flights, choose_signal(flights, settings.signal), names)
+    record = vehicle_record(flights, vehicle, settings.mass, samples.names)
+    momentum = momentum_of(vehicle, settings.mass, settings.radius)
+    linear = fit_level("linear", samples, settings)
+    found: dict[str, TermModel | None] = {"quadratic": None, "blade_element": None}
+    notes = list(curve_notes(linear.curve))
+    for kind in found:
+        if kind not in settings.kinds:
+            continue
+        for kappa in (momentum, 0.0) if kind == "blade_element" and momentum else (0.0,):
+            try:
+                found[kind] = fit_level(kind, samples, settings, kappa).model
+                break
+            except DataError as error:
+                with_it = " with induced velocity" if kappa else ""
+                notes.append(f"no {kind} model{with_it}: {error}")
+    if found["blade_element"] is not None and not momentum:
+        notes.append("blade element without induced velocity: the rotors' radius is unknown (pass --rotor-radius M)")
+    fitted = ["linear", *(kind for kind, model in found.items() if model is not None)]
+    return VehicleModel(
+        linear.curve, linear.model, found["quadratic"], found["blade_element"],
+        best if best in fitted else fitted[-1], record, dataset_record(samples),
+        {"loss": settings.loss, "signal": samples.kind, "per_rotor": settings.per_rotor, "momentum": momentum},
+        tuple(notes),
+    )  # fmt: skip
+
+
+def curve_notes(curve: ThrustCurve) -> list[str]:
+    """What is suspicious in a thrust curve."""
+    low, _ = curve.slope_range
+    if low < 0:
+        return [f"the thrust curve falls somewhere between {curve.signal} {curve.signal_range.round(3).tolist()}"]
+    return []
+
+
+def vehicle_record(
+    flights: Sequence[Flight], vehicle: Vehicle | None, mass: float | None, names: Sequence[str]
+) -> dict[str, Any]:
+    """{name, fingerprint, mass}; raises DataError where two flights say they were flown by different vehicles."""
+    flown = [dict(flight.metadata.get("vehicle") or {}) for flight in flights]
+    known = [(name, one) for name, one in zip(names, flown, strict=True) if one.get("fingerprint")]
+    wanted = vehicle.fingerprint if vehicle else known[0][1]["fingerprint"] if known else None
+    for name, one in known:
+        if one["fingerprint"] != wanted:
+            other = vehicle.name if vehicle else known[0][1].get("name")
+            raise DataError(f"{name}: flown by vehicle {one.get('name')} ({one['fingerprint']}), not by {other}")
+    if vehicle:
+        return {"name": vehicle.name, "fingerprint": vehicle.fingerprint, "mass": vehicle.mass}
+    first = known[0][1] if known else {}
+    return {"name": first.get("name"), "fingerprint": first.get("fingerprint"), "mass": mass}
+
+
+def dataset_record(samples: Samples) -> dict[str, Any]:
+    """What the model remembers of its data."""
+    digest = hashlib.sha256()
+    for part in (samples.time, samples.force, samples.velocity, samples.signal):
+        digest.update(np.ascontiguousarray(part).tobytes())
+    step = np.median(np.diff(samples.time))
+    return {
+        "sha256": digest.hexdigest(), "rows": len(samples), "flights": len(samples.names),
+        "duration": float(len(samples) * step), "names": list(samples.names),
+    }  # fmt: skip

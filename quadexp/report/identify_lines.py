@@ -1,0 +1,103 @@
+"""What `quadexp identify` prints of a vehicle model: coefficients with their intervals, and the ladder of models."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from quadexp.identify.terms import TermModel
+from quadexp.identify.vehicle_model import VehicleModel
+
+
+def identification_lines(model: VehicleModel, report: Mapping[str, Any]) -> list[str]:
+    """What was found, for people; report: as in the checkpoint folder."""
+    data, vehicle = model.dataset, model.vehicle
+    lines = [
+        f"regression on {data['flights']} flights of {vehicle.get('name') or 'an unnamed vehicle'},"
+        f" {data['rows']} samples, {data['duration']:.0f} s; +- is half the 95 % interval",
+    ]
+    lines += model_lines(model)
+    other = {(row["axis"], row["term"]): row["value"] for row in report["other_loss"]["rows"]}
+    drag = ", ".join(f"d_{axis} {other[axis, 'linear']:.4f}" for axis in "xyz")
+    lines.append(f"by {report['other_loss']['loss']:<9}linear {drag} 1/s")
+    lines += _flight_lines(report["flights"])
+    lines += _curve_lines(report["curves"], model)
+    lines += selection_lines(report["selection"], report["best"])
+    lines += [f"note        {note}" for note in report["notes"]]
+    lines.append(f"recursive   ends {report['recursion']:.1g} standard errors from the batch estimates")
+    return lines
+
+
+def model_lines(model: VehicleModel) -> list[str]:
+    """Thrust curve and coefficients, +- half the 95 % interval."""
+    lines = [f"thrust      {model.thrust}"]
+    for kind, one in model.models.items():
+        lines += _coefficient_lines(kind, one)
+    return lines
+
+
+def _coefficient_lines(kind: str, model: TermModel) -> list[str]:
+    lines = []
+    for axis in "xyz":
+        terms = [row for row in model.rows() if row["axis"] == axis]
+        text = ", ".join(f"{r['term']} {r['value']:.4g} +- {r['high'] - r['value']:.2g} {r['unit']}" for r in terms)
+        head = kind.replace("_", " ") if axis == "x" else ""
+        lines.append(f"{head:<14}{axis}: {text}")
+    return lines
+
+
+def _flight_lines(flights: Sequence[Mapping[str, Any]]) -> list[str]:
+    if len(flights) < 2:
+        return []
+    lines = ["each flight alone"]
+    for one in flights:
+        if "note" in one:
+            lines.append(f"  {one['flight']}: {one['note']}")
+            continue
+        drag = [row for row in one["coefficients"] if row["term"] == "linear"]
+        text = ", ".join(f"d_{r['axis']} {r['value']:.4f} +- {r['high'] - r['value']:.2g}" for r in drag)
+        lines.append(f"  {one['flight']}: {text} 1/s")
+    return lines
+
+
+def _curve_lines(curves: Sequence[Mapping[str, Any]], model: VehicleModel) -> list[str]:
+    if not curves:
+        return []
+    lines = ["thrust curves: RMSE along z (m/s^2), in sample and on flights left out"]
+    for row in curves:
+        names = " + ".join(f"c_{p} s^{p}" if p > 1 else "c_1 s" for p in row["powers"])
+        voltage = {"unused": ", s = command", "V": ", s = command V/V_ref", "V^g": ", s = command (V/V_ref)^g"}[
+            row["voltage"]
+        ]
+        used = tuple(row["powers"]) == tuple(model.thrust.powers.astype(int).tolist())
+        used &= row["voltage"] == (("V" if model.thrust.voltage_exponent == 1 else "V^g")
+                                   if model.thrust.reference_voltage else "unused")  # fmt: skip
+        cells = " ".join(
+            "      -" if value is None else f"{value:7.3f}" for value in (row["in_sample"], row["held_out"])
+        )
+        lines.append(f"  {names + voltage:<46}{cells}{'  <- used' if used else ''}")
+    return lines
+
+
+def selection_lines(rows: Sequence[Mapping[str, Any]], best: str) -> list[str]:
+    """The ladder as a table."""
+    held = any(row["held_out"] for row in rows)
+    head = f"{'RMSE (m/s^2)':<24}{'in sample x':>12}{'y':>8}{'z':>8}{'norm':>8}"
+    if held:
+        head += f"{'left out x':>13}{'y':>8}{'z':>8}{'norm':>8}{'trimmed':>9}"
+    lines = [head]
+    for row in rows:
+        if row["in_sample"] is None:
+            lines.append(f"{row['name']:<24} not fitted: {row['note']}")
+            continue
+        text = f"{row['name']:<24}" + _cells(row["in_sample"], 12)
+        if row["held_out"]:
+            text += _cells(row["held_out"], 13) + f"{row['trimmed']['norm']:>9.3f}"
+        elif held:
+            text += f"   {row['note']}"
+        lines.append(text + ("  <- best" if row["level"] == best else ""))
+    return lines
+
+
+def _cells(values: Mapping[str, float], first: int) -> str:
+    return "".join(f"{values[key]:>{first if key == 'x' else 8}.3f}" for key in ("x", "y", "z", "norm"))
