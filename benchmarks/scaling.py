@@ -2,14 +2,16 @@
 
     python -m benchmarks.scaling [--parts overhead dask driver rerun order store] [--cells 2000] [--json]
 
-overhead, dask   short flights on one and on two workers: time per cell beside the flight itself, in which the file is
-                 written; efficiency of the second worker; memory of a worker
+overhead, dask   short flights on one and on two workers, in turns: time per cell beside the flight itself, in which
+                 the file is written; efficiency of the second worker; memory of a worker
 driver           20 000 cells without a flight: memory of the driver as they come in, time per cell
 rerun            the command again, when all is flown: seconds of the whole process
 order            flights whose controllers must all be built, in the order of the plan and shuffled: builds, seconds
 store            scan of the cells, footers, and the table, by number of cells
 
-Nothing is left behind. Other load on the machine shows in every figure: processor seconds stand beside where they can.
+Nothing is left behind. Other load on the machine shows in every wall clock. Times called `own` are the wall clock less
+the time for which a thread that could have run waited for a core (/proc/*/schedstat): they say what the same would take
+on a machine of one's own, and are what the promises are held against.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.scaling_cells import resident, timed_cell, trivial_cell
+from benchmarks.scaling_cells import processor_seconds, resident, timed_cell, trivial_cell
 from quadexp.compose import compose, expand
 from quadexp.experiment.engine import Engine, LocalEngine, Task
 from quadexp.experiment.plan import Plan
@@ -60,50 +62,76 @@ def tasks(plan: Plan, out: Path, order: list[str] | None = None) -> Iterator[Tas
 
 
 def fly(engine: Engine, plan: Plan, order: list[str] | None = None) -> Record:
-    """Fly everything; s from the first worker's start to the last result, and the sums over all cells."""
+    """Fly everything; means over the cells whose controller was there already, and what building one took.
+
+    all_cpu: processor time of every process of the sweep a cell, driver_cpu: of the driver's, both after the first
+    result.
+    """
     with folder() as out:
-        spent = time.process_time()
-        began, first, rows = time.perf_counter(), 0.0, []
+        began, rows = time.perf_counter(), []
+        last = len(order or plan.places)
         for _, row in engine.fly(timed_cell, tasks(plan, out, order)):
-            first = first or time.perf_counter() - began
             if not isinstance(row, dict):
                 raise SystemExit(f"a cell failed: {row.cause}")
-            rows.append({name: value for name, value in row.items() if name in SUMMED})
-        wall = time.perf_counter() - began
-        spent = time.process_time() - spent
-    total = {name: sum(row[name] for row in rows) for name in SUMMED[:4]}
+            rows.append({name: row[name] for name in (*TIMES, "builds", "resident", "process")})
+            if len(rows) == 1:
+                first, everyone, driver = time.perf_counter(), processor_seconds(os.getpid()), time.process_time()
+            if len(rows) == last:
+                everyone, driver = processor_seconds(os.getpid()) - everyone, time.process_time() - driver
+        ended = time.perf_counter()
+    built = [row for row in rows if row["builds"]]
+    settled = [row for row in rows if not row["builds"]]
+    mean = {f"{name}_ms": 1e3 * float(np.mean([row[name] for row in settled])) for name in TIMES}
+    builds = sum(row["builds"] for row in built)
+    building = sum(row["flight_own"] for row in built) - 1e-3 * mean["flight_own_ms"] * len(built)
     return {
         "cells": len(rows),
-        "wall": wall,
-        "first": first,
-        "driver_cpu": spent,
-        **total,
+        "wall": ended - began,
+        "wall_after_first": ended - first,
+        **mean,
+        "driver_cpu_ms": 1e3 * driver / len(rows),
+        "all_cpu_ms": 1e3 * everyone / len(rows),
+        "builds": builds,
+        "build_own_ms": 1e3 * building / builds if builds else 0.0,
         "resident": max(row["resident"] for row in rows),
         "processes": len({row["process"] for row in rows}),
     }
 
 
-SUMMED = ("flight_seconds", "flight_cpu", "write_seconds", "builds", "resident", "process")
+TIMES = tuple(f"{part}_{kind}" for part in ("flight", "write", "between") for kind in ("seconds", "cpu", "own"))
+TURNS = 4  # of one worker and of two
 
 
-def overhead(engines: dict[int, Callable[[], Engine]], cells: int) -> Record:
-    """One and two workers on the same cells."""
+def overhead(engine: Callable[[int], Engine], cells: int) -> Record:
+    """One and two workers in turns, each on a part of the cells.
+
+    The efficiency is that of two cores of one's own, on which the driver would take its time from the workers, and of
+    one sweep, in which every worker builds every controller once.
+    """
     plan = Plan(expand([*SHORT, CONTROLLERS, f"seed=range({cells // 2})"]))
+    keys = list(plan.places)
+    runs: dict[int, list[Record]] = {1: [], 2: []}
+    for turn in range(TURNS):
+        for workers, made in runs.items():
+            made.append(fly(engine(workers), plan, list(plan.flying_order(keys[turn::TURNS]))))
     found: Record = {}
-    for workers, engine in engines.items():
-        run = fly(engine(), plan)
-        idle = workers * run["wall"] - run["flight_seconds"]
-        run |= {
-            "flight_ms": 1e3 * run["flight_seconds"] / cells,
-            "write_ms": 1e3 * run["write_seconds"] / cells,
-            "beside_ms": 1e3 * idle / cells,
-            "driver_cpu_ms": 1e3 * run["driver_cpu"] / cells,
-        }
-        found[f"{workers} workers"] = run
-    one, two = found["1 workers"], found["2 workers"]
-    found["efficiency"] = one["wall"] / (2 * two["wall"])
-    found["efficiency once started"] = (one["wall"] - one["first"]) / (2 * (two["wall"] - two["first"]))
+    for workers, made in runs.items():
+        mean = {name: float(np.mean([run[name] for run in made])) for name in made[0]}
+        mean |= {"cells": sum(run["cells"] for run in made), "resident": max(run["resident"] for run in made)}
+        mean["beside_own_ms"] = mean["write_own_ms"] + mean["between_own_ms"]
+        found[f"{workers} workers"] = mean
+    pairs = list(zip(runs[1], runs[2], strict=True))
+    found["efficiency, wall clock, by turn"] = [a["wall_after_first"] / b["wall_after_first"] / 2 for a, b in pairs]
+    found["efficiency, own, by turn"] = [_efficiency(a, b, cells) for a, b in pairs]
+    found["efficiency, own"] = _efficiency(found["1 workers"], found["2 workers"], cells)
+    found["load after"] = os.getloadavg()[0]
     return found
+
+
+def _efficiency(one: Record, two: Record, cells: int) -> float:
+    alone, shared = (sum(run[f"{part}_own_ms"] for part in ("flight", "write", "between")) for run in (one, two))
+    built = len(CONTROLLERS.split(",")) * one["build_own_ms"]
+    return (cells * alone + built) / (cells * (shared + two["driver_cpu_ms"]) + 2 * built)
 
 
 def driver(cells: int) -> Record:
@@ -160,7 +188,7 @@ def order() -> Record:
     found = {}
     for name, chosen in (("as planned", None), ("shuffled", shuffled)):
         run = fly(LocalEngine(2), plan, chosen)
-        found[name] = {key: run[key] for key in ("cells", "builds", "wall", "flight_cpu", "resident")}
+        found[name] = {key: run[key] for key in ("cells", "builds", "build_own_ms", "wall", "resident")}
     return found
 
 
@@ -222,8 +250,8 @@ def dask_engine(workers: int) -> Engine:
 
 
 PARTS: dict[str, Callable[[int], Record]] = {
-    "overhead": lambda cells: overhead({1: lambda: LocalEngine(1), 2: lambda: LocalEngine(2)}, cells),
-    "dask": lambda cells: overhead({1: lambda: dask_engine(1), 2: lambda: dask_engine(2)}, cells),
+    "overhead": lambda cells: overhead(LocalEngine, cells),
+    "dask": lambda cells: overhead(dask_engine, cells),
     "driver": lambda cells: driver(10 * cells),
     "rerun": rerun,
     "order": lambda cells: order(),

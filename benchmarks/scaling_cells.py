@@ -13,23 +13,66 @@ from quadexp.flight.store import write_flight
 
 
 def timed_cell(config: Any, model: Any, path: str, key: str) -> dict[str, Any]:
-    """Fly and write; the row says how long each took (s), how much memory the process has (MB) and what it built."""
+    """Fly and write; the row says how long each took, how much memory the process has (MB) and what it built.
+
+    Beside the wall clock (`*_seconds`) stands the time less that for which the thread waited for a core (`*_own`):
+    what it would have taken had nobody else used the machine. between: since this process had ended its last cell.
+    """
     builds = _count_builds()
-    began, spent = time.perf_counter(), time.process_time()
+    began = clocks()
+    between = {} if _ended[0] is None else spent("between", _ended[0], began)
     flight = fly_one(config, model)
-    flown, spent = time.perf_counter(), time.process_time() - spent
+    flown = clocks()
     flight.metadata["row"]["key"] = key
     write_flight(Path(path), flight, key=key)
-    row = flight.metadata["row"]
+    _ended[0] = clocks()
     return {
-        **row,
-        "flight_seconds": flown - began,
-        "flight_cpu": spent,
-        "write_seconds": time.perf_counter() - flown,
+        **flight.metadata["row"],
+        "between_seconds": 0.0,
+        "between_own": 0.0,
+        "between_cpu": 0.0,
+        **between,
+        **spent("flight", began, flown),
+        **spent("write", flown, _ended[0]),
         "resident": resident(),
         "builds": _built[0] - builds,
         "process": os.getpid(),
     }
+
+
+def clocks() -> tuple[float, float, float]:
+    """Wall clock, processor time of this thread, and time for which it waited for a core (s; 0 where not told)."""
+    try:
+        waited = float(Path("/proc/thread-self/schedstat").read_text().split()[1]) / 1e9
+    except OSError:
+        waited = 0.0
+    return time.perf_counter(), time.thread_time(), waited
+
+
+def spent(name: str, began: tuple[float, float, float], ended: tuple[float, float, float]) -> dict[str, float]:
+    wall, cpu, waited = (b - a for a, b in zip(began, ended, strict=True))
+    return {f"{name}_seconds": wall, f"{name}_cpu": cpu, f"{name}_own": wall - waited}
+
+
+def processor_seconds(pid: int) -> float:
+    """Of a process and all that it started and that still run."""
+    tick = os.sysconf("SC_CLK_TCK")
+    parents: dict[int, list[int]] = {}
+    used: dict[int, float] = {}
+    for entry in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = entry.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        child = int(entry.parent.name)
+        parents.setdefault(int(fields[1]), []).append(child)
+        used[child] = sum(map(int, fields[11:13])) / tick
+    waiting, total = [pid], 0.0
+    while waiting:
+        one = waiting.pop()
+        total += used.get(one, 0.0)
+        waiting += parents.get(one, [])
+    return total
 
 
 def trivial_cell(config: Any, model: Any, path: str, key: str) -> dict[str, Any]:
@@ -56,6 +99,7 @@ def resident(pid: int | str = "self", name: str = "VmRSS") -> float:
 
 
 _built = [0]
+_ended: list[Any] = [None]  # clocks at the end of this process's last cell
 
 
 def _count_builds() -> int:

@@ -28,6 +28,7 @@ QUEUED = 3  # cells handed out per thread of the cluster
 LOSSES = 4  # workers a cell may lose before it is held to be the cause
 GONE = "the scheduler is gone: run the same command to continue"
 CHECKED = 1.0  # s between looks at the cluster
+PREFIX = "quadexp/"  # then the client's name, of all that a sweep keeps on workers
 
 
 @dataclass
@@ -58,14 +59,23 @@ class _Flights:
     client: Client
     engine: DaskEngine
     function: Callable[..., Any]
-    runner: str = "quadexp-cells"
     running: dict[str, tuple[Task, Future, int]] = field(default_factory=dict)
     shipped: dict[str, str] = field(default_factory=dict)
     landed: queue.SimpleQueue = field(default_factory=queue.SimpleQueue)
 
+    @property
+    def prefix(self) -> str:
+        """Of the names of what this sweep keeps on the workers: several sweeps may share a cluster."""
+        return f"{PREFIX}{self.client.id}/"
+
+    @property
+    def runner(self) -> str:
+        return f"{self.prefix}cells"
+
     def run(self, tasks: Iterable[Task]) -> Iterator[tuple[str, Any]]:
         plugin = CellRunner(self.runner, self.engine.timeout, self.engine.memory, versions())
         self._await_workers(time.monotonic())
+        self._remove_abandoned()
         self._register(plugin)
         waiting = iter(tasks)
         try:
@@ -90,7 +100,7 @@ class _Flights:
 
     def _submit(self, task: Task, losses: int) -> None:
         inputs = self._ship(task)
-        name = f"quadexp-{task.key}-{losses}"
+        name = f"{self.prefix}{task.key}-{losses}"
         future = self.client.submit(run_cell, self.runner, self.function, task, inputs, key=name, pure=False)
         self.running[name] = task, future, losses
         future.add_done_callback(self.landed.put)
@@ -133,6 +143,9 @@ class _Flights:
         inputs = {}
         if task.model is not None:
             inputs[task.model.path] = self._shipped(Path(task.model.path) / MODEL_FILE, task.model.sha256), True
+        truth = getattr(task.config.plant, "model", None)
+        if truth is not None:
+            inputs[truth] = self._shipped(Path(truth) / MODEL_FILE), True
         path = getattr(task.config.trajectory, "path", None)
         if path is not None:
             inputs[path] = self._shipped(Path(path)), False
@@ -145,7 +158,7 @@ class _Flights:
             found = hashlib.sha256(content).hexdigest()
             if sha256 and found != sha256:
                 raise QuadexpError(f"{path}: has changed since this run began")
-            name = f"quadexp-file-{found[:20]}"
+            name = f"{self.prefix}{found[:20]}"
             if name not in self.shipped.values():
                 self._register(InputFile(name, path.name, content))
             self.shipped[where] = name
@@ -156,6 +169,12 @@ class _Flights:
             self.client.register_plugin(plugin)
         except Exception as error:
             raise QuadexpError(f"the cluster cannot fly this: {str(error).splitlines()[0]}") from error
+
+    def _remove_abandoned(self) -> None:
+        """Take from the workers what sweeps left there whose driver was killed."""
+        with suppress(Exception):  # nobody's flights depend on it
+            for name in self.client.run_on_scheduler(abandoned):
+                self.client.unregister_worker_plugin(name)
 
     def _threads(self) -> int:
         with suppress(Exception):
@@ -185,3 +204,9 @@ class _Flights:
                 self.client.cancel([future for _, future, _ in self.running.values()], force=True)
             for name in {self.runner, *self.shipped.values()}:
                 self.client.unregister_worker_plugin(name)
+
+
+def abandoned(dask_scheduler: Any) -> list[str]:
+    """On the scheduler: names of the plugins whose client is gone."""
+    ours = [name for name in dask_scheduler.worker_plugins if name.startswith(PREFIX)]
+    return [name for name in ours if name.removeprefix(PREFIX).partition("/")[0] not in dask_scheduler.clients]

@@ -118,6 +118,7 @@ class Plan:
         config = cell.config
         controller, vehicle = self._text(config.controller), self._text(config.vehicle)
         own = (getattr(config.trajectory, "_target_", None), getattr(config.plant, "_target_", None))
+        own += (getattr(config.plant, "model", None),)
         reads = (config.model, controller, vehicle, getattr(config.trajectory, "path", None), *own)
         if reads not in self._found:
             model = find_model(config)
@@ -151,7 +152,8 @@ class Plan:
 def _structure(config: Config, vehicle: str) -> str:
     """What the functions of a controller are generated and compiled from, beside its numbers."""
     controller = config.controller
-    parts = [getattr(controller, name, None) for name in ("kind", "residual", "nodes", "backend", "variant", "_target_")]
+    names = ("kind", "residual", "nodes", "backend", "variant", "_target_")
+    parts = [getattr(controller, name, None) for name in names]
     return canonical([vehicle, parts])
 
 

@@ -6,17 +6,20 @@ the run before, and footers only of what is newer. While a sweep is not finished
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from quadexp.errors import DataError
+from quadexp.errors import DataError, QuadexpError
 from quadexp.experiment.plan import Plan
 from quadexp.experiment.rows import Rows
 from quadexp.experiment.store import CellStore
-from quadexp.flight.store import read_table, write_table, write_text
+from quadexp.flight.store import read_metadata, read_table, write_table, write_text
 from quadexp.report.statistics_file import Statistics, results_statistics, write_comparison
 from quadexp.report.tables import ErrorTable, to_csv
 
@@ -35,6 +38,8 @@ class SweepTable:
 
     def recall(self) -> None:
         """Take the rows of all cells that are there; those that failed are left out, to be flown again."""
+        import pyarrow.parquet  # noqa: F401  (fifty megabytes, which are better taken now than in mid-sweep)
+
         done = self._store.done()
         for path in (self._store.folder / UNFINISHED, self._store.root / RESULTS):
             if path.exists():
@@ -54,6 +59,7 @@ class SweepTable:
         if self._unwritten >= max(CELLS_BETWEEN, int(self.rows.filled.sum()) // 4):
             write_table(self._store.folder / UNFINISHED, self.rows.columns(), {}, "results")
             self._unwritten = 0
+            _give_back_memory()
 
     def settled(self) -> None:
         """The rows lie in the table of results now."""
@@ -85,15 +91,44 @@ class SweepTable:
 def write_results(root: Path, rows: Rows, record: Mapping[str, Any]) -> tuple[Statistics, ErrorTable, dict[str, str]]:
     """Write the rows and all that is made from them; returns statistics, the error table and name -> path.
 
-    record: metric of the table, baseline and confidence of the statistics, and what else goes with the rows.
+    record: metric of the table, baseline and confidence of the statistics, and what else goes with the rows. Rows that
+    lie there already with the same record are left as they are.
     """
     statistics = results_statistics(root, rows, baseline=record["baseline"], confidence=record["confidence"])
-    files = {
-        "results": write_table(root / RESULTS, rows.columns(), record, "results"),
-        "csv": write_text(root / "results.csv", to_csv(rows)),
-    }
+    files = {"results": root / RESULTS, "csv": root / "results.csv"}
+    if not _lies_there(root, rows, record):
+        write_text(files["csv"], to_csv(rows))
+        write_table(files["results"], rows.columns(), record, "results")
     table, made = write_comparison(root, statistics, record["metric"])
     return statistics, table, {name: str(path) for name, path in files.items()} | made
+
+
+def _give_back_memory() -> None:
+    """What writing took for a moment goes back to the system, or the driver would grow with every copy of the rows."""
+    import pyarrow as pa
+
+    pa.default_memory_pool().release_unused()
+    with contextlib.suppress(OSError, AttributeError):  # glibc's alone
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+def _lies_there(root: Path, rows: Rows, record: Mapping[str, Any]) -> bool:
+    """Whether the files hold these rows; when and where they were made takes no part."""
+    try:
+        stored = read_metadata(root / RESULTS, "results")
+        asked = json.loads(json.dumps({name: value for name, value in record.items() if name != "provenance"}))
+        if not (root / "results.csv").is_file() or any(stored.get(name) != asked[name] for name in asked):
+            return False
+        columns, _ = read_table(root / RESULTS, "results")
+    except QuadexpError:
+        return False
+    return columns.keys() == rows.columns().keys() and all(
+        _same(values, columns[name]) for name, values in rows.columns().items()
+    )
+
+
+def _same(a: np.ndarray, b: np.ndarray) -> bool:
+    return np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
 
 
 def _scattered(values: np.ndarray, places: np.ndarray, length: int) -> np.ndarray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +23,11 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from quadexp.experiment.store import CellStore
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import read_flight, write_bytes
+from quadexp.report.inference import mean_interval
 from quadexp.report.metrics import SHOWN, position_error
+from quadexp.report.statistics import CONFIDENCE
 from quadexp.report.tables import TITLES, column_labels
+from quadexp.report.wording import METHODS
 
 COLOURS = ("#000000", "#E69F00", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#8C8C00")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
@@ -51,8 +54,10 @@ FORMATS = ("svg", "png")
 MAX_PANELS = 6  # of tracked paths in one figure
 
 
-def error_against_speed(rows: Sequence[Mapping[str, Any]], metric: str = "mean_error") -> Figure | None:
-    """Error over nominal speed, a panel per trajectory and a line per controller: mean, least and largest over seeds.
+def error_against_speed(
+    rows: Sequence[Mapping[str, Any]], metric: str = "mean_error", confidence: float = CONFIDENCE
+) -> Figure | None:
+    """Error over nominal speed, a panel per trajectory and a line per controller: mean and its interval over seeds.
 
     None where no trajectory was flown at any speed.
     """
@@ -65,6 +70,8 @@ def error_against_speed(rows: Sequence[Mapping[str, Any]], metric: str = "mean_e
     if not names:
         return None
     order = list(dict.fromkeys(labels))
+    methods: set[str] = set()
+    bottoms: list[float] = []
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(1.4 + 3.1 * len(names), 3.6), layout="constrained")
         panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
@@ -78,9 +85,13 @@ def error_against_speed(rows: Sequence[Mapping[str, Any]], metric: str = "mean_e
                     continue
                 speed = np.array(sorted(points))
                 mean = np.array([np.mean(points[v]) for v in speed])
-                low, high = (np.array([f(points[v]) for v in speed]) for f in (min, max))
+                limits = [mean_interval(np.array(points[v]), confidence, least=0.0) for v in speed]
+                methods.update(limit.method for limit in limits)
+                # A lower limit of zero has no place on a logarithmic axis: the band then ends below the panel.
+                low, high = (np.array([getattr(limit, end) for limit in limits]) for end in ("low", "high"))
                 colour, marker = COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]
-                panel.fill_between(speed, low, high, color=colour, alpha=0.2, linewidth=0)
+                bottoms.append(float(np.nanmin([*mean, *low[low > 0.1 * mean]])))
+                panel.fill_between(speed, np.maximum(low, 1e-9), high, color=colour, alpha=0.25, linewidth=0)
                 panel.plot(speed, mean, color=colour, marker=marker, markersize=4.5, label=label)
             panel.set_yscale("log")
             panel.set_title(name)
@@ -88,13 +99,23 @@ def error_against_speed(rows: Sequence[Mapping[str, Any]], metric: str = "mean_e
             panel.set_xticks(sorted({float(row["speed"]) for row, _ in flown if row["trajectory"] == name}))
             panel.margins(x=0.08)
             panel.grid(True, which="minor", axis="y", linewidth=0.3)
-            panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            for axis in (panel.xaxis, panel.yaxis):
+                axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             panel.yaxis.set_minor_formatter(NullFormatter())
+        panels[0].set_ylim(bottom=0.7 * min(bottoms))
         panels[0].set_ylabel(f"{TITLES[metric]} ({unit})")
         handles, texts = _legend(panels)
         room = int(13 * figure.get_figwidth() / (max(map(len, texts)) + 6))
-        figure.legend(handles, texts, loc="outside lower center", ncols=max(1, min(room, len(texts))))
+        title = said_interval(methods, confidence)
+        ncols = max(1, min(room, len(texts)))
+        figure.legend(handles, texts, loc="outside lower center", ncols=ncols, title=title, title_fontsize=8)
     return figure
+
+
+def said_interval(methods: Collection[str], confidence: float) -> str:
+    """What lines and bands show, such as "mean over seeds; shaded: its 95 % interval (Student's t)"."""
+    used = " or ".join(text for name, text in METHODS.items() if name in methods)
+    return f"mean over seeds; shaded: its {100 * confidence:g} % interval ({used})" if used else "mean over seeds"
 
 
 def tracked_paths(flights: Sequence[tuple[str, Flight]], title: str = "") -> Figure:
@@ -172,7 +193,12 @@ def solve_times(rows: Sequence[Mapping[str, Any]]) -> Figure | None:
 
 
 def draw_results(
-    rows: Sequence[Mapping[str, Any]], out: str | Path, *, metric: str = "mean_error", redraw: bool = True
+    rows: Sequence[Mapping[str, Any]],
+    out: str | Path,
+    *,
+    metric: str = "mean_error",
+    confidence: float = CONFIDENCE,
+    redraw: bool = True,
 ) -> dict[str, str]:
     """Draw all figures of a sweep into <out>/figures; returns name -> path (of the SVG; a PNG lies beside it).
 
@@ -181,7 +207,7 @@ def draw_results(
     folder, store = Path(out) / "figures", CellStore(out)
     paths = _fastest(rows)
     makers: dict[str, Callable[[], Figure | None]] = {
-        f"{metric.removesuffix('_error')}_error_against_speed": lambda: error_against_speed(rows, metric),
+        f"{metric.removesuffix('_error')}_error_against_speed": lambda: error_against_speed(rows, metric, confidence),
         "solve_time": lambda: solve_times(rows),
         **{f"path_{name}": functools.partial(_path_figure, store, name, paths[name]) for name in paths},
     }

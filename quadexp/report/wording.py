@@ -9,6 +9,8 @@ from quadexp.report.inference import least_p
 from quadexp.report.overall import Overall
 from quadexp.report.statistics import Statistic
 
+METHODS = {"BCa": "BCa bootstrap", "t": "Student's t"}  # of intervals, see inference.Interval
+
 
 def significant(value: float, least: int = 1) -> str:
     """Three significant digits or one decimal, whichever says more: 0.0123, 1.23, 12.3, 123.4. least: decimals."""
@@ -30,8 +32,7 @@ def with_interval(mean: float, low: float, high: float) -> tuple[str, str]:
 
 def notes(statistics: Sequence[Statistic], pooled: Sequence[Overall]) -> tuple[str, ...]:
     """What the numbers of a table are, and each contestant against the baseline over all conditions."""
-    methods = {"BCa": "BCa bootstrap", "t": "Student's t"}
-    used = [text for name, text in methods.items() if any(s.interval == name for s in statistics)]
+    used = [text for name, text in METHODS.items() if any(s.interval == name for s in statistics)]
     confidence = statistics[0].confidence
     interval = f" [{100 * confidence:g} % interval: {' or '.join(used)}]" if used else ""
     seeds = sorted({s.seeds for s in statistics})

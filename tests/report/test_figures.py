@@ -31,8 +31,30 @@ def test_a_panel_per_trajectory_and_a_line_per_controller(rows):
     assert [line.get_label() for line in panel.lines] == ["nominal_mpc", "gp_mpc"]
     np.testing.assert_allclose(panel.lines[0].get_xdata(), [4, 8])
     np.testing.assert_allclose(panel.lines[0].get_ydata(), [200 * 4 * 1.1, 200 * 8 * 1.1])
-    spread = panel.collections[0].get_paths()[0].vertices[:, 1]
-    assert spread.min() == pytest.approx(200 * 4) and spread.max() == pytest.approx(200 * 8 * 1.2)
+
+
+def test_the_band_is_the_interval_of_the_mean_and_says_so(rows):
+    figure = error_against_speed(rows, confidence=0.9)
+    band = figure.axes[0].collections[0].get_paths()[0].vertices
+    # 200 mm times speed, and 0, 10 and 20 % more: mean 1.1, standard deviation 0.1; t of 2 degrees at 95 % is 2.92.
+    half = 2.92 * 0.1 / np.sqrt(3)
+    at_8 = band[band[:, 0] == 8.0][:, 1]
+    assert at_8.min() == pytest.approx(1600 * (1.1 - half), rel=1e-3)
+    assert at_8.max() == pytest.approx(1600 * (1.1 + half), rel=1e-3)
+    assert figure.legends[0].get_title().get_text() == "mean over seeds; shaded: its 90 % interval (Student's t)"
+
+
+def test_one_seed_has_no_band_and_none_is_claimed(rows):
+    figure = error_against_speed([made for made in rows if made["seed"] == 0])
+    assert figure.legends[0].get_title().get_text() == "mean over seeds"
+    bands = [path.vertices[:, 1] for panel in figure.axes for band in panel.collections for path in band.get_paths()]
+    assert not np.isfinite(np.concatenate([np.zeros(0), *bands])).any()
+
+
+def test_a_wide_interval_does_not_squash_the_means(rows):
+    rows = [made | {"mean_error": 0.001 if made["seed"] == 0 else 0.2} for made in rows]  # its lower limit is zero
+    low, _ = error_against_speed(rows).axes[0].get_ylim()
+    assert 10 < low < 200 * 2 / 3
 
 
 def test_what_was_not_flown_is_not_drawn(rows):

@@ -10,7 +10,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from quadexp.errors import UsageError
+from quadexp.errors import QuadexpError, UsageError
 from quadexp.flight.store import read_table
 from quadexp.report.page import make_report
 from quadexp.report.page.figures import pareto_front
@@ -18,7 +18,7 @@ from quadexp.report.page.provenance import sweep_command
 from quadexp.report.page.source import read_comparison
 from quadexp.report.statistics_file import results_statistics
 from quadexp.report.tables import from_columns, table_of
-from tests.report.results import ERRORS, make_results
+from tests.report.results import ERRORS, make_results, many_results
 
 BARE = re.compile(r"[\s*()]")  # what is set differently on the page and in the terminal
 VOID = {"meta", "link", "input", "br", "path", "use", "circle", "polyline"}
@@ -190,6 +190,49 @@ def test_an_absent_cell_leaves_the_numbers(tmp_path):
         path.unlink()
     text = make_report(root, tmp_path / "report.html")["path"].read_text(encoding="utf-8")
     assert Page(text).tables["rmse"] and 'id="replay"' not in text
+
+
+class TestSize:
+    """Results of any size make a page of at most two megabytes that says what it leaves out."""
+
+    def test_nothing_is_left_out_of_a_small_one(self, made, text):
+        assert made["left_out"] == [] and "leaves out" not in text
+
+    def test_first_the_replay_goes_and_the_files_inside(self, results, made, tmp_path, monkeypatch):
+        monkeypatch.setattr("quadexp.report.page.build.LIMIT", made["bytes"] - 100_000)
+        smaller = make_report(results, tmp_path / "report.html")
+        assert smaller["bytes"] < made["bytes"] - 100_000
+        assert smaller["left_out"][0] == "the replay of 4 of 4 conditions"
+        text = smaller["path"].read_text(encoding="utf-8")
+        assert set(Page(text).tables) == {"mean_error", "rmse", "max_error"} and 'id="replay"' not in text
+
+    @pytest.mark.slow  # half a minute
+    def test_a_thousand_conditions(self, tmp_path):
+        made = make_report(many_results(tmp_path / "many", 1000), tmp_path / "report.html")
+        text = made["path"].read_text(encoding="utf-8")
+        assert made["bytes"] == made["path"].stat().st_size < 2_000_000
+        page = Page(text)
+        assert page.open == [] and set(page.tables) == {"mean_error"}
+        assert len(page.tables["mean_error"]) == 1 + 1000
+        assert "the replay of 1000 of 1000 conditions" in made["left_out"]
+        assert "the table of the RMSE" in made["left_out"]
+        for entry in made["left_out"]:
+            assert text.count(entry) == 2, "said where the page begins and where it comes from"
+        assert "by 95.0" in made["answer"][0]
+
+    def test_then_lines_of_the_tables(self, tmp_path, monkeypatch):
+        monkeypatch.setattr("quadexp.report.page.build.LIMIT", 300_000)
+        made = make_report(many_results(tmp_path / "many", 250), tmp_path / "report.html")
+        shown = len(Page(made["path"].read_text(encoding="utf-8")).tables["mean_error"]) - 1
+        assert made["bytes"] < 300_000 and shown in (40, 200)
+        assert f"{250 - shown} of 250 lines of the tables" in made["left_out"]
+        assert "by 95.0" in made["answer"][0], "the answer is made from all of them"
+
+    def test_a_page_that_cannot_be_small_is_refused(self, results, tmp_path, monkeypatch):
+        monkeypatch.setattr("quadexp.report.page.build.LIMIT", 1000)
+        with pytest.raises(QuadexpError, match="report on fewer conditions"):
+            make_report(results, tmp_path / "report.html")
+        assert list(tmp_path.iterdir()) == []
 
 
 def test_refusals(results, tmp_path):

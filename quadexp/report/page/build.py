@@ -8,6 +8,7 @@ import json
 import math
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -19,17 +20,20 @@ from quadexp.errors import QuadexpError
 from quadexp.flight.store import check_output, write_bytes, write_text
 from quadexp.report.page import palette
 from quadexp.report.page.answer import answer
-from quadexp.report.page.drawing import PageFigures, draw_page, draw_paper
+from quadexp.report.page.drawing import MAX_COURSES, PageFigures, draw_page, draw_paper
+from quadexp.report.page.figures import courses
 from quadexp.report.page.names import spoken
 from quadexp.report.page.numbers import duration, percent
 from quadexp.report.page.provenance import origin, portable
-from quadexp.report.page.replay import BUDGET, choose_cases, pack_replay
+from quadexp.report.page.replay import BUDGET, Case, choose_cases, pack_replay
 from quadexp.report.page.sections import scoreboard, tables, worst, worst_rows
-from quadexp.report.page.source import Comparison, read_comparison
+from quadexp.report.page.source import TABLED, Comparison, read_comparison
+from quadexp.report.pairing import condition_of
 from quadexp.report.tables import TITLES, to_csv
 
 LIMIT = 2_000_000  # bytes of the page
-DATA_LIMIT = 250_000  # bytes of the CSV that travels inside it
+DATA_LIMIT = 250_000  # bytes of a CSV that travels inside it
+CARRIED = ("statistics.csv", "results.csv")
 SHAPE_PATHS = {
     "circle": "M-4.4 0A4.4 4.4 0 1 1 4.4 0A4.4 4.4 0 1 1 -4.4 0Z",
     "square": "M-4-4H4V4H-4Z",
@@ -61,12 +65,13 @@ def make_report(
         check_output(figures, force=True, folder=True)
     comparison = read_comparison(results, baseline=baseline)
     drawn = draw_page(comparison)
-    page = render(comparison, drawn, _report_command(comparison, out, figures, baseline))
+    page, left_out = render(comparison, drawn, _report_command(comparison, out, figures, baseline))
     write_text(out, page)
     written = {} if figures is None else _write_paper(Path(figures), draw_paper(comparison, drawn))
     said = answer(comparison)
     size = len(page.encode())
-    return {"path": out, "bytes": size, "answer": list(said.sentences), "note": said.note, "figures": written}
+    record = {"path": out, "bytes": size, "answer": list(said.sentences), "note": said.note}
+    return {**record, "left_out": left_out, "figures": written}
 
 
 def _write_paper(folder: Path, figures: Mapping[str, Figure]) -> dict[str, Path]:
@@ -78,31 +83,55 @@ def _write_paper(folder: Path, figures: Mapping[str, Figure]) -> dict[str, Path]
     return written
 
 
-def render(comparison: Comparison, drawn: PageFigures, command: str) -> str:
-    """The page; with fewer flights to replay where it would be too large."""
-    for budget in (BUDGET, BUDGET // 3, 0):
-        page = _render(comparison, drawn, command, budget)
+@dataclass(frozen=True)
+class Extent:
+    """How much goes onto the page. replay: characters of packed flights. metrics, lines: of the tables."""
+
+    replay: int = BUDGET
+    metrics: int = len(TABLED)
+    lines: int | None = None
+
+    @property
+    def carries_data(self) -> bool:
+        return self.replay > 0
+
+
+EXTENTS = (Extent(), Extent(BUDGET // 3), Extent(0), Extent(0, 1), Extent(0, 1, 200), Extent(0, 1, 40))
+
+
+def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[str, list[str]]:
+    """The page, with less on it where it would be too large, and what was left out.
+
+    First fewer flights to replay, then none and no CSV inside, then only the deciding metric, then fewer conditions.
+    """
+    for extent in EXTENTS:
+        page, left_out = _render(comparison, drawn, command, extent)
         if len(page.encode()) < LIMIT:
-            return page
+            return page, left_out
     raise QuadexpError(
         f"the report would be {len(page.encode()) / 1e6:.1f} MB, more than {LIMIT / 1e6:g}: report on fewer conditions"
     )
 
 
-def _render(comparison: Comparison, drawn: PageFigures, command: str, budget: int) -> str:
+def _render(comparison: Comparison, drawn: PageFigures, command: str, extent: Extent) -> tuple[str, list[str]]:
     from jinja2 import Environment
 
     bad = worst_rows(comparison)
     cases = choose_cases(comparison, bad)
-    packed, kept = pack_replay(comparison, cases, budget) if budget else ([], [])
-    said, board, numbers = answer(comparison), scoreboard(comparison), tables(comparison)
+    packed, kept = pack_replay(comparison, cases, extent.replay) if extent.replay else ([], [])
+    said, board, every = answer(comparison), scoreboard(comparison), tables(comparison)
+    numbers = [{**table, "lines": table["lines"][: extent.lines]} for table in every[: extent.metrics]]
+    downloads = _downloads(comparison) if extent.carries_data else []
+    left_out = _left_out(comparison, kept, every, numbers, downloads)
     environment = Environment(autoescape=True, trim_blocks=False)
     light, dark = palette.css_blocks()
     confidence = comparison.confidence
-    return environment.from_string(_template("report.html.j2")).render(
+    page = environment.from_string(_template("report.html.j2")).render(
         version=__version__,
         title=comparison.root.resolve().name,
         answer=said,
+        reduced=extent != EXTENTS[0],
+        left_out=left_out,
         sections=_sections(drawn, bool(packed)),
         metric_title=TITLES.get(comparison.metric, comparison.metric),
         baseline=comparison.reference,
@@ -129,9 +158,31 @@ def _render(comparison: Comparison, drawn: PageFigures, command: str, budget: in
         worst=worst(comparison, bad, {case: i for i, case in enumerate(kept)}),
         many_worlds=len(comparison.worlds) > 1,
         origin=origin(comparison),
-        downloads=_downloads(comparison) if budget else [],
+        downloads=downloads,
         report_command=command,
     )
+    return page, left_out
+
+
+def _left_out(
+    comparison: Comparison,
+    replayed: Sequence[Case],
+    every: Sequence[Mapping[str, Any]],
+    numbers: Sequence[Mapping[str, Any]],
+    downloads: Sequence[tuple[str, str]],
+) -> list[str]:
+    """What the page has no room for, one entry each."""
+    conditions = len({condition_of(row) for row in comparison.rows if row["outcome"] != "infeasible"})
+    shown = len({condition for condition, _ in replayed})
+    said = [f"the replay of {conditions - shown} of {conditions} conditions"] if shown < conditions else []
+    rows, lines = len(every[0]["lines"]), len(numbers[0]["lines"])
+    said += [f"{rows - lines} of {rows} lines of the tables"] if lines < rows else []
+    said += [f"the table of the {table['title']}" for table in every[len(numbers) :]]
+    more = len(courses(comparison)) - MAX_COURSES
+    said += [f"error over speed on {more} more courses"] if more > 0 else []
+    there = {name for name, _ in downloads}
+    said += [f"{name}, which lies with the results" for name in CARRIED if name not in there]
+    return said
 
 
 def _template(name: str) -> str:
@@ -180,10 +231,7 @@ def _downloads(comparison: Comparison) -> list[tuple[str, str]]:
     """Tables as links that carry them; the rows where they are not too many."""
     from quadexp.report.statistics_file import statistics_csv
 
-    made: Sequence[tuple[str, str]] = [
-        ("statistics.csv", statistics_csv(comparison.statistics)),
-        ("results.csv", to_csv(comparison.rows)),
-    ]
+    made = zip(CARRIED, (statistics_csv(comparison.statistics), to_csv(comparison.rows)), strict=True)
     return [
         (name, "data:text/csv;base64," + base64.b64encode(text.encode()).decode())
         for name, text in made
