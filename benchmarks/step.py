@@ -39,6 +39,7 @@ from quadexp.compose import compose
 from quadexp.control.active_set import Status
 from quadexp.control.mpc import ModelPredictiveController
 from quadexp.control.settings import MPCSettings
+from quadexp.dynamics.rotor_coefficients import static_coefficients
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference
 from quadexp.plant import PlantEffects, SimplifiedPlant
@@ -49,7 +50,7 @@ from quadexp.residual.blade_element import blade_element_residual
 from quadexp.residual.gaussian_process import GPOutput, gaussian_process_residual
 from quadexp.residual.linear_drag import linear_drag_residual
 from quadexp.residual.none import no_residual
-from quadexp.rotor import BladeCoefficients, RotorGeometry, static_coefficients
+from quadexp.rotor import BladeCoefficients, RotorGeometry
 from quadexp.trajectory import Circle
 from quadexp.vehicle import Vehicle
 

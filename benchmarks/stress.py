@@ -21,13 +21,14 @@ import numpy as np
 from benchmarks.machine import machine
 from quadexp.control.active_set import TOLERANCE, Status
 from quadexp.control.mpc import ModelPredictiveController
+from quadexp.dynamics.rotor_coefficients import static_coefficients
 from quadexp.errors import QuadexpError
 from quadexp.residual.base import Residual
 from quadexp.residual.blade_element import blade_element_residual
 from quadexp.residual.gaussian_process import GPOutput, gaussian_process_residual
 from quadexp.residual.linear_drag import linear_drag_residual
 from quadexp.residual.none import no_residual
-from quadexp.rotor import BladeCoefficients, RotorGeometry, static_coefficients
+from quadexp.rotor import BladeCoefficients, RotorGeometry
 from quadexp.vehicle import Vehicle
 
 STEPS_EACH = 4

@@ -110,6 +110,20 @@ def realise_together(functions: Sequence[ca.Function], backend: str) -> list[ca.
     return [ca.external(function.name(), library) for function in functions]
 
 
+def handwritten(
+    name: str, body: Path, constants: dict[str, int], inputs: dict[str, ca.Sparsity], outputs: dict[str, ca.Sparsity]
+) -> ca.Function:
+    """A function whose body is C of our own: for use inside functions that get compiled, it has no interpreted form.
+
+    body: file with statements; they find the inputs and outputs by name, as pointers to CasADi's storage (null where
+    an output is not asked for), and the constants as enumeration constants.
+    """
+    named = ", ".join(f"{constant} = {value}" for constant, value in constants.items())
+    source = f"enum {{ {named} }};\n{body.read_text()}"
+    options = {"jit": False, "buffered": False}
+    return ca.Function.jit(name, source, [*inputs], [*outputs], [*inputs.values()], [*outputs.values()], options)
+
+
 def _compile(functions: Sequence[ca.Function]) -> Path:
     """Path of the shared library with the functions, compiled unless the cache has it."""
     name = functions[0].name()

@@ -60,6 +60,7 @@ class ModelPredictiveController:
         arguments["u_min"][...], arguments["u_max"][...] = vehicle.thrust_min, vehicle.thrust_max
         arguments["dt"][...] = settings.node_period
         self._x0, self._X_ref, self._U_ref = (arguments[name] for name in ("x0", "X_ref", "U_ref"))
+        self._X_ref_flat, self._U_ref_flat = self._X_ref.reshape(-1), self._U_ref.reshape(-1)
         self._X, self._U = arguments["X"], arguments["U"]
         self._X_new, self._U_new = (self._step.results[name] for name in ("X_new", "U_new"))
         self._checks, self._thrust = self._step.results["checks"], self._U[0]
@@ -97,8 +98,8 @@ class ModelPredictiveController:
         """Rotor thrusts (n,) (N) for the measured state, and how the step went.
 
         x0: (13,), unit quaternion. state_reference: (N + 1, 13) at `node_times` from now; input_reference: (N, n).
-        Raises QuadexpError for a measurement that is not finite. A step that fails returns the last prediction's input
-        with status FAILED; whoever flies decides what to do.
+        Raises QuadexpError for a measurement or a reference that is not finite. A step that fails returns the last
+        prediction's input with status FAILED; whoever flies decides what to do.
         """
         began = time.perf_counter()
         if not math.isfinite(sum(x0.tolist())):
@@ -106,6 +107,8 @@ class ModelPredictiveController:
         self._x0[...] = x0
         self._X_ref[...] = state_reference
         self._U_ref[...] = input_reference
+        if not math.isfinite(self._X_ref_flat.dot(self._X_ref_flat) + self._U_ref_flat.dot(self._U_ref_flat)):
+            raise QuadexpError("the reference is not finite")
         if self._attitude_ref.dot(self._attitude) < 0:  # q and -q are one attitude: compare on the measured side
             self._X_ref[:, ATTITUDE] *= -1
         status, sweeps, active, kkt = self._converge() if self._cold else self._iterate()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadexp.control.base import Measurement, Window
+from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.mpc import ModelPredictiveController, StepRecord
 from quadexp.residual.base import Residual
 
@@ -42,6 +42,6 @@ class PredictiveController:
         return {}
 
 
-def as_controller(controller):
+def as_controller(controller: Controller | ModelPredictiveController) -> Controller:
     """The controller, an MPC put behind the seam."""
     return PredictiveController(controller) if isinstance(controller, ModelPredictiveController) else controller

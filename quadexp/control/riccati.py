@@ -1,4 +1,4 @@
-"""Backward and forward passes of the linear-quadratic subproblem, one node at a time, as scalar CasADi functions.
+"""Backward and forward passes of the linear-quadratic subproblem, one node at a time, as CasADi functions.
 
 The Gauss-Newton subproblem in deviations (dx, du) from the linearisation point is
 
@@ -9,14 +9,89 @@ and the cost to go 1/2 dx'P dx + p'dx follows, with H = R + B'PB, G = B'PA, h = 
     K = H^-1 G,   k = H^-1 h,   P <- Q + A'PA - G'K,   p <- q + A'(Pb + p) - G'k,   du = -k - K dx
 
 Inputs held at a bound drop out: their column of B is zero, b gains B v, and H keeps R on the diagonal.
-Scalar (SX) functions skip structural zeros and the lower triangle of P; matrix (MX) ones are dense products.
+
+There are two forms. `MatrixPasses`, for the virtual machine, are dense products. `CompiledPasses` are for code that
+will be compiled: the backward pass, the largest part of a control step, is C in vector registers
+(riccati_backward.c); the others are scalar operations without the structural zeros of A and B.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
 import casadi as ca
 
+from quadexp.backend import handwritten
 from quadexp.state import N_STATE
+
+N_PLACE = 3  # of the state, which comes first and on which nothing depends: A's first columns are [I; 0]
+KERNEL = Path(__file__).with_name("riccati_backward.c")
+
+
+class MatrixPasses:
+    """The passes in dense matrix operations; a cost to go is [P, p]."""
+
+    def __init__(self, find: Callable[[str], ca.Function]) -> None:
+        self._backward, self._first_node = find("backward"), find("first_node")
+        self.forward, self.adjoint = find("forward"), find("adjoint")
+
+    @classmethod
+    def build(cls, a: ca.Sparsity, b: ca.Sparsity) -> MatrixPasses:
+        """The passes where A and B have the patterns a and b."""
+        n = b.size2()
+        functions = (_backward_function(n), _first_node_function(n), *_vector_passes(ca.MX, a, b))
+        return cls({function.name(): function for function in functions}.__getitem__)
+
+    def terminal(self, Q_end, p) -> list:
+        """Cost to go at the last node."""
+        return [ca.densify(ca.diag(Q_end)), p]
+
+    def backward(self, cost: list, A, B, b, q, r, Q, R):
+        """Cost to go of a node from the next one's, and its gains K, k."""
+        *before, K, k = self._backward(*cost, A, B, b, q, r, Q, R)
+        return before, K, k
+
+    def first_node(self, cost: list, A, B, b, q, r, Q, R):
+        """k of node 0: its state is measured, so no gain and no cost to go are needed."""
+        return self._first_node(*cost, A, B, b, q, r, Q, R)
+
+
+class CompiledPasses:
+    """The passes for compiled code; a cost to go is riccati_backward.c's array."""
+
+    def __init__(self, find: Callable[[str], ca.Function]) -> None:
+        self._rows, self._terminal, self._kernel = (find(f"riccati_{name}") for name in ("rows", "terminal", "kernel"))
+        self.forward, self.adjoint = find("forward"), find("adjoint")
+
+    @classmethod
+    def build(cls, a: ca.Sparsity, b: ca.Sparsity) -> CompiledPasses:
+        """The passes where A and B have the patterns a and b."""
+        n = b.size2()
+        functions = (_rows_function(a, b), _terminal_function(n), kernel_function(n), *_vector_passes(ca.SX, a, b))
+        return cls({function.name(): function for function in functions}.__getitem__)
+
+    def terminal(self, Q_end, p) -> list:
+        """See MatrixPasses."""
+        return [self._terminal(Q_end, p)]
+
+    def backward(self, cost: list, A, B, b, q, r, Q, R):
+        """See MatrixPasses."""
+        before, K, k = self._kernel(*cost, self._rows(A, B, b), q, r, Q, R)
+        return [before], K, k
+
+    def first_node(self, cost: list, A, B, b, q, r, Q, R):
+        """See MatrixPasses."""
+        return self.backward(cost, A, B, b, q, r, Q, R)[2]
+
+
+Passes = MatrixPasses | CompiledPasses
+
+
+def passes_of(function: ca.Function) -> Passes:
+    """The very passes that a function built from some contains, so that compiled together they are compiled once."""
+    kind = CompiledPasses if "riccati_kernel" in function.get_function() else MatrixPasses
+    return kind(function.get_function)
 
 
 def solve_function(n_inputs: int) -> ca.Function:
@@ -27,70 +102,76 @@ def solve_function(n_inputs: int) -> ca.Function:
     return ca.Function("solve", [H, G, h], ca.cse([gains[:, :N_STATE], gains[:, N_STATE]]))
 
 
-def _node_symbols(kind, a: ca.Sparsity, b: ca.Sparsity):
-    n_inputs = b.size2()
-    upper = ca.Sparsity.upper(N_STATE) if kind is ca.SX else ca.Sparsity.dense(N_STATE, N_STATE)
-    shapes = {"P": upper, "p": (N_STATE, 1), "A": a, "B": b, "b": (N_STATE, 1), "q": (N_STATE, 1), "r": (n_inputs, 1)}
-    shapes |= {"Q": (N_STATE, 1), "R": (n_inputs, 1)}
-    return [kind.sym(name, s) if isinstance(s, ca.Sparsity) else kind.sym(name, *s) for name, s in shapes.items()]
+def _node_symbols(n: int) -> list[ca.MX]:
+    shapes = {"P": (N_STATE, N_STATE), "p": (N_STATE, 1), "A": (N_STATE, N_STATE), "B": (N_STATE, n)}
+    shapes |= {"b": (N_STATE, 1), "q": (N_STATE, 1), "r": (n, 1), "Q": (N_STATE, 1), "R": (n, 1)}
+    return [ca.MX.sym(name, *shape) for name, shape in shapes.items()]
 
 
-def _quadratic(P, p, A, B, b, r, R):
-    """P A, P b + p, H, G, h of one node."""
-    if P.sparsity().is_triu():
-        P = ca.triu2symm(P)
+def _backward_function(n: int) -> ca.Function:
+    """(P, p, A, B, b, q, r, Q, R) of a node -> P, p, K, k; Q and R as diagonals."""
+    P, p, A, B, b, q, r, Q, R = symbols = _node_symbols(n)
     products = ca.mtimes(P, ca.horzcat(A, B, b))
-    PA, PB, Pb = ca.horzsplit(products, [0, N_STATE, N_STATE + B.size2(), N_STATE + B.size2() + 1])
-    Pb = Pb + p
-    return PA, Pb, ca.mtimes(PB.T, B) + ca.diag(R), ca.mtimes(PB.T, A), r + ca.mtimes(B.T, Pb)
-
-
-def backward_function(kind, a: ca.Sparsity, b: ca.Sparsity) -> ca.Function:
-    """(P, p, A, B, b, q, r, Q, R) of a node -> P, p, K, k; Q and R as diagonals, P as upper triangle for SX."""
-    P, p, A, B, gap, q, r, Q, R = symbols = _node_symbols(kind, a, b)
-    PA, Pb, H, G, h = _quadratic(P, p, A, B, gap, r, R)
-    K, k = solve_function(b.size2())(H, G, h)
+    PA, PB, Pb = ca.horzsplit(products, [0, N_STATE, N_STATE + n, N_STATE + n + 1])
+    H, G, h = ca.mtimes(PB.T, B) + ca.diag(R), ca.mtimes(PB.T, A), r + ca.mtimes(B.T, Pb + p)
+    K, k = solve_function(n)(H, G, h)
     P_next = ca.mtimes(A.T, PA) - ca.mtimes(G.T, K) + ca.diag(Q)
-    P_next = ca.project(ca.triu(P_next), P.sparsity()) if kind is ca.SX else ca.densify(P_next)
-    p_next = q + ca.mtimes(A.T, Pb) - ca.mtimes(G.T, k)
+    p_next = q + ca.mtimes(A.T, Pb + p) - ca.mtimes(G.T, k)
     return _function("backward", symbols, [P_next, p_next, K, k])
 
 
-def first_node_function(kind, a: ca.Sparsity, b: ca.Sparsity) -> ca.Function:
-    """(P, p, A, B, b, q, r, Q, R) of node 0 -> k: its state is measured, so no gain and no cost to go are needed."""
-    P, p, A, B, gap, q, r, Q, R = symbols = _node_symbols(kind, a, b)
-    if P.sparsity().is_triu():
-        P = ca.triu2symm(P)
+def _first_node_function(n: int) -> ca.Function:
+    """(P, p, A, B, b, q, r, Q, R) of node 0 -> k."""
+    P, p, _, B, b, _, r, _, R = symbols = _node_symbols(n)
     H = ca.mtimes(B.T, ca.mtimes(P, B)) + ca.diag(R)
-    h = r + ca.mtimes(B.T, ca.mtimes(P, gap) + p)
-    _, k = solve_function(b.size2())(H, kind(b.size2(), N_STATE), h)
+    h = r + ca.mtimes(B.T, ca.mtimes(P, b) + p)
+    _, k = solve_function(n)(H, ca.MX(n, N_STATE), h)
     return _function("first_node", symbols, [k])
 
 
-def forward_function(kind, a: ca.Sparsity, b: ca.Sparsity) -> ca.Function:
-    """(dx, A, B, b, K, k) -> du, dx of the next node."""
-    dx, A, B = kind.sym("dx", N_STATE), kind.sym("A", a), kind.sym("B", b)
-    gap, K, k = kind.sym("b", N_STATE), kind.sym("K", b.size2(), N_STATE), kind.sym("k", b.size2())
-    du = -k - ca.mtimes(K, dx)
-    return _function("forward", [dx, A, B, gap, K, k], [du, ca.mtimes(A, dx) + ca.mtimes(B, du) + gap])
+def _vector_passes(kind, a: ca.Sparsity, b: ca.Sparsity) -> tuple[ca.Function, ca.Function]:
+    """forward: (dx, A, B, b, K, k) -> du, dx of the next node.
 
-
-def adjoint_function(kind, a: ca.Sparsity, b: ca.Sparsity) -> ca.Function:
-    """(lambda of the next node, A, B, q, r) -> lambda = q + A'lambda, gradient with respect to u = r + B'lambda."""
-    multiplier, A, B = kind.sym("lambda", N_STATE), kind.sym("A", a), kind.sym("B", b)
-    q, r = kind.sym("q", N_STATE), kind.sym("r", b.size2())
-    return _function(
-        "adjoint", [multiplier, A, B, q, r], [q + ca.mtimes(A.T, multiplier), r + ca.mtimes(B.T, multiplier)]
-    )
-
-
-def riccati_functions(kind, a: ca.Sparsity, b: ca.Sparsity) -> dict[str, ca.Function]:
-    """The functions of a node by name, for matrices of type kind (SX or MX) where A and B have the patterns a and b."""
-    makers = (backward_function, first_node_function, forward_function, adjoint_function)
-    return {function.name(): function for function in (make(kind, a, b) for make in makers)}
+    adjoint: (lambda of the next node, A, B, q, r) -> lambda = q + A'lambda, gradient by u = r + B'lambda.
+    """
+    n = b.size2()
+    x, A, B, gap = kind.sym("x", N_STATE), kind.sym("A", a), kind.sym("B", b), kind.sym("b", N_STATE)
+    K, k, q, r = kind.sym("K", n, N_STATE), kind.sym("k", n), kind.sym("q", N_STATE), kind.sym("r", n)
+    du = -k - ca.mtimes(K, x)
+    forward = _function("forward", [x, A, B, gap, K, k], [du, ca.mtimes(A, x) + ca.mtimes(B, du) + gap])
+    return forward, _function("adjoint", [x, A, B, q, r], [q + ca.mtimes(A.T, x), r + ca.mtimes(B.T, x)])
 
 
 def _function(name: str, arguments: list, results: list) -> ca.Function:
-    return ca.Function(
-        name, arguments, ca.cse([ca.densify(result) if name != "backward" else result for result in results])
-    )
+    return ca.Function(name, arguments, ca.cse([ca.densify(result) for result in results]))
+
+
+def _line(n: int) -> int:
+    """Length of a row in riccati_backward.c: motion, inputs, the affine column, padding to whole vectors."""
+    return 8 * ((N_STATE - N_PLACE + n) // 8 + 1)
+
+
+def _rows_function(a: ca.Sparsity, b: ca.Sparsity) -> ca.Function:
+    """(A, B, b) -> the kernel's rows, one in each column."""
+    n = b.size2()
+    A, B, gap = ca.SX.sym("A", a), ca.SX.sym("B", b), ca.SX.sym("b", N_STATE)
+    padding = ca.SX(_line(n) - (N_STATE - N_PLACE + n + 1), N_STATE)
+    return _function("riccati_rows", [A, B, gap], [ca.vertcat(A[:, N_PLACE:].T, B.T, gap.T, padding)])
+
+
+def _terminal_function(n: int) -> ca.Function:
+    """(Q_end, p) -> the kernel's cost at the last node."""
+    Q_end, p = ca.SX.sym("Q_end", N_STATE), ca.SX.sym("p", N_STATE)
+    rows, affine = ca.SX(_line(n), N_STATE), N_STATE - N_PLACE + n
+    rows[: N_STATE - N_PLACE, N_PLACE:] = ca.diag(Q_end[N_PLACE:])
+    rows[affine, :] = p.T
+    return _function("riccati_terminal", [Q_end, p], [ca.vertcat(ca.vec(rows), ca.vec(ca.diag(Q_end[:N_PLACE])))])
+
+
+def kernel_function(n: int) -> ca.Function:
+    """riccati_backward.c for n inputs: (cost, rows, q, r, Q, R) -> cost of this node, K, k. It can only be compiled."""
+    dense = ca.Sparsity.dense
+    cost, state, inputs = dense(_line(n) * N_STATE + N_PLACE**2, 1), dense(N_STATE, 1), dense(n, 1)
+    arguments = {"cost": cost, "rows": dense(_line(n), N_STATE), "q": state, "r": inputs, "Q": state, "R": inputs}
+    results = {"cost_next": cost, "K": dense(n, N_STATE), "k": inputs}
+    return handwritten("riccati_kernel", KERNEL, {"N_INPUTS": n}, arguments, results)

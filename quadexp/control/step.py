@@ -10,20 +10,22 @@ active-set method in `control.active_set` asks for, again and again, until the o
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import casadi as ca
 
-from quadexp.control.riccati import riccati_functions
+from quadexp.control.riccati import CompiledPasses, MatrixPasses, Passes, passes_of
 from quadexp.dynamics.sensitivity import rk4_sensitivity_function
 from quadexp.residual.base import Residual
 from quadexp.state import ATTITUDE, N_STATE
 from quadexp.vehicle import Vehicle
 
-PASSES = ("backward", "first_node", "forward", "adjoint")
 LENGTH_MIN, LENGTH_MAX = 0.95, 1.05  # of a quaternion at a shooting node
 
 
 def step_function(vehicle: Vehicle, residual: Residual, nodes: int, *, scalar: bool = True) -> ca.Function:
-    """One iteration for N = nodes; scalar: the form to compile, otherwise the form the virtual machine runs fastest.
+    """One iteration for N = nodes; scalar: the form to compile, otherwise the form that the virtual machine runs.
 
     Inputs: X (13, N + 1), U (n, N) last solution; x0 (13,) measured; X_ref, U_ref; theta (p,) residual parameters;
     Q, Q_end (13,), R (n,) weights; u_min, u_max (n,) N; dt node period (s); shift, share of a node to move the last
@@ -34,6 +36,8 @@ def step_function(vehicle: Vehicle, residual: Residual, nodes: int, *, scalar: b
     linearisation point X_lin, U_lin.
     """
     n = vehicle.n_rotors
+    if scalar and residual.to_compile is not None:
+        residual = replace(residual, function=residual.to_compile)
     node = rk4_sensitivity_function(vehicle, residual, scalar=scalar)
     X, U = ca.MX.sym("X", N_STATE, nodes + 1), ca.MX.sym("U", n, nodes)
     x0, theta = ca.MX.sym("x0", N_STATE), ca.MX.sym("theta", residual.function.size1_in(1))
@@ -58,7 +62,7 @@ def step_function(vehicle: Vehicle, residual: Residual, nodes: int, *, scalar: b
     q = [Q * d for d in deviation[:nodes]] + [Q_end * deviation[nodes]]
     r = [R * e for e in effort]
 
-    passes = riccati_functions(ca.SX if scalar else ca.MX, A[0].sparsity(), B[0].sparsity())
+    passes = (CompiledPasses if scalar else MatrixPasses).build(A[0].sparsity(), B[0].sparsity())
     dX, dU = _solve(passes, A, B, b, q, r, Q, Q_end, R)
     X_new = ca.horzcat(x0, *(x[k + 1] + dX[k] for k in range(nodes)))
     U_new = ca.horzcat(*(u[k] + dU[k] for k in range(nodes)))
@@ -98,7 +102,7 @@ def bounded_function(step: ca.Function, nodes: int) -> ca.Function:
     B_free = [ca.mtimes(B_k, ca.diag(f)) for B_k, f in zip(B, free, strict=True)]
     b_fixed = [b_k + ca.mtimes(B_k, v) for b_k, B_k, v in zip(b, B, fixed, strict=True)]
     r_free = [f * r_k for f, r_k in zip(free, r, strict=True)]
-    passes = {name: step.get_function(name) for name in PASSES}  # the very same ones, to be compiled once
+    passes = passes_of(step)
     dX, dU = _solve(passes, A, B_free, b_fixed, q, r_free, Q, Q_end, R)
     dU = [du + v for du, v in zip(dU, fixed, strict=True)]
 
@@ -126,26 +130,27 @@ def _attitude_guard() -> ca.Function:
     return ca.Function("attitude_guard", [x], [ca.vertcat(x[:3], x[ATTITUDE] * scale, x[7:])])
 
 
-def _solve(passes: dict[str, ca.Function], A, B, b, q, r, Q, Q_end, R):
+def _solve(passes: Passes, A, B, b, q, r, Q, Q_end, R):
     """Deviations dX_1..dX_N and dU_0..dU_{N-1} of the unbounded subproblem (Riccati recursion)."""
-    nodes, backward = len(A), passes["backward"]
-    P, p = ca.project(ca.diag(Q_end), backward.sparsity_in(0)), q[nodes]
-    K, k = [None] * nodes, [None] * nodes
+    nodes = len(A)
+    K: list[Any] = [None] * nodes
+    k: list[Any] = [None] * nodes
+    cost = passes.terminal(Q_end, q[nodes])
     for i in range(nodes - 1, 0, -1):
-        P, p, K[i], k[i] = backward(P, p, A[i], B[i], b[i], q[i], r[i], Q, R)
-    k[0] = passes["first_node"](P, p, A[0], B[0], b[0], q[0], r[0], Q, R)
+        cost, K[i], k[i] = passes.backward(cost, A[i], B[i], b[i], q[i], r[i], Q, R)
+    k[0] = passes.first_node(cost, A[0], B[0], b[0], q[0], r[0], Q, R)
     dU = [-k[0]]
     dX = [ca.mtimes(B[0], dU[0]) + b[0]]
     for i in range(1, nodes):
-        du, dx = passes["forward"](dX[-1], A[i], B[i], b[i], K[i], k[i])
+        du, dx = passes.forward(dX[-1], A[i], B[i], b[i], K[i], k[i])
         dU.append(du)
         dX.append(dx)
     return dX, dU
 
 
-def _input_gradient(passes: dict[str, ca.Function], A, B, q, r):
+def _input_gradient(passes: Passes, A, B, q, r):
     """Derivative of the Lagrangian with respect to each input, the adjoint run backwards from the last node."""
     multiplier, gradient = q[len(A)], [None] * len(A)
     for k in range(len(A) - 1, -1, -1):
-        multiplier, gradient[k] = passes["adjoint"](multiplier, A[k], B[k], q[k], r[k])
+        multiplier, gradient[k] = passes.adjoint(multiplier, A[k], B[k], q[k], r[k])
     return gradient

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Protocol
 
 import numpy as np
@@ -44,6 +45,7 @@ class SampledReference:
         times = self.t[:, None] + controller.node_times
         self._grid, where = np.unique(np.round(times / TIME_RESOLUTION).astype(np.int64), return_inverse=True)
         self._where = where.reshape(times.shape)
+        self._stride = _common_stride(self._where)
         flat = trajectory.flat_output(self.t)
         self._position = flat.position
         self._yaw = np.zeros((samples, 3)) if flat.yaw is None else flat.yaw
@@ -58,13 +60,17 @@ class SampledReference:
         self._believed = residual
         times = self._grid * TIME_RESOLUTION
         self.reference = flat_reference(self._trajectory, times, self._vehicle, residual=residual)
+        self.reference.state.flags.writeable = self.reference.input.flags.writeable = False  # horizons are views
 
     def __len__(self) -> int:
         return len(self.t)
 
     def horizon(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """States (N + 1, 13) and inputs (N, n) over the horizon from control instant k."""
-        where = self._where[k]
+        """States (N + 1, 13) and inputs (N, n) over the horizon from control instant k; not to be written to."""
+        where, stride = self._where[k], self._stride
+        if stride:
+            first, last = where.item(0), where.item(-1)
+            return self.reference.state[first : last + 1 : stride], self.reference.input[first:last:stride]
         return self.reference.state[where], self.reference.input[where[:-1]]
 
     def window(self, k: int) -> Window:
@@ -80,6 +86,12 @@ class SampledReference:
         """State (13,) and input (n,) at control instant k."""
         where = self._where[k, 0]
         return self.reference.state[where], self.reference.input[where]
+
+
+def _common_stride(where: np.ndarray) -> int:
+    """The one distance of neighbours in every row of indices, (k, N + 1); 0 where there are several, or none."""
+    strides = np.unique(np.diff(where, axis=1))
+    return int(strides[0]) if len(strides) == 1 else 0
 
 
 def fly(
@@ -106,6 +118,7 @@ def fly(
     log = _Log(len(reference), rotors)
     sensor_rng = rng.spawn(1)[0] if sensor is not None else rng
     plant.reset()
+    inner_names = [name for name in INNER_STATES if hasattr(plant, name)]
     x = reference.at(0)[0].copy() if start is None else np.array(start, float)
     reading = np.array([0.0, 0.0, plant.vehicle.gravity])
     measured, speed = None, None
@@ -116,12 +129,13 @@ def fly(
         if renewal and k and k % renewal == 0:
             stale += _renewed(reference, controller.residual)
         state_reference, input_reference = reference.at(k)
-        distance = float(np.linalg.norm(x[POSITION] - state_reference[POSITION]))
+        error = x[POSITION] - state_reference[POSITION]
+        distance = math.sqrt(error.dot(error))
         if not distance <= lost_distance:
             outcome, cause = "lost", f"{distance:.1f} m from the reference at t={t:.2f} s"
             break
         u, record = controller.step(Measurement(t, x, measured, speed), reference.window(k))
-        inner = [getattr(plant, name) for name in INNER_STATES if hasattr(plant, name)]
+        inner = [getattr(plant, name) for name in inner_names]
         log.add(x, u, state_reference, input_reference, reading, inner, record, controller.log())
         if record.status == Status.FAILED:
             outcome, cause = "solver_failed", f"the control step failed at t={t:.2f} s"
@@ -136,8 +150,7 @@ def fly(
         measured, speed = reading, getattr(plant, "rotor_speed", None)
     if not log.records:
         raise QuadexpError(f"the flight is over before it began: {cause}")
-    inner_names = [name for name in INNER_STATES if hasattr(plant, name)]
-    details = {"outcome": outcome, "cause": cause, "backend": controller.backend}
+    details: dict[str, Any] = {"outcome": outcome, "cause": cause, "backend": controller.backend}
     if stale:
         details["stale_references"] = stale
     return Flight(log.columns(reference.t, inner_names), {**(metadata or {}), **details})
@@ -167,7 +180,8 @@ class _Log:
         k = len(self.records)
         self.state[k], self.input[k], self.reading[k] = x, u, reading
         self.state_reference[k], self.input_reference[k] = state_reference, input_reference
-        self.inner.append(np.array(inner))
+        if inner:
+            self.inner.append(np.array(inner))
         self.records.append(record)
         self.extra.append(extra)
 

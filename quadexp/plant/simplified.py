@@ -86,12 +86,12 @@ class SimplifiedPlant:
         """See Plant.advance; RK4 with the noise held over each step."""
         steps = max(1, math.ceil(duration / self.step - 1e-9))
         function = self._function(steps)
-        arguments = function.arguments
-        arguments["x"][...], arguments["u"][...] = x, u
-        arguments["step"][...] = duration / steps
+        arguments, results = function.arguments, function.results
+        arguments["x"][:], arguments["u"][:] = x, u
+        arguments["step"][0] = duration / steps
         rng.standard_normal(out=arguments["noise"])
         function()
-        return function.results["x_next"].copy(), function.results["specific_force"].copy()
+        return results["x_next"].copy(), results["specific_force"].copy()
 
     def residual(self) -> Residual:
         """See Plant.residual: drag, mean motor loss and payload; noise and clipping left out."""

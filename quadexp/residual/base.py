@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
-FEATURES = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
-OUTPUTS = ("a_x", "a_y", "a_z", "tau_x", "tau_y", "tau_z")
-N_OUTPUTS = len(OUTPUTS)
+from quadexp.dynamics.correction import FEATURES, N_OUTPUTS, OUTPUTS
+from quadexp.expression import Expression
+
+__all__ = ["FEATURES", "N_OUTPUTS", "OUTPUTS", "Residual", "feature_names", "symbolic_residual"]
 
 
 def feature_names(n_rotors: int) -> tuple[str, ...]:
@@ -26,12 +28,14 @@ class Residual:
         structural zeros, so that whoever embeds it can skip them.
     theta: parameter values, (p,).
     source: checkpoint path or a word, for the record.
+    to_compile: the same function in a form for code that gets compiled; None: `function` itself.
     """
 
     name: str
     function: ca.Function
     theta: np.ndarray
     source: str = ""
+    to_compile: ca.Function | None = None
 
     def __call__(self, features: np.ndarray) -> np.ndarray:
         """Residual at many points: features (k, 6 + n) -> outputs (k, 6) in the units of `OUTPUTS`."""
@@ -45,7 +49,9 @@ class Residual:
         return self.function.nnz_out(0) == 0
 
 
-def symbolic_residual(name: str, outputs, features, theta, values, *, source: str = "") -> Residual:
+def symbolic_residual(
+    name: str, outputs: Expression, features: Expression, theta: Expression, values: npt.ArrayLike, *, source: str = ""
+) -> Residual:
     """A residual from SX expressions; the Jacobian by automatic differentiation.
 
     outputs: SX (6,). features: SX (6 + n,). theta: SX (p,), p may be 0. values: (p,).

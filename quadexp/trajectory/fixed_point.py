@@ -23,6 +23,7 @@ World ENU, body FLU, SI. Arrays are component first, (d, k) at k times.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -122,7 +123,13 @@ def rotor_thrusts(
     """
     inertia = vehicle.inertia_matrix
     torque = inertia @ rate_derivative + cross(rate, inertia @ rate) - air_torque
-    return np.linalg.pinv(vehicle.allocation) @ np.concatenate([thrust[None], torque])
+    return _allocation_inverse(vehicle) @ np.concatenate([thrust[None], torque])
+
+
+@lru_cache(maxsize=64)
+def _allocation_inverse(vehicle: Vehicle) -> np.ndarray:
+    """G^+, (n, 4)."""
+    return np.linalg.pinv(vehicle.allocation)
 
 
 def agreeing_air(
@@ -182,7 +189,7 @@ def _within_limits(thrusts: np.ndarray, vehicle: Vehicle) -> np.ndarray:
 
     A residual model knows nothing of thrusts beyond them, which a reference that cannot be flown may ask for.
     """
-    collective = np.linalg.pinv(vehicle.allocation)[:, :1] * thrusts.sum(axis=0)
+    collective = _allocation_inverse(vehicle)[:, :1] * thrusts.sum(axis=0)
     torque = thrusts - collective
     room = np.where(torque > 0, vehicle.thrust_max, vehicle.thrust_min) - collective
     with np.errstate(divide="ignore", invalid="ignore"):

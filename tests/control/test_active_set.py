@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from quadexp.backend import BufferedFunction
+from quadexp.backend import BufferedFunction, compiler, realise_together
 from quadexp.control.active_set import ActiveSet, Status, condense
 from quadexp.control.settings import MPCSettings
 from quadexp.control.step import bounded_function, step_function
@@ -16,10 +16,14 @@ from tests.states import random_state
 NODES = 8
 
 
-@pytest.fixture(scope="module", params=[True, False], ids=["scalar", "matrix"])
+@pytest.fixture(scope="module", params=["compiled", "interpreted"])
 def solvers(request, vehicle):
-    step = step_function(vehicle, make_residual("linear_drag", vehicle), NODES, scalar=request.param)
-    return BufferedFunction(step), BufferedFunction(bounded_function(step, NODES))
+    if request.param == "compiled" and compiler() is None:
+        pytest.skip("no C compiler")
+    residual = make_residual("linear_drag", vehicle)
+    step = step_function(vehicle, residual, NODES, scalar=request.param == "compiled")
+    functions = realise_together([step, bounded_function(step, NODES)], request.param)
+    return tuple(BufferedFunction(function) for function in functions)
 
 
 def pose(step: BufferedFunction, vehicle, rng, *, spread: float, terminal: float) -> None:

@@ -1,0 +1,41 @@
+"""The reference that a flight follows, as its controller sees it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadexp.control.mpc import ModelPredictiveController
+from quadexp.control.settings import MPCSettings
+from quadexp.experiment.rollout import SampledReference
+from quadexp.residual.none import no_residual
+from quadexp.trajectory import Circle
+from quadexp.trajectory.flatness import flat_reference
+
+
+@pytest.mark.parametrize(
+    ("rate", "nodes"), [(50.0, 10), (100.0, 10), (50.0, 20), (30.0, 8)], ids=["5", "10", "2.5", "3.75"]
+)
+def test_horizons_are_the_trajectory_at_the_nodes(vehicle, rate, nodes):
+    """Whether or not the node period is a whole number of control periods (the id says how many)."""
+    settings, path = MPCSettings(rate=rate, nodes=nodes), Circle(speed=3.0)
+    controller = ModelPredictiveController(vehicle, no_residual(vehicle), settings, backend="interpreted")
+    reference = SampledReference(path, controller)
+    whole = (settings.node_period / settings.control_period) % 1 < 1e-9
+    for k in (0, 1, len(reference) // 2, len(reference) - 1):
+        states, inputs = reference.horizon(k)
+        times = k * settings.control_period + np.arange(nodes + 1) * settings.node_period
+        exact = flat_reference(path, times, vehicle)
+        turned = np.sign((states[0, 3:7] * exact.state[0, 3:7]).sum())  # the sign of q is free at the start
+        exact.state[:, 3:7] *= turned
+        assert states.shape == (nodes + 1, 13) and inputs.shape == (nodes, vehicle.n_rotors)
+        assert np.allclose(states, exact.state, atol=1e-7) and np.allclose(inputs, exact.input[:-1], atol=1e-6)
+        assert states.flags.writeable != whole  # then it is a view into what later steps will see
+
+
+def test_what_a_controller_sees_cannot_be_changed_by_it(vehicle):
+    controller = ModelPredictiveController(vehicle, no_residual(vehicle), backend="interpreted")
+    reference = SampledReference(Circle(speed=3.0), controller)
+    states, _ = reference.horizon(0)
+    with pytest.raises(ValueError, match="read-only"):
+        states[0, 0] = 1.0
