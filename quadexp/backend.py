@@ -1,12 +1,14 @@
 """Two back ends for one CasADi function: the virtual machine, or generated C compiled once and cached.
 
 A compiled function lies in the user's cache folder under the hash of its source, the flags, the compiler and the
-processor's features; it is written to a temporary name and renamed, under a lock, so that any number of processes may
-ask for the same one. Without a compiler "auto" says so once and uses the virtual machine.
+processor's features, with the hash of its own content beside it: one that does not match is never loaded but made
+anew. It is written to a temporary name and renamed, under a lock, so that any number of processes may ask for the same
+one. Without a compiler "auto" says so once and uses the virtual machine.
 """
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import hashlib
 import os
@@ -15,6 +17,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -30,6 +33,7 @@ BACKENDS = ("auto", "compiled", "interpreted")
 # scalar code gets slower from being vectorised piecewise. CasADi's helper functions are global, and inlined only where
 # nobody may interpose them.
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-fno-tree-slp-vectorize", "-fno-semantic-interposition", "-fPIC")
+LONG_AGO = 86400.0  # s
 GCC_FLAGS = ("-fno-tree-reassoc",)  # CasADi's order of operations is the better one; clang refuses the flag
 
 
@@ -45,8 +49,13 @@ def cache_folder() -> Path:
         except RuntimeError:  # no home folder
             folder = Path(tempfile.gettempdir()) / f"quadexp-{os.getuid()}"
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if folder.stat().st_uid != os.getuid():
+    found = folder.stat()
+    if found.st_uid != os.getuid():
         raise QuadexpError(f"{folder}: belongs to another user, set QUADEXP_CACHE to a folder of your own")
+    if found.st_mode & 0o022:
+        raise QuadexpError(
+            f"{folder}: others may write there, and what lies there is executed; chmod go-w it, or set QUADEXP_CACHE"
+        )
     return folder
 
 
@@ -134,12 +143,13 @@ def _compile(functions: Sequence[ca.Function]) -> Path:
     key = hashlib.sha256(f"{_toolchain()}\n{source}".encode()).hexdigest()[:24]
     folder = cache_folder()
     library = folder / f"{name}_{key}.so"
-    if library.exists():
+    if _intact(library):
         return library
     with open(folder / f"{key}.lock", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         try:
-            if not library.exists():
+            if not _intact(library):
+                _sweep_up(folder)
                 with tempfile.TemporaryDirectory(dir=folder, prefix=".build-") as scratch:
                     code, unlinked, built = (str(Path(scratch) / f"built{suffix}") for suffix in (".c", ".o", ".so"))
                     Path(code).write_text(source)
@@ -151,10 +161,33 @@ def _compile(functions: Sequence[ca.Function]) -> Path:
                         if done.returncode != 0:
                             reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
                             raise QuadexpError(f"{command[0]} could not compile {name}: {reason}")
+                    digest = Path(scratch) / "sha256"
+                    digest.write_text(_sha256(Path(built)))
                     os.replace(built, library)
+                    os.replace(digest, library.with_suffix(".sha256"))
         finally:
             Path(lock.name).unlink(missing_ok=True)
     return library
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _intact(library: Path) -> bool:
+    """Whether a cached library is there and is, byte for byte, what was compiled."""
+    try:
+        return library.with_suffix(".sha256").read_text() == _sha256(library)
+    except (OSError, UnicodeError):
+        return False
+
+
+def _sweep_up(folder: Path) -> None:
+    """Remove what compilations left that were killed long ago."""
+    for left in folder.glob(".build-*"):
+        with contextlib.suppress(OSError):
+            if time.time() - left.stat().st_mtime > LONG_AGO:
+                shutil.rmtree(left, ignore_errors=True)
 
 
 class BufferedFunction:
