@@ -180,7 +180,7 @@ class Composer:
                 here = [*map(str, config), "experiment"]
                 everywhere = [*_keys(config), *here]
                 if isinstance(node, DictConfig) and i > 0:
-                    here = everywhere = [f"{'.'.join(parts[:i])}.{name}" for name in node]
+                    here = everywhere = [f"{'.'.join(parts[:i])}.{name}" for name in map(str, node)]
                 raise UsageError(f"{key}: no such key{suggestion(key, everywhere, here)}")
             node = node._get_node(part)
             if isinstance(node, DictConfig) and node._is_missing():
@@ -209,7 +209,7 @@ def _as_override(value: Any) -> str:
 
 
 def _keys(config: DictConfig, prefix: str = "") -> Iterator[str]:
-    for name in config:
+    for name in map(str, config):
         node = config._get_node(name)
         if isinstance(node, DictConfig) and not node._is_missing() and not node._is_none():
             yield from _keys(node, f"{prefix}{name}.")

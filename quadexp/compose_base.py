@@ -99,7 +99,7 @@ class Base:
         self._objects: dict[str, Any] = {}
         # Nodes that refer to others; a reference to a root value (${seed}) is resolved in a copy with the root values.
         self._referring = {name for name in self._nodes if "${" in str(OmegaConf.to_container(config[name]))}
-        roots = [f"${{{name}}}" for name in config if name not in self._nodes]
+        roots = [f"${{{name}}}" for name in map(str, config) if name not in self._nodes]
         text = str(OmegaConf.to_container(config))
         self._separable = text.count("${") == sum(text.count(root) for root in roots)
         self._shared: dict[tuple, Any] = {}

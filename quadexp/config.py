@@ -26,6 +26,7 @@ from quadexp.config_flight import (
     CircleConfig,
     ControllerConfig,
     FileConfig,
+    FromModelPlantConfig,
     HoverConfig,
     LemniscateConfig,
     MPCConfig,
@@ -45,13 +46,14 @@ from quadexp.config_lei_li import (
     SensorConfig,
 )
 from quadexp.errors import UsageError
-from quadexp.fields import MISSING, Checked, choice, number
+from quadexp.fields import MISSING, Checked, choice, is_set, number
 
 
 @dataclass
 class CollectConfig(Checked):
     """How a data set is flown: flights of `flight_duration` until `duration` is reached, speeds spread evenly over
-    [speed_min, speed_max]. mode: random (smooth random paths) or setpoints (jumps between random points)."""
+    [speed_min, speed_max]. mode: random (smooth random paths) or setpoints (jumps between random points).
+    target, identified: of recorded flights; see quadexp/identify/recorded.py."""
 
     prefix: ClassVar[str] = "collect."
 
@@ -63,10 +65,12 @@ class CollectConfig(Checked):
     extent: float = number("(0, 1000]", "m")
     clearance: float = number("[-1000, 1000]", "m")
     frame: str = choice("midpoint", "start")
+    target: str = choice("auto", "specific_force", "velocity", default="auto")
+    identified: str | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if MISSING not in (self.speed_min, self.speed_max) and self.speed_min > self.speed_max:
+        if is_set(self.speed_min, self.speed_max) and self.speed_min > self.speed_max:
             raise ValueError(f"collect.speed_min={self.speed_min}: must not exceed collect.speed_max={self.speed_max}")
 
 
@@ -103,7 +107,8 @@ class GPConfig(Checked):
     features: GPFeatures = field(default_factory=GPFeatures)
     inducing: int = number("[2, 1000]", "points")
     method: str = choice("sgpr", "subset", "exact")
-    mean: str = choice("zero", "constant", "linear_drag")
+    mean: str = choice("zero", "constant", "linear_drag", "quadratic", "blade_element")
+    split: str = choice("flight", "sample", default="flight")
     seed: int = number("[0, 4294967295]", "")
     max_rows: int | None = number("[10, 10000000]", "rows", None)
     max_exact_rows: int = number("[10, 100000]", "rows")
@@ -139,7 +144,7 @@ class EvaluateConfig(Checked):
     prefix: ClassVar[str] = "evaluate."
 
     metric: str = choice("mean_error", "rmse", "max_error", default="mean_error")
-    figures: str = choice("standard", "lei_li", "adaptation", default="standard")
+    figures: str = choice("standard", "lei_li", "families", "adaptation", default="standard")
     baseline: str = "nominal_mpc"
     confidence: float = number("[0.5, 0.9999]", "", 0.95)
     workers: int = number("[0, 1024]", "processes", 0)
@@ -171,6 +176,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "vehicle": {"rigid": VehicleConfig},
     "plant": {
         "simplified": SimplifiedPlantConfig,
+        "from_model": FromModelPlantConfig,
         "blade_element": BladeElementPlantConfig,
         "custom": CustomPlantConfig,
     },

@@ -89,6 +89,17 @@ class SimplifiedPlantConfig(PlantConfig):
     payload: float = number("[0, 100]", "kg")
 
 
+@dataclass
+class FromModelPlantConfig(PlantConfig):
+    """A model identified from flights as the truth; see quadexp/plant/from_model.py. model: its checkpoint folder."""
+
+    kind: str = "from_model"
+    model: str = MISSING
+    residual: str = choice("best", "linear", "quadratic", "blade_element", "gaussian_process", default="best")
+    force_noise_density: float = number("[0, 10]", "N/sqrt(Hz)", 0.0)
+    torque_noise_density: float = number("[0, 10]", "N m/sqrt(Hz)", 0.0)
+
+
 # ------------------------------------------------------------------------------------------------------ trajectory
 @dataclass
 class TrajectoryConfig(Checked):

@@ -55,6 +55,8 @@ MEANINGS: dict[str, str] = {
     "plant.thrust_limits": "clip commands to the vehicle's limits",
     "plant.schedule": "changes in flight: {t: s, payload: kg, lift_scale: [a factor per rotor],"
     " profile_drag_scale: factor} each",
+    "plant.model": "checkpoint folder of the model that is the truth",
+    "plant.residual": "which of an identified vehicle's models; a Gaussian process is what it is",
     "plant._target_": "MODULE.NAME of a class of one's own",
     "plant.options": "its keyword arguments",
     # sensor
@@ -136,12 +138,15 @@ MEANINGS: dict[str, str] = {
     "collect.clearance": "height of the lowest point, world",
     "collect.frame": "where in a transition features and target belong: its middle (second order),"
     " or its start as in the paper (first order)",
+    "collect.target": "of recorded flights: the accelerometer's specific force (auto), or the velocity's derivative",
+    "collect.identified": "folder of `quadexp identify`, whose thrust curve recorded flights need",
     # gp
     **{f"gp.features.{name}": f"features of the GP of {name}; []: left uncorrected" for name in
        ("a_x", "a_y", "a_z", "tau_x", "tau_y", "tau_z")},
     "gp.inducing": "inducing points of an output",
     "gp.method": "variational bound of Titsias 2009, exact GP on a subset as in the paper, or exact GP on all rows",
     "gp.mean": "mean function under the GP",
+    "gp.split": "held out are whole flights, or (misleading, to show it) single samples",
     "gp.seed": "draws the held-out flights and the first inducing points",
     "gp.max_rows": "use at most so many rows, drawn by the seed; null: all",
     "gp.max_exact_rows": "limit of gp.method=exact",

@@ -40,6 +40,11 @@ def _inside(value: float, interval: str) -> bool:
     return above and below and not math.isnan(value)
 
 
+def is_set(*values: Any) -> bool:
+    """Whether all of these values of a configuration's fields are given."""
+    return MISSING not in values
+
+
 class Checked:
     """Checks the intervals and choices that the fields declare; `prefix` is the key of the node."""
 

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import casadi as ca
 
+from quadexp.expression import Expression
 
-def rotation_matrix(q):
+
+def rotation_matrix(q: Expression) -> Expression:
     """Rotation matrix R(q), (3, 3), of a unit quaternion q, (4,)."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     return ca.vertcat(
@@ -20,7 +22,7 @@ def rotation_matrix(q):
     )
 
 
-def quaternion_rate(q, w):
+def quaternion_rate(q: Expression, w: Expression) -> Expression:
     """Time derivative of the quaternion, (4,) (1/s), under the body rate w, (3,) (rad/s)."""
     return 0.5 * ca.vertcat(
         -q[1] * w[0] - q[2] * w[1] - q[3] * w[2],

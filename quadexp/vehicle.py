@@ -93,6 +93,26 @@ class Vehicle:
         return np.stack([np.ones(self.n_rotors), y, -x, self.torque_coefficient * np.array(self.rotor_spin, float)])
 
     @property
+    def rotor_geometry(self) -> RotorGeometry:
+        """`rotor`, for a model that needs it. Raises UsageError where there is none."""
+        if self.rotor is None:
+            raise self._without_rotor()
+        return self.rotor
+
+    @property
+    def static_thrust_coefficient(self) -> float:
+        """`static_thrust` (N s^2), for a model that needs it. Raises UsageError where there is none."""
+        if self.static_thrust is None:
+            raise self._without_rotor()
+        return self.static_thrust
+
+    def _without_rotor(self) -> UsageError:
+        return UsageError(
+            f"vehicle={self.name}: a blade-element model needs vehicle.rotor and vehicle.static_thrust"
+            " (vehicle=lei_li has them)"
+        )
+
+    @property
     def hover_thrust(self) -> float:
         """Thrust of one rotor in hover (N)."""
         return self.mass * self.gravity / self.n_rotors

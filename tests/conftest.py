@@ -11,7 +11,8 @@ import pytest
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ["QUADEXP_CACHE"] = os.path.join(tempfile.gettempdir(), f"quadexp-tests-{os.getuid()}")
 
-from quadexp.rotor import BladeCoefficients, RotorGeometry, static_coefficients
+from quadexp.dynamics.rotor_coefficients import static_coefficients
+from quadexp.rotor import BladeCoefficients, RotorGeometry
 from quadexp.vehicle import Vehicle
 
 

@@ -97,7 +97,7 @@ def run_cell(runner: str, function: Callable, task: Task, inputs: Mapping[str, t
 
     inputs: path as configured -> name of the InputFile, and whether the path means its folder.
     """
-    plugins = get_worker().plugins
+    plugins: Any = get_worker().plugins
     copies = {
         path: plugins[name].folder if is_folder else plugins[name].path for path, (name, is_folder) in inputs.items()
     }

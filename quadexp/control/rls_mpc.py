@@ -60,7 +60,7 @@ class IdentifyingController(PredictiveController):
         if measurement.specific_force is not None:
             speed = measurement.rotor_speed
             if speed is None:
-                speed = np.sqrt(np.maximum(self._commanded, 0.0) / self.vehicle.static_thrust)
+                speed = np.sqrt(np.maximum(self._commanded, 0.0) / self.vehicle.static_thrust_coefficient)
             self.identified.update(measurement, speed)
         self.mpc.set_parameters(self.identified.theta)
         thrust, record = super().step(measurement, window)

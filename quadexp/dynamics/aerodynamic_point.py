@@ -13,7 +13,7 @@ import numpy as np
 
 from quadexp.dynamics.blade_element import ADOPTED, CrossTerms, aerodynamic_wrench, blade_forces, rotor_flow
 from quadexp.dynamics.induced_velocity import REASONS, Defined, solution_function
-from quadexp.errors import ModelDomainError, UsageError
+from quadexp.errors import ModelDomainError
 from quadexp.rotor import C_D0, C_LA, STANDING, THETA, BladeCoefficients
 from quadexp.vehicle import Vehicle
 
@@ -44,15 +44,15 @@ def aerodynamic_point(
     """Everything of (4)-(7), (9)-(17) at one point.
 
     body_velocity: (3,) FLU (m/s). rotor_speed: (n,) (rad/s). rate: (3,) (rad/s) for rotor-local velocities, or None.
-    Raises ModelDomainError, naming the rotor and the reason, where the model has no answer.
+    Raises ModelDomainError, naming the rotor and the reason, where the model has no answer, and UsageError where the
+    vehicle has no rotor geometry.
     """
-    if vehicle.rotor is None:
-        raise UsageError(f"vehicle={vehicle.name}: has no rotor geometry (vehicle.rotor)")
+    geometry = vehicle.rotor_geometry
     w = np.asarray(rotor_speed, float)
     local = np.zeros(3) if rate is None else np.asarray(rate, float)
     theta, flow = coefficients.parameters(), _flow_function(vehicle)
     in_plane_squared, axial = (np.array(part).reshape(-1) for part in flow(body_velocity, local))
-    found = solution_function(vehicle.rotor, terms)(theta[C_LA], w[None], in_plane_squared[None], axial[None])
+    found = solution_function(geometry, terms)(theta[C_LA], w[None], in_plane_squared[None], axial[None])
     induced, status = (np.array(part).reshape(-1) for part in found)
     for i, code in enumerate(status):
         if code != Defined.OK:
@@ -80,7 +80,7 @@ def _point_function(vehicle: Vehicle, local: bool, terms: CrossTerms) -> ca.Func
     w, induced = ca.SX.sym("w", n), ca.SX.sym("V_I", n)
     flow = rotor_flow(vehicle, v, rate)
     rotors = blade_forces(
-        vehicle.rotor, theta[C_D0], theta[C_LA], w, induced - flow.axial, flow.in_plane_squared, terms
+        vehicle.rotor_geometry, theta[C_D0], theta[C_LA], w, induced - flow.axial, flow.in_plane_squared, terms
     )
     wrench = aerodynamic_wrench(vehicle, theta, v, w, induced, rate=rate if local else None, terms=terms)
     return ca.Function("point", [theta, v, rate, w, induced], [*rotors, *wrench])

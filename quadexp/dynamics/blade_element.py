@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import casadi as ca
 import numpy as np
 
+from quadexp.expression import Expression
 from quadexp.rotor import C_D0, C_DX, C_DZ, C_LA
 
 if TYPE_CHECKING:
@@ -67,19 +68,31 @@ class RotorFlow(NamedTuple):
     axial: ca.SX
 
 
-def unloaded_thrust(geometry: RotorGeometry, lift_slope, w, in_plane_squared, terms: CrossTerms = ADOPTED):
+def unloaded_thrust(
+    geometry: RotorGeometry,
+    lift_slope: Expression,
+    w: Expression,
+    in_plane_squared: Expression,
+    terms: CrossTerms = ADOPTED,
+) -> Expression:
     """Thrust without flow through the rotor, a in T = a - b u (N); arguments as in `blade_forces`."""
     r, twist = geometry.radius, geometry.twist
     return geometry.blade_density * twist * r * lift_slope * (r * r / 3 * w * w + terms.thrust * in_plane_squared)
 
 
-def thrust_loss_per_flow(geometry: RotorGeometry, lift_slope, w):
+def thrust_loss_per_flow(geometry: RotorGeometry, lift_slope: Expression, w: Expression) -> Expression:
     """Thrust lost per flow through the rotor, b in T = a - b u (N s/m)."""
     return geometry.blade_density * geometry.radius**2 / 2 * lift_slope * w
 
 
 def blade_forces(
-    geometry: RotorGeometry, profile_drag, lift_slope, w, through_flow, in_plane_squared, terms: CrossTerms = ADOPTED
+    geometry: RotorGeometry,
+    profile_drag: Expression,
+    lift_slope: Expression,
+    w: Expression,
+    through_flow: Expression,
+    in_plane_squared: Expression,
+    terms: CrossTerms = ADOPTED,
 ) -> BladeForces:
     """Thrust, hub force per in-plane speed, and drag torque of rotors (14)-(16).
 
@@ -95,19 +108,19 @@ def blade_forces(
     return BladeForces(thrust, hub, profile + (thrust * u + hub * in_plane_squared) / w)
 
 
-def static_inflow(geometry: RotorGeometry, lift_slope):
+def static_inflow(geometry: RotorGeometry, lift_slope: Expression) -> Expression:
     """nu = V_I / w (m) of a rotor in air at rest: the positive root of K nu^2 = a - b nu, (14) and (17) at V = 0."""
     K = geometry.momentum_factor
     a, b = unloaded_thrust(geometry, lift_slope, 1.0, 0.0), thrust_loss_per_flow(geometry, lift_slope, 1.0)
     return (ca.sqrt(b * b + 4 * K * a) - b) / (2 * K)
 
 
-def static_rotor_speed(thrust, static_thrust: float):
+def static_rotor_speed(thrust: Expression, static_thrust: float) -> Expression:
     """Rotor speed w = sqrt(u / k_T,static) (rad/s) that gives the thrust u (N) in air at rest."""
     return ca.sqrt(thrust / static_thrust)
 
 
-def rotor_flow(vehicle: Vehicle, body_velocity, rate=None) -> RotorFlow:
+def rotor_flow(vehicle: Vehicle, body_velocity: Expression, rate: Expression | None = None) -> RotorFlow:
     """Air met by the rotors; body_velocity (3,) FLU (m/s); rate (3,) (rad/s): each rotor meets v + omega x r_i."""
     if rate is None:
         x, y, z = body_velocity[0], body_velocity[1], body_velocity[2]
@@ -119,7 +132,7 @@ def rotor_flow(vehicle: Vehicle, body_velocity, rate=None) -> RotorFlow:
     return RotorFlow(x, y, x * x + y * y, -z)
 
 
-def body_drag(geometry: RotorGeometry, body_velocity, coefficients):
+def body_drag(geometry: RotorGeometry, body_velocity: Expression, coefficients: Expression) -> Expression:
     """Drag of the airframe, (3,) (N), along the body axes (6); body_velocity (3,) (m/s), coefficients C_D (3,)."""
     speed = ca.sqrt(ca.dot(body_velocity, body_velocity) + TINY_SPEED**2)
     return -geometry.air_density * geometry.reference_area / 2 * speed * coefficients * body_velocity
@@ -127,22 +140,22 @@ def body_drag(geometry: RotorGeometry, body_velocity, coefficients):
 
 def aerodynamic_wrench(
     vehicle: Vehicle,
-    theta,
-    body_velocity,
-    rotor_speed,
-    induced_velocity,
+    theta: Expression,
+    body_velocity: Expression,
+    rotor_speed: Expression,
+    induced_velocity: Expression,
     *,
-    rate=None,
-    lift_scale=1.0,
+    rate: Expression | None = None,
+    lift_scale: Expression = 1.0,
     terms: CrossTerms = ADOPTED,
-):
+) -> tuple[Expression, Expression]:
     """Force F (3,) (N) and torque Gamma (3,) (N m) of air on the vehicle, body frame FLU (4)-(7).
 
     theta: (C_d0, C_la, C_Dx, C_Dy, C_Dz), (5,). body_velocity: (3,) (m/s). rotor_speed: (n,) (rad/s).
     induced_velocity: V_I, (n,) (m/s). rate: None, or (3,) (rad/s) for rotor-local velocities.
     lift_scale: factor on every rotor's C_la, scalar or (n,).
     """
-    geometry = vehicle.rotor
+    geometry = vehicle.rotor_geometry
     flow = rotor_flow(vehicle, body_velocity, rate)
     thrust, hub, torque = blade_forces(
         geometry,

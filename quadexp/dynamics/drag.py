@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import casadi as ca
 
+from quadexp.expression import Expression
 
-def linear_drag_force(body_velocity, coefficient):
+
+def linear_drag_force(body_velocity: Expression, coefficient: Expression) -> Expression:
     """Linear drag, (3,) (N); body_velocity (3,) (m/s), coefficient (3,) (N s / m)."""
     return -coefficient * body_velocity
 
 
-def quadratic_drag_force(body_velocity, coefficient):
+def quadratic_drag_force(body_velocity: Expression, coefficient: Expression) -> Expression:
     """Quadratic drag per axis, (3,) (N); body_velocity (3,) (m/s), coefficient (3,) (N s^2 / m^2)."""
     return -coefficient * body_velocity * ca.fabs(body_velocity)

@@ -29,6 +29,7 @@ from quadexp.dynamics.blade_element import (
     thrust_loss_per_flow,
     unloaded_thrust,
 )
+from quadexp.expression import Expression
 from quadexp.rotor import STANDING, RotorGeometry
 
 SAFE_ITERATIONS = 60  # halving alone would reach 1e-12 m/s of any bracket in 50
@@ -59,22 +60,29 @@ class Balance(NamedTuple):
     in_plane_squared: ca.SX
     axial: ca.SX
 
-    def value(self, induced):
+    def value(self, induced: Expression) -> Expression:
         """g (N) at the induced velocity (m/s)."""
         u = induced - self.axial
         return self.K * induced * self._speed(u) - (self.a - self.b * u)
 
-    def slope(self, induced):
+    def slope(self, induced: Expression) -> Expression:
         """dg / dV_I (N s/m)."""
         u = induced - self.axial
         speed = self._speed(u)
         return self.K * (speed + induced * u / speed) + self.b
 
-    def _speed(self, u):
+    def _speed(self, u: Expression) -> Expression:
         return ca.sqrt(self.in_plane_squared + u * u + TINY_SPEED**2)
 
 
-def balance(geometry: RotorGeometry, lift_slope, w, in_plane_squared, axial, terms: CrossTerms = ADOPTED) -> Balance:
+def balance(
+    geometry: RotorGeometry,
+    lift_slope: Expression,
+    w: Expression,
+    in_plane_squared: Expression,
+    axial: Expression,
+    terms: CrossTerms = ADOPTED,
+) -> Balance:
     """The thrust balance of rotors turning at w (rad/s), scalars or vectors (n,); see `Balance`."""
     return Balance(
         geometry.momentum_factor,
@@ -85,7 +93,7 @@ def balance(geometry: RotorGeometry, lift_slope, w, in_plane_squared, axial, ter
     )
 
 
-def starting_point(equation: Balance):
+def starting_point(equation: Balance) -> Expression:
     """An estimate of V_I (m/s), exact where V_h = 0; two Newton steps bring it within 2e-4 m/s in cruise.
 
     V_I > V_z (13): the smaller of two upper bounds, the solution without in-plane speed, K V_I u = a - b u, and a
@@ -100,7 +108,7 @@ def starting_point(equation: Balance):
     return ca.if_else(above, ca.fmin(vertical, from_descent), ca.fmin(from_zero, descent))
 
 
-def newton(equation: Balance, start, iterations: int):
+def newton(equation: Balance, start: Expression, iterations: int) -> Expression:
     """Plain Newton iterations from `start` (m/s)."""
     induced = start
     for _ in range(iterations):
@@ -108,7 +116,7 @@ def newton(equation: Balance, start, iterations: int):
     return induced
 
 
-def safe_newton(equation: Balance, iterations: int = SAFE_ITERATIONS):
+def safe_newton(equation: Balance, iterations: int = SAFE_ITERATIONS) -> Expression:
     """The largest root, from the upper bound, by safeguarded Newton."""
     low, high = bracket(equation)
     induced = high
@@ -122,7 +130,7 @@ def safe_newton(equation: Balance, iterations: int = SAFE_ITERATIONS):
     return induced
 
 
-def bracket(equation: Balance):
+def bracket(equation: Balance) -> tuple[Expression, Expression]:
     """Bounds (m/s) of all roots: g <= 0 at the lower, g >= 0 at and above the upper one."""
     descent = ca.fmax(equation.axial, 0)
     # T = 0 at V_z + a/b; and K V_I u > a from the other bound on, which is the lower one where b is small
@@ -133,7 +141,7 @@ def bracket(equation: Balance):
     return ca.if_else(assumed, descent, ca.fmin(equation.axial, 0)), ca.fmax(unloaded, 0)
 
 
-def root_is_unique(equation: Balance, induced):
+def root_is_unique(equation: Balance, induced: Expression) -> Expression:
     """Whether the root `induced` (m/s) is the model's only candidate: V_I >= V_z (13), or g increasing everywhere."""
     scale = ca.sqrt(2 * equation.in_plane_squared + TINY_SPEED**2)
     ratio = equation.axial / scale
@@ -143,7 +151,7 @@ def root_is_unique(equation: Balance, induced):
     return ca.logic_or(ca.logic_or(increasing, induced >= equation.axial), _only_root(equation, induced, low, flattest))
 
 
-def _only_root(equation: Balance, induced, low, flattest):
+def _only_root(equation: Balance, induced: Expression, low: Expression, flattest: Expression) -> Expression:
     """Whether g has its only root at `induced` although g' < 0 at u = flattest: no sign change between its extrema."""
     # local minimum of g, right of the inflection, where g is convex: Newton on g' through its bracket
     left, right = equation.axial + flattest, equation.axial

@@ -7,7 +7,9 @@ On normalised commands a = u / u_max this is k a^2; the published simulation has
 
 from __future__ import annotations
 
+from quadexp.expression import Expression
 
-def thrust_loss(command, coefficient, thrust_max: float):
+
+def thrust_loss(command: Expression, coefficient: Expression, thrust_max: float) -> Expression:
     """Mean thrust lost by each rotor, (n,) (N); command (n,) (N), coefficient k (-)."""
     return coefficient * command * command / thrust_max

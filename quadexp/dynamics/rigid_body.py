@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import casadi as ca
 
-from quadexp.residual.base import N_OUTPUTS, Residual
+from quadexp.dynamics.correction import N_OUTPUTS, Correction
+from quadexp.expression import Expression
 from quadexp.rotation import quaternion_rate, rotation_matrix
 from quadexp.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.vehicle import Vehicle
 
 
-def state_derivative(x, u, vehicle: Vehicle, correction=None):
+def state_derivative(x: Expression, u: Expression, vehicle: Vehicle, correction: Expression | None = None) -> Expression:
     """x' of the rigid body, (13,).
 
     x: state (13,). u: rotor thrusts (n,) (N).
@@ -44,7 +45,7 @@ def state_derivative(x, u, vehicle: Vehicle, correction=None):
     )
 
 
-def body_features(x, u):
+def body_features(x: Expression, u: Expression) -> Expression:
     """z = [v_body, w, u], (6 + n,): all a residual may depend on."""
     return ca.vertcat(ca.mtimes(rotation_matrix(x[ATTITUDE]).T, x[VELOCITY]), x[RATE], u)
 
@@ -55,7 +56,7 @@ def rigid_body_function(vehicle: Vehicle) -> ca.Function:
     return ca.Function("rigid_body", [x, u], [state_derivative(x, u, vehicle)], ["x", "u"], ["x_dot"])
 
 
-def corrected_function(vehicle: Vehicle, residual: Residual) -> ca.Function:
+def corrected_function(vehicle: Vehicle, residual: Correction) -> ca.Function:
     """Dynamics with a residual, (x (13,), u (n,), theta (p,)) -> x' (13,): f_cor = f_dyn + B_d r(z)."""
     x, u = ca.SX.sym("x", N_STATE), ca.SX.sym("u", vehicle.n_rotors)
     y = ca.SX.sym("y", N_OUTPUTS)

@@ -6,11 +6,13 @@ from collections.abc import Callable
 
 import casadi as ca
 
+from quadexp.expression import Expression
 
-def as_scalars(f: Callable) -> Callable:
+
+def as_scalars(f: Callable[..., Expression]) -> Callable[..., Expression]:
     """f, which maps CasADi expressions to one or several, wrapped so that it enters a graph as one SX function."""
 
-    def call(*arguments):
+    def call(*arguments: Expression) -> Expression:
         symbols = [ca.SX.sym(f"a{i}", argument.sparsity()) for i, argument in enumerate(arguments)]
         results = f(*symbols)
         results = ca.cse(list(results) if isinstance(results, (list, tuple)) else [results])

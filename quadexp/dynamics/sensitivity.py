@@ -12,11 +12,14 @@ residual's Jacobian enters by the chain rule through z(x, u), so that a learned 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import casadi as ca
 
+from quadexp.dynamics.correction import N_OUTPUTS, Correction
 from quadexp.dynamics.rigid_body import body_features, state_derivative
 from quadexp.dynamics.scalars import as_scalars
-from quadexp.residual.base import N_OUTPUTS, Residual
+from quadexp.expression import Expression
 from quadexp.state import N_STATE
 from quadexp.vehicle import Vehicle
 
@@ -25,7 +28,7 @@ MOTION_VELOCITY = slice(4, 7)  # v within s
 FLAT_LIMIT = 100  # scalar operations of a residual, beyond which one function called four times beats four copies
 
 
-def rk4_sensitivity_function(vehicle: Vehicle, residual: Residual, *, scalar: bool = True) -> ca.Function:
+def rk4_sensitivity_function(vehicle: Vehicle, residual: Correction, *, scalar: bool = True) -> ca.Function:
     """(x (13,), u (n,), theta (p,), dt (s)) -> x_next (13,), A (13, 13), B (13, n).
 
     scalar: scalar operations with all structural zeros left out, which compile to the fastest code; otherwise dense
@@ -38,11 +41,14 @@ def rk4_sensitivity_function(vehicle: Vehicle, residual: Residual, *, scalar: bo
     theta, dt = kind.sym("theta", residual.function.size1_in(1)), kind.sym("dt")
     slope = _slope_function(vehicle, residual, dense=not scalar)
 
-    def chained_stage(x_stage, u, y, dy_dz, S, c):
+    def chained_stage(
+        x_stage: Expression, u: Expression, y: Expression, dy_dz: Expression, S: Expression, c: Expression
+    ) -> tuple[Expression, Expression]:
         k, G = slope(x_stage, u, y, dy_dz)
         return k, G + c * ca.mtimes(G[:, :N_MOTION], S)
 
-    stage, combine = (as_scalars(f) if scalar else f for f in (chained_stage, _combine))
+    parts: tuple[Callable[..., Expression], ...] = (chained_stage, _combine)
+    stage, combine = (as_scalars(f) if scalar else f for f in parts)
     k, S = slope(x, u, *residual.function(as_scalars(body_features)(x, u), theta))
     slopes, sensitivities = [k], [S]
     for c in (dt / 2, dt / 2, dt):
@@ -55,13 +61,24 @@ def rk4_sensitivity_function(vehicle: Vehicle, residual: Residual, *, scalar: bo
     return ca.Function("node", [x, u, theta, dt], outputs, ["x", "u", "theta", "dt"], ["x_next", "A", "B"])
 
 
-def _stage_point(x, u, k, c):
+def _stage_point(x: Expression, u: Expression, k: Expression, c: Expression) -> tuple[Expression, Expression]:
     """State of the stage after slope k, and the features there."""
     x_stage = x + c * k
     return x_stage, body_features(x_stage, u)
 
 
-def _combine(x, dt, k1, k2, k3, k4, S1, S2, S3, S4):
+def _combine(
+    x: Expression,
+    dt: Expression,
+    k1: Expression,
+    k2: Expression,
+    k3: Expression,
+    k4: Expression,
+    S1: Expression,
+    S2: Expression,
+    S3: Expression,
+    S4: Expression,
+) -> list[Expression]:
     """x_next, A, B from the slopes and sensitivities of the four stages."""
     kind, n = type(x), S1.size2() - N_MOTION
     start = ca.horzcat(kind.eye(N_MOTION), kind(N_MOTION, n))
@@ -74,7 +91,7 @@ def _combine(x, dt, k1, k2, k3, k4, S1, S2, S3, S4):
     return [x + dt / 6 * (k1 + 2 * (k2 + k3) + k4), A, d_state[:, N_MOTION:]]
 
 
-def _slope_function(vehicle: Vehicle, residual: Residual, *, dense: bool) -> ca.Function:
+def _slope_function(vehicle: Vehicle, residual: Correction, *, dense: bool) -> ca.Function:
     """(x, u, y, dy/dz) -> x' (13,), G = [f_s, f_u] (10, 10 + n) of the corrected dynamics."""
     x, u = ca.SX.sym("x", N_STATE), ca.SX.sym("u", vehicle.n_rotors)
     y = ca.SX.sym("y", residual.function.sparsity_out(0))

@@ -9,11 +9,12 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from quadexp.config import Config, ControllerConfig, PlantConfig, SensorConfig, TrajectoryConfig, VehicleConfig
+from quadexp.config_lei_li import FeedbackConfig, RLSMPCConfig
 from quadexp.errors import DataError, UsageError
-from quadexp.experiment import build_custom, build_lei_li
+from quadexp.experiment import build_custom, build_identified, build_lei_li
 from quadexp.experiment.identity import digest
 from quadexp.experiment.inputs import located
 from quadexp.rotor import RotorGeometry
@@ -62,8 +63,10 @@ def build_plant(vehicle: Vehicle, config: PlantConfig) -> Any:
         "simplified": _simplified_plant,
         "blade_element": build_lei_li.blade_element_plant,
         "custom": build_custom.custom_plant,
+        "from_model": build_identified.identified_plant,
     }
-    return _keep(["plant", vehicle.fingerprint, asdict(config)], lambda: makers[config.kind](vehicle, config))
+    content = build_identified.model_hash(config.model) if hasattr(config, "model") else ""
+    return _keep(["plant", vehicle.fingerprint, asdict(config), content], lambda: makers[config.kind](vehicle, config))
 
 
 def _simplified_plant(vehicle: Vehicle, config: Any) -> Any:
@@ -139,6 +142,8 @@ def input_hashes(config: Config, model: ModelFile | None) -> dict[str, str]:
     hashes = {"model": model.sha256} if model else {}
     path = getattr(config.trajectory, "path", None)
     hashes |= build_custom.source_hashes(config)
+    if hasattr(config.plant, "model"):
+        hashes["plant"] = build_identified.model_hash(config.plant.model)
     if path is not None:
         if not Path(path).is_file():
             raise UsageError(f"trajectory.path={path}: no such file")
@@ -164,6 +169,7 @@ def build_residual(config: Config, vehicle: Vehicle, plant: Any, model: ModelFil
 
 def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
     from quadexp.identify.checkpoint import load_model
+    from quadexp.identify.model import GPModel
     from quadexp.residual.gaussian_process import gaussian_process_residual
     from quadexp.residual.linear_drag import linear_drag_residual
 
@@ -174,9 +180,11 @@ def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
     if kind == "linear_drag":
         drag = checkpoint.linear_drag
         return linear_drag_residual(vehicle, drag.drag, drag.intercept, drag.thrust_gain, source=model.path)
-    if not hasattr(checkpoint, "outputs"):
+    if not isinstance(checkpoint, GPModel):
         raise UsageError(f"{model.path}: holds linear drag, a Gaussian process is needed: {MAKERS[kind]}")
-    return gaussian_process_residual(vehicle, checkpoint.outputs, checkpoint.mean_parameters, source=model.path)
+    return gaussian_process_residual(
+        vehicle, checkpoint.outputs, checkpoint.mean_parameters, model.path, mean_terms=checkpoint.mean_terms
+    )
 
 
 def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
@@ -190,9 +198,9 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
             return build_custom.custom_controller(vehicle, controller)
         settings = controller_settings(controller)
         if controller.kind == "feedback":
-            return build_lei_li.feedback_controller(controller, settings, vehicle, plant)
+            return build_lei_li.feedback_controller(cast(FeedbackConfig, controller), settings, vehicle, plant)
         if controller.kind == "rls_mpc":
-            return build_lei_li.identifying_mpc(controller, settings, vehicle)
+            return build_lei_li.identifying_mpc(cast(RLSMPCConfig, controller), settings, vehicle)
         from quadexp.control.mpc import ModelPredictiveController
         from quadexp.control.mpc_controller import PredictiveController
 
@@ -206,7 +214,7 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
 def knows_plant(config: ControllerConfig) -> bool:
     """Whether the controller is told the plant's own equations or coefficients."""
     if config.kind == "feedback":
-        return build_lei_li.variant(config).parameters == "true"
+        return build_lei_li.variant(cast(FeedbackConfig, config)).parameters == "true"
     return getattr(config, "residual", "none") == "plant"
 
 

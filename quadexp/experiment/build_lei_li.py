@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -22,19 +23,24 @@ def blade_element_plant(vehicle: Vehicle, config: BladeElementPlantConfig) -> An
     values = {
         f.name: getattr(config, f.name) for f in fields(BladeElementEffects) if getattr(config, f.name) is not None
     }
-    changes = [
-        PlantChange(**{k: tuple(v) if isinstance(v, list) else v for k, v in change.items()})
-        for change in config.schedule
-    ]
+    changes = []
+    for change in config.schedule:
+        given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in change.items()}
+        changes.append(PlantChange(**given))
     return BladeElementPlant(
         vehicle,
-        BladeCoefficients(config.lift_slope, config.profile_drag, tuple(config.body_drag)),
+        BladeCoefficients(config.lift_slope, config.profile_drag, _three(config.body_drag)),
         BladeElementEffects(**values),
         step=config.step,
         method=config.method,
         schedule=changes,
         backend=config.backend,
     )
+
+
+def _three(values: Sequence[float]) -> tuple[float, float, float]:
+    x, y, z = values
+    return x, y, z
 
 
 def feedback_settings() -> type:
@@ -88,7 +94,7 @@ def identification(config: RLSConfig, vehicle: Vehicle, backend: str) -> Any:
     from quadexp.identify.rls import BladeElementRLS, RLSSettings
     from quadexp.rotor import BladeCoefficients
 
-    first = BladeCoefficients(config.lift_slope, config.profile_drag, tuple(config.body_drag))
+    first = BladeCoefficients(config.lift_slope, config.profile_drag, _three(config.body_drag))
     values = {f.name: getattr(config, f.name) for f in fields(RLSSettings) if hasattr(config, f.name)}
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
     estimator = BladeElementRLS(vehicle, first, RLSSettings(**values), backend=backend)

@@ -17,20 +17,24 @@ from typing import Any
 import numpy as np
 
 from quadexp.config import Config
-from quadexp.errors import QuadexpError
+from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_vehicle, find_model
+from quadexp.experiment.build_identified import load_identified
 from quadexp.experiment.evaluate import describe, thrust_excess
 from quadexp.experiment.identity import digest, flight_record
 from quadexp.experiment.provenance import provenance, versions
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import read_flight, write_flight, write_table
-from quadexp.identify.dataset import residual_dataset
+from quadexp.identify.dataset import ResidualDataset, residual_dataset
+from quadexp.identify.recorded import is_recorded, logged_thrust, recorded_dataset, target_cost
+from quadexp.identify.thrust_curve import ThrustCurve
 from quadexp.trajectory.base import FlatOutput
 from quadexp.trajectory.random_polynomial import RandomPolynomial
 from quadexp.vehicle import Vehicle
 
 DRAWS = 50  # paths drawn before giving up on one that can be flown
+OF_RECORDED = ("target", "identified")  # keys of `collect` that no flight is flown by
 LOST_DISTANCE = 1e3  # m; a jump of the set-point is no lost flight
 GOLDEN = 0.6180339887498949  # step of an even spread over an interval, however many there will be
 
@@ -70,7 +74,7 @@ def collect_flights(
     plant = build_plant(vehicle, config.plant)
     controller = build_controller(config, vehicle, plant, model)
     flown = {group: node for group, node in flight_record(config).items() if group != "trajectory"}
-    record = {**flown, "collect": asdict(config.collect)}
+    record = {**flown, "collect": _decisive(config)}
     sequence = np.random.SeedSequence(int(digest(["collect", record]), 16))
     speeds = np.random.default_rng(sequence.spawn(1)[0])
     offset = speeds.random()
@@ -94,6 +98,11 @@ def collect_flights(
         recorded += float(flight.t[-1])
         progress(min(round(recorded, 1), config.collect.duration), config.collect.duration)
     return flights
+
+
+def _decisive(config: Config) -> dict[str, Any]:
+    """What of `collect` decides how flights are flown; the rest speaks of recorded ones."""
+    return {key: value for key, value in asdict(config.collect).items() if key not in OF_RECORDED}
 
 
 def _trajectory(config: Config, vehicle: Vehicle, speed: float, left: float, rng: np.random.Generator) -> Any:
@@ -122,6 +131,46 @@ def setpoints(extent: float, clearance: float, speed: float, duration: float, rn
     return Setpoints(np.array(points) + shift, np.array(times), duration)
 
 
+def _rows(
+    config: Config, vehicle: Vehicle, flights: Sequence[Flight], names: Sequence[str]
+) -> tuple[ResidualDataset, list[str]]:
+    """The data set and what must be said of it: recorded flights by their accelerometer, simulated ones by transitions.
+
+    Raises UsageError where recorded and simulated flights are mixed without a target that suits both.
+    """
+    settings = config.collect
+    recorded = [is_recorded(flight) for flight in flights]
+    if settings.target == "auto" and any(recorded) != all(recorded):
+        raise UsageError("collect.target: simulated and recorded flights together need specific_force or velocity")
+    if (
+        settings.identified is None
+        and (settings.target == "auto" or settings.target == "velocity")
+        and not any(recorded)
+    ):
+        return residual_dataset(flights, vehicle, frame=settings.frame, names=names), []
+    curve = _curve(config, vehicle, flights)
+    target = "specific_force" if settings.target == "auto" else settings.target
+    notes = []
+    if target == "velocity":
+        cost = target_cost(flights, vehicle, curve, frame=settings.frame)
+        measured = f": {cost}" if cost else "; these flights have no accelerometer to compare with"
+        notes.append(
+            f"warning: the target is the derivative of an estimated velocity, with its filter and noise{measured}"
+        )
+    return recorded_dataset(flights, vehicle, curve, target=target, frame=settings.frame, names=names), notes
+
+
+def _curve(config: Config, vehicle: Vehicle, flights: Sequence[Flight]) -> ThrustCurve:
+    """The identified thrust curve, or the thrust that the logs state themselves."""
+    folder = config.collect.identified
+    if folder is None:
+        return logged_thrust(flights, vehicle)
+    model = load_identified(folder, vehicle)
+    if not hasattr(model, "thrust"):
+        raise UsageError(f"collect.identified={folder}: has no thrust curve; give the folder of `quadexp identify`")
+    return model.thrust
+
+
 def collect_dataset(
     config: Config,
     path: Path,
@@ -144,7 +193,8 @@ def collect_dataset(
             "config": flown[0].metadata["config"],
             "config_hash": digest(flown[0].metadata["config"]),
         }
-    dataset = residual_dataset(flown, vehicle, frame=config.collect.frame, names=names)
+    dataset, notes = _rows(config, vehicle, flown, names)
+    record |= {key: getattr(config.collect, key) for key in OF_RECORDED if "target" in dataset.metadata}
     if save_flights is not None:
         for name, flight in zip(names, flown, strict=True):
             write_flight(save_flights / f"{Path(name).stem}.parquet", flight)
@@ -164,9 +214,14 @@ def collect_dataset(
         "controller": None if flights else config.controller.name,
         "seed": config.seed,
     }
+    rows = "samples" if dataset.metadata["frame"] == "sample" else "transitions"
+    kind = f"target {dataset.metadata['target']}" if "target" in dataset.metadata else f"frame {config.collect.frame}"
+    report["target"] = dataset.metadata.get("target")
+    report["notes"] = notes
     report["lines"] = [
-        f"{dataset.n_rows} transitions from {len(flown)} flights, {seconds:.0f} s"
-        f" ({config.collect.mode if not flights else 'recorded'}, frame {config.collect.frame})",
+        *notes,
+        f"{dataset.n_rows} {rows} from {len(flown)} flights, {seconds:.0f} s"
+        f" ({config.collect.mode if not flights else 'recorded'}, {kind})",
         f"speed: median {report['speed_median']:.1f}, 95 % {report['speed_p95']:.1f},"
         f" largest {report['speed_max']:.1f} m/s",
     ]

@@ -52,7 +52,7 @@ def fit_checkpoint(
     save_model(out, model, report=report, force=force)
     files = draw(out / "figures") if figures else {}
     lines = [f"{report['summary']} from {data.n_rows} rows of {len(data.flights)} flights"]
-    lines += report_lines(report["rows"], report["held_out_flights"])
+    lines += _split_lines(report)
     return {"path": out, "kind": kind, "figures": files, "lines": lines, **report}
 
 
@@ -77,6 +77,8 @@ def _fit_gp(data: ResidualDataset, config: Config, *, compare: bool, progress: P
     settings = GPSettings(**{f.name: values[f.name] for f in fields(GPSettings)})
     fit = fit_with_report(data, settings, callback=lambda message, done: progress(round(done, 2), 1))
     report = dict(fit.report)
+    if data.metadata.get("target"):
+        report["target"] = data.metadata["target"]
     chosen = "; ".join(f"{o.output} <- {', '.join(o.features)}" for o in fit.model.outputs)
     report["summary"] = f"Gaussian processes {chosen} ({settings.inducing} points, {settings.method})"
     if compare:
@@ -114,6 +116,21 @@ def _fit_drag(data: ResidualDataset, config: Config) -> tuple:
     report = {"rows": rows, "held_out_flights": held_out, "refitted": True, "summary": f"linear drag {model}"}
     report["drag"] = {"drag": model.drag.tolist(), "error": model.drag_error.tolist()}
     return model, report, lambda folder: {}
+
+
+def _split_lines(report: Mapping[str, Any]) -> list[str]:
+    """The held-out table; of a split by sample both tables and why the first misleads."""
+    if "misleading" not in report:
+        lines = report_lines(report["rows"], report["held_out_flights"])
+    else:
+        by_flight = report_lines(report["rows_by_flight"], report["held_out_flights"])
+        lines = [f"warning: {report['misleading']}", "split by sample:"]
+        lines += [*report_lines(report["rows"], report["held_out_flights"])[1:], "split by flight:", *by_flight[1:]]
+    shares = {name: share for name, share in report.get("out_of_range", {}).items() if share > 0}
+    if shares and report.get("target"):
+        worst = ", ".join(f"{name} {100 * share:.1f} %" for name, share in shares.items() if name != "any")
+        lines.append(f"outside the range of the fit: {100 * shares['any']:.1f} % of the held-out rows ({worst})")
+    return lines
 
 
 def report_lines(rows: Sequence[Mapping[str, Any]], held_out: Sequence[str]) -> list[str]:

@@ -108,7 +108,7 @@ def _chosen(curves: Sequence[Mapping[str, Any]]) -> tuple[int, ...] | None:
 def _other_loss(samples: Samples, settings: FitSettings) -> dict[str, Any]:
     """Linear drag by the other loss: where the two differ by more than their errors, outliers decide."""
     other = replace(settings, loss="huber" if settings.loss == "squares" else "squares")
-    return {"loss": other.loss, "rows": fit_level("linear", samples, other).model.rows()}
+    return {"loss": other.loss, "rows": fit_level("linear", samples, other).terms.rows()}
 
 
 def _agreement(fits: Mapping[str, Sequence[AxisFit]], series: Mapping[str, Mapping[str, Recursion]]) -> float:

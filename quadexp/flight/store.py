@@ -151,7 +151,7 @@ def read_metadata(path: str | Path, kind: str | None = None) -> dict[str, Any]:
         raise DataError(f"{path}: not a Parquet file, or damaged ({first_line(error)})") from None
     except (UnicodeError, ValueError, OverflowError) as error:
         raise DataError(f"{path}: damaged ({first_line(error)})") from None
-    raw = (schema.metadata or {}).get(METADATA_KEY)
+    raw = (schema.metadata or {}).get(METADATA_KEY, b"")
     try:
         record = json.loads(raw)
         found, version = record["kind"], record["schema"]

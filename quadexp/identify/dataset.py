@@ -92,8 +92,12 @@ class ResidualDataset(NamedTuple):
         return digest.hexdigest()
 
     def summary(self) -> dict[str, Any]:
-        """What a checkpoint remembers of its data: hash, rows, flights, seconds, frame."""
-        return {
+        """What a checkpoint remembers of its data: hash, rows, flights, seconds, frame; of recorded flights also their
+        names, the target and the thrust curve."""
+        recorded = {key: self.metadata[key] for key in ("target", "thrust") if key in self.metadata}
+        if recorded:
+            recorded["names"] = sorted(set(map(str, self.columns["flight_name"])))
+        return recorded | {
             "sha256": self.sha256,
             "rows": self.n_rows,
             "flights": len(self.flights),

@@ -20,8 +20,13 @@ from quadexp.identify.gp_fit import Callback, fit_gp
 from quadexp.identify.linear_drag import fit_linear_drag
 from quadexp.identify.model import GPModel, GPSettings
 from quadexp.identify.predict import AXIS, predict
+from quadexp.identify.trim import is_trimmable, trim
 
 Row = dict[str, Any]
+SAMPLE_SPLIT = (
+    "gp.split=sample: a held-out sample lies 10 ms from one that was fitted, in the same gust, with the same battery;"
+    " what a flexible model then shows is how well it remembers these flights, not what it knows of the next one"
+)
 
 
 @dataclass(frozen=True)
@@ -51,7 +56,7 @@ def fit_with_report(
     if settings.holdout == 0:
         model = fit_gp(dataset, settings, callback=callback)
         return Fit(model, model, dataset, None, {"rows": [], "held_out_flights": [], "refitted": False})
-    train, test = split_by_flight(dataset, settings.holdout, settings.seed)
+    train, test = split(dataset, settings)
     refit = settings.refit and settings.method != "exact"
     share = 0.8 if refit else 1.0
     held_out_model = fit_gp(train, settings, callback=_scaled(callback, 0.0, share))
@@ -64,8 +69,31 @@ def fit_with_report(
         "rows": evaluate(held_out_model, train, test),
         "held_out_flights": sorted(set(map(str, test.columns["flight_name"]))),
         "refitted": refit,
+        "out_of_range": out_of_range(train, test, held_out_model),
     }
+    if settings.split == "sample":
+        by_flight = fit_with_report(dataset, replace(settings, split="flight", refit=False))
+        report |= {"rows_by_flight": by_flight.report["rows"], "misleading": SAMPLE_SPLIT}
     return Fit(model, held_out_model, train, test, report)
+
+
+def split(dataset: ResidualDataset, settings: GPSettings) -> tuple[ResidualDataset, ResidualDataset]:
+    """Train and test rows as settings.split says: whole flights, or rows drawn from all flights."""
+    if settings.split == "flight":
+        return split_by_flight(dataset, settings.holdout, settings.seed)
+    count = int(np.clip(round(settings.holdout * dataset.n_rows), 1, dataset.n_rows - 1))
+    test = np.zeros(dataset.n_rows, bool)
+    test[np.random.default_rng(settings.seed).permutation(dataset.n_rows)[:count]] = True
+    return dataset.rows(~test), dataset.rows(test)
+
+
+def out_of_range(train: ResidualDataset, test: ResidualDataset, model: GPModel) -> dict[str, float]:
+    """Share of the test rows outside the train rows' range, for every feature of the model and for any of them."""
+    names = list(dict.fromkeys(name for output in model.outputs for name in output.features))
+    inside, seen = test.matrix(names), train.matrix(names)
+    outside = (inside < seen.min(axis=0)) | (inside > seen.max(axis=0))
+    shares = {name: float(share) for name, share in zip(names, outside.mean(axis=0), strict=True)}
+    return shares | {"any": float(outside.any(axis=1).mean())}
 
 
 def split_by_flight(dataset: ResidualDataset, share: float, seed: int = 0) -> tuple[ResidualDataset, ResidualDataset]:
@@ -106,7 +134,9 @@ def evaluate(model: GPModel, train: ResidualDataset, test: ResidualDataset) -> l
 
 def evaluate_drag(train: ResidualDataset, test: ResidualDataset, **options: Any) -> list[Row]:
     """The rows of `evaluate` for linear drag and zero alone; options go to `fit_linear_drag`."""
-    drag = fit_linear_drag(train, **options)
+    recorded = is_trimmable(train)
+    fitted = trim(train).dataset if recorded else train
+    drag = fit_linear_drag(fitted, **({"thrust": not recorded} | options))
     mean = drag.acceleration(test)
     rows = []
     for output, axis in AXIS.items():

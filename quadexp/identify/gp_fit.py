@@ -2,14 +2,15 @@
 
 Each output goes through: scale (features to mean 0, spread 1; target by its root mean square) -> hyperparameters of an
 exact GP on a few rows -> inducing points where the variance left is largest -> both together by the variational bound,
-first on a part of the rows, then on all -> posterior, folded back into physical units.
+first on a part of the rows, then on all -> posterior, folded back into physical units. Rows of recorded flights are
+first rid of their flights' thrust scale errors (quadexp.identify.trim).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 
 import numpy as np
@@ -20,6 +21,9 @@ from quadexp.identify.inducing import greedy_points
 from quadexp.identify.linear_drag import LinearDrag, constant_mean, fit_linear_drag
 from quadexp.identify.model import GPModel, GPSettings, OutputPosterior
 from quadexp.identify.predict import AXIS
+from quadexp.identify.term_mean import KINDS as TERM_MEANS
+from quadexp.identify.term_mean import TermMean, fit_term_mean
+from quadexp.identify.trim import is_trimmable, trim
 
 PILOT_ROWS = 400  # exact GP that starts the hyperparameters
 CANDIDATE_ROWS = 4000  # rows the first inducing points are chosen from, and the first stage of the bound
@@ -61,7 +65,12 @@ def fit_gp(
     if settings.max_rows is not None and dataset.n_rows > settings.max_rows:
         dataset = dataset.rows(np.sort(rng.choice(dataset.n_rows, settings.max_rows, replace=False)))
     _check(dataset, settings)
-    drag = fit_linear_drag(dataset)
+    recorded = is_trimmable(dataset)
+    spread = 0.0
+    if recorded:
+        found = trim(dataset)
+        dataset, spread = found.dataset, found.variance
+    drag = fit_linear_drag(dataset, thrust=not recorded)  # a thrust curve has the scale
     mean = _prior_mean(dataset, settings, drag)
     prior = None if mean is None else mean.acceleration(dataset)
     posteriors: list[OutputPosterior] = []
@@ -76,7 +85,8 @@ def fit_gp(
                 if callback is not None:
                     callback(f"fit {output}", (i + done) / len(settings.features))
 
-            posteriors.append(_fit_output(output, features, dataset, target, settings, rng, before, report))
+            made = _fit_output(output, features, dataset, target, settings, rng, before, report)
+            posteriors.append(replace(made, noise_variance=made.noise_variance + spread) if output == "a_z" else made)
     if callback is not None:
         callback("fit done", 1.0)
     used = dict.fromkeys(name for features in settings.features.values() for name in features)
@@ -109,7 +119,9 @@ def _check(dataset: ResidualDataset, settings: GPSettings) -> None:
             raise DataError(f"gp.features.{output}: '{still[0]}' never changes over the {n} rows; leave it out")
 
 
-def _prior_mean(dataset: ResidualDataset, settings: GPSettings, drag: LinearDrag) -> LinearDrag | None:
+def _prior_mean(dataset: ResidualDataset, settings: GPSettings, drag: LinearDrag) -> LinearDrag | TermMean | None:
+    if settings.mean in TERM_MEANS:
+        return fit_term_mean(dataset, settings.mean)
     if settings.mean == "linear_drag":
         return drag
     if settings.mean == "constant":

@@ -38,7 +38,8 @@ from __future__ import annotations
 
 import math
 
-from quadexp.rotor import BladeCoefficients, RotorGeometry, motor_coefficients, static_coefficients
+from quadexp.dynamics.rotor_coefficients import motor_coefficients, static_coefficients
+from quadexp.rotor import BladeCoefficients, RotorGeometry
 from quadexp.vehicle import Vehicle
 
 AIR_DENSITY = 1.2  # kg/m^3, where the vehicle does not say

@@ -19,9 +19,11 @@ import numpy as np
 from quadexp.errors import UsageError
 from quadexp.identify.dataset import TARGETS
 from quadexp.identify.linear_drag import LinearDrag
+from quadexp.identify.term_mean import TermMean, TermStructure
 
 METHODS = ("sgpr", "subset", "exact")
-MEANS = ("zero", "constant", "linear_drag")
+MEANS = ("zero", "constant", "linear_drag", "quadratic", "blade_element")
+SPLITS = ("flight", "sample")
 INDUCING_RANGE = (2, 1000)
 DEFAULT_FEATURES = {"a_x": ("v_x",), "a_y": ("v_y",), "a_z": ("v_z", "thrust")}
 
@@ -36,6 +38,7 @@ class GPSettings:
     max_rows: use at most that many rows, drawn by the seed. holdout: share of the flights kept out for the report.
     refit: whether the model that is kept has seen the held-out flights too, after the report on them.
     max_iterations: L-BFGS iterations of the last stage. jitter: added to K_ZZ, relative to sigma_f^2.
+    split: what the report holds out, "flight", or "sample" to show how that misleads.
     """
 
     features: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: dict(DEFAULT_FEATURES))
@@ -49,6 +52,7 @@ class GPSettings:
     refit: bool = True
     max_iterations: int = 100
     jitter: float = 1e-8
+    split: str = "flight"
 
     def __post_init__(self) -> None:
         chosen = {output: tuple(names) for output, names in self.features.items() if names}
@@ -60,7 +64,7 @@ class GPSettings:
                 raise UsageError(f"gp.features.{output}: no such output; allowed are {', '.join(TARGETS)}")
             if len(set(names)) < len(names):
                 raise UsageError(f"gp.features.{output}: {', '.join(names)} names a feature twice")
-        for key, allowed in (("method", METHODS), ("mean", MEANS)):
+        for key, allowed in (("method", METHODS), ("mean", MEANS), ("split", SPLITS)):
             if getattr(self, key) not in allowed:
                 raise UsageError(f"gp.{key}: '{getattr(self, key)}' is none of {', '.join(allowed)}")
         low, high = INDUCING_RANGE
@@ -78,7 +82,10 @@ class GPSettings:
             raise UsageError(f"gp.jitter: {self.jitter:g} is outside (0, 1e-6]")
 
     def as_dict(self) -> dict[str, Any]:
-        return asdict(self) | {"features": {output: list(names) for output, names in self.features.items()}}
+        record = asdict(self) | {"features": {output: list(names) for output, names in self.features.items()}}
+        if self.split == "flight":
+            del record["split"]
+        return record
 
 
 @dataclass(frozen=True)
@@ -108,14 +115,14 @@ class OutputPosterior:
 class GPModel:
     """Gaussian processes of one or more outputs, and the linear drag of the same rows.
 
-    mean: prior mean of the accelerations (LinearDrag without drag where it is constant), or None for zero; torque
-        outputs have prior mean zero.
+    mean: prior mean of the accelerations (LinearDrag without drag where it is constant, or terms), or None for zero;
+        torque outputs have prior mean zero.
     linear_drag: the RDRv baseline, fitted to the same rows. vehicle: {name, fingerprint}. dataset: hash, rows, flights.
     feature_range: feature -> [min, max] of the rows. versions: library -> version.
     """
 
     outputs: tuple[OutputPosterior, ...]
-    mean: LinearDrag | None
+    mean: LinearDrag | TermMean | None
     linear_drag: LinearDrag
     vehicle: dict[str, Any]
     dataset: dict[str, Any]
@@ -125,8 +132,13 @@ class GPModel:
 
     @property
     def mean_parameters(self) -> np.ndarray | None:
-        """Prior mean for residual.gaussian_process.gaussian_process_residual: (7,) or None."""
+        """Prior mean for residual.gaussian_process.gaussian_process_residual: (p,) or None."""
         return None if self.mean is None else self.mean.parameters
+
+    @property
+    def mean_terms(self) -> TermStructure | None:
+        """Which terms the prior mean has, None where it is linear drag or zero."""
+        return getattr(self.mean, "structure", None)
 
     @property
     def largest_weight(self) -> float:

@@ -54,7 +54,7 @@ def recurse(design: np.ndarray, target: np.ndarray, batch: Regression, *, forget
     start = 0
     for k, end in enumerate(ends):
         kept = np.sqrt(forgetting ** (end - start)) * triangle
-        triangle = np.linalg.qr(np.vstack([kept, rows[start:end]]), mode="r")[: p + 1]
+        triangle = np.asarray(np.linalg.qr(np.vstack([kept, rows[start:end]]), mode="r"))[: p + 1]
         triangle = np.vstack([triangle, np.zeros((p + 1 - len(triangle), p + 1))])
         start = end
         root = triangle[:p, :p]

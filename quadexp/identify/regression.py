@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from quadexp.errors import DataError, UsageError
 from quadexp.identify.linear_drag import HUBER, LOSSES, MAD_TO_STD, ROUNDS
@@ -61,7 +62,7 @@ class Regression:
         return half_width(self.errors, self.freedom, confidence)
 
 
-def half_width(errors: np.ndarray, freedom: int, confidence: float = 0.95) -> np.ndarray:
+def half_width(errors: npt.ArrayLike, freedom: int, confidence: float = 0.95) -> np.ndarray:
     """Half a confidence interval of standard errors, Student's t with that many degrees of freedom."""
     from scipy.stats import t as student_t
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -55,7 +56,7 @@ class RLSSettings:
             raise UsageError(f"rls.lift_weight={self.lift_weight:g}: must be in [0, 1]")
 
     @classmethod
-    def scaled(cls, noise: float = 0.05, relative_std: float = 0.5, **others) -> RLSSettings:
+    def scaled(cls, noise: float = 0.05, relative_std: float = 0.5, **others: Any) -> RLSSettings:
         """P_0 and sigma in the units of the problem: first values good to relative_std, readings to noise (m/s^2)."""
         return cls(noise=noise, relative_std=relative_std, **others)
 

@@ -20,10 +20,13 @@ which removes the bias of C_Dz that the partial derivative leaves (and that is n
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import casadi as ca
 
 from quadexp.dynamics.blade_element import ADOPTED, PRINTED, aerodynamic_wrench, rotor_flow
 from quadexp.dynamics.induced_velocity import balance, safe_newton
+from quadexp.expression import Expression
 from quadexp.rotor import C_D0, C_DX, C_DY, C_DZ, C_LA, THETA
 from quadexp.vehicle import Vehicle
 
@@ -51,7 +54,7 @@ def rls_step_function(
 
     terms = PRINTED if printed_coefficients else ADOPTED
     flow = rotor_flow(vehicle, v)
-    equation = balance(vehicle.rotor, used[C_LA], w, flow.in_plane_squared, flow.axial, terms)
+    equation = balance(vehicle.rotor_geometry, used[C_LA], w, flow.in_plane_squared, flow.axial, terms)
     induced = ca.SX.sym("V_I", n)
     force, _ = aerodynamic_wrench(vehicle, coefficients, v, w, induced, terms=terms)
     regressors = ca.jacobian(force, coefficients) / vehicle.mass
@@ -99,7 +102,7 @@ def rls_step_function(
     )
 
 
-def _combine(thetas, weight, lift_weight):
+def _combine(thetas: Sequence[Expression], weight: Expression, lift_weight: Expression) -> Expression:
     """theta (5,) from the three axes, C_d0 by (25) and C_la by (26): beta_x = weight, beta_la,z = lift_weight."""
     x, y, z = thetas
     profile_drag = weight * x[0] + (1 - weight) * y[0]

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -48,9 +49,9 @@ class Samples:
 
     def rows(self, selection: np.ndarray) -> Samples:
         """The rows of a mask or index array; the flights keep their numbers."""
-        parts = (self.time, self.flight, self.segment, self.force, self.velocity, self.signal)
-        voltage = None if self.voltage is None else self.voltage[selection]
-        return Samples(*(part[selection] for part in parts), voltage, self.kind, self.names)
+        names = ("time", "flight", "segment", "force", "velocity", "signal")
+        chosen: dict[str, Any] = {name: getattr(self, name)[selection] for name in names}
+        return replace(self, voltage=None if self.voltage is None else self.voltage[selection], **chosen)
 
 
 def rotor_columns(flight: Flight, kind: str) -> list[str]:

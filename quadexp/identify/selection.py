@@ -111,7 +111,7 @@ def flight_by_flight(samples: Samples, settings: FitSettings) -> list[dict[str, 
         own = samples.rows(samples.flight == index)
         try:
             fit = fit_level("linear", replace(own, names=(name,)), settings)
-            found.append({"flight": name, "rows": len(own), "coefficients": fit.model.rows(), "thrust": str(fit.curve)})
+            found.append({"flight": name, "rows": len(own), "coefficients": fit.terms.rows(), "thrust": str(fit.curve)})
         except DataError as error:
             found.append({"flight": name, "rows": len(own), "note": str(error)})
     return found

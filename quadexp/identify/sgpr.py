@@ -38,12 +38,18 @@ class Hyperparameters:
 class InducingKernel(gpytorch.kernels.InducingPointKernel):
     """gpytorch's sparse kernel with a jitter that is part of the model (gpytorch adds one only on failure)."""
 
-    def __init__(self, base_kernel, inducing_points, likelihood, jitter: float):
+    def __init__(
+        self,
+        base_kernel: gpytorch.kernels.Kernel,
+        inducing_points: torch.Tensor,
+        likelihood: gpytorch.likelihoods.Likelihood,
+        jitter: float,
+    ) -> None:
         super().__init__(base_kernel, inducing_points, likelihood)
         self.jitter = jitter
 
     @property
-    def _inducing_mat(self):
+    def _inducing_mat(self) -> torch.Tensor:
         matrix = super()._inducing_mat
         return matrix + self.jitter * self.base_kernel.outputscale * torch.eye(len(matrix), dtype=matrix.dtype)
 
@@ -56,7 +62,7 @@ class Regression(gpytorch.models.ExactGP):
 
     def __init__(
         self, x: np.ndarray, y: np.ndarray, start: Hyperparameters, inducing: np.ndarray | None, jitter: float
-    ):
+    ) -> None:
         likelihood = gpytorch.likelihoods.GaussianLikelihood(
             noise_constraint=gpytorch.constraints.GreaterThan(NOISE_FLOOR)
         )
@@ -71,7 +77,7 @@ class Regression(gpytorch.models.ExactGP):
         likelihood.noise = torch.tensor(max(start.noise_variance, 2 * NOISE_FLOOR), dtype=torch.float64)
         self.base = base
 
-    def forward(self, x):
+    def forward(self, x: torch.Tensor) -> gpytorch.distributions.MultivariateNormal:
         return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
 
     @property
@@ -121,7 +127,7 @@ def maximise(model: Regression, iterations: int, report: Callable[[int], None] |
 
     done = 0
 
-    def step(_) -> None:
+    def step(_: np.ndarray) -> None:
         nonlocal done
         done += 1
         if report is not None:

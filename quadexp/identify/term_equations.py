@@ -10,6 +10,7 @@ import casadi as ca
 from quadexp.dynamics.blade_element import TINY_SPEED
 from quadexp.dynamics.induced_velocity import Balance, safe_newton
 from quadexp.errors import UsageError
+from quadexp.expression import Expression
 
 LEAST_ACCELERATION = 1e-6  # m/s^2 per rotor, below which a thrust is taken for this, so that its root has a slope
 ITERATIONS = 16  # of the safeguarded Newton method, from its upper bound
@@ -38,15 +39,15 @@ class Air(NamedTuple):
     V: ca.SX | None = None
 
 
-def _root(air: Air):
+def _root(air: Air) -> Expression:
     return ca.sqrt(ca.fmax(air.a, LEAST_ACCELERATION))
 
 
-def _speed(air: Air):
+def _speed(air: Air) -> Expression:
     return ca.sqrt(ca.dot(air.v, air.v) + TINY_SPEED**2)
 
 
-def _hover(air: Air):
+def _hover(air: Air) -> Expression:
     """Induced velocity in air at rest, (n,) (m/s)."""
     return ca.sqrt(ca.fmax(air.a, LEAST_ACCELERATION) * (1 + air.inflow.scale) / air.inflow.kappa)
 
@@ -60,13 +61,13 @@ def thrust_balance(air: Air) -> Balance:
     return Balance(kappa, unloaded, loss * w, squared, -air.v[2])
 
 
-def _induced(air: Air):
+def _induced(air: Air) -> Expression:
     """V - V_hover, (n,) (m/s)."""
     V = safe_newton(thrust_balance(air), ITERATIONS) if air.V is None else air.V
     return V - _hover(air)
 
 
-def _excess(air: Air):
+def _excess(air: Air) -> Expression:
     """y = V + v_z - V_hover, (n,) (m/s)."""
     return _induced(air) + air.v[2]
 
@@ -89,7 +90,7 @@ TERMS = {
 NEED_RADIUS = ("induced", "inflow", "hub_inflow", "hub_square")
 
 
-def term_expression(name: str, axis: int, v, a, momentum: float | tuple = 0.0):
+def term_expression(name: str, axis: int, v: Expression, a: Expression, momentum: float | tuple[float, ...] = 0.0) -> Expression:
     """One phi, scalar, in CasADi; v (3,) m/s, a (n,) m/s^2. momentum: kappa alone, or an Inflow's four numbers."""
     inflow = Inflow(*momentum) if isinstance(momentum, (tuple, list)) else Inflow(momentum)
     if name in NEED_RADIUS and isinstance(inflow.kappa, float | int) and not inflow.kappa > 0:

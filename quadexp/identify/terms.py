@@ -20,10 +20,12 @@ of momentum theory at that thrust:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from quadexp.errors import DataError
+from quadexp.expression import Expression
 from quadexp.identify.regression import Regression, half_width
 
 AXES = "xyz"
@@ -85,7 +87,7 @@ class TermModel:
         ]
         return np.stack(columns, axis=1)
 
-    def expression(self, v, a):
+    def expression(self, v: Expression, a: Expression) -> Expression:
         """The same in CasADi, (3,), of v (3,) m/s and a (n,) m/s^2."""
         import casadi as ca
 
@@ -106,7 +108,7 @@ class TermModel:
         j = self.terms[i].index(term)
         return float(self.coefficients[i][j]), float(np.sqrt(self.covariance[i][j, j]))
 
-    def rows(self) -> list[dict[str, object]]:
+    def rows(self) -> list[dict[str, Any]]:
         """One record a coefficient: axis, term, value, error, low, high (95 %), unit."""
         found = []
         for i, axis in enumerate(AXES):

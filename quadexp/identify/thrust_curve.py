@@ -95,7 +95,8 @@ class ThrustCurve:
     @property
     def slope_range(self) -> tuple[float, float]:
         """Least and largest da/ds over the range of the fit; a curve that falls there is wrong."""
-        grid = np.linspace(*(self.signal_range if self.signal_range is not None else (0.0, 1.0)), 200)
+        low, high = self.signal_range if self.signal_range is not None else (0.0, 1.0)
+        grid = np.linspace(low, high, 200)
         rows = np.atleast_2d(self.coefficients)
         slope = sum(rows[:, [j]] * power * grid ** (power - 1) for j, power in enumerate(self.powers))
         return float(np.min(slope)), float(np.max(slope))
@@ -240,7 +241,8 @@ def _fit_exponent(
     first = fitted(g)
     rows = first.coefficients[: len(powers) * (rotors if per_rotor else 1)].reshape(-1, len(powers))
     slope = sum(rows[:, j] * p * scaled**p for j, p in enumerate(powers)).sum(axis=1)
-    joint = fitted(g, slope * np.log(samples.voltage / reference_voltage))
+    relative_voltage = scaled_signal(np.ones((len(samples), 1)), samples.voltage, reference_voltage)[:, 0]
+    joint = fitted(g, slope * np.log(relative_voltage))
     keep = np.array([name != "g" for name in joint.names])
     linearised = Regression(
         first.names, first.coefficients, joint.covariance[np.ix_(keep, keep)], joint.plain[np.ix_(keep, keep)],

@@ -76,6 +76,13 @@ class LevelFit:
     model: TermModel | None
     axes: tuple[AxisFit, ...] = ()
 
+    @property
+    def terms(self) -> TermModel:
+        """The terms beyond the curve. Raises UsageError for the level that has none."""
+        if self.model is None:
+            raise UsageError("the nominal thrust curve has no terms beyond it")
+        return self.model
+
     def residual(self, samples: Samples) -> np.ndarray:
         """Specific force that it does not explain, (k, 3) (m/s^2)."""
         rotors = self.curve.of_signal(samples.signal, samples.voltage)
@@ -155,7 +162,7 @@ def fit_vehicle_model(
         notes.append("blade element without induced velocity: the rotors' radius is unknown (pass --rotor-radius M)")
     fitted = ["linear", *(kind for kind, model in found.items() if model is not None)]
     return VehicleModel(
-        linear.curve, linear.model, found["quadratic"], found["blade_element"],
+        linear.curve, linear.terms, found["quadratic"], found["blade_element"],
         best if best in fitted else fitted[-1], record, dataset_record(samples),
         {"loss": settings.loss, "signal": samples.kind, "per_rotor": settings.per_rotor, "momentum": momentum},
         tuple(notes),
@@ -166,7 +173,8 @@ def curve_notes(curve: ThrustCurve) -> list[str]:
     """What is suspicious in a thrust curve."""
     low, _ = curve.slope_range
     if low < 0:
-        return [f"the thrust curve falls somewhere between {curve.signal} {curve.signal_range.round(3).tolist()}"]
+        where = "" if curve.signal_range is None else f" {curve.signal_range.round(3).tolist()}"
+        return [f"the thrust curve falls somewhere between {curve.signal}{where}"]
     return []
 
 

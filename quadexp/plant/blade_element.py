@@ -16,17 +16,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from quadexp.backend import BufferedFunction, realise, resolve
 from quadexp.dynamics.induced_velocity import REASONS, Defined
+from quadexp.dynamics.rotor_coefficients import static_coefficients
 from quadexp.errors import ModelDomainError, UsageError
 from quadexp.plant.blade_element_period import PeriodModel, checked_period, fast_period
 from quadexp.residual.base import Residual, feature_names
 from quadexp.residual.blade_element import blade_element_correction, require_rotor, residual_from_correction
-from quadexp.rotor import C_D0, IDLE_SPEED, STANDING, BladeCoefficients, static_coefficients
+from quadexp.rotor import C_D0, IDLE_SPEED, STANDING, BladeCoefficients
 from quadexp.vehicle import Vehicle
 
 
@@ -102,8 +104,8 @@ class BladeElementPlant:
         """Begin a flight: time zero, rotors at the speed of hover, nothing changed yet."""
         self.time = 0.0
         n = self.vehicle.n_rotors
-        self.rotor_speed = np.full(n, math.sqrt(self.vehicle.hover_thrust / self.vehicle.static_thrust))
-        self.induced_velocity = self.rotor_speed * static_coefficients(self.vehicle.rotor, self.coefficients).inflow
+        self.rotor_speed = np.full(n, math.sqrt(self.vehicle.hover_thrust / self.vehicle.static_thrust_coefficient))
+        self.induced_velocity = self.rotor_speed * static_coefficients(self.vehicle.rotor_geometry, self.coefficients).inflow
         self._pending = list(self.schedule)
         self._payload, self._drag_scale, self._lift_scale = self.effects.payload, 1.0, np.ones(n)
         self._apply_changes()
@@ -118,7 +120,7 @@ class BladeElementPlant:
         self._apply_changes()
         steps = max(1, math.ceil(duration / self.step - 1e-9))
         h = duration / steps
-        values = {
+        values: dict[str, Any] = {
             "x": x,
             "w": self.rotor_speed,
             "w_command": self.commanded_speed(u),
@@ -142,7 +144,7 @@ class BladeElementPlant:
         """Rotor speeds (n,) (rad/s) that the commanded static thrusts u (n,) (N) ask for, within the limits."""
         if self.effects.thrust_limits:
             u = np.clip(u, self.vehicle.thrust_min, self.vehicle.thrust_max)
-        w = np.sqrt(np.maximum(u, 0.0) / self.vehicle.static_thrust)
+        w = np.sqrt(np.maximum(u, 0.0) / self.vehicle.static_thrust_coefficient)
         return np.clip(w, max(self.effects.rotor_speed_min, STANDING), self.effects.rotor_speed_max)
 
     def residual(self) -> Residual:

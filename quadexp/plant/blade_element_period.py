@@ -6,6 +6,7 @@ for it anew at every evaluation, with the safe solver, and reports where the mod
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -16,6 +17,7 @@ from quadexp.dynamics.induced_velocity import Balance, balance, newton, solution
 from quadexp.dynamics.integrator import euler_step, rk4_step
 from quadexp.dynamics.rigid_body import body_features, state_derivative
 from quadexp.errors import UsageError
+from quadexp.expression import Expression
 from quadexp.rotor import C_LA, THETA
 from quadexp.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.vehicle import Vehicle
@@ -53,18 +55,20 @@ class PeriodModel:
     def n_parameters(self) -> int:
         return len(THETA) + self.vehicle.n_rotors + 1
 
-    def split(self, parameters):
+    def split(self, parameters: Expression) -> tuple[Expression, Expression, Expression]:
         """theta (5,), lift_scale (n,), mass with payload (kg) of a parameter vector."""
         return parameters[: len(THETA)], parameters[len(THETA) : -1], parameters[-1]
 
-    def equation(self, x, w, parameters) -> Balance:
+    def equation(self, x: Expression, w: Expression, parameters: Expression) -> Balance:
         """The rotors' thrust balance in the state x (13,) at the speeds w (n,) (rad/s)."""
         theta, lift_scale, _ = self.split(parameters)
         velocity, rate = self._motion(x)
         flow = rotor_flow(self.vehicle, velocity, rate)
-        return balance(self.vehicle.rotor, theta[C_LA] * lift_scale, w, flow.in_plane_squared, flow.axial, self.terms)
+        return balance(self.vehicle.rotor_geometry, theta[C_LA] * lift_scale, w, flow.in_plane_squared, flow.axial, self.terms)
 
-    def specific_force_and_torque(self, x, w, induced, parameters):
+    def specific_force_and_torque(
+        self, x: Expression, w: Expression, induced: Expression, parameters: Expression
+    ) -> tuple[Expression, Expression]:
         """F / M (3,) (m/s^2) and Gamma (3,) (N m), body frame."""
         theta, lift_scale, mass = self.split(parameters)
         velocity, rate = self._motion(x)
@@ -73,18 +77,18 @@ class PeriodModel:
         )
         return force / mass, torque
 
-    def derivative(self, x, w, induced, parameters):
+    def derivative(self, x: Expression, w: Expression, induced: Expression, parameters: Expression) -> Expression:
         """x' (13,)."""
         correction = ca.vertcat(*self.specific_force_and_torque(x, w, induced, parameters))
         return state_derivative(x, type(x)(self.vehicle.n_rotors, 1), self.vehicle, correction)
 
-    def integrate(self, slope, x, step):
+    def integrate(self, slope: Callable[[Expression], Expression], x: Expression, step: Expression) -> Expression:
         """The next state, its quaternion brought back to unit length."""
         x_next = METHODS[self.method](slope, x, step)
         q = x_next[ATTITUDE]
         return ca.vertcat(x_next[:3], q / ca.norm_2(q), x_next[VELOCITY], x_next[RATE])
 
-    def _motion(self, x):
+    def _motion(self, x: Expression) -> tuple[Expression, Expression | None]:
         features = body_features(x, x[:0])
         return features[:3], features[3:6] if self.rotor_local_velocity else None
 
@@ -100,7 +104,7 @@ def fast_period(model: PeriodModel, steps: int) -> ca.Function:
     last, doubt = ca.SX.sym("V_I", model.vehicle.n_rotors), ca.SX.sym("doubt")
     w_now, doubts, induced = w + blend * (w_command - w), [doubt], last
 
-    def slope(state):
+    def slope(state: Expression) -> Expression:
         nonlocal induced
         equation = model.equation(state, w_now, parameters)
         before = newton(equation, induced, ITERATIONS - 1)
@@ -135,10 +139,10 @@ def checked_period(model: PeriodModel, steps: int) -> ca.Function:
     """INPUTS as in `fast_period` -> OUTPUTS, status (n, steps) as `Defined`, flow (3, n steps): V_h, V_z, w there."""
     n = model.vehicle.n_rotors
     x, w, w_command, parameters, h, blend = _symbols(model, ca.MX)
-    solution = solution_function(model.vehicle.rotor, model.terms).map(n)
+    solution = solution_function(model.vehicle.rotor_geometry, model.terms).map(n)
     w_now, statuses, flows = w + blend * (w_command - w), [], []
 
-    def solve(state, speeds):
+    def solve(state: Expression, speeds: Expression) -> Expression:
         theta, lift_scale, _ = model.split(parameters)
         equation = model.equation(state, speeds, parameters)
         squared, axial = (_row(value, n) for value in (equation.in_plane_squared, equation.axial))
@@ -178,18 +182,18 @@ def checked_period(model: PeriodModel, steps: int) -> ca.Function:
     )
 
 
-def _symbols(model: PeriodModel, kind):
+def _symbols(model: PeriodModel, kind: type[Expression]) -> list[Expression]:
     n = model.vehicle.n_rotors
     sizes = (N_STATE, n, n, model.n_parameters, 1, 1)
     return [kind.sym(name, size) for name, size in zip(INPUTS, sizes, strict=True)]
 
 
-def _row(value, n: int):
+def _row(value: Expression, n: int) -> Expression:
     """(1, n) of a scalar or of (n,)."""
     return ca.repmat(value, 1, n) if value.is_scalar() else value.T
 
 
-def _doubt(equation: Balance, before, induced):
+def _doubt(equation: Balance, before: Expression, induced: Expression) -> Expression:
     """1 where the last Newton step was too long to end, or the root lies below V_z with V_z > 2.83 V_h; else 0."""
     unsettled = ca.fabs(induced - before) > LARGEST_CHANGE
     steep = ca.logic_and(equation.axial > 0, equation.axial**2 > 8 * equation.in_plane_squared)

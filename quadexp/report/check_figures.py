@@ -84,13 +84,14 @@ def _relations(flight: Flight) -> tuple[np.ndarray, dict[str, Pair]]:
     return windows.t, {pair.relation: pair for pair in pairs(windows)}
 
 
-def _draw(panel, t: np.ndarray, pair: Pair, row: int, found: str, expected: str) -> None:
+def _draw(panel: Any, t: np.ndarray, pair: Pair, row: int, found: str, expected: str) -> None:
     half = t.shape[1] // 2
     halves = len(pair.found) == 2 * len(t)  # both halves of a window were compared
     time = np.concatenate([t[:, half // 2], t[:, half + half // 2]]) if halves else t[:, half]
     order = np.argsort(time, kind="stable")
     time, a, b = time[order], pair.expected[order, row], pair.found[order, row]
-    broken = np.flatnonzero(np.diff(time) > 3 * np.median(np.diff(time))) + 1 if len(time) > 2 else []
+    gaps = np.diff(time)
+    broken = np.flatnonzero(gaps > 3 * np.median(gaps)) + 1 if len(time) > 2 else np.zeros(0, int)
     time, a, b = (np.insert(x, broken, np.nan) for x in (time, a, b))
     panel.plot(time, a, color=EXPECTED, lw=1.6, label=expected)
     if not pair.relation.startswith("thrust"):

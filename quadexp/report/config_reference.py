@@ -93,7 +93,7 @@ def _keys(node: type, prefix: str, values: Any) -> Iterator[Key]:
 
 def _node(hint: Any) -> type | None:
     """The dataclass that a type hint names, alone or beside None."""
-    found = [part for part in getattr(hint, "__args__", (hint,)) if dataclasses.is_dataclass(part)]
+    found: list[type] = [part for part in getattr(hint, "__args__", (hint,)) if dataclasses.is_dataclass(part)]
     return found[0] if found else None
 
 

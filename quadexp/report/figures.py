@@ -31,7 +31,7 @@ from quadexp.report.wording import METHODS
 
 COLOURS = ("#000000", "#E69F00", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#8C8C00")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
-STYLE = {
+STYLE: Any = {  # matplotlib types every single key
     "font.size": 9,
     "axes.titlesize": 10,
     "axes.titleweight": "bold",
@@ -139,7 +139,7 @@ def tracked_paths(flights: Sequence[tuple[str, Flight]], title: str = "") -> Fig
             x, y = flight["p_x"], flight["p_y"]
             panel.plot(flight["ref_p_x"], flight["ref_p_y"], color="#888888", linewidth=0.8, label="reference")
             segments = np.stack([np.column_stack([x[:-1], y[:-1]]), np.column_stack([x[1:], y[1:]])], axis=1)
-            flown = LineCollection(segments, cmap=ERROR_COLOURS, norm=norm, linewidth=1.6)
+            flown = LineCollection(list(segments), cmap=ERROR_COLOURS, norm=norm, linewidth=1.6)
             flown.set_array(np.maximum((error[:-1] + error[1:]) / 2, smallest))
             panel.add_collection(flown)
             panel.plot(x[0], y[0], marker="o", markersize=4, color="#000000", linestyle="none", label="start")

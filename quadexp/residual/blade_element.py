@@ -12,6 +12,7 @@ Rotors do not stop: below the idle speed the residual keeps its value there, so 
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
 from quadexp.dynamics.blade_element import (
     ADOPTED,
@@ -21,7 +22,7 @@ from quadexp.dynamics.blade_element import (
     static_rotor_speed,
 )
 from quadexp.dynamics.induced_velocity import balance, newton, starting_point
-from quadexp.errors import UsageError
+from quadexp.expression import Expression
 from quadexp.residual.base import Residual, feature_names
 from quadexp.rotor import C_LA, IDLE_SPEED, THETA, BladeCoefficients
 from quadexp.vehicle import Vehicle
@@ -48,7 +49,9 @@ def blade_element_residual(
     return residual_from_correction("blade_element", z, theta, y, dy_dz, coefficients.parameters(), source)
 
 
-def residual_from_correction(name: str, z, theta, y, dy_dz, values, source: str) -> Residual:
+def residual_from_correction(
+    name: str, z: Expression, theta: Expression, y: Expression, dy_dz: Expression, values: np.ndarray, source: str
+) -> Residual:
     """Residual of expressions that carry their own derivative; common subexpressions are shared."""
     y, dy_dz = ca.cse([y, dy_dz])
     function = ca.Function(f"residual_{name}", [z, theta], [y, dy_dz], ["z", "theta"], ["y", "dy_dz"])
@@ -57,27 +60,27 @@ def residual_from_correction(name: str, z, theta, y, dy_dz, values, source: str)
 
 def blade_element_correction(
     vehicle: Vehicle,
-    z,
-    theta,
+    z: Expression,
+    theta: Expression,
     *,
-    lift_scale=1.0,
-    payload=0.0,
+    lift_scale: Expression = 1.0,
+    payload: Expression = 0.0,
     rotor_local_velocity: bool = False,
     terms: CrossTerms = ADOPTED,
     iterations: int = ITERATIONS,
     rotor_speed_min: float = IDLE_SPEED,
-):
+) -> tuple[Expression, Expression]:
     """y (6,) and dy/dz (6, 6 + n) as SX expressions.
 
     z: features (6 + n,). theta: (5,). lift_scale: factor on every rotor's C_la, scalar or (n,). payload: kg.
     """
-    require_rotor(vehicle)
+    rotor, static_thrust = vehicle.rotor_geometry, vehicle.static_thrust_coefficient
     velocity, rate = z[:3], z[3:6] if rotor_local_velocity else None
-    command = ca.fmax(z[6:], vehicle.static_thrust * rotor_speed_min**2)
-    w = static_rotor_speed(command, vehicle.static_thrust)
+    command = ca.fmax(z[6:], static_thrust * rotor_speed_min**2)
+    w = static_rotor_speed(command, static_thrust)
     flow = rotor_flow(vehicle, velocity, rate)
     lift_slope = theta[C_LA] * lift_scale
-    equation = balance(vehicle.rotor, lift_slope, w, flow.in_plane_squared, flow.axial, terms)
+    equation = balance(rotor, lift_slope, w, flow.in_plane_squared, flow.axial, terms)
     solution = newton(equation, starting_point(equation), iterations)
 
     induced = ca.SX.sym("V_I", vehicle.n_rotors)
@@ -95,8 +98,4 @@ def blade_element_correction(
 
 def require_rotor(vehicle: Vehicle) -> None:
     """Raise UsageError where the vehicle's rotors are not described."""
-    if vehicle.rotor is None or vehicle.static_thrust is None:
-        raise UsageError(
-            f"vehicle={vehicle.name}: a blade-element model needs vehicle.rotor and vehicle.static_thrust"
-            " (vehicle=lei_li has them)"
-        )
+    _ = vehicle.rotor_geometry, vehicle.static_thrust_coefficient

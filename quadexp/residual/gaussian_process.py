@@ -16,10 +16,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from quadexp.backend import handwritten
 from quadexp.errors import UsageError
@@ -53,10 +54,25 @@ class GPOutput:
     lengthscale: np.ndarray
 
 
+class PosteriorMean(Protocol):
+    """What a residual is made of: a GPOutput, or whatever else says as much of one output."""
+
+    @property
+    def output(self) -> str: ...
+    @property
+    def features(self) -> tuple[str, ...]: ...
+    @property
+    def inducing(self) -> np.ndarray: ...
+    @property
+    def alpha(self) -> np.ndarray: ...
+    @property
+    def lengthscale(self) -> np.ndarray: ...
+
+
 def gaussian_process_residual(
     vehicle: Vehicle,
-    outputs: Sequence[GPOutput],
-    mean_parameters: Sequence[float] | None = None,
+    outputs: Sequence[PosteriorMean],
+    mean_parameters: npt.ArrayLike | None = None,
     source: str = "",
     *,
     mean_terms: TermStructure | None = None,
@@ -185,10 +201,9 @@ def _scalar_functions(
     value = ca.SX.sym("value", len(structure))
     y, dy_dz = ca.SX(N_OUTPUTS, 1), ca.SX(N_OUTPUTS, len(names))
     if with_mean:
-        linear = mean_terms is None
-        y[:3] = linear_drag_acceleration(z, drag) if linear else term_acceleration(z, drag, mean_terms)
+        y[:3] = linear_drag_acceleration(z, drag) if mean_terms is None else term_acceleration(z, drag, mean_terms)
         dy_dz[:3, :] = ca.jacobian(y[:3], z)
-    phi = []
+    phi: list[Expression] = []
     for i, (output, features, _) in enumerate(structure):
         row = OUTPUTS.index(output)
         y[row] += value[i]

@@ -8,19 +8,19 @@ With b = 0 and kappa = 0 this is the published model.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from quadexp.dynamics.drag import linear_drag_force
+from quadexp.expression import Expression
 from quadexp.residual.base import Residual, feature_names, symbolic_residual
 from quadexp.vehicle import Vehicle
 
 N_PARAMETERS = 7
 
 
-def linear_drag_acceleration(features, theta):
+def linear_drag_acceleration(features: Expression, theta: Expression) -> Expression:
     """a_body, (3,) (m/s^2), of z = [v_body, w, u] and theta = [D (3,), b (3,), kappa]."""
     thrust = ca.sum1(features[6:])
     return linear_drag_force(features[:3], theta[:3]) + theta[3:6] + ca.vertcat(0, 0, theta[6] * thrust)
@@ -28,8 +28,8 @@ def linear_drag_acceleration(features, theta):
 
 def linear_drag_residual(
     vehicle: Vehicle,
-    drag: Sequence[float],
-    intercept: Sequence[float] = (0.0, 0.0, 0.0),
+    drag: npt.ArrayLike,
+    intercept: npt.ArrayLike = (0.0, 0.0, 0.0),
     thrust_gain: float = 0.0,
     source: str = "",
 ) -> Residual:
@@ -37,5 +37,5 @@ def linear_drag_residual(
     features = ca.SX.sym("z", len(feature_names(vehicle.n_rotors)))
     theta = ca.SX.sym("theta", N_PARAMETERS)
     outputs = ca.vertcat(linear_drag_acceleration(features, theta), ca.SX(3, 1))
-    values = np.concatenate([drag, intercept, [thrust_gain]])
+    values = np.concatenate([np.asarray(drag), np.asarray(intercept), [thrust_gain]])
     return symbolic_residual("linear_drag", outputs, features, theta, values, source=source)

@@ -33,8 +33,8 @@ class AirModel:
             self._mapped[k] = self._function.map(k)
         points, values = np.ascontiguousarray(z.T), np.empty((k, self._function.size1_out(0)))
         memory, evaluate = self._mapped[k].buffer()
-        memory.set_arg(0, memoryview(points.reshape(-1)))
-        memory.set_res(0, memoryview(values.reshape(-1)))
+        memory.set_arg(0, points.reshape(-1).data)
+        memory.set_res(0, values.reshape(-1).data)
         evaluate()
         values = np.ascontiguousarray(values.T)
         by_velocity, by_thrust = values[N_OUTPUTS : N_OUTPUTS + 6], values[N_OUTPUTS + 6 :]

@@ -6,8 +6,9 @@ held, with all derivatives zero.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -84,7 +85,7 @@ def check_finite(**values: float | None) -> None:
             raise UsageError(f"trajectory.{key}: {value!r} is not allowed, it must be a finite number")
 
 
-def check_point(key: str, value) -> tuple[float, float, float]:
+def check_point(key: str, value: Iterable[Any]) -> tuple[float, float, float]:
     """A point in the world as three finite numbers (m); UsageError naming the configuration key otherwise."""
     try:
         point = tuple(float(v) for v in value)

@@ -7,8 +7,9 @@ import pytest
 
 from quadexp.dynamics.aerodynamic_point import aerodynamic_point
 from quadexp.dynamics.blade_element import PRINTED, blade_forces
+from quadexp.dynamics.rotor_coefficients import motor_coefficients, static_coefficients
 from quadexp.errors import ModelDomainError
-from quadexp.rotor import BladeCoefficients, motor_coefficients, static_coefficients
+from quadexp.rotor import BladeCoefficients
 from tests import paper
 
 HOVER_SPEED = paper.HOVER / 0.00891390136552146  # V_I = nu w, rad/s

@@ -15,10 +15,10 @@ from quadexp.dynamics.blade_element import blade_forces, body_drag
 from quadexp.dynamics.drag import linear_drag_force, quadratic_drag_force
 from quadexp.dynamics.induced_velocity import balance, starting_point
 from quadexp.dynamics.motor import thrust_loss
+from quadexp.dynamics.rotor_coefficients import motor_coefficients, static_coefficients
 from quadexp.errors import ModelDomainError
 from quadexp.plant.blade_element import BladeElementPlant
 from quadexp.residual.blade_element import blade_element_residual
-from quadexp.rotor import motor_coefficients, static_coefficients
 from tests.properties.strategies import few, generators, make_blade, make_thrusts, vehicles
 
 flat_vehicles = vehicles(flat=True)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from quadexp.dynamics.rotor_coefficients import static_coefficients
 from quadexp.plant import PlantEffects, SimplifiedPlant
 from quadexp.plant.blade_element import BladeElementEffects, BladeElementPlant
 from quadexp.residual.base import Residual
@@ -13,7 +14,7 @@ from quadexp.residual.blade_element import blade_element_residual
 from quadexp.residual.gaussian_process import GPOutput, gaussian_process_residual
 from quadexp.residual.linear_drag import linear_drag_residual
 from quadexp.residual.none import no_residual
-from quadexp.rotor import BladeCoefficients, RotorGeometry, static_coefficients
+from quadexp.rotor import BladeCoefficients, RotorGeometry
 from quadexp.vehicle import Vehicle
 
 RESIDUALS = (

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import numpy as np
 
 from quadexp.control.base import Measurement
 from quadexp.rotor import THETA
 from quadexp.state import ATTITUDE, VELOCITY
-
-if TYPE_CHECKING:
-    from quadexp.identify.rls import BladeElementRLS
 
 SURPRISE_SAMPLES = 10  # samples over which prediction errors are averaged
 FIRST_WAIT, NEXT_WAIT = 100, 50  # samples before a change is looked for: at the start, and after one was found
@@ -28,6 +25,32 @@ def body_velocity(x: np.ndarray) -> np.ndarray:
             2 * (a * c + w * b) * vx + 2 * (b * c - w * a) * vy + (1 - 2 * (a * a + b * b)) * vz,
         ]
     )
+
+
+class Estimator(Protocol):
+    """What identifies the coefficients from sample to sample; quadexp.identify.rls.BladeElementRLS is one.
+
+    theta: values to use, (5,). error: of the last prediction, (3,) (m/s^2). samples: updates so far. clips: samples on
+    which each entry was clipped, (5,). settings.noise: assumed standard deviation of a reading (m/s^2).
+    """
+
+    theta: np.ndarray
+    error: np.ndarray
+    clips: np.ndarray
+    samples: int
+
+    @property
+    def settings(self) -> Any:
+        """How it was started and weighted."""
+
+    def reset(self) -> None:
+        """Begin anew from the first values."""
+
+    def reopen(self) -> None:
+        """Doubt the estimates as much as the first values, and keep them."""
+
+    def update(self, body_velocity: np.ndarray, rotor_speed: np.ndarray, specific_force: np.ndarray) -> np.ndarray:
+        """Take in one sample and return the values to use, (5,)."""
 
 
 class KnownCoefficients:
@@ -60,14 +83,15 @@ class IdentifiedCoefficients:
 
     source = "RLS in flight"
 
-    def __init__(self, estimator: BladeElementRLS, change_threshold: float | None = None) -> None:
+    def __init__(self, estimator: Estimator, change_threshold: float | None = None) -> None:
         self.estimator, self.change_threshold = estimator, change_threshold
         self.reset()
 
     def reset(self) -> None:
         """Begin a flight with the first values."""
         self.estimator.reset()
-        self.reopened, self._surprise, self._wait = 0, 1.0, FIRST_WAIT
+        self.reopened, self._wait = 0, FIRST_WAIT
+        self._surprise: float = 1.0
 
     @property
     def theta(self) -> np.ndarray:
@@ -75,12 +99,14 @@ class IdentifiedCoefficients:
         return self.estimator.theta
 
     def update(self, measurement: Measurement, rotor_speed: np.ndarray) -> None:
-        """Learn from a measurement; rotor_speed (n,) (rad/s)."""
+        """Learn from a measurement; rotor_speed (n,) (rad/s). Without a reading of the accelerometer nothing is."""
+        if measurement.specific_force is None:
+            return
         estimator = self.estimator
         estimator.update(body_velocity(measurement.state), rotor_speed, measurement.specific_force)
         if self.change_threshold is not None and estimator.samples:
             error = estimator.error / estimator.settings.noise
-            self._surprise += (error @ error / 3 - self._surprise) / SURPRISE_SAMPLES
+            self._surprise += (float(error @ error) / 3 - self._surprise) / SURPRISE_SAMPLES
             self._wait -= 1
             if self._wait <= 0 and self._surprise > self.change_threshold:
                 estimator.reopen()

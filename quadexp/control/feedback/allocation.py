@@ -18,6 +18,7 @@ import numpy as np
 
 from quadexp.control.feedback.frames import FRD_FLU
 from quadexp.errors import UsageError
+from quadexp.expression import Expression
 from quadexp.vehicle import Vehicle
 
 
@@ -34,7 +35,13 @@ def unit_allocation(vehicle: Vehicle) -> np.ndarray:
     return np.stack([np.ones(4), -y, x, -np.array(vehicle.rotor_spin, float)])
 
 
-def allocate(thrust, torque, thrust_coefficient, torque_coefficient, inverse: np.ndarray):
+def allocate(
+    thrust: Expression,
+    torque: Expression,
+    thrust_coefficient: Expression,
+    torque_coefficient: Expression,
+    inverse: np.ndarray,
+) -> Expression:
     """Squared rotor speeds, (4,) (rad^2/s^2): equation (27) solved.
 
     thrust: T (N). torque: Gamma (3,), FRD (N m). thrust_coefficient: k (N s^2). torque_coefficient: q (N m s^2).

@@ -15,16 +15,18 @@ import math
 
 import casadi as ca
 
+from quadexp.expression import Expression
+
 COSINE_MIN = 1e-6  # of theta: closer to 90 deg W^-1 is taken as there
 
 
-def rate_matrix(eta):
+def rate_matrix(eta: Expression) -> Expression:
     """W, (3, 3): equation (37). eta (3,) (rad)."""
     sp, cp, st, ct = ca.sin(eta[0]), ca.cos(eta[0]), ca.sin(eta[1]), ca.cos(eta[1])
     return ca.vertcat(ca.horzcat(1, 0, -st), ca.horzcat(0, cp, sp * ct), ca.horzcat(0, -sp, cp * ct))
 
 
-def euler_rates(eta, rate):
+def euler_rates(eta: Expression, rate: Expression) -> Expression:
     """eta_dot = W^-1 Omega, (3,) (rad/s). rate: Omega (3,), FRD (rad/s)."""
     sp, cp, ct = ca.sin(eta[0]), ca.cos(eta[0]), ca.cos(eta[1])
     ct = ca.if_else(ct < 0, -1, 1) * ca.fmax(ca.fabs(ct), COSINE_MIN)
@@ -32,17 +34,27 @@ def euler_rates(eta, rate):
     return ca.vertcat(rate[0] + ca.sin(eta[1]) * heading, cp * rate[1] - sp * rate[2], heading)
 
 
-def wrapped(angle):
+def wrapped(angle: Expression) -> Expression:
     """The angle (rad) in (-pi, pi]."""
     return angle - 2 * math.pi * ca.ceil((angle - math.pi) / (2 * math.pi))
 
 
-def attitude_error(eta, eta_d):
+def attitude_error(eta: Expression, eta_d: Expression) -> Expression:
     """e_eta = eta - eta_d, (3,) (rad), the yaw error wrapped."""
     return ca.vertcat(eta[0] - eta_d[0], eta[1] - eta_d[1], wrapped(eta[2] - eta_d[2]))
 
 
-def attitude_torque(eta, rate, error, eta_d_dot, eta_d_ddot, proportional, derivative, inertia, secondary):
+def attitude_torque(
+    eta: Expression,
+    rate: Expression,
+    error: Expression,
+    eta_d_dot: Expression,
+    eta_d_ddot: Expression,
+    proportional: Expression,
+    derivative: Expression,
+    inertia: Expression,
+    secondary: Expression,
+) -> Expression:
     """Gamma_m, (3,), FRD (N m): equations (39), (40).
 
     eta, error: (3,) (rad). rate: Omega (3,) (rad/s). eta_d_dot, eta_d_ddot: (3,) (rad/s, rad/s^2).

@@ -16,18 +16,19 @@ import casadi as ca
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from quadexp.expression import Expression
 from quadexp.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 
 NED_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FRD_FLU = np.diag([1.0, -1.0, -1.0])
 
 
-def yaw_ned(yaw_enu):
+def yaw_ned(yaw_enu: Expression) -> Expression:
     """Heading clockwise from north (rad), of a heading counter-clockwise from east (rad); its own inverse."""
     return math.pi / 2 - yaw_enu
 
 
-def rotation_euler(eta):
+def rotation_euler(eta: Expression) -> Expression:
     """R(phi, theta, psi), (3, 3), FRD to NED, of eta (3,) (rad): equation (8)."""
     (cp, ct, cs), (sp, st, ss) = ([f(eta[i]) for i in range(3)] for f in (ca.cos, ca.sin))
     return ca.vertcat(
@@ -37,7 +38,7 @@ def rotation_euler(eta):
     )
 
 
-def euler_angles(R):
+def euler_angles(R: Expression) -> Expression:
     """eta = (phi, theta, psi), (3,) (rad), of R (3, 3), FRD to NED; theta in [-pi/2, pi/2]."""
     sine = ca.fmin(ca.fmax(-R[2, 0], -1.0), 1.0)
     return ca.vertcat(ca.atan2(R[2, 1], R[2, 2]), ca.asin(sine), ca.atan2(R[1, 0], R[0, 0]))

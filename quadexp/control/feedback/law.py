@@ -80,7 +80,7 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
     )
     coefficients = allocation_coefficients(vehicle, variant.allocation, theta)
     squared = allocate(thrust, torque, *coefficients, np.linalg.inv(unit_allocation(vehicle)))
-    low, high = settings.rotor_speed_min**2, vehicle.thrust_max / vehicle.static_thrust
+    low, high = settings.rotor_speed_min**2, vehicle.thrust_max / vehicle.static_thrust_coefficient
     commanded = ca.fmin(ca.fmax(squared, low), high)
     floored, limited = ca.sum1(squared < low), ca.sum1(squared > high)
 
@@ -95,7 +95,7 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
         "observer_last": observer_last,
     }
     outputs = {
-        "thrust": vehicle.static_thrust * commanded,
+        "thrust": vehicle.static_thrust_coefficient * commanded,
         "rotor_speed": ca.sqrt(commanded),
         "eta_d": eta_d,
         "observer": observer,

@@ -15,13 +15,19 @@ from __future__ import annotations
 
 import casadi as ca
 
+from quadexp.expression import Expression
 
-def position_feedback(error, velocity_error, proportional, derivative):
+
+def position_feedback(
+    error: Expression, velocity_error: Expression, proportional: Expression, derivative: Expression
+) -> Expression:
     """u_xi, (3,), NED (m/s^2): equation (30). Errors (3,) (m, m/s); gains (3,) (1/s^2, 1/s)."""
     return -(proportional * error + derivative * velocity_error)
 
 
-def thrust_vector(u_xi, acceleration, R_last, lateral, mass: float, gravity: float):
+def thrust_vector(
+    u_xi: Expression, acceleration: Expression, R_last: Expression, lateral: Expression, mass: float, gravity: float
+) -> Expression:
     """u_T, (3,), NED (N): equation (32); it points along the body's z axis, against the thrust.
 
     acceleration: a_d (3,), NED (m/s^2). R_last: R_d,k-1, (3, 3). lateral: (H + D)_xy, (2,), FRD (N).
@@ -30,7 +36,7 @@ def thrust_vector(u_xi, acceleration, R_last, lateral, mass: float, gravity: flo
     return -lateral_force - mass * (u_xi - ca.vertcat(0, 0, gravity) + acceleration)
 
 
-def in_cone(u_T, down_min: float, tilt_max: float):
+def in_cone(u_T: Expression, down_min: float, tilt_max: float) -> tuple[Expression, Expression]:
     """u_T moved into the cone that a multirotor can hold, (3,) (N), and whether it had to be (0 or 1).
 
     down_min: least u_Tz (N). tilt_max: largest angle from the vertical (rad); the vertical part is kept.
@@ -43,7 +49,7 @@ def in_cone(u_T, down_min: float, tilt_max: float):
     return ca.vertcat(share * u_T[0], share * u_T[1], down), outside
 
 
-def desired_tilt(u_T, psi):
+def desired_tilt(u_T: Expression, psi: Expression) -> tuple[Expression, Expression]:
     """phi_d, theta_d (rad): equations (34), (35). u_T (3,) NED (N), psi: desired heading (rad)."""
     sine, cosine = ca.sin(psi), ca.cos(psi)
     roll = ca.asin(ca.fmin(ca.fmax((u_T[0] * sine - u_T[1] * cosine) / ca.norm_2(u_T), -1.0), 1.0))

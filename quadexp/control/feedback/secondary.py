@@ -15,6 +15,7 @@ import numpy as np
 from quadexp.control.feedback.frames import FRD_FLU
 from quadexp.dynamics.blade_element import aerodynamic_wrench, blade_forces, body_drag, static_inflow
 from quadexp.dynamics.induced_velocity import balance, safe_newton
+from quadexp.expression import Expression
 from quadexp.rotor import C_D0, C_DX, C_DZ, C_LA
 from quadexp.vehicle import Vehicle
 
@@ -29,13 +30,13 @@ class Secondary(NamedTuple):
     torque: ca.SX
 
 
-def secondary_terms(vehicle: Vehicle, theta, velocity, rotor_speed) -> Secondary:
+def secondary_terms(vehicle: Vehicle, theta: Expression, velocity: Expression, rotor_speed: Expression) -> Secondary:
     """The secondary terms at a body velocity (3,), FRD (m/s), and rotor speeds (n,) (rad/s).
 
     theta: (C_d0, C_la, C_Dx, C_Dy, C_Dz), (5,).
     """
     in_plane = velocity[0] ** 2 + velocity[1] ** 2
-    equation = balance(vehicle.rotor, theta[C_LA], rotor_speed, in_plane, velocity[2])
+    equation = balance(vehicle.rotor_geometry, theta[C_LA], rotor_speed, in_plane, velocity[2])
     induced = safe_newton(equation, NEWTON_ITERATIONS)
     rotors_only = ca.vertcat(theta[C_D0], theta[C_LA], 0, 0, 0)
     still, flu = ca.DM.zeros(vehicle.n_rotors), ca.mtimes(FRD_FLU, velocity)
@@ -46,20 +47,20 @@ def secondary_terms(vehicle: Vehicle, theta, velocity, rotor_speed) -> Secondary
     )
 
 
-def drag_force(vehicle: Vehicle, theta, velocity):
+def drag_force(vehicle: Vehicle, theta: Expression, velocity: Expression) -> Expression:
     """D, (3,), FRD (N): equation (6); it opposes the velocity (3,), FRD (m/s)."""
-    return -body_drag(vehicle.rotor, velocity, theta[C_DX : C_DZ + 1])
+    return -body_drag(vehicle.rotor_geometry, velocity, theta[C_DX : C_DZ + 1])
 
 
-def allocation_coefficients(vehicle: Vehicle, kind: str, theta):
+def allocation_coefficients(vehicle: Vehicle, kind: str, theta: Expression) -> tuple[Expression, Expression]:
     """Thrust (N s^2) and drag torque (N m s^2) per speed squared that allocation divides by; see Variant.allocation."""
     if kind == "vehicle":
-        return vehicle.static_thrust, vehicle.torque_coefficient * vehicle.static_thrust
-    inflow = static_inflow(vehicle.rotor, theta[C_LA]) if kind == "static" else 0.0
-    one = blade_forces(vehicle.rotor, theta[C_D0], theta[C_LA], 1.0, inflow, 0.0)
+        return vehicle.static_thrust_coefficient, vehicle.torque_coefficient * vehicle.static_thrust_coefficient
+    inflow = static_inflow(vehicle.rotor_geometry, theta[C_LA]) if kind == "static" else 0.0
+    one = blade_forces(vehicle.rotor_geometry, theta[C_D0], theta[C_LA], 1.0, inflow, 0.0)
     return one.thrust, one.torque
 
 
 def hover_rotor_speed(vehicle: Vehicle) -> float:
     """Rotor speed in hover by the vehicle's thrust map (rad/s)."""
-    return float(np.sqrt(vehicle.hover_thrust / vehicle.static_thrust))
+    return float(np.sqrt(vehicle.hover_thrust / vehicle.static_thrust_coefficient))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from quadexp.errors import UsageError
 
@@ -64,15 +64,15 @@ class Variant:
     delayed: bool = True
 
 
-_NOTHING = {"hub": False, "drag": False, "thrust": False, "torque": False}
+_NOTHING = Variant(hub=False, drag=False, thrust=False, torque=False)
 
 VARIANTS: dict[str, Variant] = {
     "rls": Variant(),
-    "static": Variant(**_NOTHING, allocation="vehicle", parameters="none"),  # Remark 7, the baseline
-    "literal": Variant(**_NOTHING),  # Section 5 read literally: k_Tm is 1.74 times what hovering rotors give
-    "nocomp_statid": Variant(**_NOTHING, allocation="static"),
+    "static": replace(_NOTHING, allocation="vehicle", parameters="none"),  # Remark 7, the baseline
+    "literal": _NOTHING,  # Section 5 read literally: k_Tm is 1.74 times what hovering rotors give
+    "nocomp_statid": replace(_NOTHING, allocation="static"),
     "oracle": Variant(parameters="true"),
     "oracle_impl": Variant(parameters="true", delayed=False),
     "rls_noH": Variant(hub=False),
-    "static_H": Variant(**(_NOTHING | {"hub": True}), allocation="vehicle", parameters="true"),
+    "static_H": replace(_NOTHING, hub=True, allocation="vehicle", parameters="true"),
 }

@@ -155,10 +155,14 @@ def _motor_offset(flight: Flight, t: np.ndarray, streams: Mapping[str, np.ndarra
     if "f" not in streams:
         return None
     for kind, names in commands.command_columns(flight).items():
-        values = flight.stack(names).astype(float)
-        return timing.motor_offset(
-            t, np.sum(values**2 if kind == "rotor_speed" else values, axis=1), streams["f"][:, 2]
-        )
+        rows = timing.spread(t)
+        values = flight.stack(names)[rows].astype(float)
+        thrust = np.sum(values if kind == "u" else values**2, axis=1)
+        velocity = None
+        if "q" in streams and "v" in streams:
+            R = rotation_matrices(streams["q"][rows])
+            velocity = np.einsum("kji,kj->ki", R, streams["v"][rows])
+        return timing.motor_offset(t[rows], thrust, streams["f"][rows, 2], velocity)
     return None
 
 

@@ -25,6 +25,8 @@ TIE = 0.15  # of J a unit of cost: a repair that claims more must explain more
 MOST_FAULTS = 4
 STRAY = 12.0  # robust standard deviations
 STRAY_FLOOR = {"acceleration_outlier": 8.0, "rate_outlier": 4.0}  # m/s^2 and rad/s, means over a window
+MOVING = 2.0  # floors that a stream must move by to be compared
+TELLING = 0.6  # of a residual that may be left once a factor is undone
 ALIKE = 0.98  # correlation above which a factor between two streams means something
 DISAGREE = 0.7  # residual over signal above which two streams say different things
 WEIGHT = {"force (p)": 0.5, "thrust": 1.0, "thrust (p)": 0.5}
@@ -41,7 +43,10 @@ WORDS = {
 
 @dataclass(frozen=True)
 class Agreement:
-    """Of one relation: residual, signal, (3,), both root mean square; correlation and gain over its moving axes."""
+    """Of one relation: residual, signal, (3,), both root mean square; correlation and gain over its moving axes.
+
+    size: root mean square of the expected side, its mean (gravity) included.
+    """
 
     relation: str
     residual: np.ndarray
@@ -49,6 +54,7 @@ class Agreement:
     correlation: float
     gain: float
     floor: float
+    size: float
 
     @property
     def score(self) -> float:
@@ -78,7 +84,8 @@ def agreement(pair: Pair) -> Agreement:
     correlation = float(np.sum(a * b) / np.sqrt(power)) if power > 0 else 0.0
     gain = float(np.sqrt(np.sum(b * b) / np.sum(a * a)) * np.sign(correlation)) if power > 0 else 1.0
     signal = np.sqrt(np.maximum(np.mean(a * a, axis=0), 0))
-    return Agreement(pair.relation, np.sqrt(np.mean(gap**2, axis=0)), signal, correlation, gain, pair.floor)
+    size = float(np.sqrt(np.mean(np.sum(expected**2, axis=1))))
+    return Agreement(pair.relation, np.sqrt(np.mean(gap**2, axis=0)), signal, correlation, gain, pair.floor, size)
 
 
 def agreements(
@@ -130,10 +137,12 @@ def explain(windows: Windows) -> tuple[list[Explained], Windows]:
     before = agreements(windows)
     clock = _clock(before)
     if clock is not None:
-        windows = clock.apply(windows)
-        after = agreements(windows)
-        taken.append(Explained(clock, before, after, _total(before) - _total(after)))
-        before = after
+        changed = clock.apply(windows)
+        after = agreements(changed)
+        if _telling(before, after):
+            windows = changed
+            taken.append(Explained(clock, before, after, _total(before) - _total(after)))
+            before = after
     while before and not _settled(before) and len(taken) < MOST_FAULTS:
         best: tuple[float, Repair, Windows, dict[str, Agreement]] | None = None
         for repair in (*repairs(present(windows)), *_scales(before)):
@@ -141,14 +150,18 @@ def explain(windows: Windows) -> tuple[list[Explained], Windows]:
                 continue
             changed = repair.apply(windows)
             after = agreements(changed, before, repair.streams)
+            if repair.streams == "pv":  # of two streams changed alike, their relation says nothing
+                after["velocity"] = before["velocity"]
             value = _total(before) - _total(after) - TIE * repair.cost
+            if repair.name == "scale" and not _telling(before, after):
+                continue
             if value > LEAST_GAIN and _plausible(before, after) and (best is None or value > best[0]):
                 best = (value, repair, changed, after)
         if best is None:
             break
         value, repair, windows, after = best
         taken.append(Explained(repair, before, after, value))
-        before = after
+        before = agreements(windows)
     return taken, windows
 
 
@@ -189,10 +202,21 @@ def _settled(found: dict[str, Agreement]) -> bool:
 
 
 def _plausible(before: dict[str, Agreement], after: dict[str, Agreement]) -> bool:
-    """A repair must bring two streams together, not only make both small, and must break nothing."""
+    """A repair must bring two streams together that move, not only make both small, and must break nothing."""
     better = [name for name in after if after[name].score < before[name].score - 0.1]
     worse = [name for name in after if after[name].score > before[name].score + 1.0]
-    return bool(better) and not worse and any(after[name].ratio < DISAGREE for name in better)
+    return not worse and any(
+        after[name].ratio < DISAGREE and after[name].size > MOVING * after[name].floor for name in better
+    )
+
+
+def _telling(before: dict[str, Agreement], after: dict[str, Agreement]) -> bool:
+    """Whether a factor takes most of a residual away: a slope that noise has made does not."""
+    return any(
+        np.sum(after[name].residual ** 2) < TELLING**2 * np.sum(before[name].residual ** 2)
+        for name in ("velocity", "rate")
+        if name in after
+    )
 
 
 def stray(windows: Windows) -> list[Finding]:

@@ -19,6 +19,16 @@ ALLOWED = 0.025  # s: a quarter of the time in which a racing quadrotor turns by
 BLOCKS = 0.1  # s
 MOTOR_LAG = (-0.03, 0.15)  # s: motors follow their command by up to this
 LARGEST = 0.5  # s
+PARTS, PART = 6, 20.0  # how many stretches of a long flight are looked at, and how long (s)
+
+
+def spread(t: np.ndarray) -> np.ndarray:
+    """Mask (k,) of the rows looked at: all of a short flight, stretches spread over a long one."""
+    length = float(t[-1] - t[0])
+    if length <= PARTS * PART:
+        return np.ones(len(t), bool)
+    since = (t - t[0]) / length * PARTS
+    return (since % 1.0) * length / PARTS < PART
 
 
 def imu_offset(t: np.ndarray, streams: dict[str, np.ndarray], good: np.ndarray, *, vectors: bool) -> Offset | None:
@@ -43,15 +53,30 @@ def imu_offset(t: np.ndarray, streams: dict[str, np.ndarray], good: np.ndarray, 
         return None
 
 
-def motor_offset(t: np.ndarray, command: np.ndarray, push: np.ndarray) -> Offset | None:
-    """Offset of the specific force along z, (k,), behind the sum of the commands, (k,)."""
+def motor_offset(
+    t: np.ndarray, command: np.ndarray, push: np.ndarray, body_velocity: np.ndarray | None
+) -> Offset | None:
+    """Offset of the specific force along z, (k,), behind the thrust commanded, (k,), in any unit.
+
+    body_velocity: (k, 3); without it drag cannot be told from a delay, and the offset is not certain.
+    """
     usable = np.isfinite(command) & np.isfinite(push)
     if usable.sum() < 50 or np.any(np.diff(t[usable]) <= 0):
         return None
+    own = t[usable]
     try:
-        return estimate_offset((t[usable], command[usable]), (t[usable], push[usable]), largest=LARGEST, band=2 * BAND)
+        beside = None if body_velocity is None else (own, drag_signals(body_velocity[usable]))
+        found = estimate_offset(
+            (own, command[usable]), (own, push[usable]), largest=LARGEST, band=2 * BAND, beside=beside
+        )
+        return found._replace(certain=found.certain and beside is not None)
     except DataError:
         return None
+
+
+def drag_signals(body_velocity: np.ndarray) -> np.ndarray:
+    """What a rotor's thrust follows besides its command, (k, 2): inflow along its axis, and across it squared."""
+    return np.column_stack([body_velocity[:, 2], np.sum(body_velocity[:, :2] ** 2, axis=1)])
 
 
 def offset_findings(imu: Offset | None, motor: Offset | None) -> list[Finding]:

@@ -14,10 +14,12 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.flight.importers.raw import ROTORS, Crop, RawLog, columns_of
 from quadexp.flight.signal import Stream, continuous, crop, derivative, resample
+from quadexp.flight.signal.stream import GAP_PERIODS
 from quadexp.vehicle import Vehicle
 
 HELD = ("motor_command", "rotor_thrust", "battery_voltage", "wind")
 SLOW = ("battery_voltage", "wind")  # known before their first sample and after their last
+LEAST_SHARE = {"reference": 0.95, "core": 0.1}  # of the flight that a stream must cover to have a say in its length
 CORE = ("acceleration", "rate", "attitude", "velocity", "position")
 QUATERNIONS = ("attitude", "reference_attitude")
 UNIFORM = 1e-3  # of a period: how far the steps of a clock may differ for it to be taken as uniform
@@ -54,6 +56,7 @@ def assemble(path: Path, log: RawLog, vehicle: Vehicle | None, *, rate: float | 
     notes = list(log.notes)
     streams = {name: Stream(s.t, s.values) for name, s in log.streams.items() if len(s.t) >= 2}
     notes += [f"{name}: one row only: left out" for name in log.streams if name not in streams]
+    _short_ones_out(streams, notes)
     core = [name for name in CORE if name in streams]
     if not core:
         raise DataError(f"{path}: has neither {', '.join(CORE[:-1])} nor {CORE[-1]} in two rows or more")
@@ -91,6 +94,25 @@ def assemble(path: Path, log: RawLog, vehicle: Vehicle | None, *, rate: float | 
     _, columns["segment"] = np.unique(columns["segment"] + _breaks(kept), return_inverse=True)
     columns["segment"] = columns["segment"].astype(np.int32)
     return Assembled(columns, float(rate), (t0, t1), rates, notes, own is None or given)
+
+
+def _short_ones_out(streams: dict[str, Stream], notes: list[str]) -> None:
+    """Leave out what was logged for a small part of the flight: all streams are cut to the time they share."""
+    spans = {name: (streams[name].t[0], streams[name].t[-1]) for name in CORE if name in streams}
+    longest = max((end - start for start, end in spans.values()), default=0.0)
+    for name, (start, end) in spans.items():
+        if end - start < LEAST_SHARE["core"] * longest:
+            notes.append(f"{name}: {end - start:.3g} s of {longest:.3g} s: left out")
+            del streams[name]
+    begin = max((streams[name].t[0] for name in CORE if name in streams), default=0.0)
+    finish = min((streams[name].t[-1] for name in CORE if name in streams), default=0.0)
+    for name in [name for name in streams if name.startswith("reference")]:
+        t = streams[name].t[(streams[name].t >= begin) & (streams[name].t <= finish)]
+        step = np.diff(t)
+        covered = float(step[step <= GAP_PERIODS * np.median(step)].sum()) if len(step) else 0.0
+        if covered < LEAST_SHARE["reference"] * (finish - begin):
+            notes.append(f"{name}: {covered:.3g} s of {finish - begin:.3g} s: left out")
+            del streams[name]
 
 
 def _breaks(kept: np.ndarray) -> np.ndarray:

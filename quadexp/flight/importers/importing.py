@@ -198,7 +198,7 @@ def _offsets(path: Path, log: RawLog, align: bool) -> tuple[dict[str, Any], list
     if align:
         align_streams(log, found)
     record = {
-        name: {"seconds": o.seconds, "error": o.error, "correlation": o.correlation, "certain": o.certain,
+        name: {"seconds": o.seconds, "error": o.error if np.isfinite(o.error) else None, "correlation": o.correlation, "certain": o.certain,
                "behind": behind, "removed": align and o.certain and behind in REFERENCES}
         for (name, behind), o in found.items()
     }  # fmt: skip

@@ -11,9 +11,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
+from quadexp.flight.check.timing import drag_signals
 from quadexp.flight.importers.raw import RawLog
 from quadexp.flight.signal import Offset, Stream, continuous, derivative, estimate_offset, resample
 from quadexp.vehicle import GRAVITY
+
+Pair = tuple[Stream, Stream, Stream | None]
 
 REFERENCES = ("attitude", "velocity", "position")  # whose clock the others are moved onto
 LARGEST = 0.5  # s
@@ -21,7 +24,7 @@ LONGEST = 120.0  # s of the log that are used
 FASTEST = 200.0  # Hz
 LEAST_ROWS = 50
 BAND = 4.0  # Hz: vehicles turn slower, motion capture shakes faster
-LEAST_CORRELATION = 0.8
+LEAST_CORRELATION = {"rate": 0.7, "acceleration": 0.9}  # an accelerometer feels more than the motion
 
 
 def find_offsets(log: RawLog) -> dict[tuple[str, str], Offset]:
@@ -36,13 +39,13 @@ def find_offsets(log: RawLog) -> dict[tuple[str, str], Offset]:
     ):
         if pair == ("acceleration", "position") and ("acceleration", "velocity") in found:
             continue
-        needed = {*pair, *(("attitude",) if make is not _thrust else ())}
-        if not needed <= log.streams.keys() or min(len(log.streams[name].t) for name in needed) < LEAST_ROWS:
+        if not set(pair) <= log.streams.keys() or min(len(log.streams[name].t) for name in pair) < LEAST_ROWS:
             continue
         try:
-            first, second = make(log, pair[1])
-            one = estimate_offset(first, second, largest=LARGEST, band=BAND)
-            found[pair] = one._replace(certain=bool(one.certain and one.correlation > LEAST_CORRELATION))
+            first, second, beside = make(log, pair[1])
+            one = estimate_offset(first, second, largest=LARGEST, band=BAND, beside=beside)
+            known = make is not _thrust or beside is not None  # else drag may pass for a delay
+            found[pair] = one._replace(certain=bool(one.certain and known and one.correlation > LEAST_CORRELATION[pair[0]]))
         except (DataError, ValueError, np.linalg.LinAlgError):
             continue
     return found
@@ -63,12 +66,12 @@ def _uniform(streams: dict[str, Stream]) -> tuple[np.ndarray, dict[str, np.ndarr
     return made.t, made.values, made.segment, rate
 
 
-def _turning(log: RawLog, _source: str) -> tuple[Stream, Stream]:
+def _turning(log: RawLog, _source: str) -> Pair:
     """Body rate from the attitude's derivative, and the gyro."""
     t, values, segment, _ = _uniform({"attitude": log.streams["attitude"]})
     q = continuous(values["attitude"])
     dq = derivative(t, q, window=0.1, segment=segment).values
-    return Stream(t, _vector(q, dq)), _part(log.streams["rate"])
+    return Stream(t, _vector(q, dq)), _part(log.streams["rate"]), None
 
 
 def _vector(q: np.ndarray, dq: np.ndarray) -> np.ndarray:
@@ -80,21 +83,34 @@ def _vector(q: np.ndarray, dq: np.ndarray) -> np.ndarray:
     )
 
 
-def _force(log: RawLog, source: str) -> tuple[Stream, Stream]:
-    """Specific force from velocity (or position) and attitude, and the accelerometer."""
-    t, values, segment, _ = _uniform({source: log.streams[source], "attitude": log.streams["attitude"]})
+def _force(log: RawLog, source: str) -> Pair:
+    """Size of the specific force from velocity or position, and of the accelerometer's.
+
+    Sizes do not depend on the attitude, whose own delay would turn gravity into a force along x and y.
+    """
+    t, values, segment, _ = _uniform({source: log.streams[source]})
     velocity = values[source]
     if source == "position":
         velocity = derivative(t, velocity, window=0.1, segment=segment).values
     motion = derivative(t, velocity, window=0.1, segment=segment).values + np.array([0.0, 0.0, GRAVITY])
-    R = Rotation.from_quat(values["attitude"], scalar_first=True)
-    return Stream(t, R.apply(motion, inverse=True)), _part(log.streams["acceleration"])
+    force = _part(log.streams["acceleration"])
+    return Stream(t, _size(motion)), Stream(force.t, _size(force.values)), None
 
 
-def _thrust(log: RawLog, source: str) -> tuple[Stream, Stream]:
-    """Sum of the motors' squares, and the accelerometer's z axis."""
+def _size(vectors: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def _thrust(log: RawLog, source: str) -> Pair:
+    """Sum of the motors' squares, the accelerometer's z axis, and what drag makes of the motion."""
     motors, force = _part(log.streams[source]), _part(log.streams["acceleration"])
-    return Stream(motors.t, np.sum(motors.values**2, axis=1, keepdims=True)), Stream(force.t, force.values[:, 2:])
+    beside = None
+    if {"attitude", "velocity"} <= log.streams.keys():
+        t, values, _, _ = _uniform({name: log.streams[name] for name in ("attitude", "velocity")})
+        R = Rotation.from_quat(values["attitude"], scalar_first=True)
+        beside = Stream(t, drag_signals(R.apply(values["velocity"], inverse=True)))
+    thrust = np.sum(motors.values**2, axis=1, keepdims=True)
+    return Stream(motors.t, thrust), Stream(force.t, force.values[:, 2:]), beside
 
 
 def align_streams(log: RawLog, found: dict[tuple[str, str], Offset]) -> None:

@@ -67,6 +67,10 @@ SOURCES: dict[str, list[tuple[str, tuple[str, ...]]]] = {
     "reference_position": [("vehicle_local_position_setpoint", ("x", "y", "z"))],
     "reference_velocity": [("vehicle_local_position_setpoint", ("vx", "vy", "vz"))],
 }
+# What the estimator itself says of its horizontal and its vertical part.
+VALID = {"position": ("xy_valid", "z_valid"), "velocity": ("v_xy_valid", "v_z_valid")}
+RESETS = {"position": ("xy_reset_counter", "z_reset_counter"), "velocity": ("vxy_reset_counter", "vz_reset_counter")}
+ROTORS_OF_TYPE = {2: 4, 13: 6, 14: 8, 15: 3}  # MAV_TYPE
 OTHERS = ("actuator_motors", "actuator_outputs", "esc_status")
 TOPICS = sorted({topic for sources in SOURCES.values() for topic, _ in sources} | set(OTHERS))
 _WORLD = ("position", "velocity", "wind", "reference_position", "reference_velocity")
@@ -80,11 +84,16 @@ def read_topics(path: Path, topics: Topics, parameters: Mapping[str, float], *, 
     thrusts (N) in the vehicle's own order. Raises DataError where there is neither attitude nor motion.
     """
     log = RawLog("ulog", {}, "px4")
-    used = {}
+    used: dict[str, str] = {}
+    refused: set[str] = set()
     for name, sources in SOURCES.items():
         for topic, fields in sources:
             found = _instance(topics, topic, fields)
-            if found is None:
+            if found is None or (name in refused and not topic.endswith("groundtruth")):
+                continue
+            found = _valid(name, topic, found, log.notes)
+            if found is None:  # then the estimator's other topics have nothing better
+                refused.add(name)
                 continue
             stream = _stream(path, f"{name} ({topic})", found, fields, log.notes)
             if stream is not None:
@@ -100,7 +109,7 @@ def read_topics(path: Path, topics: Topics, parameters: Mapping[str, float], *, 
     missing = [
         f"{name} ({SOURCES[name][0][0]})"
         for name in ("position", "attitude", "rate", "acceleration")
-        if name not in used
+        if name not in used and name not in refused
     ]
     if missing:
         log.notes.append(f"topics missing: {', '.join(missing)}")
@@ -117,6 +126,24 @@ def _instance(topics: Topics, name: str, fields: tuple[str, ...]) -> Topic | Non
         return None
     most = max(instances, key=lambda one: len(one["timestamp"]))
     return most if len(most["timestamp"]) > 2 * len(instances[0]["timestamp"]) else instances[0]
+
+
+def _valid(name: str, source: str, topic: Topic, notes: list[str]) -> Topic | None:
+    """The rows that the estimator holds to be valid, horizontally and vertically; None where there are none."""
+    flags = [np.asarray(topic[flag]) > 0 for flag in VALID.get(name, ()) if flag in topic]
+    if flags:
+        good = np.logical_and.reduce(flags)
+        if not good.any():
+            where = " and ".join(flag for flag in VALID[name] if flag in topic and not np.any(topic[flag]))
+            notes.append(f"{name} ({source}): the estimator never had a valid one ({where or 'flags'}): left out")
+            return None
+        if not good.all():
+            notes.append(f"{name} ({source}): not valid in {int((~good).sum())} of {len(good)} rows: left out")
+            topic = {field: np.asarray(values)[good] for field, values in topic.items()}
+    count = sum(int(np.count_nonzero(np.diff(topic[field]))) for field in RESETS.get(name, ()) if field in topic)
+    if count:
+        notes.append(f"{name} ({source}): reset by the estimator {count} times: it may jump there")
+    return topic
 
 
 def times(topic: Topic) -> np.ndarray:
@@ -183,8 +210,9 @@ def _motors(
         if commands is not None:
             log.streams["motor_command"], used["motor_command"] = commands, "actuator_motors"
         return
+    most = _rotor_count(parameters)
     for name, field in (("actuator_motors", "control"), ("actuator_outputs", "output")):
-        found = _rotor_stream(path, log, topics, name, field)
+        found = _rotor_stream(path, log, topics, name, field, most)
         if found is not None:
             log.streams["motor_command"] = found if name == "actuator_motors" else _pwm(found, parameters, log.notes)
             used["motor_command"] = name
@@ -198,12 +226,20 @@ def _motors(
     log.layout = _layout(count, parameters, log.notes)
 
 
-def _rotor_stream(path: Path, log: RawLog, topics: Topics, name: str, field: str) -> Stream | None:
-    """The motors of a topic: the leading outputs that move, of the instance where most do."""
+def _rotor_count(parameters: Mapping[str, float]) -> int:
+    """How many rotors the vehicle says it has; what may be there at most where it does not."""
+    count = int(parameters.get("CA_ROTOR_COUNT", 0))
+    return count if 3 <= count <= MOST_ROTORS else ROTORS_OF_TYPE.get(int(parameters.get("MAV_TYPE", 0)), MOST_ROTORS)
+
+
+def _rotor_stream(
+    path: Path, log: RawLog, topics: Topics, name: str, field: str, most: int = MOST_ROTORS
+) -> Stream | None:
+    """The motors of a topic: the leading outputs that move, at most so many, of the instance where most do."""
     best: tuple[int, Topic] = (0, {})
     for topic in topics.get(name, []):
         count = 0
-        while count < MOST_ROTORS and f"{field}[{count}]" in topic:
+        while count < most and f"{field}[{count}]" in topic:
             values = np.asarray(topic[f"{field}[{count}]"], float)
             values = values[np.isfinite(values)]
             if len(values) < 2 or np.ptp(values) == 0:

@@ -1,0 +1,82 @@
+"""From a checkpoint of recorded flights to the residual that it describes, for plants and controllers."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+from quadexp.errors import UsageError
+from quadexp.experiment.inputs import located
+from quadexp.vehicle import Vehicle
+
+MODEL_FILE = "model.json"
+MAKER = "quadexp identify FLIGHT... --out models/NAME"
+
+
+def model_hash(path: str) -> str:
+    """Content hash of a checkpoint; UsageError where there is none."""
+    file = located(path) / MODEL_FILE
+    if not file.is_file():
+        raise UsageError(f"plant.model={path}: no checkpoint there; make one: {MAKER}")
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def load_identified(path: str | Path, vehicle: Vehicle) -> Any:
+    """A checkpoint for this vehicle; one of flights that do not say their vehicle is taken as it is.
+
+    Raises UsageError where it was fitted for another vehicle.
+    """
+    from quadexp.identify.checkpoint import load_model
+
+    model = load_model(located(path))
+    if model.vehicle.get("fingerprint") not in (None, vehicle.fingerprint):
+        raise UsageError(
+            f"{path}: fitted for vehicle '{model.vehicle.get('name')}' ({model.vehicle.get('fingerprint')}), not for"
+            f" '{vehicle.name}' ({vehicle.fingerprint}): pass the vehicle=... of its flights"
+        )
+    return model
+
+
+def identified_plant(vehicle: Vehicle, config: Any) -> Any:
+    """The plant of plant=from_model."""
+    from quadexp.plant.from_model import FromModelPlant
+
+    model_hash(config.model)
+    return FromModelPlant(
+        vehicle,
+        model_residual(vehicle, Path(config.model), config.residual),
+        step=config.step,
+        force_noise_density=config.force_noise_density,
+        torque_noise_density=config.torque_noise_density,
+        backend=config.backend,
+    )
+
+
+def model_residual(vehicle: Vehicle, path: Path, kind: str = "best") -> Any:
+    """The residual of a checkpoint. kind: which model of an identified vehicle, "best" for its own choice.
+
+    Raises UsageError where the checkpoint has none of that kind.
+    """
+    from quadexp.identify.term_mean import TermMean
+    from quadexp.residual.gaussian_process import gaussian_process_residual
+    from quadexp.residual.linear_drag import linear_drag_residual
+    from quadexp.residual.terms import term_residual
+
+    model, source = load_identified(path, vehicle), str(path)
+    if hasattr(model, "models"):  # an identified vehicle
+        if kind == "gaussian_process":
+            raise UsageError(
+                f"{path}: an identified vehicle, holds no Gaussian process; it has {', '.join(model.models)}"
+            )
+        mean = TermMean(model.model(None if kind == "best" else kind), vehicle.mass)
+        return term_residual(vehicle, mean.structure, mean.parameters, source)
+    if hasattr(model, "outputs"):
+        if kind not in ("best", "gaussian_process"):
+            raise UsageError(f"{path}: holds a Gaussian process, not '{kind}'")
+        return gaussian_process_residual(
+            vehicle, model.outputs, model.mean_parameters, source, mean_terms=model.mean_terms
+        )
+    if kind not in ("best", "linear"):
+        raise UsageError(f"{path}: holds linear drag, not '{kind}'")
+    return linear_drag_residual(vehicle, model.drag, model.intercept, model.thrust_gain, source=source)

@@ -1,0 +1,264 @@
+"""Models against flights that they have not seen: one-step residuals and open-loop predictions, one report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.config import Config
+from quadexp.errors import DataError, UsageError
+from quadexp.experiment.build import build_vehicle
+from quadexp.experiment.build_identified import load_identified
+from quadexp.experiment.provenance import provenance, versions
+from quadexp.flight.schema import Flight
+from quadexp.flight.store import check_output, read_flight, write_text
+from quadexp.identify.gp_fit import fit_gp
+from quadexp.identify.model import GPModel, GPSettings
+from quadexp.identify.open_loop import Track, rollout_errors
+from quadexp.identify.predictors import NOMINAL, Predictor, nominal, predictors
+from quadexp.identify.recorded import recorded_dataset
+from quadexp.identify.thrust_curve import ThrustCurve
+from quadexp.identify.validation import FlightRows, Residuals, band_rows, read_rows, residuals, score_rows
+from quadexp.identify.vehicle_fit import FitSettings, fit_vehicle_model
+from quadexp.identify.vehicle_model import VehicleModel
+from quadexp.vehicle import Vehicle
+
+HORIZONS = (0.1, 0.5, 1.0)
+REPORT_FILE = "validation.json"
+ProgressCallback = Callable[[float, float], None]
+
+
+def validate(
+    models: Sequence[Path],
+    flights: Sequence[Path],
+    config: Config,
+    *,
+    horizons: Sequence[float] = HORIZONS,
+    leave_one_out: bool = False,
+    out: Path | None = None,
+    figures: bool = True,
+    force: bool = False,
+    progress: ProgressCallback = lambda done, total: None,
+) -> dict[str, Any]:
+    """Score the models on the flights; with leave_one_out, each flight by models refitted to all the others.
+
+    Returns the report (rows, bands, rollouts, notes, lines, files); written to `out` where it is given.
+    Raises UsageError for models or flights that do not go together, before anything is written.
+    """
+    if not models:
+        raise UsageError("validate: no model given")
+    if any(not h > 0 for h in horizons):
+        raise UsageError(f"--horizons: {', '.join(f'{h:g}' for h in horizons)} must all be positive (s)")
+    if out is not None:
+        check_output(out, force=force, folder=True)
+    vehicle = build_vehicle(config.vehicle)
+    loaded = _load(models, vehicle)
+    flown = {path.stem: read_flight(path) for path in flights}
+    if len(flown) < len(flights):
+        raise UsageError("--flights: two of them have the same name")
+    if leave_one_out:
+        if len(flown) < 2:
+            raise UsageError("--leave-one-out: needs at least two flights")
+        folds = [(name, [name], [n for n in flown if n != name]) for name in flown]
+    else:
+        folds = [("", list(flown), [])]
+    found: dict[str, list[Residuals]] = {}
+    rollouts: list[dict[str, Any]] = []
+    notes: list[str] = []
+    for done, (_, tested, fitted) in enumerate(folds):
+        progress(done, len(folds))
+        chosen = loaded
+        if leave_one_out:
+            chosen = refitted(loaded, {name: flown[name] for name in fitted}, vehicle)
+        made = _predictors(chosen, vehicle)
+        rows = [read_rows(flown[name], name, made[0].curve.signal) for name in tested]
+        if not leave_one_out:
+            notes += _seen(made, tested)
+        for predictor in made:
+            found.setdefault(predictor.name, []).append(residuals(predictor, rows))
+        rollouts += _rollouts(made, rows, horizons, vehicle)
+    progress(len(folds), len(folds))
+    merged = [_merge(parts) for parts in found.values()]
+    report: dict[str, Any] = {
+        "models": [str(path) for path in models],
+        "flights": list(flown),
+        "leave_one_out": leave_one_out,
+        "rows": score_rows(merged, NOMINAL),
+        "bands": band_rows(merged),
+        "rollouts": _mean_rollouts(rollouts),
+        "notes": list(dict.fromkeys(notes)),
+        "versions": versions(),
+        "provenance": provenance(),
+    }
+    from quadexp.report.validation_table import validation_lines
+
+    report["lines"] = validation_lines(report)
+    report["files"] = _write(report, merged, out, figures) if out is not None else {}
+    return report
+
+
+def _load(paths: Sequence[Path], vehicle: Vehicle) -> list[tuple[str, Any]]:
+    """Label and checkpoint of every model, identified vehicles first: they have the thrust curve."""
+    loaded: list[tuple[str, Any]] = []
+    for path in paths:
+        loaded.append((path.name, load_identified(path, vehicle)))
+    labels = [label for label, _ in loaded]
+    twice = next((label for label in labels if labels.count(label) > 1), None)
+    if twice:
+        raise UsageError(f"validate: two models are named {twice}; rename the folder of one")
+    return sorted(loaded, key=lambda item: not isinstance(item[1], VehicleModel))
+
+
+def _predictors(loaded: Sequence[tuple[str, Any]], vehicle: Vehicle) -> list[Predictor]:
+    """All predictors, nominal first; names stay unique where two identified vehicles are compared."""
+    curve: ThrustCurve | None = None
+    made: list[Predictor] = []
+    several = sum(isinstance(model, VehicleModel) for _, model in loaded) > 1
+    for label, model in loaded:
+        for one in predictors(model, label, vehicle, curve):
+            if several and isinstance(model, VehicleModel):
+                one = Predictor(f"{label}: {one.name}", one.curve, one.beyond, one.seen, one.ranges)
+            made.append(one)
+        curve = curve or getattr(model, "thrust", None)
+    if all(one.name != NOMINAL for one in made):
+        made.insert(0, nominal(made[0].curve, made[0].seen))
+    return made
+
+
+def refitted(
+    loaded: Sequence[tuple[str, Any]], flights: Mapping[str, Flight], vehicle: Vehicle
+) -> list[tuple[str, Any]]:
+    """The same kinds of models with their own settings, fitted to other flights.
+
+    A GP is fitted under the first identified vehicle's thrust curve, or under one fitted here where there is none.
+    """
+    made: list[tuple[str, Any]] = []
+    curve: ThrustCurve | None = None
+    for label, model in loaded:
+        if isinstance(model, VehicleModel):
+            fresh: Any = fit_vehicle_model(
+                list(flights.values()), vehicle_of(model, vehicle), _settings(model), names=list(flights)
+            )
+            curve = curve or fresh.thrust
+        else:
+            if curve is None:
+                curve = fit_vehicle_model(list(flights.values()), None, names=list(flights)).thrust
+            rows = recorded_dataset(list(flights.values()), vehicle, curve, names=list(flights))
+            if isinstance(model, GPModel):
+                known = {f.name for f in fields(GPSettings)}
+                values = {key: value for key, value in model.settings.items() if key in known}
+                fresh = fit_gp(rows, GPSettings(**values))
+            else:
+                from quadexp.identify.linear_drag import fit_linear_drag
+                from quadexp.identify.trim import trim
+
+                fresh = fit_linear_drag(trim(rows).dataset, thrust=False, loss=model.loss)
+        made.append((label, fresh))
+    return made
+
+
+def vehicle_of(model: VehicleModel, vehicle: Vehicle) -> Vehicle | None:
+    """The vehicle where the model names it."""
+    return vehicle if model.vehicle.get("fingerprint") == vehicle.fingerprint else None
+
+
+def _settings(model: VehicleModel) -> FitSettings:
+    """Settings that fit the same kind of model: signal, powers and voltage of its thrust curve, kinds of drag."""
+    curve = model.thrust
+    return FitSettings(
+        signal=curve.signal, reference_voltage=curve.reference_voltage,
+        voltage_exponent=None if curve.voltage_exponent_error else curve.voltage_exponent,
+        powers=tuple(int(p) for p in curve.powers), thrust_intercept=bool(curve.intercept_error),
+        per_rotor=curve.coefficients.ndim > 1, loss=curve.loss, kinds=tuple(model.models),
+    )  # fmt: skip
+
+
+def _seen(made: Sequence[Predictor], tested: Sequence[str]) -> list[str]:
+    """A warning for every flight that a model was fitted to."""
+    notes = []
+    for one in made:
+        known = {Path(name).stem for name in one.seen}
+        for name in tested:
+            if name in known:
+                notes.append(f"warning: {name} is one of the flights that {one.name} was fitted to: no test of it")
+    return notes
+
+
+def _rollouts(
+    made: Sequence[Predictor], rows: Sequence[FlightRows], horizons: Sequence[float], vehicle: Vehicle
+) -> list[dict[str, Any]]:
+    """Open loop with measured attitude; with all 13 states too where the log says every rotor's thrust."""
+    found = []
+    for predictor in made:
+        tracks = [Track(one, predictor, vehicle.gravity) for one in rows]
+        for tracked in (False, True):
+            found += rollout_errors(predictor, tracks, horizons, tracked=tracked)
+        if predictor.curve.signal != "thrust_acceleration" and predictor.curve.rotors == vehicle.n_rotors:
+            found += rollout_errors(predictor, tracks, horizons, tracked=True, vehicle=vehicle)
+    return found
+
+
+def _mean_rollouts(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of several folds joined: root mean squares over all starts, medians averaged."""
+    groups: dict[tuple, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault((row["predictor"], row["mode"], row["thrust_tracked"], row["horizon"]), []).append(row)
+    made = []
+    for (predictor, mode, tracked, horizon), parts in groups.items():
+        weight = np.array([part["starts"] for part in parts], float)
+        one: dict[str, Any] = {"predictor": predictor, "mode": mode, "thrust_tracked": tracked, "horizon": horizon}
+        one |= {
+            "starts": int(weight.sum()),
+            "lost": float(np.average([part["lost"] for part in parts], weights=weight)),
+        }
+        for name in ("position", "velocity", "attitude", "rate"):
+            if name in parts[0]:
+                one[name] = float(np.sqrt(np.average([part[name] ** 2 for part in parts], weights=weight)))
+                one[f"{name}_median"] = float(np.average([part[f"{name}_median"] for part in parts], weights=weight))
+        made.append(one)
+    return made
+
+
+def _merge(parts: Sequence[Residuals]) -> Residuals:
+    """Residuals of several folds as one."""
+    if len(parts) == 1:
+        return parts[0]
+    flights, blocks, flight, block = 0, 0, [], []
+    for part in parts:
+        flight.append(part.flight + flights)
+        block.append(part.block + blocks)
+        flights, blocks = int(flight[-1].max()) + 1, int(block[-1].max()) + 1
+    shares = [(part.outside, len(part.error)) for part in parts if part.outside is not None]
+    outside = sum(s * n for s, n in shares) / sum(n for _, n in shares) if shares else None
+    error, tracked, scale, speed = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("error", "tracked", "scale", "speed")
+    )
+    numbers, stretches = np.concatenate(flight), np.concatenate(block)
+    return Residuals(parts[0].predictor, error, tracked, scale, numbers, stretches, speed, outside)
+
+
+def _write(report: dict[str, Any], found: Sequence[Residuals], out: Path, figures: bool) -> dict[str, str]:
+    import json
+
+    out.mkdir(parents=True, exist_ok=True)
+    record = {key: value for key, value in report.items() if key not in ("lines", "files")}
+    files = {"report": str(out / REPORT_FILE)}
+    write_text(out / REPORT_FILE, json.dumps(record, indent=1, default=str) + "\n")
+    if figures:
+        from quadexp.report import validation_figures
+        from quadexp.report.figures import save
+
+        made = {
+            "residuals": validation_figures.residual_figure(report["rows"]),
+            "speed": validation_figures.band_figure(report["bands"]),
+            "rollouts": validation_figures.rollout_figure(report["rollouts"]),
+            "thrust_scale": validation_figures.scale_figure(found, report["flights"]),
+        }
+        files |= {name: str(save(figure, out / name)) for name, figure in made.items()}
+    if not record["rows"]:
+        raise DataError("validate: no rows")
+    return files

@@ -1,0 +1,80 @@
+"""`quadexp validate` and the chain before it, from the command line, on flights whose model is known."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from quadexp.cli import app
+from quadexp.flight.store import write_flight
+from quadexp.identify.checkpoint import save_model
+from quadexp.identify.vehicle_fit import FitSettings, fit_vehicle_model
+from tests.identify.recorded_flights import crazyflie, recorded_flight
+
+VEHICLE = crazyflie()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recorded")
+    flights = [recorded_flight(seed, VEHICLE, duration=8, scale=(1.0, 1.02, 0.97)[seed]) for seed in range(3)]
+    for name, flight in zip("abc", flights, strict=True):
+        write_flight(folder / f"{name}.parquet", flight)
+    settings = FitSettings(powers=(1,), kinds=("linear",))
+    save_model(folder / "vehicle", fit_vehicle_model(flights[:2], VEHICLE, settings, names=["a", "b"]))
+    return folder
+
+
+def run(*words: object):
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def test_the_drag_is_what_the_unseen_flight_has_beyond_its_thrust(folder):
+    done = run("validate", folder / "vehicle", "--flights", folder / "c.parquet", "--out", folder / "v", "--json")
+    assert done.exit_code == 0, done.stderr
+    rows = {(row["predictor"], row["thrust_tracked"]): row for row in json.loads(done.stdout)["rows"]}
+    assert rows["linear drag", False]["rms_x"] == pytest.approx(0.02, rel=0.15)  # the accelerometer's noise
+    assert rows["linear drag", False]["rms_z"] == pytest.approx(0.04 * 10.2, rel=0.1)  # 0.97 of a curve fitted at 1.01
+    assert rows["linear drag", True]["rms"] < 0.5 * rows["linear drag", False]["rms"]
+    assert {path.name for path in (folder / "v").iterdir()} >= {"validation.json", "residuals.svg", "rollouts.png"}
+
+
+def test_a_flight_that_was_fitted_is_no_test(folder):
+    done = run("validate", folder / "vehicle", "--flights", folder / "a.parquet", folder / "c.parquet")
+    assert done.exit_code == 0, done.stderr
+    assert "warning: a is one of the flights that linear drag was fitted to" in done.stdout
+    assert "2 flights" in done.stdout
+
+
+def test_leave_one_out_refits(folder):
+    flights = [folder / f"{name}.parquet" for name in "abc"]
+    done = run("validate", folder / "vehicle", "--flights", *flights, "--leave-one-out", "--json", "--horizons", "0.2")
+    report = json.loads(done.stdout)
+    assert report["leave_one_out"] and not report["notes"]
+    row = next(r for r in report["rows"] if r["predictor"] == "linear drag" and not r["thrust_tracked"])
+    assert row["rms_z"] == pytest.approx(10.2 * ((0.005**2 + 0.035**2 + 0.04**2) / 3) ** 0.5, rel=0.15)
+    assert {r["horizon"] for r in report["rollouts"]} == {0.2}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["validate", "vehicle"], "no flight given"),
+        (["validate", "nowhere", "--flights", "c.parquet"], "no model there"),
+        (["validate", "vehicle", "--flights", "c.parquet", "--horizons", "x"], "--horizons: 'x'"),
+        (["validate", "vehicle", "--flights", "c.parquet", "--leave-one-out"], "at least two flights"),
+        (["validate", "vehicle", "vehicle=torrente", "--flights", "c.parquet"], "flown by vehicle crazyflie"),
+        (["collect", "--flight", "a.parquet", "vehicle=crazyflie", "--out", "x.parquet"], "collect.identified"),
+        (
+            ["simulate", "vehicle=crazyflie", "plant=from_model", "plant.model=none", "--out", "s.parquet"],
+            "plant.model=none",
+        ),
+    ],
+)
+def test_one_line_says_what_is_wrong(folder, monkeypatch, words, message):
+    monkeypatch.chdir(folder)
+    done = run(*words)
+    assert done.exit_code in (1, 2)
+    assert message in done.stderr and len(done.stderr.strip().splitlines()) == 1
