@@ -31,7 +31,7 @@ def keys() -> dict[str, list[str]]:
 
     nodes: list[tuple[str, Any]] = [(f"{group}.", node) for group, made in SCHEMAS.items() for node in made.values()]
     nodes += [("evaluate.", EvaluateConfig), ("gp.features.", GPFeatures), ("", Config)]
-    aside = {"kind", "evaluate", "features", "rls", "rotor", "sweep", *SCHEMAS}
+    aside = {"kind", "evaluate", "features", "rls", "rotor", "sweep", "options", "_target_", *SCHEMAS}
     found = {}
     for prefix, node in nodes:
         for f in fields(node):

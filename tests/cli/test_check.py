@@ -6,21 +6,15 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from quadexp.cli import app
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import read_flight, write_flight
+from tests.cli.command import run
 
 FLY = (
     "simulate", "controller=nominal_mpc", "trajectory=circle", "trajectory.speed=6", "sensor=lei_li",
     "controller.backend=interpreted", "plant.backend=interpreted",
 )  # fmt: skip
-
-
-def run(*arguments):
-    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    return done.exit_code, done.stdout, done.stderr
 
 
 @pytest.fixture(scope="module")

@@ -10,28 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from quadexp.cli import app
 from quadexp.flight.store import read_flight, read_metadata, read_table, write_flight, write_table
+from tests.cli.command import run
 from tests.flight.flights import straight_flight
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = ("simulate", "collect", "fit-gp", "fit-drag", "evaluate", "show", "compare", "report", "export")
 QUICK = ("trajectory=hover", "trajectory.duration=0.5", "controller.backend=interpreted", "plant.backend=interpreted")
-
-
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    """An empty folder to work in."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-def run(*arguments):
-    """In this process: exit code, output, error output."""
-    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    return done.exit_code, done.stdout, done.stderr
 
 
 def quadexp(*arguments, cwd, **environment):

@@ -15,13 +15,6 @@ from tests.cli.test_cli import QUICK, quadexp, run
 SWEEP = ("--sweep", *QUICK, "controller=nominal_mpc,perfect_mpc", "seed=range(3)", "--no-figures")
 
 
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    """An empty folder to work in."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flown")

@@ -6,23 +6,17 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from quadexp.cli import app
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import read_flight, read_table, write_flight
 from quadexp.identify.checkpoint import load_model
+from tests.cli.command import run
 from tests.identify.logged_flights import DRAG, logged_flight
 
 FLY = (
     "simulate", "vehicle=lei_li", "plant=blade_element", "sensor=lei_li", "trajectory=rectangle",
     "trajectory.duration=16", "controller=rls_feedback", "controller.backend=interpreted", "plant.backend=interpreted",
 )  # fmt: skip
-
-
-def run(*arguments):
-    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    return done.exit_code, done.stdout, done.stderr
 
 
 @pytest.fixture(scope="module")

@@ -4,25 +4,11 @@ from __future__ import annotations
 
 import json
 
-import pytest
-from typer.testing import CliRunner
-
-from quadexp.cli import app
 from quadexp.flight.store import write_flight
+from tests.cli.command import run
 from tests.flight.flights import straight_flight
 
 QUICK = ("trajectory=hover", "trajectory.duration=0.3", "controller.backend=interpreted", "plant.backend=interpreted")
-
-
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-def run(*arguments):
-    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    return done.exit_code, done.stdout, done.stderr
 
 
 def test_from_a_sweep_to_a_page(here):
