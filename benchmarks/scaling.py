@@ -36,9 +36,9 @@ from quadexp.compose import compose, expand
 from quadexp.experiment.engine import Engine, LocalEngine, Task
 from quadexp.experiment.plan import Plan
 from quadexp.experiment.rows import Rows
-from quadexp.experiment.store import CellStore
 from quadexp.experiment.sweep import run_sweep
 from quadexp.experiment.sweep_table import RESULTS
+from quadexp.flight.cell_store import CellStore
 from quadexp.flight.store import read_table, write_table
 
 SHORT = ["trajectory=step", "trajectory.duration=0.4", "trajectory.step_time=0.2"]
@@ -244,7 +244,7 @@ def store(sizes: list[int]) -> Record:
 
 
 def dask_engine(workers: int) -> Engine:
-    from quadexp.experiment.engines import build_engine
+    from quadexp.cluster.engines import build_engine
 
     return build_engine(compose(["engine=dask", f"evaluate.workers={workers}"]))
 

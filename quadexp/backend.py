@@ -66,9 +66,16 @@ def compiler() -> str | None:
     return next((path for path in map(shutil.which, candidates) if path), None)
 
 
+def _required_compiler() -> str:
+    path = compiler()
+    if path is None:
+        raise UsageError("backend=compiled: no C compiler found (gcc, clang or $CC); use backend=interpreted")
+    return path
+
+
 @cache
 def _compiler_version() -> str:
-    return subprocess.run([compiler(), "--version"], capture_output=True, text=True, check=True).stdout
+    return subprocess.run([_required_compiler(), "--version"], capture_output=True, text=True, check=True).stdout
 
 
 @cache
@@ -98,10 +105,11 @@ def resolve(backend: str) -> str:
     """
     if backend not in BACKENDS:
         raise UsageError(f"backend={backend}: allowed are {', '.join(BACKENDS)}")
-    if backend == "interpreted" or compiler() is not None:
-        return "interpreted" if backend == "interpreted" else "compiled"
-    if backend == "compiled":
-        raise UsageError("backend=compiled: no C compiler found (gcc, clang or $CC); use backend=interpreted")
+    if backend == "interpreted":
+        return "interpreted"
+    if backend == "compiled" or compiler() is not None:
+        _required_compiler()
+        return "compiled"
     _say_once("note: no C compiler found, control steps run interpreted (several times slower)")
     return "interpreted"
 
@@ -154,8 +162,8 @@ def _compile(functions: Sequence[ca.Function]) -> Path:
                     code, unlinked, built = (str(Path(scratch) / f"built{suffix}") for suffix in (".c", ".o", ".so"))
                     Path(code).write_text(source)
                     for command in (
-                        [compiler(), *_flags(), "-c", code, "-o", unlinked],
-                        [compiler(), "-shared", unlinked, "-o", built, "-lm"],
+                        [_required_compiler(), *_flags(), "-c", code, "-o", unlinked],
+                        [_required_compiler(), "-shared", unlinked, "-o", built, "-lm"],
                     ):
                         done = subprocess.run(command, capture_output=True, text=True)
                         if done.returncode != 0:
@@ -205,11 +213,11 @@ class BufferedFunction:
         for i, name in enumerate(function.name_in()):
             self.arguments[name] = self._array(function.sparsity_in(i))
             if self.arguments[name].size:
-                self._buffer.set_arg(i, memoryview(self.arguments[name].reshape(-1)))
+                self._buffer.set_arg(i, self.arguments[name].reshape(-1).data)
         for i, name in enumerate(function.name_out()):
             self.results[name] = self._array(function.sparsity_out(i))
             if self.results[name].size:
-                self._buffer.set_res(i, memoryview(self.results[name].reshape(-1)))
+                self._buffer.set_res(i, self.results[name].reshape(-1).data)
 
     @staticmethod
     def _array(sparsity: ca.Sparsity) -> np.ndarray:

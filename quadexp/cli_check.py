@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from quadexp.cli_options import Conf, Json
 from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.terminal import emit, guarded
 
@@ -23,10 +24,8 @@ def check(
         Path | None, typer.Option("--figures", metavar="DIR", help="Draw every flight's streams against each other.")
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Warnings block as well.")] = False,
-    conf: Annotated[
-        Path | None, typer.Option("--conf", metavar="DIR", help="A configuration folder of your own.")
-    ] = None,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    conf: Conf = None,
+    json: Json = False,
 ) -> None:
     """Check units, frames, signs, clock, sensors and commands of flights, and whether one is there twice.
 

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from quadexp.cli_options import Conf, Force, Json
 from quadexp.errors import UsageError
 from quadexp.terminal import emit, guarded, say
 
@@ -75,11 +76,9 @@ def identify(
     figures: Annotated[
         bool, typer.Option("--figures/--no-figures", help="Draw them.", rich_help_panel=REGRESSION)
     ] = True,
-    conf: Annotated[
-        Path | None, typer.Option("--conf", metavar="DIR", help="A configuration folder of your own.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", "-f", help="Replace what is there.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    conf: Conf = None,
+    force: Force = False,
+    json: Json = False,
 ) -> None:
     """Identify a vehicle from its flights: thrust curve, drag, blade-element coefficients, with 95 % intervals.
 

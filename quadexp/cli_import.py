@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from quadexp.cli_options import Conf, Force, Json
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.terminal import emit, guarded, say
 
@@ -33,11 +34,9 @@ def import_flights(
     crop: Annotated[bool, typer.Option("--crop/--no-crop", help="Cut off what is on the ground.")] = True,
     align: Annotated[bool, typer.Option("--align", help="Move gyro and accelerometer by the offsets found.")] = False,
     keep: Annotated[bool, typer.Option("--keep", help="Write flights with blocking findings too.")] = False,
-    conf: Annotated[
-        Path | None, typer.Option("--conf", metavar="DIR", help="A configuration folder of your own.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", "-f", help="Replace what is there.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    conf: Conf = None,
+    force: Force = False,
+    json: Json = False,
 ) -> None:
     """Make flights of logs: one clock, SI units, ENU and FLU, ground phases cut off, quality checked.
 

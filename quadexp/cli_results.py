@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from quadexp.cli_options import Json
 from quadexp.terminal import emit, guarded, say
 
 COLUMNS = ("trajectory", "speed", "plant", "controller", "model", "variant", "seed", "outcome", "mean_error", "rmse")
@@ -25,7 +26,7 @@ def results(
     failures: Annotated[bool, typer.Option("--failures", help="What did not end well, with its cause.")] = False,
     prune: Annotated[bool, typer.Option("--prune", help="Remove cells: see above.")] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do remove them.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    json: Json = False,
 ) -> None:
     """List, filter, sort and prune the flights of a sweep.
 

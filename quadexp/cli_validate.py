@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from quadexp.cli_options import Conf, Force, Json
 from quadexp.errors import UsageError
 from quadexp.terminal import emit, guarded
 
@@ -33,11 +34,9 @@ def validate(
         Path | None, typer.Option("--out", "-o", metavar="DIR", help="Write report and figures there.")
     ] = None,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw them (with --out).")] = True,
-    conf: Annotated[
-        Path | None, typer.Option("--conf", metavar="DIR", help="A configuration folder of your own.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", "-f", help="Replace what is there.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")] = False,
+    conf: Conf = None,
+    force: Force = False,
+    json: Json = False,
 ) -> None:
     """Compare what models predict with what flights did: sample by sample, and open loop from many start points.
 

@@ -21,8 +21,8 @@ from quadexp.cluster.worker import CellRunner, InputFile, run_cell
 from quadexp.errors import QuadexpError
 from quadexp.experiment.build import MODEL_FILE
 from quadexp.experiment.engine import CellFailed, Task
-from quadexp.experiment.provenance import versions
 from quadexp.flight.store import write_bytes
+from quadexp.provenance import versions
 
 QUEUED = 3  # cells handed out per thread of the cluster
 LOSSES = 4  # workers a cell may lose before it is held to be the cause

@@ -17,7 +17,7 @@ from distributed import WorkerPlugin, get_worker
 from quadexp.experiment.child import GONE, PRELOAD, cause, one_thread, start_pool
 from quadexp.experiment.engine import ATTEMPTS, CellFailed, Task
 from quadexp.experiment.inputs import use_copies
-from quadexp.experiment.provenance import versions
+from quadexp.provenance import versions
 
 FOLDER = "quadexp-"  # beginning of the names of a worker's own folders
 

@@ -110,7 +110,16 @@ def _dense_solver(size: int) -> ca.Function:
     return ca.conic("last_resort", "daqp", shape, {"error_on_fail": False, "print_time": False})
 
 
-def condense(A, B, b, q, r, Q, Q_end, R):
+def condense(
+    A: np.ndarray,
+    B: np.ndarray,
+    b: np.ndarray,
+    q: np.ndarray,
+    r: np.ndarray,
+    Q: np.ndarray,
+    Q_end: np.ndarray,
+    R: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Eliminate the states: min 1/2 d'H d + g'd over d = (du_0 .. du_{N-1}).
 
     A (N, 13, 13), B (N, 13, n), b (N, 13), q (N + 1, 13), r (N, n); Q, Q_end (13,), R (n,) diagonals.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -160,7 +160,7 @@ class ModelPredictiveController:
         self._U[...] = results["U_lin"] + length * d_input
 
 
-_built: dict[tuple, tuple[ca.Function, ...]] = {}
+_built: dict[tuple[Any, ...], tuple[ca.Function, ...]] = {}
 
 
 def _functions(vehicle: Vehicle, residual: Residual, nodes: int, backend: str) -> tuple[ca.Function, ...]:

@@ -23,6 +23,7 @@ from pathlib import Path
 import casadi as ca
 
 from quadexp.backend import handwritten
+from quadexp.expression import Expression
 from quadexp.state import N_STATE
 
 N_PLACE = 3  # of the state, which comes first and on which nothing depends: A's first columns are [I; 0]
@@ -43,18 +44,18 @@ class MatrixPasses:
         functions = (_backward_function(n), _first_node_function(n), *_vector_passes(ca.MX, a, b))
         return cls({function.name(): function for function in functions}.__getitem__)
 
-    def terminal(self, Q_end, p) -> list:
+    def terminal(self, Q_end: Expression, p: Expression) -> list[Expression]:
         """Cost to go at the last node."""
         return [ca.densify(ca.diag(Q_end)), p]
 
-    def backward(self, cost: list, A, B, b, q, r, Q, R):
-        """Cost to go of a node from the next one's, and its gains K, k."""
-        *before, K, k = self._backward(*cost, A, B, b, q, r, Q, R)
+    def backward(self, cost: list[Expression], *node: Expression) -> tuple[list[Expression], Expression, Expression]:
+        """Cost to go of a node from the next one's, and its gains K, k. node: A, B, b, q, r, Q, R."""
+        *before, K, k = self._backward(*cost, *node)
         return before, K, k
 
-    def first_node(self, cost: list, A, B, b, q, r, Q, R):
+    def first_node(self, cost: list[Expression], *node: Expression) -> Expression:
         """k of node 0: its state is measured, so no gain and no cost to go are needed."""
-        return self._first_node(*cost, A, B, b, q, r, Q, R)
+        return self._first_node(*cost, *node)
 
 
 class CompiledPasses:
@@ -71,18 +72,18 @@ class CompiledPasses:
         functions = (_rows_function(a, b), _terminal_function(n), kernel_function(n), *_vector_passes(ca.SX, a, b))
         return cls({function.name(): function for function in functions}.__getitem__)
 
-    def terminal(self, Q_end, p) -> list:
+    def terminal(self, Q_end: Expression, p: Expression) -> list[Expression]:
         """See MatrixPasses."""
         return [self._terminal(Q_end, p)]
 
-    def backward(self, cost: list, A, B, b, q, r, Q, R):
+    def backward(self, cost: list[Expression], *node: Expression) -> tuple[list[Expression], Expression, Expression]:
         """See MatrixPasses."""
-        before, K, k = self._kernel(*cost, self._rows(A, B, b), q, r, Q, R)
+        before, K, k = self._kernel(*cost, self._rows(*node[:3]), *node[3:])
         return [before], K, k
 
-    def first_node(self, cost: list, A, B, b, q, r, Q, R):
+    def first_node(self, cost: list[Expression], *node: Expression) -> Expression:
         """See MatrixPasses."""
-        return self.backward(cost, A, B, b, q, r, Q, R)[2]
+        return self.backward(cost, *node)[2]
 
 
 Passes = MatrixPasses | CompiledPasses
@@ -129,7 +130,7 @@ def _first_node_function(n: int) -> ca.Function:
     return _function("first_node", symbols, [k])
 
 
-def _vector_passes(kind, a: ca.Sparsity, b: ca.Sparsity) -> tuple[ca.Function, ca.Function]:
+def _vector_passes(kind: type[Expression], a: ca.Sparsity, b: ca.Sparsity) -> tuple[ca.Function, ca.Function]:
     """forward: (dx, A, B, b, K, k) -> du, dx of the next node.
 
     adjoint: (lambda of the next node, A, B, q, r) -> lambda = q + A'lambda, gradient by u = r + B'lambda.
@@ -142,7 +143,7 @@ def _vector_passes(kind, a: ca.Sparsity, b: ca.Sparsity) -> tuple[ca.Function, c
     return forward, _function("adjoint", [x, A, B, q, r], [q + ca.mtimes(A.T, x), r + ca.mtimes(B.T, x)])
 
 
-def _function(name: str, arguments: list, results: list) -> ca.Function:
+def _function(name: str, arguments: list[Expression], results: list[Expression]) -> ca.Function:
     return ca.Function(name, arguments, ca.cse([ca.densify(result) for result in results]))
 
 

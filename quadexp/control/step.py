@@ -10,6 +10,7 @@ active-set method in `control.active_set` asks for, again and again, until the o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +18,7 @@ import casadi as ca
 
 from quadexp.control.riccati import CompiledPasses, MatrixPasses, Passes, passes_of
 from quadexp.dynamics.sensitivity import rk4_sensitivity_function
+from quadexp.expression import Expression
 from quadexp.residual.base import Residual
 from quadexp.state import ATTITUDE, N_STATE
 from quadexp.vehicle import Vehicle
@@ -130,7 +132,17 @@ def _attitude_guard() -> ca.Function:
     return ca.Function("attitude_guard", [x], [ca.vertcat(x[:3], x[ATTITUDE] * scale, x[7:])])
 
 
-def _solve(passes: Passes, A, B, b, q, r, Q, Q_end, R):
+def _solve(
+    passes: Passes,
+    A: Sequence[Expression],
+    B: Sequence[Expression],
+    b: Sequence[Expression],
+    q: Sequence[Expression],
+    r: Sequence[Expression],
+    Q: Expression,
+    Q_end: Expression,
+    R: Expression,
+) -> tuple[list[Expression], list[Expression]]:
     """Deviations dX_1..dX_N and dU_0..dU_{N-1} of the unbounded subproblem (Riccati recursion)."""
     nodes = len(A)
     K: list[Any] = [None] * nodes
@@ -148,9 +160,16 @@ def _solve(passes: Passes, A, B, b, q, r, Q, Q_end, R):
     return dX, dU
 
 
-def _input_gradient(passes: Passes, A, B, q, r):
+def _input_gradient(
+    passes: Passes,
+    A: Sequence[Expression],
+    B: Sequence[Expression],
+    q: Sequence[Expression],
+    r: Sequence[Expression],
+) -> list[Expression]:
     """Derivative of the Lagrangian with respect to each input, the adjoint run backwards from the last node."""
-    multiplier, gradient = q[len(A)], [None] * len(A)
+    multiplier = q[len(A)]
+    gradient: list[Any] = [None] * len(A)
     for k in range(len(A) - 1, -1, -1):
         multiplier, gradient[k] = passes.adjoint(multiplier, A[k], B[k], q[k], r[k])
     return gradient

@@ -19,7 +19,9 @@ from quadexp.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.vehicle import Vehicle
 
 
-def state_derivative(x: Expression, u: Expression, vehicle: Vehicle, correction: Expression | None = None) -> Expression:
+def state_derivative(
+    x: Expression, u: Expression, vehicle: Vehicle, correction: Expression | None = None
+) -> Expression:
     """x' of the rigid body, (13,).
 
     x: state (13,). u: rotor thrusts (n,) (N).

@@ -11,8 +11,9 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from quadexp.config import Config, ControllerConfig, PlantConfig, SensorConfig, TrajectoryConfig, VehicleConfig
-from quadexp.config_lei_li import FeedbackConfig, RLSMPCConfig
+from quadexp.config import Config
+from quadexp.config_flight import ControllerConfig, PlantConfig, TrajectoryConfig, VehicleConfig
+from quadexp.config_lei_li import FeedbackConfig, RLSMPCConfig, SensorConfig
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment import build_custom, build_identified, build_lei_li
 from quadexp.experiment.identity import digest

@@ -22,13 +22,13 @@ from quadexp.experiment.build import build_controller, build_plant, build_vehicl
 from quadexp.experiment.build_identified import load_identified
 from quadexp.experiment.evaluate import describe, thrust_excess
 from quadexp.experiment.identity import digest, flight_record
-from quadexp.experiment.provenance import provenance, versions
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import read_flight, write_flight, write_table
 from quadexp.identify.dataset import ResidualDataset, residual_dataset
 from quadexp.identify.recorded import is_recorded, logged_thrust, recorded_dataset, target_cost
 from quadexp.identify.thrust_curve import ThrustCurve
+from quadexp.provenance import provenance, versions
 from quadexp.trajectory.base import FlatOutput
 from quadexp.trajectory.random_polynomial import RandomPolynomial
 from quadexp.vehicle import Vehicle

@@ -21,9 +21,9 @@ from quadexp.experiment.build import (
     find_model,
 )
 from quadexp.experiment.identity import digest, flight_entropy, flight_record
-from quadexp.experiment.provenance import provenance, versions
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import write_flight
+from quadexp.provenance import provenance, versions
 from quadexp.report.metrics import flight_metrics
 from quadexp.vehicle import Vehicle
 

@@ -10,20 +10,11 @@ from typing import Any
 from quadexp.config import Config
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
-from quadexp.experiment.provenance import provenance, versions
-from quadexp.flight.store import read_table
 from quadexp.identify.checkpoint import save_model
-from quadexp.identify.dataset import ResidualDataset
+from quadexp.identify.dataset import ResidualDataset, read_dataset
+from quadexp.provenance import provenance, versions
 
 ProgressCallback = Callable[[float, float], None]
-
-
-def read_dataset(path: str | Path) -> ResidualDataset:
-    """A residual data set from its file; refuses NaN, naming column and row."""
-    columns, record = read_table(path, "residuals", required=("flight", "flight_name", "t", "dt"), finite=True)
-    if not len(columns["flight"]):
-        raise DataError(f"{path}: the data set has no rows; collect again")
-    return ResidualDataset(columns, record)
 
 
 def fit_checkpoint(

@@ -16,12 +16,12 @@ from typing import NamedTuple
 from quadexp.config_flight import RotorConfig, VehicleConfig
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
-from quadexp.experiment.provenance import provenance, versions
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import check_finite, check_output, read_flight, read_table, write_table
 from quadexp.identify.offline import Identification, identify_flight
 from quadexp.identify.rls import RLSSettings
 from quadexp.identify.samples import QUATERNION, rotor_columns
+from quadexp.provenance import provenance, versions
 from quadexp.vehicle import Vehicle
 
 METHODS = ("rls", "regression")

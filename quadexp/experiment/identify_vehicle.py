@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,6 @@ import numpy as np
 
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identify import own_vehicle, read_recorded
-from quadexp.experiment.provenance import provenance, versions
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import check_output, write_table
 from quadexp.identify.checkpoint import save_model
@@ -20,42 +19,25 @@ from quadexp.identify.lumped import momentum_of
 from quadexp.identify.recursion import Recursion, recurse
 from quadexp.identify.samples import Samples, choose_signal, gather
 from quadexp.identify.selection import best_level, compare_curves, flight_by_flight, selection
-from quadexp.identify.vehicle_fit import AxisFit, FitSettings, fit_level, fit_vehicle_model
-from quadexp.identify.vehicle_model import VehicleModel
+from quadexp.identify.thrust_curve import ThrustCurve
+from quadexp.identify.vehicle_fit import (
+    AxisFit,
+    FitSettings,
+    LevelFit,
+    curve_beside_quadratic,
+    fit_level,
+    fit_vehicle_model,
+)
+from quadexp.identify.vehicle_identification import VehicleIdentification
+from quadexp.provenance import provenance, versions
 from quadexp.vehicle import Vehicle
 
 ESTIMATES_FILE = "estimates.parquet"
 LEAST_IMPROVEMENT = 0.02  # of the held-out error along z, below which the thrust curve c_1, c_2 stays
+EXPONENT_IMPROVEMENT = 0.1  # the same, below which the voltage's exponent stays 1
+EXPONENTS = (0.5, 1.5)  # of the voltage, that a motor can have; beyond, something else differs between the flights
+OTHER_ROWS = 100_000  # that the other loss is tried on
 RECURSION_TOLERANCE = 1e-6  # standard errors between the last recursive estimate and the batch's
-
-
-@dataclass(frozen=True)
-class VehicleIdentification:
-    """What was found. series: model kind -> axis -> recursion; samples: what they run over. report: JSON-able."""
-
-    model: VehicleModel
-    samples: Samples
-    series: dict[str, dict[str, Recursion]]
-    report: dict[str, Any]
-
-    def columns(self) -> dict[str, np.ndarray]:
-        """The series of estimates as named columns, `<model>_<term>_<axis>` and `std_...` beside it."""
-        first = next(iter(next(iter(self.series.values())).values()))
-        columns = {"t": elapsed(self.samples)[first.row], "flight": self.samples.flight[first.row].astype(np.int32)}
-        for kind, axes in self.series.items():
-            for recursion in axes.values():
-                for j, name in enumerate(recursion.names):
-                    columns[f"{kind}_{name}"] = recursion.coefficients[:, j].copy()
-                    columns[f"std_{kind}_{name}"] = recursion.errors[:, j].copy()
-        return columns
-
-
-def elapsed(samples: Samples) -> np.ndarray:
-    """Time over all flights, one put behind the other, (k,) (s)."""
-    step = np.diff(samples.time, prepend=samples.time[0])
-    usual = float(np.median(step[1:]))
-    step[np.r_[True, samples.segment[1:] != samples.segment[:-1]]] = usual
-    return np.cumsum(step) - usual
 
 
 def identify_vehicle(
@@ -65,59 +47,88 @@ def identify_vehicle(
     settings: FitSettings | None = None,
     *,
     choose_curve: bool = True,
+    samples: Samples | None = None,
 ) -> VehicleIdentification:
     """Fit, compare, and run the same regressors through recursive least squares.
 
     names: one a flight, each another. choose_curve: let flights left out choose among the thrust curves on motor
-    commands, where settings.powers does not say. Raises DataError, UsageError.
+    commands, where settings.powers does not say. samples: of these flights where they are gathered already; the flights
+    need no columns then. Raises DataError, UsageError.
     """
     settings = settings or FitSettings()
-    samples = gather(flights, choose_signal(flights, settings.signal), names)
+    samples = samples or gather(flights, choose_signal(flights, settings.signal), names)
     momentum = momentum_of(vehicle, settings.mass, settings.radius)
     curves = compare_curves(samples, settings) if settings.powers is None else []
     if curves and choose_curve:
-        settings = replace(settings, powers=_chosen(curves))
+        settings = chosen_curve(curves, settings)
     ladder = selection(samples, settings, momentum)
-    model = fit_vehicle_model(flights, vehicle, settings, names=names, samples=samples, best=best_level(ladder))
+    series: dict[str, dict[str, Recursion]] = {}
+    apart: list[float] = []
+
+    def through_recursion(kind: str, fit: LevelFit) -> None:
+        if settings.loss != "squares":
+            kappa = momentum if isinstance(fit.terms.momentum, tuple) else 0.0
+            fit = fit_level(kind, samples, replace(settings, loss="squares"), kappa)
+        series[kind] = {one.axis: recurse(one.design, one.target, one.found) for one in fit.axes}
+        apart.append(_agreement(fit.axes, series[kind]))
+
+    model = fit_vehicle_model(
+        flights, vehicle, settings, names=names, samples=samples, best=best_level(ladder), fitted=through_recursion
+    )
     model = replace(model, versions=versions())
-    squares = replace(settings, loss="squares")
-    kappas = {kind: momentum if isinstance(one.momentum, tuple) else 0.0 for kind, one in model.models.items()}
-    fits = {kind: fit_level(kind, samples, squares, kappa).axes for kind, kappa in kappas.items()}
-    series = {kind: {one.axis: recurse(one.design, one.target, one.found) for one in fits[kind]} for kind in fits}
     report: dict[str, Any] = {
         "kind": "vehicle_model", "vehicle": model.vehicle, "dataset": model.dataset, "signal": samples.kind,
         "thrust": str(model.thrust), "models": {kind: one.rows() for kind, one in model.models.items()},
         "other_loss": _other_loss(samples, settings), "flights": flight_by_flight(samples, settings),
         "curves": curves, "selection": ladder, "best": model.best, "notes": list(model.notes),
-        "recursion": _agreement(fits, series),
+        "recursion": max(apart), "beside_quadratic": _beside_quadratic(samples, settings, model.thrust),
     }  # fmt: skip
     return VehicleIdentification(model, samples, series, report)
 
 
-def _chosen(curves: Sequence[Mapping[str, Any]]) -> tuple[int, ...] | None:
-    """Powers of the curve (voltage to the first power) that errs least on flights left out; None for the usual one."""
-    scored = {tuple(c["powers"]): c["held_out"] for c in curves if c["voltage"] != "V^g" and c["held_out"] is not None}
-    with_voltage = {tuple(c["powers"]): c["held_out"] for c in curves if c["voltage"] == "V" and c["held_out"]}
-    scored = with_voltage or scored
-    if (1, 2) not in scored:
-        return min(scored, key=scored.__getitem__) if scored else None
-    best = min(scored, key=scored.__getitem__)
-    return best if scored[best] < (1 - LEAST_IMPROVEMENT) * scored[1, 2] else None
+def chosen_curve(curves: Sequence[Mapping[str, Any]], settings: FitSettings) -> FitSettings:
+    """The settings with the curve of `compare_curves` that errs least on what was left out, halves before flights.
+
+    The usual one, c_1 s + c_2 s^2 of s V/V_ref, stays unless another is better by LEAST_IMPROVEMENT. V^g is fitted
+    where that is better by EXPONENT_IMPROVEMENT, with a g in EXPONENTS, on two flights or more.
+    """
+    key = "halves_out" if any(row["halves_out"] is not None for row in curves) else "held_out"
+    scored = {(tuple(row["powers"]), row["voltage"]): row[key] for row in curves if row[key] is not None}
+    plain = {powers: error for (powers, voltage), error in scored.items() if voltage == "V"}
+    plain = plain or {powers: error for (powers, voltage), error in scored.items() if voltage == "unused"}
+    if not plain:
+        return settings
+    best = min(plain, key=plain.__getitem__)
+    if best != (1, 2) and plain[best] < (1 - LEAST_IMPROVEMENT) * plain.get((1, 2), np.inf):
+        settings = replace(settings, powers=best)
+    motors = [row for row in curves if row["voltage"] == "V^g" and row[key] is not None]
+    motors = [row for row in motors if EXPONENTS[0] <= row["exponent"] <= EXPONENTS[1]]
+    by_exponent = min(motors, key=lambda row: row[key], default=None)
+    if by_exponent is not None and by_exponent[key] < (1 - EXPONENT_IMPROVEMENT) * plain[best]:
+        settings = replace(settings, powers=tuple(by_exponent["powers"]), voltage_exponent=None)
+    return settings
 
 
 def _other_loss(samples: Samples, settings: FitSettings) -> dict[str, Any]:
     """Linear drag by the other loss: where the two differ by more than their errors, outliers decide."""
     other = replace(settings, loss="huber" if settings.loss == "squares" else "squares")
-    return {"loss": other.loss, "rows": fit_level("linear", samples, other).terms.rows()}
+    return {"loss": other.loss, "rows": fit_level("linear", samples.thinned(OTHER_ROWS), other).terms.rows()}
 
 
-def _agreement(fits: Mapping[str, Sequence[AxisFit]], series: Mapping[str, Mapping[str, Recursion]]) -> float:
+def _beside_quadratic(samples: Samples, settings: FitSettings, curve: ThrustCurve) -> str | None:
+    """The thrust curve where the drag along z is quadratic, None where the flights do not tell."""
+    try:
+        return str(curve_beside_quadratic(samples, settings, curve))
+    except DataError:
+        return None
+
+
+def _agreement(axes: Sequence[AxisFit], series: Mapping[str, Recursion]) -> float:
     """Largest difference between the recursive estimates at the end and the batch's, in standard errors."""
     worst = 0.0
-    for kind, axes in fits.items():
-        for one in axes:
-            off = series[kind][one.axis].coefficients[-1] - one.found.coefficients
-            worst = max(worst, float(np.max(np.abs(off) / one.found.errors)))
+    for one in axes:
+        off = series[one.axis].coefficients[-1] - one.found.coefficients
+        worst = max(worst, float(np.max(np.abs(off) / one.found.errors)))
     if not worst < RECURSION_TOLERANCE:
         raise DataError(f"identify: recursive and batch estimates end {worst:.2g} standard errors apart")
     return worst
@@ -158,7 +169,9 @@ def identify_flights(
     check_output(out, force=force, folder=True)
     names = unique_names(paths)
     flights = [read_recorded(path) for path in paths]
-    found = identify_vehicle(flights, names, vehicle or own_vehicle(flights[0], conf), settings)
+    samples = gather(flights, choose_signal(flights, settings.signal), names)
+    flights = [Flight({"t": flight.t[:1]}, flight.metadata) for flight in flights]  # frees their columns
+    found = identify_vehicle(flights, names, vehicle or own_vehicle(flights[0], conf), settings, samples=samples)
     drawn = write_identification(found, out, force=force, figures=figures)
     lines = identification_lines(found.model, found.report)
     return {"method": "regression", "out": out, "figures": drawn, **found.report, "lines": lines}

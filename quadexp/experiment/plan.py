@@ -9,13 +9,13 @@ from __future__ import annotations
 import hashlib
 import sys
 from array import array
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from quadexp.cells import Cell
 from quadexp.config import Config
-from quadexp.experiment import store
+from quadexp.experiment import keys as cell_keys
 from quadexp.experiment.build import (
     ModelFile,
     build_trajectory,
@@ -87,14 +87,15 @@ class Plan:
         """Raise UsageError where the settings of a cell contradict each other, before anything is flown."""
         for key in keys:
             config = self.job(key).cell.config
-            for node, check in (
+            checks: tuple[tuple[Any, Callable[[Any], Any]], ...] = (
                 (config.trajectory, build_trajectory),
                 (config.controller, controller_settings),
                 (config.vehicle, build_vehicle),
-            ):
+            )
+            for node, check in checks:
                 text = self._text(node)
                 if text not in self._checked:
-                    check(node)  # type: ignore[operator]
+                    check(node)
                     self._checked.add(text)
 
     def flying_order(self, keys: Sequence[str]) -> Iterator[str]:
@@ -117,8 +118,11 @@ class Plan:
     def _job(self, cell: Cell) -> Job:
         config = cell.config
         controller, vehicle = self._text(config.controller), self._text(config.vehicle)
-        own = (getattr(config.trajectory, "_target_", None), getattr(config.plant, "_target_", None))
-        own += (getattr(config.plant, "model", None),)
+        own = (
+            getattr(config.trajectory, "_target_", None),
+            getattr(config.plant, "_target_", None),
+            getattr(config.plant, "model", None),
+        )
         reads = (config.model, controller, vehicle, getattr(config.trajectory, "path", None), *own)
         if reads not in self._found:
             model = find_model(config)
@@ -127,12 +131,12 @@ class Plan:
         if model is None:
             config.model = None  # a checkpoint that the controller does not use decides nothing
         condition = self._condition(config)
-        key = f'[{store.SCHEMA},"evaluate",{condition},{canonical(sorted(inputs.items()))}]'
+        key = f'[{cell_keys.SCHEMA},"evaluate",{condition},{canonical(sorted(inputs.items()))}]'
         believed = self._text(config.plant) if knows_plant(config.controller) else model.sha256 if model else ""
         return Job(_digest(key), _digest(condition), cell, model, (_structure(config, vehicle), controller + believed))
 
     def _condition(self, config: Config) -> str:
-        """The JSON of store.condition(config), from the JSON of its nodes."""
+        """The JSON of keys.condition(config), from the JSON of its nodes."""
         texts = {group: self._text(getattr(config, group)) for group in FLIGHT_GROUPS}
         texts |= {"model": canonical(config.model), "seed": canonical(config.seed)}
         return "{" + ",".join(f'"{name}":{texts[name]}' for name in sorted(texts)) + "}"
@@ -142,7 +146,7 @@ class Plan:
         if known is not None:
             return known[1]
         record = asdict(node)
-        record.pop("models", None)  # where a checkpoint was looked for; see store.condition
+        record.pop("models", None)  # where a checkpoint was looked for; see keys.condition
         if len(self._texts) > TEXTS_KEPT:
             self._texts.clear()
         self._texts[id(node)] = node, canonical(record)  # the node is kept, so that its id stays its own

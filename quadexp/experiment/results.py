@@ -15,9 +15,10 @@ from typing import Any
 
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identity import digest
+from quadexp.experiment.keys import without_places
 from quadexp.experiment.rows import Rows
-from quadexp.experiment.store import CellStore, without_places
 from quadexp.experiment.sweep_table import RESULTS, UNFINISHED, write_results
+from quadexp.flight.cell_store import CellStore
 from quadexp.flight.store import read_metadata, read_table
 from quadexp.messages import suggestion
 from quadexp.report.tables import ROW_COLUMNS, TEXT_COLUMNS

@@ -20,10 +20,10 @@ from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.engine import CellFailed, CellFunction, Engine, LocalEngine, Task
 from quadexp.experiment.evaluate import check_feasible, evaluate_cell, failed_row
 from quadexp.experiment.plan import Plan
-from quadexp.experiment.provenance import provenance, versions
-from quadexp.experiment.store import CellStore
 from quadexp.experiment.sweep_table import RESULTS, SweepTable, write_results
+from quadexp.flight.cell_store import CellStore
 from quadexp.flight.store import read_metadata
+from quadexp.provenance import provenance, versions
 from quadexp.report.statistics import BASELINE, CONFIDENCE
 from quadexp.report.statistics_file import Statistics
 from quadexp.report.tables import ErrorTable

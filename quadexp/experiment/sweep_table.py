@@ -18,7 +18,7 @@ import numpy as np
 from quadexp.errors import DataError, QuadexpError
 from quadexp.experiment.plan import Plan
 from quadexp.experiment.rows import Rows
-from quadexp.experiment.store import CellStore
+from quadexp.flight.cell_store import CellStore
 from quadexp.flight.store import read_metadata, read_table, write_table, write_text
 from quadexp.report.statistics_file import Statistics, results_statistics, write_comparison
 from quadexp.report.tables import ErrorTable, to_csv

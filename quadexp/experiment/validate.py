@@ -13,7 +13,6 @@ from quadexp.config import Config
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.build_identified import load_identified
-from quadexp.experiment.provenance import provenance, versions
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import check_output, read_flight, write_text
 from quadexp.identify.gp_fit import fit_gp
@@ -25,6 +24,7 @@ from quadexp.identify.thrust_curve import ThrustCurve
 from quadexp.identify.validation import FlightRows, Residuals, band_rows, read_rows, residuals, score_rows
 from quadexp.identify.vehicle_fit import FitSettings, fit_vehicle_model
 from quadexp.identify.vehicle_model import VehicleModel
+from quadexp.provenance import provenance, versions
 from quadexp.vehicle import Vehicle
 
 HORIZONS = (0.1, 0.5, 1.0)
@@ -87,6 +87,7 @@ def validate(
         "models": [str(path) for path in models],
         "flights": list(flown),
         "leave_one_out": leave_one_out,
+        "nominal": None if leave_one_out else str(made[0].curve),
         "rows": score_rows(merged, NOMINAL),
         "bands": band_rows(merged),
         "rollouts": _mean_rollouts(rollouts),

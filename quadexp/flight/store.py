@@ -12,7 +12,7 @@ import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +61,7 @@ def check_output(path: str | Path, *, force: bool = False, folder: bool = False)
 
 
 @contextlib.contextmanager
-def atomic_path(path: Path):
+def atomic_path(path: Path) -> Iterator[Path]:
     """A temporary name beside `path`; on leaving without an error, the file found there becomes `path`."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
@@ -93,7 +93,7 @@ def write_bytes(path: str | Path, write: Callable[[Path], Any]) -> Path:
     return path
 
 
-def _field(name: str, array: Any, kind: str):
+def _field(name: str, array: Any, kind: str) -> Any:
     import pyarrow as pa
 
     column = describe(name, kind)

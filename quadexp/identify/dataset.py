@@ -19,12 +19,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
 from quadexp.flight.schema import Flight
+from quadexp.flight.store import read_table
 from quadexp.state import ATTITUDE, RATE, STATE_COLUMNS, VELOCITY, input_columns
 from quadexp.vehicle import Vehicle
 
@@ -243,3 +245,11 @@ def _predict(vehicle: Vehicle, state: np.ndarray, u: np.ndarray, dt: np.ndarray)
     x, thrust, step = ca.SX.sym("x", state.shape[1]), ca.SX.sym("u", u.shape[1]), ca.SX.sym("dt")
     end = rk4_step(lambda at: rigid_body(at, thrust), x, step)
     return np.array(ca.Function("step", [x, thrust, step], [end])(state.T, u.T, dt[None, :]).full()).T
+
+
+def read_dataset(path: str | Path) -> ResidualDataset:
+    """A residual data set from its file; refuses NaN, naming column and row."""
+    columns, record = read_table(path, "residuals", required=("flight", "flight_name", "t", "dt"), finite=True)
+    if not len(columns["flight"]):
+        raise DataError(f"{path}: the data set has no rows; collect again")
+    return ResidualDataset(columns, record)

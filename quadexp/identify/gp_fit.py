@@ -8,7 +8,7 @@ first rid of their flights' thrust scale errors (quadexp.identify.trim).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -203,7 +203,7 @@ def _fit_output(
 
 
 @contextmanager
-def _one_thread():
+def _one_thread() -> Iterator[None]:
     """torch on one thread: the sums then come out the same on every machine, and other work is left in peace."""
     import torch
 

@@ -16,15 +16,16 @@ import casadi as ca
 import numpy as np
 
 from quadexp.dynamics.induced_velocity import safe_newton
+from quadexp.dynamics.term_equations import ITERATIONS, TERMS, Air, Inflow, thrust_balance
 from quadexp.errors import DataError
 from quadexp.identify.linear_drag import HUBER, MAD_TO_STD
 from quadexp.identify.lumped import SELF_CONSISTENT
-from quadexp.identify.term_equations import ITERATIONS, TERMS, Air, Inflow, thrust_balance
 
 NAMES = SELF_CONSISTENT[2]
+AT_ONCE = 20_000  # rows that one call evaluates
 FIRST = (0.0, 0.1, 0.0, 0.0)  # scale, loss, advance, body
 LEAST_LOSS = 1e-3
-MOST_ROWS = 40_000  # of the search; more are thinned evenly, the last step takes them all
+MOST_ROWS = 8_000  # of the search; more are thinned evenly, the last step takes them all
 
 
 class ThrustFit(NamedTuple):
@@ -91,10 +92,13 @@ def fit_inflow(
     theta = found.x
     if theta[1] < 2 * LEAST_LOSS:
         raise DataError("blade element along z: the flights do not show that flow through the rotors costs thrust")
-    value, jacobian = function(velocity.T, rotor_acceleration.T, theta)
-    design = _rows(jacobian, len(NAMES))
+    force, design = np.empty(len(target)), np.empty((len(target), len(NAMES)))
+    for start in range(0, len(target), AT_ONCE):
+        rows = slice(start, start + AT_ONCE)
+        value, jacobian = function(velocity[rows].T, rotor_acceleration[rows].T, theta)
+        force[rows], design[rows] = np.array(value).ravel(), _rows(jacobian, len(NAMES))
     inflow = Inflow(float(kappa), float(theta[1]), float(theta[2]), float(theta[0]))
-    return ThrustFit(inflow, design, target - np.array(value).ravel() + design @ theta)
+    return ThrustFit(inflow, design, target - force + design @ theta)
 
 
 def _rows(jacobian: ca.DM, p: int) -> np.ndarray:

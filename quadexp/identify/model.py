@@ -16,10 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.dynamics.term_structure import TermStructure
 from quadexp.errors import UsageError
 from quadexp.identify.dataset import TARGETS
 from quadexp.identify.linear_drag import LinearDrag
-from quadexp.identify.term_mean import TermMean, TermStructure
+from quadexp.identify.term_mean import TermMean
 
 METHODS = ("sgpr", "subset", "exact")
 MEANS = ("zero", "constant", "linear_drag", "quadratic", "blade_element")

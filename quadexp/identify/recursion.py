@@ -18,7 +18,7 @@ import numpy as np
 from quadexp.errors import UsageError
 from quadexp.identify.regression import Regression
 
-MOST_ESTIMATES = 4000  # of one series; longer data go in packets of several rows
+MOST_ESTIMATES = 2000  # of one series; longer data go in packets of several rows
 LEAST_PIVOT = 1e-6  # of R at unit columns, below which the rows so far do not tell the coefficients apart
 
 

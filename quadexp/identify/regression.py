@@ -28,6 +28,7 @@ from quadexp.identify.linear_drag import HUBER, LOSSES, MAD_TO_STD, ROUNDS
 
 BLOCK_TIMES = 8.0
 FLIGHT_CLUSTERS = 10
+MOST_LAGS = 1 << 17  # samples of a stretch; of a longer one, means of neighbours are looked at
 LEAST_BLOCKS = 6  # more than coefficients, however long the memory
 CONDITION_LIMIT = 1000.0  # of the columns at unit length: noise moves coefficients that many times more than the fit
 
@@ -79,10 +80,12 @@ def regress(
     what: str,
     loss: str = "squares",
     condition_limit: float = CONDITION_LIMIT,
+    intervals: bool = True,
 ) -> Regression:
     """Fit target (n,) by design (n, p).
 
     stretch: (n,), number of the uninterrupted stretch a row belongs to, ascending. flight: (n,). what: for messages.
+    intervals: False takes the plain variance for the module's, where coefficients alone are wanted of many fits.
     Raises DataError for too few rows and where the columns cannot be told apart, naming them.
     """
     if loss not in LOSSES:
@@ -93,20 +96,21 @@ def regress(
             f"{what}: {n} samples for {p} coefficients, at least {max(p + 2, 2 * (p + LEAST_BLOCKS))} are needed"
         )
     length = np.linalg.norm(design, axis=0)
-    _check_columns(design, length, names, what, condition_limit)
-    x = design / length
-    condition = float(np.linalg.cond(x))
+    x = _unit_columns(design, length, names, what)
+    condition = _condition(x, names, what, condition_limit)
     coefficients, limit = _solve(x, target, loss)
     left = target - x @ coefficients
-    weight = (np.abs(left) <= limit).astype(float)
+    inside = x if np.isinf(limit) else x * (np.abs(left) <= limit)[:, None]
+    information = inside.T @ x
+    plain = np.linalg.inv(information) / np.outer(length, length) * (left @ left / (n - p))
+    if not intervals:
+        return Regression(tuple(names), coefficients / length, plain, plain, left, n, condition)
     scores = x * np.clip(left, -limit, limit)[:, None]
     groups = blocks_of(scores, stretch, flight)
     count = int(groups.max()) + 1
     sums = np.stack([np.bincount(groups, column, count) for column in scores.T], axis=1)
-    information = (x * weight[:, None]).T @ x
     half = np.linalg.solve(information, sums.T) / length[:, None]
     covariance = count / max(count - p, 1) * half @ half.T
-    plain = np.linalg.inv(information) / np.outer(length, length) * (left @ left / (n - p))
     return Regression(tuple(names), coefficients / length, covariance, plain, left, count, condition)
 
 
@@ -126,21 +130,33 @@ def _solve(x: np.ndarray, target: np.ndarray, loss: str) -> tuple[np.ndarray, fl
     return coefficients, limit
 
 
-def _check_columns(design: np.ndarray, length: np.ndarray, names: Sequence[str], what: str, limit: float) -> None:
+def _unit_columns(design: np.ndarray, length: np.ndarray, names: Sequence[str], what: str) -> np.ndarray:
     if not length.all():
         raise DataError(f"{what}: {names[int(np.argmin(length))]} is zero throughout, so nothing tells its coefficient")
-    _, values, vectors = np.linalg.svd(np.linalg.qr(design / length, mode="r"))
-    condition = values[0] / max(values[-1], 1e-300)
+    return design / length
+
+
+def _condition(x: np.ndarray, names: Sequence[str], what: str, limit: float) -> float:
+    _, values, vectors = np.linalg.svd(np.linalg.qr(x, mode="r"))
+    condition = float(values[0] / max(values[-1], 1e-300))
     if condition > limit:
         mixed = [name for name, share in zip(names, vectors[-1], strict=True) if abs(share) > 0.2]
         raise DataError(
             f"{what}: {', '.join(mixed)} cannot be told apart in these flights (condition number {condition:.3g},"
             f" {limit:g} is allowed): add flights with more motion, or leave one of them out"
         )
+    return condition
 
 
 def autocorrelation_time(series: np.ndarray) -> float:
-    """Integrated autocorrelation time of (k,), in samples: 1 for white noise (Geyer 1992, initial positive terms)."""
+    """Integrated autocorrelation time of (k,), in samples: 1 for white noise (Geyer 1992, initial positive terms).
+
+    Beyond MOST_LAGS samples neighbours are averaged first, and less than their number is never answered.
+    """
+    together = -(-len(series) // MOST_LAGS)
+    if together > 1:
+        means = series[: len(series) // together * together].reshape(-1, together).mean(axis=1)
+        return together * autocorrelation_time(means)
     k = len(series)
     centred = series - series.mean()
     variance = centred @ centred

@@ -47,6 +47,11 @@ class Samples:
     def __len__(self) -> int:
         return len(self.time)
 
+    def thinned(self, most: int) -> Samples:
+        """Every k-th row, at the most so many: neighbouring rows say nearly the same."""
+        step = -(-len(self) // most)
+        return self if step == 1 else self.rows(np.arange(0, len(self), step))
+
     def rows(self, selection: np.ndarray) -> Samples:
         """The rows of a mask or index array; the flights keep their numbers."""
         names = ("time", "flight", "segment", "force", "velocity", "signal")

@@ -15,10 +15,12 @@ import numpy as np
 from quadexp.errors import DataError
 from quadexp.identify.samples import Samples
 from quadexp.identify.terms import AXES
+from quadexp.identify.thrust_curve import ThrustCurve, fit_thrust_samples, thrust_columns
 from quadexp.identify.vehicle_fit import LEVEL_NAMES, LEVELS, FitSettings, fit_level
 from quadexp.identify.vehicle_model import KINDS
 
 MOST_FOLDS = 10
+MOST_ROWS = 20_000  # of the ladder and of the comparison of curves, where more flights' rows are thinned evenly
 CURVES = ((1, 2), (1,), (2,))  # powers of motor_command that are compared
 
 
@@ -34,7 +36,12 @@ def selection(samples: Samples, settings: FitSettings, momentum: float = 0.0) ->
     Returns per level {level, name, in_sample {x, y, z, norm}, held_out the same, trimmed the same, per_flight
     {name: norm}, note}. trimmed: of the flights left out with each one's own mean residual taken away, what is left to
     a controller with integral action. With one flight nothing can be left out: held_out and trimmed are None.
+    Of two flights, a voltage exponent that is fitted is that of both: one alone does not tell it.
     """
+    samples = samples.thinned(MOST_ROWS)
+    if settings.voltage_exponent is None and len(samples.names) == 2:
+        curve, _ = _curve_residual(samples, samples, settings)
+        settings = replace(settings, voltage_exponent=curve.voltage_exponent)
     chosen = [level for level in LEVELS if level not in KINDS or level in ("linear", *settings.kinds)]
     rows: list[dict[str, Any]] = []
     for level in chosen:
@@ -42,7 +49,7 @@ def selection(samples: Samples, settings: FitSettings, momentum: float = 0.0) ->
         row |= {"trimmed": None, "per_flight": {}, "note": ""}
         rows.append(row)
         try:
-            row["in_sample"] = rmse(fit_level(level, samples, settings, momentum).residual(samples))
+            row["in_sample"] = rmse(fit_level(level, samples, settings, momentum, intervals=False).residual(samples))
             left = left_out(level, samples, settings, momentum)
         except DataError as error:
             row["note"] = str(error)
@@ -65,7 +72,7 @@ def left_out(level: str, samples: Samples, settings: FitSettings, momentum: floa
     for fold in range(folds):
         out = samples.flight % folds == fold
         rest, left = samples.rows(~out), samples.rows(out)
-        residual = fit_level(level, rest, settings, momentum).residual(left)
+        residual = fit_level(level, rest, settings, momentum, intervals=False).residual(left)
         found |= {index: residual[left.flight == index] for index in range(fold, count, folds)}
     return {name: found[index] for index, name in enumerate(samples.names) if index in found}
 
@@ -73,8 +80,14 @@ def left_out(level: str, samples: Samples, settings: FitSettings, momentum: floa
 def compare_curves(samples: Samples, settings: FitSettings) -> list[dict[str, Any]]:
     """RMSE along z, in sample and left out, of other thrust curves on motor commands; [] for other signals.
 
-    Rows {powers, voltage ("unused", "V" or "V^g"), in_sample, held_out (or None), note}.
+    Rows {powers, voltage ("unused", "V" or "V^g"), exponent, in_sample, held_out, halves_out (or None), note}.
+    held_out: on flights left out. halves_out: with two flights, on half a flight left out in turn; what the voltage
+    does from battery to battery takes two flights to see, and a fit to one cannot be blamed for not knowing it.
     """
+    samples = samples.thinned(MOST_ROWS)
+    count = len(samples.names)
+    by_flight = samples.flight % min(count, MOST_FOLDS) if count > 1 else None
+    by_half = 2 * samples.flight + _second_half(samples.flight) if count == 2 else None
     if samples.kind != "motor_command":
         return []
     rows = []
@@ -84,14 +97,41 @@ def compare_curves(samples: Samples, settings: FitSettings) -> list[dict[str, An
             own = replace(settings, powers=powers, voltage_exponent=exponent, kinds=("linear",))
             own = replace(own, reference_voltage=0.0) if voltage == "unused" else own
             row: dict[str, Any] = {"powers": list(powers), "voltage": voltage, "in_sample": None, "held_out": None}
-            rows.append(row | {"note": ""})
+            rows.append(row | {"halves_out": None, "exponent": None, "note": ""})
             try:
-                rows[-1]["in_sample"] = rmse(fit_level("linear", samples, own).residual(samples))["z"]
-                left = left_out("linear", samples, own)
-                rows[-1]["held_out"] = rmse(np.concatenate(list(left.values())))["z"] if left else None
+                curve, residual = _curve_residual(samples, samples, own)
+                rows[-1] |= {"in_sample": rms(residual), "exponent": curve.voltage_exponent}
+                for key, fold in (("held_out", by_flight), ("halves_out", by_half)):
+                    rows[-1][key] = None if fold is None else _curve_left_out(samples, own, fold)
             except DataError as error:
                 rows[-1]["note"] = str(error)
     return rows
+
+
+def _second_half(flight: np.ndarray) -> np.ndarray:
+    """1 in the second half of each flight's rows, (k,), 0 in the first."""
+    sizes = np.bincount(flight)
+    return (2 * (np.arange(len(flight)) - (np.cumsum(sizes) - sizes)[flight]) >= sizes[flight]).astype(int)
+
+
+def _curve_residual(rest: Samples, seen: Samples, settings: FitSettings) -> tuple[ThrustCurve, np.ndarray]:
+    """A curve with d_z beside it fitted to some rows, and what it leaves along z of others, (k,) (m/s^2)."""
+    curve, found = fit_thrust_samples(
+        rest, reference_voltage=settings.reference_voltage, voltage_exponent=settings.voltage_exponent,
+        powers=settings.powers, intercept=settings.thrust_intercept, per_rotor=settings.per_rotor,
+        loss=settings.loss, intervals=False,
+    )  # fmt: skip
+    return curve, seen.force[:, 2] - thrust_columns(curve, seen, drag=True) @ found.coefficients
+
+
+def _curve_left_out(samples: Samples, settings: FitSettings, fold: np.ndarray) -> float:
+    left = [_curve_residual(samples.rows(fold != i), samples.rows(fold == i), settings)[1] for i in np.unique(fold)]
+    return rms(np.concatenate(left))
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square of (k,)."""
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def best_level(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -9,10 +9,10 @@ Far from the rows the GP returns to this, not to zero. Terms as in quadexp.ident
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
+from quadexp.dynamics.term_structure import TermStructure
 from quadexp.errors import DataError
 from quadexp.identify.body_drag import QUADRATIC
 from quadexp.identify.dataset import ResidualDataset
@@ -21,18 +21,6 @@ from quadexp.identify.terms import AXES, TermModel, term_columns, term_model
 
 KINDS = ("quadratic", "blade_element")
 VELOCITY = ("v_x", "v_y", "v_z")
-
-
-class TermStructure(NamedTuple):
-    """terms: names per axis. mass: kg, that rotor thrusts are divided by. momentum: kappa, 1/m, 0 where unknown."""
-
-    terms: tuple[tuple[str, ...], ...]
-    mass: float
-    momentum: float | tuple[float, ...] = 0.0
-
-    @property
-    def n_parameters(self) -> int:
-        return sum(map(len, self.terms))
 
 
 @dataclass(frozen=True)

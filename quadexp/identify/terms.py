@@ -2,7 +2,7 @@
 
     a_i = sum_j c_ij phi_ij(v, a_rotor)                body FLU, m/s^2
 
-Each phi is written once, in CasADi (quadexp.identify.term_equations), of the air-relative body velocity v (m/s) and of
+Each phi is written once, in CasADi (quadexp.dynamics.term_equations), of the air-relative body velocity v (m/s) and of
 what every rotor's thrust adds, a_k (m/s^2), so that a model fitted to a log is an expression for a plant or a
 controller too. Which phi a model has is said in quadexp.identify.body_drag and quadexp.identify.lumped. With n rotors,
 w_k = sqrt(a_k) (sqrt(m/s^2), the rotor speed times sqrt(k_T / m)), V_h^2 = v_x^2 + v_y^2, and V_k the induced velocity
@@ -20,6 +20,7 @@ of momentum theory at that thrust:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from quadexp.expression import Expression
 from quadexp.identify.regression import Regression, half_width
 
 AXES = "xyz"
+AT_ONCE = 20_000  # rows that one call evaluates
 _ROOT = "1/sqrt(m)"  # (m/s^2) / (m/s sqrt(m/s^2))
 UNITS = {
     "linear": "1/s", "offset": "m/s^2", "quadratic": "1/m", "body": "1/m", "hub": _ROOT, "hub_climb": "1/m",
@@ -42,15 +44,41 @@ def term_columns(
     axis: int,
     velocity: np.ndarray,
     rotor_acceleration: np.ndarray,
-    momentum: float | tuple = 0.0,
+    momentum: float | tuple[float, ...] = 0.0,
 ) -> np.ndarray:
     """The phi of an axis for many samples, (k, len(names)); velocity (k, 3), rotor_acceleration (k, n)."""
-    from quadexp.identify.term_equations import columns_function
+    terms = tuple(tuple(names) if i == axis else () for i in range(3))
+    return all_columns(terms, velocity, rotor_acceleration, momentum)[axis]
 
-    if not names:
-        return np.empty((len(velocity), 0))
-    function = columns_function(tuple(names), axis, rotor_acceleration.shape[1], momentum)
-    return np.array(function(velocity.T, rotor_acceleration.T)).T.reshape(len(velocity), len(names))
+
+def all_columns(
+    terms: tuple[tuple[str, ...], ...],
+    velocity: np.ndarray,
+    rotor_acceleration: np.ndarray,
+    momentum: float | tuple[float, ...] = 0.0,
+) -> list[np.ndarray]:
+    """The same for all axes at once, whose induced velocity then is solved once; terms: names per axis."""
+    counts = [len(names) for names in terms]
+    columns = np.empty((len(velocity), sum(counts)))
+    if sum(counts):
+        function = _all_columns_function(tuple(map(tuple, terms)), rotor_acceleration.shape[1], momentum)
+        for start in range(0, len(velocity), AT_ONCE):
+            at = slice(start, start + AT_ONCE)
+            columns[at] = function(velocity[at].T, rotor_acceleration[at].T).full().T
+    ends = np.cumsum(counts)
+    return [columns[:, end - count : end] for end, count in zip(ends, counts, strict=True)]
+
+
+@cache
+def _all_columns_function(terms: tuple[tuple[str, ...], ...], rotors: int, momentum: float | tuple[float, ...]) -> Any:
+    """(v (3,), a (n,)) -> the phi of all axes end to end."""
+    import casadi as ca
+
+    from quadexp.dynamics.term_equations import columns_function
+
+    v, a = ca.SX.sym("v", 3), ca.SX.sym("a", rotors)
+    found = [columns_function(names, i, rotors, momentum)(v, a) for i, names in enumerate(terms) if names]
+    return ca.Function("terms", [v, a], [ca.cse(ca.vertcat(*found))])
 
 
 @dataclass(frozen=True)
@@ -58,8 +86,8 @@ class TermModel:
     """Coefficients of one model. kind: "linear", "quadratic" or "blade_element". terms: three tuples of names.
 
     coefficients: per axis (p_i,). covariance: per axis (p_i, p_i); freedom: per axis, of Student's t. rotors: n.
-    momentum: kappa (1/m), or the four numbers of term_equations.Inflow. residual_std: (3,) root mean square left in the
-    fit, m/s^2. condition: (3,). loss: of the fit.
+    momentum: kappa (1/m), or the four numbers of dynamics.term_equations.Inflow. residual_std: (3,) root mean square
+    left in the fit, m/s^2. condition: (3,). loss: of the fit.
     """
 
     kind: str
@@ -81,17 +109,14 @@ class TermModel:
         """
         if rotor_acceleration.shape[1] != self.rotors:
             raise DataError(f"{rotor_acceleration.shape[1]} rotors, the model is of {self.rotors}")
-        columns = [
-            term_columns(names, i, velocity, rotor_acceleration, self.momentum) @ c
-            for i, (names, c) in enumerate(zip(self.terms, self.coefficients, strict=True))
-        ]
-        return np.stack(columns, axis=1)
+        columns = all_columns(self.terms, velocity, rotor_acceleration, self.momentum)
+        return np.stack([design @ c for design, c in zip(columns, self.coefficients, strict=True)], axis=1)
 
     def expression(self, v: Expression, a: Expression) -> Expression:
         """The same in CasADi, (3,), of v (3,) m/s and a (n,) m/s^2."""
         import casadi as ca
 
-        from quadexp.identify.term_equations import term_expression
+        from quadexp.dynamics.term_equations import term_expression
 
         return ca.vertcat(
             *(
@@ -127,7 +152,7 @@ def term_model(
     terms: tuple[tuple[str, ...], ...],
     found: list[Regression],
     rotors: int,
-    momentum: float | tuple,
+    momentum: float | tuple[float, ...],
     loss: str,
 ) -> TermModel:
     """From one regression an axis, whose last columns are the terms."""

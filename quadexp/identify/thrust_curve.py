@@ -25,6 +25,7 @@ from quadexp.errors import DataError, UsageError
 from quadexp.flight.schema import Flight
 from quadexp.identify.regression import CONDITION_LIMIT, Regression, half_width, regress
 from quadexp.identify.samples import Samples, choose_signal, gather, rotor_columns
+from quadexp.identify.thrust_design import default_voltage, scaled_signal, thrust_design
 
 # Powers of the signal in the curve, and whether an intercept belongs to it.
 POWERS = {"motor_command": (1, 2), "rotor_speed": (2,), "thrust_acceleration": (1,), "u": (1,)}
@@ -118,17 +119,6 @@ class ThrustCurve:
         return f"on {scaled}: {'; '.join(terms)}"
 
 
-def scaled_signal(
-    signal: np.ndarray, voltage: np.ndarray | None, reference_voltage: float, exponent: float = 1.0
-) -> np.ndarray:
-    """s (V / V_ref)^g, (k, n); without a reference voltage the signal itself."""
-    if not reference_voltage:
-        return signal
-    if voltage is None:
-        raise DataError("the thrust curve uses the battery voltage, the flight has no column 'battery_voltage'")
-    return signal * ((voltage / reference_voltage) ** exponent)[:, None]
-
-
 def fit_thrust_curve(
     flights: Sequence[Flight],
     *,
@@ -169,8 +159,12 @@ def fit_thrust_samples(
     rotors: int | None = None,
     loss: str = "squares",
     condition_limit: float = CONDITION_LIMIT,
+    intervals: bool = True,
 ) -> tuple[ThrustCurve, Regression]:
-    """`fit_thrust_curve` on samples; also the regression, columns in the order of `thrust_design` then d_z."""
+    """`fit_thrust_curve` on samples; also the regression, columns in the order of `thrust_design` then d_z.
+
+    intervals: False where only the coefficients matter; their errors are then those of independent samples, g's is 0.
+    """
     kind = samples.kind
     if per_rotor and kind == "thrust_acceleration":
         raise UsageError("a thrust curve per rotor needs a signal per rotor; thrust_acceleration is one for all")
@@ -182,15 +176,6 @@ def fit_thrust_samples(
         raise DataError(f"{samples.names[0]}: column 'battery_voltage' is missing, the reference voltage has no use")
     fit_exponent = voltage_exponent is None and bool(reference_voltage)
 
-    def left(g: float) -> float:
-        """Sum of squares that least squares leaves of a thinned set of rows."""
-        some = samples.rows(np.arange(0, len(samples), -(-len(samples) // MOST_ROWS)))
-        scaled = scaled_signal(some.signal, some.voltage, reference_voltage, g)
-        design, _ = thrust_design(scaled, powers, intercept=intercept, per_rotor=per_rotor)
-        design = np.column_stack([design, -some.velocity[:, 2]]) if drag else design
-        residual = some.force[:, 2] - design @ np.linalg.lstsq(design, some.force[:, 2], rcond=None)[0]
-        return float(residual @ residual)
-
     def fitted(g: float, slope: np.ndarray | None = None) -> Regression:
         scaled = scaled_signal(samples.signal, samples.voltage, reference_voltage, g)
         design, names = thrust_design(scaled, powers, intercept=intercept, per_rotor=per_rotor)
@@ -199,15 +184,19 @@ def fit_thrust_samples(
                 design, names = np.column_stack([design, column]), [*names, name]
         return regress(
             design, samples.force[:, 2], names, samples.segment, samples.flight,
-            what=f"thrust curve on {kind}", loss=loss, condition_limit=condition_limit,
+            what=f"thrust curve on {kind}", loss=loss, condition_limit=condition_limit, intervals=intervals,
         )  # fmt: skip
 
     n = samples.signal.shape[1] if kind != "thrust_acceleration" else (rotors or 4)
     q = len(powers) * (n if per_rotor else 1)
     g = 1.0 if voltage_exponent is None else float(voltage_exponent)
-    found, g_error = fitted(g), 0.0
+    g_error = 0.0
     if fit_exponent:
-        g, found, g_error = _fit_exponent(left, fitted, samples, reference_voltage, powers, n, per_rotor)
+        what = {"intercept": intercept, "per_rotor": per_rotor, "drag": drag}
+        g = _search_exponent(_left_by_exponent(samples, reference_voltage, powers, **what))
+    found = fitted(g)
+    if fit_exponent and intervals:
+        found, g_error = _exponent_error(g, found, fitted, samples, reference_voltage, powers, n, per_rotor)
     shape = (n, len(powers)) if per_rotor else (len(powers),)
     value, error = found.coefficients, found.errors
     scaled = scaled_signal(samples.signal, samples.voltage, reference_voltage, g)
@@ -220,25 +209,58 @@ def fit_thrust_samples(
     return curve, found
 
 
-def _fit_exponent(
-    left: Callable[[float], float],
+def _left_by_exponent(
+    samples: Samples,
+    reference_voltage: float,
+    powers: Sequence[int],
+    *,
+    intercept: bool,
+    per_rotor: bool,
+    drag: bool,
+) -> Callable[[float], float]:
+    """Sum of squares that least squares leaves of a thinned set of rows, as a function of g.
+
+    The voltage is common to the rotors, (s r^g)^p = s^p r^(g p), so that only one power a row depends on g.
+    """
+    some = samples.thinned(MOST_ROWS)
+    plain, _ = thrust_design(some.signal, powers, intercept=intercept, per_rotor=per_rotor)
+    ratio = np.log(scaled_signal(np.ones((len(some), 1)), some.voltage, reference_voltage)[:, 0])
+    each = np.tile(powers, some.signal.shape[1] if per_rotor else 1)
+    design = np.column_stack([plain, -some.velocity[:, 2]]) if drag else plain.copy()
+    target = some.force[:, 2]
+
+    def left(g: float) -> float:
+        scale = np.exp(g * ratio)
+        for j, power in enumerate(each):
+            design[:, j] = plain[:, j] * scale**power
+        residual = target - design @ np.linalg.lstsq(design, target, rcond=None)[0]
+        return float(residual @ residual)
+
+    return left
+
+
+def _search_exponent(left: Callable[[float], float]) -> float:
+    """The g that leaves least."""
+    from scipy.optimize import minimize_scalar
+
+    return float(minimize_scalar(left, bounds=EXPONENT_RANGE, method="bounded", options={"xatol": 1e-7}).x)
+
+
+def _exponent_error(
+    g: float,
+    first: Regression,
     fitted: Callable[..., Regression],
     samples: Samples,
     reference_voltage: float,
     powers: Sequence[int],
     rotors: int,
     per_rotor: bool,
-) -> tuple[float, Regression, float]:
-    """The g that leaves least, the regression there and g's standard error.
+) -> tuple[Regression, float]:
+    """The regression at g with the errors that it has where g is fitted too, and g's standard error.
 
-    The errors come from the regression linearised in g, with da/dg among its columns.
+    They come from the regression linearised in g, with da/dg among its columns.
     """
-    from scipy.optimize import minimize_scalar
-
-    found = minimize_scalar(left, bounds=EXPONENT_RANGE, method="bounded", options={"xatol": 1e-7})
-    g = float(found.x)
     scaled = scaled_signal(samples.signal, samples.voltage, reference_voltage, g)
-    first = fitted(g)
     rows = first.coefficients[: len(powers) * (rotors if per_rotor else 1)].reshape(-1, len(powers))
     slope = sum(rows[:, j] * p * scaled**p for j, p in enumerate(powers)).sum(axis=1)
     relative_voltage = scaled_signal(np.ones((len(samples), 1)), samples.voltage, reference_voltage)[:, 0]
@@ -248,22 +270,7 @@ def _fit_exponent(
         first.names, first.coefficients, joint.covariance[np.ix_(keep, keep)], joint.plain[np.ix_(keep, keep)],
         first.residual, joint.blocks, joint.condition,
     )  # fmt: skip
-    return g, linearised, float(joint.errors[~keep][0])
-
-
-def thrust_design(
-    scaled: np.ndarray, powers: Sequence[int], *, intercept: bool, per_rotor: bool
-) -> tuple[np.ndarray, list[str]]:
-    """Columns of the curve, and their names: sum_i s_i^p, or s_i^p rotor by rotor; then 1 if there is an intercept."""
-    if per_rotor:
-        columns = [scaled[:, i] ** p for i in range(scaled.shape[1]) for p in powers]
-        names = [f"c_{p}[{i}]" for i in range(scaled.shape[1]) for p in powers]
-    else:
-        columns = [np.sum(scaled**p, axis=1) for p in powers]
-        names = [f"c_{p}" for p in powers]
-    if intercept:
-        columns, names = [*columns, np.ones(len(scaled))], [*names, "b_z"]
-    return np.stack(columns, axis=1), names
+    return linearised, float(joint.errors[~keep][0])
 
 
 def thrust_columns(curve: ThrustCurve, samples: Samples, *, drag: bool) -> np.ndarray:
@@ -272,10 +279,3 @@ def thrust_columns(curve: ThrustCurve, samples: Samples, *, drag: bool) -> np.nd
     powers, each = tuple(curve.powers.astype(int).tolist()), curve.coefficients.ndim == 2
     design, _ = thrust_design(scaled, powers, intercept=curve.has_intercept, per_rotor=each)
     return np.column_stack([design, -samples.velocity[:, 2]]) if drag else design
-
-
-def default_voltage(samples: Samples) -> float:
-    """4 V a cell, the cells counted from the median voltage at 3.0 to 4.35 V each; 0 where no voltage is needed."""
-    if samples.kind != "motor_command" or samples.voltage is None:
-        return 0.0
-    return 4.0 * max(1, round(float(np.median(samples.voltage)) / 3.8))

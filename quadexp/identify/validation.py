@@ -111,7 +111,8 @@ def _outside(predictor: Predictor, velocity: np.ndarray, rate: np.ndarray, rotor
 def score_rows(found: Sequence[Residuals], baseline: str = "nominal") -> list[Row]:
     """One row a predictor, as it stands and tracked: RMS per axis and of the vector, its interval, share of nominal's.
 
-    share: of the baseline's RMS as it stands, with the interval of the ratio on the same resamples.
+    share: of the baseline's RMS as it stands; share_alike: tracked, of the baseline's RMS with its scale tracked too.
+    Each with the interval of the ratio on the same resamples.
     """
     base = next((one for one in found if one.predictor == baseline), None)
     rows = []
@@ -130,6 +131,9 @@ def score_rows(found: Sequence[Residuals], baseline: str = "nominal") -> list[Ro
             if base is not None and len(base.error) == len(error):
                 row["share"] = rms(error) / rms(base.error)
                 row["share_low"], row["share_high"] = _ratio(error, base.error, draws)
+                alike = base.tracked if tracked else base.error
+                row["share_alike"] = rms(error) / rms(alike)
+                row["share_alike_low"], row["share_alike_high"] = _ratio(error, alike, draws)
             rows.append(row)
     return rows
 

@@ -7,8 +7,8 @@ curve leaves, the curve's scale among them (the term `thrust`), so that no drag 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from quadexp.identify.lumped import SELF_CONSISTENT, lumped_terms, momentum_of
 from quadexp.identify.lumped_fit import fit_inflow
 from quadexp.identify.regression import Regression, regress
 from quadexp.identify.samples import Samples, choose_signal, gather
-from quadexp.identify.terms import AXES, TermModel, term_columns, term_model
+from quadexp.identify.terms import AXES, TermModel, all_columns, term_columns, term_model
 from quadexp.identify.thrust_curve import ThrustCurve, fit_thrust_samples, thrust_columns
 from quadexp.identify.vehicle_model import KINDS, VehicleModel
 from quadexp.vehicle import Vehicle
@@ -91,13 +91,18 @@ class LevelFit:
         return left if self.model is None else left - self.model.acceleration(samples.velocity, rotors)
 
 
-def fit_level(level: str, samples: Samples, settings: FitSettings, momentum: float = 0.0) -> LevelFit:
-    """One rung of the ladder LEVELS. Raises DataError where the samples do not tell its terms apart."""
+def fit_level(
+    level: str, samples: Samples, settings: FitSettings, momentum: float = 0.0, *, intervals: bool = True
+) -> LevelFit:
+    """One rung of the ladder LEVELS; intervals: see `regress`.
+
+    Raises DataError where the samples do not tell its terms apart.
+    """
     with_drag = level in KINDS
     curve, joint = fit_thrust_samples(
         samples, reference_voltage=settings.reference_voltage, voltage_exponent=settings.voltage_exponent,
         powers=settings.powers, intercept=settings.thrust_intercept, per_rotor=settings.per_rotor, drag=with_drag,
-        loss=settings.loss,
+        loss=settings.loss, intervals=intervals,
     )  # fmt: skip
     if level == "nominal":
         return LevelFit(curve, None)
@@ -105,21 +110,26 @@ def fit_level(level: str, samples: Samples, settings: FitSettings, momentum: flo
     target = samples.force - rotors.sum(axis=1)[:, None] * [0, 0, 1]
     terms: tuple[tuple[str, ...], ...] = {"offset": _OFFSET, "linear": LINEAR}.get(level, QUADRATIC)
     ready: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-    inflow: float | tuple = 0.0
+    inflow: float | tuple[float, ...] = 0.0
     if level == "blade_element":
         terms, inflow = lumped_terms(0.0), 0.0
         if momentum:
             found = fit_inflow(samples.velocity, rotors, target[:, 2], momentum, settings.loss)
             terms, inflow, ready["z"] = SELF_CONSISTENT, tuple(found.inflow), (found.design, found.target)
     axes = []
+    given = "z" if level in ("offset", "linear") else "".join(ready)
+    columns = all_columns(
+        tuple(() if AXES[i] in given else names for i, names in enumerate(terms)), samples.velocity, rotors, inflow
+    )
     for i, names in enumerate(terms):
         if AXES[i] == "z" and level in ("offset", "linear"):  # the curve's own regression, whose last columns they are
             axes.append(AxisFit("z", thrust_columns(curve, samples, drag=with_drag), samples.force[:, 2], joint))
             continue
-        design, aim = ready.get(AXES[i]) or (term_columns(names, i, samples.velocity, rotors, inflow), target[:, i])
+        design, aim = ready.get(AXES[i]) or (columns[i], target[:, i])
         one = regress(
             design, aim, [f"{name}_{AXES[i]}" for name in names], samples.segment, samples.flight,
             what=f"{LEVEL_NAMES[level].lstrip('+ ')} along {AXES[i]}", loss=settings.loss,
+            intervals=intervals,
         )  # fmt: skip
         axes.append(AxisFit(AXES[i], design, aim, one))
     model = term_model(level, terms, [one.found for one in axes], curve.rotors, inflow, settings.loss)
@@ -134,11 +144,13 @@ def fit_vehicle_model(
     names: Sequence[str] | None = None,
     samples: Samples | None = None,
     best: str | None = None,
+    fitted: Callable[[str, LevelFit], None] = lambda kind, fit: None,
 ) -> VehicleModel:
     """Thrust curve, linear drag and, where the flights allow, quadratic drag and lumped blade-element coefficients.
 
     vehicle: for name, mass and rotor radius; None takes the flights' own record of the name. best: which model to
-    call the best, by a held-out comparison; None: the last that could be fitted.
+    call the best, by a held-out comparison; None: the last that could be fitted. fitted: is shown every model's kind
+    and fit, whose regressors take much memory and are not kept.
     Raises DataError where not even linear drag can be, or where flights are of different vehicles.
     """
     settings = settings or FitSettings()
@@ -146,6 +158,8 @@ def fit_vehicle_model(
     record = vehicle_record(flights, vehicle, settings.mass, samples.names)
     momentum = momentum_of(vehicle, settings.mass, settings.radius)
     linear = fit_level("linear", samples, settings)
+    fitted("linear", linear)
+    linear = replace(linear, axes=())
     found: dict[str, TermModel | None] = {"quadratic": None, "blade_element": None}
     notes = list(curve_notes(linear.curve))
     for kind in found:
@@ -153,19 +167,44 @@ def fit_vehicle_model(
             continue
         for kappa in (momentum, 0.0) if kind == "blade_element" and momentum else (0.0,):
             try:
-                found[kind] = fit_level(kind, samples, settings, kappa).model
+                fit = fit_level(kind, samples, settings, kappa)
+                found[kind] = fit.model
+                fitted(kind, fit)
                 break
             except DataError as error:
                 with_it = " with induced velocity" if kappa else ""
                 notes.append(f"no {kind} model{with_it}: {error}")
     if found["blade_element"] is not None and not momentum:
         notes.append("blade element without induced velocity: the rotors' radius is unknown (pass --rotor-radius M)")
-    fitted = ["linear", *(kind for kind, model in found.items() if model is not None)]
+    kinds = ["linear", *(kind for kind, model in found.items() if model is not None)]
     return VehicleModel(
         linear.curve, linear.terms, found["quadratic"], found["blade_element"],
-        best if best in fitted else fitted[-1], record, dataset_record(samples),
+        best if best is not None and best in kinds else kinds[-1], record, dataset_record(samples),
         {"loss": settings.loss, "signal": samples.kind, "per_rotor": settings.per_rotor, "momentum": momentum},
         tuple(notes),
+    )  # fmt: skip
+
+
+def curve_beside_quadratic(samples: Samples, settings: FitSettings, curve: ThrustCurve) -> ThrustCurve:
+    """The curve with -d v_z - e v_z |v_z| beside it in one regression, where `fit_level` has -d v_z alone.
+
+    Its intervals hold where the drag along z is quadratic; the voltage exponent is the curve's own.
+    Raises DataError where the samples do not tell these apart.
+    """
+    terms = ("linear", "quadratic")
+    rotors = curve.of_signal(samples.signal, samples.voltage)
+    design = np.hstack([thrust_columns(curve, samples, drag=False), term_columns(terms, 2, samples.velocity, rotors)])
+    names = [f"thrust_{j}" for j in range(design.shape[1] - len(terms))] + [f"{name}_z" for name in terms]
+    found = regress(
+        design, samples.force[:, 2], names, samples.segment, samples.flight,
+        what="thrust curve beside quadratic drag", loss=settings.loss,
+    )  # fmt: skip
+    shape, q = curve.coefficients.shape, curve.coefficients.size
+    value, error = found.coefficients, found.errors
+    return replace(
+        curve, coefficients=value[:q].reshape(shape), errors=error[:q].reshape(shape), freedom=found.freedom,
+        intercept=float(value[q]) if curve.has_intercept else 0.0,
+        intercept_error=float(error[q]) if curve.has_intercept else 0.0,
     )  # fmt: skip
 
 

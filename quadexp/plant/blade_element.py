@@ -105,7 +105,9 @@ class BladeElementPlant:
         self.time = 0.0
         n = self.vehicle.n_rotors
         self.rotor_speed = np.full(n, math.sqrt(self.vehicle.hover_thrust / self.vehicle.static_thrust_coefficient))
-        self.induced_velocity = self.rotor_speed * static_coefficients(self.vehicle.rotor_geometry, self.coefficients).inflow
+        self.induced_velocity = (
+            self.rotor_speed * static_coefficients(self.vehicle.rotor_geometry, self.coefficients).inflow
+        )
         self._pending = list(self.schedule)
         self._payload, self._drag_scale, self._lift_scale = self.effects.payload, 1.0, np.ones(n)
         self._apply_changes()

@@ -64,7 +64,9 @@ class PeriodModel:
         theta, lift_scale, _ = self.split(parameters)
         velocity, rate = self._motion(x)
         flow = rotor_flow(self.vehicle, velocity, rate)
-        return balance(self.vehicle.rotor_geometry, theta[C_LA] * lift_scale, w, flow.in_plane_squared, flow.axial, self.terms)
+        return balance(
+            self.vehicle.rotor_geometry, theta[C_LA] * lift_scale, w, flow.in_plane_squared, flow.axial, self.terms
+        )
 
     def specific_force_and_torque(
         self, x: Expression, w: Expression, induced: Expression, parameters: Expression

@@ -24,6 +24,7 @@ from quadexp.dynamics.drag import linear_drag_force, quadratic_drag_force
 from quadexp.dynamics.integrator import rk4_step
 from quadexp.dynamics.motor import thrust_loss
 from quadexp.dynamics.rigid_body import body_features, state_derivative
+from quadexp.expression import Expression
 from quadexp.residual.base import Residual, feature_names, symbolic_residual
 from quadexp.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.vehicle import Vehicle
@@ -112,12 +113,14 @@ class SimplifiedPlant:
         return self._advance[steps]
 
 
-def _delivered_thrust(command, effects, vehicle: Vehicle):
+def _delivered_thrust(command: Expression, effects: Expression, vehicle: Vehicle) -> Expression:
     """Mean thrust that arrives, (n,) (N)."""
     return command - thrust_loss(command, effects[LOSS], vehicle.thrust_max)
 
 
-def _body_acceleration(body_velocity, delivered, effects, vehicle: Vehicle):
+def _body_acceleration(
+    body_velocity: Expression, delivered: Expression, effects: Expression, vehicle: Vehicle
+) -> Expression:
     """Acceleration by rotors and drag, body frame (m/s^2)."""
     force = linear_drag_force(body_velocity, effects[LINEAR_DRAG])
     force += quadratic_drag_force(body_velocity, effects[QUADRATIC_DRAG])
@@ -135,7 +138,7 @@ def _advance_function(vehicle: Vehicle, steps: int) -> ca.Function:
     force_noise = effects[FORCE_NOISE] * scaled[n : n + 3] / (vehicle.mass + effects[PAYLOAD])
     torque_noise = effects[TORQUE_NOISE] * scaled[n + 3 :]
 
-    def correction(state):
+    def correction(state: Expression) -> tuple[Expression, Expression]:
         """What the rigid body must be told beyond the delivered thrust: drag, payload and noise."""
         body_velocity = body_features(state, delivered)[:3]
         nominal = ca.vertcat(0, 0, ca.sum1(delivered) / vehicle.mass)

@@ -7,6 +7,7 @@ derivative of the attitude, all as means over windows of 0.1 s (quadexp/flight/c
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib
 import numpy as np

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import QuadexpError
-from quadexp.experiment.store import CellStore
+from quadexp.flight.cell_store import CellStore
 from quadexp.flight.store import read_metadata, read_table
-from quadexp.report.compare import ABSENT, change, differing, record_of, said_relative, setting_lines
+from quadexp.report.differences import ABSENT, change, differing, record_of, said_relative, setting_lines
 from quadexp.report.inference import holm
 from quadexp.report.metrics import METRICS, SHOWN
 from quadexp.report.overall import Overall, overall

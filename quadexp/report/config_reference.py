@@ -93,7 +93,8 @@ def _keys(node: type, prefix: str, values: Any) -> Iterator[Key]:
 
 def _node(hint: Any) -> type | None:
     """The dataclass that a type hint names, alone or beside None."""
-    found: list[type] = [part for part in getattr(hint, "__args__", (hint,)) if dataclasses.is_dataclass(part)]
+    parts = getattr(hint, "__args__", (hint,))
+    found = [part for part in parts if isinstance(part, type) and dataclasses.is_dataclass(part)]
     return found[0] if found else None
 
 

@@ -20,7 +20,7 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from quadexp.experiment.store import CellStore
+from quadexp.flight.cell_store import CellStore
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import read_flight, write_bytes
 from quadexp.report.inference import mean_interval
@@ -234,12 +234,8 @@ def save(figure: Figure, path: Path) -> Path:
     with matplotlib.rc_context(STYLE):
         for form in FORMATS:
             metadata = {"Date": None} if form == "svg" else None
-            write_bytes(
-                path.with_suffix(f".{form}"),
-                lambda temporary, form=form, metadata=metadata: figure.savefig(
-                    temporary, format=form, dpi=150, metadata=metadata
-                ),
-            )
+            drawn = functools.partial(figure.savefig, format=form, dpi=150, metadata=metadata)
+            write_bytes(path.with_suffix(f".{form}"), drawn)
     return path.with_suffix(".svg")
 
 

@@ -6,7 +6,7 @@ Each function returns a matplotlib Figure and touches no global state; `quadexp.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -17,11 +17,10 @@ from quadexp.identify.recursion import Recursion
 from quadexp.identify.regression import half_width
 from quadexp.identify.samples import SIGNALS, Samples
 from quadexp.identify.terms import AXES, UNITS, TermModel
-from quadexp.identify.thrust_curve import ThrustCurve, scaled_signal
+from quadexp.identify.thrust_curve import ThrustCurve
+from quadexp.identify.thrust_design import scaled_signal
+from quadexp.identify.vehicle_identification import VehicleIdentification, elapsed
 from quadexp.report.figures import COLOURS, STYLE
-
-if TYPE_CHECKING:
-    from quadexp.experiment.identify_vehicle import VehicleIdentification
 
 BLUE, ORANGE, GREY = COLOURS[2], COLOURS[1], "#777777"
 COUNTS = LinearSegmentedColormap.from_list("counts", ["#E4E7EC", "#9AA4B5", "#4A5468"])
@@ -35,8 +34,6 @@ SHOWN_WIDTHS = 8.0  # half widths of the final interval around the final estimat
 
 def draw_identification(found: VehicleIdentification) -> dict[str, Figure]:
     """Every figure by name."""
-    from quadexp.experiment.identify_vehicle import elapsed
-
     time = elapsed(found.samples)
     bounds = [float(time[np.argmax(found.samples.flight == i)]) for i in range(1, len(found.samples.names))]
     figures = {"thrust": thrust_figure(found.model.thrust, found.samples)}

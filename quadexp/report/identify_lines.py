@@ -17,6 +17,11 @@ def identification_lines(model: VehicleModel, report: Mapping[str, Any]) -> list
         f" {data['rows']} samples, {data['duration']:.0f} s; +- is half the 95 % interval",
     ]
     lines += model_lines(model)
+    if report.get("beside_quadratic"):
+        lines.append(
+            "thrust      its interval holds where drag along z is linear in v_z; beside quadratic drag it is"
+            f" {report['beside_quadratic']}"
+        )
     other = {(row["axis"], row["term"]): row["value"] for row in report["other_loss"]["rows"]}
     drag = ", ".join(f"d_{axis} {other[axis, 'linear']:.4f}" for axis in "xyz")
     lines.append(f"by {report['other_loss']['loss']:<9}linear {drag} 1/s")
@@ -63,7 +68,9 @@ def _flight_lines(flights: Sequence[Mapping[str, Any]]) -> list[str]:
 def _curve_lines(curves: Sequence[Mapping[str, Any]], model: VehicleModel) -> list[str]:
     if not curves:
         return []
-    lines = ["thrust curves: RMSE along z (m/s^2), in sample and on flights left out"]
+    halves = any(row.get("halves_out") is not None for row in curves)
+    with_halves = ", and on half a flight left out" if halves else ""
+    lines = [f"thrust curves: RMSE along z (m/s^2), in sample, on flights left out{with_halves}"]
     for row in curves:
         names = " + ".join(f"c_{p} s^{p}" if p > 1 else "c_1 s" for p in row["powers"])
         voltage = {"unused": ", s = command", "V": ", s = command V/V_ref", "V^g": ", s = command (V/V_ref)^g"}[
@@ -73,7 +80,8 @@ def _curve_lines(curves: Sequence[Mapping[str, Any]], model: VehicleModel) -> li
         used &= row["voltage"] == (("V" if model.thrust.voltage_exponent == 1 else "V^g")
                                    if model.thrust.reference_voltage else "unused")  # fmt: skip
         cells = " ".join(
-            "      -" if value is None else f"{value:7.3f}" for value in (row["in_sample"], row["held_out"])
+            "      -" if value is None else f"{value:7.3f}"
+            for value in (row["in_sample"], row["held_out"], *([row["halves_out"]] if halves else []))
         )
         lines.append(f"  {names + voltage:<46}{cells}{'  <- used' if used else ''}")
     return lines
@@ -96,7 +104,7 @@ def selection_lines(rows: Sequence[Mapping[str, Any]], best: str) -> list[str]:
         elif held:
             text += f"   {row['note']}"
         lines.append(text + ("  <- best" if row["level"] == best else ""))
-    return lines
+    return [*lines, "  (nominal: a curve fitted without drag beside it; `validate` takes the curve fitted beside drag)"]
 
 
 def _cells(values: Mapping[str, float], first: int) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.experiment.store import CellStore
+from quadexp.flight.cell_store import CellStore
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import read_flight, write_text
 from quadexp.report import lei_li_figures as figures

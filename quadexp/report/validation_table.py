@@ -18,20 +18,14 @@ def validation_lines(report: Mapping[str, Any]) -> list[str]:
     rows = report["rows"]
     lines = [*report["notes"], f"{len(flights)} flights, {rows[0]['rows']} samples, {how}", ""]
     lines += one_step_lines(rows)
-    best = min(rows, key=lambda row: row["rms"])
-    tracked = ", thrust scale tracked" if best["thrust_tracked"] else ""
-    static = min((row for row in rows if not row["thrust_tracked"]), key=lambda row: row["rms"])
     base = next((row for row in rows if row["predictor"] == "nominal" and not row["thrust_tracked"]), None)
     if base is not None:
         lines.append(
             f"nominal about its mean (without the accelerometer's constant offsets): {base['rms_about_mean']:.3f}"
         )
-    if "share" in best:
-        lines.append(
-            f"least: {best['predictor']}{tracked}, {100 * best['share']:.1f} % of nominal's residual"
-            f" [{100 * best['share_low']:.1f}, {100 * best['share_high']:.1f}];"
-            f" as fitted, {static['predictor']} {100 * static['share']:.1f} %"
-        )
+    if report.get("nominal"):
+        lines.append(f"nominal: the thrust curve {report['nominal']}, as fitted beside drag, without the drag")
+    lines += least_lines(rows)
     lines += ["", *band_lines(report["bands"])]
     for mode, meaning in MODES.items():
         found = [row for row in report["rollouts"] if row["mode"] == mode]
@@ -46,26 +40,49 @@ def validation_lines(report: Mapping[str, Any]) -> list[str]:
     return lines
 
 
+def least_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What the best model leaves of nominal's residual: as fitted, and with the thrust scale tracked."""
+    best = {
+        tracked: min((row for row in rows if row["thrust_tracked"] == tracked), key=lambda row: row["rms"])
+        for tracked in (False, True)
+    }
+    if "share" not in best[False]:
+        return []
+    return [
+        f"least, as fitted: {best[False]['predictor']}, {_percent(best[False], 'share')} of nominal as fitted",
+        f"least, thrust scale tracked: {best[True]['predictor']}, {_percent(best[True], 'share_alike')} of nominal"
+        f" with its scale tracked too, {_percent(best[True], 'share')} of nominal as fitted",
+    ]
+
+
+def _percent(row: Mapping[str, Any], key: str) -> str:
+    return f"{100 * row[key]:.1f} % [{100 * row[key + '_low']:.1f}, {100 * row[key + '_high']:.1f}]"
+
+
 def one_step_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """A line a predictor: axes and vector as fitted, then vector and share with the thrust scale tracked."""
+    """A line a predictor: axes and vector as fitted, then vector and shares with the thrust scale tracked.
+
+    The shares are of nominal as fitted, and of nominal with its scale tracked too.
+    """
     width = max(len(row["predictor"]) for row in rows) + 2
     outside = any(row.get("outside") for row in rows)
     lines = [
         "residual of the specific force, RMS (m/s^2), 95 % interval by block or flight",
         f"{'':<{width}}{'x':>7}{'y':>7}{'z':>7}{'vector':>9}{'interval':>18}{'of nominal':>12}"
-        f"   {'thrust scale tracked in flight':<30}" + ("  outside the fit" if outside else ""),
+        f"   {'thrust scale tracked':<21}{'of nominal':>12}{'of tracked':>12}"
+        + ("  outside the fit" if outside else ""),
     ]
     static = [row for row in rows if not row["thrust_tracked"]]
     tracked = {row["predictor"]: row for row in rows if row["thrust_tracked"]}
     for row in static:
         other = tracked[row["predictor"]]
         share = f"{100 * row['share']:.1f} %" if "share" in row else ""
-        own = f"{100 * other['share']:.1f} %" if "share" in other else ""
+        own, alike = (f"{100 * other[key]:.1f} %" if key in other else "" for key in ("share", "share_alike"))
         text = (
             f"{row['predictor']:<{width}}{row['rms_x']:7.3f}{row['rms_y']:7.3f}{row['rms_z']:7.3f}{row['rms']:9.3f}"
             f"{'[' + format(row['rms_low'], '.3f') + ', ' + format(row['rms_high'], '.3f') + ']':>18}{share:>12}"
             f"   {other['rms']:.3f} [{other['rms_low']:.3f}, {other['rms_high']:.3f}]"
-            f" {own:>7}"
+            f"{own:>12}{alike:>12}"
         )
         if outside and row.get("outside") is not None:
             text += f"{100 * row['outside']:10.1f} %"

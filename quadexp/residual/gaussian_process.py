@@ -16,13 +16,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from quadexp.backend import handwritten
+from quadexp.dynamics.term_structure import TermStructure
 from quadexp.errors import UsageError
 from quadexp.expression import Expression
 from quadexp.residual.base import N_OUTPUTS, OUTPUTS, Residual, feature_names
@@ -30,12 +31,10 @@ from quadexp.residual.linear_drag import N_PARAMETERS, linear_drag_acceleration
 from quadexp.residual.terms import term_acceleration
 from quadexp.vehicle import Vehicle
 
-if TYPE_CHECKING:
-    from quadexp.identify.term_mean import TermStructure
-
 COLLECTIVE_THRUST = "thrust"  # feature: sum of the rotor thrusts (N)
 SUMS = Path(__file__).with_name("gp_sums.c")
 
+Sums = tuple[list[Expression], list[Expression]]  # over the points: a value an output, a slope a feature
 Structure = tuple[tuple[str, tuple[str, ...], int], ...]  # output, its features, its number of points
 
 
@@ -110,7 +109,7 @@ def gaussian_process_residual(
 def _posterior_mean_function(
     names: tuple[str, ...],
     structure: Structure,
-    sums: Callable,
+    sums: Callable[..., Sums],
     *,
     with_mean: bool,
     mean_terms: TermStructure | None,
@@ -132,7 +131,7 @@ def _posterior_mean_function(
     return ca.Function("residual_gaussian_process", [z, theta], [y, dy_dz], ["z", "theta"], ["y", "dy_dz"])
 
 
-def _matrix_sums(structure: Structure, scaled: Expression, points: Expression, alpha: Expression) -> tuple[list, list]:
+def _matrix_sums(structure: Structure, scaled: Expression, points: Expression, alpha: Expression) -> Sums:
     """(alpha k) 1 of every output and (alpha k)^T d of every feature, in matrix operations."""
     n_alpha, n_point = _sizes(structure)
     distance = [feature - point for feature, point in zip(ca.vertsplit(scaled), _split(points, n_point), strict=True)]
@@ -144,9 +143,7 @@ def _matrix_sums(structure: Structure, scaled: Expression, points: Expression, a
     return values, [ca.dot(weighted[i], d) for d, i in zip(distance, of_output, strict=True)]
 
 
-def _compiled_sums(
-    structure: Structure, scaled: Expression, points: Expression, alpha: Expression
-) -> tuple[list, list]:
+def _compiled_sums(structure: Structure, scaled: Expression, points: Expression, alpha: Expression) -> Sums:
     """As _matrix_sums, one pass of gp_sums.c an output."""
     n_alpha, _ = _sizes(structure)
     n_features = [len(features) for _, features, _ in structure]

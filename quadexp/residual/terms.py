@@ -1,24 +1,20 @@
 """Residual of a sum of named terms identified from flights: drag, linear or quadratic, or lumped blade element.
 
-    a_body,i = sum_j c_ij phi_ij(v, u / m)                  m/s^2, phi: quadexp.identify.term_equations
+    a_body,i = sum_j c_ij phi_ij(v, u / m)                  m/s^2, phi: quadexp.dynamics.term_equations
 
 The coefficients are runtime parameters; which terms there are, the mass and the rotors' momentum factor are structure.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import casadi as ca
 import numpy as np
 
+from quadexp.dynamics.term_equations import term_expression
+from quadexp.dynamics.term_structure import TermStructure
 from quadexp.expression import Expression
-from quadexp.identify.term_equations import term_expression
 from quadexp.residual.base import Residual, feature_names, symbolic_residual
 from quadexp.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from quadexp.identify.term_mean import TermStructure
 
 
 def term_acceleration(features: Expression, theta: Expression, structure: TermStructure) -> Expression:

@@ -16,42 +16,20 @@ import numpy as np
 from quadexp.trajectory.base import (
     N_DERIVATIVES,
     FlatOutput,
-    check_finite,
     flat_output_held,
     hold_outside,
     sampled_peak_speed,
 )
 from quadexp.trajectory.phasor import phasor
-from quadexp.trajectory.profile import SpeedProfile
+from quadexp.trajectory.profile import ProfiledPath
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lemniscate:
+class Lemniscate(ProfiledPath):
     """Figure eight along the world's x axis, started at (radius, 0, height).
 
-    speed: nominal speed v of the profile, m/s; the vehicle's peak is up to sqrt(2) (v + .273 a), see peak_speed.
-    acceleration: a, m/s^2. radius, height: m.
-    yaw: heading held, rad; None: free, body yaw rate zero (Torrente et al. 2021).
-    Raises UsageError where the numbers are out of range or speed / acceleration is below 2 s.
+    The peak speed is up to sqrt(2) (v + .273 a), see peak_speed. Arguments: see ProfiledPath.
     """
-
-    speed: float
-    acceleration: float = 1.0
-    radius: float = 5.0
-    height: float = 1.0
-    yaw: float | None = None
-
-    def __post_init__(self) -> None:
-        check_finite(height=self.height, yaw=self.yaw)
-        _ = self.profile
-
-    @property
-    def profile(self) -> SpeedProfile:
-        return SpeedProfile(self.speed, self.acceleration, self.radius)
-
-    @property
-    def duration(self) -> float:
-        return self.profile.duration
 
     @cached_property
     def peak_speed(self) -> float:

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.trajectory.base import N_DERIVATIVES, check_positive
+from quadexp.trajectory.base import N_DERIVATIVES, check_finite, check_positive
 
 RAMP = 2.0  # s, from rest to full acceleration
 TURN = 4.0  # s, from full acceleration to full deceleration
@@ -95,3 +95,31 @@ class SpeedProfile:
         result[:, 3] = -c1 * k * sine
         result[:, 4] = -c1 * k**2 * cosine
         return result
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProfiledPath:
+    """A closed path at one height, begun at (radius, 0, height), along which the angle follows the profile.
+
+    speed: nominal speed v of the profile, m/s. acceleration: a, m/s^2. radius, height: m.
+    yaw: heading held, rad; None: free, body yaw rate zero (Torrente et al. 2021).
+    Raises UsageError where the numbers are out of range or speed / acceleration is below 2 s.
+    """
+
+    speed: float
+    acceleration: float = 1.0
+    radius: float = 5.0
+    height: float = 1.0
+    yaw: float | None = None
+
+    def __post_init__(self) -> None:
+        check_finite(height=self.height, yaw=self.yaw)
+        _ = self.profile
+
+    @property
+    def profile(self) -> SpeedProfile:
+        return SpeedProfile(self.speed, self.acceleration, self.radius)
+
+    @property
+    def duration(self) -> float:
+        return self.profile.duration

@@ -41,6 +41,21 @@ def test_the_drag_is_what_the_unseen_flight_has_beyond_its_thrust(folder):
     assert {path.name for path in (folder / "v").iterdir()} >= {"validation.json", "residuals.svg", "rollouts.png"}
 
 
+def test_shares_are_of_nominal_treated_alike(folder):
+    done = run("validate", folder / "vehicle", "--flights", folder / "c.parquet", "--json")
+    report = json.loads(done.stdout)
+    rows = {(row["predictor"], row["thrust_tracked"]): row for row in report["rows"]}
+    static, tracked = rows["nominal", False], rows["nominal", True]
+    assert static["share_alike"] == tracked["share_alike"] == 1.0 and tracked["share"] < 1.0
+    linear = rows["linear drag", True]
+    assert linear["share_alike"] == pytest.approx(linear["rms"] / tracked["rms"])
+    assert linear["share"] == pytest.approx(linear["rms"] / static["rms"]) and linear["share"] < linear["share_alike"]
+    assert report["nominal"].startswith("on motor_command: c_1")
+    text = run("validate", folder / "vehicle", "--flights", folder / "c.parquet").stdout
+    assert f"nominal: the thrust curve {report['nominal']}" in text
+    assert f"{100 * linear['share_alike']:.1f} % [" in text and "of nominal with its scale tracked too" in text
+
+
 def test_a_flight_that_was_fitted_is_no_test(folder):
     done = run("validate", folder / "vehicle", "--flights", folder / "a.parquet", folder / "c.parquet")
     assert done.exit_code == 0, done.stderr

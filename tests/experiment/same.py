@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from quadexp.experiment.store import CellStore
+from quadexp.flight.cell_store import CellStore
 from quadexp.flight.store import read_flight
 
 

@@ -17,13 +17,13 @@ pytest.importorskip("distributed", reason="the extra `cluster` is not installed"
 from distributed import Client
 
 from quadexp.cluster.driver import DaskEngine
+from quadexp.cluster.engines import build_engine
 from quadexp.cluster.start import open_cluster
 from quadexp.compose import compose, expand
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.engine import LocalEngine
-from quadexp.experiment.engines import build_engine
-from quadexp.experiment.store import CellStore
 from quadexp.experiment.sweep import run_sweep
+from quadexp.flight.cell_store import CellStore
 from tests.experiment import cells
 from tests.experiment.dask_cluster import ROOT, Cluster
 from tests.experiment.same import same_results

@@ -15,8 +15,8 @@ from quadexp.compose import compose, expand
 from quadexp.errors import UsageError
 from quadexp.experiment.collect import Setpoints, collect_flights, setpoints
 from quadexp.experiment.evaluate import InfeasibleError, fly_one, generator
-from quadexp.experiment.store import CellStore
 from quadexp.experiment.sweep import run_sweep
+from quadexp.flight.cell_store import CellStore
 from quadexp.flight.store import read_flight
 from quadexp.state import STATE_COLUMNS
 from quadexp.trajectory.base import Trajectory

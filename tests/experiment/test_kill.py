@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from quadexp.compose import expand
-from quadexp.experiment.store import CellStore
 from quadexp.experiment.sweep import run_sweep
+from quadexp.flight.cell_store import CellStore
 from tests.experiment import cells
 from tests.experiment.dask_cluster import ROOT, descendants
 from tests.experiment.same import same_results

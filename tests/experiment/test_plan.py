@@ -12,11 +12,12 @@ import pytest
 from quadexp.cells import Cells
 from quadexp.compose import compose, expand, session
 from quadexp.config import Config
-from quadexp.experiment import store
+from quadexp.experiment import keys as cell_keys
 from quadexp.experiment.build import find_model, input_hashes
 from quadexp.experiment.identity import FLIGHT_GROUPS
+from quadexp.experiment.keys import cell_key
 from quadexp.experiment.plan import Plan
-from quadexp.experiment.store import CellStore, cell_key
+from quadexp.flight.cell_store import CellStore
 from tests.experiment.test_sweep import fly
 
 OPTIONS = [
@@ -101,7 +102,7 @@ def test_another_content_of_a_checkpoint_is_another_cell(tmp_path):
 
 def test_a_new_schema_makes_every_cell_new(monkeypatch):
     (before,) = Plan(expand(["seed=0"]))
-    monkeypatch.setattr(store, "SCHEMA", 99)
+    monkeypatch.setattr(cell_keys, "SCHEMA", 99)
     assert list(Plan(expand(["seed=0"])))[0].key != before.key
 
 

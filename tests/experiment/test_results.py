@@ -10,9 +10,9 @@ from quadexp.compose import expand
 from quadexp.errors import UsageError
 from quadexp.experiment.engine import LocalEngine
 from quadexp.experiment.results import list_results, prune
-from quadexp.experiment.store import CellStore
 from quadexp.experiment.sweep import run_sweep
-from tests.cli.test_cli import run
+from quadexp.flight.cell_store import CellStore
+from tests.cli.command import run
 from tests.experiment import cells
 from tests.experiment.test_sweep import GRID, files, fly
 

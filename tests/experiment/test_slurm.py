@@ -12,9 +12,9 @@ pytest.importorskip("dask_jobqueue", reason="the extra `cluster` is not installe
 if not os.environ.get("QUADEXP_SLURM"):
     pytest.skip("a check by hand: set QUADEXP_SLURM=1", allow_module_level=True)
 
+from quadexp.cluster.engines import build_engine
 from quadexp.compose import compose, expand
 from quadexp.errors import QuadexpError
-from quadexp.experiment.engines import build_engine
 from quadexp.experiment.sweep import run_sweep
 from tests.experiment import cells
 from tests.experiment.dask_cluster import ROOT, descendants

@@ -15,11 +15,12 @@ import pytest
 
 from quadexp.compose import expand
 from quadexp.errors import UsageError
-from quadexp.experiment import store as cell_store
+from quadexp.experiment import keys as cell_keys
 from quadexp.experiment.engine import LocalEngine
+from quadexp.experiment.keys import cell_key
 from quadexp.experiment.plan import Plan
-from quadexp.experiment.store import CellStore, cell_key
 from quadexp.experiment.sweep import SweepInterrupted, run_sweep
+from quadexp.flight.cell_store import CellStore
 from quadexp.flight.store import read_flight, read_table
 from tests.experiment import cells
 
@@ -73,7 +74,7 @@ class TestKeys:
     def test_a_new_schema_makes_every_cell_new(self, monkeypatch):
         config = expand([])[0].config
         before = cell_key(config, {})
-        monkeypatch.setattr(cell_store, "SCHEMA", 99)
+        monkeypatch.setattr(cell_keys, "SCHEMA", 99)
         assert cell_key(config, {}) != before
 
     def test_cells_that_are_one_flight_are_flown_once(self):

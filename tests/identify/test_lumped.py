@@ -6,12 +6,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from quadexp.dynamics.term_equations import Inflow, term_expression
 from quadexp.errors import DataError, UsageError
 from quadexp.identify.checkpoint import load_model, save_model
 from quadexp.identify.lumped import SELF_CONSISTENT, lumped_coefficients, momentum_of
 from quadexp.identify.lumped_fit import NAMES, fit_inflow
 from quadexp.identify.regression import regress
-from quadexp.identify.term_equations import Inflow, term_expression
 from quadexp.identify.terms import AXES, term_columns, term_model
 from quadexp.identify.thrust_curve import ThrustCurve
 from quadexp.identify.vehicle_model import VehicleModel

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quadexp.errors import DataError, UsageError
-from quadexp.identify.regression import FLIGHT_CLUSTERS, autocorrelation_time, regress
+from quadexp.identify.regression import FLIGHT_CLUSTERS, MOST_LAGS, autocorrelation_time, regress
 from tests.identify.logged_flights import coloured
 
 TRUTH = np.array([0.4, 0.05])
@@ -92,3 +92,17 @@ def test_blocks_never_cross_a_gap(rng):
     assert np.all(np.diff(groups) >= 0) and groups[0] == 0
     assert all(len(np.unique(stretch[groups == g])) == 1 for g in np.unique(groups))
     assert np.array_equal(np.unique(groups), np.arange(groups.max() + 1))
+
+
+def test_memory_of_a_long_series(rng):
+    """Gauss-Markov noise of memory m remembers (1 + a) / (1 - a) = 2 m samples; averaging neighbours keeps that."""
+    long = coloured(rng, 4 * MOST_LAGS, 500.0)
+    assert autocorrelation_time(long) == pytest.approx(1000, rel=0.2)
+    assert autocorrelation_time(rng.normal(size=4 * MOST_LAGS)) < 8  # the four averaged are the least
+
+
+def test_coefficients_are_the_same_without_intervals(rng):
+    design, target, flight = draw(rng)
+    whole = regress(design, target, ("d", "b"), flight, flight, what="line")
+    plain = regress(design, target, ("d", "b"), flight, flight, what="line", intervals=False)
+    assert np.array_equal(plain.coefficients, whole.coefficients) and np.array_equal(plain.covariance, whole.plain)

@@ -8,10 +8,11 @@ import pytest
 from quadexp.errors import DataError, UsageError
 from quadexp.flight.schema import Flight
 from quadexp.identify.checkpoint import load_model, save_model
-from quadexp.identify.samples import gather
+from quadexp.identify.regression import half_width
+from quadexp.identify.samples import body_velocity, gather
 from quadexp.identify.selection import best_level, left_out, selection
-from quadexp.identify.vehicle_fit import FitSettings, fit_level, fit_vehicle_model
-from tests.identify.logged_flights import DRAG, OFFSET, logged_flight
+from quadexp.identify.vehicle_fit import FitSettings, curve_beside_quadratic, fit_level, fit_vehicle_model
+from tests.identify.logged_flights import CURVE, DRAG, OFFSET, logged_flight
 
 
 @pytest.fixture(scope="module")
@@ -143,3 +144,30 @@ def test_flights_of_another_vehicle_are_refused(flights):
         fit_vehicle_model([flights[0], other])
     with pytest.raises(UsageError, match="drag 'cubic' is none of linear, quadratic, blade_element"):
         FitSettings(kinds=("cubic",))
+
+
+def climbing(seed: int) -> Flight:
+    """A flight that commands more thrust where it climbs, against 0.12 v_z + 0.4 v_z |v_z| of drag."""
+    rng = np.random.default_rng(seed)
+    flight = logged_flight(900 + seed, quadratic=(0.0, 0.0, 0.4))
+    columns = dict(flight.columns)
+    up = body_velocity(flight)[:, 2]
+    command = 0.7 + 0.03 * up * np.abs(up) + 0.02 * rng.normal(size=len(up))
+    ratio = columns["battery_voltage"] / 4
+    for i in range(4):
+        old, new = columns[f"motor_command_{i}"] * ratio, command * ratio
+        columns["acc_z"] = columns["acc_z"] + CURVE[0] * (new - old) + CURVE[1] * (new**2 - old**2)
+        columns[f"motor_command_{i}"] = command.copy()
+    return Flight(columns, flight.metadata)
+
+
+def test_the_curve_beside_quadratic_drag_holds_the_truth_where_drag_is_quadratic():
+    inside = np.zeros((2, 2))
+    for seed in range(12):
+        samples = gather([climbing(seed)], "motor_command")
+        beside_linear = fit_level("linear", samples, FitSettings()).curve
+        beside_quadratic = curve_beside_quadratic(samples, FitSettings(), beside_linear)
+        for row, curve in enumerate((beside_linear, beside_quadratic)):
+            inside[row] += np.abs(curve.coefficients - CURVE) < half_width(curve.errors, curve.freedom)
+    assert np.all(inside[1] >= 9)  # 0.95 of 12 less three standard deviations
+    assert np.all(inside[0] <= 6)  # d_z v_z alone leaves quadratic drag to the curve

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.experiment.store import CellStore
+from quadexp.flight.cell_store import CellStore
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import write_flight, write_table
 from quadexp.report.metrics import flight_metrics

@@ -16,7 +16,8 @@ from quadexp.experiment.sweep import run_sweep
 from quadexp.flight.store import write_flight, write_table
 from quadexp.identify.checkpoint import save_model
 from quadexp.identify.linear_drag import LinearDrag
-from quadexp.report.compare import change, compare, differing
+from quadexp.report.compare import compare
+from quadexp.report.differences import change, differing
 from quadexp.report.tables import to_columns
 from tests.experiment import cells
 from tests.flight.flights import straight_flight

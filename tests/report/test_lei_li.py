@@ -7,7 +7,7 @@ import pytest
 
 from quadexp.compose import compose
 from quadexp.experiment.evaluate import fly_one, result_row
-from quadexp.experiment.store import CellStore
+from quadexp.flight.cell_store import CellStore
 from quadexp.flight.store import read_flight, write_flight
 from quadexp.report import lei_li
 from quadexp.report import lei_li_families as families

@@ -23,6 +23,8 @@ __all__ = ["Finding", "check_flight", "check_flights"]
 
 LEAST_WINDOWS = 10
 SHORT = 2.0  # s
+MOST_ROWS = 50_000  # that a median is taken over
+CHUNK = 100_000  # rows that are repaired at once
 THRUST_MARGIN = 2.0  # times the largest thrust: knocks and vibration besides
 HARD_LIMIT = 320.0  # m/s^2: a 32 g accelerometer
 
@@ -47,14 +49,17 @@ def check_flight(flight: Flight, vehicle: Vehicle | None = None) -> list[Finding
         found += row_checks.check_quaternion(streams["q"], t)
     if any(one.name in ("clock_repeated", "clock_jump") and one.blocks for one in found):
         first &= _later(t)
-    t, streams = t[first], {name: values[first] for name, values in streams.items()}
-    segment = None if segment is None else np.asarray(segment)[first]
-    kept = Flight({name: values[first] for name, values in flight.columns.items()}, flight.metadata)
+    kept = flight
+    if not first.all():  # a long flight is not copied without need
+        t, streams = t[first], {name: values[first] for name, values in streams.items()}
+        segment = None if segment is None else np.asarray(segment)[first]
+        kept = Flight({name: values[first] for name, values in flight.columns.items()}, flight.metadata)
     if len(t) < 3 or not np.isfinite(t).all():
         return worst_first(found)
     flown = commands.check_flown(kept, streams, vehicle)
-    if flown:
-        return worst_first(found + flown)
+    found += flown
+    if any(one.blocks for one in flown):
+        return worst_first(found)
 
     frozen, masks = row_checks.check_frozen(streams, t)
     found += frozen
@@ -69,7 +74,8 @@ def check_flight(flight: Flight, vehicle: Vehicle | None = None) -> list[Finding
     imu = timing.imu_offset(t, repaired, ~bad, vectors=True)
     motor = _motor_offset(kept, t, repaired)
     found += timing.offset_findings(imu, motor)
-    spikes, _ = row_checks.check_spikes(repaired, t, _limits(vehicle))
+    spikes, spiky = row_checks.check_spikes(repaired, t, _limits(vehicle))
+    found += _stray(t, repaired, segment, [spiky[name] for name in "pv" if name in spiky])
     found += [one for one in spikes if one.name not in {other.name for other in found}]
     found += commands.check_commands(kept, vehicle)
     if t[-1] - t[0] < SHORT:
@@ -94,10 +100,21 @@ def _streams(flight: Flight) -> dict[str, np.ndarray]:
     found = {}
     for name, columns in STREAMS.items():
         if all(column in flight.columns for column in columns):
-            values = flight.stack(columns).astype(float)
+            values = _together([flight.columns[column] for column in columns])
             if np.isfinite(values).all(axis=1).any():
                 found[name] = values
     return found
+
+
+def _together(columns: list[np.ndarray]) -> np.ndarray:
+    """Columns side by side, (k, m): the array itself that all of them are columns of, where there is one."""
+    base = columns[0].base
+    if isinstance(base, np.ndarray) and base.shape == (len(columns[0]), len(columns)) and base.dtype == np.float64:
+        views = [base[:, i] for i in range(len(columns))]
+        places = [(v.__array_interface__["data"][0], v.strides) for v in views]
+        if places == [(c.__array_interface__["data"][0], c.strides) for c in columns]:
+            return base
+    return np.stack(columns, axis=-1).astype(float, copy=False)
 
 
 def _later(t: np.ndarray) -> np.ndarray:
@@ -113,9 +130,11 @@ def _spiky(streams: Mapping[str, np.ndarray]) -> np.ndarray:
     for name, values in streams.items():
         if name == "q":
             continue
-        middle = np.nanmedian(values, axis=0)
-        spread = np.nanmax(np.nanquantile(np.abs(values - middle), 0.8, axis=0))
-        bad |= np.nan_to_num(np.abs(values - middle)).max(axis=1) > 12 * spread
+        some = values[:: max(1, length // MOST_ROWS)]
+        middle = np.nanmedian(some, axis=0)
+        spread = np.nanmax(np.nanquantile(np.abs(some - middle), 0.8, axis=0))
+        for column, centre in zip(values.T, middle, strict=True):
+            bad |= np.abs(column - centre) > 12 * spread
     return bad if bad.mean() < 0.5 else np.zeros(length, bool)
 
 
@@ -140,15 +159,32 @@ def _consistency(t, streams, bad, segment):
                 shifted[name] = np.stack([np.interp(t + start.seconds, t, column) for column in columns], axis=-1)
     explained, windows = consistency.explain(cut(t, shifted, starts, half))
     found = [one.finding() for one in explained] + consistency.disagreements(windows)
-    all_of_it = whole(t, streams)
-    for one in explained:
-        all_of_it = one.repair.apply(all_of_it)
-    repaired = {name: getattr(all_of_it, name)[0] for name in streams}
-    finite = np.all([np.isfinite(values).all(axis=1) for values in streams.values()], axis=0)
-    starts, half = window_starts(t, finite, segment)
-    if len(starts) >= LEAST_WINDOWS:
-        found += consistency.stray(cut(t, repaired, starts, half))
+    repaired = _repaired(t, streams, explained) if explained else streams
     return repaired, found
+
+
+def _stray(t, streams, segment, without: list[np.ndarray]) -> list[Finding]:
+    """Stretches where a sensor leaves the motion. without: masks of rows whose motion is not to be believed."""
+    good = np.ones(len(t), bool)
+    for values in streams.values():
+        good &= np.isfinite(values).all(axis=1)
+    for mask in without:
+        good &= ~mask
+    starts, half = window_starts(t, good, segment)
+    return consistency.stray(cut(t, streams, starts, half)) if len(starts) >= LEAST_WINDOWS else []
+
+
+def _repaired(t, streams, explained) -> dict[str, np.ndarray]:
+    """The streams with all repairs done, chunk by chunk."""
+    made = {name: np.empty_like(values) for name, values in streams.items()}
+    for start in range(0, len(t), CHUNK):
+        rows = slice(start, start + CHUNK)
+        part = whole(t[rows], {name: values[rows] for name, values in streams.items()})
+        for one in explained:
+            part = one.repair.apply(part)
+        for name in made:
+            made[name][rows] = getattr(part, name)[0]
+    return made
 
 
 def _motor_offset(flight: Flight, t: np.ndarray, streams: Mapping[str, np.ndarray]):

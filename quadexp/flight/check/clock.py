@@ -60,8 +60,8 @@ def check_clock(
     period = float(np.median(positive))
     marked = np.zeros(len(steps), bool) if segment is None else np.diff(segment) != 0
     long = np.flatnonzero(steps > GAP * period)
-    leaps = [k for k in long if _leaps(k, t, period, position, velocity)]
-    gaps = [k for k in long if k not in set(leaps)]
+    leaps = [int(k) for k in long if _leaps(int(k), t, period, position, velocity)]
+    gaps = [int(k) for k in long if k not in set(leaps)]
     if leaps:
         k = max(leaps, key=lambda k: steps[k])
         more = f", {len(leaps)} such" if len(leaps) > 1 else ""

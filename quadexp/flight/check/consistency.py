@@ -12,6 +12,7 @@ repaired flight, so that faults in several streams are named one by one.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -23,6 +24,7 @@ KEPT = 0.9  # share of the windows that a residual is taken over
 LEAST_GAIN = 0.35  # clean flights of every kind at hand stay below 0.06
 TIE = 0.15  # of J a unit of cost: a repair that claims more must explain more
 MOST_FAULTS = 4
+FEW, FINALISTS = 100, 10  # every hypothesis is tried on so many windows first, the best ones on all
 STRAY = 12.0  # robust standard deviations
 STRAY_FLOOR = {"acceleration_outlier": 8.0, "rate_outlier": 4.0}  # m/s^2 and rad/s, means over a window
 MOVING = 2.0  # floors that a stream must move by to be compared
@@ -56,7 +58,7 @@ class Agreement:
     floor: float
     size: float
 
-    @property
+    @cached_property
     def score(self) -> float:
         return WEIGHT.get(self.relation, 1.0) * float(np.sum(np.log(self.residual**2 + self.floor**2)))
 
@@ -76,16 +78,19 @@ class Agreement:
 def agreement(pair: Pair) -> Agreement:
     """Compare the two sides of a relation over the smaller nine tenths of its windows."""
     gap = pair.found - pair.expected
-    size = np.sum((gap / np.maximum(np.median(np.abs(gap), axis=0), 1e-9)) ** 2, axis=1)
-    kept = size <= np.quantile(size, KEPT)
+    half, most = len(gap) // 2, int(KEPT * (len(gap) - 1))
+    scale = np.maximum(np.partition(np.abs(gap), half, axis=0)[half], 1e-9)
+    size = np.einsum("ni,ni,i->n", gap, gap, scale**-2)
+    kept = size <= np.partition(size, most)[most]
     gap, expected, found = gap[kept], pair.expected[kept], pair.found[kept]
     a, b = expected - expected.mean(axis=0), found - found.mean(axis=0)
-    power = np.sum(a * a) * np.sum(b * b)
-    correlation = float(np.sum(a * b) / np.sqrt(power)) if power > 0 else 0.0
-    gain = float(np.sqrt(np.sum(b * b) / np.sum(a * a)) * np.sign(correlation)) if power > 0 else 1.0
-    signal = np.sqrt(np.maximum(np.mean(a * a, axis=0), 0))
-    size = float(np.sqrt(np.mean(np.sum(expected**2, axis=1))))
-    return Agreement(pair.relation, np.sqrt(np.mean(gap**2, axis=0)), signal, correlation, gain, pair.floor, size)
+    spread, n = np.einsum("ni,ni->i", a, a), len(gap)
+    aa, bb = float(spread.sum()), float(np.vdot(b, b))
+    correlation = float(np.vdot(a, b)) / np.sqrt(aa * bb) if aa * bb > 0 else 0.0
+    gain = float(np.sqrt(bb / aa) * np.sign(correlation)) if aa * bb > 0 else 1.0
+    residual = np.sqrt(np.einsum("ni,ni->i", gap, gap) / n)
+    size = float(np.sqrt(np.vdot(expected, expected) / n))
+    return Agreement(pair.relation, residual, np.sqrt(spread / n), float(correlation), gain, pair.floor, size)
 
 
 def agreements(
@@ -144,25 +149,53 @@ def explain(windows: Windows) -> tuple[list[Explained], Windows]:
             taken.append(Explained(clock, before, after, _total(before) - _total(after)))
             before = after
     while before and not _settled(before) and len(taken) < MOST_FAULTS:
+        every = [
+            repair
+            for repair in (*repairs(present(windows)), *_scales(before))
+            if not (taken and (repair.streams, repair.name) == (taken[-1].repair.streams, taken[-1].repair.name))
+        ]
+        few = windows.every(max(1, len(windows.t) // FEW))
+        known = agreements(few)
+        coarse = [_tried(repair, few, known)[0] for repair in every]
         best: tuple[float, Repair, Windows, dict[str, Agreement]] | None = None
-        for repair in (*repairs(present(windows)), *_scales(before)):
-            if taken and repair.streams == taken[-1].repair.streams and repair.name == taken[-1].repair.name:
+        for i in np.argsort(coarse)[::-1][:FINALISTS]:
+            if coarse[i] <= 0:
+                break
+            value, changed, after = _tried(every[i], windows, before)
+            if every[i].name == "scale" and not _telling(before, after):
                 continue
-            changed = repair.apply(windows)
-            after = agreements(changed, before, repair.streams)
-            if repair.streams == "pv":  # of two streams changed alike, their relation says nothing
-                after["velocity"] = before["velocity"]
-            value = _total(before) - _total(after) - TIE * repair.cost
-            if repair.name == "scale" and not _telling(before, after):
+            if every[i].name == "units" and not _more_than_nothing(every[i], windows, before, after):
                 continue
             if value > LEAST_GAIN and _plausible(before, after) and (best is None or value > best[0]):
-                best = (value, repair, changed, after)
+                best = (value, every[i], changed, after)
         if best is None:
             break
         value, repair, windows, after = best
         taken.append(Explained(repair, before, after, value))
         before = agreements(windows)
     return taken, windows
+
+
+def _tried(
+    repair: Repair, windows: Windows, before: dict[str, Agreement]
+) -> tuple[float, Windows, dict[str, Agreement]]:
+    """By how much a repair lowers J, less what it claims; the windows after it and how well they agree."""
+    changed = repair.apply(windows)
+    after = agreements(changed, before, repair.streams)
+    if repair.streams == "pv":  # of two streams changed alike, their relation says nothing
+        after["velocity"] = before["velocity"]
+    return _total(before) - _total(after) - TIE * repair.cost, changed, after
+
+
+def _more_than_nothing(
+    repair: Repair, windows: Windows, before: dict[str, Agreement], after: dict[str, Agreement]
+) -> bool:
+    """Whether a stream in another unit explains more than the same stream set to zero: small is not right."""
+    zero = {name: 0.0 * windows.of(name) for name in repair.streams if name in "pvwf"}
+    nothing = agreements(windows.having(**zero), before, repair.streams)
+    if repair.streams == "pv":
+        nothing["velocity"] = before["velocity"]
+    return not zero or _total(nothing) - _total(after) > LEAST_GAIN
 
 
 def _scales(found: dict[str, Agreement]) -> tuple[Repair, ...]:

@@ -60,7 +60,11 @@ def _scaled(streams: str, factor: float) -> Callable[[Windows], Windows]:
 
 
 def _attitude(function: Callable[[np.ndarray], np.ndarray]) -> Callable[[Windows], Windows]:
-    return lambda windows: windows.having(q=function(windows.q))
+    return lambda windows: windows.having(q=function(windows.of("q")))
+
+
+def _times(factors: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda q: q * factors
 
 
 def _chain(*functions: Callable[[Windows], Windows]) -> Callable[[Windows], Windows]:
@@ -73,16 +77,16 @@ def _chain(*functions: Callable[[Windows], Windows]) -> Callable[[Windows], Wind
 
 
 def _to_world(name: str) -> Callable[[Windows], Windows]:
-    return lambda one: one.having(**{name: np.einsum("nlij,nlj->nli", one.rotation, getattr(one, name))})
+    return lambda one: one.having(**{name: np.einsum("nlij,nlj->nli", one.of("rotation"), one.of(name))})
 
 
 def _to_body(name: str) -> Callable[[Windows], Windows]:
-    return lambda one: one.having(**{name: np.einsum("nlji,nlj->nli", one.rotation, getattr(one, name))})
+    return lambda one: one.having(**{name: np.einsum("nlji,nlj->nli", one.of("rotation"), one.of(name))})
 
 
 def _with_gravity(sign: float) -> Callable[[Windows], Windows]:
     def apply(one: Windows) -> Windows:
-        return one.having(f=one.f + sign * GRAVITY * one.rotation[..., 2, :])
+        return one.having(f=one.of("f") + sign * GRAVITY * one.of("rotation")[..., 2, :])
 
     return apply
 
@@ -172,7 +176,7 @@ def repairs(present: frozenset[str]) -> tuple[Repair, ...]:
         for k, axis in enumerate("xyz"):
             sign = np.ones(4)
             sign[k + 1] = -1
-            flip = _attitude(lambda q, sign=sign: q * sign)
+            flip = _attitude(_times(sign))
             add("q", "sign_flip", "q", f"the sign of q_{axis} is reversed", flip, cost=1.4)
         motion = "".join(name for name in "pv" if name in present)
         sensors = "".join(name for name in "wf" if name in present)
@@ -201,7 +205,7 @@ def clock_repair(gain: float) -> Repair:
 
 def scale_repairs(gain: float, streams: str) -> tuple[Repair, ...]:
     """One stream of two is too large by a factor that no unit has; `gain` is that of the first over the second."""
-    first, second = streams
+    first, second = streams[0], streams[1]
     found = [Repair("scale", first, f"{gain:.4g} times too large", _scaled(first, 1 / gain), 1.3)]
     if second == "p":
         found.append(Repair("scale", second, f"{1 / gain:.4g} times too large", _scaled(second, gain), 1.4))

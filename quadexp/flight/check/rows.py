@@ -13,6 +13,8 @@ NORM_BLOCKS = 0.1
 FROZEN = 0.2  # s
 LEAST_ROWS = 8
 MOVES = 0.05  # rad/s or m/s: what a frozen sensor would have had to see
+MOST_ROWS = 20_000  # that are looked at for axes that never move
+MANY_OUTLIERS, LEAST_OUTLIERS = 0.005, 8  # share of the rows, and rows, beyond which spikes block
 SPIKE = 12.0  # robust standard deviations
 # The least that counts as a spike: beyond what flying does within a few samples.
 SPIKE_FLOOR = {"p": 0.05, "v": 0.5, "w": 8.0, "f": 30.0}
@@ -85,13 +87,13 @@ def check_repeats(columns: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[F
     kept = np.ones(len(t), bool)
     if not names or len(t) < LEAST_ROWS:
         return [], kept
-    table = np.ascontiguousarray(np.stack([np.asarray(columns[name], float) for name in names], axis=-1))
-    if np.ptp(table[:, 0]) == 0:
+    if np.ptp(columns[names[0]]) == 0:
         return [], kept
-    _, first, inverse = np.unique(table.view(f"V{8 * table.shape[1]}").ravel(), return_index=True, return_inverse=True)
+    number = _row_numbers([columns[name] for name in names])
+    _, first, inverse = np.unique(number, return_index=True, return_inverse=True)
     again = first[inverse.ravel()] < np.arange(len(t))
     stuck = np.zeros(len(t), bool)
-    for start, stop in runs(np.concatenate([[False], (table[1:] == table[:-1]).all(axis=1)])):
+    for start, stop in runs(np.concatenate([[False], number[1:] == number[:-1]])):
         stuck[start:stop] = stop - start >= LEAST_ROWS  # all sensors frozen, or nothing moves: see check_frozen
     again &= ~stuck
     if again.sum() < 2:
@@ -104,6 +106,17 @@ def check_repeats(columns: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[F
         "duplicated_rows", severity, rows(start, stop, t), text, "none", "leave them out", span(t, start, stop)
     )
     return [finding], kept & ~again
+
+
+def _row_numbers(columns: list[np.ndarray]) -> np.ndarray:
+    """A number for every row, (k,): the same for the same bits, another one (but for 1 in 2^64) for others."""
+    total = np.zeros(len(columns[0]), np.uint64)
+    for column in columns:
+        total += np.ascontiguousarray(column, dtype=float).view(np.uint64)
+        total ^= total >> np.uint64(29)
+        total *= np.uint64(0xBF58476D1CE4E5B9)  # steps of splitmix64 (Steele et al. 2014), each one to one
+        total ^= total >> np.uint64(32)
+    return total
 
 
 def check_frozen(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Finding], dict[str, np.ndarray]]:
@@ -121,7 +134,7 @@ def check_frozen(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Fi
                 total += 1
                 if worst is None or stop - start > worst[1] - worst[0] - 1:
                     worst = (start - 1, stop)
-        axes = [] if total else _dead(values, moving[name])
+        axes, proved = ([], False) if total else _dead(name, values, streams, t)
         if worst is not None:
             masks[name] = stuck
             text = f"one value for {t[worst[1] - 1] - t[worst[0]]:.2f} s while the vehicle moves, {total} times"
@@ -132,39 +145,66 @@ def check_frozen(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Fi
             found.append(Finding("frozen_sensor", severity, where, text, f"{FROZEN:g} s", span=span(t, *worst)))
         elif axes:
             columns = " ".join(STREAMS[name][i] for i in axes)
-            text = "one value throughout while the vehicle moves"
-            found.append(Finding("frozen_sensor", "blocking", columns, text, f"{FROZEN:g} s"))
+            text = "one value throughout while " + ("the vehicle moves along it" if proved else "the others change")
+            severity = "blocking" if proved else "warning"
+            found.append(Finding("frozen_sensor", severity, columns, text, f"{FROZEN:g} s"))
     return found, masks
 
 
-def _dead(values: np.ndarray, moving: np.ndarray) -> list[int]:
-    """Axes that never change though others of the sensor do."""
+def _dead(name: str, values: np.ndarray, streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[int], bool]:
+    """Axes that never change though others of the sensor do, and whether another stream moves along one of them.
+
+    A simulated flight in a plane has such axes, and its attitude too: nothing is wrong with it.
+    """
     still = np.ptp(values, axis=0) == 0
-    return [] if still.all() or np.mean(moving) < MOVES else [int(i) for i in np.flatnonzero(still)]
+    if name == "q" or still.all() or not still.any():
+        return [], False
+    axes = np.flatnonzero(still)
+    twin = {"p": "v", "v": "p", "w": "q"}.get(name)
+    if twin not in streams:
+        return ([int(i) for i in axes], False) if name != "f" or values[0, axes].any() else ([], False)
+    part = slice(None, None, max(1, len(t) // MOST_ROWS))
+    own, other = t[part], streams[twin][part]
+    if name == "v":
+        other = np.diff(other, axis=0) / np.diff(own)[:, None]
+    elif name == "w":
+        other = attitude_rate(own, other)
+    moving = [int(i) for i in axes if np.sqrt(np.nanmean(other[:, i] ** 2)) > MOVES]
+    return moving, bool(moving)
 
 
 def _moving(streams: dict[str, np.ndarray], t: np.ndarray) -> dict[str, np.ndarray]:
     """How fast the vehicle moves (rad/s, m/s), (k,), as the streams other than the named one see it."""
     step = np.maximum(np.diff(t), 1e-9)
 
-    def size(x: np.ndarray) -> np.ndarray:
-        return np.nan_to_num(np.linalg.norm(x, axis=1))
+    def change(x: np.ndarray, sign: float = 1.0) -> np.ndarray:
+        """Length of x_k+1 - sign x_k, column by column: a long flight is not copied."""
+        total = np.zeros(len(t))
+        for column in x.T:
+            total[:-1] += (column[1:] - sign * column[:-1]) ** 2
+        return np.nan_to_num(np.sqrt(total))
 
     speed = {}
     if "v" in streams:
-        speed["v"] = size(streams["v"])
+        speed["v"] = np.nan_to_num(_length(streams["v"]))
     if "p" in streams:
-        speed["p"] = size(np.vstack([np.diff(streams["p"], axis=0) / step[:, None], np.zeros(3)]))
+        speed["p"] = change(streams["p"])
+        speed["p"][:-1] /= step
     turning = {}
     if "w" in streams:
-        turning["w"] = size(streams["w"])
-    if "q" in streams:
-        turning["q"] = size(np.vstack([attitude_rate(t, streams["q"]) if len(t) > 1 else [], np.zeros(3)]))
+        turning["w"] = np.nan_to_num(_length(streams["w"]))
+    if "q" in streams:  # twice the chord of half the angle
+        turning["q"] = 2 * np.minimum(change(streams["q"]), change(streams["q"], -1.0))
+        turning["q"][:-1] /= step
     zero = np.zeros(len(t))
     linear = {name: sum((x for key, x in speed.items() if key != name), zero) for name in "pv"}
     angular = {name: sum((x for key, x in turning.items() if key != name), zero) for name in "qw"}
     every = sum(speed.values(), zero) + sum(turning.values(), zero)
     return {**linear, **angular, "f": every}
+
+
+def _length(x: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.einsum("ki,ki->k", x, x))
 
 
 def check_spikes(
@@ -180,29 +220,33 @@ def check_spikes(
     for name, values in streams.items():
         if name == "q" or len(t) < 9:
             continue
-        finite = np.where(np.isfinite(values), values, 0)
-        away = np.abs(finite - median_filter(finite, size=(7, 1), mode="nearest"))
-        noise = 1.4826 * np.median(away, axis=0)
-        threshold = np.maximum(SPIKE * noise, SPIKE_FLOOR[name])
-        size = np.linalg.norm(finite, axis=1)
+        size = _length(np.where(np.isfinite(values), values, 0))
         beyond = size > limit.get(name, np.inf)
-        bad = (away > threshold).any(axis=1) | beyond
+        excess = np.where(beyond, size, 0)
+        bad, away, threshold = beyond.copy(), [], []
+        for own in values.T:
+            filled = np.where(np.isfinite(own), own, 0)
+            apart = np.abs(filled - median_filter(filled, size=7, mode="nearest"))
+            threshold.append(max(SPIKE * 1.4826 * float(np.median(apart)), SPIKE_FLOOR[name]))
+            away.append(apart.astype(np.float32))
+            bad |= apart > threshold[-1]
         if not bad.any():
             continue
         masks[name] = bad
-        worst = int(np.argmax(np.where(beyond, size, 0) + np.max(away / threshold, axis=1)))
-        start, stop = next(run for run in runs(bad) if run[0] <= worst < run[1])
         share = bad.mean()
+        worst = int(np.argmax(excess + np.max([a / h for a, h in zip(away, threshold, strict=True)], axis=0)))
+        start, stop = next(run for run in runs(bad) if run[0] <= worst < run[1])
         if beyond[worst]:
-            column = STREAMS[name][int(np.argmax(np.abs(finite[worst])))]
-            text = f"magnitude {size[worst]:.4g}, {column} {finite[worst, STREAMS[name].index(column)]:.4g}"
+            axis = int(np.argmax(np.abs(np.nan_to_num(values[worst]))))
+            text = f"magnitude {size[worst]:.4g}, {STREAMS[name][axis]} {values[worst, axis]:.4g}"
             allowed = f"magnitude {limit[name]:.3g}"
         else:
-            axis = int(np.argmax(away[worst] / threshold))
-            column = STREAMS[name][axis]
-            text = f"{finite[worst, axis]:.4g}, {away[worst, axis]:.3g} from its neighbours"
+            axis = int(np.argmax([a[worst] / h for a, h in zip(away, threshold, strict=True)]))
+            text = f"{values[worst, axis]:.4g}, {away[axis][worst]:.3g} from its neighbours"
             allowed = f"{threshold[axis]:.3g} from the neighbours"
-        severity = "blocking" if share > 0.002 or beyond.mean() > 0.0005 else "warning"
+        column = STREAMS[name][axis]
+        many = max(LEAST_OUTLIERS, MANY_OUTLIERS * len(t))
+        severity = "blocking" if bad.sum() > many or beyond.sum() > max(2, 0.0005 * len(t)) else "warning"
         where = f"{column}, {rows(start, stop, t)}"
         found.append(
             Finding(

@@ -38,8 +38,10 @@ def imu_offset(t: np.ndarray, streams: dict[str, np.ndarray], good: np.ndarray, 
     """
     if "q" not in streams or "w" not in streams:
         return None
-    usable = good & np.isfinite(streams["q"]).all(axis=1) & np.isfinite(streams["w"]).all(axis=1)
-    own, q, w = t[usable], streams["q"][usable], streams["w"][usable]
+    rows = np.flatnonzero(good & spread(t))
+    q, w = streams["q"][rows], streams["w"][rows]
+    usable = np.isfinite(q).all(axis=1) & np.isfinite(w).all(axis=1)
+    own, q, w = t[rows][usable], q[usable], w[usable]
     if len(own) < 50 or np.any(np.diff(own) <= 0):
         return None
     rate = attitude_rate(own, q)

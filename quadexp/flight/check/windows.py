@@ -58,6 +58,19 @@ class Windows:
     f: np.ndarray | None
     rotation: np.ndarray | None
 
+    def of(self, name: str) -> np.ndarray:
+        """A stream, or the rotation, that is known to be there."""
+        values: np.ndarray | None = getattr(self, name)
+        if values is None:
+            raise ValueError(f"these windows have no {name}")
+        return values
+
+    def every(self, step: int) -> Windows:
+        """Every step-th window."""
+        found = {name: getattr(self, name) for name in ("t", *STREAMS, "rotation")}
+        kept: dict[str, Any] = {name: None if x is None else x[::step] for name, x in found.items()}
+        return Windows(**kept)
+
     def having(self, **changes: Any) -> Windows:
         """A copy with some streams replaced; R(q) follows q."""
         if "q" in changes:
@@ -137,10 +150,10 @@ def pairs(windows: Windows, gravity: float = GRAVITY, touching: str = "tpqvwf") 
         found.append(Pair("push", np.abs(read) * UP + read * (1 - UP), read, FLOOR["thrust"]))
     if one.q is None or (one.v is None and one.p is None) or not set(touching) & set("tpvqf"):
         return found
-    push = None if one.f is None else np.einsum("nlij,nlj->nli", one.rotation, one.f)
+    push = None if one.f is None else np.einsum("nlij,nlj->nli", one.of("rotation"), one.f)
     if one.v is not None and wanted("force"):
         change = both(lambda a, b: (one.v[:, b] - one.v[:, a]) / duration(a, b)) + gravity * UP
-        middle = np.concatenate([one.rotation[:, (a + b) // 2] for a, b in halves])
+        middle = np.concatenate([one.of("rotation")[:, (a + b) // 2] for a, b in halves])
         expected = np.einsum("nij,ni->nj", middle, change)
         if push is None:
             found.append(_thrust("thrust", expected))
@@ -151,7 +164,7 @@ def pairs(windows: Windows, gravity: float = GRAVITY, touching: str = "tpqvwf") 
         first, second = duration(0, half), duration(half, 2 * half)
         change = (one.p[:, -1] - one.p[:, half]) / second - (one.p[:, half] - one.p[:, 0]) / first
         change = change / ((first + second) / 2) + gravity * UP
-        middle = one.rotation[:, half]
+        middle = one.of("rotation")[:, half]
         expected = np.einsum("nij,ni->nj", middle, change)
         if push is None:
             found.append(_thrust("thrust (p)", expected))
@@ -177,8 +190,11 @@ FLOOR = {"velocity": 0.02, "rate": 0.05, "force": 0.3, "force (p)": 0.3, "thrust
 
 def mean(t: np.ndarray, x: np.ndarray, a: int, b: int) -> np.ndarray:
     """Mean of x (n, l, 3) from sample a to b by the trapezoidal rule, (n, 3)."""
-    time = t[:, a : b + 1, None]
-    return np.trapezoid(x[:, a : b + 1], time, axis=1) / (time[:, -1] - time[:, 0])
+    step = np.diff(t[:, a : b + 1], axis=1)
+    weight = np.zeros((len(t), b - a + 1))
+    weight[:, :-1] += step
+    weight[:, 1:] += step
+    return np.einsum("nl,nli->ni", weight / (2 * step.sum(axis=1, keepdims=True)), x[:, a : b + 1])
 
 
 def rotation_matrices(q: np.ndarray) -> np.ndarray:

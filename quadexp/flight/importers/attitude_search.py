@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from quadexp.flight.importers.evidence import (
+    UPS,
     Fit,
     Samples,
     body_rate,
@@ -24,7 +25,11 @@ from quadexp.flight.importers.evidence import (
 )  # fmt: skip
 from quadexp.flight.importers.names import numbered_quaternion, unit_of
 from quadexp.flight.importers.units import UNITS, axes_matrix
+from quadexp.vehicle import GRAVITY
 
+UNLIKELY = 0.5  # a velocity in the body frame has to fit that much better than one in the world
+DOUBTFUL = 1.8  # a gap between fits up to which the better one is likely, not sure
+LEAST_MOTION = 0.5  # m/s^2 rms: a flight that says by its thrust alone which way is up
 Groups = dict[str, list[list[int]]]
 
 
@@ -46,6 +51,7 @@ class Attitude:
     """R: (n, 3, 3), log's body to log's world. fields: attitude, rate, acceleration. taken: columns they use.
 
     position: three columns whose second derivative explained the accelerometer, where no name said so.
+    body_velocity: whether a velocity that nothing else explains is in the body frame.
     """
 
     R: np.ndarray
@@ -54,6 +60,18 @@ class Attitude:
     fields: dict[str, Proposal]
     taken: list[int]
     position: list[int] | None = None
+    body_velocity: bool = False
+
+
+class Thrust(NamedTuple):
+    """Without an accelerometer: the thrust points along one axis of the body. misfit: what lies beside it, over the
+    acceleration. gap: misfit of the next best choice over this one. in_body: whether the velocity is in the body."""
+
+    up: str
+    axis: str
+    misfit: float
+    gap: float
+    in_body: bool
 
 
 @dataclass
@@ -65,18 +83,24 @@ class _Hypothesis:
     angles: str = ""
     rate: tuple[list[int], Fit] | None = None
     force: tuple[list[int], Fit, str, float, list[int] | None] | None = None
+    thrust: Thrust | None = None
     score: float = 0.0
     named: bool = field(default=False)
 
 
-def find_attitude(names: list[str], s: Samples, usable: list[int], said: Groups) -> Attitude | None:
-    """The attitude that explains gyro and accelerometer best; None where there is none."""
+def find_attitude(
+    names: list[str], s: Samples, usable: list[int], said: Groups, velocities: list[list[int]] | None = None
+) -> Attitude | None:
+    """The attitude that explains gyro and accelerometer best; None where there is none.
+
+    velocities: by name alone, for the thrust of a log without accelerometer and position.
+    """
     hypotheses = _hypotheses(names, s, usable, said)
     if not hypotheses:
         return None
     chosen = [h for h in hypotheses if h.named] or hypotheses
     for h in chosen:
-        _weigh(h, s, usable, said)
+        _weigh(h, s, usable, said, velocities or [])
     ranked = sorted(chosen, key=lambda h: -h.score)
     best = ranked[0]
     same = [h for h in ranked if h.columns == best.columns and (h.order, h.inverse) != (best.order, best.inverse)]
@@ -119,7 +143,7 @@ def _angles(names: list[str], s: Samples, said: Groups) -> list[_Hypothesis]:
     return made
 
 
-def _weigh(h: _Hypothesis, s: Samples, usable: list[int], said: Groups) -> None:
+def _weigh(h: _Hypothesis, s: Samples, usable: list[int], said: Groups, velocities: list[list[int]]) -> None:
     """Fit gyro and accelerometer to a hypothesis; its score is the mean of the two, 0 for what is not there."""
     taken = set(h.columns)
     triples = [g for i in range(s.x.shape[1] - 2) if set(g := list(range(i, i + 3))) <= set(usable) - taken]
@@ -141,7 +165,10 @@ def _weigh(h: _Hypothesis, s: Samples, usable: list[int], said: Groups) -> None:
             best = (value, columns, fit)
     if best is not None and best[2].score > 0.5:
         h.rate = (best[1], best[2])
-    h.score = 0.5 * (h.rate[1].score if h.rate else 0.0) + 0.5 * (h.force[1].score if h.force else 0.0)
+    if h.force is None:
+        h.thrust = _thrust_alone(h, R, s, usable, {"velocity": velocities, **said})
+    seen = h.force[1].score if h.force else max(0.0, 1 - h.thrust.misfit) if h.thrust else 0.0
+    h.score = 0.5 * (h.rate[1].score if h.rate else 0.0) + 0.5 * seen
     fits = [found[1] for found in (h.rate, h.force) if found]
     plain = sum(bool((fit.matrix == np.eye(3)).all()) for fit in fits)
     h.score += 0.01 * plain + 0.01 * (h.order == "wxyz" and h.named) + 0.002 * (not h.inverse) - 1e-4 * h.columns[0]
@@ -164,6 +191,40 @@ def _weigh_force(
                 found = (value, (force, fit, up, gap, columns))
     if found is not None and found[1][1].score > 0.9:
         h.force = found[1]
+
+
+def _thrust_alone(h: _Hypothesis, R: np.ndarray, s: Samples, usable: list[int], said: Groups) -> Thrust | None:
+    """Which way is up and along which axis of the body the thrust points, from the motion and the attitude alone."""
+    motion, columns = next(_accelerations(s, usable, said, set(h.columns)))
+    if columns is None:
+        return None
+    motions = [(False, motion)]
+    if columns in said.get("velocity", []):  # its name does not say whether it is in the world or in the body
+        motions.append((True, s.rate_of(np.einsum("nij,nj->ni", R, s.x[:, columns]))))
+    made = [found for in_body, a in motions if (found := _best_thrust(R, a, in_body)) is not None]
+    if len(made) < len(motions):
+        return None
+    world, body = made[0], made[-1]
+    chosen = body if body.misfit < UNLIKELY * world.misfit else world
+    return chosen._replace(gap=min(chosen.gap, DOUBTFUL)) if len(made) > 1 else chosen
+
+
+def _best_thrust(R: np.ndarray, motion: np.ndarray, in_body: bool) -> Thrust | None:
+    """The direction of up under which the thrust keeps to one axis of the body; None where too little moves."""
+    size = float(np.sqrt(np.mean(np.sum(motion**2, axis=1))))
+    if not LEAST_MOTION < size < 10 * GRAVITY:
+        return None
+    found = []
+    for up, direction in UPS.items():
+        force = np.einsum("nji,nj->ni", R, motion + GRAVITY * np.array(direction))
+        mean = force.mean(axis=0)
+        axis = int(np.argmax(np.abs(mean)))
+        beside = force**2
+        beside[:, axis] = np.minimum(0.0, np.sign(mean[axis]) * force[:, axis]) ** 2
+        misfit = float(np.sqrt(np.mean(beside.sum(axis=1)))) / size
+        found.append((misfit, up, ("-" if mean[axis] < 0 else "") + "xyz"[axis]))
+    (best, up, name), (second, *_) = sorted(found)[:2]
+    return Thrust(up, name, best, second / max(best, 1e-6), in_body)
 
 
 def _accelerations(s: Samples, usable: list[int], said: Groups, taken: set[int]):
@@ -192,21 +253,22 @@ def _proposals(names: list[str], s: Samples, h: _Hypothesis, margin: float) -> A
     fields: dict[str, Proposal] = {}
     taken = list(h.columns)
     up, body_up, gap = "z", "z", 0.0
+    sure, why = 0.4, "not checked"
     if h.force is not None:
         _, _, up, gap, _ = h.force
         body_up = _thrust_axis(s, h)
+        sure = 0.95 if gap > 0.1 else 0.4
+        why = f"that fits the specific force by {gap:.2f} better than any other"
+    elif h.thrust is not None and h.thrust.misfit < 0.7 and h.thrust.gap > 1.3:
+        up, body_up = h.thrust.up, h.thrust.axis
+        sure = 0.9 if h.thrust.gap > DOUBTFUL else 0.7
+        why = (
+            f"then {h.thrust.misfit:.0%} of the acceleration lies beside the thrust, {h.thrust.gap:.1f} times otherwise"
+        )
     world, word = _WORLD[up]
-    sure = 0.95 if h.force is not None and gap > 0.1 else 0.4
-    frame = Proposal(
-        world,
-        sure,
-        word + (f"; that fits the specific force by {gap:.2f} better than any other" if h.force else "; not checked"),
-    )
-    body = Proposal(
-        BODIES[body_up],
-        sure,
-        f"the thrust points along {body_up} of the attitude's body frame" if h.force else "not checked",
-    )
+    frame = Proposal(world, sure, f"{word}; {why}")
+    points = f"the thrust points along {body_up} of the attitude's body frame"
+    body = Proposal(BODIES[body_up], sure, points if sure > 0.4 or h.force is not None else why)
     entry: dict[str, Any] = {"columns": [names[i] for i in h.columns], "order": h.order}
     if h.angles:
         entry["unit"] = h.angles
@@ -232,7 +294,8 @@ def _proposals(names: list[str], s: Samples, h: _Hypothesis, margin: float) -> A
     if h.force is not None:
         fields["acceleration"] = _force(names, h, s)
         taken += h.force[0]
-    return Attitude(matrices(h.q), frame, body, fields, taken)
+    turned = h.thrust is not None and h.thrust.in_body and sure > 0.4
+    return Attitude(matrices(h.q), frame, body, fields, taken, body_velocity=turned)
 
 
 def _rate(names: list[str], h: _Hypothesis, s: Samples) -> Proposal:
@@ -274,7 +337,7 @@ def _relative(matrix: np.ndarray, s: Samples, h: _Hypothesis) -> str:
 def _thrust_axis(s: Samples, h: _Hypothesis) -> str:
     """Along which axis of the attitude's body frame the thrust points."""
     if h.force is None:
-        return "z"
+        return h.thrust.axis if h.thrust is not None and h.thrust.gap > 1.3 else "z"
     columns, fit, *_ = h.force
     mean = (s.x[:, columns] @ fit.matrix.T).mean(axis=0)
     axis = int(np.argmax(np.abs(mean)))

@@ -185,7 +185,7 @@ def _fill(found: Description, names: list[str], samples: Samples, usable: list[i
     known = {quantity: columns for quantity, columns in said.items() if quantity != "velocity"}
     if pair is not None:  # what the accelerometer is compared with
         known["position"], known["velocity"] = [pair.position], [pair.velocity]
-    attitude = find_attitude(names, samples, usable, known)
+    attitude = find_attitude(names, samples, usable, known, said.get("velocity", []))
     motion = Motion(names, samples, usable, said, attitude)
     fields = found.fields
     if attitude is not None:
@@ -207,6 +207,8 @@ def _fill(found: Description, names: list[str], samples: Samples, usable: list[i
     for name in ("position", "attitude", "acceleration"):
         if name not in fields:
             found.warnings.append(f"no {name} was recognised: what needs it is not possible with this log")
+    if not set(found.fields) - {"time", "world", "body"}:
+        found.warnings.append("no column was recognised: add the quantities by hand, an import needs one at least")
     if attitude is None and "attitude" not in fields:
         found.warnings.append("without an attitude neither frames nor directions can be checked")
 
@@ -371,4 +373,6 @@ class Motion:
             "columns": [self.names[i] for i in known[0]],
             "unit": unit if unit in ("m", "mm", "cm", "m/s", "cm/s") else default,
         }
+        if quantity == "velocity" and self.attitude is not None and self.attitude.body_velocity:
+            return Proposal(value | {"frame": "body"}, 0.7, "in the body frame the thrust points along one axis")
         return Proposal(value, 0.6, "by its name alone")

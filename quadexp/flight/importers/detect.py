@@ -38,6 +38,8 @@ def detect(path: Path) -> str:
     for magic, name in MAGIC.items():
         if head.startswith(magic):
             return name
+    if head.startswith(b"version https://git-lfs"):
+        raise DataError(f"{path}: a pointer of Git LFS, not the log itself: fetch it with `git lfs pull`")
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise DataError(f"{path}: text in UTF-16; save it as UTF-8")
     printable = sum(byte in b"\t\n\r" or 32 <= byte < 127 or byte >= 160 for byte in head)

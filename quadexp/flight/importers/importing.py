@@ -108,6 +108,7 @@ def _import(path: Path, vehicle: Vehicle | None, options: Options, mapping: Mapp
         return log, []
     offsets, said = _offsets(path, log, options.align)
     made = assemble(path, log, vehicle, rate=options.rate, cropping=options.crop)
+    log.streams.clear()  # a long log is held once
     metadata = _metadata(path, log, made, vehicle, offsets)
     return Flight(made.columns, metadata), [*made.notes, *said]
 
@@ -198,8 +199,9 @@ def _offsets(path: Path, log: RawLog, align: bool) -> tuple[dict[str, Any], list
     if align:
         align_streams(log, found)
     record = {
-        name: {"seconds": o.seconds, "error": o.error if np.isfinite(o.error) else None, "correlation": o.correlation, "certain": o.certain,
-               "behind": behind, "removed": align and o.certain and behind in REFERENCES}
+        name: {"seconds": o.seconds, "error": o.error if np.isfinite(o.error) else None,
+               "correlation": o.correlation, "certain": o.certain, "behind": behind,
+               "removed": align and o.certain and behind in REFERENCES}
         for (name, behind), o in found.items()
     }  # fmt: skip
     return record, said
@@ -208,7 +210,7 @@ def _offsets(path: Path, log: RawLog, align: bool) -> tuple[dict[str, Any], list
 def _metadata(
     path: Path, log: RawLog, made: Assembled, vehicle: Vehicle | None, offsets: dict[str, Any]
 ) -> dict[str, Any]:
-    from quadexp.experiment.provenance import provenance, versions
+    from quadexp.provenance import provenance, versions
 
     metadata: dict[str, Any] = {
         "name": path.stem,

@@ -38,12 +38,12 @@ _SUFFIXES = {
 }  # fmt: skip
 NOT_MEASURED = re.compile(
     r"(^|[^a-z])(des|desired|ref|reference|sp|setpoint|set|target|ctrltarget|cmd|err|error|bias|cov|covariance|var|std"
-    r"|model|res|residual|controller|pid|integral|raw|mag|baro|dmot|snap|jerk|stick|rccommand|axis[pidf]+|debug"
-    r"|b)([^a-z]|$)|(des|dot_des|_d|ref)$|ang(ular)?[ _.]?acc"
+    r"|model|res|residual|controller|pid|integral|raw|mag|baro|dmot|snap|jerk|stick|rccommand|axis[pidf]+|debug)"
+    r"([^a-z]|$)|^b[^a-z]|(des|dot_des|_d|ref)$|ang(ular)?[ _.]?acc"
 )
 _SECOND = re.compile(r"est|kalman|ekf|filter|odom|vicon|mocap|2$")
 _AXES = {"roll": "x", "pitch": "y", "yaw": "z", "heading": "z"}
-_A = r"[\s._\[/:-]*([xyz012])\]?"
+_A = r"(?:[ ._](?:b|body|w|world|enu|ned|flu|frd|nav|local))?[\s._\[/:-]*([xyz012])\]?"
 _Q = r"[\s._\[/:-]*([wxyz0123])\]?"
 _N = r"[\s._\[/:#-]*m?(\d{1,2})\]?"
 _W = r"(?:.*[^a-z])?"

@@ -45,7 +45,9 @@ def find_offsets(log: RawLog) -> dict[tuple[str, str], Offset]:
             first, second, beside = make(log, pair[1])
             one = estimate_offset(first, second, largest=LARGEST, band=BAND, beside=beside)
             known = make is not _thrust or beside is not None  # else drag may pass for a delay
-            found[pair] = one._replace(certain=bool(one.certain and known and one.correlation > LEAST_CORRELATION[pair[0]]))
+            found[pair] = one._replace(
+                certain=bool(one.certain and known and one.correlation > LEAST_CORRELATION[pair[0]])
+            )
         except (DataError, ValueError, np.linalg.LinAlgError):
             continue
     return found

@@ -18,6 +18,7 @@ import numpy as np
 
 from quadexp.errors import DataError
 from quadexp.flight.importers.mapped import turn_attitude
+from quadexp.flight.importers.px4_motors import motor_layout
 from quadexp.flight.importers.raw import RawLog, clean_stream
 from quadexp.flight.importers.units import axes_matrix
 from quadexp.flight.signal import Stream, increasing
@@ -28,7 +29,6 @@ Topics = Mapping[str, Sequence[Topic]]  # name -> instances
 NED = axes_matrix("world", "NED", "")
 FRD = axes_matrix("body", "FRD", "")
 RPM = 2 * np.pi / 60
-QUAD_X = ("front_right", "back_left", "front_left", "back_right")
 MOST_ROTORS = 12
 _XYZ = tuple(f"xyz[{i}]" for i in range(3))
 _Q = tuple(f"q[{i}]" for i in range(4))
@@ -223,7 +223,7 @@ def _motors(
     count = max(
         (log.streams[n].values.shape[1] for n in ("motor_command", "rotor_speed") if n in log.streams), default=0
     )
-    log.layout = _layout(count, parameters, log.notes)
+    log.layout = motor_layout(count, parameters, log.notes)
 
 
 def _rotor_count(parameters: Mapping[str, float]) -> int:
@@ -280,24 +280,3 @@ def _esc(path: Path, log: RawLog, topics: Topics) -> Stream | None:
         return None
     stream = _stream(path, "rotor_speed (esc_status)", topic, tuple(fields), log.notes)
     return None if stream is None else Stream(stream.t, RPM * np.abs(stream.values))
-
-
-def _layout(count: int, parameters: Mapping[str, float], notes: list[str]) -> tuple[str, ...] | None:
-    """Where the motors are: by the control allocation's parameters (FRD), or the order of PX4's quad-x."""
-    if not count:
-        return None
-    places = []
-    for i in range(count):
-        x, y = parameters.get(f"CA_ROTOR{i}_PX"), parameters.get(f"CA_ROTOR{i}_PY")
-        if x is None or y is None or not (x or y):
-            break
-        reach = 0.2 * max(abs(x), abs(y))
-        words = ["front" if x > 0 else "back"] if abs(x) > reach else []
-        words += ["right" if y > 0 else "left"] if abs(y) > reach else []
-        places.append("_".join(words))
-    if len(places) == count and len(set(places)) == count:
-        return tuple(places)
-    if count == 4:
-        notes.append("motors in the order of PX4's quad-x: front right, back left, front left, back right")
-        return QUAD_X
-    return None

@@ -181,6 +181,7 @@ def _read_text(table: Table, names: list[str], notes: list[str], rows: int | Non
     if malformed:
         notes.append(f"{len(malformed)} lines with another number of values than {len(table.columns)}: left out")
     made = {}
+    pa.default_memory_pool().release_unused()
     for name in names:  # one column after the other, so that the parts of the last one are free again
         parts = chunks.pop(name)
         made[name] = np.concatenate(parts)[:rows] if parts else np.empty(0)

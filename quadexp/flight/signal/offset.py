@@ -200,14 +200,15 @@ def _jackknife(bread: np.ndarray, meat: np.ndarray, error: float) -> tuple[float
     telling = np.cumsum(np.maximum(bread[:, 1, 1], 0))
     number = np.minimum((telling / telling[-1] * STRETCHES * 0.999999).astype(int), STRETCHES - 1)
     count = len(np.unique(number))
-    rest, own = [], []
+    rest: list[float] = []
+    own: list[float] = []
     for k in np.unique(number):
         for chosen, found in ((number != k, rest), (number == k, own)):
             beta = _solve(bread[chosen].sum(axis=0), meat[chosen].sum(axis=0))
             if beta is not None and beta[0]:
-                found.append(beta[1] / beta[0])
+                found.append(float(beta[1] / beta[0]))
     if min(len(rest), len(own)) < max(3, count - 1):  # all of it in a moment or two
         return np.inf, False
-    spread = float(np.sqrt((count - 1) / count * np.sum((np.array(rest) - np.mean(rest)) ** 2)))
+    spread = float(np.sqrt((count - 1) / count * np.var(rest) * len(rest)))
     limit = 4 * np.sqrt(count) * max(error, spread) + 0.002
     return spread, bool(np.mean(np.abs(own) < limit) > 0.7)

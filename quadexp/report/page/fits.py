@@ -14,7 +14,7 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.flight.schema import ESTIMATE_COLUMNS, Flight, describe
 from quadexp.identify.checkpoint import MODEL_FILE, load_model, load_report
-from quadexp.identify.dataset import ResidualDataset
+from quadexp.identify.dataset import ResidualDataset, read_dataset
 from quadexp.identify.model import GPModel, OutputPosterior
 from quadexp.identify.predict import AXIS, predict
 from quadexp.report.fit_figures import axis_label, symbol, unit
@@ -58,8 +58,6 @@ def read_checkpoint(path: str, sha256: str) -> Checkpoint:
 
 def _data(model: GPModel, report: Mapping[str, Any]) -> ResidualDataset | None:
     """The rows the model was fitted to, where they still lie there."""
-    from quadexp.experiment.fit import read_dataset
-
     try:
         data = read_dataset(report["dataset"])
     except (KeyError, UsageError, DataError):

@@ -14,7 +14,7 @@ import numpy as np
 
 from quadexp.cells import Cells, Grid
 from quadexp.errors import DataError, UsageError
-from quadexp.experiment.store import CellStore
+from quadexp.flight.cell_store import CellStore
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import read_flight, read_metadata, read_table
 from quadexp.report.overall import Overall, overall

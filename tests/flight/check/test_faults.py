@@ -23,11 +23,18 @@ CLEAN = {
     "hover": (*NOMINAL, "trajectory=hover", "sensor=lei_li"),
     "rectangle": (*LEI_LI, "trajectory=rectangle", "sensor=lei_li"),
 }
-COMMON = {
-    "acceleration_in_g", "rates_in_degrees", "scalar_last", "conjugated", "ned_position_and_velocity",
-    "body_velocity_labelled_world", "gyro_axis_flipped", "gyro_axes_swapped", "time_jump", "dropped_samples",
-    "duplicated_rows", "scaled_clock", "imu_50_ms_late", "command_spikes", "nan_burst", "frozen_gyro",
+CLEAN_QUICK = ("circle_slow", "random", "hover")
+COMMON = {  # on the real flight too; the others there are slow tests
+    "acceleration_in_g", "scalar_last", "ned_position_and_velocity", "gyro_axes_swapped", "imu_50_ms_late",
+    "time_jump", "command_spikes", "frozen_gyro",
 }  # fmt: skip
+REPEATED = {
+    "velocity_axes_swapped",
+    "accelerometer_axis_flipped",
+    "block_written_twice",
+    "time_back",
+    "frozen_position",
+}
 needs_nanobench = pytest.mark.skipif(not NANOBENCH.is_dir(), reason="../shared/data/nanobench is not here")
 
 
@@ -44,7 +51,10 @@ def serious(findings):
 
 
 CASES = [
-    *(pytest.param("simulated", name, id=f"simulated-{name}") for name in FAULTS),
+    *(
+        pytest.param("simulated", name, id=f"simulated-{name}", marks=[pytest.mark.slow] if name in REPEATED else [])
+        for name in FAULTS
+    ),
     *(
         pytest.param(
             "real", name, id=f"real-{name}", marks=[needs_nanobench, *([] if name in COMMON else [pytest.mark.slow])]
@@ -70,7 +80,9 @@ def test_clean(source, flights):
     assert not serious(check_flight(flights[source]))
 
 
-@pytest.mark.parametrize("name", CLEAN)
+@pytest.mark.parametrize(
+    "name", [*CLEAN_QUICK, *(pytest.param(n, marks=pytest.mark.slow) for n in CLEAN if n not in CLEAN_QUICK)]
+)
 def test_clean_simulated_flights(name, vehicle):
     flight = fly_one(compose(list(CLEAN[name])))
     assert not serious(check_flight(flight)), name
@@ -83,6 +95,7 @@ def test_clean_real_flights(name):
 
 
 @needs_nanobench
+@pytest.mark.slow
 def test_traps_of_the_folder():
     names = ["B9_trefoil_slow_rep12", "B9_trefoil_slow_rep7", "B3_figure8_fast_rep1"]
     log = {name: nanobench(name) for name in names}

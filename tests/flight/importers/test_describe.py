@@ -86,3 +86,48 @@ def test_no_clock_is_said(tmp_path):
     np.savetxt(tmp_path / "a.csv", rng.normal(size=(100, 4)), delimiter=",", header="a,b,c,d", comments="")
     with pytest.raises(DataError, match="no clock"):
         describe_log(tmp_path / "a.csv")
+
+
+def _table(f, p=None, v=None, q=None, **more):
+    columns = {"t": f.t}
+    columns |= {} if p is None else logs._named("x|y|z", p)
+    columns |= {} if v is None else logs._named("vx|vy|vz", v)
+    return columns | logs._named("qw|qx|qy|qz", q) | more
+
+
+@pytest.mark.parametrize("frame", ["ENU", "NED"])
+@pytest.mark.parametrize("known", ["p", "v", "pv"])
+@pytest.mark.parametrize("inverse", [False, True])
+def test_the_thrust_says_which_way_is_up(truth, tmp_path, frame, known, inverse):
+    """Poses and velocities alone, no accelerometer: the thrust keeps to one axis of the body."""
+    turn = logs.NED if frame == "NED" else np.eye(3)
+    q = (logs.frd_quaternion(truth) if frame == "NED" else truth.q) * ([1, -1, -1, -1] if inverse else 1)
+    chosen = {name: values @ turn.T for name, values in (("p", truth.p), ("v", truth.v)) if name in known}
+    found, flight = imported(logs.write_csv(tmp_path / "a.csv", _table(truth, q=q, **chosen)), tmp_path)
+    assert found.fields["world"].value == frame and found.fields["world"].sureness != "guess"
+    got = Rotation.from_quat(flight.stack([f"q_{axis}" for axis in "wxyz"]), scalar_first=True)
+    assert (truth.R.inv() * got).magnitude().max() < 1e-5
+    if "v" in known:
+        np.testing.assert_allclose(flight.stack(["v_x", "v_y", "v_z"]), truth.v, atol=2e-5)
+
+
+def test_names_that_say_body(truth, tmp_path):
+    """acc_b_x is an acceleration in the body, b_a_x a bias; ang_acc is neither."""
+    noise = logs._named("b_acc_x|b_acc_y|b_acc_z", 0.01 * truth.acc)
+    columns = _table(
+        truth, v=truth.v, q=truth.q, **noise, **logs._named("ang_acc_b_x|ang_acc_b_y|ang_acc_b_z", truth.w)
+    )
+    columns |= logs._named("acc_b_x|acc_b_y|acc_b_z", truth.acc) | logs._named("gyro_b_x|gyro_b_y|gyro_b_z", truth.w)
+    found, flight = imported(logs.write_csv(tmp_path / "a.csv", columns), tmp_path)
+    assert found.fields["acceleration"].value["columns"] == ["acc_b_x", "acc_b_y", "acc_b_z"]
+    np.testing.assert_allclose(flight.stack(["acc_x", "acc_y", "acc_z"]), truth.acc, atol=2e-5)
+    np.testing.assert_allclose(flight.stack(["w_x", "w_y", "w_z"]), truth.w, atol=2e-5)
+
+
+def test_an_attitude_at_ten_hertz(tmp_path):
+    """Smoothing shortens a quaternion that turns fast; it is one all the same."""
+    f = logs.truth(60.0, 10.0)
+    fast = Rotation.from_euler("Z", 3.0 * f.t[:, None]) * f.R
+    columns = {"t": f.t, **logs._named("qw|qx|qy|qz", fast.as_quat(scalar_first=True)), **logs._named("x|y|z", f.p)}
+    found = describe_log(logs.write_csv(tmp_path / "a.csv", columns))
+    assert found.fields["attitude"].value["columns"] == ["qw", "qx", "qy", "qz"]

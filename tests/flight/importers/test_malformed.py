@@ -42,6 +42,10 @@ CASES = {
     "mcap header alone": (b"\x89MCAP0\r\n" + bytes(50), "damaged|bag"),
     "bag header alone": (b"#ROSBAG V2.0\n" + bytes(50), "damaged|bag"),
     "UTF-16": ("t,x\n1,2\n".encode("utf-16"), "UTF-16"),
+    "pointer of Git LFS": (
+        b"version https://git-lfs.github.com/spec/v1\noid sha256:0a1b\nsize 4053364\n",
+        "git lfs pull",
+    ),
     "endless line": (b"1" * 300_000, "not a table"),
 }
 

@@ -90,7 +90,9 @@ TERMS = {
 NEED_RADIUS = ("induced", "inflow", "hub_inflow", "hub_square")
 
 
-def term_expression(name: str, axis: int, v: Expression, a: Expression, momentum: float | tuple[float, ...] = 0.0) -> Expression:
+def term_expression(
+    name: str, axis: int, v: Expression, a: Expression, momentum: float | tuple[float, ...] = 0.0
+) -> Expression:
     """One phi, scalar, in CasADi; v (3,) m/s, a (n,) m/s^2. momentum: kappa alone, or an Inflow's four numbers."""
     inflow = Inflow(*momentum) if isinstance(momentum, (tuple, list)) else Inflow(momentum)
     if name in NEED_RADIUS and isinstance(inflow.kappa, float | int) and not inflow.kappa > 0:
@@ -99,7 +101,9 @@ def term_expression(name: str, axis: int, v: Expression, a: Expression, momentum
 
 
 @cache
-def columns_function(names: tuple[str, ...], axis: int, rotors: int, momentum: float | tuple) -> ca.Function:
+def columns_function(
+    names: tuple[str, ...], axis: int, rotors: int, momentum: float | tuple[float, ...]
+) -> ca.Function:
     """(v (3,), a (n,)) -> the phi of an axis, (len(names),)."""
     v, a = ca.SX.sym("v", 3), ca.SX.sym("a", rotors)
     terms = [term_expression(name, axis, v, a, momentum) for name in names]

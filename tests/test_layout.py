@@ -1,0 +1,147 @@
+"""The house: modules import along the data flow and in no circle, and each is small enough to be read at once."""
+
+from __future__ import annotations
+
+import ast
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "quadexp"
+
+# Floors of the house, the lowest first: a module imports from its own package and from floors below. A name is a
+# package of quadexp or, where it has no package, a module.
+FLOORS = (
+    ("errors", "expression", "fields", "state", "messages", "progress", ""),
+    ("rotation", "rotor", "backend", "plugins", "provenance"),
+    ("vehicle",),
+    ("config", "config_custom", "config_engine", "config_flight", "config_lei_li", "config_meaning", "cells"),
+    ("compose_base",),
+    ("compose", "completion"),  # what is asked for
+    ("dynamics",),  # equations
+    ("residual",),  # what is believed beyond them
+    ("plant", "trajectory", "sensor"),  # what flies, along what, measured by what
+    ("control",),
+    ("flight",),  # what was flown, on disk
+    ("identify",),  # what is learned from it
+    ("report",),  # what is said of rows, flights and models
+    ("experiment",),  # the commands' functions: they fly, learn, and have it said
+    ("cluster",),  # where they run
+    ("terminal", "cli_options"),
+    ("cli_*",),
+    ("cli",),
+)
+
+# Imports against the flow that stand for a reason: (module, imported).
+CROSSINGS: dict[tuple[str, str], str] = {}
+
+LONGEST = 300
+LONG: dict[str, str] = {
+    "quadexp/flight/importers/attitude_search.py": "one search over conventions, whose steps share every intermediate",
+    "quadexp/flight/importers/describe.py": "one conversation: what a table's columns may be, tried and explained",
+}
+
+
+@cache
+def modules() -> dict[str, Path]:
+    """Name -> file of every module; a package is its __init__."""
+    found = {}
+    for path in PACKAGE.rglob("*.py"):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+@cache
+def imports() -> dict[str, frozenset[str]]:
+    """Module -> modules of quadexp that it imports, anywhere in it."""
+    graph = {}
+    for name, path in modules().items():
+        found = set()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                wanted = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                assert node.level == 0, f"{path}: imports are absolute"
+                wanted = [f"{node.module}.{alias.name}" for alias in node.names]
+            else:
+                continue
+            for target in wanted:
+                while target and target not in modules():  # a name inside a module
+                    target = target.rpartition(".")[0]
+                if target:
+                    found.add(target)
+        graph[name] = frozenset(found - {name})
+    return graph
+
+
+def place(module: str) -> str:
+    """The package below quadexp that a module is in, or its own name."""
+    return module.split(".")[1] if "." in module else ""
+
+
+def floor(module: str) -> int:
+    own = place(module)
+    for level, names in enumerate(FLOORS):
+        if own in names or any(name.endswith("*") and own.startswith(name[:-1]) for name in names):
+            return level
+    raise AssertionError(f"{module}: has no floor yet: add it to FLOORS in {Path(__file__).name}")
+
+
+def in_circles(graph: dict[str, frozenset[str]]) -> list[str]:
+    """Modules on a circle of imports, or between two: what is left after all that imports nothing, or that nothing
+    imports, has been taken away again and again."""
+    left = {name: set(targets) for name, targets in graph.items()}
+    while left:
+        free = {name for name, targets in left.items() if not targets & left.keys()}
+        free |= left.keys() - set().union(*left.values())
+        if not free:
+            break
+        left = {name: targets - free for name, targets in left.items() if name not in free}
+    return sorted(left)
+
+
+def test_the_finder_of_circles_finds_one():
+    graph = {"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}, "e": {"c"}}
+    assert in_circles({name: frozenset(targets) for name, targets in graph.items()}) == ["b", "c"]
+    assert in_circles({"a": frozenset({"b", "c"}), "b": frozenset({"c"}), "c": frozenset()}) == []
+
+
+def test_the_graph_sees_imports_inside_functions():
+    assert "quadexp.experiment.evaluate" in imports()["quadexp.cli_fly"]
+    assert sum(map(len, imports().values())) > len(modules())
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    assert in_circles(imports()) == []
+
+
+def test_every_floor_is_of_this_house():
+    places = {place(module) for module in modules()}
+    named = {name for names in FLOORS for name in names if not name.endswith("*")}
+    assert named <= places, "FLOORS names what is there no more"
+
+
+def test_imports_go_along_the_data_flow():
+    wrong = set()
+    for module, targets in imports().items():
+        for target in targets:
+            same_place = place(module) == place(target)
+            beside = floor(module) == floor(target) and both_modules(module, target)
+            if not (same_place or beside or floor(target) < floor(module)):
+                wrong.add((module, target))
+    assert wrong == set(CROSSINGS), "import against the data flow, or a crossing that is none any more"
+
+
+def both_modules(module: str, target: str) -> bool:
+    """Whether both are single modules, which may share a floor; two packages on one floor do not know of each other."""
+    return all(name.count(".") <= 1 and modules()[name].name != "__init__.py" for name in (module, target))
+
+
+def test_every_module_can_be_read_at_once():
+    lengths = {
+        str(path.relative_to(ROOT)): len(path.read_text(encoding="utf-8").splitlines()) for path in modules().values()
+    }
+    long = {name: length for name, length in lengths.items() if length > LONGEST and name not in LONG}
+    assert not long, f"longer than {LONGEST} lines: {long}"
+    assert all(lengths[name] > LONGEST for name in LONG), "a module is short again: take it from LONG"
