@@ -104,7 +104,7 @@ def evaluate(
 
     given = list(overrides or [])
     with session(conf) as composer:
-        cells = composer.expand(given) if sweep else [Cell(composer.compose(given), tuple(given))]
+        cells = composer.expand(given, check=False) if sweep else [Cell(composer.compose(given), tuple(given))]
     first = cells[0].config
     if not sweep and first.sweep:
         raise UsageError("this experiment is a sweep: add --sweep")

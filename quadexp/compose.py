@@ -59,15 +59,16 @@ class Composer:
         with _one_line():
             return self._compose(self._parse(overrides))
 
-    def expand(self, overrides: Sequence[str] = ()) -> Cells:
+    def expand(self, overrides: Sequence[str] = (), *, check: bool = True) -> Cells:
         """Every combination of a sweep: the values on the command line, over those of the experiment's `sweep:`.
 
-        All are composed and checked before any is returned; they are composed again when they are asked for.
+        check: compose all of them before any is returned. They are composed again when they are asked for, and a sweep
+        asks for all before it flies the first, so it need not.
         """
         with _one_line():
             parsed = self._parse(overrides, sweep=True)
             cells = Cells([_product(grid) for grid in self._grids(parsed)], self._cell_config)
-            for i in range(len(cells)):
+            for i in range(len(cells)) if check else ():
                 self._cell_config(cells.overrides(i))
         return cells
 
@@ -80,7 +81,8 @@ class Composer:
         return self.options("controller")
 
     def _cell_config(self, overrides: Sequence[str]) -> Config:
-        config = self._compose(self._parse(overrides), shared=True)
+        with _one_line():
+            config = self._compose(self._parse(overrides), shared=True)
         config.sweep = None  # a cell is one flight
         return config
 

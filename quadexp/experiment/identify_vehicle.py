@@ -104,7 +104,8 @@ def chosen_curve(curves: Sequence[Mapping[str, Any]], settings: FitSettings) -> 
     motors = [row for row in curves if row["voltage"] == "V^g" and row[key] is not None]
     motors = [row for row in motors if EXPONENTS[0] <= row["exponent"] <= EXPONENTS[1]]
     by_exponent = min(motors, key=lambda row: row[key], default=None)
-    if by_exponent is not None and by_exponent[key] < (1 - EXPONENT_IMPROVEMENT) * plain[best]:
+    asked = settings.voltage_exponent != 1.0  # somebody set it, or wants it fitted anyway
+    if not asked and by_exponent is not None and by_exponent[key] < (1 - EXPONENT_IMPROVEMENT) * plain[best]:
         settings = replace(settings, powers=tuple(by_exponent["powers"]), voltage_exponent=None)
     return settings
 

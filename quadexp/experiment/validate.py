@@ -142,7 +142,7 @@ def refitted(
     for label, model in loaded:
         if isinstance(model, VehicleModel):
             fresh: Any = fit_vehicle_model(
-                list(flights.values()), vehicle_of(model, vehicle), _settings(model), names=list(flights)
+                list(flights.values()), vehicle_of(model, vehicle), _settings(model, len(flights)), names=list(flights)
             )
             curve = curve or fresh.thrust
         else:
@@ -167,12 +167,15 @@ def vehicle_of(model: VehicleModel, vehicle: Vehicle) -> Vehicle | None:
     return vehicle if model.vehicle.get("fingerprint") == vehicle.fingerprint else None
 
 
-def _settings(model: VehicleModel) -> FitSettings:
-    """Settings that fit the same kind of model: signal, powers and voltage of its thrust curve, kinds of drag."""
+def _settings(model: VehicleModel, flights: int) -> FitSettings:
+    """Settings that fit the same kind of model: signal, powers and voltage of its thrust curve, kinds of drag.
+
+    A voltage exponent that was fitted is fitted again to two flights or more; one alone does not tell it.
+    """
     curve = model.thrust
     return FitSettings(
         signal=curve.signal, reference_voltage=curve.reference_voltage,
-        voltage_exponent=None if curve.voltage_exponent_error else curve.voltage_exponent,
+        voltage_exponent=None if curve.voltage_exponent_error and flights > 1 else curve.voltage_exponent,
         powers=tuple(int(p) for p in curve.powers), thrust_intercept=bool(curve.intercept_error),
         per_rotor=curve.coefficients.ndim > 1, loss=curve.loss, kinds=tuple(model.models),
     )  # fmt: skip

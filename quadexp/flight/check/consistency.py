@@ -29,6 +29,7 @@ STRAY = 12.0  # robust standard deviations
 STRAY_FLOOR = {"acceleration_outlier": 8.0, "rate_outlier": 4.0}  # m/s^2 and rad/s, means over a window
 MOVING = 2.0  # floors that a stream must move by to be compared
 TELLING = 0.6  # of a residual that may be left once a factor is undone
+CLEAR = 0.4  # of a residual that may be left where a log without IMU is said to have axes that no convention has
 ALIKE = 0.98  # correlation above which a factor between two streams means something
 DISAGREE = 0.7  # residual over signal above which two streams say different things
 WEIGHT = {"force (p)": 0.5, "thrust": 1.0, "thrust (p)": 0.5}
@@ -166,7 +167,7 @@ def explain(windows: Windows) -> tuple[list[Explained], Windows]:
                 continue
             if every[i].name == "units" and not _more_than_nothing(every[i], windows, before, after):
                 continue
-            if value > LEAST_GAIN and _plausible(before, after) and (best is None or value > best[0]):
+            if value > LEAST_GAIN and _plausible(every[i], before, after) and (best is None or value > best[0]):
                 best = (value, every[i], changed, after)
         if best is None:
             break
@@ -234,10 +235,15 @@ def _settled(found: dict[str, Agreement]) -> bool:
     return all((one.residual < 0.7 * one.floor).all() for one in found.values())
 
 
-def _plausible(before: dict[str, Agreement], after: dict[str, Agreement]) -> bool:
+def _plausible(repair: Repair, before: dict[str, Agreement], after: dict[str, Agreement]) -> bool:
     """A repair must bring two streams together that move, not only make both small, and must break nothing."""
     better = [name for name in after if after[name].score < before[name].score - 0.1]
     worse = [name for name in after if after[name].score > before[name].score + 1.0]
+    odd = repair.name in ("axis_swap", "sign_flip", "units") and all(name.startswith("thrust") for name in better)
+    if odd and not any(
+        np.sum(after[name].residual ** 2) < CLEAR**2 * np.sum(before[name].residual ** 2) for name in better
+    ):
+        return False
     return not worse and any(
         after[name].ratio < DISAGREE and after[name].size > MOVING * after[name].floor for name in better
     )
