@@ -8,7 +8,7 @@ QUADEXP := $(BIN)/quadexp
 # One BLAS thread per process: the sweep fills the cores by itself.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: all setup quick test lint reproduce reproduce-torrente reproduce-lei-li reproduce-quick test-slow properties mutation stress bench clean
+.PHONY: all setup quick test lint coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-quick test-slow properties mutation stress bench clean
 
 all: quick
 
@@ -33,6 +33,12 @@ lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# How much of the core the default tests reach; they assert physics, so a line that is reached is a line that is checked.
+CORE := dynamics residual control plant trajectory sensor identify
+coverage: $(STAMP)
+	$(BIN)/python -m pytest -n auto -m 'not slow' tests/properties tests/experiment/test_lei_li.py tests/test_backend.py \
+		$(CORE:%=tests/%) $(CORE:%=--cov=quadexp.%) --cov-report=term-missing:skip-covered --cov-fail-under=95
 
 # The two papers at full size, with figures.
 reproduce: reproduce-torrente reproduce-lei-li

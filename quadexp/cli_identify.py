@@ -46,7 +46,7 @@ def identify(
             "--thrust-curve",
             metavar="s+s2|s|s2|auto",
             rich_help_panel=REGRESSION,
-            help="On motor commands; auto: as flights left out say, V's exponent too.",
+            help="On motor commands; auto: as flights left out say, with the voltage.",
         ),
     ] = "auto",
     voltage: Annotated[
