@@ -114,7 +114,7 @@ def fly(
     """
     controller = as_controller(controller)
     period, rotors = controller.control_period, plant.vehicle.n_rotors
-    renewal = round(controller.reference_period / period)
+    renewal = _Renewal(round(controller.reference_period / period))
     log = _Log(len(reference), rotors)
     sensor_rng = rng.spawn(1)[0] if sensor is not None else rng
     plant.reset()
@@ -123,11 +123,11 @@ def fly(
     reading = np.array([0.0, 0.0, plant.vehicle.gravity])
     measured, speed = None, None
     controller.reset(x, reference.window(0))
-    outcome, cause, stale = "ok", "", 0
+    outcome, cause = "ok", ""
     for k in range(len(reference)):
         t = float(reference.t[k])
-        if renewal and k and k % renewal == 0:
-            stale += _renewed(reference, controller.residual)
+        if renewal.due(k):
+            renewal.make(k, reference, controller.residual)
         state_reference, input_reference = reference.at(k)
         error = x[POSITION] - state_reference[POSITION]
         distance = math.sqrt(error.dot(error))
@@ -151,18 +151,32 @@ def fly(
     if not log.records:
         raise QuadexpError(f"the flight is over before it began: {cause}")
     details: dict[str, Any] = {"outcome": outcome, "cause": cause, "backend": controller.backend}
-    if stale:
-        details["stale_references"] = stale
+    if renewal.failed:
+        details["stale_references"] = renewal.failed
     return Flight(log.columns(reference.t, inner_names), {**(metadata or {}), **details})
 
 
-def _renewed(reference: SampledReference, residual: Residual | None) -> int:
-    """Renew the reference; 1 where the new belief admits none and the earlier reference stays, else 0."""
-    try:
-        reference.renew(residual)
-    except UsageError:
-        return 1
-    return 0
+class _Renewal:
+    """When a reference is made anew from what has been identified: every `period` control steps (0: never).
+
+    Where the new belief admits no reference the earlier one stays, and the next attempt waits twice as long as the one
+    before: a path that asks for more than the vehicle has is found out at the cost of many iterations.
+    """
+
+    def __init__(self, period: int) -> None:
+        self._period, self._wait, self._next, self.failed = period, period, period, 0
+
+    def due(self, k: int) -> bool:
+        return bool(self._period) and k >= self._next
+
+    def make(self, k: int, reference: SampledReference, residual: Residual | None) -> None:
+        try:
+            reference.renew(residual)
+            self._wait = self._period
+        except UsageError:
+            self.failed += 1
+            self._wait *= 2
+        self._next = k + self._wait
 
 
 class _Log:

@@ -39,3 +39,25 @@ def test_what_a_controller_sees_cannot_be_changed_by_it(vehicle):
     states, _ = reference.horizon(0)
     with pytest.raises(ValueError, match="read-only"):
         states[0, 0] = 1.0
+
+
+def test_a_renewal_that_fails_is_tried_again_after_twice_the_time():
+    """And after the usual time once it has succeeded."""
+    from quadexp.errors import UsageError
+    from quadexp.experiment.rollout import _Renewal
+
+    made = []
+
+    class Reference:
+        def renew(self, residual):
+            made.append(k)
+            if k < 60:
+                raise UsageError("no reference")
+
+    renewal = _Renewal(10)
+    for k in range(160):
+        if renewal.due(k):
+            renewal.make(k, Reference(), None)
+    assert made == [10, 30, 70, 80, 90, 100, 110, 120, 130, 140, 150]
+    assert renewal.failed == 2
+    assert not _Renewal(0).due(0)
