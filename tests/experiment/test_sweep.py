@@ -104,9 +104,9 @@ class TestSweep:
 
     def test_a_second_run_flies_nothing_and_says_the_same(self, grid, tmp_path):
         first = fly(grid, tmp_path / "r")
-        begun = time.process_time()  # the clock says more of the machine's other work
+        begun = time.perf_counter()
         second = fly(grid, tmp_path / "r")
-        assert time.process_time() - begun < 1.0
+        assert time.perf_counter() - begun < 1.0
         assert second.flown == 0
         assert [r["key"] for r in second.rows] == [r["key"] for r in first.rows]
         assert [r["rmse"] for r in second.rows] == [r["rmse"] for r in first.rows]
