@@ -71,12 +71,13 @@ def load_problem(path: Path) -> Problem:
 
 
 def rotation_matrix(q):
-    """R(q), (3, 3): turns body vectors into world vectors."""
+    """R(q / |q|), (3, 3): turns body vectors into world vectors."""
     w, x, y, z = q[0], q[1], q[2], q[3]
+    double = 2 / ca.dot(q, q)
     rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        (1 - double * (y * y + z * z), double * (x * y - w * z), double * (x * z + w * y)),
+        (double * (x * y + w * z), 1 - double * (x * x + z * z), double * (y * z - w * x)),
+        (double * (x * z - w * y), double * (y * z + w * x), 1 - double * (x * x + y * y)),
     )
     return ca.vertcat(*(ca.horzcat(*row) for row in rows))
 

@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -203,15 +203,19 @@ class BufferedFunction:
 
     arguments, results: dictionaries from the function's names to float arrays; a matrix (r, c) is stored as numpy
     (c, r), which is CasADi's column-major order. Fill the arguments, call, read the results.
+    shared: arrays to be read as arguments of those names, such as another function's results, instead of own ones.
     """
 
-    def __init__(self, function: ca.Function) -> None:
+    def __init__(self, function: ca.Function, shared: Mapping[str, np.ndarray] | None = None) -> None:
         self.function = function
         self._buffer, self._trigger = function.buffer()
         self.arguments = {}
         self.results = {}
         for i, name in enumerate(function.name_in()):
-            self.arguments[name] = self._array(function.sparsity_in(i))
+            own = self._array(function.sparsity_in(i))
+            self.arguments[name] = given = (shared or {}).get(name, own)
+            if given.shape != own.shape or given.dtype != own.dtype or not given.flags.c_contiguous:
+                raise ValueError(f"{function.name()}: the array shared as {name} must be like {own.shape} floats")
             if self.arguments[name].size:
                 self._buffer.set_arg(i, self.arguments[name].reshape(-1).data)
         for i, name in enumerate(function.name_out()):

@@ -200,6 +200,7 @@ class MPCConfig(ControllerConfig):
     rate: float = number("[1, 1000]", "Hz")
     position_weight: list[float] = number("[0, 1e6]", "", length=3)
     attitude_weight: list[float] = number("[0, 1e6]", "", length=4)
+    attitude_error: str = choice("plain", "body")
     velocity_weight: list[float] = number("[0, 1e6]", "", length=3)
     rate_weight: list[float] = number("[0, 1e6]", "", length=3)
     input_weight: float = number("(0, 1e6]", "")

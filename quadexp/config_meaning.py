@@ -92,7 +92,9 @@ MEANINGS: dict[str, str] = {
     "controller.nodes": "intervals of the prediction",
     "controller.rate": "control steps a second",
     "controller.position_weight": "cost of the position error squared, world, m^-2",
-    "controller.attitude_weight": "cost of the quaternion difference squared, w first",
+    "controller.attitude_weight": "cost of the attitude error squared, a quaternion, w first: see attitude_error",
+    "controller.attitude_error": "plain: q - q_ref, as in the paper's code, whose weights act differently at every"
+    " heading; body: the rotation q_ref^-1 o q, weights of roll, pitch and yaw errors",
     "controller.velocity_weight": "cost of the velocity error squared, world, s^2 m^-2",
     "controller.rate_weight": "cost of the body rate error squared, s^2",
     "controller.input_weight": "cost of the thrust error over thrust_max, squared",

@@ -3,20 +3,21 @@
 Guess which inputs lie at a bound; solve with those held (one masked Riccati sweep); then hold every input that left its
 bounds and release every held one whose multiplier has the wrong sign; repeat until nothing changes (Hintermueller, Ito
 and Kunisch 2003). The end satisfies all optimality conditions, so the input is never a clipped one. The set of the last
-control step is the first guess. The method can cycle: after a fixed number of sweeps the problem is condensed to the
-inputs alone and handed to DAQP, a dual active-set solver that ends in finitely many steps.
+control step is the first guess. The method can cycle: when a set comes back, or after a fixed number of sweeps, the
+problem is condensed to the inputs alone and handed to DAQP, a dual active-set solver that ends in finitely many steps.
 """
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 
 import casadi as ca
 import numpy as np
 
 from quadexp.backend import BufferedFunction
+from quadexp.control.subproblem import TOLERANCE
 
-TOLERANCE = 1e-9  # N, and gradient units
 LAST_RESORT_TOLERANCE = 1e-6  # N, of a projected gradient step at DAQP's answer
 
 
@@ -30,18 +31,21 @@ class Status(IntEnum):
 
 
 class ActiveSet:
-    """Solver of the bounded subproblem that the control step leaves behind.
+    """Solver of the bounded subproblem that a control step leaves behind.
 
-    bounded: buffered `control.step.bounded_function`; the caller fills its arguments A, B, b, q, r, Q, Q_end and R with
-    what the step left behind, before `solve`.
+    sweep, condensed: `control.subproblem`'s functions on a back end.
+    data: what both need of a step and its settings, by name: A, B, b, q, r, Q, Q_end, R, and frames where the step has
+    them; arrays that are read at every `solve`.
     """
 
-    def __init__(self, bounded: BufferedFunction, *, max_sweeps: int) -> None:
-        self._solve = bounded
+    def __init__(
+        self, sweep: ca.Function, condensed: ca.Function, data: dict[str, np.ndarray], *, max_sweeps: int
+    ) -> None:
+        self._sweep, self._condensed = BufferedFunction(sweep, data), BufferedFunction(condensed, data)
         self._max_sweeps = max_sweeps
-        self._held, self._value = bounded.arguments["held"], bounded.arguments["value"]
+        self._low, self._high = (self._sweep.arguments[name] for name in ("low", "high"))
         self._daqp: BufferedFunction | None = None
-        self.side = np.zeros(self._held.shape, int)  # -1 at the lower, +1 at the upper bound, 0 free
+        self.side = self._sweep.arguments["side"]  # (N, n): -1 at the lower, 1 at the upper bound, 0 free
         self.sweeps = 0
 
     def reset(self) -> None:
@@ -50,90 +54,55 @@ class ActiveSet:
 
     def solve(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray, Status]:
         """dX (N, 13), dU (N, n) under low <= dU <= high (N), and how it was found. The arrays are overwritten later."""
-        d_state, d_input, gradient = (self._solve.results[name] for name in ("dX", "dU", "gradient"))
-        side = self.side
-        for sweep in range(1, self._max_sweeps + 1):
-            self._held[...] = side != 0
-            self._value[...] = np.where(side > 0, high, np.where(side < 0, low, 0.0))
-            self._solve()
-            if not np.isfinite(d_input).all():
-                return d_state, d_input, Status.FAILED
-            leaving = (d_input > high + TOLERANCE).astype(int) - (d_input < low - TOLERANCE)
-            staying = np.where(side > 0, gradient < TOLERANCE, gradient > -TOLERANCE)
-            after = np.where(side == 0, leaving, side * staying)
-            if np.array_equal(after, side):
-                self.sweeps = sweep
+        d_state, d_input, after, checks = (self._sweep.results[name] for name in ("dX", "dU", "after", "checks"))
+        self._low[...], self._high[...] = low, high
+        seen = set()
+        self.sweeps = 0
+        while self.sweeps < self._max_sweeps:
+            self._sweep()
+            self.sweeps += 1
+            misplaced, size = checks.tolist()
+            if not math.isfinite(size):
+                return d_state, d_input, self._failed()
+            if misplaced == 0:
                 return d_state, d_input, Status.ACTIVE_SET
-            side = self.side = after
-        self.sweeps = self._max_sweeps
-        status = self._last_resort(low, high)
-        return d_state, d_input, status
+            seen.add(self.side.astype(np.int8).tobytes())
+            self.side[...] = after
+            if self.side.astype(np.int8).tobytes() in seen:
+                break
+        return d_state, d_input, self._last_resort(low, high)
 
     def _last_resort(self, low: np.ndarray, high: np.ndarray) -> Status:
-        """Condense to the inputs, solve with DAQP, check the optimality conditions; write dX, dU and the active set."""
-        arguments, results = self._solve.arguments, self._solve.results
-        hessian, gradient, maps, offsets = condense(
-            *(self._dense_blocks(name) for name in ("A", "B")),
-            *(arguments[name] for name in ("b", "q", "r", "Q", "Q_end", "R")),
-        )
+        """Condense to the inputs, solve with DAQP, check the optimality conditions; leave dX, dU and the active set."""
+        self._condensed()
+        hessian, gradient = self._condensed.results["H"], self._condensed.results["g"]
         if not np.isfinite(hessian).all():
-            return Status.FAILED
+            return self._failed()
         solver = self._daqp = self._daqp or BufferedFunction(_dense_solver(low.size))
         solver.arguments["h"][...], solver.arguments["g"][...] = hessian, gradient
         solver.arguments["lbx"][...], solver.arguments["ubx"][...] = low.reshape(-1), high.reshape(-1)
         try:
             solver()
         except RuntimeError:
-            return Status.FAILED
-        d_input = solver.results["x"]
+            return self._failed()
+        d_input = np.clip(solver.results["x"].reshape(low.shape), low, high)  # rounding only
+        self._low[...] = self._high[...] = d_input
+        self.side.fill(1)
+        self._sweep()  # with every input held where DAQP wants it: the states that follow, and the gradient there
         # DAQP's own word is not enough: the projected gradient step must leave its answer where it is.
-        step = (hessian @ d_input + gradient) / np.diag(hessian)
-        moved = np.clip(d_input - step, low.reshape(-1), high.reshape(-1)) - d_input
+        step = self._sweep.results["gradient"] / np.diag(hessian).reshape(low.shape)
+        moved = np.clip(d_input - step, low, high) - d_input
         if not np.abs(moved).max() < LAST_RESORT_TOLERANCE:
-            return Status.FAILED
-        results["dU"][...] = np.clip(d_input.reshape(low.shape), low, high)  # rounding only
-        results["dX"][...] = maps @ d_input + offsets
-        self.side = (results["dU"] >= high - TOLERANCE).astype(int) - (results["dU"] <= low + TOLERANCE)
+            return self._failed()
+        self.side[...] = (d_input >= high - TOLERANCE).astype(int) - (d_input <= low + TOLERANCE)
         return Status.LAST_RESORT
 
-    def _dense_blocks(self, name: str) -> np.ndarray:
-        """(N, 13, columns) from the horizontally stacked, perhaps sparse, argument `name`."""
-        function = self._solve.function
-        sparsity = function.sparsity_in(function.index_in(name))
-        stacked = ca.DM(sparsity, self._solve.arguments[name].reshape(-1)).full()
-        return np.stack(np.split(stacked, len(self.side), axis=1))
+    def _failed(self) -> Status:
+        self.reset()
+        return Status.FAILED
 
 
 def _dense_solver(size: int) -> ca.Function:
     """DAQP on a dense problem with simple bounds."""
     shape = {"h": ca.Sparsity.dense(size, size), "a": ca.Sparsity(0, size)}
     return ca.conic("last_resort", "daqp", shape, {"error_on_fail": False, "print_time": False})
-
-
-def condense(
-    A: np.ndarray,
-    B: np.ndarray,
-    b: np.ndarray,
-    q: np.ndarray,
-    r: np.ndarray,
-    Q: np.ndarray,
-    Q_end: np.ndarray,
-    R: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Eliminate the states: min 1/2 d'H d + g'd over d = (du_0 .. du_{N-1}).
-
-    A (N, 13, 13), B (N, 13, n), b (N, 13), q (N + 1, 13), r (N, n); Q, Q_end (13,), R (n,) diagonals.
-    Returns H (Nn, Nn), g (Nn,), and the states as dx_{k+1} = maps[k] d + offsets[k], (N, 13, Nn) and (N, 13).
-    """
-    nodes, states, n = B.shape
-    maps, offsets = np.zeros((nodes, states, nodes * n)), np.zeros((nodes, states))
-    row, offset = np.zeros((states, nodes * n)), np.zeros(states)
-    for k in range(nodes):
-        row, offset = A[k] @ row, A[k] @ offset + b[k]
-        row[:, k * n : (k + 1) * n] += B[k]
-        maps[k], offsets[k] = row, offset
-    weight = np.vstack([np.tile(Q, (nodes - 1, 1)), Q_end])
-    flat = maps.reshape(nodes * states, nodes * n)
-    hessian = flat.T @ (weight.reshape(-1, 1) * flat) + np.diag(np.tile(R, nodes))
-    gradient = flat.T @ (weight * offsets + q[1:]).reshape(-1) + r.reshape(-1)
-    return hessian, gradient, maps, offsets

@@ -10,15 +10,16 @@ import casadi as ca
 import numpy as np
 
 from quadexp.backend import BufferedFunction, realise_together, resolve
-from quadexp.control.active_set import TOLERANCE, ActiveSet, Status
+from quadexp.control.active_set import ActiveSet, Status
 from quadexp.control.settings import MPCSettings
-from quadexp.control.step import bounded_function, step_function
+from quadexp.control.step import step_function
+from quadexp.control.subproblem import TOLERANCE, condensed_function, sweep_function
 from quadexp.errors import QuadexpError
 from quadexp.residual.base import Residual
 from quadexp.state import ATTITUDE, N_STATE
 from quadexp.vehicle import Vehicle
 
-MAX_TURN = 0.25  # largest change of a quaternion component that one iteration may make
+MAX_TURN = 0.25  # largest change of a quaternion, its length, that one iteration may make
 CONVERGED = 1e-6  # optimality residual at which the first step stops iterating
 
 
@@ -49,11 +50,12 @@ class ModelPredictiveController:
         self.vehicle, self.residual = vehicle, residual
         self.settings = settings = settings or MPCSettings()
         self.backend = resolve(backend)
-        step, bounded = _functions(vehicle, residual, settings.nodes, self.backend)
-        self._step, self._bounded = BufferedFunction(step), BufferedFunction(bounded)
-        self._active_set = ActiveSet(self._bounded, max_sweeps=settings.max_sweeps)
-
+        step, sweep, condensed = _functions(vehicle, residual, settings, self.backend)
+        self._step = BufferedFunction(step)
         arguments = self._step.arguments
+        left_behind = arguments | self._step.results
+        self._active_set = ActiveSet(sweep, condensed, left_behind, max_sweeps=settings.max_sweeps)
+
         arguments["Q"][...] = settings.state_weight()
         arguments["Q_end"][...] = settings.terminal_weight * settings.state_weight()
         arguments["R"][...] = settings.thrust_weight(vehicle)
@@ -67,8 +69,6 @@ class ModelPredictiveController:
         self._attitude, self._attitude_ref = self._x0[ATTITUDE], self._X_ref[0, ATTITUDE]
         self._d_state = np.zeros((settings.nodes + 1, N_STATE))
         self.set_parameters(residual.theta)
-        for name in ("Q", "Q_end", "R"):
-            self._bounded.arguments[name][...] = arguments[name]
         self.node_times = settings.node_period * np.arange(settings.nodes + 1)  # s from now, for sampling references
 
     def set_parameters(self, theta: np.ndarray) -> None:
@@ -142,14 +142,12 @@ class ModelPredictiveController:
                 self._move(self._X_new - x, self._U_new - u, MAX_TURN / turn)
             return Status.RICCATI, 0, 0, kkt
         arguments, results = self._step.arguments, self._step.results
-        for name in ("A", "B", "b", "q", "r"):
-            self._bounded.arguments[name][...] = results[name]
         u = results["U_lin"]
         d_state, d_input, status = self._active_set.solve(arguments["u_min"] - u, arguments["u_max"] - u)
         if status == Status.FAILED:
             return status, self._active_set.sweeps, 0, kkt
         self._d_state[1:] = d_state
-        turn = np.abs(d_state[:, ATTITUDE]).max()
+        turn = np.linalg.norm(d_state[:, ATTITUDE], axis=1).max()
         self._move(self._d_state, d_input, min(1.0, MAX_TURN / turn) if turn > 0 else 1.0)
         return status, self._active_set.sweeps, int(np.count_nonzero(self._active_set.side)), kkt
 
@@ -163,11 +161,12 @@ class ModelPredictiveController:
 _built: dict[tuple[Any, ...], tuple[ca.Function, ...]] = {}
 
 
-def _functions(vehicle: Vehicle, residual: Residual, nodes: int, backend: str) -> tuple[ca.Function, ...]:
-    """Step and bounded solver on the resolved back end; built once per process and structure."""
-    key = (vehicle.fingerprint, residual.function.serialize(), nodes, backend)
+def _functions(vehicle: Vehicle, residual: Residual, settings: MPCSettings, backend: str) -> tuple[ca.Function, ...]:
+    """Step, sweep and condensing on the resolved back end; built once per process and structure."""
+    nodes, error = settings.nodes, settings.attitude_error
+    key = (vehicle.fingerprint, residual.function.serialize(), nodes, error, backend)
     if key not in _built:
-        step = step_function(vehicle, residual, nodes, scalar=backend == "compiled")
-        bounded = bounded_function(step, nodes)
-        _built[key] = tuple(realise_together([step, bounded], backend))
+        step = step_function(vehicle, residual, nodes, attitude_error=error, scalar=backend == "compiled")
+        functions = [step, sweep_function(step, nodes), condensed_function(step, nodes)]
+        _built[key] = tuple(realise_together(functions, backend))
     return _built[key]

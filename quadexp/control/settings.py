@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from quadexp.control.attitude_error import ATTITUDE_ERRORS
 from quadexp.errors import UsageError
 from quadexp.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.vehicle import Vehicle
@@ -16,7 +17,8 @@ class MPCSettings:
     """Horizon, weights and iteration limits.
 
     horizon: s. nodes: shooting intervals N. rate: control steps per second (Hz).
-    *_weight: diagonal of Q on deviations in SI units; attitude on the plain quaternion difference (w, x, y, z).
+    *_weight: diagonal of Q on deviations in SI units; attitude on a quaternion (w, x, y, z), which is the plain
+    difference or the error's rotation in the reference's body frame, as attitude_error says ("plain" or "body").
     input_weight: diagonal of R on thrusts normalised by the largest one.
     terminal_weight: factor on Q at the last node. feedforward: let the reference's attitude, rates and thrusts contain
     the residual. initial_iterations: SQP iterations allowed on the first step (one on every later step).
@@ -28,6 +30,7 @@ class MPCSettings:
     rate: float = 50.0
     position_weight: tuple[float, ...] = (10.0, 10.0, 10.0)
     attitude_weight: tuple[float, ...] = (0.0, 0.1, 0.1, 0.1)
+    attitude_error: str = "plain"
     velocity_weight: tuple[float, ...] = (0.05, 0.05, 0.05)
     rate_weight: tuple[float, ...] = (0.05, 0.05, 0.05)
     input_weight: float = 0.1
@@ -39,6 +42,9 @@ class MPCSettings:
     def __post_init__(self) -> None:
         if self.nodes < 2:
             raise UsageError(f"controller.nodes={self.nodes}: must be at least 2")
+        if self.attitude_error not in ATTITUDE_ERRORS:
+            allowed = ", ".join(ATTITUDE_ERRORS)
+            raise UsageError(f"controller.attitude_error={self.attitude_error}: allowed are {allowed}")
         if self.control_period > self.node_period + 1e-12:
             raise UsageError(
                 f"controller.rate={self.rate:g}: a control period of {self.control_period:g} s must not exceed the node"

@@ -12,6 +12,12 @@ from quadexp.residual.base import Residual
 from quadexp.vehicle import Vehicle
 
 
+def error_rotation(q, q_ref):
+    """q_ref^-1 o q of unit quaternions, by the vector form of the product."""
+    a, b = q_ref[0], -q_ref[1:]
+    return ca.vertcat(a * q[0] - ca.dot(b, q[1:]), a * q[1:] + q[0] * b + ca.cross(b, q[1:]))
+
+
 class ConvergedProblem:
     """Solves the whole multiple-shooting problem to convergence for a measured state and a reference."""
 
@@ -26,7 +32,10 @@ class ConvergedProblem:
         cost = 0
         for k in range(N + 1):
             weight = Q if k < N else settings.terminal_weight * Q
-            cost += ca.dot(weight * (X[:, k] - X_ref[:, k]), X[:, k] - X_ref[:, k])
+            error = X[:, k] - X_ref[:, k]
+            if settings.attitude_error == "body":
+                error[3:7] = error_rotation(X[3:7, k], X_ref[3:7, k]) - ca.DM([1, 0, 0, 0])
+            cost += ca.dot(weight * error, error)
         for k in range(N):
             cost += ca.dot(R * (U[:, k] - U_ref[:, k]), U[:, k] - U_ref[:, k])
         gaps = ca.vertcat(X[:, 0] - x0, *(X[:, k + 1] - step(X[:, k], U[:, k]) for k in range(N)))

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import functools
+
 import casadi as ca
 import numpy as np
 import pytest
 
 from quadexp.backend import BufferedFunction, compiler, realise_together
-from quadexp.control.active_set import ActiveSet, Status, condense
+from quadexp.control.active_set import ActiveSet, Status
 from quadexp.control.settings import MPCSettings
-from quadexp.control.step import bounded_function, step_function
+from quadexp.control.step import step_function
+from quadexp.control.subproblem import condensed_function, sweep_function
 from tests.residual.models import make_residual
 from tests.states import random_state
 
@@ -18,12 +21,15 @@ NODES = 8
 
 @pytest.fixture(scope="module", params=["compiled", "interpreted"])
 def solvers(request, vehicle):
+    """The step, and what makes an ActiveSet that reads what it leaves behind."""
     if request.param == "compiled" and compiler() is None:
         pytest.skip("no C compiler")
     residual = make_residual("linear_drag", vehicle)
     step = step_function(vehicle, residual, NODES, scalar=request.param == "compiled")
-    functions = realise_together([step, bounded_function(step, NODES)], request.param)
-    return tuple(BufferedFunction(function) for function in functions)
+    functions = [step, sweep_function(step, NODES), condensed_function(step, NODES)]
+    step, *bounded = realise_together(functions, request.param)
+    step = BufferedFunction(step)
+    return step, functools.partial(ActiveSet, *bounded, step.arguments | step.results)
 
 
 def pose(step: BufferedFunction, vehicle, rng, *, spread: float, terminal: float) -> None:
@@ -44,13 +50,16 @@ def pose(step: BufferedFunction, vehicle, rng, *, spread: float, terminal: float
     a["dt"][...], a["shift"][...] = 0.1, 0.2
 
 
+def blocks(step: BufferedFunction, name: str) -> np.ndarray:
+    """A or B as (N, 13, columns) from the horizontally stacked, perhaps sparse, result."""
+    stacked = ca.DM(step.function.sparsity_out(name), step.results[name].reshape(-1)).full()
+    return np.stack(np.split(stacked, NODES, axis=1))
+
+
 def independent_solution(step: BufferedFunction, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """The same QP, states kept as variables, by qpOASES: no Riccati, no condensing, another solver."""
     r, a = step.results, step.arguments
-    A, B = (
-        np.stack(np.split(ca.DM(step.function.sparsity_out(name), r[name].reshape(-1)).full(), NODES, axis=1))
-        for name in ("A", "B")
-    )
+    A, B = (blocks(step, name) for name in ("A", "B"))
     n = B.shape[2]
     size = NODES * (13 + n)  # du_0, dx_1, du_1, dx_2, ...
     H, g, E, e = np.zeros((size, size)), np.zeros(size), np.zeros((13 * NODES, size)), np.zeros(13 * NODES)
@@ -72,36 +81,33 @@ def independent_solution(step: BufferedFunction, low: np.ndarray, high: np.ndarr
     return np.array(solution["x"]).reshape(-1)[inputs].reshape(NODES, n)
 
 
-def hand_over(step: BufferedFunction, bounded: BufferedFunction) -> tuple[np.ndarray, np.ndarray]:
-    for name in ("A", "B", "b", "q", "r"):
-        bounded.arguments[name][...] = step.results[name]
-    for name in ("Q", "Q_end", "R"):
-        bounded.arguments[name][...] = step.arguments[name]
+def bounds(step: BufferedFunction) -> tuple[np.ndarray, np.ndarray]:
+    """Of the inputs' change (N)."""
     u = step.results["U_lin"]
     return step.arguments["u_min"] - u, step.arguments["u_max"] - u
 
 
 @pytest.mark.parametrize("terminal", [0.0, 1.0])
 def test_without_active_bounds(solvers, vehicle, rng, terminal):
-    step, bounded = solvers
+    step, _ = solvers
     for _ in range(5):
         pose(step, vehicle, rng, spread=0.3, terminal=terminal)
         step.arguments["u_min"][...], step.arguments["u_max"][...] = -100, 100
         step()
         assert step.results["checks"][0] < 0
-        low, high = hand_over(step, bounded)
+        low, high = bounds(step)
         change = step.results["U_new"] - step.results["U_lin"]
         assert np.abs(change - independent_solution(step, low, high)).max() < 1e-6
 
 
 @pytest.mark.parametrize("spread", [1.0, 4.0])
 def test_with_active_bounds(solvers, vehicle, rng, spread):
-    step, bounded = solvers
-    active_set, active = ActiveSet(bounded, max_sweeps=60), 0
+    step, make_active_set = solvers
+    active_set, active = make_active_set(max_sweeps=60), 0
     for _ in range(12):
         pose(step, vehicle, rng, spread=spread, terminal=0.0)
         step()
-        low, high = hand_over(step, bounded)
+        low, high = bounds(step)
         active_set.reset()
         d_state, d_input, status = active_set.solve(low, high)
         assert status in (Status.ACTIVE_SET, Status.LAST_RESORT)
@@ -112,12 +118,12 @@ def test_with_active_bounds(solvers, vehicle, rng, spread):
 
 
 def test_last_resort_gives_the_same_answer(solvers, vehicle, rng):
-    step, bounded = solvers
-    patient, hasty = ActiveSet(bounded, max_sweeps=60), ActiveSet(bounded, max_sweeps=0)
+    step, make_active_set = solvers
+    patient, hasty = make_active_set(max_sweeps=60), make_active_set(max_sweeps=0)
     for _ in range(8):
         pose(step, vehicle, rng, spread=3.0, terminal=0.0)
         step()
-        low, high = hand_over(step, bounded)
+        low, high = bounds(step)
         patient.reset()
         d_state, d_input, status = (
             part if isinstance(part, Status) else part.copy() for part in patient.solve(low, high)
@@ -131,32 +137,35 @@ def test_last_resort_gives_the_same_answer(solvers, vehicle, rng):
 
 
 def test_warm_start_needs_one_sweep(solvers, vehicle, rng):
-    step, bounded = solvers
-    active_set = ActiveSet(bounded, max_sweeps=60)
+    step, make_active_set = solvers
+    active_set = make_active_set(max_sweeps=60)
     pose(step, vehicle, rng, spread=3.0, terminal=0.0)
     step()
-    low, high = hand_over(step, bounded)
+    low, high = bounds(step)
     active_set.solve(low, high)
     active_set.solve(low, high)
     assert active_set.sweeps == 1
 
 
-def test_condensing_is_the_recursion(rng):
-    """dx from the condensed maps equals the forward simulation; H and g are the cost's derivatives."""
-    N, s, n = 4, 13, 3
-    A, B, b = rng.normal(size=(N, s, s)) / 4, rng.normal(size=(N, s, n)), rng.normal(size=(N, s))
-    q, r = rng.normal(size=(N + 1, s)), rng.normal(size=(N, n))
-    Q, Q_end, R = rng.uniform(1, 2, s), rng.uniform(1, 2, s), rng.uniform(1, 2, n)
-    H, g, maps, offsets = condense(A, B, b, q, r, Q, Q_end, R)
+def test_condensing_is_the_recursion(solvers, vehicle, rng):
+    """H and g are the derivatives of the cost of a forward simulation, here in plain numpy."""
+    step, _ = solvers
+    pose(step, vehicle, rng, spread=3.0, terminal=1.5)
+    step()
+    data = step.arguments | step.results
+    condensed = BufferedFunction(condensed_function(step.function, NODES), data)
+    condensed()
+    H, g = condensed.results["H"], condensed.results["g"]
+    A, B = (blocks(step, name) for name in ("A", "B"))
 
     def cost(d):
-        d, x, value = d.reshape(N, n), np.zeros(s), 0.0
-        for k in range(N):
-            value += d[k] @ (R * d[k]) / 2 + r[k] @ d[k]
-            x = A[k] @ x + B[k] @ d[k] + b[k]
-            assert np.allclose(x, maps[k] @ d.reshape(-1) + offsets[k])
-            value += x @ ((Q_end if k == N - 1 else Q) * x) / 2 + q[k + 1] @ x
+        d, x, value = d.reshape(NODES, -1), np.zeros(13), 0.0
+        for k in range(NODES):
+            value += d[k] @ (data["R"] * d[k]) / 2 + data["r"][k] @ d[k]
+            x = A[k] @ x + B[k] @ d[k] + data["b"][k]
+            value += x @ (data["Q_end" if k == NODES - 1 else "Q"] * x) / 2 + data["q"][k + 1] @ x
         return value
 
-    zero, d = np.zeros(N * n), rng.normal(size=N * n)
-    assert cost(d) - cost(zero) == pytest.approx(d @ H @ d / 2 + g @ d)
+    zero, d = np.zeros(len(g)), rng.normal(size=len(g))
+    assert np.allclose(H, H.T, rtol=1e-12, atol=1e-12)
+    assert cost(d) - cost(zero) == pytest.approx(d @ H @ d / 2 + g @ d, rel=1e-9)

@@ -20,16 +20,15 @@ def derivative(f: Callable, x: np.ndarray) -> np.ndarray:
 
 
 def rotation(q):
-    """R(q) from the product q v q*, column by column."""
+    """R(q) from the product q v q* / q*q, column by column."""
 
     def product(a, b):
         vector = a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
         return np.concatenate([[a[0] * b[0] - a[1:] @ b[1:]], vector])
 
     conjugate = q * [1, -1, -1, -1]
-    length = q @ q  # quadexp's matrix is of a unit quaternion: 1 - 2 (y^2 + z^2), not w^2 + x^2 - y^2 - z^2
     columns = [product(product(q, np.r_[0, e]), conjugate)[1:] for e in np.eye(3)]
-    return np.stack(columns, axis=1) + (1 - length) * np.eye(3)
+    return np.stack(columns, axis=1) / (q @ q)
 
 
 def rigid_body(vehicle, x, u, air):

@@ -35,6 +35,8 @@ def test_quaternion_to_matrix_is_scipys_and_composes(rng):
     A, B = (Rotation.from_quat(q, scalar_first=True) for q in (a, b))
     assert np.allclose(number(rotation_matrix(ca.DM(a))), A.as_matrix(), atol=1e-14)
     assert np.allclose(number(rotation_matrix(ca.DM(-a))), A.as_matrix(), atol=1e-14)
+    length = rng.uniform(0.5, 2.0)
+    assert np.allclose(number(rotation_matrix(ca.DM(length * a))), A.as_matrix(), atol=1e-14)
     product = (A * B).as_quat(scalar_first=True)
     composed = number(rotation_matrix(ca.DM(a))) @ number(rotation_matrix(ca.DM(b)))
     assert np.allclose(number(rotation_matrix(ca.DM(product))), composed, atol=1e-14)
