@@ -6,7 +6,7 @@
     python -m tests.mutation.mutate --retry survived            # after new tests: the survivors once more
 
 Every mutant is one change (see operators.py) in a copy of the package, never in place; the fast tests of targets.py run
-against the copy, interpreted, until the first failure. A survivor is a gap in the tests unless accepted.toml gives the
+against the copy until the first failure: interpreted, where what was changed is C (operators_c.py) compiled. A survivor is a gap in the tests unless accepted.toml gives the
 reason why its change is none. Exit status 1 where an unexplained mutant survives.
 """
 
@@ -29,6 +29,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from tests.mutation.operators import Mutant, mutants
+from tests.mutation.operators_c import c_mutants
 from tests.mutation.targets import fast_tests, target_files
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -41,7 +42,7 @@ def main() -> int:
     """Run the check as the command line asks; see the module's docstring."""
     options = _options()
     chosen = [m for file in target_files(ROOT) if not options.only or any(part in file for part in options.only)
-              for m in mutants(file, (ROOT / file).read_text())]  # fmt: skip
+              for m in mutants_of(file)]  # fmt: skip
     accepted = accepted_reasons()
     if options.list:
         for mutant in chosen:
@@ -60,6 +61,11 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="quadexp-mutants-") as scratch:
         _run(waiting, Path(scratch), options, done)
     return _report([done[_fingerprint(m)] for m in chosen if _fingerprint(m) in done], accepted)
+
+
+def mutants_of(file: str) -> list[Mutant]:
+    """All mutants of a file of the repository."""
+    return (c_mutants if file.endswith(".c") else mutants)(file, (ROOT / file).read_text())
 
 
 def accepted_reasons() -> dict[str, str]:
@@ -113,7 +119,7 @@ def _run(waiting: list[Mutant], scratch: Path, options: argparse.Namespace, done
                 break
             mutant = queue.pop(0)
             (folder / mutant.file).write_text(mutant.source)
-            running[folder] = (mutant, _started(folder, fast_tests(mutant.file, folder)), time.monotonic())
+            running[folder] = (mutant, _started(folder, fast_tests(mutant.file, folder), mutant.file), time.monotonic())
         time.sleep(0.05)
         for folder, (mutant, process, start) in list(running.items()):
             seconds = time.monotonic() - start
@@ -142,8 +148,9 @@ def _check_unchanged(tests: list[str], folder: Path) -> None:
         sys.exit(f"the tests fail without any mutant: {by}")
 
 
-def _started(folder: Path, tests: list[str]):
-    process = multiprocessing.get_context("fork").Process(target=_pytest, args=(folder, tests))
+def _started(folder: Path, tests: list[str], changed: str = ""):
+    compiled = changed.endswith(".c")
+    process = multiprocessing.get_context("fork").Process(target=_pytest, args=(folder, tests, compiled))
     process.start()
     return process
 
@@ -161,14 +168,18 @@ def _copy(folder: Path) -> Path:
     return folder
 
 
-def _pytest(folder: Path, tests: list[str]) -> None:
+def _pytest(folder: Path, tests: list[str], compiled: bool) -> None:
     """In a forked process: the tests against the copy, up to the first failure; the exit status is pytest's."""
     os.setsid()
     os.chdir(folder)
     with open("output.txt", "wb", buffering=0) as output:
         os.dup2(output.fileno(), 1)
         os.dup2(output.fileno(), 2)
-    os.environ |= {"CC": "none", "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    os.environ |= {"OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    if compiled:
+        tempfile.tempdir = str(folder)  # where the tests keep what they compile
+    else:
+        os.environ["CC"] = "none"
     sys.dont_write_bytecode = True
     for name in [name for name in sys.modules if name.split(".")[0] in ("quadexp", "tests")]:
         del sys.modules[name]

@@ -51,7 +51,11 @@ TARGETS: dict[str, tuple[str, ...]] = {
     ),
     "quadexp/residual/*.py": (*RESIDUAL, "tests/dynamics/test_sensitivity.py"),
     "quadexp/control/step.py": STEP,
+    "quadexp/control/attitude_error.py": STEP,
+    "quadexp/control/subproblem.py": STEP,
     "quadexp/control/riccati.py": STEP,
+    "quadexp/control/riccati_backward.c": ("tests/control/test_riccati.py", "tests/control/test_active_set.py"),
+    "quadexp/residual/gp_sums.c": ("tests/residual/test_compiled_sums.py",),
     "quadexp/control/active_set.py": STEP,
     "quadexp/control/mpc.py": STEP[1:] + STEP[:1],
     "quadexp/trajectory/flat*.py": (
@@ -59,6 +63,8 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/trajectory/test_flatness.py",
         "tests/properties/test_flatness.py",
     ),
+    "quadexp/trajectory/motion.py": ("tests/trajectory/test_flatness.py", "tests/properties/test_flatness.py"),
+    "quadexp/trajectory/air_step.py": ("tests/trajectory/test_fixed_point.py",),
     "quadexp/identify/rls_step.py": ("tests/identify/test_rls.py", "tests/properties/test_identification.py"),
 }
 
