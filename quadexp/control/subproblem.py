@@ -129,15 +129,31 @@ def condensed_function(step: ca.Function, nodes: int) -> ca.Function:
     Inputs as `sweep_function`'s first: A, B, b, q, r, Q, Q_end, R. Outputs: H (Nn, Nn), g (Nn,).
     """
     data = _Symbols(step, nodes)
-    maps, offset = ca.MX(N_STATE, 0), ca.MX(N_STATE, 1)  # dx_k = maps (du_0 .. du_{k-1}) + offset
-    rows, slopes = [], []
-    for k, (A, B, b, q) in enumerate(zip(data.A, data.B, data.b, data.q[1:], strict=True)):
-        maps, offset = ca.horzcat(ca.mtimes(A, maps), B), ca.mtimes(A, offset) + b
+    n, size = data.n, data.n * nodes
+    ahead, add = _condensing_passes(data.A[0].sparsity(), size)
+    maps, offset = ca.MX.zeros(N_STATE, size), ca.MX.zeros(N_STATE)  # dx_k = maps d + offset
+    H, g = ca.densify(ca.diag(ca.repmat(data.R, nodes, 1))), ca.vertcat(*data.r)
+    for k in range(nodes):
+        maps, offset = ahead(maps, offset, data.A[k], data.b[k])
+        maps[:, k * n : (k + 1) * n] = ca.densify(data.B[k])
         weight = data.Q if k < nodes - 1 else data.Q_end
-        rows.append(ca.horzcat(maps, ca.MX(N_STATE, data.n * (nodes - 1 - k))))
-        slopes.append(weight * offset + q)
-    flat, weights = ca.vertcat(*rows), ca.vertcat(ca.repmat(data.Q, nodes - 1, 1), data.Q_end)
-    H = ca.mtimes(flat.T, ca.mtimes(ca.diag(weights), flat)) + ca.diag(ca.repmat(data.R, nodes, 1))
-    g = ca.mtimes(flat.T, ca.vertcat(*slopes)) + ca.vertcat(*data.r)
-    arguments = data.arguments
-    return ca.Function("mpc_condensed", [*arguments.values()], [ca.densify(H), ca.densify(g)], [*arguments], ["H", "g"])
+        H, g = add(H, g, maps, weight, weight * offset + data.q[k + 1])
+    return ca.Function("mpc_condensed", [*data.arguments.values()], [H, g], [*data.arguments], ["H", "g"])
+
+
+def _condensing_passes(a: ca.Sparsity, size: int) -> tuple[ca.Function, ca.Function]:
+    """ahead: (maps, offset, A, b) -> those of the next node, before its own inputs; A with the pattern a.
+
+    add: (H, g, maps, weight, slope) -> H, g with a node's cost. Functions of their own, so that they are compiled once.
+    """
+    maps, A = ca.MX.sym("maps", N_STATE, size), ca.MX.sym("A", a)
+    offset, b = ca.MX.sym("offset", N_STATE), ca.MX.sym("b", N_STATE)
+    H, g = ca.MX.sym("H", size, size), ca.MX.sym("g", size)
+    weight, slope = ca.MX.sym("weight", N_STATE), ca.MX.sym("slope", N_STATE)
+    alone = {"never_inline": True}
+    ahead = [ca.mtimes(A, maps), ca.mtimes(A, offset) + b]
+    add = [H + ca.mtimes(maps.T, ca.repmat(weight, 1, size) * maps), g + ca.mtimes(maps.T, slope)]
+    return (
+        ca.Function("condense_ahead", [maps, offset, A, b], ahead, alone),
+        ca.Function("condense_add", [H, g, maps, weight, slope], add, alone),
+    )

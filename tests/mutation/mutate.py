@@ -6,8 +6,9 @@
     python -m tests.mutation.mutate --retry survived            # after new tests: the survivors once more
 
 Every mutant is one change (see operators.py) in a copy of the package, never in place; the fast tests of targets.py run
-against the copy until the first failure: interpreted, where what was changed is C (operators_c.py) compiled. A survivor is a gap in the tests unless accepted.toml gives the
-reason why its change is none. Exit status 1 where an unexplained mutant survives.
+against the copy until the first failure: interpreted, where what was changed is C (operators_c.py) compiled. A survivor
+is a gap in the tests unless accepted.toml gives the reason why its change is none. Exit status 1 where an unexplained
+mutant survives.
 """
 
 from __future__ import annotations
