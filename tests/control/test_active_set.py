@@ -22,12 +22,16 @@ NODES = 8
 @pytest.fixture(scope="module", params=["compiled", "interpreted"])
 def solvers(request, vehicle):
     """The step, and what makes an ActiveSet that reads what it leaves behind."""
-    if request.param == "compiled" and compiler() is None:
+    return make_solvers(vehicle, request.param, "plain")
+
+
+def make_solvers(vehicle, backend: str, attitude_error: str):
+    if backend == "compiled" and compiler() is None:
         pytest.skip("no C compiler")
     residual = make_residual("linear_drag", vehicle)
-    step = step_function(vehicle, residual, NODES, scalar=request.param == "compiled")
+    step = step_function(vehicle, residual, NODES, attitude_error=attitude_error, scalar=backend == "compiled")
     functions = [step, sweep_function(step, NODES), condensed_function(step, NODES)]
-    step, *bounded = realise_together(functions, request.param)
+    step, *bounded = realise_together(functions, backend)
     step = BufferedFunction(step)
     return step, functools.partial(ActiveSet, *bounded, step.arguments | step.results)
 
@@ -56,8 +60,11 @@ def blocks(step: BufferedFunction, name: str) -> np.ndarray:
     return np.stack(np.split(stacked, NODES, axis=1))
 
 
-def independent_solution(step: BufferedFunction, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The same QP, states kept as variables, by qpOASES: no Riccati, no condensing, another solver."""
+def independent_solution(step: BufferedFunction, low: np.ndarray, high: np.ndarray, turns=None) -> np.ndarray:
+    """The same QP, states kept as variables, by qpOASES: no Riccati, no condensing, another solver.
+
+    step: one in plain coordinates. turns: (N + 1, 13, 13), where the cost is on turns[k]' dx_k instead.
+    """
     r, a = step.results, step.arguments
     A, B = (blocks(step, name) for name in ("A", "B"))
     n = B.shape[2]
@@ -68,6 +75,9 @@ def independent_solution(step: BufferedFunction, low: np.ndarray, high: np.ndarr
         u, x = slice(at, at + n), slice(at + n, at + n + 13)
         H[u, u], g[u] = np.diag(a["R"]), r["r"][k]
         H[x, x], g[x] = np.diag(a["Q_end"] if k == NODES - 1 else a["Q"]), r["q"][k + 1]
+        if turns is not None:
+            H[x, x] = turns[k + 1] @ H[x, x] @ turns[k + 1].T
+            g[x] = H[x, x] @ (r["X_lin"][k + 1] - a["X_ref"][k + 1])
         rows = slice(13 * k, 13 * (k + 1))
         E[rows, x], E[rows, u], e[rows] = np.eye(13), -B[k], r["b"][k]
         if k:
@@ -85,6 +95,50 @@ def bounds(step: BufferedFunction) -> tuple[np.ndarray, np.ndarray]:
     """Of the inputs' change (N)."""
     u = step.results["U_lin"]
     return step.arguments["u_min"] - u, step.arguments["u_max"] - u
+
+
+def error_turns(reference: np.ndarray) -> np.ndarray:
+    """Matrices whose transposes take dx to the coordinates of attitude_error=body, column by column: q_ref o e_i."""
+    turns = np.tile(np.eye(13), (len(reference), 1, 1))
+    attitudes = reference[:, 3:7] / np.linalg.norm(reference[:, 3:7], axis=1)[:, None]
+    for turn, (w, *v) in zip(turns, attitudes, strict=True):
+        turn[3:7, 3] = w, *v
+        for i, axis in enumerate(np.eye(3)):
+            turn[3:7, 4 + i] = np.r_[-np.dot(v, axis), w * axis + np.cross(v, axis)]
+    return turns
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+@pytest.mark.parametrize("wide", [True, False], ids=["no bounds active", "bounds active"])
+def test_attitude_error_in_the_body_frame(vehicle, rng, backend, wide):
+    """The QP in plain coordinates with the cost turned, by qpOASES; and the states move as the plain model says."""
+    step, make_active_set = make_solvers(vehicle, backend, "body")
+    plain, _ = make_solvers(vehicle, backend, "plain")
+    active_set = make_active_set(max_sweeps=60)
+    for _ in range(4):
+        pose(step, vehicle, rng, spread=1.0 if wide else 3.0, terminal=1.5)
+        step.arguments["X_ref"][:, 3:7] += 0.2 * rng.normal(size=(NODES + 1, 4))  # another attitude at every node
+        step.arguments["Q"][3:7] = rng.uniform(0.0, 3.0, 4)
+        if wide:
+            step.arguments["u_min"][...], step.arguments["u_max"][...] = -100, 100
+        for name, array in plain.arguments.items():
+            array[...] = step.arguments[name]
+        step()
+        plain()
+        turns, (low, high) = error_turns(plain.arguments["X_ref"]), bounds(plain)
+        expected = independent_solution(plain, low, high, turns)
+        d_state, d_input, status = active_set.solve(low, high)
+        assert status == Status.ACTIVE_SET
+        answers = [(d_state, d_input)]
+        if wide:
+            change = (step.results[f"{name}_new"] - step.results[f"{name}_lin"] for name in "XU")
+            answers.append((next(change)[1:], next(change)))
+        A, B, b = blocks(plain, "A"), blocks(plain, "B"), plain.results["b"]
+        for d_x, d_u in answers:
+            assert np.abs(d_u - expected).max() < 1e-6
+            moved = np.einsum("kij,kj->ki", A[1:], d_x[:-1])
+            forward = np.concatenate([np.zeros((1, 13)), moved]) + np.einsum("kij,kj->ki", B, d_u) + b
+            assert np.allclose(d_x, forward, atol=1e-9)
 
 
 @pytest.mark.parametrize("terminal", [0.0, 1.0])
