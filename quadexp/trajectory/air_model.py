@@ -6,28 +6,42 @@ Jacobian, and is mapped over the points on numpy's memory: an order of magnitude
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import casadi as ca
 import numpy as np
 
 from quadexp.residual.base import FEATURES, N_OUTPUTS, Residual
 
 N_FEATURES = len(FEATURES)  # of z, before the thrusts
+N_VELOCITY = 3
+
+
+@dataclass(frozen=True)
+class AirResponse:
+    """r and its derivatives at k points, body frame; arrays component first.
+
+    outputs: y = [a (m/s^2), tau (N m)], (6, k). by_velocity: dy/dv_body, (6, 3, k). by_thrust: dy/du, (6, n, k).
+    """
+
+    outputs: np.ndarray
+    by_velocity: np.ndarray
+    by_thrust: np.ndarray
 
 
 class AirModel:
-    """y = r(z), d(a_x, a_y)/d v_body and d(a_z, tau)/d u; arrays component first."""
+    """y = r(z), dy/dv_body and dy/du at many points."""
 
     def __init__(self, residual: Residual) -> None:
         self.name = residual.name
         z = ca.SX.sym("z", residual.function.size1_in(0))
         y, dy_dz = residual.function(z, residual.theta)
-        self._n_rotors = z.numel() - N_FEATURES
-        gradients = ca.vertcat(ca.vec(dy_dz[:2, :3].T), ca.vec(dy_dz[2:, N_FEATURES:].T))
+        gradients = ca.vertcat(ca.vec(dy_dz[:, :N_VELOCITY].T), ca.vec(dy_dz[:, N_FEATURES:].T))
         self._function = ca.Function("air", [z], [ca.densify(ca.vertcat(y, gradients))])
         self._mapped: dict[int, ca.Function] = {}
 
-    def __call__(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """y, (6, k); d(a_x, a_y)/d v_body, (2, 3, k) (1/s); d(a_z, tau)/d u, (4, n, k) (1/kg, m), at z, (6 + n, k)."""
+    def __call__(self, z: np.ndarray) -> AirResponse:
+        """The response at z = [v_body, w, u], (6 + n, k)."""
         k = z.shape[1]
         if k not in self._mapped:
             self._mapped[k] = self._function.map(k)
@@ -37,5 +51,8 @@ class AirModel:
         memory.set_res(0, values.reshape(-1).data)
         evaluate()
         values = np.ascontiguousarray(values.T)
-        by_velocity, by_thrust = values[N_OUTPUTS : N_OUTPUTS + 6], values[N_OUTPUTS + 6 :]
-        return values[:N_OUTPUTS], by_velocity.reshape(2, 3, k), by_thrust.reshape(4, self._n_rotors, k)
+        split = N_OUTPUTS + N_OUTPUTS * N_VELOCITY
+        by_velocity, by_thrust = values[N_OUTPUTS:split], values[split:]
+        return AirResponse(
+            values[:N_OUTPUTS], by_velocity.reshape(N_OUTPUTS, N_VELOCITY, k), by_thrust.reshape(N_OUTPUTS, -1, k)
+        )

@@ -133,7 +133,8 @@ def heading_body_rates(
 
     chi: of Tilt.heading_twist. yaw: (3, k): rad, rad/s, rad/s^2.
     """
-    cosine, sine, zero = np.cos(yaw[0]), np.sin(yaw[0]), np.zeros_like(yaw[0])
+    cosine, sine = np.cos(yaw[0]), np.sin(yaw[0])
+    zero = np.zeros_like(cosine)
     h = twisted(frame.into_frame(np.stack([cosine, sine, zero])), chi)
     e = twisted(frame.into_frame(np.stack([-sine, cosine, zero])), chi)
     w, w_dot = twisted(o, chi), twisted(o_dot, chi)

@@ -19,7 +19,8 @@ from quadexp.residual.base import Residual
 from quadexp.trajectory.air_model import AirModel
 from quadexp.trajectory.base import Trajectory
 from quadexp.trajectory.demand import Demand
-from quadexp.trajectory.fixed_point import Air, Held, Motion, Settings, agreeing_air, flat_motion
+from quadexp.trajectory.fixed_point import Settings, agreeing_air
+from quadexp.trajectory.motion import Air, Held, Motion, flat_motion
 from quadexp.trajectory.time_grid import TimeGrid
 from quadexp.vehicle import Vehicle
 
@@ -53,6 +54,7 @@ def flat_reference(
 
     t: (k,), s; outside 0 .. trajectory.duration the end is held, at rest.
     tolerance: on the last change of the residual's outputs, m/s^2 and N m; the error is some tenths of it.
+    max_iterations: for each of the two iterations of fixed_point.py; they end before where they come no nearer.
     Raises UsageError where the trajectory asks for free fall, or where the iteration does not converge.
     """
     t = np.atleast_1d(np.asarray(t, float))

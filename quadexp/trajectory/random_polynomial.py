@@ -115,15 +115,17 @@ class RandomPolynomial:
         """The polynomials through the keypoints about the middle of the path, m."""
         rest = np.zeros(3)
         ends = (0, self.keypoints - 1)
-        pieces = generate_trajectory(
-            [
-                Waypoint(time, point, jerk=rest if i in ends else None)
-                for i, (time, point) in enumerate(zip(self.times, self._keypoints, strict=True))
-            ],
-            degree=DEGREE,
-            idx_minimized_orders=4,
-            num_continuous_orders=4,
-        )
+        points = zip(self.times, self._keypoints, strict=True)
+        try:
+            pieces = generate_trajectory(
+                [Waypoint(time, point, jerk=rest if i in ends else None) for i, (time, point) in enumerate(points)],
+                degree=DEGREE,
+                idx_minimized_orders=4,
+                num_continuous_orders=4,
+            )
+        except ValueError as error:
+            span = f"trajectory.extent={self.extent:g} at trajectory.speed={self.speed:g}"
+            raise UsageError(f"{span}: no polynomials through these keypoints ({error})") from None
         return PPoly(pieces.coefficients[:, ::-1].transpose(1, 0, 2), pieces.time_reference)
 
     @cached_property

@@ -27,8 +27,8 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.errors import UsageError
 from quadexp.trajectory.base import Trajectory
-from quadexp.trajectory.fixed_point import rotor_thrusts
 from quadexp.trajectory.flatness import Reference, as_reference
+from quadexp.trajectory.motion import rotor_thrusts
 from quadexp.vehicle import Vehicle
 
 

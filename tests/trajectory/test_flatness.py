@@ -24,6 +24,7 @@ from quadexp.trajectory import (
     flat_reference,
     rotor_drag_reference,
 )
+from quadexp.trajectory.flatness import as_reference
 
 DRAG = (0.3, 0.45, 0.1)  # 1/s
 
@@ -271,6 +272,16 @@ def test_quaternion_is_continuous_and_starts_upright(vehicle):
         np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1, atol=1e-13)
 
 
+def test_any_quaternions_become_one_continuous_turn(rng):
+    """Two and a half turns about a tilted axis, q and -q in any order: the first gets w >= 0, the others follow it."""
+    half = 2.0 + np.linspace(0, 2.5 * np.pi, 60)[:, None]  # cos(2) < 0
+    turn, none = np.hstack([np.cos(half), np.sin(half) * [0.0, 0.6, 0.8]]), np.zeros((60, 3))
+    for first in (1.0, -1.0):
+        signs = np.r_[first, rng.choice([-1.0, 1.0], 59)]
+        q = as_reference(half, none, signs[:, None] * turn, none, none, np.zeros((60, 4))).state[:, ATTITUDE]
+        np.testing.assert_allclose(q, -turn, atol=1e-15)
+
+
 def test_beyond_the_end_the_vehicle_hovers_in_the_air_it_knows(vehicle):
     """At rest the rich residual leaves the thrust loss k sum u^2: sum u = m (g + k sum u^2), u equal."""
     circle = Circle(speed=4.0)
@@ -280,6 +291,17 @@ def test_beyond_the_end_the_vehicle_hovers_in_the_air_it_knows(vehicle):
     assert np.ptp(u) < 1e-8
     np.testing.assert_allclose(reference.state[1:, VELOCITY], 0)
     np.testing.assert_allclose(reference.state[2, POSITION], [5, 0, 1])
+
+
+def test_any_number_of_times_beyond_the_ends(vehicle):
+    """All of them as one alone: at rest, leaning as the air asks for, with the heading that the flight has there."""
+    circle, residual = Circle(speed=4.0), rich_residual(4)
+    early, late = np.array([-3.0, -2.0, -1.0]), circle.duration + np.array([0.5, 2.0, 7.0, 60.0])
+    reference = flat_reference(circle, np.r_[early, 3.0, late], vehicle, residual)
+    for held, one in ((slice(0, 3), -2.0), (slice(4, 8), circle.duration + 1.0)):
+        alone = flat_reference(circle, np.array([one]), vehicle, residual)
+        np.testing.assert_allclose(reference.state[held] - alone.state, 0, atol=1e-9)
+        np.testing.assert_allclose(reference.input[held] - alone.input, 0, atol=1e-9)
 
 
 def test_step_reference_hovers_on_both_sides(vehicle):
