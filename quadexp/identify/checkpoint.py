@@ -51,6 +51,7 @@ def save_model(path: str | Path, model: Model, *, report: dict[str, Any] | None 
     if report is not None:
         files[REPORT_FILE] = json.dumps(report, indent=1) + "\n"
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    shutil.rmtree(temporary, ignore_errors=True)  # of one who was killed; in containers all have the same number
     try:
         temporary.mkdir(parents=True)
         for name, text in files.items():
@@ -85,7 +86,7 @@ def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Model:
         schema, digest, payload = document["schema"], document["sha256"], document["payload"]
     except OSError as error:
         raise UsageError(f"{file}: cannot be read ({error.strerror})") from None
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise DataError(f"{file}: damaged, or no model of quadexp ({_line(error)}); fit it again") from None
     if schema != SCHEMA:
         raise DataError(f"{file}: written with schema {schema}, this program reads schema {SCHEMA}; fit it again")
@@ -110,8 +111,10 @@ def load_report(path: str | Path) -> dict[str, Any]:
     file = Path(path) / REPORT_FILE
     try:
         return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise DataError(f"{file}: damaged ({_line(error)})") from None
+    except OSError as error:
+        raise UsageError(f"{file}: cannot be read ({error.strerror})") from None
 
 
 def _line(error: Exception) -> str:

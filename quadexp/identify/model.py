@@ -140,8 +140,3 @@ class GPModel:
     def mean_terms(self) -> TermStructure | None:
         """Which terms the prior mean has, None where it is linear drag or zero."""
         return getattr(self.mean, "structure", None)
-
-    @property
-    def largest_weight(self) -> float:
-        """Largest |alpha| over all outputs; the mean loses about that times 1e-16 to rounding."""
-        return max(float(np.abs(output.alpha).max()) for output in self.outputs)

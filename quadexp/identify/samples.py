@@ -84,6 +84,7 @@ def choose_signal(flights: Sequence[Flight], asked: str | None = None) -> str:
 
 
 def name_of(flight: Flight, index: int) -> str:
+    """What messages call a flight: the name in its record, or its place in a list."""
     return str(flight.metadata.get("name") or f"flight_{index}")
 
 

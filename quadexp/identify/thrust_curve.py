@@ -24,7 +24,7 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.flight.schema import Flight
 from quadexp.identify.regression import CONDITION_LIMIT, Regression, half_width, regress
-from quadexp.identify.samples import Samples, choose_signal, gather, rotor_columns
+from quadexp.identify.samples import Samples, rotor_columns
 from quadexp.identify.thrust_design import default_voltage, scaled_signal, thrust_design
 
 # Powers of the signal in the curve, and whether an intercept belongs to it.
@@ -119,34 +119,6 @@ class ThrustCurve:
         return f"on {scaled}: {'; '.join(terms)}"
 
 
-def fit_thrust_curve(
-    flights: Sequence[Flight],
-    *,
-    signal: str | None = None,
-    reference_voltage: float | None = None,
-    voltage_exponent: float | None = 1.0,
-    powers: Sequence[int] | None = None,
-    intercept: bool | None = None,
-    per_rotor: bool = False,
-    drag: bool = True,
-    rotors: int | None = None,
-    loss: str = "squares",
-) -> ThrustCurve:
-    """Fit the curve to the specific force along body z of all flights together.
-
-    signal: which column, None for the best that all flights have. reference_voltage: V, 0 leaves the voltage out, None
-    takes a round number near the flights' median (4 for one cell) where it is logged beside motor commands.
-    voltage_exponent: g, None to fit it. powers, intercept: None for the module's. per_rotor: a curve for each rotor.
-    drag: fit d_z beside it. rotors: how many share thrust_acceleration (4).
-    Raises DataError, UsageError.
-    """
-    return fit_thrust_samples(
-        gather(flights, choose_signal(flights, signal)),
-        reference_voltage=reference_voltage, voltage_exponent=voltage_exponent, powers=powers, intercept=intercept,
-        per_rotor=per_rotor, drag=drag, rotors=rotors, loss=loss,
-    )[0]  # fmt: skip
-
-
 def fit_thrust_samples(
     samples: Samples,
     *,
@@ -161,9 +133,16 @@ def fit_thrust_samples(
     condition_limit: float = CONDITION_LIMIT,
     intervals: bool = True,
 ) -> tuple[ThrustCurve, Regression]:
-    """`fit_thrust_curve` on samples; also the regression, columns in the order of `thrust_design` then d_z.
+    """Fit the curve to the specific force along body z; also the regression.
 
+    samples: of `gather`, with the signal that `choose_signal` takes. reference_voltage: V, 0 leaves the voltage out,
+    None takes a round number near the median (4 for one cell) where it is logged beside motor commands.
+    voltage_exponent: g, None to fit it. powers, intercept: None for the module's. per_rotor: a curve for each rotor.
+    drag: fit d_z beside it. rotors: how many share thrust_acceleration (4). loss, condition_limit: see `regress`.
     intervals: False where only the coefficients matter; their errors are then those of independent samples, g's is 0.
+    Returns the regression with its columns in the order of `thrust_design`, then d_z.
+    Raises DataError where a voltage is missing or the data does not hold the curve, UsageError for a curve per rotor of
+    a signal that is one for all.
     """
     kind = samples.kind
     if per_rotor and kind == "thrust_acceleration":

@@ -26,6 +26,7 @@ from quadexp.dynamics.induced_velocity import REASONS, Defined
 from quadexp.dynamics.rotor_coefficients import static_coefficients
 from quadexp.errors import ModelDomainError, UsageError
 from quadexp.plant.blade_element_period import PeriodModel, checked_period, fast_period
+from quadexp.plant.period import even_steps
 from quadexp.residual.base import Residual, feature_names
 from quadexp.residual.blade_element import blade_element_correction, require_rotor, residual_from_correction
 from quadexp.rotor import C_D0, IDLE_SPEED, STANDING, BladeCoefficients
@@ -120,7 +121,7 @@ class BladeElementPlant:
         Raises ModelDomainError where the model has no answer (see quadexp.dynamics.induced_velocity).
         """
         self._apply_changes()
-        steps = max(1, math.ceil(duration / self.step - 1e-9))
+        steps = even_steps(duration, self.step)
         h = duration / steps
         values: dict[str, Any] = {
             "x": x,
@@ -201,4 +202,4 @@ class BladeElementPlant:
                 f"{REASONS[Defined(int(status[rotor, step]))]} (V_h={flow[0]:.3g} m/s,"
                 f" V_z={flow[1]:.3g} m/s, w={flow[2]:.4g} rad/s)"
             )
-        return {name: found[name].reshape(-1) for name in ("x_next", "w_next", "induced_velocity", "specific_force")}
+        return {name: found[name].ravel() for name in ("x_next", "w_next", "induced_velocity", "specific_force")}

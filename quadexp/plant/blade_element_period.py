@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, reduce
 
 import casadi as ca
 
@@ -18,8 +18,9 @@ from quadexp.dynamics.integrator import euler_step, rk4_step
 from quadexp.dynamics.rigid_body import body_features, state_derivative
 from quadexp.errors import UsageError
 from quadexp.expression import Expression
+from quadexp.plant.period import unit_attitude
 from quadexp.rotor import C_LA, THETA
-from quadexp.state import ATTITUDE, N_STATE, RATE, VELOCITY
+from quadexp.state import N_STATE
 from quadexp.vehicle import Vehicle
 
 METHODS = {"euler": euler_step, "rk4": rk4_step}
@@ -86,9 +87,7 @@ class PeriodModel:
 
     def integrate(self, slope: Callable[[Expression], Expression], x: Expression, step: Expression) -> Expression:
         """The next state, its quaternion brought back to unit length."""
-        x_next = METHODS[self.method](slope, x, step)
-        q = x_next[ATTITUDE]
-        return ca.vertcat(x_next[:3], q / ca.norm_2(q), x_next[VELOCITY], x_next[RATE])
+        return unit_attitude(METHODS[self.method](slope, x, step))
 
     def _motion(self, x: Expression) -> tuple[Expression, Expression | None]:
         features = body_features(x, x[:0])
@@ -154,9 +153,7 @@ def checked_period(model: PeriodModel, steps: int) -> ca.Function:
         return induced.T
 
     x_next = model.integrate(lambda s: model.derivative(s, w_now, solve(s, w_now), parameters), x, h)
-    worst = statuses[0]
-    for status in statuses[1:]:
-        worst = ca.fmax(worst, status)
+    worst = reduce(ca.fmax, statuses)
     carry = ca.vertcat(x, w)
     one = ca.Function(
         "checked_step",
@@ -198,5 +195,5 @@ def _row(value: Expression, n: int) -> Expression:
 def _doubt(equation: Balance, before: Expression, induced: Expression) -> Expression:
     """1 where the last Newton step was too long to end, or the root lies below V_z with V_z > 2.83 V_h; else 0."""
     unsettled = ca.fabs(induced - before) > LARGEST_CHANGE
-    steep = ca.logic_and(equation.axial > 0, equation.axial**2 > 8 * equation.in_plane_squared)
+    steep = equation.axial**2 > 8 * equation.in_plane_squared
     return ca.mmax(ca.logic_or(unsettled, ca.logic_and(steep, induced < equation.axial)))

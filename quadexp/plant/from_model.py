@@ -11,16 +11,14 @@ density, drawn once per integration step h with standard deviation density / sqr
 
 from __future__ import annotations
 
-import math
-
 import casadi as ca
 import numpy as np
 
-from quadexp.backend import BufferedFunction, realise, resolve
 from quadexp.dynamics.integrator import rk4_step
 from quadexp.dynamics.rigid_body import body_features, state_derivative
+from quadexp.plant.period import NoisyPeriod, unit_attitude
 from quadexp.residual.base import Residual
-from quadexp.state import ATTITUDE, N_STATE, RATE, VELOCITY
+from quadexp.state import N_STATE
 from quadexp.vehicle import Vehicle
 
 
@@ -43,9 +41,9 @@ class FromModelPlant:
     ) -> None:
         self.vehicle, self.step = vehicle, step
         self._model = model
-        self._density = np.array([force_noise_density / vehicle.mass] * 3 + [torque_noise_density] * 3)
-        self._backend = resolve(backend)
-        self._advance: dict[int, BufferedFunction] = {}
+        density = np.array([force_noise_density / vehicle.mass] * 3 + [torque_noise_density] * 3)
+        parameters = np.concatenate([density, model.theta])
+        self._period = NoisyPeriod(_one_step(vehicle, model), parameters, step, backend)
 
     def reset(self) -> None:
         """See Plant.reset; this plant remembers nothing."""
@@ -54,54 +52,29 @@ class FromModelPlant:
         self, x: np.ndarray, u: np.ndarray, duration: float, rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray]:
         """See Plant.advance; RK4 with the noise held over each step."""
-        steps = max(1, math.ceil(duration / self.step - 1e-9))
-        function = self._function(steps)
-        arguments, h = function.arguments, duration / steps
-        arguments["x"][...] = x
-        arguments["u"][...] = np.clip(u, self.vehicle.thrust_min, self.vehicle.thrust_max)
-        arguments["step"][...] = h
-        rng.standard_normal(out=arguments["noise"])
-        # What is kept in memory is column by column: six numbers a step.
-        arguments["noise"].reshape(-1, 6)[...] *= self._density / math.sqrt(h)
-        function()
-        return function.results["x_next"].copy(), function.results["specific_force"].copy()
+        return self._period.advance(x, u, duration, rng)
 
     def residual(self) -> Residual:
         """See Plant.residual: the model itself; noise and clipping left out."""
         return self._model
 
-    def _function(self, steps: int) -> BufferedFunction:
-        if steps not in self._advance:
-            function = BufferedFunction(realise(_advance_function(self.vehicle, self._model, steps), self._backend))
-            function.arguments["theta"][...] = self._model.theta
-            self._advance[steps] = function
-        return self._advance[steps]
 
-
-def _advance_function(vehicle: Vehicle, model: Residual, steps: int) -> ca.Function:
-    """(x, u, noise (6, steps) on [a, tau], theta, step (s)) -> x_next, specific force at the end."""
+def _one_step(vehicle: Vehicle, model: Residual) -> ca.Function:
+    """(x, u, noise (6,) standard normal, [densities (6,) of a and tau, theta], step (s)) -> x_next, specific force."""
     n = vehicle.n_rotors
     x, u, y = ca.SX.sym("x", N_STATE), ca.SX.sym("u", n), ca.SX.sym("y", 6)
     features = ca.Function("features", [x, u], [body_features(x, u)])
     derivative = ca.Function("derivative", [x, u, y], [state_derivative(x, u, vehicle, y)])
 
-    x, u = ca.MX.sym("x", N_STATE), ca.MX.sym("u", n)
-    noise, theta, step = ca.MX.sym("noise", 6), ca.MX.sym("theta", len(model.theta)), ca.MX.sym("step")
+    x, command = ca.MX.sym("x", N_STATE), ca.MX.sym("u", n)
+    noise, parameters, step = ca.MX.sym("noise", 6), ca.MX.sym("parameters", 6 + len(model.theta)), ca.MX.sym("step")
+    density, theta = ca.vertsplit(parameters, [0, 6, 6 + len(model.theta)])
+    held = noise * density / ca.sqrt(step)
+    thrusts = ca.fmin(ca.fmax(command, vehicle.thrust_min), vehicle.thrust_max)
 
     def correction(state: ca.MX) -> ca.MX:
-        return ca.densify(model.function(features(state, u), theta)[0]) + noise
+        return ca.densify(model.function(features(state, thrusts), theta)[0]) + held
 
-    after = rk4_step(lambda state: derivative(state, u, correction(state)), x, step)
-    q = after[ATTITUDE]
-    after = ca.vertcat(after[:3], q / ca.norm_2(q), after[VELOCITY], after[RATE])
-    reading = ca.vertcat(0, 0, ca.sum1(u) / vehicle.mass) + correction(after)[:3]
-    one = ca.Function("model_step", [x, u, noise, theta, step], [after, reading])
-
-    noises = ca.MX.sym("noise", 6, steps)
-    state, readings = x, None
-    for column in ca.horzsplit(noises):
-        state, readings = one(state, u, column, theta, step)
-    return ca.Function(
-        "model_advance", [x, u, noises, theta, step], [state, readings],
-        ["x", "u", "noise", "theta", "step"], ["x_next", "specific_force"],
-    )  # fmt: skip
+    x_next = unit_attitude(rk4_step(lambda state: derivative(state, thrusts, correction(state)), x, step))
+    reading = ca.vertcat(0, 0, ca.sum1(thrusts) / vehicle.mass) + correction(x_next)[:3]
+    return ca.Function("model_step", [x, command, noise, parameters, step], [x_next, reading])

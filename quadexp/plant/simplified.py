@@ -19,14 +19,14 @@ from dataclasses import astuple, dataclass
 import casadi as ca
 import numpy as np
 
-from quadexp.backend import BufferedFunction, realise, resolve
 from quadexp.dynamics.drag import linear_drag_force, quadratic_drag_force
 from quadexp.dynamics.integrator import rk4_step
 from quadexp.dynamics.motor import thrust_loss
 from quadexp.dynamics.rigid_body import body_features, state_derivative
 from quadexp.expression import Expression
+from quadexp.plant.period import NoisyPeriod, unit_attitude
 from quadexp.residual.base import Residual, feature_names, symbolic_residual
-from quadexp.state import ATTITUDE, N_STATE, RATE, VELOCITY
+from quadexp.state import N_STATE
 from quadexp.vehicle import Vehicle
 
 
@@ -75,8 +75,7 @@ class SimplifiedPlant:
         self.vehicle = vehicle
         self.effects = effects or PlantEffects()
         self.step = step
-        self._backend = resolve(backend)
-        self._advance: dict[int, BufferedFunction] = {}
+        self._period = NoisyPeriod(_one_step(vehicle), self.effects.parameters(), step, backend)
 
     def reset(self) -> None:
         """See Plant.reset; this plant remembers nothing."""
@@ -85,14 +84,7 @@ class SimplifiedPlant:
         self, x: np.ndarray, u: np.ndarray, duration: float, rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray]:
         """See Plant.advance; RK4 with the noise held over each step."""
-        steps = max(1, math.ceil(duration / self.step - 1e-9))
-        function = self._function(steps)
-        arguments, results = function.arguments, function.results
-        arguments["x"][:], arguments["u"][:] = x, u
-        arguments["step"][0] = duration / steps
-        rng.standard_normal(out=arguments["noise"])
-        function()
-        return results["x_next"].copy(), results["specific_force"].copy()
+        return self._period.advance(x, u, duration, rng)
 
     def residual(self) -> Residual:
         """See Plant.residual: drag, mean motor loss and payload; noise and clipping left out."""
@@ -104,13 +96,6 @@ class SimplifiedPlant:
         acceleration = _body_acceleration(z[:3], delivered, theta, self.vehicle) - nominal
         outputs = ca.vertcat(acceleration, torque)
         return symbolic_residual("plant", outputs, z, theta, self.effects.parameters(), source="plant equations")
-
-    def _function(self, steps: int) -> BufferedFunction:
-        if steps not in self._advance:
-            function = BufferedFunction(realise(_advance_function(self.vehicle, steps), self._backend))
-            function.arguments["effects"][...] = self.effects.parameters()
-            self._advance[steps] = function
-        return self._advance[steps]
 
 
 def _delivered_thrust(command: Expression, effects: Expression, vehicle: Vehicle) -> Expression:
@@ -127,8 +112,8 @@ def _body_acceleration(
     return (force + ca.vertcat(0, 0, ca.sum1(delivered))) / (vehicle.mass + effects[PAYLOAD])
 
 
-def _advance_function(vehicle: Vehicle, steps: int) -> ca.Function:
-    """(x, u, noise (n + 6, steps) standard normal, effects, step (s)) -> x_next, specific force at the end."""
+def _one_step(vehicle: Vehicle) -> ca.Function:
+    """(x, u, noise (n + 6,) standard normal, effects, step (s)) -> x_next, specific force then; see NoisyPeriod."""
     n = vehicle.n_rotors
     x, u, noise = ca.SX.sym("x", N_STATE), ca.SX.sym("u", n), ca.SX.sym("noise", n + 6)
     effects, step = ca.SX.sym("effects", N_EFFECTS), ca.SX.sym("step")
@@ -145,21 +130,7 @@ def _advance_function(vehicle: Vehicle, steps: int) -> ca.Function:
         specific_force = _body_acceleration(body_velocity, delivered, effects, vehicle) + force_noise
         return specific_force, ca.vertcat(specific_force - nominal, torque_noise)
 
-    x_next = rk4_step(lambda state: state_derivative(state, delivered, vehicle, correction(state)[1]), x, step)
-    q = x_next[ATTITUDE]
-    x_next = ca.vertcat(x_next[:3], q / ca.norm_2(q), x_next[VELOCITY], x_next[RATE])
+    after = rk4_step(lambda state: state_derivative(state, delivered, vehicle, correction(state)[1]), x, step)
+    x_next = unit_attitude(after)
     reading, _ = correction(x_next)
-    one = ca.Function("plant_step", [x, u, noise, effects, step], ca.cse([x_next, reading]))
-
-    x, u, noise = ca.MX.sym("x", N_STATE), ca.MX.sym("u", n), ca.MX.sym("noise", n + 6, steps)
-    effects, step = ca.MX.sym("effects", N_EFFECTS), ca.MX.sym("step")
-    state, readings = x, None
-    for column in ca.horzsplit(noise):
-        state, readings = one(state, u, column, effects, step)
-    return ca.Function(
-        "plant_advance",
-        [x, u, noise, effects, step],
-        [state, readings],
-        ["x", "u", "noise", "effects", "step"],
-        ["x_next", "specific_force"],
-    )
+    return ca.Function("plant_step", [x, u, noise, effects, step], ca.cse([x_next, reading]))

@@ -8,8 +8,13 @@ import pytest
 from quadexp.errors import DataError, UsageError
 from quadexp.flight.schema import Flight
 from quadexp.identify.regression import half_width
-from quadexp.identify.thrust_curve import fit_thrust_curve
+from quadexp.identify.samples import choose_signal, gather
+from quadexp.identify.thrust_curve import ThrustCurve, fit_thrust_samples
 from tests.identify.logged_flights import CURVE, DRAG, logged_flight
+
+
+def fit_thrust_curve(flights, *, signal=None, **options) -> ThrustCurve:
+    return fit_thrust_samples(gather(flights, choose_signal(flights, signal)), **options)[0]
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,18 @@ def test_ideal_plant_hovers_for_ever(vehicle, rng):
     assert np.allclose(reading, [0, 0, 9.81])
 
 
+def test_ideal_plant_thrown_flies_a_parabola(vehicle, rng):
+    """No effects: x(t) = v t - g t^2 / 2, an accelerometer at zero, thrusts that arrive in full, no noise."""
+    plant = SimplifiedPlant(vehicle, PlantEffects.none(), backend="interpreted")
+    x = HOVER.copy()
+    x[VELOCITY] = v = np.array([3.0, -2.0, 4.0])
+    after, reading = plant.advance(x, np.zeros(4), 0.1, rng)
+    assert after[VELOCITY] == pytest.approx(v - [0, 0, 0.981], rel=1e-12)
+    assert after[:3] == pytest.approx(0.1 * v - [0, 0, 9.81 * 0.005], rel=1e-12)
+    assert reading == pytest.approx(np.zeros(3), abs=1e-14) and np.all(after[RATE] == 0)
+    assert plant.advance(HOVER, np.full(4, 5.0), 0.1, rng)[1] == pytest.approx([0, 0, 20.0 / vehicle.mass], rel=1e-12)
+
+
 def test_terminal_velocity(vehicle, rng):
     """Falling level with the rotors off, drag 0.08 v^2 balances gravity at v = sqrt(g / 0.08)."""
     plant = SimplifiedPlant(vehicle, PlantEffects(**QUIET), backend="interpreted")
@@ -51,6 +63,14 @@ def test_noise_does_not_depend_on_the_step(vehicle, step):
     x = np.array([plant.advance(HOVER, u, 0.04, rng)[0] for _ in range(1500)])
     assert x[:, VELOCITY].std(0) == pytest.approx(np.full(3, 0.02 * np.sqrt(0.04)), rel=0.07)
     assert x[:, RATE].std(0) == pytest.approx(0.001 * np.sqrt(0.04) / np.array([0.03, 0.03, 0.06]), rel=0.07)
+
+
+def test_noise_moves_a_loaded_vehicle_less(odd_vehicle):
+    """A force noise of density s, in N, moves the mass with its payload: s sqrt(T) / (m + payload)."""
+    effects = PlantEffects((0,) * 3, (0,) * 3, 0, 0, force_noise_density=0.02, torque_noise_density=0, payload=0.6)
+    plant, rng = SimplifiedPlant(odd_vehicle, effects, step=2e-3, backend="interpreted"), np.random.default_rng(2)
+    x = np.array([plant.advance(HOVER, np.zeros(6), 0.02, rng)[0] for _ in range(2000)])
+    assert x[:, VELOCITY].std(0) == pytest.approx(np.full(3, 0.02 * np.sqrt(0.02) / (1.7 + 0.6)), rel=0.06)
 
 
 def test_published_noise_amplitudes(vehicle):

@@ -17,6 +17,7 @@ from quadexp.flight.check.duplicates import check_duplicates
 from quadexp.flight.check.finding import Finding, worst_first
 from quadexp.flight.check.windows import STREAMS, Windows, cut, rotation_matrices, window_starts
 from quadexp.flight.schema import Flight
+from quadexp.flight.signal.offset import Offset
 from quadexp.vehicle import Vehicle
 
 __all__ = ["Finding", "check_flight", "check_flights"]
@@ -145,7 +146,9 @@ def whole(t: np.ndarray, streams: Mapping[str, np.ndarray]) -> Windows:
     return Windows(t=t[None], **values, rotation=rotation)
 
 
-def _consistency(t, streams, bad, segment):
+def _consistency(
+    t: np.ndarray, streams: dict[str, np.ndarray], bad: np.ndarray, segment: np.ndarray | None
+) -> tuple[dict[str, np.ndarray], list[Finding]]:
     """Streams with what was found undone, and the findings."""
     starts, half = window_starts(t, ~bad, segment)
     if len(starts) < LEAST_WINDOWS:
@@ -163,7 +166,9 @@ def _consistency(t, streams, bad, segment):
     return repaired, found
 
 
-def _stray(t, streams, segment, without: list[np.ndarray]) -> list[Finding]:
+def _stray(
+    t: np.ndarray, streams: dict[str, np.ndarray], segment: np.ndarray | None, without: list[np.ndarray]
+) -> list[Finding]:
     """Stretches where a sensor leaves the motion. without: masks of rows whose motion is not to be believed."""
     good = np.ones(len(t), bool)
     for values in streams.values():
@@ -174,7 +179,9 @@ def _stray(t, streams, segment, without: list[np.ndarray]) -> list[Finding]:
     return consistency.stray(cut(t, streams, starts, half)) if len(starts) >= LEAST_WINDOWS else []
 
 
-def _repaired(t, streams, explained) -> dict[str, np.ndarray]:
+def _repaired(
+    t: np.ndarray, streams: Mapping[str, np.ndarray], explained: list[consistency.Explained]
+) -> dict[str, np.ndarray]:
     """The streams with all repairs done, chunk by chunk."""
     made = {name: np.empty_like(values) for name, values in streams.items()}
     for start in range(0, len(t), CHUNK):
@@ -187,7 +194,7 @@ def _repaired(t, streams, explained) -> dict[str, np.ndarray]:
     return made
 
 
-def _motor_offset(flight: Flight, t: np.ndarray, streams: Mapping[str, np.ndarray]):
+def _motor_offset(flight: Flight, t: np.ndarray, streams: Mapping[str, np.ndarray]) -> Offset | None:
     if "f" not in streams:
         return None
     for kind, names in commands.command_columns(flight).items():

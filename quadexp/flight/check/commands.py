@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -76,7 +77,9 @@ def check_commands(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
     return found
 
 
-def _spikes(names, values, outside, width, t) -> list[Finding]:
+def _spikes(
+    names: Sequence[str], values: np.ndarray, outside: np.ndarray, width: float, t: np.ndarray
+) -> list[Finding]:
     """Single commands far from both neighbours, within a range of the given width."""
     if len(t) < 9:
         return []

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from itertools import permutations, product
+from typing import Any
 
 import numpy as np
 
@@ -126,7 +127,7 @@ def repairs(present: frozenset[str]) -> tuple[Repair, ...]:
     """Every hypothesis about the streams at hand (letters of Windows)."""
     found: list[Repair] = []
 
-    def add(needs: str, *arguments, **options) -> None:
+    def add(needs: str, *arguments: Any, **options: Any) -> None:
         if set(needs) <= present:
             found.append(Repair(*arguments, **options))
 

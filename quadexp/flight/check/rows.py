@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from quadexp.flight.check.finding import Finding, rows, span
@@ -44,7 +46,7 @@ def check_finite(columns: dict[str, np.ndarray], t: np.ndarray) -> list[Finding]
 
 def _gathered(found: list[Finding]) -> list[Finding]:
     """Columns that fail alike, as one finding."""
-    groups: dict[tuple, list[str]] = {}
+    groups: dict[tuple[Any, ...], list[str]] = {}
     for one in found:
         column, _, place = one.where.partition(", ")
         groups.setdefault((one.name, one.severity, place, one.measured, one.allowed, one.span), []).append(column)

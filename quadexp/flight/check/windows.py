@@ -15,6 +15,7 @@ where there is none, the body x and y components of R^T (a + g e_z) are small (d
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -126,15 +127,15 @@ def pairs(windows: Windows, gravity: float = GRAVITY, touching: str = "tpqvwf") 
     found = []
     halves = [(0, half), (half, 2 * half)]
 
-    def both(function):
+    def both(function: Callable[[int, int], np.ndarray]) -> np.ndarray:
         return np.concatenate([function(a, b) for a, b in halves])
 
-    def duration(a, b):
+    def duration(a: int, b: int) -> np.ndarray:
         return (one.t[:, b] - one.t[:, a])[:, None]
 
     if one.p is not None and one.v is not None and wanted("velocity"):
-        change = both(lambda a, b: (one.p[:, b] - one.p[:, a]) / duration(a, b))
-        found.append(Pair("velocity", change, both(lambda a, b: mean(one.t, one.v, a, b)), FLOOR["velocity"]))
+        change = both(lambda a, b: (one.of("p")[:, b] - one.of("p")[:, a]) / duration(a, b))
+        found.append(Pair("velocity", change, both(lambda a, b: mean(one.t, one.of("v"), a, b)), FLOOR["velocity"]))
     if one.q is not None and one.w is not None and wanted("rate"):
         turned = attitude_rate(one.t, one.q)
         middle = (one.w[:, 1:] + one.w[:, :-1]) / 2
@@ -146,13 +147,13 @@ def pairs(windows: Windows, gravity: float = GRAVITY, touching: str = "tpqvwf") 
         )
         found.append(Pair("rate", left, right, FLOOR["rate"]))
     if one.f is not None and wanted("push"):
-        read = both(lambda a, b: mean(one.t, one.f, a, b))
+        read = both(lambda a, b: mean(one.t, one.of("f"), a, b))
         found.append(Pair("push", np.abs(read) * UP + read * (1 - UP), read, FLOOR["thrust"]))
     if one.q is None or (one.v is None and one.p is None) or not set(touching) & set("tpvqf"):
         return found
     push = None if one.f is None else np.einsum("nlij,nlj->nli", one.of("rotation"), one.f)
     if one.v is not None and wanted("force"):
-        change = both(lambda a, b: (one.v[:, b] - one.v[:, a]) / duration(a, b)) + gravity * UP
+        change = both(lambda a, b: (one.of("v")[:, b] - one.of("v")[:, a]) / duration(a, b)) + gravity * UP
         middle = np.concatenate([one.of("rotation")[:, (a + b) // 2] for a, b in halves])
         expected = np.einsum("nij,ni->nj", middle, change)
         if push is None:

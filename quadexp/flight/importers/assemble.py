@@ -160,7 +160,10 @@ def _common_rate(rates: dict[str, float]) -> float:
     return wanted
 
 
-def _one_clock(path: Path, streams: dict[str, Stream], core: list[str], rate: float, notes: list[str]):
+def _one_clock(
+    path: Path, streams: dict[str, Stream], core: list[str], rate: float, notes: list[str]
+) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
+    """Times, (k,) (s), values and segments, (k,), of all streams at the rate (Hz), over the time the core has data."""
     begin = max(streams[name].t[0] for name in core)
     end = min(streams[name].t[-1] for name in core)
     if (end - begin) * rate > MOST_ROWS:

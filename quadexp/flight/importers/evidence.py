@@ -165,6 +165,7 @@ def is_unit(x: np.ndarray) -> bool:
 
 
 def matrices(q: np.ndarray) -> np.ndarray:
+    """Rotation matrices, (n, 3, 3), body to world, of quaternions (n, 4), w first."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_quat(q, scalar_first=True).as_matrix()

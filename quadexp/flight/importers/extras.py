@@ -8,4 +8,5 @@ from quadexp.errors import UsageError
 
 
 def missing_package(path: Path, package: str, extra: str) -> UsageError:
+    """The error for a log whose reader is in an extra that is not installed."""
     return UsageError(f"{path}: needs the package {package}; install it with: pip install 'quadexp[{extra}]'")

@@ -13,7 +13,8 @@ import numpy as np
 from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.flight.importers.assemble import Assembled, assemble
 from quadexp.flight.importers.detect import detect
-from quadexp.flight.importers.mapping import Mapping, load_mapping
+from quadexp.flight.importers.mapping import Mapping
+from quadexp.flight.importers.mapping_reader import load_mapping
 from quadexp.flight.importers.raw import RawLog
 from quadexp.flight.schema import Flight
 from quadexp.vehicle import Vehicle

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.flight.importers.attitude_search import Groups, Proposal
 from quadexp.flight.importers.evidence import Samples, correlations
 from quadexp.flight.importers.names import unit_of
+from quadexp.flight.importers.proposal import Groups, Proposal
 
 LEAST_EXPLAINED = 0.08  # of the angular acceleration, for the places of motors to be said
 PLACES = {(1, -1): "front_right", (-1, -1): "back_right", (-1, 1): "back_left", (1, 1): "front_left"}
@@ -133,6 +133,7 @@ def _arms(squares: np.ndarray, slope: np.ndarray, running: np.ndarray, lag: int)
 
 
 def find_battery(names: list[str], s: Samples, usable: list[int], said: Groups) -> dict[str, Proposal]:
+    """The battery's voltage by its name, its unit by its name or size; empty where none is named."""
     for columns in said.get("battery_voltage", []):
         x = s.x[:, columns[0]]
         middle = float(np.median(x))

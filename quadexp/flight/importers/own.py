@@ -30,6 +30,7 @@ def _is_csv(table: Table) -> bool:
 
 
 def is_tum(table: Table) -> bool:
+    """Whether a table is a trajectory in the TUM format: eight columns, by their names or by none."""
     names = " ".join(table.columns)
     return len(table.columns) == 8 and table.delimiter == " " and (names in TUM_HEADERS or names == "0 1 2 3 4 5 6 7")
 
@@ -86,6 +87,7 @@ def _tum(table: Table) -> RawLog:
 
 
 def is_own_mcap(path: Path) -> bool:
+    """Whether an MCAP file is one that this program wrote."""
     with open(path, "rb") as file:
         return b"quadexp " in file.read(256)
 

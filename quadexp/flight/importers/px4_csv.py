@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +40,7 @@ def read_px4_csv(path: Path) -> RawLog:
     return log
 
 
-def _about(path: Path) -> dict | None:
+def _about(path: Path) -> dict[str, Any] | None:
     """The record of a flight that this program exported."""
     for file in path.glob("*_about.json"):
         try:

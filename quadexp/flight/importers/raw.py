@@ -87,7 +87,9 @@ def clean_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes
     return Stream(t, values)
 
 
-def _forward(path: Path, name: str, t: np.ndarray, values: np.ndarray, step: np.ndarray, notes: list[str]):
+def _forward(
+    path: Path, name: str, t: np.ndarray, values: np.ndarray, step: np.ndarray, notes: list[str]
+) -> tuple[np.ndarray, np.ndarray]:
     """Rows whose time is later than that of all rows before; few may be lost."""
     back = np.flatnonzero(step < 0)
     late = increasing(t)

@@ -53,7 +53,7 @@ def read_rosbag(path: Path) -> RawLog:
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise missing_package(path, "rosbags", "logs") from None
-    found: dict[str, dict[str, _Rows]] = {}
+    found: _Found = {}
     notes: list[str] = []
     try:
         source = path.parent if path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file() else path
@@ -86,7 +86,11 @@ def _time(message: Any, stamp: int) -> float:
     return 1e-9 * stamp
 
 
-def _put(found: dict, quantity: str, topic: str, t: float, values: list[float], *, in_body: bool = False) -> None:
+_Found = dict[str, dict[str, _Rows]]  # quantity -> topic -> its rows
+_Taker = Callable[[_Found, str, float, Any], None]
+
+
+def _put(found: _Found, quantity: str, topic: str, t: float, values: list[float], *, in_body: bool = False) -> None:
     rows = found.setdefault(quantity, {}).setdefault(topic, _Rows(topic, in_body=in_body))
     if not rows.values or len(values) == len(rows.values[0]):
         rows.t.append(t)
@@ -101,35 +105,35 @@ def _wxyz(q: Any) -> list[float]:
     return [float(q.w), float(q.x), float(q.y), float(q.z)]
 
 
-def _pose(found: dict, topic: str, t: float, position: Any, orientation: Any) -> None:
+def _pose(found: _Found, topic: str, t: float, position: Any, orientation: Any) -> None:
     _put(found, "position", topic, t, _xyz(position))
     _put(found, "attitude", topic, t, _wxyz(orientation))
 
 
-def _odometry(found: dict, topic: str, t: float, m: Any) -> None:
+def _odometry(found: _Found, topic: str, t: float, m: Any) -> None:
     _pose(found, topic, t, m.pose.pose.position, m.pose.pose.orientation)
     world = m.child_frame_id == m.header.frame_id and m.child_frame_id != ""
     _put(found, "velocity", topic, t, _xyz(m.twist.twist.linear), in_body=not world)
     _put(found, "rate", topic, t, _xyz(m.twist.twist.angular))
 
 
-def _pose_stamped(found: dict, topic: str, t: float, m: Any) -> None:
+def _pose_stamped(found: _Found, topic: str, t: float, m: Any) -> None:
     pose = m.pose.pose if hasattr(m.pose, "pose") else m.pose
     _pose(found, topic, t, pose.position, pose.orientation)
 
 
-def _transform(found: dict, topic: str, t: float, m: Any) -> None:
+def _transform(found: _Found, topic: str, t: float, m: Any) -> None:
     _pose(found, topic, t, m.transform.translation, m.transform.rotation)
 
 
-def _twist(found: dict, topic: str, t: float, m: Any) -> None:
+def _twist(found: _Found, topic: str, t: float, m: Any) -> None:
     twist = m.twist.twist if hasattr(m.twist, "twist") else m.twist
     body = bool(BODY_FRAME.search(m.header.frame_id)) and "local" not in topic.rsplit("/", 1)[-1]
     _put(found, "velocity", topic, t, _xyz(twist.linear), in_body=body or "body" in topic)
     _put(found, "rate", topic, t, _xyz(twist.angular))
 
 
-def _imu(found: dict, topic: str, t: float, m: Any) -> None:
+def _imu(found: _Found, topic: str, t: float, m: Any) -> None:
     _put(found, "rate", topic, t, _xyz(m.angular_velocity))
     _put(found, "acceleration", topic, t, _xyz(m.linear_acceleration))
     q = _wxyz(m.orientation)
@@ -137,11 +141,11 @@ def _imu(found: dict, topic: str, t: float, m: Any) -> None:
         _put(found, "attitude", topic, t, q)
 
 
-def _battery(found: dict, topic: str, t: float, m: Any) -> None:
+def _battery(found: _Found, topic: str, t: float, m: Any) -> None:
     _put(found, "battery_voltage", topic, t, [float(m.voltage)])
 
 
-def _actuators(found: dict, topic: str, t: float, m: Any) -> None:
+def _actuators(found: _Found, topic: str, t: float, m: Any) -> None:
     for name, quantity in (
         ("angular_velocities", "rotor_speed"),
         ("velocity", "rotor_speed"),
@@ -152,13 +156,13 @@ def _actuators(found: dict, topic: str, t: float, m: Any) -> None:
             _put(found, quantity, topic, t, values)
 
 
-def _esc(found: dict, topic: str, t: float, m: Any) -> None:
+def _esc(found: _Found, topic: str, t: float, m: Any) -> None:
     items = getattr(m, "esc_status", None) or getattr(m, "esc_telemetry", None) or []
     if 3 <= len(items) <= MOST_ROTORS:
         _put(found, "rotor_speed", topic, t, [RPM * abs(float(item.rpm)) for item in items])
 
 
-def _state(found: dict, topic: str, t: float, m: Any) -> None:
+def _state(found: _Found, topic: str, t: float, m: Any) -> None:
     """A quadrotor's state in one message (agilicopter and the like): pose, velocity (twist in the world), motors."""
     _pose(found, topic, t, m.pose.position, m.pose.orientation)
     twist = getattr(m, "velocity", None)
@@ -170,7 +174,7 @@ def _state(found: dict, topic: str, t: float, m: Any) -> None:
         _put(found, "rotor_speed", topic, t, motors)
 
 
-def _speeds(found: dict, topic: str, t: float, m: Any) -> None:
+def _speeds(found: _Found, topic: str, t: float, m: Any) -> None:
     """Any message of rotor speeds: an array called rpm, motor_rpm, speeds, ..."""
     for name in ("rpm", "motor_rpm", "rpms", "motor_speeds", "rotor_speeds", "speeds", "motors", "motor_speed"):
         values = np.atleast_1d(np.asarray(getattr(m, name, []))).ravel()
@@ -180,7 +184,7 @@ def _speeds(found: dict, topic: str, t: float, m: Any) -> None:
             return
 
 
-_TAKERS: list[tuple[re.Pattern[str], Callable]] = [
+_TAKERS: list[tuple[re.Pattern[str], _Taker]] = [
     (re.compile(r".*/Odometry"), _odometry),
     (re.compile(r"geometry_msgs/(msg/)?Pose(WithCovariance)?Stamped"), _pose_stamped),
     (re.compile(r"geometry_msgs/(msg/)?TransformStamped"), _transform),
@@ -194,11 +198,11 @@ _TAKERS: list[tuple[re.Pattern[str], Callable]] = [
 ]
 
 
-def _taker(kind: str) -> Callable | None:
+def _taker(kind: str) -> _Taker | None:
     return next((taker for pattern, taker in _TAKERS if pattern.fullmatch(kind)), None)
 
 
-def _choose(path: Path, log: RawLog, found: dict[str, dict[str, _Rows]]) -> None:
+def _choose(path: Path, log: RawLog, found: _Found) -> None:
     """Of every quantity the topic to take, then everything into ENU and FLU."""
     chosen: dict[str, _Rows] = {}
     pose = None

@@ -101,6 +101,7 @@ def _encoding(path: Path) -> str:
 
 
 def split(line: str, delimiter: str) -> list[str]:
+    """The cells of a row, without quotes and blanks around them."""
     parts = line.split() if delimiter == " " else line.split(delimiter)
     return [part.strip().strip('"').strip() for part in parts]
 

@@ -59,4 +59,5 @@ def axes_matrix(kind: str, frame: str, where: str) -> np.ndarray:
 
 
 def is_rotation(matrix: np.ndarray) -> bool:
+    """Whether axes, (3, 3) with entries 0 and +-1, are right-handed."""
     return bool(np.linalg.det(matrix) > 0)

@@ -161,7 +161,9 @@ def _refined(pieces: list[tuple[np.ndarray, ...]], tau: float, reach: int, rate:
     return _Fit(tau, max(sandwich, jackknife), gain, agrees)
 
 
-def _normal_equations(pieces: list[tuple[np.ndarray, ...]], tau: float, reach: int, rate: float, gain: float):
+def _normal_equations(
+    pieces: list[tuple[np.ndarray, ...]], tau: float, reach: int, rate: float, gain: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Instruments times regressors (blocks, n, n), and times b (blocks, n), summed over blocks."""
     from scipy.interpolate import CubicSpline
 

@@ -108,7 +108,10 @@ def _on_clock(
     return out
 
 
-def _stretch(own, data, at, rate, slack, sphere, held):
+def _stretch(
+    own: np.ndarray, data: np.ndarray, at: np.ndarray, rate: float, slack: float, sphere: bool, held: bool
+) -> np.ndarray:
+    """Values, (k, d), at the times `at`, (k,), of one piece without gaps: taken over, low-passed or interpolated."""
     near = np.clip(np.searchsorted(own, at + slack, side="right") - 1, 0, len(own) - 1)
     if np.abs(own[near] - at).max() <= slack and 1 / period(own) < SAME_RATE * rate:
         return data[near]

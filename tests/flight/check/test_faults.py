@@ -144,7 +144,7 @@ def test_without_some_streams(flights):
 
 def test_degenerate_flights_say_no_flight():
     t = np.arange(300) / 100
-    still = {"t": t} | {name: 0 * t for name in ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z")}
+    still = {"t": t} | dict.fromkeys(("p_x", "p_y", "p_z", "v_x", "v_y", "v_z"), 0 * t)
     assert [one.name for one in check_flight(Flight(still, {}))][0] == "no_flight"
     assert check_flight(Flight({"t": t[:1]}, {}))[0].name == "no_flight"
     assert check_flight(Flight({"t": t[:0]}, {}))[0].name == "no_flight"

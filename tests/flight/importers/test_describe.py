@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from quadexp.errors import DataError
 from quadexp.flight.importers import Options, import_log
 from quadexp.flight.importers.describe import describe_log
-from quadexp.flight.importers.mapping import load_mapping
+from quadexp.flight.importers.mapping_reader import load_mapping
 from tests.flight.importers import logs
 from tests.flight.importers.vehicles import quad_x
 

@@ -10,7 +10,7 @@ import pytest
 
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.flight.importers import Options, import_log
-from quadexp.flight.importers.mapping import load_mapping
+from quadexp.flight.importers.mapping_reader import load_mapping
 from tests.flight.importers import logs
 
 HEADER = "t,px,py,pz,qx,qy,qz,qw,vx,vy,vz,imu_acc_x,imu_acc_y,imu_acc_z,imu_gyro_x,imu_gyro_y,imu_gyro_z,"
