@@ -51,9 +51,9 @@ def aerodynamic_point(
     w = np.asarray(rotor_speed, float)
     local = np.zeros(3) if rate is None else np.asarray(rate, float)
     theta, flow = coefficients.parameters(), _flow_function(vehicle)
-    in_plane_squared, axial = (np.array(part).reshape(-1) for part in flow(body_velocity, local))
+    in_plane_squared, axial = (np.array(part).ravel() for part in flow(body_velocity, local))
     found = solution_function(geometry, terms)(theta[C_LA], w[None], in_plane_squared[None], axial[None])
-    induced, status = (np.array(part).reshape(-1) for part in found)
+    induced, status = (np.array(part).ravel() for part in found)
     for i, code in enumerate(status):
         if code != Defined.OK:
             raise ModelDomainError(
@@ -62,7 +62,7 @@ def aerodynamic_point(
             )
     function = _point_function(vehicle, rate is not None, terms)
     values = function(theta, body_velocity, local, np.maximum(w, STANDING), induced)
-    thrust, hub, torque, force, moment = (np.array(part).reshape(-1) for part in values)
+    thrust, hub, torque, force, moment = (np.array(part).ravel() for part in values)
     return AerodynamicPoint(induced, thrust, hub * np.sqrt(in_plane_squared), torque, force, moment)
 
 

@@ -5,7 +5,7 @@
 The paper assumes V_I > V_z (13). Where that root exists it is the largest one, alone on [max(V_z, 0), V_z + a/b], and
 g is convex right of it. Where it does not, u is kept with its sign and the root lies below V_z. So the model's solution
 is the LARGEST root everywhere: Newton's method from an upper bound falls onto it without ever crossing it, and where a
-step leaves the bracket, or g is not increasing, the bracket is halved.
+step leaves the bracket, as it does where g is not increasing, the bracket is halved.
 
 g has more than one root only where g' < 0 somewhere, which takes a descent steeper than V_z = 2.83 V_h; with
 h = sqrt(2) V_h, g' is smallest at u = -h sinh(asinh(V_z / h) / 3). As long as V_I > V_z the paper's assumption picks
@@ -99,11 +99,11 @@ def starting_point(equation: Balance) -> Expression:
     V_I > V_z (13): the smaller of two upper bounds, the solution without in-plane speed, K V_I u = a - b u, and a
     Newton step from max(V_z, 0), which is Glauert's V_I = T / (K |V|) at high speed. Else a Newton step from 0.
     """
-    K, a, b, squared, axial = equation
+    K, a, b, _, axial = equation
     vertical = (K * axial - b + ca.sqrt((K * axial + b) ** 2 + 4 * K * a)) / (2 * K)
     descent = ca.fmax(axial, 0)
     above = equation.value(descent) < 0
-    from_zero = (a + b * axial) / (K * ca.sqrt(squared + axial * axial + TINY_SPEED**2) + b)
+    from_zero = -equation.value(0.0) / equation.slope(0.0)
     from_descent = descent - equation.value(descent) / equation.slope(descent)
     return ca.if_else(above, ca.fmin(vertical, from_descent), ca.fmin(from_zero, descent))
 
@@ -120,53 +120,38 @@ def safe_newton(equation: Balance, iterations: int = SAFE_ITERATIONS) -> Express
     """The largest root, from the upper bound, by safeguarded Newton."""
     low, high = bracket(equation)
     induced = high
-    flattest = 1e-6 * equation.K
     for _ in range(iterations):
         value, slope = equation.value(induced), equation.slope(induced)
         low, high = ca.if_else(value > 0, low, induced), ca.if_else(value > 0, induced, high)
-        step = induced - value / ca.fmax(slope, flattest)
-        inside = ca.logic_and(ca.logic_and(step >= low, step <= high), slope > flattest)
-        induced = ca.if_else(inside, step, (low + high) / 2)
+        step = induced - value / slope
+        induced = ca.if_else(ca.logic_and(step >= low, step <= high), step, (low + high) / 2)
     return induced
 
 
 def bracket(equation: Balance) -> tuple[Expression, Expression]:
-    """Bounds (m/s) of all roots: g <= 0 at the lower, g >= 0 at and above the upper one."""
-    descent = ca.fmax(equation.axial, 0)
-    # T = 0 at V_z + a/b; and K V_I u > a from the other bound on, which is the lower one where b is small
-    unloaded = ca.fmin(
-        equation.axial + equation.a / (equation.b + 1e-12), 2 * descent + ca.sqrt(2 * equation.a / equation.K)
-    )
-    assumed = ca.logic_and(equation.axial > 0, equation.value(descent) < 0)  # then V_I > V_z, (13)
-    return ca.if_else(assumed, descent, ca.fmin(equation.axial, 0)), ca.fmax(unloaded, 0)
+    """Bounds (m/s) of all roots: g <= 0 at the lower, g >= 0 at and above the upper one.
+
+    The upper one: from V_I = max(V_z, 0) + sqrt(a / K) on, both V_I and u are at least sqrt(a / K), and K V_I u >= a.
+    """
+    a = ca.fmax(equation.a, 0)  # negative with identified coefficients only
+    return ca.fmin(equation.axial, 0), ca.fmax(equation.axial, 0) + ca.sqrt(a / equation.K)
 
 
 def root_is_unique(equation: Balance, induced: Expression) -> Expression:
-    """Whether the root `induced` (m/s) is the model's only candidate: V_I >= V_z (13), or g increasing everywhere."""
-    scale = ca.sqrt(2 * equation.in_plane_squared + TINY_SPEED**2)
-    ratio = equation.axial / scale
-    flattest = -scale * ca.sinh(ca.log(ratio + ca.sqrt(ratio * ratio + 1)) / 3)
-    increasing = equation.slope(equation.axial + flattest) > 0
-    low = ca.fmin(equation.axial, 0)
-    return ca.logic_or(ca.logic_or(increasing, induced >= equation.axial), _only_root(equation, induced, low, flattest))
+    """Whether the largest root `induced` (m/s) is the model's only candidate: V_I >= V_z (13), or no root below it.
 
-
-def _only_root(equation: Balance, induced: Expression, low: Expression, flattest: Expression) -> Expression:
-    """Whether g has its only root at `induced` although g' < 0 at u = flattest: no sign change between its extrema."""
-    # local minimum of g, right of the inflection, where g is convex: Newton on g' through its bracket
-    left, right = equation.axial + flattest, equation.axial
-    for _ in range(SAFE_ITERATIONS):
-        middle = (left + right) / 2
-        falling = equation.slope(middle) < 0
-        left, right = ca.if_else(falling, middle, left), ca.if_else(falling, right, middle)
-    above = equation.value(right) > 0  # then no root right of the inflection
-    left, right = low, equation.axial + flattest
+    g is concave left of its inflection and convex right of it. A largest root on the left is the only one; one on the
+    right is the only one if g stays negative on the left, that is, at its largest value there.
+    """
+    scale = ca.sqrt(2 * equation.in_plane_squared)  # zero: no number below, but then V_I > V_z
+    inflection = equation.axial - scale * ca.sinh(ca.asinh(equation.axial / scale) / 3)
+    left, right = ca.SX(0), inflection  # V_I < V_z only with V_z > 0, and then all roots are positive
     for _ in range(SAFE_ITERATIONS):
         middle = (left + right) / 2
         rising = equation.slope(middle) > 0
         left, right = ca.if_else(rising, middle, left), ca.if_else(rising, right, middle)
-    below = equation.value(left) < 0  # then no root left of it
-    return ca.logic_or(above, below)
+    alone = ca.logic_or(induced < inflection, equation.value(left) < 0)
+    return ca.logic_or(induced >= equation.axial, alone)
 
 
 @cache

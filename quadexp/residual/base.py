@@ -64,4 +64,4 @@ def symbolic_residual(
         ["z", "theta"],
         ["y", "dy_dz"],
     )
-    return Residual(name, function, np.asarray(values, float).reshape(-1), source)
+    return Residual(name, function, np.asarray(values, float).ravel(), source)

@@ -94,7 +94,7 @@ def gaussian_process_residual(
     mean = np.zeros(n_mean) if mean_parameters is None else np.asarray(mean_parameters, float)
     scales = [1.0 / (np.sqrt(2.0) * np.asarray(o.lengthscale, float)) for o in outputs]
     points = [
-        (np.asarray(o.inducing, float).reshape(len(o.alpha), len(o.features)) * scale).T.reshape(-1)
+        (np.asarray(o.inducing, float).reshape(len(o.alpha), len(o.features)) * scale).T.ravel()
         for o, scale in zip(outputs, scales, strict=True)
     ]
     alphas = [np.asarray(o.alpha, float) for o in outputs]

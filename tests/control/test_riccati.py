@@ -68,6 +68,18 @@ def test_gains_are_the_textbook_ones(kind, n, rng):
     assert np.allclose(both[:, 0], k, rtol=1e-9, atol=1e-9) and np.allclose(both[:, 1], k, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("kind", [MatrixPasses, CompiledPasses])
+def test_gains_are_one_matrix_and_one_vector(kind):
+    """And a cost to go of one node takes the place of the next one's."""
+    sizes = {"A": (13, 13), "B": (13, 6), "b": (13, 1), "q": (13, 1), "r": (6, 1), "Q": (13, 1), "R": (6, 1)}
+    node = [ca.MX.sym(name, *size) for name, size in sizes.items()]
+    passes = kind.build(node[0].sparsity(), node[1].sparsity())
+    last = passes.terminal(*(ca.MX.sym(name, N_STATE) for name in "Qq"))
+    before, K, k = passes.backward(last, *node)
+    assert [part.shape for part in before] == [part.shape for part in last]
+    assert K.shape == (6, N_STATE) and k.shape == passes.first_node(last, *node).shape == (6, 1)
+
+
 def test_a_kernel_cannot_be_run_uncompiled(rng):
     """It is C and nothing else: calling it in the virtual machine must fail, not return a number."""
     function = gains_function(CompiledPasses, 4)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from quadexp.dynamics.aerodynamic_point import aerodynamic_point
-from quadexp.dynamics.blade_element import PRINTED, blade_forces
+from quadexp.dynamics.blade_element import PRINTED, aerodynamic_wrench, blade_forces
 from quadexp.dynamics.rotor_coefficients import motor_coefficients, static_coefficients
 from quadexp.errors import ModelDomainError
 from quadexp.rotor import BladeCoefficients
@@ -160,6 +161,34 @@ def test_rotor_local_velocity(lei_li, blade, rng):
     places = np.array(lei_li.rotor_position)
     arm = np.sum(places[:, 0] * hub[:, 1] - places[:, 1] * hub[:, 0])
     assert local.torque == pytest.approx(plain.torque + [0, 0, arm], rel=1e-11, abs=1e-12)
+
+
+def test_rotors_of_their_own_lift(lei_li, blade, rng):
+    """A factor on a rotor's lift slope: thrust and torques are those of rotors with that slope, one by one."""
+    v, w, V_I = [4.0, -2.0, 1.0], rng.uniform(400, 600, 4), rng.uniform(2, 5, 4)
+    share = np.array([1.0, 0.7, 1.3, 0.5])
+    found = aerodynamic_wrench(lei_li, blade.parameters(), ca.DM(v), ca.DM(w), ca.DM(V_I), lift_scale=ca.DM(share))
+    force, torque = (np.array(part).ravel() for part in found)
+    thrust, hub, drag = (
+        np.array(part)
+        for part in zip(
+            *(
+                blade_forces(
+                    lei_li.rotor, blade.profile_drag, f * blade.lift_slope, w_i, V_i + v[2], v[0] ** 2 + v[1] ** 2
+                )
+                for f, w_i, V_i in zip(share, w, V_I, strict=True)
+            ),
+            strict=True,
+        )
+    )
+    assert force[2] == pytest.approx(
+        thrust.sum() - paper.RHO * paper.S / 2 * np.linalg.norm(v) * paper.C_D[2] * v[2], rel=1e-12
+    )
+    assert force[0] == pytest.approx(
+        -hub.sum() * v[0] - paper.RHO * paper.S / 2 * np.linalg.norm(v) * paper.C_D[0] * v[0], rel=1e-12
+    )
+    roll, pitch = paper.D * (thrust[3] - thrust[1]), paper.D * (thrust[2] - thrust[0])
+    assert torque == pytest.approx([roll, pitch, drag @ [1, -1, 1, -1]], rel=1e-12)
 
 
 class TestWhereItIsNotDefined:

@@ -148,3 +148,67 @@ def test_sixteen_safe_steps_are_as_good_as_sixty(lei_li, solve, rng):
     exact, status = solve(w, V_h, V_z)
     error = np.abs(np.array(short(w[None], V_h[None] ** 2, V_z[None]))[0] - exact)[status == Defined.OK]
     assert np.quantile(error, 0.999) < 1e-11 and error.max() < 0.3
+
+
+def real_roots(w, V_h, V_z, C_la):
+    """All V_I with (17) = (14), ascending: real roots of the squared equation, a quartic, that have the right sign."""
+    c = paper.thrust(w, V_h, V_z, 0, C_la)  # T = c - b V_I
+    b = c - paper.thrust(w, V_h, V_z, 1, C_la)
+    quartic = np.polysub(K**2 * np.array([1, -2 * V_z, V_h**2 + V_z**2, 0, 0]), np.polymul([-b, c], [-b, c]))
+    roots = np.roots(quartic)
+    doubtful = np.any((np.abs(roots.imag) > 0) & (np.abs(roots.imag) < 1e-3))  # nearly two equal ones
+    roots = roots.real[roots.imag == 0]
+    return np.sort(roots[roots * (c - b * roots) > 0]), doubtful
+
+
+def near_the_cusp(rng: np.random.Generator):
+    """A steep descent in which the three induced velocities, or nearly, lie close together.
+
+    b: about what makes g' zero at the inflection; a: g about zero there, within the width of the cusp, which goes with
+    the distance in b to the power of 1.5. Rotor speed and lift slope follow.
+    """
+    V_h = 10 ** rng.uniform(-1, 0.6)
+    V_z = V_h * rng.uniform(3, 12)
+    u = -np.sqrt(2) * V_h * np.sinh(np.arcsinh(V_z / np.sqrt(2) / V_h) / 3)
+    V_I, speed = V_z + u, np.hypot(V_h, u)
+    distance = rng.choice([-1, 1], p=[0.3, 0.7]) * 10 ** rng.uniform(-2, -0.3)
+    b = -K * (speed + V_I * u / speed) * (1 - distance)
+    a = K * V_I * speed + b * u + 0.3 * rng.normal() * abs(distance) ** 1.5 * b * V_h
+    # a = s th r C (r^2 w^2 / 3 + V_h^2 / 2), b = s r^2 C w / 2: a quadratic in w
+    r, th, s = paper.R, paper.TH, paper.RHO * paper.C
+    w = np.roots([2 * r * th / 3, -a / b, th * V_h**2 / r])
+    if np.any(w.imag) or w.max() < 2:
+        return None
+    return w.real.max(), V_h, V_z, 2 * b / (s * r**2 * w.real.max())
+
+
+def test_the_largest_of_all_roots_and_whether_it_is_the_only_one(lei_li, rng):
+    """In steep descents, where the balance has one root or three: all of them by another method."""
+    points = np.array([point for _ in range(2500) if (point := near_the_cusp(rng)) is not None])
+    w, V_h, V_z, C_la = points.T
+    found = solution_function(lei_li.rotor)(C_la[None], w[None], V_h[None] ** 2, V_z[None])
+    V_I, status = (np.array(part)[0] for part in found)
+    several, checked = 0, 0
+    for i, point in enumerate(points):
+        roots, doubtful = real_roots(*point)
+        if doubtful or np.any(np.diff(roots) < 1e-4):
+            continue
+        assert V_I[i] == pytest.approx(roots[-1], rel=1e-6)
+        alone = len(roots) == 1 or roots[-1] >= V_z[i]
+        assert status[i] == (Defined.OK if alone else Defined.NOT_UNIQUE)
+        several, checked = several + (not alone), checked + 1
+    assert several > 200 and checked - several > 200
+
+
+def test_where_there_is_no_model(lei_li):
+    """A rotor at rest needs air at rest, from whichever side it comes; numbers that are none are told apart."""
+    status = solution_function(lei_li.rotor)
+    for squared, axial in ((0.3, 0), (0, 0.3), (0, -0.3)):
+        assert status(3.32, 0, squared, axial)[1] == Defined.STOPPED
+    assert [float(value) for value in status(3.32, 0, 0, 0)] == [0, Defined.OK]
+    for i in range(4):
+        for bad in (np.nan, np.inf):
+            arguments = [3.32, 500, 9, 1]
+            arguments[i] = bad
+            assert status(*arguments)[1] == Defined.NOT_FINITE
+    assert status(3.32, 500, 9, -np.inf)[1] == Defined.NOT_FINITE

@@ -6,9 +6,9 @@
     python -m tests.mutation.mutate --retry survived            # after new tests: the survivors once more
 
 Every mutant is one change (see operators.py) in a copy of the package, never in place; the fast tests of targets.py run
-against the copy until the first failure: interpreted, where what was changed is C (operators_c.py) compiled. A survivor
-is a gap in the tests unless accepted.toml gives the reason why its change is none. Exit status 1 where an unexplained
-mutant survives.
+against the copy until the first failure: interpreted, but compiled where what was changed is C (operators_c.py), or
+what only compiled code contains. A survivor is a gap in the tests unless accepted.toml gives the reason why its change
+is none. Exit status 1 where an unexplained mutant survives.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from pathlib import Path
 
 from tests.mutation.operators import Mutant, mutants
 from tests.mutation.operators_c import c_mutants
-from tests.mutation.targets import fast_tests, target_files
+from tests.mutation.targets import fast_tests, runs_compiled, target_files
 
 ROOT = Path(__file__).resolve().parents[2]
 COPIED = ("quadexp", "tests", "conf", "benchmarks", "pyproject.toml", "README.md")
@@ -150,7 +150,7 @@ def _check_unchanged(tests: list[str], folder: Path) -> None:
 
 
 def _started(folder: Path, tests: list[str], changed: str = ""):
-    compiled = changed.endswith(".c")
+    compiled = runs_compiled(changed)
     process = multiprocessing.get_context("fork").Process(target=_pytest, args=(folder, tests, compiled))
     process.start()
     return process

@@ -15,6 +15,8 @@ MECHANICS = (
 AIR = ("tests/dynamics/test_blade_element.py", "tests/properties/test_blade_limits.py")
 STEP = (
     "tests/control/test_riccati.py",
+    "tests/control/test_attitude_guard.py",
+    "tests/control/test_step.py",
     "tests/control/test_active_set.py",
     "tests/properties/test_optimality.py",
     "tests/control/test_mpc.py",
@@ -37,13 +39,18 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/dynamics/aerodynamic_point.py": AIR,
     "quadexp/dynamics/induced_velocity.py": ("tests/dynamics/test_induced_velocity.py", *AIR),
     "quadexp/plant/simplified.py": (
-        "tests/properties/test_mechanics.py",
+        "tests/residual/test_contract.py",
         "tests/plant/test_simplified.py",
-        *RESIDUAL,
+        "tests/properties/test_mechanics.py",
         "tests/properties/test_symmetry.py",
     ),
-    "quadexp/plant/base.py": ("tests/plant",),
+    "quadexp/plant/period.py": (
+        "tests/plant/test_simplified.py",
+        "tests/plant/test_blade_element.py",
+        "tests/properties/test_mechanics.py",
+    ),
     "quadexp/plant/blade_element*.py": (
+        "tests/plant/test_blade_element_flight.py",
         "tests/plant/test_blade_element.py",
         "tests/properties/test_mechanics.py",
         "tests/properties/test_symmetry.py",
@@ -53,8 +60,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/control/step.py": STEP,
     "quadexp/control/attitude_error.py": STEP,
     "quadexp/control/subproblem.py": STEP,
-    "quadexp/control/riccati.py": STEP,
-    "quadexp/control/riccati_backward.c": ("tests/control/test_riccati.py", "tests/control/test_active_set.py"),
+    "quadexp/control/riccati*": ("tests/control/test_riccati.py", "tests/control/test_active_set.py"),
     "quadexp/residual/gp_sums.c": ("tests/residual/test_compiled_sums.py",),
     "quadexp/control/active_set.py": STEP,
     "quadexp/control/mpc.py": STEP[1:] + STEP[:1],
@@ -63,10 +69,20 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/trajectory/test_flatness.py",
         "tests/properties/test_flatness.py",
     ),
-    "quadexp/trajectory/motion.py": ("tests/trajectory/test_flatness.py", "tests/properties/test_flatness.py"),
-    "quadexp/trajectory/air_step.py": ("tests/trajectory/test_fixed_point.py",),
+    "quadexp/trajectory/motion.py": (
+        "tests/trajectory/test_motion.py",
+        "tests/trajectory/test_flatness.py",
+        "tests/properties/test_flatness.py",
+    ),
+    "quadexp/trajectory/air_step.py": ("tests/trajectory/test_air_step.py", "tests/trajectory/test_fixed_point.py"),
     "quadexp/identify/rls_step.py": ("tests/identify/test_rls.py", "tests/properties/test_identification.py"),
 }
+COMPILED = ("*.c", "quadexp/control/riccati.py")
+
+
+def runs_compiled(file: str) -> bool:
+    """Whether the tests of a mutated file must compile: the change is in C, or in what no interpreted code contains."""
+    return any(fnmatch(file, pattern) for pattern in COMPILED)
 
 
 def fast_tests(file: str, root: Path) -> list[str]:

@@ -122,7 +122,7 @@ def make_effects(rng: np.random.Generator, *, noise: bool = False, isotropic: bo
     if isotropic:
         linear[1], quadratic[:2] = linear[0], 0.0
     effects = PlantEffects(tuple(linear), tuple(quadratic), rng.uniform(0, 0.08), payload=rng.uniform(0, 0.3))
-    quiet = {name: 0.0 for name in ("motor_noise_density", "force_noise_density", "torque_noise_density")}
+    quiet = dict.fromkeys(("motor_noise_density", "force_noise_density", "torque_noise_density"), 0.0)
     return effects if noise else replace(effects, **quiet)
 
 

@@ -39,8 +39,9 @@ def test_gaussian_process_is_gpytorchs(vehicle, rng):
             kernel = gpytorch.kernels.RBFKernel(ard_num_dims=x.shape[1])
             self.mean_module, self.covar_module = gpytorch.means.ZeroMean(), gpytorch.kernels.ScaleKernel(kernel)
             self.double()
-            kernel.lengthscale, self.covar_module.outputscale = torch.as_tensor(lengthscale), variance
-            likelihood.noise = noise
+            kernel.lengthscale = torch.as_tensor(lengthscale)
+            self.covar_module.outputscale = torch.as_tensor(variance, dtype=torch.double)  # a number is made single
+            likelihood.noise = torch.as_tensor(noise, dtype=torch.double)
 
         def forward(self, x):
             return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
@@ -61,8 +62,8 @@ def test_gaussian_process_is_gpytorchs(vehicle, rng):
         mean = model(torch.stack([column(at, name) for name in features])[None]).mean[0]
         mean.backward()
         row = rows.index(output)
-        assert value[row, 0] == pytest.approx(mean.item(), rel=1e-7, abs=1e-8)
-        assert slope[row] == pytest.approx(at.grad.numpy(), rel=1e-6, abs=1e-8)
+        assert value[row, 0] == pytest.approx(mean.item(), rel=1e-9, abs=1e-11)
+        assert slope[row] == pytest.approx(at.grad.numpy(), rel=1e-9, abs=1e-11)
 
 
 @few

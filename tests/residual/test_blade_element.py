@@ -81,6 +81,12 @@ def test_below_idle_it_stays(lei_li, residual):
     assert np.all(below[1].full()[:, 6:] == 0)
 
 
+def test_above_idle_it_follows(lei_li, residual):
+    """From 50 rad/s on every rotor's command counts."""
+    z = features([3.0, 1, 0], lei_li.static_thrust * np.array([50.5, 60, 200, 500]) ** 2)
+    assert np.all(np.abs(residual.function(z, residual.theta)[1].full()[5, 6:]) > 1e-6)
+
+
 def test_needs_a_rotor(vehicle, blade):
     with pytest.raises(UsageError, match=r"needs vehicle.rotor and vehicle.static_thrust"):
         blade_element_residual(vehicle, blade)

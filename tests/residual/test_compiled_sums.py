@@ -9,6 +9,15 @@ from quadexp.backend import compiler, realise
 from tests.residual.models import make_residual
 
 
+@pytest.mark.parametrize("name", ["gp_per_axis", "gp_thrust", "gp_with_mean"])
+def test_it_takes_and_gives_the_same(vehicle, name):
+    """Shapes and structural zeros, with or without a compiler."""
+    residual = make_residual(name, vehicle)
+    for side in ("sparsity_in", "sparsity_out"):
+        for i in range(2):
+            assert getattr(residual.to_compile, side)(i) == getattr(residual.function, side)(i)
+
+
 @pytest.mark.skipif(compiler() is None, reason="no C compiler")
 @pytest.mark.parametrize("name", ["gp_per_axis", "gp_thrust", "gp_with_mean"])
 def test_hand_written_sums_are_the_matrix_ones(vehicle, name, rng):

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from quadexp.dynamics.rigid_body import corrected_function
 from quadexp.errors import UsageError
 from quadexp.plant import PlantEffects, SimplifiedPlant
+from quadexp.residual.base import symbolic_residual
 from quadexp.residual.gaussian_process import GPOutput, gaussian_process_residual
 from quadexp.residual.linear_drag import linear_drag_residual
+from quadexp.residual.none import no_residual
 from tests.residual.models import RESIDUALS, make_residual
 
 
@@ -47,6 +50,15 @@ class TestContract:
         one = np.array(residual.function(z, residual.theta)[0].full())
         other = np.array(residual.function(z, residual.theta * 1.01)[0].full())
         assert not np.allclose(one, other)
+
+
+def test_what_knows_nothing_of_the_air(vehicle):
+    """Only a residual without outputs does; one that is the same everywhere still pushes."""
+    assert no_residual(vehicle).is_zero
+    assert not any(make_residual(name, vehicle).is_zero for name in RESIDUALS if name != "none")
+    z, theta = ca.SX.sym("z", 10), ca.SX.sym("theta", 1)
+    gust = symbolic_residual("gust", ca.vertcat(theta, ca.SX(5, 1)), z, theta, [0.0])
+    assert gust.function.nnz_out(1) == 0 and not gust.is_zero
 
 
 def test_linear_drag_is_its_equation(vehicle, rng):
