@@ -32,5 +32,6 @@ def machine() -> str:
     )
     version = "no C compiler"
     if compiler():
-        version = subprocess.run([compiler(), "--version"], capture_output=True, text=True).stdout.splitlines()[0]
+        said = subprocess.run([compiler(), "--version"], check=True, capture_output=True, text=True).stdout
+        version = said.splitlines()[0]
     return f"{model}, {len(cores())} cores; Python {platform.python_version()}, CasADi {ca.__version__}, {version}"

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from quadexp.flight.check.finding import Finding
 from quadexp.flight.check.windows import STREAMS, Pair, cut, pairs, window_starts
 from quadexp.flight.schema import Flight
-from quadexp.report.figures import COLOURS, STYLE
+from quadexp.report.style import COLOURS, STYLE
 
 COLUMNS = (
     (("velocity",), "velocity, world (m/s)", "v", "dp/dt"),
@@ -26,6 +26,7 @@ COLUMNS = (
 FOUND, EXPECTED = COLOURS[2], COLOURS[1]
 MARKS = {"info": "#999999", "warning": COLOURS[1], "blocking": COLOURS[5]}
 MOST_LINES = 6
+HEADROOM = 0.3  # of the first row of panels, where the legends stand
 QUIET = 0.995  # quantile that sets an axis's limits: one spike must not flatten the rest
 
 
@@ -100,4 +101,4 @@ def _draw(panel: Any, t: np.ndarray, pair: Pair, row: int, found: str, expected:
     both = np.concatenate([a, b])
     low, high = np.nanquantile(both, [1 - QUIET, QUIET])
     margin = max(0.15 * (high - low), 3 * pair.floor)
-    panel.set_ylim(low - margin, high + margin)
+    panel.set_ylim(low - margin, high + margin + (HEADROOM * (high - low + 2 * margin) if row == 0 else 0.0))

@@ -19,11 +19,24 @@ from quadexp.config import SCHEMAS, Config, EvaluateConfig, conf_folder
 from quadexp.config_meaning import MEANINGS
 
 ASIDE = {"name", "kind", "sweep"}  # set by the option, not by its user
+WORDS = {"float": "number", "int": "whole number", "bool": "true, false", "str": "text", "None": "null", "Any": "rows"}
 HEAD = """# Configuration reference
 
-Every key can be given on the command line as `KEY=VALUE` (`trajectory.speed=8`), in a file of your own (`--conf DIR`,
-laid out as `conf/`), or swept (`quadexp evaluate --sweep trajectory.speed=4,8,12`). A value outside its range is
-refused before anything runs. This page is made from the schemas and from `conf/`:
+A configuration is one option of every group (`vehicle=torrente`, `plant=simplified`, ...), each a file in
+`conf/<group>/`, plus single keys. Everything can be given
+
+- on the command line: `KEY=VALUE`, such as `trajectory.speed=8` or `controller.position_weight=[20,20,20]`;
+- in a file of your own: a folder laid out as `conf/`, given with `--conf DIR` ([guide](guide.md#your-own-parts));
+- several at once, in a sweep: `quadexp evaluate --sweep trajectory.speed=4,8,12`.
+
+A group has one or more *schemas*: which keys there are and what they may be. The table of a schema shows the value
+that an option sets by default. `(0, 60] m/s` is above 0, up to and including 60. A key that does not exist and a value
+outside its range are refused before anything runs. Quote a value with brackets or blanks for your shell. Vectors are
+(x, y, z) in body axes FLU unless another frame is named.
+
+Groups: GROUPS.
+
+This page is made from the schemas and from `conf/`:
 `python -m quadexp.report.config_reference > docs/configuration.md`.
 """
 
@@ -42,7 +55,8 @@ class Key:
 def reference() -> str:
     """The whole page, Markdown."""
     chosen = _chosen()
-    parts = [HEAD, "## Run\n", _table(_root_keys())]
+    groups = ", ".join(f"[{name}](#{name.lower()})" for name in ("Run", *SCHEMAS))
+    parts = [HEAD.replace("GROUPS", groups), "## Run\n", _table(_root_keys())]
     for group, schemas in SCHEMAS.items():
         options = _options(group)
         listed = ", ".join(f"`{name}`" for name in options)
@@ -99,8 +113,7 @@ def _node(hint: Any) -> type | None:
 
 
 def _key(f: Any, prefix: str, node: type, value: Any) -> Key:
-    kind = str(get_type_hints(node)[f.name]).replace("typing.", "")
-    kind = re.sub(r"<class '(\w+)'>", r"\1", kind)
+    kind = _said(str(get_type_hints(node)[f.name]))
     allowed = ", ".join(f"`{word}`" for word in f.metadata.get("choices", ()))
     if f.metadata.get("interval"):
         allowed = f"{f.metadata['interval']} {f.metadata.get('unit', '')}".strip()
@@ -110,9 +123,25 @@ def _key(f: Any, prefix: str, node: type, value: Any) -> Key:
         value = f.default
     if value is None and f.default_factory is not dataclasses.MISSING:
         value = f.default_factory()
+    value = _short(value)
     shown = "" if f.default == "???" and value is None else yaml.safe_dump(value, default_flow_style=True, width=1e6)
     shown = shown.replace("\n...", "").strip()
     return Key(f"{prefix}{f.name}", kind, shown, allowed, MEANINGS.get(f"{prefix}{f.name}", ""))
+
+
+def _said(hint: str) -> str:
+    """A type hint in words: "float | None" is "number or null", "list[float]" is "list of number"."""
+    hint = re.sub(r"<class '(\w+)'>", r"\1", hint.replace("typing.", ""))
+    hint = re.sub(r"dict\[.*\]", "keys and values", hint)
+    hint = re.sub(r"list\[(.*)\]", r"list of \1", hint).replace(" | ", " or ")
+    return re.sub(r"\w+", lambda word: WORDS.get(word[0], word[0]), hint)
+
+
+def _short(value: Any) -> Any:
+    """Numbers to six digits, inside lists too: what a reader needs of 0.16617009357883866."""
+    if isinstance(value, list):
+        return [_short(item) for item in value]
+    return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
 def _chosen() -> dict[str, str]:

@@ -1,13 +1,13 @@
 """Figures of a comparison: error against speed, tracked paths coloured by error, time of the control step.
 
-Each function returns a matplotlib Figure and touches no global state. Colours are Okabe and Ito's, which colour-blind
-readers can tell apart; markers differ as well.
+Each function returns a matplotlib Figure and touches no global state. quadexp/report/style.py says who wears what.
 """
 
 from __future__ import annotations
 
 import functools
 import math
+import textwrap
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,39 +18,23 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from quadexp.flight.cell_store import CellStore
 from quadexp.flight.schema import Flight
-from quadexp.flight.store import read_flight, write_bytes
+from quadexp.flight.store import read_flight, write_bytes, write_text
 from quadexp.report.inference import mean_interval
 from quadexp.report.metrics import SHOWN, position_error
 from quadexp.report.statistics import CONFIDENCE
+from quadexp.report.style import PLAIN, STYLE, looks, plain_log
 from quadexp.report.tables import TITLES, column_labels
 from quadexp.report.wording import METHODS
 
-COLOURS = ("#000000", "#E69F00", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#8C8C00")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
-STYLE: Any = {  # matplotlib types every single key
-    "font.size": 9,
-    "axes.titlesize": 10,
-    "axes.titleweight": "bold",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#DDDDDD",
-    "grid.linewidth": 0.6,
-    "lines.linewidth": 1.5,
-    "legend.frameon": False,
-    "svg.fonttype": "path",
-    "svg.hashsalt": "quadexp",
-}
 # Light for small errors, dark for large ones; without the end that white paper swallows.
 ERROR_COLOURS = LinearSegmentedColormap.from_list(
     "error", matplotlib.colormaps["magma_r"](np.linspace(0.18, 0.97, 256))
 )
 FORMATS = ("svg", "png")
+DRAWN = ".drawn"  # says of which rows the figures beside it are
 MAX_PANELS = 6  # of tracked paths in one figure
 
 
@@ -69,14 +53,17 @@ def error_against_speed(
     names = list(dict.fromkeys(row["trajectory"] for row, _ in flown))
     if not names:
         return None
-    order = list(dict.fromkeys(labels))
+    worn = looks(labels)
     methods: set[str] = set()
     bottoms: list[float] = []
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(1.4 + 3.1 * len(names), 3.6), layout="constrained")
+        width = max(5.6, 1.4 + 3.1 * len(names))
+        columns = min(len(worn), max(1, int(13 * width / (max(map(len, worn)) + 6))))  # of the legend
+        height = 3.0 + 0.2 * math.ceil(len(worn) / columns)
+        figure = Figure(figsize=(width, height), layout="constrained")
         panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
         for panel, name in zip(panels, names, strict=True):
-            for i, label in enumerate(order):
+            for label, look in worn.items():
                 points: dict[float, list[float]] = {}
                 for row, its_label in flown:
                     if row["trajectory"] == name and its_label == label:
@@ -89,27 +76,34 @@ def error_against_speed(
                 methods.update(limit.method for limit in limits)
                 # A lower limit of zero has no place on a logarithmic axis: the band then ends below the panel.
                 low, high = (np.array([getattr(limit, end) for limit in limits]) for end in ("low", "high"))
-                colour, marker = COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]
                 bottoms.append(float(np.nanmin([*mean, *low[low > 0.1 * mean]])))
-                panel.fill_between(speed, np.maximum(low, 1e-9), high, color=colour, alpha=0.25, linewidth=0)
-                panel.plot(speed, mean, color=colour, marker=marker, markersize=4.5, label=label)
+                panel.fill_between(speed, np.maximum(low, 1e-9), high, color=look.colour, alpha=0.25, linewidth=0)
+                panel.plot(speed, mean, label=label, **look.points())
             panel.set_yscale("log")
             panel.set_title(name)
             panel.set_xlabel("nominal speed (m/s)")
-            panel.set_xticks(sorted({float(row["speed"]) for row, _ in flown if row["trajectory"] == name}))
+            speeds = sorted({float(row["speed"]) for row, _ in flown if row["trajectory"] == name})
+            panel.set_xticks(_apart(speeds, 0.22 * len(names) / width * (speeds[-1] - speeds[0])))
+            panel.set_xticks(speeds, minor=True)
             panel.margins(x=0.08)
             panel.grid(True, which="minor", axis="y", linewidth=0.3)
-            for axis in (panel.xaxis, panel.yaxis):
-                axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            panel.yaxis.set_minor_formatter(NullFormatter())
+            panel.xaxis.set_major_formatter(PLAIN)
         panels[0].set_ylim(bottom=0.7 * min(bottoms))
+        plain_log(panels[0].yaxis, minor=True)
         panels[0].set_ylabel(f"{TITLES[metric]} ({unit})")
         handles, texts = _legend(panels)
-        room = int(13 * figure.get_figwidth() / (max(map(len, texts)) + 6))
         title = said_interval(methods, confidence)
-        ncols = max(1, min(room, len(texts)))
-        figure.legend(handles, texts, loc="outside lower center", ncols=ncols, title=title, title_fontsize=8)
+        figure.legend(handles, texts, loc="outside lower center", ncols=columns, title=title, title_fontsize=8)
     return figure
+
+
+def _apart(values: Sequence[float], least: float) -> list[float]:
+    """Those of sorted values that are `least` or more apart, so that their labels do not run into one another."""
+    kept = [values[0]]
+    for value in values[1:]:
+        if value - kept[-1] >= least:
+            kept.append(value)
+    return kept
 
 
 def said_interval(methods: Collection[str], confidence: float) -> str:
@@ -132,7 +126,7 @@ def tracked_paths(flights: Sequence[tuple[str, Flight]], title: str = "") -> Fig
     across, up = (max(float(np.ptp(f[name])) for _, f in flights) for name in ("p_x", "p_y"))
     height = 3.0 * min(1.2, max(0.35, up / max(across, 1e-9)))
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(1.4 + 3.0 * columns, 0.9 + (0.7 + height) * lines), layout="constrained")
+        figure = Figure(figsize=(1.4 + 3.0 * columns, 0.8 + (0.45 + height) * lines), layout="compressed")
         grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
         norm = LogNorm(smallest, largest) if smallest < largest else Normalize(0.0, largest or 1.0)
         for panel, (heading, flight), error in zip(grid.flat, flights, errors, strict=False):
@@ -143,7 +137,7 @@ def tracked_paths(flights: Sequence[tuple[str, Flight]], title: str = "") -> Fig
             flown.set_array(np.maximum((error[:-1] + error[1:]) / 2, smallest))
             panel.add_collection(flown)
             panel.plot(x[0], y[0], marker="o", markersize=4, color="#000000", linestyle="none", label="start")
-            panel.set_title(f"{heading}\nmean {error.mean():.3g} mm", fontsize=9)
+            panel.set_title(f"{textwrap.fill(heading, 28)}\nmean {error.mean():.3g} mm", fontsize=9)
             panel.set_aspect("equal")
         for panel in grid.flat[len(flights) :]:
             panel.set_visible(False)
@@ -151,7 +145,9 @@ def tracked_paths(flights: Sequence[tuple[str, Flight]], title: str = "") -> Fig
             panel.set_xlabel("x (m)")
         for panel in grid[:, 0]:
             panel.set_ylabel("y (m)")
-        figure.colorbar(ScalarMappable(norm, ERROR_COLOURS), ax=grid, label="position error (mm)", shrink=0.85)
+        bar = figure.colorbar(ScalarMappable(norm, ERROR_COLOURS), ax=grid, label="position error (mm)", shrink=0.85)
+        if isinstance(norm, LogNorm):
+            plain_log(bar.ax.yaxis)
         figure.legend(*_legend([grid.flat[0]]), loc="outside lower center", ncols=2)
         if title:
             figure.suptitle(title, fontsize=10)
@@ -169,11 +165,12 @@ def solve_times(rows: Sequence[Mapping[str, Any]]) -> Figure | None:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 1.1 + 0.4 * len(groups)), layout="constrained")
         panel = figure.subplots()
-        for i, group in enumerate(groups.values()):
+        worn = looks(list(groups))
+        for i, (label, group) in enumerate(groups.items()):
             median, p99 = (1e6 * float(np.median([row[f"solve_time_{k}"] for row in group])) for k in ("median", "p99"))
-            colour = COLOURS[i % len(COLOURS)]
+            colour = worn[label].colour
             panel.plot([median, p99], [i, i], color=colour, linewidth=2, alpha=0.6, zorder=2)
-            panel.plot(median, i, marker="o", markersize=7, color=colour)
+            panel.plot(median, i, **worn[label].points() | {"markersize": 7})
             panel.plot(p99, i, marker="|", markersize=11, markeredgewidth=2, color=colour)
             panel.annotate(
                 f"{median:.0f} / {p99:.0f}", (p99, i), (7, 0), textcoords="offset points", va="center", fontsize=8
@@ -185,9 +182,8 @@ def solve_times(rows: Sequence[Mapping[str, Any]]) -> Figure | None:
         panel.grid(True, which="minor", axis="x", linewidth=0.3)
         panel.grid(False, axis="y")
         panel.margins(x=0.18, y=0.5 / len(groups))
-        panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        panel.xaxis.set_minor_formatter(NullFormatter())
-        panel.set_xlabel("time (us): median (dot) / 99th percentile (bar)")
+        plain_log(panel.xaxis)
+        panel.set_xlabel("time (µs): median (marker) / 99th percentile (bar)")
         panel.set_title(f"control step, {', '.join(backends)}")
     return figure
 
@@ -198,13 +194,17 @@ def draw_results(
     *,
     metric: str = "mean_error",
     confidence: float = CONFIDENCE,
-    redraw: bool = True,
+    fingerprint: str = "",
 ) -> dict[str, str]:
     """Draw all figures of a sweep into <out>/figures; returns name -> path (of the SVG; a PNG lies beside it).
 
-    redraw: False keeps figures that are there.
+    fingerprint: of the statistics; figures that are there are kept where all were drawn of the same.
     """
     folder, store = Path(out) / "figures", CellStore(out)
+    mark, drawn_of = folder / DRAWN, f"{fingerprint} {metric}"
+    redraw = not (fingerprint and mark.is_file() and mark.read_bytes() == drawn_of.encode())
+    if redraw:
+        mark.unlink(missing_ok=True)  # until all are drawn
     paths = _fastest(rows)
     makers: dict[str, Callable[[], Figure | None]] = {
         f"{metric.removesuffix('_error')}_error_against_speed": lambda: error_against_speed(rows, metric, confidence),
@@ -220,6 +220,8 @@ def draw_results(
                 continue
             save(figure, path)
         files[f"figure_{name}"] = str(path)
+    if redraw and fingerprint:
+        write_text(mark, drawn_of)
     return files
 
 

@@ -18,9 +18,9 @@ from matplotlib.ticker import FixedLocator, NullLocator, PercentFormatter, Scala
 from quadexp.identify.dataset import ResidualDataset
 from quadexp.identify.model import GPModel, OutputPosterior
 from quadexp.identify.predict import AXIS, Prediction, predict
-from quadexp.report.figures import COLOURS, MARKERS, STYLE
+from quadexp.report.style import COLOURS, KNOWN, MARKERS, STYLE, plain_log
 
-ORANGE, BLUE, GREY = COLOURS[1], COLOURS[2], "#777777"
+ORANGE, BLUE, GREY = KNOWN["linear drag"][0], KNOWN["gp_mpc"][0], "#777777"
 COUNTS = LinearSegmentedColormap.from_list("counts", ["#E4E7EC", "#9AA4B5", "#4A5468"])  # recedes behind the curves
 CURVE_POINTS = 300
 MAX_COLUMNS = 4
@@ -98,15 +98,16 @@ def _fit_panels(upper: Any, lower: Any, model: GPModel, output: OutputPosterior,
         transform=lower.get_xaxis_transform(), clip_on=False, zorder=5, label="inducing points",
     )  # fmt: skip
     others = [
-        f"{symbol(name)} = {value:.1f} {unit(name)}"
+        f"{symbol(name)} = {round(value, 1) + 0.0:g} {unit(name)}"
         for j, (name, value) in enumerate(zip(output.features, median, strict=True))
         if j != i
     ]
     heading = f"{symbol(output.output)} over {symbol(output.features[i])}"
-    upper.set_title(heading + (f", at {', '.join(others)}" if others else ""), fontweight="normal")
+    lines = [", ".join(others[j : j + 3]) for j in range(0, len(others), 3)]
+    upper.set_title("\n".join([heading + (", at" if others else ""), *lines]), fontweight="normal", fontsize=9)
     upper.tick_params(labelbottom=False)
     upper.set_ylabel(axis_label(output.output))
-    lower.set_ylabel(f"minus mean ({unit(output.output)})")
+    lower.set_ylabel(f"data minus mean ({unit(output.output)})")
     lower.set_xlabel(axis_label(output.features[i]))
 
 
@@ -125,10 +126,11 @@ def calibration_figure(model: GPModel, data: ResidualDataset) -> Figure:
             probability = np.sort(2 * ndtr(error) - 1)
             share = np.arange(1, len(probability) + 1) / len(probability)
             colour = COLOURS[(k + 1) % len(COLOURS)]
-            panel.plot(probability, share, color=colour, label=symbol(name))
+            panel.plot(probability, share, color=colour)
             for sigma in (1, 2):
                 at = 2 * ndtr(sigma) - 1
                 panel.plot(at, np.mean(error < sigma), color=colour, marker=MARKERS[k], markersize=5, linestyle="none")
+            panel.plot([], [], color=colour, marker=MARKERS[k], markersize=5, label=symbol(name))
         for sigma in (1, 2):
             panel.axvline(2 * ndtr(sigma) - 1, color="#BBBBBB", linewidth=0.8, zorder=0)
             panel.text(
@@ -140,7 +142,7 @@ def calibration_figure(model: GPModel, data: ResidualDataset) -> Figure:
         panel.set_ylabel("held-out rows inside")
         for axis in (panel.xaxis, panel.yaxis):
             axis.set_major_formatter(PercentFormatter(1.0))
-        panel.legend(loc="center right", bbox_to_anchor=(1.0, 0.3))
+        panel.legend(loc="center right", bbox_to_anchor=(0.94, 0.27))
     return figure
 
 
@@ -174,7 +176,7 @@ def size_figure(rows: Sequence[Mapping[str, Any]], baseline: Sequence[Mapping[st
                 panel.xaxis.set_major_locator(FixedLocator(sizes))
                 panel.xaxis.set_minor_locator(NullLocator())
                 panel.xaxis.set_major_formatter(ScalarFormatter())
-            _plain_log_ticks(panel.yaxis)
+            plain_log(panel.yaxis)
             panel.set_title(symbol(output))
             panel.set_xlabel("inducing points")
             panel.set_ylabel(f"held-out RMSE ({unit(output)})")
@@ -183,21 +185,6 @@ def size_figure(rows: Sequence[Mapping[str, Any]], baseline: Sequence[Mapping[st
         }
         figure.legend(list(found.values()), list(found), loc="outside upper center", ncols=len(found))
     return figure
-
-
-def _plain_log_ticks(axis: Any) -> None:
-    """Round decimal ticks inside the limits of a logarithmic axis, with decimals instead of powers."""
-    low, high = axis.get_view_interval()
-    if high / low < 1.6:
-        middle = np.sqrt(low * high)
-        low, high = middle / 1.3, middle * 1.3
-        axis.axes.set_ylim(low, high)
-    steps = (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8) if high / low < 6 else (1, 2, 5)
-    decades = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
-    ticks = [step * 10.0**decade for decade in decades for step in steps]
-    axis.set_major_locator(FixedLocator([tick for tick in ticks if low <= tick <= high]))
-    axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(lambda value, _: f"{value:.3g}")
 
 
 def symbol(name: str) -> str:
@@ -209,7 +196,9 @@ def symbol(name: str) -> str:
 
 def unit(name: str) -> str:
     """Unit of a feature or output."""
-    return {"v": "m/s", "w": "rad/s", "u": "N", "thrust": "N", "a": "m/s²", "tau": "N m"}.get(name.split("_")[0], "")
+    return {"v": "m/s", "w": "rad/s", "u": "N", "thrust": "N", "a": "m/s²", "tau": "N m"}.get(
+        name.split("_", maxsplit=1)[0], ""
+    )
 
 
 def axis_label(name: str) -> str:
@@ -218,7 +207,7 @@ def axis_label(name: str) -> str:
         "v": "body velocity", "w": "body rate", "u": "rotor thrust", "thrust": "collective thrust",
         "a": "residual", "tau": "residual torque",
     }  # fmt: skip
-    return f"{words.get(name.split('_')[0], '')} {symbol(name)} ({unit(name)})".strip()
+    return f"{words.get(name.split('_', maxsplit=1)[0], '')} {symbol(name)} ({unit(name)})".strip()
 
 
 def _limits(values: np.ndarray) -> tuple[float, float]:

@@ -20,11 +20,18 @@ from quadexp.identify.terms import AXES, UNITS, TermModel
 from quadexp.identify.thrust_curve import ThrustCurve
 from quadexp.identify.thrust_design import scaled_signal
 from quadexp.identify.vehicle_identification import VehicleIdentification, elapsed
-from quadexp.report.figures import COLOURS, STYLE
+from quadexp.report.style import COLOURS, KNOWN, STYLE
 
-BLUE, ORANGE, GREY = COLOURS[2], COLOURS[1], "#777777"
+BLUE, ORANGE, GREY = COLOURS[2], KNOWN["linear drag"][0], "#777777"
 COUNTS = LinearSegmentedColormap.from_list("counts", ["#E4E7EC", "#9AA4B5", "#4A5468"])
-LEVEL_COLOURS = {"nominal": "#000000", "offset": GREY, "linear": ORANGE, "quadratic": COLOURS[3], "blade_element": BLUE}
+QUADRATIC = KNOWN["quadratic drag"][0]
+LEVEL_COLOURS = {
+    "nominal": KNOWN["nominal"][0],
+    "offset": "#B5BAC2",
+    "linear": ORANGE,
+    "quadratic": QUADRATIC,
+    "blade_element": KNOWN["blade element"][0],
+}
 SYMBOLS = {"linear": "d", "quadratic": "e", "offset": "b"}
 MAX_COLUMNS = 4
 BINS = 24
@@ -69,7 +76,7 @@ def estimates_figure(
                 panel.axvline(bound, color="#BBBBBB", linewidth=0.8)
             reach = SHOWN_WIDTHS * max(half[-1], 1e-12)
             panel.set_ylim(value[-1] - reach, value[-1] + reach)
-            panel.set_title(one.names[j].replace("_", " "), fontweight="normal")
+            panel.set_title(_title(one.names[j]), fontweight="normal")
             panel.set_ylabel(UNITS.get(one.names[j].rsplit("_", 1)[0], ""))
         for panel in panels.flat[len(shown) :]:
             panel.set_axis_off()
@@ -135,7 +142,7 @@ def drag_figure(model: TermModel, curve: ThrustCurve, samples: Samples, quadrati
             )  # fmt: skip
             grid = np.zeros((100, 3))
             grid[:, i] = np.linspace(v.min(), v.max(), 100)
-            for one, colour, dash in ((model, ORANGE, "-"), (quadratic, COLOURS[3], "--")):
+            for one, colour, dash in ((model, ORANGE, "-"), (quadratic, QUADRATIC, "--")):
                 if one is not None:
                     line = one.acceleration(grid, np.tile(usual, (100, 1)))[:, i]
                     panel.plot(grid[:, i], line, color=colour, linestyle=dash, label=one.kind)
@@ -165,13 +172,19 @@ def ladder_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
                     at = np.arange(len(columns)) + (k - (len(rows) - 1) / 2) * width
                     values = [row[part][name] for name in columns]
                     panel.bar(at, values, width * 0.9, color=LEVEL_COLOURS[row["level"]], label=row["name"])
-            panel.set_xticks(range(len(columns)), ["$a_x$", "$a_y$", "$a_z$", "norm"])
+            panel.set_xticks(range(len(columns)), ["$a_x$", "$a_y$", "$a_z$", "vector"])
             panel.set_title(title)
         if not any(row["held_out"] for row in rows):
             panels[1].text(0.5, 0.5, "one flight: nothing left out", ha="center", transform=panels[1].transAxes)
         panels[0].set_ylabel("RMSE of the specific force (m/s²)")
         panels[0].legend(fontsize=8)
     return figure
+
+
+def _title(name: str) -> str:
+    """A coefficient's name: c_1 as mathematics, hub_climb_x as words."""
+    letter, _, index = name.partition("_")
+    return f"${letter}_{{{index}}}$" if len(letter) == 1 and len(index) == 1 else name.replace("_", " ")
 
 
 def _binned(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

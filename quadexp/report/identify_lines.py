@@ -13,8 +13,10 @@ def identification_lines(model: VehicleModel, report: Mapping[str, Any]) -> list
     """What was found, for people; report: as in the checkpoint folder."""
     data, vehicle = model.dataset, model.vehicle
     lines = [
-        f"regression on {data['flights']} flights of {vehicle.get('name') or 'an unnamed vehicle'},"
-        f" {data['rows']} samples, {data['duration']:.0f} s; +- is half the 95 % interval",
+        (
+            f"regression on {data['flights']} flights of {vehicle.get('name') or 'an unnamed vehicle'},"
+            f" {data['rows']} samples, {data['duration']:.0f} s; +- is half the 95 % interval"
+        ),
     ]
     lines += model_lines(model)
     if report.get("beside_quadratic"):

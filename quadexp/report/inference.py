@@ -24,7 +24,8 @@ are given.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr, ndtri, stdtrit
@@ -106,7 +107,9 @@ def widened(confidence: float, n: int) -> float:
     return 1 - 2 * float(ndtr(-math.sqrt(n / (n - 1)) * student(confidence, n - 1)))
 
 
-def _bootstrap(samples: tuple[np.ndarray, ...], statistic, confidence: float, seed: int) -> Interval | None:
+def _bootstrap(
+    samples: tuple[np.ndarray, ...], statistic: Callable[..., Any], confidence: float, seed: int
+) -> Interval | None:
     """BCa limits, or None where there are too few or too many values or BCa is not defined."""
     n = len(samples[0])
     if not least_count(confidence) <= n <= MOST_BOOTSTRAPPED:

@@ -12,9 +12,8 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from quadexp.report.figures import COLOURS, STYLE
+from quadexp.report.style import STYLE, looks, plain_log
 
 ORDER = (
     "nominal_mpc",
@@ -27,16 +26,6 @@ ORDER = (
     "oracle_feedback",
 )
 BOUNDS = ("perfect_mpc", "oracle_feedback")  # know the plant: never the winner
-LOOKS = {  # colour, marker, dash: no two alike in either of the last two
-    "nominal_mpc": (COLOURS[0], "o", "-"),
-    "linear_drag_mpc": (COLOURS[1], "s", "-"),
-    "gp_mpc": (COLOURS[2], "^", "-"),
-    "rls_mpc": (COLOURS[5], "D", "-"),
-    "perfect_mpc": (COLOURS[3], "v", ":"),
-    "static_feedback": (COLOURS[4], "P", "--"),
-    "rls_feedback": (COLOURS[6], "X", "--"),
-    "oracle_feedback": (COLOURS[7], "*", ":"),
-}
 
 Row = Mapping[str, Any]
 Condition = tuple[str, str, float]
@@ -104,21 +93,19 @@ def families_figure(rows: Sequence[Row]) -> Figure:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(1.0 + 2.7 * len(trajectories), 0.9 + 2.6 * len(plants)), layout="constrained")
         panels = figure.subplots(len(plants), len(trajectories), sharey=True, squeeze=False)
+        worn = looks(ORDER)
         for line, plant in zip(panels, plants, strict=True):
             for panel, trajectory in zip(line, trajectories, strict=True):
                 here = {c[2]: v for c, v in conditions.items() if c[:2] == (plant, trajectory)}
                 for name in (name for name in ORDER if name in present):
-                    colour, marker, dash = LOOKS[name]
                     points = [(speed, mean_error(found.get(name, []))) for speed, found in here.items()]
                     points = [(speed, 1e3 * error) for speed, error in points if error is not None]
                     if points:
-                        look = {"color": colour, "marker": marker, "linestyle": dash, "markersize": 5, "linewidth": 1.2}
-                        panel.plot(*zip(*points, strict=True), label=name, **look)
+                        panel.plot(*zip(*points, strict=True), label=name, linewidth=1.2, **worn[name].points())
                 panel.set(yscale="log", title=f"{trajectory}, {plant}", xticks=sorted(here))
                 panel.margins(x=0.1)
-                panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-                panel.yaxis.set_minor_formatter(NullFormatter())
             line[0].set_ylabel("mean position error (mm)")
+        plain_log(panels[0, 0].yaxis, minor=True)
         for panel in panels[-1]:
             panel.set_xlabel("nominal speed (m/s)")
         found: dict[str, Any] = {}

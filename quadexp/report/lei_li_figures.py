@@ -6,30 +6,19 @@ Each function returns a matplotlib Figure and touches no global state. World ENU
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from quadexp.flight.schema import Flight
-from quadexp.report.figures import COLOURS, STYLE
 from quadexp.report.metrics import position_error
+from quadexp.report.style import COLOURS, DASHES, STYLE, looks, plain_log
 from quadexp.rotor import THETA
 
-PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
-DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 GREY = "#777777"
 SYMBOLS = {"C_d0": "$C_{d0}$", "C_la": r"$C_{l\alpha}$ (1/rad)"} | {f"C_D{a}": f"$C_{{D{a}}}$" for a in "xyz"}
-# Line styles of the figures, by controller, so that a controller looks the same in all of them.
-ORDER = ("rls_feedback", "static_feedback", "oracle_feedback", "literal_feedback", "nominal_mpc", "gp_mpc", "rls_mpc")
-
-
-def style_of(name: str) -> dict[str, Any]:
-    """Colour and dash of a controller's line."""
-    place = ORDER.index(name) if name in ORDER else len(ORDER)
-    return {"color": COLOURS[(place + 2) % len(COLOURS)], "linestyle": DASHES[place % len(DASHES)]}
+QUIET_SHARE = 0.05  # of a flight: until then estimates jump, and do not set the limits of their panels
 
 
 def path_figure(flights: Mapping[str, Flight], title: str) -> Figure:
@@ -37,12 +26,13 @@ def path_figure(flights: Mapping[str, Flight], title: str) -> Figure:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10.0, 4.4), layout="constrained")
         above, height = figure.subplots(1, 2, width_ratios=(1, 1.25))
+        worn = looks(list(flights))
         first = next(iter(flights.values()))
         above.plot(first["ref_p_x"], first["ref_p_y"], color=GREY, linewidth=3.5, alpha=0.45, label="reference")
         height.plot(first.t, first["ref_p_z"], color=GREY, linewidth=3.5, alpha=0.45)
         for name, flight in flights.items():
-            above.plot(flight["p_x"], flight["p_y"], label=name, **style_of(name))
-            height.plot(flight.t, flight["p_z"], **style_of(name))
+            above.plot(flight["p_x"], flight["p_y"], label=name, **worn[name].line())
+            height.plot(flight.t, flight["p_z"], **worn[name].line())
         above.set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title="path from above")
         height.axhline(0.0, color="#000000", linewidth=0.8)
         height.annotate(
@@ -59,15 +49,15 @@ def running_mean_figure(flights: Mapping[str, Flight], title: str) -> Figure:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10.0, 3.9), layout="constrained")
         panels = figure.subplots(1, 2)
+        worn = looks(list(flights))
         for name, flight in flights.items():
             count = np.arange(1, len(flight) + 1)
             errors = position_error(flight), flight["error_eta"]
             for panel, error in zip(panels, errors, strict=True):
-                panel.plot(flight.t, np.cumsum(error) / count, label=name, **style_of(name))
+                panel.plot(flight.t, np.cumsum(error) / count, label=name, **worn[name].line())
         panels[0].set(ylabel=r"running mean of $\|e_\xi\|$ (m)", title="position")
         panels[1].set(ylabel=r"running mean of $\|e_\eta\|$ (rad)", title="attitude", yscale="log")
-        panels[1].yaxis.set_major_formatter(PLAIN)
-        panels[1].yaxis.set_minor_formatter(PLAIN)
+        plain_log(panels[1].yaxis)
         for panel in panels:
             panel.set_xlabel("time (s)")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(flights))
@@ -107,7 +97,7 @@ def parameter_figure(flights: Sequence[Flight], title: str) -> Figure:
             panel.plot(t, values.mean(axis=0), color=COLOURS[2], label=f"mean of {len(flights)} seeds")
             panel.axhline(truth[name], color="#000000", linestyle="--", linewidth=1.0, label="truth")
             panel.set_title(SYMBOLS[name])
-            late = np.concatenate([values[:, t > 0.05 * t[-1]].ravel(), [truth[name]]])
+            late = np.concatenate([values[:, t > QUIET_SHARE * t[-1]].ravel(), [truth[name]]])
             low, high = late.min(), late.max()
             panel.set_ylim(low - 0.15 * (high - low), high + 0.15 * (high - low))
         panels = list(figure.axes)
@@ -116,7 +106,8 @@ def parameter_figure(flights: Sequence[Flight], title: str) -> Figure:
             panel.set_xlabel("time (s)")
             panel.xaxis.set_tick_params(labelbottom=True)
         found = dict(zip(*reversed(panels[0].get_legend_handles_labels()), strict=True))
-        panels[-1].legend(found.values(), found.keys(), loc="center")
+        beyond = f"the first {QUIET_SHARE * flights[0].t[-1]:.0f} s may leave the panels"
+        panels[-1].legend(found.values(), found.keys(), loc="center", title=beyond, title_fontsize=9)
         figure.suptitle(title)
     return figure
 
@@ -129,9 +120,10 @@ def adaptation_figure(flights: Mapping[str, Mapping[str, Flight]], titles: Mappi
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(4.0 * len(flights) + 0.6, 4.0), layout="constrained")
         panels = figure.subplots(1, len(flights), sharey=True, squeeze=False)[0]
+        worn = looks([name for by_controller in flights.values() for name in by_controller])
         for panel, (plant, by_controller) in zip(panels, flights.items(), strict=True):
             for name, flight in by_controller.items():
-                panel.plot(flight.t, 1e3 * position_error(flight), label=name, linewidth=1.1, **style_of(name))
+                panel.plot(flight.t, 1e3 * position_error(flight), label=name, linewidth=1.3, **worn[name].line())
             change = change_time(next(iter(by_controller.values())))
             panel.axvline(change, color="#000000", linewidth=0.9, linestyle=":")
             panel.annotate(
@@ -144,8 +136,7 @@ def adaptation_figure(flights: Mapping[str, Mapping[str, Flight]], titles: Mappi
                 fontsize=8,
             )
             panel.set(yscale="log", title=titles.get(plant, plant), xlabel="time (s)", ylim=(0.05, 1000))
-            panel.yaxis.set_major_formatter(PLAIN)
-            panel.yaxis.set_minor_formatter(NullFormatter())
+        plain_log(panels[0].yaxis, minor=True)
         panels[0].set_ylabel("position error (mm)")
         handles = panels[0].get_legend_handles_labels()
         figure.legend(*handles, loc="outside lower center", ncols=len(handles[0]))

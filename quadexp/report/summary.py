@@ -46,8 +46,10 @@ def flight_lines(metadata: Mapping[str, Any]) -> list[str]:
     source = f" from {residual['source']}" if residual.get("source") else ""
     speed = "" if row["speed"] is None else f" at {row['speed']:g} m/s"
     lines = [
-        f"{row['controller']} (residual: {knows}{source}) flew {row['trajectory']}{speed}"
-        f" on {row['plant']}, seed {row['seed']}"
+        (
+            f"{row['controller']} (residual: {knows}{source}) flew {row['trajectory']}{speed}"
+            f" on {row['plant']}, seed {row['seed']}"
+        )
     ]
     cause = f" ({metadata['cause']})" if metadata.get("cause") else ""
     lines.append(f"outcome     {row['outcome']}{cause}")
@@ -187,8 +189,10 @@ def _checkpoint(path: Path) -> dict[str, Any]:
     lines = [
         f"{path}: checkpoint, {summary['kind']}, {_size(summary['bytes'])}",
         f"vehicle     {model.vehicle.get('name')} ({model.vehicle.get('fingerprint')})",
-        f"data        {dataset.get('rows')} rows of {dataset.get('flights')} flights,"
-        f" sha256 {str(dataset.get('sha256'))[:12]}",
+        (
+            f"data        {dataset.get('rows')} rows of {dataset.get('flights')} flights,"
+            f" sha256 {str(dataset.get('sha256'))[:12]}"
+        ),
     ]
     for name, output in summary["outputs"].items():
         scales = ", ".join(f"{f} {s:.3g}" for f, s in zip(output["features"], output["lengthscale"], strict=True))

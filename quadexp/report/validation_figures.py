@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from quadexp.identify.validation import Residuals
-from quadexp.report.figures import COLOURS, MARKERS, STYLE
+from quadexp.report.style import COLOURS, STYLE, looks
 
 UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
 
@@ -41,24 +41,23 @@ def residual_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
 def band_figure(bands: Sequence[Mapping[str, Any]]) -> Figure:
     """RMS of the vector over speed, as fitted (left) and with the thrust scale tracked (right)."""
     names = list(dict.fromkeys(row["predictor"] for row in bands))
+    worn = looks(names)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(7.6, 3.4), layout="constrained")
         panels = figure.subplots(1, 2, sharey=True)
         for panel, key, title in zip(
             panels, ("rms", "rms_tracked"), ("as fitted", "thrust scale tracked"), strict=True
         ):
-            for k, name in enumerate(names):
+            for name in names:
                 own = [row for row in bands if row["predictor"] == name]
                 x = [(row["low"] + row["high"]) / 2 for row in own]
                 y = [row[key] for row in own]
-                panel.plot(
-                    x, y, color=COLOURS[k % len(COLOURS)], marker=MARKERS[k % len(MARKERS)], markersize=5, label=name
-                )
+                panel.plot(x, y, label=name, **worn[name].points())
             panel.set_title(title)
             panel.set_xlabel("speed (m/s)")
             panel.set_ylim(bottom=0)
         panels[0].set_ylabel("residual, RMS (m/s²)")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=min(4, len(names)))
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=min(6, len(names)))
     return figure
 
 
@@ -76,8 +75,9 @@ def rollout_figure(rollouts: Sequence[Mapping[str, Any]]) -> Figure:
         figure = Figure(figsize=(4.0 * columns, 3.0 * lines + 0.5), layout="constrained")
         panels = figure.subplots(lines, columns, squeeze=False)
         names = list(dict.fromkeys(row["predictor"] for row in rollouts))
+        worn = looks(names)
         for panel, (mode, quantity) in zip(panels.flat, shown, strict=False):
-            for k, name in enumerate(names):
+            for name in names:
                 shown_as = quantity if mode == "attitude" else f"{quantity}_median"
                 own = sorted(
                     (row["horizon"], row[shown_as])
@@ -85,12 +85,7 @@ def rollout_figure(rollouts: Sequence[Mapping[str, Any]]) -> Figure:
                     if row["predictor"] == name and row["mode"] == mode and row["thrust_tracked"] and quantity in row
                 )
                 if own:
-                    panel.plot(
-                        *zip(*own, strict=True),
-                        color=COLOURS[k % len(COLOURS)],
-                        marker=MARKERS[k % len(MARKERS)],
-                        label=name,
-                    )
+                    panel.plot(*zip(*own, strict=True), label=name, **worn[name].points())
             panel.set_title("attitude as measured" if mode == "attitude" else "all states predicted")
             panel.set_xlabel("horizon (s)")
             mean = "RMS" if mode == "attitude" else "median"
@@ -99,7 +94,7 @@ def rollout_figure(rollouts: Sequence[Mapping[str, Any]]) -> Figure:
             panel.set_xlim(left=0)
         for panel in list(panels.flat)[len(shown) :]:
             panel.set_axis_off()
-        figure.legend(*panels.flat[0].get_legend_handles_labels(), loc="outside upper center", ncols=min(4, len(names)))
+        figure.legend(*panels.flat[0].get_legend_handles_labels(), loc="outside upper center", ncols=min(6, len(names)))
     return figure
 
 

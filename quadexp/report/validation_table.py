@@ -50,8 +50,10 @@ def least_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         return []
     return [
         f"least, as fitted: {best[False]['predictor']}, {_percent(best[False], 'share')} of nominal as fitted",
-        f"least, thrust scale tracked: {best[True]['predictor']}, {_percent(best[True], 'share_alike')} of nominal"
-        f" with its scale tracked too, {_percent(best[True], 'share')} of nominal as fitted",
+        (
+            f"least, thrust scale tracked: {best[True]['predictor']}, {_percent(best[True], 'share_alike')} of nominal"
+            f" with its scale tracked too, {_percent(best[True], 'share')} of nominal as fitted"
+        ),
     ]
 
 

@@ -12,6 +12,7 @@ from quadexp.compose import compose
 from quadexp.experiment.build import build_plant, build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.sweep import run_sweep
+from quadexp.report.metrics import position_error
 from quadexp.state import VELOCITY
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -90,6 +91,21 @@ def test_geometric_control_tracks_and_suffers_from_the_air():
 def test_six_rotors():
     flight = flown("vehicle=hexacopter", "trajectory=circle", "trajectory.speed=4", "plant=ideal", *INTERPRETED)
     assert flight.n_rotors == 6 and error(flight) < 2e-3
+
+
+def test_a_loop_of_ones_own_flies_what_simulate_flies():
+    from examples.own_loop import main
+
+    overrides = ["plant=ideal", "trajectory=circle", "trajectory.speed=4", "controller=perfect_mpc", *INTERPRETED]
+    np.testing.assert_allclose(main(overrides), position_error(fly_one(compose(overrides))), rtol=1e-9, atol=1e-15)
+
+
+def test_a_loop_of_ones_own_takes_any_controller():
+    from examples.own_loop import main
+
+    vehicle = ["vehicle=lei_li", "plant=blade_element", "trajectory=hover", "trajectory.duration=0.5"]
+    for controller, far in (("rls_feedback", 0.1), ("rls_mpc", 0.05)):  # m; both begin with half the true coefficients
+        assert main([*vehicle, f"controller={controller}", *INTERPRETED]).max() < far
 
 
 def test_an_edited_class_is_flown_anew(tmp_path, monkeypatch):

@@ -16,7 +16,7 @@ NAMED = re.compile(r"(quadexp/[\w/]+\.py) ((?:`[\w.]+`(?:, )?)+)")
 
 def anchors(page):
     """Headings of a page as links name them."""
-    lines = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), flags=re.M)
+    lines = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", line.lower()).replace(" ", "-") for line in lines}
 
 
@@ -39,4 +39,6 @@ def test_functions_that_equations_are_mapped_to_are_there(page):
         source = (ROOT / path).read_text(encoding="utf-8")
         for name in re.findall(r"`([\w.]+)`", names):
             for part in name.split("."):
-                assert re.search(rf"\b(def|class) {part}\b|^{part}\b", source, re.M), f"{page.name}: {path} {name}"
+                assert re.search(rf"\b(def|class) {part}\b|^{part}\b", source, re.MULTILINE), (
+                    f"{page.name}: {path} {name}"
+                )

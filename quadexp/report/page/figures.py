@@ -10,13 +10,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter
 
 from quadexp.report.page.names import spoken
 from quadexp.report.page.numbers import duration, shown
 from quadexp.report.page.palette import Palette
 from quadexp.report.page.source import Comparison
 from quadexp.report.statistics import Statistic
+from quadexp.report.style import plain_log
 from quadexp.report.tables import TITLES
 
 AROUND = 2.5  # times that an interval may reach beyond the means before the panel cuts it
@@ -112,17 +113,6 @@ def speed_panel(panel: Any, comparison: Comparison, course: Course, palette: Pal
     dress(panel, palette)
 
 
-def plain_log(axis: Any) -> None:
-    """Ticks 1, 2, 5 of every decade (decades alone where there are many), without powers."""
-    low, high = axis.get_view_interval()
-    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    steps = (1, 2, 5) if high / low < 300 else (1,)
-    axis.set_major_locator(FixedLocator([s * 10.0**d for d in decades for s in steps if low <= s * 10.0**d <= high]))
-    axis.set_minor_locator(FixedLocator([]))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
-
-
 def pareto_points(comparison: Comparison) -> dict[str, tuple[float, float, float, float]]:
     """Label -> (time of the step, s; error, its low, its high) of everyone that ended a flight well.
 
@@ -208,7 +198,7 @@ def pareto_panel(panel: Any, comparison: Comparison, palette: Palette) -> None:
 
 
 def _name_points(
-    panel: Any, comparison: Comparison, points: dict[str, tuple], front: Sequence[str], palette: Palette
+    panel: Any, comparison: Comparison, points: dict[str, tuple[Any, ...]], front: Sequence[str], palette: Palette
 ) -> None:
     """Write the names beside the points, each where it covers neither another name nor another point."""
     height = 72 * panel.figure.get_size_inches()[1]

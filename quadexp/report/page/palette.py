@@ -1,5 +1,7 @@
 """Colours of the page in its two themes and of the figures on paper, and who wears which colour, marker and dash.
 
+Colours say a contestant's part (baseline, best, bound); markers are those of quadexp/report/style.py.
+
 Figures of the page are drawn once, in stand-in colours that `svg.py` replaces by CSS variables, so one drawing serves
 both themes. Series colours keep 3:1 against their ground and can be told apart by colour-blind readers; they differ in
 marker and dash as well.
@@ -10,6 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
+
+from quadexp.report.style import KNOWN, name_of
 
 # CSS variable -> (light, dark)
 TOKENS = {
@@ -88,6 +92,7 @@ class Look:
 def looks(labels: Sequence[str], baseline: str | None, best: str | None, bounds: Sequence[str]) -> dict[str, Look]:
     """A look for every contestant: grey for the baseline, the accent for the best, ink for bounds, others in turn."""
     others = iter(i for _ in range(len(labels)) for i in OTHERS)
+    shapes = _shapes(labels)
     worn: dict[str, Look] = {}
     for k, label in enumerate(labels):
         if label == baseline:
@@ -98,8 +103,18 @@ def looks(labels: Sequence[str], baseline: str | None, best: str | None, bounds:
             colour, dash = BOUND, 2
         else:
             colour, dash = next(others), k % len(DASHES)
-        worn[label] = Look(colour, SHAPES[k % len(SHAPES)], dash)
+        worn[label] = Look(colour, shapes[k], dash)
     return worn
+
+
+def _shapes(labels: Sequence[str]) -> list[str]:
+    """A shape each: the controller's own for the first label that has it, then those that nobody has."""
+    own = {marker: shape for shape, marker in MARKERS.items()}
+    wanted = [own.get(KNOWN[name_of(label)][1]) if name_of(label) in KNOWN else None for label in labels]
+    first = [shape if shape is not None and wanted.index(shape) == k else None for k, shape in enumerate(wanted)]
+    free = [shape for shape in SHAPES if shape not in first] or list(SHAPES)
+    spare = iter([*free, *(SHAPES[k % len(SHAPES)] for k in range(len(labels)))])
+    return [shape or next(spare) for shape in first]
 
 
 def css_blocks() -> list[str]:

@@ -30,7 +30,7 @@ LEAST_STEP = 0.02  # s
 INT16 = 32767
 SOME_ROTORS = [[0.17, -0.17, 0.0], [-0.17, -0.17, 0.0], [-0.17, 0.17, 0.0], [0.17, 0.17, 0.0]]  # m, unless recorded
 
-Case = tuple[tuple, int]  # condition, seed
+Case = tuple[tuple[Any, ...], int]  # condition, seed
 
 
 def case_of(row: Mapping[str, Any]) -> Case:
@@ -39,8 +39,8 @@ def case_of(row: Mapping[str, Any]) -> Case:
 
 def choose_cases(comparison: Comparison, worst: Sequence[Mapping[str, Any]]) -> list[Case]:
     """The fastest and hardest condition first, the cases of the worst flights, then the other conditions; each once."""
-    seeds: dict[tuple, dict[int, int]] = {}
-    largest: dict[tuple, float] = {}
+    seeds: dict[tuple[Any, ...], dict[int, int]] = {}
+    largest: dict[tuple[Any, ...], float] = {}
     for row in comparison.rows:
         if row["outcome"] == "ok":
             largest[condition_of(row)] = max(largest.get(condition_of(row), 0.0), row["max_error"])
@@ -48,7 +48,7 @@ def choose_cases(comparison: Comparison, worst: Sequence[Mapping[str, Any]]) -> 
             found = seeds.setdefault(condition_of(row), {})
             found[int(row["seed"])] = found.get(int(row["seed"]), 0) + (row["outcome"] == "ok")
 
-    def first(condition: tuple) -> tuple:
+    def first(condition: tuple[Any, ...]) -> tuple[Any, ...]:
         return condition[:2] != comparison.world, -(condition[3] or 0.0), -largest.get(condition, 0.0)
 
     cases: list[Case] = []

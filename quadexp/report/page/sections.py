@@ -156,7 +156,7 @@ def worst_rows(comparison: Comparison, count: int = WORST) -> list[Mapping[str, 
     at most two conditions of each, so that the weakest of all does not fill the list.
     """
 
-    def badness(row: Mapping[str, Any]) -> tuple:
+    def badness(row: Mapping[str, Any]) -> tuple[Any, ...]:
         ended = ("failed", "solver_failed", "lost", "infeasible", "ok")
         order = ended.index(row["outcome"]) if row["outcome"] in ended else 0
         error = row["max_error"]
@@ -174,7 +174,7 @@ def worst_rows(comparison: Comparison, count: int = WORST) -> list[Mapping[str, 
 
 
 def worst(
-    comparison: Comparison, rows: Sequence[Mapping[str, Any]], cases: Mapping[tuple, int]
+    comparison: Comparison, rows: Sequence[Mapping[str, Any]], cases: Mapping[tuple[Any, ...], int]
 ) -> list[dict[str, Any]]:
     """Rows for the template. cases: (condition, seed) -> number in the replay."""
     from quadexp.report.page.provenance import redo_command
