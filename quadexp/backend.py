@@ -9,46 +9,36 @@ one. Without a compiler "auto" says so once and uses the virtual machine.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import fcntl
 import hashlib
 import os
-import platform
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
+from quadexp.compiler import compile_flags, compiler, not_found, required_compiler, run_compiler, toolchain
 from quadexp.errors import QuadexpError, UsageError
 
 BACKENDS = ("auto", "compiled", "interpreted")
-# For compiling, not for linking: with -ffast-math gcc before 13 links code that turns off subnormals in the whole
-# process. libmvec's vector exponential needs that flag; NaN measurements are refused before any call. Straight-line
-# scalar code gets slower from being vectorised piecewise. CasADi's helper functions are global, and inlined only where
-# nobody may interpose them.
-FLAGS = ("-O3", "-march=native", "-ffast-math", "-fno-tree-slp-vectorize", "-fno-semantic-interposition", "-fPIC")
 LONG_AGO = 86400.0  # s
-GCC_FLAGS = ("-fno-tree-reassoc",)  # CasADi's order of operations is the better one; clang refuses the flag
 
 
 def cache_folder() -> Path:
     """Folder of the compiled functions: $QUADEXP_CACHE, else the user's cache folder; created private (0700)."""
     chosen = os.environ.get("QUADEXP_CACHE")
-    if chosen:
-        folder = Path(chosen)
-    else:
-        base = os.environ.get("XDG_CACHE_HOME")
-        try:
-            folder = (Path(base) if base else Path.home() / ".cache") / "quadexp"
-        except RuntimeError:  # no home folder
-            folder = Path(tempfile.gettempdir()) / f"quadexp-{os.getuid()}"
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    folder = Path(chosen).absolute() if chosen else _usual_folder()
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as error:
+        raise _unusable(folder, error) from None
     found = folder.stat()
     if found.st_uid != os.getuid():
         raise QuadexpError(f"{folder}: belongs to another user, set QUADEXP_CACHE to a folder of your own")
@@ -59,38 +49,23 @@ def cache_folder() -> Path:
     return folder
 
 
-@cache
-def compiler() -> str | None:
-    """Path of the C compiler ($CC, gcc, clang or cc), or None."""
-    candidates = [os.environ["CC"]] if os.environ.get("CC") else ["gcc", "clang", "cc"]
-    return next((path for path in map(shutil.which, candidates) if path), None)
+def _usual_folder() -> Path:
+    """The user's cache folder; below the system's temporary one where there is no home, or none that takes files."""
+    away = Path(tempfile.gettempdir()) / f"quadexp-{os.getuid()}"
+    base = os.environ.get("XDG_CACHE_HOME")
+    try:
+        folder = (Path(base).absolute() if base else Path.home() / ".cache") / "quadexp"
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except (RuntimeError, OSError):
+        return away
+    return folder if os.access(folder, os.W_OK | os.X_OK) else away
 
 
-def _required_compiler() -> str:
-    path = compiler()
-    if path is None:
-        raise UsageError("backend=compiled: no C compiler found (gcc, clang or $CC); use backend=interpreted")
-    return path
-
-
-@cache
-def _compiler_version() -> str:
-    return subprocess.run([_required_compiler(), "--version"], capture_output=True, text=True, check=True).stdout
-
-
-@cache
-def _flags() -> tuple[str, ...]:
-    return FLAGS + GCC_FLAGS if "Free Software Foundation" in _compiler_version() else FLAGS
-
-
-@cache
-def _toolchain() -> str:
-    """What besides the source decides the binary: compiler version, flags, processor features."""
-    features = platform.processor() + platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        features += next((line for line in cpuinfo.read_text().splitlines() if line.startswith("flags")), "")
-    return "\n".join([_compiler_version(), " ".join(_flags()), features])
+def _unusable(folder: Path, error: OSError) -> QuadexpError:
+    reason = error.strerror or error
+    return QuadexpError(
+        f"{folder}: compiled functions cannot be kept there ({reason}); set QUADEXP_CACHE to one that takes files"
+    )
 
 
 @cache
@@ -108,9 +83,9 @@ def resolve(backend: str) -> str:
     if backend == "interpreted":
         return "interpreted"
     if backend == "compiled" or compiler() is not None:
-        _required_compiler()
+        required_compiler()
         return "compiled"
-    _say_once("note: no C compiler found, control steps run interpreted (several times slower)")
+    _say_once(f"note: {not_found()}, control steps run interpreted (several times slower)")
     return "interpreted"
 
 
@@ -123,8 +98,20 @@ def realise_together(functions: Sequence[ca.Function], backend: str) -> list[ca.
     """Functions on a resolved back end, compiled into one library: what they have in common is compiled once."""
     if backend != "compiled":
         return list(functions)
-    library = str(_compile(functions))
-    return [ca.external(function.name(), library) for function in functions]
+    library = _compile(functions)
+    try:
+        return [ca.external(function.name(), str(library)) for function in functions]
+    except RuntimeError:  # a file system that executes nothing, for one
+        raise QuadexpError(f"{_refusal(library)}; set QUADEXP_CACHE to another folder") from None
+
+
+def _refusal(library: Path) -> str:
+    """Why a library cannot be loaded; CasADi only names the last of the places where it looked."""
+    try:
+        ctypes.CDLL(str(library))
+    except OSError as error:
+        return str(error)
+    return f"{library}: has not the functions that it should have"
 
 
 def handwritten(
@@ -148,34 +135,43 @@ def _compile(functions: Sequence[ca.Function]) -> Path:
     for function in functions:
         generator.add(function)
     source = generator.dump()
-    key = hashlib.sha256(f"{_toolchain()}\n{source}".encode()).hexdigest()[:24]
+    key = hashlib.sha256(f"{toolchain()}\n{source}".encode()).hexdigest()[:24]
     folder = cache_folder()
     library = folder / f"{name}_{key}.so"
     if _intact(library):
         return library
-    with open(folder / f"{key}.lock", "w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        try:
+    try:
+        with _lock(folder / f"{key}.lock"):
             if not _intact(library):
                 _sweep_up(folder)
-                with tempfile.TemporaryDirectory(dir=folder, prefix=".build-") as scratch:
-                    code, unlinked, built = (str(Path(scratch) / f"built{suffix}") for suffix in (".c", ".o", ".so"))
-                    Path(code).write_text(source)
-                    for command in (
-                        [_required_compiler(), *_flags(), "-c", code, "-o", unlinked],
-                        [_required_compiler(), "-shared", unlinked, "-o", built, "-lm"],
-                    ):
-                        done = subprocess.run(command, capture_output=True, text=True)
-                        if done.returncode != 0:
-                            reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
-                            raise QuadexpError(f"{command[0]} could not compile {name}: {reason}")
-                    digest = Path(scratch) / "sha256"
-                    digest.write_text(_sha256(Path(built)))
-                    os.replace(built, library)
-                    os.replace(digest, library.with_suffix(".sha256"))
-        finally:
-            Path(lock.name).unlink(missing_ok=True)
+                _build(name, source, library)
+    except OSError as error:
+        raise _unusable(folder, error) from None
     return library
+
+
+@contextlib.contextmanager
+def _lock(path: Path) -> Iterator[None]:
+    """Only one process at a time; on a file system without locks all of them build, and the last one stays."""
+    with open(path, "w") as file:
+        with contextlib.suppress(OSError):
+            fcntl.flock(file, fcntl.LOCK_EX)
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+
+
+def _build(name: str, source: str, library: Path) -> None:
+    with tempfile.TemporaryDirectory(dir=library.parent, prefix=".build-", ignore_cleanup_errors=True) as scratch:
+        code, unlinked, built = (str(Path(scratch) / f"built{suffix}") for suffix in (".c", ".o", ".so"))
+        Path(code).write_text(source, encoding="utf-8")
+        run_compiler([*compile_flags(), "-c", code, "-o", unlinked], f"compile {name}")
+        run_compiler(["-shared", unlinked, "-o", built, "-lm"], f"compile {name}")
+        digest = Path(scratch) / "sha256"
+        digest.write_text(_sha256(Path(built)))
+        os.replace(built, library)
+        os.replace(digest, library.with_suffix(".sha256"))
 
 
 def _sha256(path: Path) -> str:

@@ -21,6 +21,7 @@ from quadexp.cli_identify import identify
 from quadexp.cli_import import import_flights
 from quadexp.cli_results import results
 from quadexp.cli_validate import validate
+from quadexp.terminal import fail, prepare, settled, unwritten
 
 app = typer.Typer(
     name="quadexp",
@@ -64,6 +65,7 @@ def root(
     """
 
 
+INTERRUPTED = 130  # what typer returns for Ctrl-C
 COMMANDS = {
     "simulate": simulate,
     "collect": collect,
@@ -86,10 +88,20 @@ for name, command in COMMANDS.items():
 
 def main() -> None:
     """Entry point: wrong options too are one line and exit code 2."""
+    prepare()
+    sys.exit(settled(_run()))
+
+
+def _run() -> int:
+    code: object
     try:
         code = app(standalone_mode=False, prog_name="quadexp")
+        if code == INTERRUPTED:  # before the command itself began
+            code = fail("interrupted", 1).exit_code
     except typer.Abort:
         code = 1
+    except OSError as error:
+        code = unwritten(error).exit_code  # help or version: what a command does is guarded
     except Exception as error:
         if not hasattr(error, "format_message"):
             raise
@@ -99,7 +111,7 @@ def main() -> None:
         else:
             typer.secho(f"error: {error.format_message()}", fg="red", err=True)
             code = getattr(error, "exit_code", 2)
-    sys.exit(code if isinstance(code, int) else 0)
+    return code if isinstance(code, int) else 0
 
 
 if __name__ == "__main__":

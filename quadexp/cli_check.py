@@ -132,7 +132,7 @@ def _print(loaded: dict[Path, Any], found: dict[str, list[Any]], drawn: dict[str
         if str(path) in drawn:
             console.print(Text(f"  {drawn[str(path)]}"), soft_wrap=True)
         console.print()
-    counts = {severity: 0 for severity in COLOURS}
+    counts = dict.fromkeys(COLOURS, 0)
     for findings in found.values():
         for severity in {one.severity for one in findings}:
             counts[severity] += 1

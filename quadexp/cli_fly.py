@@ -130,7 +130,7 @@ def evaluate(
             out,
             metric=first.evaluate.metric,
             confidence=first.evaluate.confidence,
-            redraw=result.flown > 0,
+            fingerprint=result.statistics.fingerprint,
         )
         if first.evaluate.figures != "standard":
             from quadexp.report import lei_li

@@ -35,6 +35,11 @@ from quadexp.messages import one_line, suggestion
 from quadexp.plugins import import_from, plugin_folders
 
 _INTEGER = re.compile(r"0|-?[1-9]\d{0,17}")
+# Keys that hold a path.
+PATHS = {
+    "model", "plant.model", "trajectory.path", "collect.identified", "engine.shared", "engine.python",
+    "engine.remote_python", "engine.tls_ca", "engine.tls_cert", "engine.tls_key",
+}  # fmt: skip
 PARSED_KEPT = 50_000  # overrides that are remembered at most
 
 
@@ -48,7 +53,7 @@ class Composer:
         self._parsed: dict[str, Override] = {}
         self._groups: dict[str, bool] = {}
         self._integers: dict[str, Override] = {}
-        self._checked: set[tuple] = set()
+        self._checked: set[tuple[Any, ...]] = set()
 
     def compose(self, overrides: Sequence[str] = ()) -> Config:
         """The configuration of one run.
@@ -144,11 +149,7 @@ class Composer:
             return replace(self._integers[key], _value=int(value), input_line=text)
         if "=" not in text:
             raise UsageError(f"{text!r}: expected KEY=VALUE, such as trajectory.speed=8")
-        try:
-            (override,) = OverridesParser.create(config_loader=self._loader).parse_overrides([text])
-        except HydraException as error:
-            hint = " (quote a value with blanks or brackets: KEY=\"'VALUE'\")"
-            raise UsageError(f"{text!r}: {one_line(error)}{hint}") from None
+        override = self._read(text)
         if override.is_add() or override.is_force_add() or override.is_delete():
             raise UsageError(f"{text!r}: keys can be set (KEY=VALUE), not added or deleted")
         if override.package or override.key_or_group.split("/")[0].split(".")[0] in ("hydra", "schema", "sweep"):
@@ -164,6 +165,22 @@ class Composer:
         self._parsed[text] = override
         if type(override._value) is int:
             self._integers[key] = override
+        return override
+
+    def _read(self, text: str) -> Override:
+        parser = OverridesParser.create(config_loader=self._loader)
+        key, _, value = text.partition("=")
+        literal = f"{key}={','.join(map(_quoted, value.split(',')))}"
+        try:
+            (override,) = parser.parse_overrides([text])
+        except HydraException as error:
+            if key in PATHS:  # most letters that a path may have mean nothing to the grammar
+                return parser.parse_overrides([literal])[0]
+            hint = " (quote a value with blanks or brackets: KEY=\"'VALUE'\")"
+            raise UsageError(f"{text!r}: {one_line(error)}{hint}") from None
+        values = getattr(override._value, "list", [override._value]) if "(" not in value else []
+        if key in PATHS and any(isinstance(one, (int, float)) for one in values):  # 2024_01 is not the number 202401
+            return parser.parse_overrides([literal])[0]
         return override
 
     def _check_option(self, override: Override) -> None:
@@ -187,6 +204,12 @@ class Composer:
             node = node._get_node(part)
             if isinstance(node, DictConfig) and node._is_missing():
                 return
+
+
+def _quoted(value: str) -> str:
+    """A value that stands for itself in Hydra's grammar: backslashes count double before a quote only."""
+    escaped = re.sub(r"(\\*)'", lambda found: f"{found[1] * 2}\\'", value)
+    return "'" + re.sub(r"\\+$", lambda found: found[0] * 2, escaped) + "'"
 
 
 def _product(overrides: Sequence[Override]) -> Grid:

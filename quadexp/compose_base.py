@@ -39,7 +39,7 @@ class Bases:
         self._loader, self._repository = loader, repository
         self._known: dict[tuple[str, ...], Base] = {}
         self._nodes: dict[str, DictConfig] = {}
-        self._root_values: dict[tuple, Any] = {}
+        self._root_values: dict[tuple[Any, ...], Any] = {}
 
     def get(self, key: tuple[str, ...], groups: Sequence[Override]) -> Base:
         """key: the text of the choices."""
@@ -93,7 +93,7 @@ class Bases:
 class Base:
     """A composed configuration before its value overrides, with its untouched nodes made into objects only once."""
 
-    def __init__(self, config: DictConfig, root_values: dict[tuple, Any]) -> None:
+    def __init__(self, config: DictConfig, root_values: dict[tuple[Any, ...], Any]) -> None:
         self.config = config
         self._nodes = [str(name) for name in config if isinstance(config._get_node(name), DictConfig)]
         self._objects: dict[str, Any] = {}
@@ -102,7 +102,7 @@ class Base:
         roots = [f"${{{name}}}" for name in map(str, config) if name not in self._nodes]
         text = str(OmegaConf.to_container(config))
         self._separable = text.count("${") == sum(text.count(root) for root in roots)
-        self._shared: dict[tuple, Any] = {}
+        self._shared: dict[tuple[Any, ...], Any] = {}
         self._root_values = root_values  # root values that were set, the same whatever the groups
 
     def with_values(self, values: Sequence[Override]) -> Config:
@@ -149,7 +149,7 @@ class Base:
             made[name] = place.setdefault(keys[name], value)
         return Config(**made)
 
-    def _place(self, name: str, key: tuple) -> dict[tuple, Any]:
+    def _place(self, name: str, key: tuple[Any, ...]) -> dict[tuple[Any, ...], Any]:
         return self._root_values if key[1] and name not in self._nodes else self._shared
 
     def _made(self, names: Sequence[str], values: Sequence[Override]) -> dict[str, Any]:

@@ -25,7 +25,7 @@ class CustomPlantConfig(PlantConfig):
     """A plant of one's own: _target_(vehicle, step=..., **options) -> Plant; step: s, of its integrator."""
 
     kind: str = "custom"
-    step: float = number("(0, 0.02]", "s", 1e-3)
+    step: float = number("[1e-5, 0.02]", "s", 1e-3)
     backend: str = choice("auto", "compiled", "interpreted", default="auto")
     _target_: str = MISSING
     options: dict[str, Any] = field(default_factory=dict)

@@ -5,6 +5,7 @@ See quadexp/config.py for how values are checked.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -18,7 +19,7 @@ class RotorConfig(Checked):
 
     prefix: ClassVar[str] = "vehicle.rotor."
 
-    radius: float = number("(0, 10]", "m")
+    radius: float = number("[0.001, 10]", "m")
     chord: float = number("(0, 1]", "m")
     twist: float = number("(0, 1.57]", "rad")
     air_density: float = number("(0, 10]", "kg/m^3")
@@ -36,7 +37,7 @@ class VehicleConfig(Checked):
     mass: float = number("(0, 100]", "kg")
     inertia: Any = MISSING  # (3, 3), body frame, kg m^2
     rotor_position: Any = MISSING  # (n, 3), body frame, m
-    rotor_spin: list[float] = MISSING  # type: ignore[assignment]  # (n,), sign of the reaction torque about +z_body
+    rotor_spin: list[float] = number("[-1, 1]", "")  # (n,), sign of the reaction torque about +z_body
     torque_coefficient: float = number("[0, 1]", "m")
     thrust_min: float = number("[0, 1000]", "N per rotor")
     thrust_max: float = number("(0, 1000]", "N per rotor")
@@ -57,7 +58,8 @@ def _rows(key: str, rows: Any, n: int | None = None) -> Any:
         made = [[float(item) for item in row] for row in rows]
     except (TypeError, ValueError):
         made = []
-    if not made or any(len(row) != 3 for row in made) or (n is not None and len(made) != n):
+    right = all(len(row) == 3 and all(map(math.isfinite, row)) for row in made)
+    if not made or not right or (n is not None and len(made) != n):
         raise ValueError(f"{key}={str(rows).replace(' ', '')}: must be {n or 'some'} rows of 3 numbers each")
     return made
 
@@ -71,7 +73,7 @@ class PlantConfig(Checked):
 
     name: str = MISSING
     kind: str = MISSING
-    step: float = number("(0, 0.02]", "s")
+    step: float = number("[1e-5, 0.02]", "s")
     backend: str = choice("auto", "compiled", "interpreted")
 
 

@@ -12,7 +12,7 @@ MEANINGS: dict[str, str] = {
     "evaluate.metric": "what the table shows: mean ||e||, root mean square, or largest position error",
     "evaluate.figures": "which figures are drawn beside the standard ones",
     "evaluate.baseline": "controller that the others are compared with, seed by seed",
-    "evaluate.confidence": "of every interval",
+    "evaluate.confidence": "confidence level of every interval",
     "evaluate.workers": "processes that fly at a time; 0: one a core",
     "evaluate.timeout": "wall time after which a flight is given up, and tried once more",
     "evaluate.memory": "what the process of a flight may take; 0: no limit",

@@ -59,9 +59,9 @@ class _Flights:
     client: Client
     engine: DaskEngine
     function: Callable[..., Any]
-    running: dict[str, tuple[Task, Future, int]] = field(default_factory=dict)
+    running: dict[str, tuple[Task, Future[Any], int]] = field(default_factory=dict)
     shipped: dict[str, str] = field(default_factory=dict)
-    landed: queue.SimpleQueue = field(default_factory=queue.SimpleQueue)
+    landed: queue.SimpleQueue[Any] = field(default_factory=queue.SimpleQueue)
 
     @property
     def prefix(self) -> str:

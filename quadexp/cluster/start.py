@@ -29,7 +29,7 @@ SETTINGS = {
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
     "distributed.worker.memory.terminate": False,
-    "distributed.nanny.pre-spawn-environ": {name: "1" for name in THREADS},
+    "distributed.nanny.pre-spawn-environ": dict.fromkeys(THREADS, "1"),
 }
 
 
@@ -190,7 +190,7 @@ def _refused(script: str) -> None:
         file.write(script)
         file.flush()
         try:
-            done = subprocess.run(["sbatch", "--test-only", file.name], capture_output=True, text=True)
+            done = subprocess.run(["sbatch", "--test-only", file.name], check=False, capture_output=True, text=True)
         except FileNotFoundError:
             raise UsageError("engine=slurm: there is no sbatch here") from None
     if done.returncode:

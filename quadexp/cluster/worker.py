@@ -53,7 +53,7 @@ class CellRunner(WorkerPlugin):
             self._pool.join()
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def fly(self, function: Callable, task: Task, copies: Mapping[str, str]) -> Any:
+    def fly(self, function: Callable[..., Any], task: Task, copies: Mapping[str, str]) -> Any:
         """(row, content of the cell's file), or CellFailed."""
         arguments = (function, task.config, task.model, task.key, self._folder, copies)
         for attempt in range(ATTEMPTS):
@@ -66,7 +66,7 @@ class CellRunner(WorkerPlugin):
                 return CellFailed(cause(error, self._timeout))
         raise AssertionError
 
-    def _schedule(self, function: Callable, arguments: tuple) -> Future:
+    def _schedule(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Future[Any]:
         with self._lock:
             if self._pool is None:
                 with one_thread():
@@ -92,7 +92,7 @@ class InputFile(WorkerPlugin):
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def run_cell(runner: str, function: Callable, task: Task, inputs: Mapping[str, tuple[str, bool]]) -> Any:
+def run_cell(runner: str, function: Callable[..., Any], task: Task, inputs: Mapping[str, tuple[str, bool]]) -> Any:
     """A Dask task: fly one cell in a child of this worker.
 
     inputs: path as configured -> name of the InputFile, and whether the path means its folder.
@@ -104,7 +104,9 @@ def run_cell(runner: str, function: Callable, task: Task, inputs: Mapping[str, t
     return plugins[runner].fly(function, task, copies)
 
 
-def child_cell(function: Callable, config: Any, model: Any, key: str, folder: str, copies: Mapping[str, str]) -> Any:
+def child_cell(
+    function: Callable[..., Any], config: Any, model: Any, key: str, folder: str, copies: Mapping[str, str]
+) -> Any:
     """In the child: fly, and give back the row with the file's content (None if there is no file)."""
     use_copies(copies)
     path = Path(folder) / f"{key}.{os.getpid()}.parquet"

@@ -12,8 +12,10 @@ import os
 import resource
 import signal
 import sys
+import threading
 from collections.abc import Iterator, Sequence
-from concurrent.futures import TimeoutError
+from concurrent.futures import TimeoutError, wait
+from multiprocessing import forkserver, resource_tracker
 
 from pebble import ProcessExpired, ProcessPool
 
@@ -21,6 +23,7 @@ from quadexp.errors import QuadexpError
 
 PRELOAD = ("casadi", "numpy", "scipy.spatial.transform", "pyarrow.parquet")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+STARTING = 60.0  # s that a pool may take for its first process
 GONE = (ProcessExpired, TimeoutError)  # how a call ends whose process died or took too long
 _SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
 
@@ -32,7 +35,42 @@ def start_pool(workers: int, memory: float | None, preload: Sequence[str]) -> Pr
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(dict.fromkeys(preload)))
-    return ProcessPool(max_workers=workers, context=context, initializer=begin, initargs=(memory,))
+    try:
+        with _undisturbed():
+            resource_tracker.ensure_running()  # unblocks what it blocked, so it goes first
+            # Inherited: the server and its children end with this process, not by the Ctrl-C that reaches the group.
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            try:
+                forkserver.ensure_running()
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            pool = ProcessPool(max_workers=workers, context=context, initializer=begin, initargs=(memory,))
+            wait([pool.schedule(os.getpid)], timeout=STARTING)
+    except KeyboardInterrupt:
+        pool.stop()
+        pool.join()
+        raise
+    return pool
+
+
+@contextlib.contextmanager
+def _undisturbed() -> Iterator[None]:
+    """What asks this process to end does so afterwards: children that are just starting would complain at length."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    asked: list[int] = []
+    usual = {
+        number: signal.signal(number, lambda number, frame: asked.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in usual.items():
+            signal.signal(number, handler or signal.SIG_DFL)
+        for first in asked[:1]:
+            os.kill(os.getpid(), first)
 
 
 @contextlib.contextmanager

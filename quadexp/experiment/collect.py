@@ -4,11 +4,13 @@ mode "random": smooth random paths, one lap each, their nominal speeds spread ev
 that takes more thrust than the vehicle has is drawn anew.
 mode "setpoints": jumps between random points, each held for (distance to the next) / (a speed of that range).
 
-Everything is drawn from the seed, and stops at a simulated time: the same command makes the same data set anywhere.
+Paths and noise are drawn from the seed alone, whatever flies them, so that the data of two controllers or plants can be
+compared; and it stops at a simulated time. The same command makes the same data set anywhere.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -75,12 +77,12 @@ def collect_flights(
     controller = build_controller(config, vehicle, plant, model)
     flown = {group: node for group, node in flight_record(config).items() if group != "trajectory"}
     record = {**flown, "collect": _decisive(config)}
-    sequence = np.random.SeedSequence(int(digest(["collect", record]), 16))
+    sequence = np.random.SeedSequence(int(digest(["collect", config.seed]), 16))
     speeds = np.random.default_rng(sequence.spawn(1)[0])
     offset = speeds.random()
     flights: list[Flight] = []
     recorded = 0.0
-    while recorded < config.collect.duration - 1e-6:
+    while not flights or recorded < config.collect.duration - 1e-6:
         index = len(flights)
         path_rng, noise_rng = map(np.random.default_rng, sequence.spawn(2))
         share = (offset + index * GOLDEN) % 1.0
@@ -171,6 +173,17 @@ def _curve(config: Config, vehicle: Vehicle, flights: Sequence[Flight]) -> Thrus
     return model.thrust
 
 
+def _refuse_twins(flights: Sequence[Path], save_flights: Path | None) -> None:
+    """A flight that is given twice would be fitted while it is held out; of two with one name one would be lost."""
+    twice = [path for path, count in Counter(path.resolve() for path in flights).items() if count > 1]
+    if twice:
+        raise UsageError(f"collect: {twice[0]} is given twice")
+    stems = Counter(path.stem for path in flights)
+    if save_flights is not None and len(stems) < len(flights):
+        name = stems.most_common(1)[0][0]
+        raise UsageError(f"collect --save-flights: two flights named {name} would both be written to {save_flights}")
+
+
 def collect_dataset(
     config: Config,
     path: Path,
@@ -182,7 +195,8 @@ def collect_dataset(
     """Write the residual data set of the given flight files, or of flights flown for it; returns what to report."""
     vehicle = build_vehicle(config.vehicle)
     if flights:
-        flown = [read_flight(file) for file in flights]
+        _refuse_twins(flights, save_flights)
+        flown = [read_flight(file, ordered=True) for file in flights]
         names = [str(file) for file in flights]
         record: dict[str, Any] = {"source": "files"}
     else:
@@ -220,9 +234,13 @@ def collect_dataset(
     report["notes"] = notes
     report["lines"] = [
         *notes,
-        f"{dataset.n_rows} {rows} from {len(flown)} flights, {seconds:.0f} s"
-        f" ({config.collect.mode if not flights else 'recorded'}, {kind})",
-        f"speed: median {report['speed_median']:.1f}, 95 % {report['speed_p95']:.1f},"
-        f" largest {report['speed_max']:.1f} m/s",
+        (
+            f"{dataset.n_rows} {rows} from {len(flown)} flights, {seconds:.0f} s"
+            f" ({config.collect.mode if not flights else 'recorded'}, {kind})"
+        ),
+        (
+            f"speed: median {report['speed_median']:.1f}, 95 % {report['speed_p95']:.1f},"
+            f" largest {report['speed_max']:.1f} m/s"
+        ),
     ]
     return report

@@ -73,7 +73,7 @@ def default_workers() -> int:
 
 def run_cells(
     function: Callable[..., Any],
-    jobs: Mapping[str, tuple] | Iterable[tuple[str, tuple]],
+    jobs: Mapping[str, tuple[Any, ...]] | Iterable[tuple[str, tuple[Any, ...]]],
     *,
     workers: int = 0,
     timeout: float | None = None,
@@ -92,8 +92,8 @@ def run_cells(
         workers = min(workers, max(1, len(jobs)))
         jobs = jobs.items()
     waiting = ((key, arguments, ATTEMPTS) for key, arguments in jobs)
-    again: list[tuple[str, tuple, int]] = []
-    running: dict[Future, tuple[str, tuple, int]] = {}
+    again: list[tuple[str, tuple[Any, ...], int]] = []
+    running: dict[Future[Any], tuple[str, tuple[Any, ...], int]] = {}
     with one_thread():
         pool = start_pool(workers, memory, [*preload, function.__module__])
 

@@ -27,6 +27,7 @@ from quadexp.provenance import provenance, versions
 from quadexp.report.metrics import flight_metrics
 from quadexp.vehicle import Vehicle
 
+LONGEST = 4 * 3600.0  # s of a flight
 CHECK_STEP = 0.02  # s between the points at which a reference is compared with the vehicle's limits
 
 
@@ -42,6 +43,10 @@ def generator(config: Config) -> np.random.Generator:
 def _coarse_reference(trajectory: Any, vehicle: Vehicle) -> Any:
     from quadexp.trajectory.flatness import flat_reference
 
+    if not trajectory.duration <= LONGEST:
+        raise UsageError(
+            f"the trajectory takes {trajectory.duration:.3g} s, {LONGEST:g} s are allowed: make it faster or shorter"
+        )
     samples = max(2, math.ceil(trajectory.duration / CHECK_STEP) + 1)
     return flat_reference(trajectory, np.linspace(0.0, trajectory.duration, samples), vehicle)
 

@@ -59,7 +59,7 @@ def _check_vehicle(data: ResidualDataset, config: Config, path: Path) -> None:
         )
 
 
-def _fit_gp(data: ResidualDataset, config: Config, *, compare: bool, progress: ProgressCallback) -> tuple:
+def _fit_gp(data: ResidualDataset, config: Config, *, compare: bool, progress: ProgressCallback) -> tuple[Any, ...]:
     from quadexp.identify.evaluation import fit_with_report
     from quadexp.identify.model import GPSettings
 
@@ -92,7 +92,7 @@ def _fit_gp(data: ResidualDataset, config: Config, *, compare: bool, progress: P
     return fit.model, report, draw
 
 
-def _fit_drag(data: ResidualDataset, config: Config) -> tuple:
+def _fit_drag(data: ResidualDataset, config: Config) -> tuple[Any, ...]:
     from quadexp.identify.evaluation import evaluate_drag, split_by_flight
     from quadexp.identify.linear_drag import fit_linear_drag
 
@@ -134,8 +134,10 @@ def report_lines(rows: Sequence[Mapping[str, Any]], held_out: Sequence[str]) -> 
         by_output.setdefault(row["output"], {})[row["predictor"]] = row
     width = 34
     lines = [
-        f"on {len(held_out)} held-out flights, {rows[0]['n']} rows:"
-        " RMSE, negative log density, share inside 1 and 2 sigma",
+        (
+            f"on {len(held_out)} held-out flights, {rows[0]['n']} rows:"
+            " RMSE, negative log density, share inside 1 and 2 sigma"
+        ),
         "        " + "".join(f"{name:<{width}}" for name in predictors),
     ]
     for output, found in by_output.items():

@@ -17,7 +17,15 @@ from quadexp.config_flight import RotorConfig, VehicleConfig
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.flight.schema import Flight
-from quadexp.flight.store import check_finite, check_output, read_flight, read_table, write_table
+from quadexp.flight.store import (
+    check_attitude,
+    check_finite,
+    check_order,
+    check_output,
+    read_flight,
+    read_table,
+    write_table,
+)
 from quadexp.identify.offline import Identification, identify_flight
 from quadexp.identify.rls import RLSSettings
 from quadexp.identify.samples import QUATERNION, rotor_columns
@@ -58,10 +66,13 @@ def choose_method(paths: Sequence[Path], asked: str | None, vehicle: Vehicle | N
 
 
 def read_recorded(path: Path) -> Flight:
-    """A flight that may lack the commanded thrusts, as a log does; time, attitude and velocity must be finite."""
+    """A flight that may lack the commanded thrusts, as a log does; time, attitude and velocity must be finite, and time
+    must go on."""
     needed = ("t", *QUATERNION, "v_x", "v_y", "v_z")
     columns, record = read_table(path, "flight", required=needed)
     check_finite(columns, needed, str(path))
+    check_attitude(columns, str(path))
+    check_order(columns["t"], str(path))
     return Flight(columns, record)
 
 
@@ -102,7 +113,7 @@ def identify_files(
     named = None if vehicle is None else configured_vehicle(vehicle, conf)
     found = []
     for path in flights:
-        flight = read_flight(path)
+        flight = read_flight(path, ordered=True)
         settings = RLSSettings() if paper else None
         found.append(identify_flight(flight, named or _recorded(flight, path), settings=settings, name=str(path)))
     for path, one in zip(paths, found, strict=True):

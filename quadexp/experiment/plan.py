@@ -55,7 +55,7 @@ class Plan:
     def __init__(self, cells: Sequence[Cell]) -> None:
         self._cells = cells
         self._texts: dict[int, tuple[Any, str]] = {}
-        self._found: dict[tuple, tuple[ModelFile | None, dict[str, str]]] = {}
+        self._found: dict[tuple[Any, ...], tuple[ModelFile | None, dict[str, str]]] = {}
         self._checked: set[str] = set()
         self._conditions = bytearray()
         self._index = array("q")  # of the cell of a place
@@ -103,7 +103,7 @@ class Plan:
 
         First goes one cell of every structure, so that the workers begin by compiling different ones side by side.
         """
-        groups: dict[str, dict[str, array]] = {}
+        groups: dict[str, dict[str, array[int]]] = {}
         for place, key in enumerate(keys):
             structure, controller = self.job(key).build
             groups.setdefault(structure, {}).setdefault(controller, array("q")).append(place)

@@ -16,6 +16,7 @@ from quadexp.flight.schema import Flight
 from quadexp.plant.base import Plant
 from quadexp.residual.base import Residual
 from quadexp.state import POSITION, STATE_COLUMNS, input_columns
+from quadexp.trajectory.base import Trajectory
 from quadexp.trajectory.flatness import Reference, flat_reference
 
 LOST_DISTANCE = 10.0  # m from the reference: further away nobody calls it tracking
@@ -36,7 +37,7 @@ class SampledReference:
     feeds forward, enters attitude, rates and thrusts.
     """
 
-    def __init__(self, trajectory, controller: Controller | ModelPredictiveController) -> None:
+    def __init__(self, trajectory: Trajectory, controller: Controller | ModelPredictiveController) -> None:
         controller = as_controller(controller)
         controller.forget()
         self._trajectory, self._vehicle = trajectory, controller.vehicle
@@ -49,7 +50,7 @@ class SampledReference:
         flat = trajectory.flat_output(self.t)
         self._position = flat.position
         self._yaw = np.zeros((samples, 3)) if flat.yaw is None else flat.yaw
-        self._believed: Residual | None | object = self  # nothing yet
+        self._believed: Residual | object | None = self  # nothing yet
         self.reference: Reference
         self.renew(controller.residual)
 
@@ -190,7 +191,17 @@ class _Log:
         self.records: list[Any] = []
         self.extra: list[dict[str, float]] = []
 
-    def add(self, x, u, state_reference, input_reference, reading, inner, record, extra) -> None:
+    def add(
+        self,
+        x: np.ndarray,
+        u: np.ndarray,
+        state_reference: np.ndarray,
+        input_reference: np.ndarray,
+        reading: np.ndarray,
+        inner: list[np.ndarray],
+        record: Any,
+        extra: dict[str, float],
+    ) -> None:
         k = len(self.records)
         self.state[k], self.input[k], self.reading[k] = x, u, reading
         self.state_reference[k], self.input_reference[k] = state_reference, input_reference

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.cells import Cell, Cells
-from quadexp.errors import QuadexpError, UsageError
+from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.engine import CellFailed, CellFunction, Engine, LocalEngine, Task
 from quadexp.experiment.evaluate import check_feasible, evaluate_cell, failed_row
@@ -146,7 +146,10 @@ def _refuse_another_sweep(store: CellStore, plan: Plan) -> None:
     path = store.root / RESULTS
     if not path.exists():
         return
-    earlier = set(read_metadata(path, "results").get("conditions", []))
+    try:
+        earlier = set(read_metadata(path, "results").get("conditions", []))
+    except DataError:  # of no use to anybody; the flights are kept whosever they are
+        return
     dropped = earlier - plan.conditions()
     if dropped:
         raise UsageError(

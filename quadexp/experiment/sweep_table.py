@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.errors import DataError, QuadexpError
+from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.experiment.plan import Plan
 from quadexp.experiment.rows import Rows
 from quadexp.flight.cell_store import CellStore
@@ -37,7 +37,7 @@ class SweepTable:
         self._unwritten = 0
 
     def recall(self) -> None:
-        """Take the rows of all cells that are there; those that failed are left out, to be flown again."""
+        """Take the rows of all cells that are there; those that failed, or are damaged, are to be flown again."""
         import pyarrow.parquet  # noqa: F401  (fifty megabytes, which are better taken now than in mid-sweep)
 
         done = self._store.done()
@@ -46,7 +46,8 @@ class SweepTable:
                 self._recall_table(path, done)
         for key, place in self._plan.places.items():
             if key in done and not self.rows.filled[place]:
-                self._set(key, self._store.row(key))
+                with contextlib.suppress(DataError, UsageError):
+                    self._set(key, self._store.row(key))
 
     def lacking(self) -> list[str]:
         """Keys of the cells without a row."""
@@ -72,10 +73,8 @@ class SweepTable:
     def _recall_table(self, path: Path, done: set[str]) -> None:
         try:
             columns, _ = read_table(path, "results", required=("key", "outcome"))
-        except DataError:
-            if path.name == UNFINISHED:  # nothing is lost: the footers say the same
-                return
-            raise
+        except (DataError, UsageError):  # nothing is lost: the footers say the same
+            return
         places = self._plan.places
         found = [
             (i, places[key])

@@ -57,7 +57,7 @@ def validate(
         check_output(out, force=force, folder=True)
     vehicle = build_vehicle(config.vehicle)
     loaded = _load(models, vehicle)
-    flown = {path.stem: read_flight(path) for path in flights}
+    flown = {path.stem: read_flight(path, ordered=True) for path in flights}
     if len(flown) < len(flights):
         raise UsageError("--flights: two of them have the same name")
     if leave_one_out:
@@ -208,7 +208,7 @@ def _rollouts(
 
 def _mean_rollouts(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Rows of several folds joined: root mean squares over all starts, medians averaged."""
-    groups: dict[tuple, list[Mapping[str, Any]]] = {}
+    groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
     for row in rows:
         groups.setdefault((row["predictor"], row["mode"], row["thrust_tracked"], row["horizon"]), []).append(row)
     made = []

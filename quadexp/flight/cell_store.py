@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from quadexp.errors import UsageError
+from quadexp.errors import DataError, UsageError
 from quadexp.flight.store import check_output, read_metadata
 
 MARK = "cells"
@@ -47,8 +47,13 @@ class CellStore:
         with open(self.folder / ".lock", "w") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                raise UsageError(f"{self.root}: another sweep is running there: choose another --out") from None
+                theirs = not os.path.samestat(os.fstat(file.fileno()), os.stat(file.name))
+            except (BlockingIOError, FileNotFoundError):  # held, or removed by the one who held it just before
+                theirs = True
+            except OSError:  # a file system without locks, as on some clusters: nobody can be kept out
+                theirs = False
+            if theirs:
+                raise UsageError(f"{self.root}: another sweep is running there: choose another --out")
             try:
                 yield
             finally:
@@ -63,8 +68,14 @@ class CellStore:
         return {entry.name.removesuffix(".parquet") for entry in self._entries() if entry.name.endswith(".parquet")}
 
     def row(self, key: str) -> dict[str, Any]:
-        """Result row of a cell, from the record in its file (the flight is not read)."""
-        return read_metadata(self.path(key), "flight")["row"]
+        """Result row of a cell, from the record in its file (the flight is not read).
+
+        Raises DataError where the file is damaged or holds another flight.
+        """
+        record = read_metadata(self.path(key), "flight")
+        if record.get("key") != key or "row" not in record:
+            raise DataError(f"{self.path(key)}: holds another flight than its name says")
+        return record["row"]
 
     def remove(self, keys: Iterable[str]) -> None:
         for key in keys:
@@ -84,12 +95,11 @@ class CellStore:
         try:
             yield
         except BaseException:
-            for folder in (self.folder, self.root):
-                if folder.is_dir() and not any(path.is_file() for path in folder.rglob("*")):
-                    shutil.rmtree(folder, ignore_errors=True)
+            if self.root.is_dir() and not any(path.is_file() for path in self.root.rglob("*")):
+                shutil.rmtree(self.root, ignore_errors=True)
             raise
 
-    def _entries(self) -> Iterator[os.DirEntry]:
+    def _entries(self) -> Iterator[os.DirEntry[str]]:
         for folder in os.scandir(self.folder) if self.folder.is_dir() else ():
             if folder.is_dir():
                 yield from os.scandir(folder.path)

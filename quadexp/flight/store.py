@@ -42,21 +42,27 @@ def check_output(path: str | Path, *, force: bool = False, folder: bool = False)
     Raises UsageError.
     """
     path = Path(path)
-    if folder and path.is_file():
-        raise UsageError(f"{path}: is a file, a folder is needed here: choose another --out")
-    if not folder and path.is_dir():
-        raise UsageError(f"{path}: is a folder, a file name is needed here: choose another --out")
-    occupied = any(path.iterdir()) if folder and path.is_dir() else path.exists()
-    if occupied and not force:
-        raise UsageError(f"{path}: exists already; pass --force to replace it, or choose another --out")
-    above = [path, *path.absolute().parents] if folder else list(path.absolute().parents)
-    nearest = next(parent for parent in above if parent.exists())
-    probe = nearest / f".{path.name}.{os.getpid()}.probe"
     try:
+        str(path).encode()
+        if folder and path.is_file():
+            raise UsageError(f"{path}: is a file, a folder is needed here: choose another --out")
+        if not folder and path.is_dir():
+            raise UsageError(f"{path}: is a folder, a file name is needed here: choose another --out")
+        if path.exists() and not path.is_dir() and not path.is_file():
+            raise UsageError(f"{path}: is a device or a pipe, not a file: choose another --out")
+        occupied = any(path.iterdir()) if folder and path.is_dir() else os.path.lexists(path)
+        if occupied and not force:
+            raise UsageError(f"{path}: exists already; pass --force to replace it, or choose another --out")
+        above = [path, *path.absolute().parents] if folder else list(path.absolute().parents)
+        nearest = next(parent for parent in above if parent.exists())
+        probe = nearest / f".{path.name}.{os.getpid()}.probe"
         probe.touch()
         probe.unlink()
     except OSError as error:
         raise UsageError(f"{path}: cannot be written there ({error.strerror}): choose another --out") from None
+    except UnicodeEncodeError:
+        name = os.fsencode(path).decode(errors="backslashreplace")
+        raise UsageError(f"{name}: the name is not UTF-8: choose another --out") from None
     return path
 
 
@@ -148,9 +154,9 @@ def read_metadata(path: str | Path, kind: str | None = None) -> dict[str, Any]:
     try:
         schema = pq.read_schema(path)
     except (pa.ArrowException, OSError, MemoryError) as error:
-        raise DataError(f"{path}: not a Parquet file, or damaged ({first_line(error)})") from None
+        raise DataError(f"{path}: not a Parquet file, or damaged ({first_line(error)}){_remade(kind)}") from None
     except (UnicodeError, ValueError, OverflowError) as error:
-        raise DataError(f"{path}: damaged ({first_line(error)})") from None
+        raise DataError(f"{path}: damaged ({first_line(error)}){_remade(kind)}") from None
     raw = (schema.metadata or {}).get(METADATA_KEY, b"")
     try:
         record = json.loads(raw)
@@ -164,6 +170,10 @@ def read_metadata(path: str | Path, kind: str | None = None) -> dict[str, Any]:
     if kind is not None and found != kind:
         raise DataError(f"{path}: holds {found}, {kind} are needed here (made by `quadexp {COMMANDS[kind]}`)")
     return record
+
+
+def _remade(kind: str | None) -> str:
+    return "; the sweep, run again, makes it anew from its flights" if kind == "results" else ""
 
 
 def read_table(
@@ -183,7 +193,7 @@ def read_table(
             table = file.read()
         columns = {name: _numpy(table.column(name)) for name in table.column_names}
     except (pa.ArrowException, OSError, MemoryError, ValueError, OverflowError) as error:
-        raise DataError(f"{path}: damaged ({first_line(error)})") from None
+        raise DataError(f"{path}: damaged ({first_line(error)}){_remade(kind)}") from None
     missing = [name for name in required if name not in columns]
     if missing:
         raise DataError(f"{path}: column {missing[0]!r} is missing (it has {', '.join(list(columns)[:12])}, ...)")
@@ -203,6 +213,24 @@ def check_finite(columns: Mapping[str, np.ndarray], names: Iterable[str], where:
             raise DataError(
                 f"{where}: column {name!r} is {values[bad[0]]} at row {bad[0]} ({len(bad)} such rows of {len(values)})"
             )
+
+
+def check_order(t: np.ndarray, where: str) -> None:
+    """Raise DataError naming the first row whose time is not later than that of the row before."""
+    late = np.flatnonzero(~(np.diff(t) > 0))
+    if len(late):
+        k = int(late[0])
+        raise DataError(
+            f"{where}: time does not go on from row {k} ({t[k]:.6g} s) to row {k + 1} ({t[k + 1]:.6g} s): sort the"
+            " rows, keep one of each time, or import the log again"
+        )
+
+
+def check_attitude(columns: Mapping[str, np.ndarray], where: str) -> None:
+    """Raise DataError naming the first row whose quaternion is no attitude."""
+    none = np.flatnonzero(~np.any([columns[f"q_{axis}"] for axis in "wxyz"], axis=0))
+    if len(none):
+        raise DataError(f"{where}: the quaternion is zero at row {none[0]} ({len(none)} such rows): remove them")
 
 
 # pyarrow's own conversions from and to numpy import pandas, a third of a second in every process; the buffers do not.
@@ -247,11 +275,15 @@ def write_flight(path: str | Path, flight: Flight, **extra: Any) -> Path:
     return write_table(path, flight.columns, {**flight.metadata, **extra}, "flight")
 
 
-def read_flight(path: str | Path, *, check: bool = True) -> Flight:
-    """Read a flight. check: refuse NaN in time, state or input (naming column and row)."""
+def read_flight(path: str | Path, *, check: bool = True, ordered: bool = False) -> Flight:
+    """Read a flight. check: refuse NaN in time, state or input (naming column and row). ordered: refuse time that does
+    not go on, as what is learned from differences must."""
     thrust = () if read_metadata(path).get("recorded") else ("u_0",)  # a log seldom says the rotors' thrust
     columns, record = read_table(path, "flight", required=("t", *STATE_COLUMNS, *thrust))
     if check:
         names = ["t", *STATE_COLUMNS, *(name for name in columns if name.startswith("u_"))]
         check_finite(columns, names, str(path))
+        check_attitude(columns, str(path))
+    if ordered:
+        check_order(columns["t"], str(path))
     return Flight(columns, record)

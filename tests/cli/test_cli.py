@@ -305,7 +305,7 @@ class TestLearning:
 
     def test_one_flight_cannot_be_split(self, chain, monkeypatch):
         monkeypatch.chdir(chain[0])
-        flight = sorted(Path("flights").iterdir())[0]
+        flight = min(Path("flights").iterdir())
         assert run("collect", "--flight", flight, "--out", "one.parquet")[0] == 0
         for command in ("fit-drag", "fit-gp"):
             code, _, err = run(command, "one.parquet", "--out", "one")

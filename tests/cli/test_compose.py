@@ -133,7 +133,7 @@ MISTAKES = {
     "trajectory.speed=4,8": "use `quadexp evaluate --sweep`",
     "seed=range(3)": "use `quadexp evaluate --sweep`",
     "speed": "expected KEY=VALUE",
-    "model=a(b": "quote a value",
+    "trajectory.speed=a(b": "quote a value",
     "trajectory=file": "trajectory.path: has no value; give trajectory.path=VALUE",
     "seed=-1": r"seed=-1: must be in \[0, 4294967295\]",
     "seed=0.5": "seed: Value '0.5' of type 'float' could not be converted to Integer",

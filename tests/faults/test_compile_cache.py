@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -32,12 +33,18 @@ def folder(tmp_path, monkeypatch):
     return tmp_path / "cache"
 
 
-def process(folder, wrapper=None):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "QUADEXP_CACHE": str(folder)}
+def process(folder, wrapper=None, before="", **changes):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "QUADEXP_CACHE": str(folder), **changes}
     if wrapper:
         environment["CC"] = str(wrapper)
+    if folder is None:
+        del environment["QUADEXP_CACHE"]
     return subprocess.Popen(
-        [sys.executable, "-c", CODE], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+        [sys.executable, "-c", before + CODE],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
     )
 
 
@@ -100,3 +107,85 @@ def test_a_folder_that_others_may_write_to_is_refused(folder):
 
 def test_a_new_folder_is_private(folder):
     assert cache_folder().stat().st_mode & 0o777 == 0o700
+
+
+def refused(started):
+    """The one error that ends the process, without what led to it."""
+    error = started.communicate(timeout=120)[1].strip().splitlines()[-1]
+    assert started.returncode == 1 and error.startswith("quadexp.errors.QuadexpError: "), error
+    return error.removeprefix("quadexp.errors.QuadexpError: ")
+
+
+def script(path, body):
+    path.write_text(f"#!/bin/sh\n{body}\n")
+    path.chmod(0o755)
+    return path
+
+
+def test_a_compiler_of_several_words(folder):
+    """CC="ccache gcc" is how many have it."""
+    assert answer(process(folder, "env gcc")) == pytest.approx(1.5**3 + 0.1)
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("sleep 60", "it took longer than 1 s"),
+        ('case "$*" in *--version*) ;; *) exec sleep 60;; esac', "it took longer than 1 s"),
+        ("exit 3", "exit code 3"),
+        ('case "$*" in *--version*) ;; *) kill -9 $$;; esac', "exit code -9"),
+    ],
+)
+def test_a_compiler_that_does_not_end_well(folder, tmp_path, body, said):
+    impatient = "import quadexp.compiler; quadexp.compiler.PATIENCE = 1\n"
+    started = process(folder, script(tmp_path / "cc", body), before=impatient)
+    assert said in refused(started)
+    assert not list(folder.glob("*.so"))
+
+
+def test_a_file_system_without_locks(folder):
+    """As on some clusters: both build, and what lies there in the end is whole."""
+    before = (
+        "import errno, fcntl\ndef flock(*_): raise OSError(errno.ENOLCK, 'No locks available')\nfcntl.flock = flock\n"
+    )
+    started = [process(folder, before=before) for _ in range(2)]
+    assert {answer(one) for one in started} == {1.5**3 + 0.1}
+    assert answer(process(folder)) == 1.5**3 + 0.1
+
+
+@pytest.fixture
+def mounted(tmp_path):
+    """Mounts a small file system with some options."""
+    place = tmp_path / "mounted"
+    place.mkdir()
+
+    def mount(options):
+        done = subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", place], capture_output=True)
+        if done.returncode:
+            pytest.skip("no file system can be mounted here")
+        return place
+
+    yield mount
+    subprocess.run(["umount", place], capture_output=True)
+
+
+def test_a_home_that_takes_no_files(mounted, tmp_path):
+    """As in a container that runs as nobody in particular: the system's temporary folder serves."""
+    home = mounted("ro")
+    (tmp_path / "t").mkdir()
+    started = process(None, HOME=str(home), XDG_CACHE_HOME="", TMPDIR=str(tmp_path / "t"))
+    assert answer(started) == pytest.approx(1.5**3 + 0.1)
+    (made,) = (tmp_path / "t").glob("quadexp-*")
+    assert made.stat().st_mode & 0o777 == 0o700 and list(made.glob("*.so"))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ("ro,mode=700", "cannot be kept there .Read-only file system.; set QUADEXP_CACHE to"),
+        ("size=4k,mode=700", "No space left on device|gcc could not compile"),
+        ("noexec,size=20m,mode=700", "failed to map segment.*set QUADEXP_CACHE to"),
+    ],
+)
+def test_a_chosen_folder_that_cannot_be_used(mounted, options, said):
+    assert re.search(said, refused(process(mounted(options))))

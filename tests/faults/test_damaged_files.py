@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 
 import numpy as np
 import pytest
 
-from quadexp.errors import QuadexpError
+from quadexp.compose import compose
+from quadexp.errors import DataError, QuadexpError, UsageError
+from quadexp.experiment.collect import collect_dataset
+from quadexp.experiment.identify import identify_files, read_recorded
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import read_flight, write_flight
-from quadexp.identify.checkpoint import MODEL_FILE, load_model, save_model
+from quadexp.identify.checkpoint import MODEL_FILE, load_model, load_report, save_model
 from quadexp.identify.linear_drag import LinearDrag
 from quadexp.state import STATE_COLUMNS, input_columns
 
@@ -86,3 +90,66 @@ def test_a_flight_under_a_checkpoint_s_name_and_the_reverse(tmp_path, rng):
     (tmp_path / "b.parquet").write_text('{"kind": "linear_drag"}')
     with pytest.raises(QuadexpError, match="not a Parquet file, or damaged"):
         read_flight(tmp_path / "b.parquet")
+
+
+def test_a_checkpoint_nested_beyond_reason(tmp_path):
+    for name in (MODEL_FILE, "report.json"):
+        (tmp_path / name).write_text("[" * 200_000)
+    with pytest.raises(QuadexpError, match="damaged, or no model"):
+        load_model(tmp_path)
+    with pytest.raises(QuadexpError, match="damaged"):
+        load_report(tmp_path)
+
+
+def test_what_another_process_of_the_same_number_left(tmp_path, rng):
+    """In containers every process may be number 1: what a killed one left keeps nobody from writing."""
+    left = tmp_path / f".model.{os.getpid()}.tmp"
+    left.mkdir()
+    (left / MODEL_FILE).write_text("half")
+    three = lambda: rng.normal(size=3)  # noqa: E731
+    model = LinearDrag(three(), three(), 0.1, three(), three(), 0.01, three(), three(), 99)
+    np.testing.assert_array_equal(load_model(save_model(tmp_path / "model", model)).parameters, model.parameters)
+    assert [path.name for path in tmp_path.iterdir()] == ["model"]
+
+
+def test_a_flight_that_is_given_twice(tmp_path, rng):
+    """Its rows would be fitted while they are held out, and the report would praise the fit."""
+    columns = {name: rng.normal(size=9) for name in ("t", *STATE_COLUMNS, *input_columns(4))}
+    flight = write_flight(tmp_path / "a.parquet", Flight(columns, {}))
+    (tmp_path / "b").mkdir()
+    (tmp_path / "link.parquet").symlink_to(flight)
+    other = write_flight(tmp_path / "b" / "a.parquet", Flight(columns, {}))
+    config, out = compose([]), tmp_path / "r.parquet"
+    with pytest.raises(UsageError, match="given twice"):
+        collect_dataset(config, out, flights=[flight, tmp_path / "link.parquet"])
+    with pytest.raises(UsageError, match="two flights named a"):
+        collect_dataset(config, out, flights=[flight, other], save_flights=tmp_path / "flights")
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("fault", ["goes back", "stands still", "is reversed"])
+def test_time_that_does_not_go_on(tmp_path, fault):
+    """Derivatives over such rows would be learned as air."""
+    t = 0.02 * np.arange(200)
+    t = {"goes back": np.where(t > 2, t - 1, t), "stands still": np.minimum(t, 2), "is reversed": t[::-1]}[fault]
+    columns = {name: np.ones(200) for name in (*STATE_COLUMNS, *input_columns(4))} | {"t": t}
+    path = write_flight(tmp_path / "a.parquet", Flight(columns, {"recorded": True}))
+    for learn in (
+        lambda: collect_dataset(compose([]), tmp_path / "r.parquet", flights=[path]),
+        lambda: read_recorded(path),
+        lambda: identify_files([path], tmp_path / "e", vehicle="lei_li"),
+    ):
+        with pytest.raises(DataError, match="time does not go on from row"):
+            learn()
+
+
+def test_a_quaternion_of_zeros(tmp_path):
+    """What a log has before its estimator has an answer."""
+    columns = {name: np.ones(9) for name in (*STATE_COLUMNS, *input_columns(4))} | {"t": np.arange(9.0)}
+    for axis in "wxyz":
+        columns[f"q_{axis}"][4] = 0.0
+    path = write_flight(tmp_path / "a.parquet", Flight(columns, {"recorded": True}))
+    for read in (read_flight, read_recorded):
+        with pytest.raises(DataError, match="quaternion is zero at row 4"):
+            read(path)
+    assert len(read_flight(path, check=False)) == 9

@@ -30,7 +30,7 @@ def same(flight, other):
 
 
 def test_no_home(usual, tmp_path):
-    away = {name: None for name in ("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "QUADEXP_CACHE", "USER", "LOGNAME")}
+    away = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "QUADEXP_CACHE", "USER", "LOGNAME"))
     done = run(*FLY, "--out", tmp_path / "a.parquet", environment=away)
     assert done.returncode == 0, done.stderr
     assert same(read_flight(tmp_path / "a.parquet"), usual)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.errors import QuadexpError
 from quadexp.flight.exporters import missing_extra
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import write_bytes
@@ -29,7 +30,10 @@ def write(flight: Flight, path: Path) -> dict[str, Path]:
         import rerun
     except ImportError:
         raise missing_extra("rerun-sdk", "rerun") from None
-    return {"rerun": write_bytes(path, lambda temporary: _write(flight, temporary, rerun))}
+    try:
+        return {"rerun": write_bytes(path, lambda temporary: _write(flight, temporary, rerun))}
+    except RuntimeError as error:  # its writer thread died: what is said above by rerun itself
+        raise QuadexpError(f"{path}: cannot be written ({error})") from None
 
 
 def _write(flight: Flight, path: Path, rr: Any) -> None:

@@ -1,0 +1,114 @@
+"""The same sweep once more, after its files were damaged, its disk was full, or it was ended between two writes."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import shutil
+
+import pytest
+
+from quadexp.compose import expand
+from quadexp.errors import DataError, UsageError
+from quadexp.experiment.sweep import run_sweep
+from quadexp.flight.cell_store import CellStore
+from quadexp.report.figures import draw_results
+from tests.experiment.cells import quick_cell
+
+
+def fly(out, seeds=2, **options):
+    cells = expand([f"seed=range({seeds})", "trajectory.speed=2", "controller=nominal_mpc"])
+    return run_sweep(cells, out, isolate=False, function=quick_cell, **options)
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    out = tmp_path_factory.mktemp("flown") / "r"
+    fly(out)
+    return out
+
+
+@pytest.fixture
+def again(flown, tmp_path):
+    """A copy of the results, and what its table says."""
+    shutil.copytree(flown, tmp_path / "r")
+    return tmp_path / "r"
+
+
+def table(out):
+    return (out / "results.csv").read_text()
+
+
+@pytest.mark.parametrize("damage", [b"", b"hello", "cut", "another kind"])
+def test_a_damaged_table_is_made_anew_from_the_flights(again, damage):
+    path, before = again / "results.parquet", table(again)
+    if damage == "another kind":
+        shutil.copy(again / "statistics.parquet", path)
+    else:
+        path.write_bytes(path.read_bytes()[:-30] if damage == "cut" else damage)
+    result = fly(again)
+    assert result.flown == 0 and table(again) == before
+    assert fly(again).flown == 0
+
+
+@pytest.mark.parametrize("damage", ["cut", "swapped"])
+def test_a_damaged_flight_is_flown_again_where_the_table_does_not_know_it(again, damage):
+    """Also one under another's name: a row is taken from a flight only where the flight says that it is the one."""
+    before = table(again)
+    first, second = sorted(again.glob("cells/*/*.parquet"))
+    if damage == "cut":
+        first.write_bytes(first.read_bytes()[:-30])
+    else:
+        first.write_bytes(second.read_bytes())
+    with pytest.raises(DataError):
+        CellStore(again).row(first.stem)
+    (again / "results.parquet").unlink()
+    assert fly(again).flown == 1
+    assert table(again) == before
+    assert CellStore(again).row(first.stem)["key"] == first.stem
+
+
+def test_what_a_full_disk_leaves_is_no_folder_of_other_things(tmp_path):
+    """No flight could be written, nor the table, but the few lines of results.csv."""
+    store = CellStore(tmp_path / "r")
+    store.open()
+    with pytest.raises(OSError), store.emptied():
+        (store.root / "results.csv").write_text("key\n")
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert fly(store.root).flown == 2
+
+
+def test_a_file_system_without_locks(again, monkeypatch):
+    def refuse(file, operation):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    assert fly(again).flown == 0
+
+
+def test_a_lock_that_was_removed_by_the_one_who_held_it(again, monkeypatch):
+    """Two sweeps would hold a lock each: one of a file that is no longer there."""
+    store, flock = CellStore(again), fcntl.flock
+
+    def late(file, operation):
+        flock(file, operation)
+        (store.folder / ".lock").unlink()
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with pytest.raises(UsageError, match="another sweep is running there"), store.lock():
+        pass
+
+
+def test_figures_are_of_the_rows_beside_them(again):
+    """A sweep that is ended after its table and before its figures leaves the earlier ones."""
+    draw = lambda result: draw_results(result.rows, again, fingerprint=result.statistics.fingerprint)  # noqa: E731
+    path = again / "figures" / "solve_time.svg"
+    draw(fly(again))
+    first = path.read_bytes(), path.stat().st_mtime_ns
+    draw(fly(again))
+    assert first == (path.read_bytes(), path.stat().st_mtime_ns)
+    fly(again, seeds=4)  # and ended here
+    result = fly(again, seeds=4)
+    assert result.flown == 0
+    draw(result)
+    assert path.stat().st_mtime_ns != first[1]
