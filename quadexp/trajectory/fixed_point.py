@@ -129,7 +129,8 @@ class _Iteration:
             motion, asked, outputs = self._step(air)
             before, change = change, np.abs(asked - air.outputs).max(axis=0)
             if held:
-                share = np.where(change > FALLING * before, np.maximum(share / 2, SHORTEST), np.minimum(2 * share, 1))
+                longer = np.minimum(2 * share, 1) if i < PATIENCE else share  # later on: or they go round in circles
+                share = np.where(change > FALLING * before, np.maximum(share / 2, SHORTEST), longer)
                 outputs = air.outputs + share * (outputs - air.outputs)
             if not settled and np.abs(outputs - air.outputs)[:2].max() < SETTLED:
                 settled, stall = True, _Stall()

@@ -14,7 +14,7 @@ from quadexp.residual.base import symbolic_residual
 from quadexp.residual.blade_element import blade_element_residual
 from quadexp.rotor import BladeCoefficients
 from quadexp.state import RATE, VELOCITY
-from quadexp.trajectory import Circle, FlatOutput, flat_reference
+from quadexp.trajectory import Circle, FlatOutput, Lemniscate, flat_reference
 from quadexp.trajectory.air_model import AirModel
 from quadexp.trajectory.demand import Demand
 from quadexp.trajectory.fixed_point import Settings, agreeing_air
@@ -101,6 +101,23 @@ def test_corners_take_few_iterations_and_leave_the_legs_steady(lei_li, blade_ele
         assert np.abs(derivative[VELOCITY]).max() < 1e-8
         assert np.abs(derivative[RATE]).max() < 1e-7
         assert np.all(x[RATE] == pytest.approx(0, abs=1e-9))
+
+
+@pytest.mark.parametrize("speed", [12.0, 13.0])
+def test_references_past_the_rotors_limits_are_still_found(lei_li, blade_element, speed):
+    """Near its crossing the lemniscate asks one rotor to push by 13 and 20 N. Lengths of steps must not go round in
+    circles there; most of the path obeys the equations to a millimetre per second squared."""
+    path = Lemniscate(speed=speed)
+    t = np.linspace(0.2, path.duration - 0.2, 300)
+    reference = flat_reference(path, t, lei_li, blade_element)
+    assert reference.input.min() < lei_li.thrust_min
+    dynamics = corrected_function(lei_li, blade_element)
+    acceleration = path.flat_output(t).position[:, 2]
+    wrong = [
+        np.abs(np.array(dynamics(x, u, blade_element.theta)).ravel()[VELOCITY] - a).max()
+        for x, u, a in zip(reference.state, reference.input, acceleration, strict=True)
+    ]
+    assert np.median(wrong) < 1e-3
 
 
 def test_where_there_is_no_agreement_the_end_comes_soon(vehicle):
