@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import re
+from pathlib import Path
+
+DEVICE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # the device's fault, not the request's
+
 
 class QuadexpError(Exception):
     """A failure with a one-line explanation; the command line exits with `exit_code`."""
@@ -21,3 +27,12 @@ class DataError(QuadexpError):
 
 class ModelDomainError(QuadexpError):
     """A physical model was asked for a point where it has no answer, or more than one."""
+
+
+def write_error(path: Path, error: OSError) -> QuadexpError:
+    """What to raise for a file that could not be written: a failure where the device is full or broken, else a wrong
+    request. Arrow names the number only in its message."""
+    named = re.search(r"errno (\d+)", str(error))
+    number = error.errno or (int(named[1]) if named else 0)
+    kind = QuadexpError if number in DEVICE else UsageError
+    return kind(f"{path}: cannot be written ({error.strerror or error})")

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.errors import DataError, UsageError
+from quadexp.errors import DataError, UsageError, write_error
 from quadexp.flight.schema import Flight, describe
 from quadexp.state import STATE_COLUMNS
 
@@ -77,7 +77,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
             os.fsync(file.fileno())
         os.replace(temporary, path)
     except OSError as error:
-        raise UsageError(f"{path}: cannot be written ({error.strerror or error})") from error
+        raise write_error(path, error) from error
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)

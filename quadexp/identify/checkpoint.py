@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.errors import DataError, UsageError
+from quadexp.errors import DataError, UsageError, write_error
 from quadexp.flight.store import check_output
 from quadexp.identify.linear_drag import LinearDrag
 from quadexp.identify.model import GPModel, OutputPosterior
@@ -65,7 +65,7 @@ def save_model(path: str | Path, model: Model, *, report: dict[str, Any] | None 
         else:
             os.replace(temporary, path)
     except OSError as error:
-        raise UsageError(f"{path}: cannot be written ({error.strerror or error})") from error
+        raise write_error(path, error) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return path

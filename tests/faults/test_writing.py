@@ -35,8 +35,9 @@ def test_the_disk_is_full(small_disk, tmp_path):
     assert run(*FLY, "--out", tmp_path / "a.parquet").returncode == 0
     with contextlib.suppress(OSError):
         (small_disk / "ballast").write_bytes(b"0" * 16384)
-    line = one_line(run(*FLY, "--out", path))
-    assert str(path) in line and "No space left on device" in line
+    done = run(*FLY, "--out", path)
+    line = one_line(done)
+    assert str(path) in line and "No space left on device" in line and done.returncode == 1
     assert files(small_disk) == ["ballast"]
 
 
@@ -50,8 +51,9 @@ def test_a_file_may_not_grow(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 
     # SIGXFSZ is ignored by Python: the write itself fails
-    line = one_line(run(*FLY, "--out", path, "--force", limit=limit))
-    assert str(path) in line and "too large" in line
+    done = run(*FLY, "--out", path, "--force", limit=limit)
+    line = one_line(done)
+    assert str(path) in line and "too large" in line and done.returncode == 1
     assert path.read_bytes() == whole and files(tmp_path) == ["a.parquet"]
 
 
