@@ -80,7 +80,7 @@ class ActiveSet:
             return self._failed()
         solver = self._daqp = self._daqp or BufferedFunction(_dense_solver(low.size))
         solver.arguments["h"][...], solver.arguments["g"][...] = hessian, gradient
-        solver.arguments["lbx"][...], solver.arguments["ubx"][...] = low.reshape(-1), high.reshape(-1)
+        solver.arguments["lbx"][...], solver.arguments["ubx"][...] = low.ravel(), high.ravel()
         try:
             solver()
         except RuntimeError:

@@ -62,7 +62,7 @@ class ModelPredictiveController:
         arguments["u_min"][...], arguments["u_max"][...] = vehicle.thrust_min, vehicle.thrust_max
         arguments["dt"][...] = settings.node_period
         self._x0, self._X_ref, self._U_ref = (arguments[name] for name in ("x0", "X_ref", "U_ref"))
-        self._X_ref_flat, self._U_ref_flat = self._X_ref.reshape(-1), self._U_ref.reshape(-1)
+        self._X_ref_flat, self._U_ref_flat = self._X_ref.ravel(), self._U_ref.ravel()
         self._X, self._U = arguments["X"], arguments["U"]
         self._X_new, self._U_new = (self._step.results[name] for name in ("X_new", "U_new"))
         self._checks, self._thrust = self._step.results["checks"], self._U[0]
@@ -73,7 +73,7 @@ class ModelPredictiveController:
 
     def set_parameters(self, theta: np.ndarray) -> None:
         """New residual parameters, (p,), from the next step on; nothing is rebuilt."""
-        self._step.arguments["theta"].reshape(-1)[:] = theta
+        self._step.arguments["theta"].ravel()[:] = theta
 
     @property
     def prediction(self) -> tuple[np.ndarray, np.ndarray]:

@@ -190,6 +190,28 @@ def test_last_resort_gives_the_same_answer(solvers, vehicle, rng):
         assert np.array_equal(hasty.side, patient.side)
 
 
+def test_a_solver_that_errs_is_not_believed(solvers, vehicle, rng):
+    """DAQP's answer with one thrust moved by a millinewton: within its bounds, but not where the gradient leads."""
+    step, make_active_set = solvers
+    hasty = make_active_set(max_sweeps=0)
+    pose(step, vehicle, rng, spread=3.0, terminal=0.0)
+    step()
+    low, high = bounds(step)
+    assert hasty.solve(low, high)[2] == Status.LAST_RESORT
+    solver, inside = hasty._daqp, int(np.argmin(np.abs(hasty.side.ravel())))
+
+    class Erring:
+        arguments, results = solver.arguments, solver.results
+
+        def __call__(self):
+            solver()
+            self.results["x"][inside] += 1e-3
+
+    hasty._daqp = Erring()
+    assert hasty.solve(low, high)[2] == Status.FAILED
+    assert np.all(hasty.side == 0)
+
+
 def test_warm_start_needs_one_sweep(solvers, vehicle, rng):
     step, make_active_set = solvers
     active_set = make_active_set(max_sweeps=60)
