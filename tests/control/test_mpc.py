@@ -88,12 +88,15 @@ def test_saturated_step_converges_to_the_bounded_optimum(vehicle):
 
 
 def test_quaternion_sign_does_not_matter(vehicle):
-    other = HOVER.copy()
-    other[3] = -1
+    tilted = HOVER.copy()
+    tilted[3:7] = np.cos(0.2), 0.6 * np.sin(0.2), 0.8 * np.sin(0.2), 0
+    other = tilted.copy()
+    other[3:7] *= -1
     answers = []
-    for x in (HOVER, other):
+    for x in (tilted, other):
         controller = ModelPredictiveController(vehicle, make_residual("none", vehicle), backend="interpreted")
         state, thrust = hover_reference(controller, vehicle, (0.3, 0, 0))
+        state[:, 3:7] = tilted[3:7]
         controller.reset(x, state, thrust)
         answers.append(controller.command(x, state, thrust)[0])
     assert answers[0] == pytest.approx(answers[1], abs=1e-9)
