@@ -87,6 +87,14 @@ def test_saturated_step_converges_to_the_bounded_optimum(vehicle):
     assert u == pytest.approx(expected, abs=1e-4)
 
 
+def test_a_step_without_bounds_says_so(vehicle):
+    controller = ModelPredictiveController(vehicle, make_residual("none", vehicle), backend="interpreted")
+    state, thrust = hover_reference(controller, vehicle)
+    controller.reset(HOVER, state, thrust)
+    record = controller.command(HOVER, state, thrust)[1]
+    assert (record.status, record.sweeps, record.active) == (Status.RICCATI, 0, 0)
+
+
 def test_quaternion_sign_does_not_matter(vehicle):
     tilted = HOVER.copy()
     tilted[3:7] = np.cos(0.2), 0.6 * np.sin(0.2), 0.8 * np.sin(0.2), 0
