@@ -20,6 +20,7 @@ import contextlib
 import ctypes
 import functools
 import gc
+import importlib
 import json
 import os
 import sys
@@ -67,7 +68,7 @@ OPTIONS = {
 def load_acados() -> Path:
     """Folder of the acados installation, its libraries loaded so that LD_LIBRARY_PATH need not be set."""
     try:
-        import acados_template  # noqa: F401
+        importlib.import_module("acados_template")
     except ImportError as error:
         raise SystemExit(f"acados_template cannot be imported by {sys.executable}: {error}") from None
     folder = Path(os.environ.get("ACADOS_SOURCE_DIR", ""))

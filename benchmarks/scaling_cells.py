@@ -98,21 +98,20 @@ def resident(pid: int | str = "self", name: str = "VmRSS") -> float:
     return float("nan")
 
 
+_keep = build._keep  # as it is without counting
 _built = [0]
 _ended: list[Any] = [None]  # clocks at the end of this process's last cell
 
 
 def _count_builds() -> int:
     """Controllers built by this process so far; begins to count when called first."""
-    if not hasattr(build, "uncounted"):
-        build.uncounted = build._keep  # type: ignore[attr-defined]
-
-        def counted(record: Any, make: Any) -> Any:
-            def made() -> Any:
-                _built[0] += record[0] == "controller"
-                return make()
-
-            return build.uncounted(record, made)  # type: ignore[attr-defined]
-
-        build._keep = counted
+    build._keep = _counted_keep
     return _built[0]
+
+
+def _counted_keep(record: Any, make: Any) -> Any:
+    def made() -> Any:
+        _built[0] += record[0] == "controller"
+        return make()
+
+    return _keep(record, made)

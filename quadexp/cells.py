@@ -27,34 +27,15 @@ class Cell:
     varied: str = ""
 
 
-class Cells(Sequence[Cell]):
-    """All combinations of some grids, one after the other.
+class Combinations:
+    """All combinations of some grids, one after the other, as overrides."""
 
-    compose: from the overrides of a cell to its configuration.
-    """
-
-    def __init__(self, grids: Sequence[Grid], compose: Callable[[Sequence[str]], Config]) -> None:
+    def __init__(self, grids: Sequence[Grid]) -> None:
         self.grids = tuple(grids)
-        self._compose = compose
         self._sizes = [math.prod(map(len, grid)) for grid in self.grids]
-        values: dict[str, set[str]] = {}
-        for text in (text for grid in self.grids for texts in grid for text in texts):
-            values.setdefault(_key(text), set()).add(text)
-        self._varied = {key for key, texts in values.items() if len(texts) > 1 and key not in COLUMN_KEYS}
 
     def __len__(self) -> int:
         return sum(self._sizes)
-
-    @overload
-    def __getitem__(self, index: int) -> Cell: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Cell]: ...
-    def __getitem__(self, index: Any) -> Any:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
-        overrides = self.overrides(index)
-        varied = [text for text in overrides if _key(text) in self._varied]
-        return Cell(self._compose(overrides), overrides, " ".join(varied))
 
     def overrides(self, index: int) -> tuple[str, ...]:
         """What makes the cell at `index`."""
@@ -70,6 +51,32 @@ class Cells(Sequence[Cell]):
             rest, value = divmod(rest, len(texts))
             chosen.append(texts[value])
         return tuple(reversed(chosen))
+
+
+class Cells(Combinations, Sequence[Cell]):
+    """All combinations of some grids, composed when they are asked for.
+
+    compose: from the overrides of a cell to its configuration.
+    """
+
+    def __init__(self, grids: Sequence[Grid], compose: Callable[[Sequence[str]], Config]) -> None:
+        super().__init__(grids)
+        self._compose = compose
+        values: dict[str, set[str]] = {}
+        for text in (text for grid in self.grids for texts in grid for text in texts):
+            values.setdefault(_key(text), set()).add(text)
+        self._varied = {key for key, texts in values.items() if len(texts) > 1 and key not in COLUMN_KEYS}
+
+    @overload
+    def __getitem__(self, index: int) -> Cell: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Cell]: ...
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        overrides = self.overrides(index)
+        varied = [text for text in overrides if _key(text) in self._varied]
+        return Cell(self._compose(overrides), overrides, " ".join(varied))
 
 
 def _key(override: str) -> str:

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from quadexp.cli_options import Force, Json, Out
+from quadexp.cli_options import Force, Json, OptionalOut, Out
 from quadexp.terminal import emit, guarded
 
 
@@ -76,7 +76,7 @@ def report(
     """
     from quadexp.report.page import make_report
 
-    made = make_report(results, out, figures=figures, baseline=baseline, force=force)  # type: ignore[arg-type]
+    made = make_report(results, out, figures=figures, baseline=baseline, force=force)
     if json:
         emit(made)
         return
@@ -87,7 +87,7 @@ def report(
 def export(
     flight: Annotated[Path, typer.Argument(help="A flight of `quadexp simulate`, or of a sweep.")],
     to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="csv, tum, px4csv, mcap or rerun.")],
-    out: Out = None,
+    out: OptionalOut = None,
     force: Force = False,
     json: Json = False,
 ) -> None:

@@ -54,7 +54,7 @@ def _fit(
     kind: str,
     dataset: Path,
     overrides: list[str] | None,
-    out: Path | None,
+    out: Path,
     conf: Path | None,
     force: bool,
     json: bool,
@@ -66,7 +66,7 @@ def _fit(
     from quadexp.progress import Progress
 
     config = compose(overrides or [], conf)
-    path = check_output(out, force=force, folder=True)  # type: ignore[arg-type]
+    path = check_output(out, force=force, folder=True)
     with Progress("fit") as progress:
         report = fit_checkpoint(kind, config, dataset, path, force=force, progress=progress, **options)
     if json:

@@ -7,14 +7,14 @@ from typing import Annotated, Any
 
 import typer
 
-from quadexp.cli_options import Conf, Force, Json, Out, Overrides
+from quadexp.cli_options import Conf, Force, Json, OptionalOut, Out, Overrides
 from quadexp.errors import QuadexpError
 from quadexp.terminal import emit, guarded, print_table, say
 
 
 @guarded
 def simulate(
-    overrides: Overrides = None, out: Out = None, conf: Conf = None, force: Force = False, json: Json = False
+    overrides: Overrides = None, out: OptionalOut = None, conf: Conf = None, force: Force = False, json: Json = False
 ) -> None:
     """Fly one configuration and write the flight.
 
@@ -64,7 +64,7 @@ def collect(
     from quadexp.progress import Progress
 
     config = compose(overrides or [], conf)
-    path = check_output(out, force=force)  # type: ignore[arg-type]
+    path = check_output(out, force=force)
     if save_flights is not None:
         check_output(save_flights, force=force, folder=True)
     with Progress("seconds of flight") as progress:
@@ -79,7 +79,7 @@ def collect(
 def evaluate(
     overrides: Overrides = None,
     sweep: Annotated[bool, typer.Option("--sweep", help="Fly every combination of the values given.")] = False,
-    out: Out = None,
+    out: OptionalOut = None,
     figures: Annotated[
         bool | None, typer.Option("--figures/--no-figures", help="Draw figures (a sweep does unless told).")
     ] = None,

@@ -13,7 +13,9 @@ Overrides = Annotated[
     list[str] | None,
     typer.Argument(metavar="KEY=VALUE", help="Settings, such as trajectory.speed=8", autocompletion=complete),
 ]
-Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="PATH", help="Where to write.")]
+_OUT = typer.Option("--out", "-o", metavar="PATH", help="Where to write.")
+Out = Annotated[Path, _OUT]
+OptionalOut = Annotated[Path | None, _OUT]
 Conf = Annotated[Path | None, typer.Option("--conf", metavar="DIR", help="A configuration folder of your own.")]
 Force = Annotated[bool, typer.Option("--force", "-f", help="Replace what is there.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")]

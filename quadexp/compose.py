@@ -274,14 +274,15 @@ def session(extra: Path | None = None) -> Iterator[Composer]:
     _register()
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(conf_folder()), job_name="quadexp", version_base="1.3"):
-        loader = GlobalHydra.instance().config_loader()
+        loader, hydra = GlobalHydra.instance().config_loader(), GlobalHydra.instance().hydra
+        assert isinstance(loader, ConfigLoaderImpl) and hydra is not None
         if folders:
             path = loader.get_search_path()
             for provider, folder in folders:
                 path.prepend(provider, f"file://{folder}", anchor=SearchPathQuery(provider="schema"))
             loader = ConfigLoaderImpl(config_search_path=path)
-            GlobalHydra.instance().hydra.config_loader = loader  # type: ignore[union-attr]
-        yield Composer(loader)  # type: ignore[arg-type]
+            hydra.config_loader = loader
+        yield Composer(loader)
 
 
 def compose(overrides: Sequence[str] = (), extra: Path | None = None) -> Config:

@@ -156,15 +156,15 @@ class EvaluateConfig(Checked):
 class Config(Checked):
     """The whole configuration. model: checkpoint folder. sweep: what `evaluate --sweep` varies (experiment files)."""
 
-    vehicle: VehicleConfig = MISSING  # type: ignore[assignment]
-    plant: PlantConfig = MISSING  # type: ignore[assignment]
-    sensor: SensorConfig = MISSING  # type: ignore[assignment]
-    trajectory: TrajectoryConfig = MISSING  # type: ignore[assignment]
-    controller: ControllerConfig = MISSING  # type: ignore[assignment]
-    collect: CollectConfig = MISSING  # type: ignore[assignment]
-    gp: GPConfig = MISSING  # type: ignore[assignment]
-    drag: DragConfig = MISSING  # type: ignore[assignment]
-    engine: EngineConfig = MISSING  # type: ignore[assignment]
+    vehicle: VehicleConfig = MISSING
+    plant: PlantConfig = MISSING
+    sensor: SensorConfig = MISSING
+    trajectory: TrajectoryConfig = MISSING
+    controller: ControllerConfig = MISSING
+    collect: CollectConfig = MISSING
+    gp: GPConfig = MISSING
+    drag: DragConfig = MISSING
+    engine: EngineConfig = MISSING
     evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
     model: str | None = None
     seed: int = number("[0, 4294967295]", "", 0)

@@ -107,7 +107,7 @@ class RLSMPCConfig(MPCConfig):
     kind: str = "rls_mpc"
     residual: str = choice("blade_element", default="blade_element")
     reference_period: float = number("[0, 3600]", "s")
-    rls: RLSConfig = MISSING  # type: ignore[assignment]
+    rls: RLSConfig = MISSING
 
 
 @dataclass
@@ -128,4 +128,4 @@ class FeedbackConfig(ControllerConfig):
     tilt_max: float = number("(0, 1.57]", "rad")
     rotor_speed_min: float = number("[0, 1000]", "rad/s")
     inner_iterations: int = number("[1, 1000]", "")
-    rls: RLSConfig = MISSING  # type: ignore[assignment]
+    rls: RLSConfig = MISSING

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import field, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
-MISSING = "???"  # OmegaConf's mark of a mandatory value
+MISSING: Any = "???"  # OmegaConf's mark of a mandatory value
 _INTERVAL = re.compile(r"([\[(])\s*(\S+?),\s*(\S+?)\s*([\])])")
 
 
@@ -33,8 +33,9 @@ def _field(default: Any, metadata: dict[str, Any]) -> Any:
 
 
 def _inside(value: float, interval: str) -> bool:
-    left, low, high, right = _INTERVAL.fullmatch(interval).groups()  # type: ignore[union-attr]
-    low, high = float(low), float(high)
+    match = _INTERVAL.fullmatch(interval)
+    assert match is not None, interval
+    left, low, high, right = match[1], float(match[2]), float(match[3]), match[4]
     above = value >= low if left == "[" else value > low
     below = value <= high if right == "]" else value < high
     return above and below and not math.isnan(value)
@@ -45,13 +46,14 @@ def is_set(*values: Any) -> bool:
     return MISSING not in values
 
 
+@dataclass
 class Checked:
     """Checks the intervals and choices that the fields declare; `prefix` is the key of the node."""
 
     prefix: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
-        for f in fields(self):  # type: ignore[arg-type]
+        for f in fields(self):
             value = getattr(self, f.name)
             if f.metadata and value is not None and value != MISSING:
                 check_value(f"{self.prefix}{f.name}", value, f.metadata)

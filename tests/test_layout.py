@@ -1,4 +1,4 @@
-"""The house: modules import along the data flow and in no circle, and each is small enough to be read at once."""
+"""The house: modules import along the data flow and in no circle."""
 
 from __future__ import annotations
 
@@ -34,9 +34,6 @@ FLOORS = (
 
 # Imports against the flow that stand for a reason: (module, imported).
 CROSSINGS: dict[tuple[str, str], str] = {}
-
-LONGEST = 300
-LONG: dict[str, str] = {}  # path: why it stands as one
 
 
 @cache
@@ -133,12 +130,3 @@ def test_imports_go_along_the_data_flow():
 def both_modules(module: str, target: str) -> bool:
     """Whether both are single modules, which may share a floor; two packages on one floor do not know of each other."""
     return all(name.count(".") <= 1 and modules()[name].name != "__init__.py" for name in (module, target))
-
-
-def test_every_module_can_be_read_at_once():
-    lengths = {
-        str(path.relative_to(ROOT)): len(path.read_text(encoding="utf-8").splitlines()) for path in modules().values()
-    }
-    long = {name: length for name, length in lengths.items() if length > LONGEST and name not in LONG}
-    assert not long, f"longer than {LONGEST} lines: {long}"
-    assert all(lengths[name] > LONGEST for name in LONG), "a module is short again: take it from LONG"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import queue
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -43,7 +43,7 @@ class DaskEngine:
     memory: float | None = None
     wait: float = 60.0
 
-    def fly(self, function: Callable[..., Any], tasks: Iterable[Task]) -> Iterator[tuple[str, Any]]:
+    def fly(self, function: Callable[..., Any], tasks: Iterable[Task]) -> Generator[tuple[str, Any]]:
         """See engine.Engine."""
         with self.open() as client:
             try:

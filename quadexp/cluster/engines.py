@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 
 from quadexp.config import Config
+from quadexp.config_engine import ClusterConfig, DaskConfig, SlurmConfig
 from quadexp.errors import UsageError
 from quadexp.experiment.engine import Engine, LocalEngine, default_workers
 
@@ -19,11 +20,12 @@ def build_engine(config: Config) -> Engine:
     settings = config.evaluate
     memory = settings.memory or None
     engine = config.engine
-    if engine.kind == "local":
+    if not isinstance(engine, ClusterConfig):
         return LocalEngine(settings.workers, settings.timeout, memory)
     needed = ["distributed"]
-    needed += ["cryptography"] if engine.tls else []  # type: ignore[attr-defined]
-    needed += ["dask_jobqueue"] if engine.kind == "slurm" else ["asyncssh"] if engine.hosts else []  # type: ignore[attr-defined]
+    needed += ["cryptography"] if engine.tls else []
+    needed += ["dask_jobqueue"] if isinstance(engine, SlurmConfig) else []
+    needed += ["asyncssh"] if isinstance(engine, DaskConfig) and engine.hosts else []
     for name in needed:
         try:
             importlib.import_module(name)
@@ -33,9 +35,4 @@ def build_engine(config: Config) -> Engine:
     from quadexp.cluster.start import open_cluster
 
     workers = settings.workers or default_workers()
-    return DaskEngine(
-        lambda: open_cluster(engine, workers),  # type: ignore[arg-type]
-        settings.timeout,
-        memory,
-        engine.wait,  # type: ignore[attr-defined]
-    )
+    return DaskEngine(lambda: open_cluster(engine, workers), settings.timeout, memory, engine.wait)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from quadexp.config import Config
-from quadexp.config_flight import ControllerConfig, PlantConfig, TrajectoryConfig, VehicleConfig
+from quadexp.config_flight import ControllerConfig, MPCConfig, PlantConfig, TrajectoryConfig, VehicleConfig
 from quadexp.config_lei_li import FeedbackConfig, RLSMPCConfig, SensorConfig
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment import build_custom, build_identified, build_lei_li
@@ -156,7 +156,7 @@ def build_residual(config: Config, vehicle: Vehicle, plant: Any, model: ModelFil
     """What the controller believes of the air: nothing, the plant's own equations, or a checkpoint."""
     from quadexp.residual.none import no_residual
 
-    kind = config.controller.residual  # type: ignore[attr-defined]
+    kind = cast(MPCConfig, config.controller).residual
     if kind == "none":
         return no_residual(vehicle)
     if kind == "plant":
@@ -205,9 +205,8 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
         from quadexp.control.mpc import ModelPredictiveController
         from quadexp.control.mpc_controller import PredictiveController
 
-        residual = build_residual(config, vehicle, plant, model)
-        mpc = ModelPredictiveController(vehicle, residual, settings, backend=controller.backend)  # type: ignore[attr-defined]
-        return PredictiveController(mpc)
+        residual, backend = build_residual(config, vehicle, plant, model), cast(MPCConfig, controller).backend
+        return PredictiveController(ModelPredictiveController(vehicle, residual, settings, backend=backend))
 
     return _keep(record, make)
 

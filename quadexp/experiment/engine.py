@@ -7,7 +7,7 @@ costs a fork and a replaced one is there at once. Every worker uses one thread o
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -43,7 +43,7 @@ CellFunction = Callable[[Config, ModelFile | None, str, str], dict[str, Any]]  #
 class Engine(Protocol):
     """Flies the cells of a sweep somewhere; the files and rows that come of it are the same wherever that is."""
 
-    def fly(self, function: CellFunction, tasks: Iterable[Task]) -> Iterator[tuple[str, dict[str, Any] | CellFailed]]:
+    def fly(self, function: CellFunction, tasks: Iterable[Task]) -> Generator[tuple[str, dict[str, Any] | CellFailed]]:
         """Call `function(config, model, path, key)` for every task; yield (key, row or CellFailed) as they end.
 
         When a row is yielded the file of its cell lies at the path of its task. Tasks are taken as they can be flown,
@@ -61,7 +61,7 @@ class LocalEngine:
     timeout: float | None = None
     memory: float | None = None
 
-    def fly(self, function: CellFunction, tasks: Iterable[Task]) -> Iterator[tuple[str, Any]]:
+    def fly(self, function: CellFunction, tasks: Iterable[Task]) -> Generator[tuple[str, Any]]:
         jobs = ((task.key, (task.config, task.model, task.path, task.key)) for task in tasks)
         return run_cells(function, jobs, workers=self.workers, timeout=self.timeout, memory=self.memory)
 
@@ -79,7 +79,7 @@ def run_cells(
     timeout: float | None = None,
     memory: float | None = None,
     preload: Sequence[str] = PRELOAD,
-) -> Iterator[tuple[str, Any]]:
+) -> Generator[tuple[str, Any]]:
     """Call `function(*arguments)` for every job in worker processes; yield (key, result or CellFailed) as they end.
 
     jobs: key -> arguments, handed out in this order, taken when they are. timeout: s of wall time a call may take.

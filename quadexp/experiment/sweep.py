@@ -134,7 +134,7 @@ def _fly(
         for job in map(plan.job, plan.flying_order(todo)):
             yield Task(job.key, job.cell.config, job.model, str(store.path(job.key)))
 
-    with contextlib.closing(engine.fly(function, tasks())) as flown:  # type: ignore[type-var]
+    with contextlib.closing(engine.fly(function, tasks())) as flown:
         for key, row in flown:
             if isinstance(row, CellFailed):
                 job = plan.job(key)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import importlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -38,7 +39,7 @@ class SweepTable:
 
     def recall(self) -> None:
         """Take the rows of all cells that are there; those that failed, or are damaged, are to be flown again."""
-        import pyarrow.parquet  # noqa: F401  (fifty megabytes, which are better taken now than in mid-sweep)
+        importlib.import_module("pyarrow.parquet")  # fifty megabytes, which are better taken now than in mid-sweep
 
         done = self._store.done()
         for path in (self._store.folder / UNFINISHED, self._store.root / RESULTS):

@@ -11,6 +11,7 @@ Time is nanoseconds from the start of the flight.
 
 from __future__ import annotations
 
+import importlib
 import json
 from pathlib import Path
 from typing import Any
@@ -44,7 +45,7 @@ SCHEMAS = {
 def write(flight: Flight, path: Path) -> dict[str, Path]:
     """Write the file; UsageError where the package is missing."""
     try:
-        import mcap  # noqa: F401
+        importlib.import_module("mcap")
     except ImportError:
         raise missing_extra("mcap", "mcap") from None
     return {"mcap": write_bytes(path, lambda temporary: _write(flight, temporary))}

@@ -58,7 +58,8 @@ def read_rosbag(path: Path) -> RawLog:
     try:
         source = path.parent if path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file() else path
         with AnyReader([source], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            wanted = [c for c in reader.connections if _taker(c.msgtype) is not None]
+            takers = {c.msgtype: taker for c in reader.connections if (taker := _taker(c.msgtype)) is not None}
+            wanted = [c for c in reader.connections if c.msgtype in takers]
             if not wanted:
                 there = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections})[:8]) or "none"
                 raise DataError(f"no topic of pose, motion, IMU or motors; topics: {there}")
@@ -66,7 +67,7 @@ def read_rosbag(path: Path) -> RawLog:
                 raise DataError(f"declares more than {MOST_MESSAGES} messages")
             for connection, stamp, raw in reader.messages(connections=wanted):
                 message = reader.deserialize(raw, connection.msgtype)
-                _taker(connection.msgtype)(found, connection.topic, _time(message, stamp), message)  # type: ignore[misc]
+                takers[connection.msgtype](found, connection.topic, _time(message, stamp), message)
     except QuadexpError as error:
         raise DataError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
     except Exception as error:  # readers of bags, decompressors and databases raise what they like

@@ -46,15 +46,16 @@ def axes_matrix(kind: str, frame: str, where: str) -> np.ndarray:
     """
     names = WORLD_FRAMES if kind == "world" else BODY_FRAMES
     text = names.get(str(frame).lower(), str(frame).lower())
-    parts = [_AXIS.fullmatch(part) for part in text.replace(",", " ").split()]
-    if len(parts) != 3 or not all(parts) or len({part[2] for part in parts if part}) != 3:
+    words = text.replace(",", " ").split()
+    parts = [part for part in map(_AXIS.fullmatch, words) if part is not None]
+    if not len(words) == len(parts) == len({part[2] for part in parts}) == 3:
         raise UsageError(
             f"{where}: frame {frame!r} is not known; allowed are {', '.join(n.upper() for n in names)},"
             ' or three signed axes such as "y x -z"'
         )
     matrix = np.zeros((3, 3))
     for row, part in enumerate(parts):
-        matrix[row, "xyz".index(part[2])] = -1.0 if part[1] == "-" else 1.0  # type: ignore[index]
+        matrix[row, "xyz".index(part[2])] = -1.0 if part[1] == "-" else 1.0
     return matrix
 
 

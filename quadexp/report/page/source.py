@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.cells import Cells, Grid
+from quadexp.cells import Combinations, Grid
 from quadexp.errors import DataError, UsageError
 from quadexp.flight.cell_store import CellStore
 from quadexp.flight.schema import Flight
@@ -164,7 +164,7 @@ class Comparison:
 
     def asked(self, row: Mapping[str, Any]) -> tuple[str, ...]:
         """The overrides of a row's cell, where the record says; else empty."""
-        cells = Cells(self.grids, lambda overrides: None)  # type: ignore[arg-type,return-value]
+        cells = Combinations(self.grids)
         return cells.overrides(self._places[row["key"]]) if len(cells) == len(self.rows) else ()
 
     def sample(self, count: int) -> list[dict[str, Any]]:
