@@ -1,10 +1,11 @@
 """Everything that is measured, in one report.
 
-    python -m benchmarks.all [--acados-python PYTHON] [--parts step plant flight commands] [--out FOLDER]
+    python -m benchmarks.all [--acados-python PYTHON] [--parts step plant flight waiting commands] [--out FOLDER]
 
 step      one control step against acados where the given interpreter has it (benchmarks.step, N = 10)
 plant     60 s of both simulated plants
 flight    a 12 s closed loop at 100 control steps a second, both back ends: references, flight, log
+waiting   what a user waits for beside flying: composition, paths, a finished sweep again, empty jobs
 commands  collect, fit-gp, a sweep of 16 flights, import, as a user runs them, each twice: the first run compiles
 
 Prints Markdown; --out writes it to FOLDER/report.md and the numbers to FOLDER/report.json. Figures are medians
@@ -19,6 +20,7 @@ import json
 import sys
 import tempfile
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -30,17 +32,20 @@ from benchmarks import pipeline, step
 from benchmarks.machine import machine
 from quadexp import __version__
 from quadexp.backend import compiler
-from quadexp.compose import compose
+from quadexp.compose import compose, session
 from quadexp.control.mpc import ModelPredictiveController
 from quadexp.control.settings import MPCSettings
 from quadexp.dynamics.rotor_coefficients import static_coefficients
 from quadexp.experiment.build import build_vehicle
+from quadexp.experiment.engine import run_cells
 from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.experiment.sweep import run_sweep
 from quadexp.plant import SimplifiedPlant
 from quadexp.plant.blade_element import BladeElementPlant
-from quadexp.trajectory import Circle
+from quadexp.trajectory import Circle, RandomPolynomial
 from quadexp.vehicle import Vehicle
 
+PARTS = ("step", "plant", "flight", "waiting", "commands")
 CASES = ("none", "gp20", step.PLAIN)
 CONTROL_RATE = 100.0  # Hz
 REPEATS = {"compiled": 9, "interpreted": 3}
@@ -109,6 +114,21 @@ def flights(vehicle: Vehicle) -> Iterator[Row]:
             yield timed(f"flight of 12 s at 100 Hz, {case}, {backend}", work, REPEATS[backend], limit)
 
 
+def waiting() -> Iterator[Row]:
+    """What a user waits for beside flying: configurations, paths, data, checkpoints, a finished sweep again."""
+    with tempfile.TemporaryDirectory(prefix="quadexp-benchmark-") as name, session() as composer:
+        path = RandomPolynomial(speed=1.0, seed=0, extent=12.0)
+        t = np.linspace(0, path.duration, 15_000)
+        yield timed("a random path at 15,000 times", lambda: path.flat_output(t), 9)
+        sweep = ["seed=range(300)", "trajectory.speed=4"]
+        yield timed("composition of 300 cells", lambda: composer.expand(sweep), 9)
+        cells = composer.expand(["trajectory.duration=2", "trajectory=hover", "seed=range(100)"])
+        run_sweep(cells, name)
+        yield timed("a finished sweep of 100 flights again", lambda: run_sweep(cells, name), 9)
+        jobs = {str(i): (i,) for i in range(300)}
+        yield timed("300 empty jobs on 2 workers", lambda: deque(run_cells(abs, jobs, workers=2, preload=()), 0), 3)
+
+
 def commands() -> Iterator[Row]:
     """Commands of the pipeline in a folder and with a cache of their own."""
     pipeline.adopt_orphans()
@@ -155,10 +175,10 @@ def table(rows: list[Row]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--acados-python", default=sys.executable, help="interpreter that can import acados_template")
-    parser.add_argument("--parts", nargs="+", choices=("step", "plant", "flight", "commands"))
+    parser.add_argument("--parts", nargs="+", choices=PARTS)
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="write report.md and report.json there")
     arguments = parser.parse_args()
-    parts = arguments.parts or ["step", "plant", "flight", "commands"]
+    parts = arguments.parts or PARTS
     vehicle = build_vehicle(compose([]).vehicle)
     report: dict[str, Any] = {"quadexp": __version__, "machine": machine()}
     pages = [f"quadexp {__version__}; {report['machine']}"]
@@ -171,6 +191,7 @@ def main() -> None:
     for name, heading, rows in (
         ("plant", "Plants", lambda: plants(vehicle)),
         ("flight", "Closed loop", lambda: flights(vehicle)),
+        ("waiting", "Waiting", waiting),
         ("commands", "Commands", commands),
     ):
         if name in parts:

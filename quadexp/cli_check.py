@@ -147,6 +147,7 @@ def _draw(folder: Path, loaded: dict[Path, Any], found: dict[str, list[Any]]) ->
 
     drawn: dict[str, Path] = {}
     for path, flight in loaded.items():
-        stem = path.stem if (folder / path.stem) not in drawn.values() else f"{path.parent.name}_{path.stem}"
-        drawn[str(path)] = save(consistency_figure(path.stem, flight, found[str(path)]), folder / f"{stem}.png")
+        names = (path.stem, f"{path.parent.name}_{path.stem}", *(f"{path.stem}_{k}" for k in range(2, len(loaded) + 2)))
+        name = next(name for name in names if (folder / f"{name}.svg") not in drawn.values())
+        drawn[str(path)] = save(consistency_figure(path.stem, flight, found[str(path)]), folder / f"{name}.png")
     return drawn

@@ -9,7 +9,7 @@ it, and shared.
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
@@ -18,8 +18,9 @@ from hydra._internal.defaults_list import create_defaults_list
 from hydra.core.override_parser.types import Override
 from hydra.plugins.config_source import ConfigResult
 from omegaconf import DictConfig, OmegaConf
+from yaml import YAMLError
 
-from quadexp.config import Config
+from quadexp.config import SCHEMAS, Config
 from quadexp.errors import UsageError
 
 NODES_KEPT = 20_000  # made nodes that a sweep keeps at most
@@ -29,7 +30,16 @@ class Repository(CachingConfigRepository):
     """Reads every configuration file once, and hands out copies, because composing merges in place."""
 
     def load_config(self, config_path: str) -> ConfigResult | None:
-        return copy.deepcopy(super().load_config(config_path))
+        """UsageError where the file is no YAML."""
+        try:
+            return copy.deepcopy(super().load_config(config_path))
+        except (YAMLError, UnicodeDecodeError) as error:
+            source = next(source for source in self.get_sources() if source.is_config(config_path))
+            folder = source.path.removeprefix("file://")
+            mark = getattr(error, "problem_mark", None)
+            place = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+            reason = getattr(error, "problem", None) or str(error).splitlines()[0]
+            raise UsageError(f"{folder}/{config_path}.yaml{place}: not valid YAML: {reason}") from None
 
 
 class Bases:
@@ -44,7 +54,9 @@ class Bases:
     def get(self, key: tuple[str, ...], groups: Sequence[Override]) -> Base:
         """key: the text of the choices."""
         if key not in self._known:
-            self._known[key] = Base(self._composed(groups), self._root_values)
+            config = self._composed(groups)
+            _refuse_untyped(config, {o.key_or_group: str(o.value()) for o in groups})
+            self._known[key] = Base(config, self._root_values)
         return self._known[key]
 
     def _composed(self, groups: Sequence[Override]) -> DictConfig:
@@ -188,7 +200,21 @@ def _without(config: DictConfig, names: Sequence[str]) -> DictConfig:
 def _refuse_missing(config: DictConfig) -> None:
     missing = sorted(OmegaConf.missing_keys(config))
     if missing:
-        raise UsageError(f"{missing[0]}: has no value; give {missing[0]}=VALUE")
+        if len(missing) == 1:
+            raise UsageError(f"{missing[0]}: has no value; give {missing[0]}=VALUE")
+        raise UsageError(f"{', '.join(missing)}: have no value; give each as KEY=VALUE, or in the option's file")
+
+
+def _refuse_untyped(config: DictConfig, chosen: Mapping[str, str]) -> None:
+    """UsageError where an option does not name the schema that its keys are checked against."""
+    for group, schemas in SCHEMAS.items():
+        kind = OmegaConf.get_type(config, group)
+        if kind in schemas.values() or OmegaConf.is_missing(config, group):
+            continue
+        option = f"{group}={chosen[group]}" if group in chosen else group
+        example = f"defaults: [/schema/{group}/{next(iter(schemas))}@_here_, _self_]"
+        others = f" (schemas of {group}: {', '.join(schemas)})" if len(schemas) > 1 else ""
+        raise UsageError(f"{option}: its file names no schema of {group}; let it begin with `{example}`{others}")
 
 
 def _object(config: DictConfig, name: Any) -> Any:

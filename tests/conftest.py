@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -14,6 +15,17 @@ os.environ["QUADEXP_CACHE"] = os.path.join(tempfile.gettempdir(), f"quadexp-test
 from quadexp.dynamics.rotor_coefficients import static_coefficients
 from quadexp.rotor import BladeCoefficients, RotorGeometry
 from quadexp.vehicle import Vehicle
+
+
+def pytest_terminal_summary(terminalreporter) -> None:
+    """One line that says what was skipped and why."""
+    reasons: Counter[str] = Counter()
+    for report in terminalreporter.stats.get("skipped", []):
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+        reasons[reason.removeprefix("Skipped: ")] += 1
+    if reasons:
+        shown = "; ".join(f"{count} x {reason}" for reason, count in reasons.most_common())
+        terminalreporter.write_line(f"{reasons.total()} skipped: {shown}")
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""The house: modules import along the data flow and in no circle."""
+"""The house: modules import along the data flow and in no circle; tests do not depend on how busy the machine is."""
 
 from __future__ import annotations
 
@@ -130,3 +130,15 @@ def test_imports_go_along_the_data_flow():
 def both_modules(module: str, target: str) -> bool:
     """Whether both are single modules, which may share a floor; two packages on one floor do not know of each other."""
     return all(name.count(".") <= 1 and modules()[name].name != "__init__.py" for name in (module, target))
+
+
+def test_no_test_holds_a_clock_against_a_limit():
+    """Speed is measured in benchmarks/, as ratios; a test that reads a stopwatch fails on a busy machine."""
+    stopwatches = {"perf_counter", "perf_counter_ns", "process_time", "process_time_ns", "thread_time"}
+    found = []
+    for path in (ROOT / "tests").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            name = node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
+            if name in stopwatches:
+                found.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert not found

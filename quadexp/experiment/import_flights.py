@@ -75,10 +75,10 @@ def _finish(one: Imported, path: Path, seen: dict[str, str], keep: bool) -> Outc
     if one.flight is None:
         return Outcome(one.path, cause=one.error.removeprefix(f"{one.path}: "))
     source = one.flight.metadata.get("source", {})
-    twin = seen.setdefault(source.get("sha256", str(one.path)), one.path.name)
+    content = source.get("sha256", str(one.path))
     findings = list(one.findings)
-    if twin != one.path.name:
-        findings.insert(0, _duplicate(twin))
+    if content in seen:
+        findings.insert(0, _duplicate(seen[content]))
     blocking = [finding for finding in findings if finding.severity == "blocking"]
     if blocking and not keep:
         names = ", ".join(dict.fromkeys(finding.name for finding in blocking))
@@ -89,6 +89,7 @@ def _finish(one: Imported, path: Path, seen: dict[str, str], keep: bool) -> Outc
         return Outcome(one.path, cause=cause, notes=one.notes, findings=findings)
     record = {"findings": [finding.record() for finding in findings]} if source else {}
     write_flight(path, one.flight, **record)
+    seen.setdefault(content, one.path.name)
     return Outcome(one.path, path, summary=_summary(one), notes=one.notes, findings=findings)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -70,3 +72,25 @@ def test_what_is_no_flight_is_one_line(tmp_path):
     code, _, error = run("check", tmp_path / "a.parquet")
     assert code == 1 and len(error.strip().splitlines()) == 1
     assert run("check", tmp_path / "missing.parquet")[0] == 2
+
+
+def test_flights_of_one_name_have_a_figure_each(folder, tmp_path):
+    copies = [tmp_path / name / "a.parquet" for name in ("x", "y", "z/y")]
+    for copy, original in zip(copies, ("good", "turned", "dropped"), strict=True):
+        copy.parent.mkdir(parents=True)
+        shutil.copy(folder / f"{original}.parquet", copy)
+    out = run("check", *copies, "--figures", tmp_path / "figures", "--json")[1]
+    drawn = [Path(flight["figure"]) for flight in json.loads(out)["flights"]]
+    assert len(set(drawn)) == len({figure.read_bytes() for figure in drawn}) == 3
+
+
+def test_a_log_is_a_duplicate_only_of_one_that_was_imported(folder, tmp_path):
+    for name in ("good", "turned"):
+        assert run("export", folder / f"{name}.parquet", "--to", "csv", "--out", tmp_path / f"{name}.csv")[0] == 0
+    (tmp_path / "mapping.yaml").write_text(run("import", "--describe", tmp_path / "good.csv")[1])
+    shutil.copy(tmp_path / "turned.csv", tmp_path / "again.csv")
+    logs = (tmp_path / "turned.csv", tmp_path / "again.csv", "--mapping", tmp_path / "mapping.yaml")
+    code, out, error = run("import", *logs, "--out", tmp_path / "out")
+    assert code == 1 and out.count("NOT IMPORTED") == 2 and "same bytes" not in out + error
+    code, out, error = run("import", *logs, "--out", tmp_path / "out", "--keep")
+    assert code == 0 and "the same bytes as turned.csv" in out

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import pytest
@@ -266,9 +265,7 @@ class TestMistakes:
     def test_nothing_is_started_for_a_finished_sweep(self, tmp_path):
         run_sweep(expand(SHORT), tmp_path / "r", engine=LocalEngine(1))
         engine = DaskEngine(lambda: pytest.fail("it started a cluster"))
-        begun = time.perf_counter()
         assert run_sweep(expand(SHORT), tmp_path / "r", engine=engine).flown == 0
-        assert time.perf_counter() - begun < 1.0
 
 
 def test_a_cluster_of_this_machine_with_certificates(tmp_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import time
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 
@@ -138,11 +137,9 @@ class TestCells:
         with pytest.raises(IndexError):
             grid[7]
 
-    def test_a_million_of_them_take_no_time_and_no_memory(self):
-        begun = time.perf_counter()
+    def test_of_a_million_one_can_be_had(self):
         grid = Cells([(("a=1", "a=2"), tuple(f"seed={i}" for i in range(500_000)))], lambda overrides: None)
         assert grid[999_999].overrides == ("a=2", "seed=499999")
-        assert time.perf_counter() - begun < 5
 
     @pytest.mark.parametrize(
         "overrides",

@@ -18,7 +18,7 @@ def nanobench(name: str) -> Flight:
     """A flight of NanoBench, cropped to the air (p_z > 0.5 m, 1.5 s off each side)."""
     file = FOLDER / "nanobench" / f"{name}.csv"
     if not file.is_file():
-        pytest.skip(f"the recorded flight {name} is not in ../shared/data/nanobench")
+        pytest.skip("the flights of nanobench are not beside the repository (../shared/data/nanobench)")
     table = np.genfromtxt(file, delimiter=",", names=True)
     flying = np.flatnonzero(table["pz"] > 0.5)
     t = table["t"]
@@ -36,7 +36,7 @@ def blackbird(part: str) -> Flight:
     """Part "train" or "test" of the Blackbird flight, from the sensors' FRD into FLU; velocity by differentiation."""
     file = FOLDER / "blackbird_clover" / part / "data.hdf5"
     if not file.is_file():
-        pytest.skip("the recorded flight is not in ../shared/data/blackbird_clover")
+        pytest.skip("the flights of blackbird_clover are not beside the repository (../shared/data/blackbird_clover)")
     h5py = pytest.importorskip("h5py")
     with h5py.File(file) as data:
         ts, target = data["ts"][:], data["traj_target"][:]

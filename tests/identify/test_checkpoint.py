@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
@@ -127,14 +126,8 @@ def test_read_only_folder(tmp_path, model):
     tmp_path.chmod(0o700)
 
 
-def test_loading_is_quick_and_needs_no_torch(tmp_path, model):
+def test_loading_needs_no_torch(tmp_path, model):
     path = save_model(tmp_path / "gp", model)
-    times = []
-    for _ in range(5):
-        start = time.perf_counter()
-        load_model(path)
-        times.append(time.perf_counter() - start)
-    assert min(times) < 0.02
     program = (
         "import sys; from quadexp.identify.checkpoint import load_model; from quadexp.identify.predict import predict;"
         f"load_model({str(path)!r}); print([m for m in ('torch', 'gpytorch', 'casadi', 'pyarrow') if m in sys.modules])"

