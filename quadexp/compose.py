@@ -173,11 +173,13 @@ class Composer:
         literal = f"{key}={','.join(map(_quoted, value.split(',')))}"
         try:
             (override,) = parser.parse_overrides([text])
-        except HydraException as error:
+        except HydraException:
             if key in PATHS:  # most letters that a path may have mean nothing to the grammar
                 return parser.parse_overrides([literal])[0]
-            hint = " (quote a value with blanks or brackets: KEY=\"'VALUE'\")"
-            raise UsageError(f"{text!r}: {one_line(error)}{hint}") from None
+            raise UsageError(
+                f"{text!r}: cannot be read as KEY=VALUE: a bracket or quote is left open,"
+                " or the value has signs that need quotes (KEY=\"'VALUE'\")"
+            ) from None
         values = getattr(override._value, "list", [override._value]) if "(" not in value else []
         if key in PATHS and any(isinstance(one, (int, float)) for one in values):  # 2024_01 is not the number 202401
             return parser.parse_overrides([literal])[0]
