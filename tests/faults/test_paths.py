@@ -39,7 +39,7 @@ def test_in_a_sweep_commas_part_paths():
 
 
 def test_what_is_no_path_keeps_its_grammar():
-    with pytest.raises(UsageError, match="quote a value"):
+    with pytest.raises(UsageError, match="signs that need quotes"):
         compose(["trajectory.speed=(8"])
     assert compose(["model=null"]).model is None
 
