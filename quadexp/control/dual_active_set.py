@@ -51,7 +51,7 @@ def bounded_minimum(
     gradient: u -> H (u - u0), computed without S, to see what rounding does.
     """
     tableau = _Tableau(inverse, start, low, high)
-    for i in np.flatnonzero((guess != 0) | tableau.fixed):
+    for i in np.flatnonzero((guess != 0) | tableau.fixed).tolist():
         tableau.hold(i, 1.0 if tableau.fixed[i] else guess[i])
     u, error = start, np.inf
     for _ in range(ROUNDS):

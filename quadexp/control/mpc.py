@@ -16,7 +16,7 @@ from quadexp.control.step import step_function
 from quadexp.control.subproblem import TOLERANCE, bounded_function
 from quadexp.errors import QuadexpError
 from quadexp.residual.base import Residual
-from quadexp.state import ATTITUDE, N_STATE
+from quadexp.state import ATTITUDE
 from quadexp.vehicle import Vehicle
 
 MAX_TURN = 0.25  # largest change of a quaternion, its length, that one iteration may make

@@ -37,7 +37,8 @@ def step_function(
     Outputs: X_new, U_new; checks (3,): the largest bound violation (N), the largest change of a quaternion (length),
     and the optimality residual of the shifted guess (the largest of the gaps of the dynamics and of the projected
     gradient step in u); then the subproblem: A (13, 13 N), B (13, n N), b (13, N), q (13, N + 1), r (n, N), its
-    factorisation K (n, 13 N), factor (n, n N), the linearisation point X_lin, U_lin, and frames, (4, 4 (N + 1)), where the subproblem is in the coordinates of "body".
+    factorisation K (n, 13 N), factor (n, n N), the linearisation point X_lin, U_lin, and frames, (4, 4 (N + 1)), where
+    the subproblem is in the coordinates of "body".
     """
     n = vehicle.n_rotors
     if scalar and residual.to_compile is not None:

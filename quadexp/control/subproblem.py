@@ -37,7 +37,7 @@ def solution(
 ) -> tuple[list[Expression], list[Expression], list[Expression], list[Expression]]:
     """Deviations dX_1..dX_N and dU_0..dU_{N-1} of the unbounded subproblem (Riccati recursion).
 
-    Then what it leaves of every node: gains K_0..K_{N-1} (K_0 is never needed: zeros) and factors (see control.riccati).
+    Then the gains K_0..K_{N-1} and the factors of every node (see control.riccati); K_0 is zero, nothing needs it.
     """
     nodes = len(A)
     K: list[Any] = [None] * nodes
@@ -77,9 +77,9 @@ def bounded_function(step: ca.Function, nodes: int) -> ca.Function:
 
     Inputs, as `step` has or returns them: A, B, b, q, r, K, factor, X_lin, U_lin, Q, Q_end, R, u_min, u_max, frames
     where the step has them; U_free (n, N), the inputs without bounds (N); guess (n, N), the side on which inputs are
-    expected: -1 at the lower, 1 at the upper bound, 0 free. Outputs: X_new (13, N + 1), U_new (n, N); side (n, N), where
-    the inputs are; checks (5,): whether it is solved, exchanges of the active set, inputs at a bound, the error left in
-    the inputs (N), the largest change of a quaternion (length).
+    expected: -1 at the lower, 1 at the upper bound, 0 free. Outputs: X_new (13, N + 1), U_new (n, N); side (n, N), on
+    which the inputs are; checks (5,): whether it is solved, exchanges of the active set, inputs at a bound, the error
+    left in the inputs (N), the largest change of a quaternion (length).
     """
     names = ["A", "B", "b", "q", "r", "K", "factor", "X_lin", "U_lin"]
     names += ["frames"] if "frames" in step.name_out() else []
