@@ -1,10 +1,13 @@
 /* The bounded subproblem by a dual active set on the Riccati factorisation, as the body of a compiled function (see
-   active_set.py for the method and the numpy twin of this file, which has the same steps in the same order).
+   active_set.py for the method; dual_active_set.py is the second part in numpy, with the same steps in the same order).
 
    Declared before: N_INPUTS = n, NODES = N; in: rows (of every node, as in riccati_backward.c), K (n, 13 N), factor
    (n, n N: L below the diagonal, D^-1 on it, of H_k = L D L'), q (13, N + 1), r (n, N), Q (13, N: of the nodes 1..N),
-   R (n, N), start (n, N), low, high (n, N), guess (n, N); out: dX (13, N), dU (n, N), side (n, N), checks (4). All are
-   stored by columns: the numbers of one node lie side by side. */
+   R (n, N), start, low, high, guess (n, N); out: dX (13, N), dU (n, N), side (n, N), checks (4). All are stored by
+   columns: the numbers of one node lie side by side.
+
+   S is symmetric: it is kept in panels of eight columns with the rows down to the diagonal, (8 J + 8, 8) for panel J,
+   each row a few vector registers wide. Inputs that pad the last panel have zeros everywhere. */
 #if defined(__AVX512F__)
 enum { LANES = 8 };
 #elif defined(__AVX__)
@@ -14,34 +17,34 @@ enum { LANES = 2 };
 #endif
 typedef double vector __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
 enum { PLACE = 3, MOTION = 10, STATES = PLACE + MOTION, AFFINE = MOTION + N_INPUTS, ROW = (AFFINE / 8 + 1) * 8 };
-enum { SIZE = NODES * N_INPUTS, LINE = (SIZE + 7) / 8 * 8, MOST = 10 * SIZE, ROUNDS = 4 };
-const double tolerance = 1e-10, loose = 1e-7, huge = 1e300;
+enum { SIZE = NODES * N_INPUTS, PANELS = (SIZE + 7) / 8, LINE = 8 * PANELS, MOST = 10 * SIZE, ROUNDS = 4 };
+const double tolerance = 1e-10, loose = 1e-7, none = 1e300;
 
 /* An exponent of ones is not a number; -ffast-math lets the compiler believe that there is none. */
 #define FINITE(number) (((union { double value; unsigned long long bits; }){number}.bits >> 52 & 0x7ff) != 0x7ff)
-/* First column that row i of S holds: S is symmetric, and kept in whole vectors on and above its diagonal. */
-#define FROM(i) ((i) / 8 * 8)
+#define PANEL(J) (S + 4 * (J) * ((J) + 1)) /* panel J as rows of eight */
+#define AT(i, j) PANEL((j) / 8)[i][(j) % 8] /* i up to the last row of j's panel */
 
 const double(*M)[STATES][ROW] = (const double(*)[STATES][ROW])rows;
 for (int i = 0; i < 4; ++i) checks[i] = 0.0;
-double *memory = __builtin_malloc(sizeof(double) * (SIZE + 1) * LINE);
+double *memory = __builtin_malloc(sizeof(double) * (32 * PANELS * (PANELS + 1) + 8));
 if (!memory) return 0;
-double(*S)[LINE] = (double(*)[LINE])((((__UINTPTR_TYPE__)memory) + 63) / 64 * 64);
+double(*S)[8] = (double(*)[8])(((__UINTPTR_TYPE__)memory + 63) / 64 * 64);
 
-/* S = M = H^-1 of the condensed problem. One backward pass with a unit gradient in every input of every node: column j
-   of p and h belongs to input j; M is the sum over the nodes of h' H_k^-1 h. */
+/* S = M = H^-1 of the problem in the inputs alone. One backward pass with a unit gradient in every input of every node:
+   column j of p and h belongs to input j; M is the sum over the nodes of h' H_k^-1 h. */
 {
   double p[STATES][LINE] __attribute__((aligned(64))), h[N_INPUTS][LINE] __attribute__((aligned(64)));
   double scaled[N_INPUTS][LINE] __attribute__((aligned(64)));
   for (int i = 0; i < STATES; ++i)
     for (int j = 0; j < LINE; ++j) p[i][j] = 0.0;
-  for (int i = 0; i < SIZE; ++i)
-    for (int j = FROM(i); j < LINE; ++j) S[i][j] = 0.0;
+  for (int i = 0; i < 4 * PANELS * (PANELS + 1); ++i)
+    for (int j = 0; j < 8; ++j) S[i][j] = 0.0;
   for (int k = NODES - 1; k >= 0; --k) {
     const double(*gain)[N_INPUTS] = (const double(*)[N_INPUTS])(K + k * STATES * N_INPUTS);
     const double(*L)[N_INPUTS] = (const double(*)[N_INPUTS])(factor + k * N_INPUTS * N_INPUTS);
     const int own = k * N_INPUTS;
-    for (int j = FROM(own); j < LINE; j += LANES) {
+    for (int j = own / 8 * 8; j < LINE; j += LANES) {
       vector before[STATES], after[MOTION], gradient[N_INPUTS];
       for (int c = 0; c < STATES; ++c) before[c] = *(const vector *)(p[c] + j);
       for (int i = 0; i < MOTION; ++i) {
@@ -64,182 +67,207 @@ double(*S)[LINE] = (double(*)[LINE])((((__UINTPTR_TYPE__)memory) + 63) / 64 * 64
         *(vector *)(scaled[a] + j) = L[a][a] * gradient[a];
       }
     }
-    for (int i = own; i < SIZE; ++i)
-      for (int j = FROM(i); j < LINE; j += LANES) {
-        vector sum = *(vector *)(S[i] + j);
-        for (int a = 0; a < N_INPUTS; ++a) sum += scaled[a][i] * *(const vector *)(h[a] + j);
-        *(vector *)(S[i] + j) = sum;
+    for (int J = own / 8; J < PANELS; ++J)
+      for (int part = 0; part < 8; part += LANES) {
+        vector line[N_INPUTS];
+        for (int a = 0; a < N_INPUTS; ++a) line[a] = *(const vector *)(h[a] + 8 * J + part);
+        for (int i = own / 8 * 8; i < 8 * J + 8; ++i) {
+          vector sum = *(vector *)(PANEL(J)[i] + part);
+          for (int a = 0; a < N_INPUTS; ++a) sum += scaled[a][i] * line[a];
+          *(vector *)(PANEL(J)[i] + part) = sum;
+        }
       }
   }
 }
 
-/* z: of a free input its change, of a held one its multiplier. held: side of every input. */
+
+/* z: of a free input its change, of a held one its multiplier. held: side of every input, 0 free. floor, roof: bounds
+   of the free ones; nothing leaves those of the others. */
 double z[LINE] __attribute__((aligned(64))), column[LINE] __attribute__((aligned(64)));
-double held[SIZE];
-int exchanges = 0, sound = 1;
-for (int i = 0; i < SIZE; ++i) {
-  z[i] = start[i];
+double share[LINE] __attribute__((aligned(64))), held[LINE], floor[LINE], roof[LINE];
+int sound = 1;
+for (int i = 0; i < LINE; ++i) {
+  const int inside = i < SIZE;
+  z[i] = inside ? start[i] : 0.0;
+  floor[i] = inside ? low[i] : -none;
+  roof[i] = inside ? high[i] : none;
   held[i] = 0.0;
-  sound = sound && FINITE(start[i]) && FINITE(S[i][i]) && S[i][i] > 0.0;
+  if (inside) sound = sound && FINITE(start[i]) && FINITE(AT(i, i)) && AT(i, i) > 0.0;
 }
-#define BOUND(i) (held[i] > 0.0 ? high[i] : low[i])
-#define COLUMN(p) \
-  for (int row = 0; row < FROM(p); ++row) column[row] = S[row][p]; \
-  for (int row = FROM(p); row < LINE; ++row) column[row] = S[p][row];
-/* Exchange p between free and held: the symmetric sweep operator; column holds S's column p, z[p] its new distance. */
-#define EXCHANGE(p) \
-  { \
-    const double inverse = 1.0 / column[p], turned = inverse > 0.0 ? 1.0 : -1.0, moved = z[p] * inverse; \
-    for (int row = 0; row < SIZE; ++row) { \
-      const double share = column[row] * inverse; \
-      for (int j = FROM(row); j < LINE; j += LANES) *(vector *)(S[row] + j) -= share * *(const vector *)(column + j); \
-      if (FROM(row) <= (p)) S[row][p] = turned * share; \
-      z[row] -= column[row] * moved; \
-    } \
-    for (int j = FROM(p); j < LINE; ++j) S[p][j] = column[j] * inverse * turned; \
-    S[p][p] = -inverse; \
-    z[p] = moved * turned; \
-    ++exchanges; \
-  }
-#define HOLD(p, which) \
-  { \
-    held[p] = which; \
-    z[p] -= BOUND(p); \
-    sound = sound && column[p] > 0.0; \
-    EXCHANGE(p) \
-  }
-#define RELEASE(p) \
-  { \
-    sound = sound && column[p] < 0.0; \
-    EXCHANGE(p) \
-    z[p] += BOUND(p); \
-    held[p] = 0.0; \
-  }
 
-/* The guess, and what has one value only. */
-for (int i = 0; sound && i < SIZE; ++i)
-  if (guess[i] != 0.0 || low[i] == high[i]) {
-    COLUMN(i)
-    HOLD(i, low[i] == high[i] ? 1.0 : guess[i])
-  }
-
-double error = huge;
-int round = 0, settled = 0;
-while (sound && !settled && round < ROUNDS) {
-  /* Release what is held with a multiplier of the wrong sign: then the multipliers are feasible. */
-  while (sound && exchanges < MOST) {
-    int worst = -1;
-    double most = 0.0;
-    for (int i = 0; i < SIZE; ++i) {
-      const double size = -S[i][i];
-      if (held[i] != 0.0 && low[i] != high[i] && held[i] * z[i] < -tolerance * size && z[i] * z[i] > most * size) {
-        worst = i;
-        most = z[i] * z[i] / size;
-      }
+double error = none, which = 0.0, pushed = 0.0;
+int exchanges = 0, guessed = 0, feasible = 0, next = -1, rounds = 0;
+while (sound) {
+  int p = -1; /* to be exchanged: to the side `onto`, or where that is 0 to be free */
+  double onto = 0.0;
+  /* First the guess, and what has one value only. */
+  for (; p < 0 && guessed < SIZE; ++guessed)
+    if (guess[guessed] != 0.0 || low[guessed] == high[guessed]) {
+      p = guessed;
+      onto = low[p] == high[p] ? 1.0 : guess[p];
     }
-    if (worst < 0) break;
-    COLUMN(worst)
-    RELEASE(worst)
-  }
-  /* Hold what leaves its bounds, the steepest ascent of the dual first; release on the way what would change sign. */
-  while (sound && exchanges < MOST) {
-    int next = -1;
-    double most = 0.0;
-    for (int i = 0; i < SIZE; ++i) {
-      const double above = z[i] - high[i], below = low[i] - z[i], excess = above > below ? above : below;
-      if (held[i] == 0.0 && excess > tolerance && excess * excess > most * S[i][i]) {
-        next = i;
-        most = excess * excess / S[i][i];
-      }
+  if (exchanges < MOST) {
+    /* Then what is held with a multiplier of the wrong sign is released, the steepest first. */
+    if (p < 0 && !feasible) {
+      double most = 0.0;
+      for (int i = 0; i < SIZE; ++i)
+        if (held[i] * z[i] < 0.0) {
+          const double size = -AT(i, i);
+          if (low[i] != high[i] && held[i] * z[i] < -tolerance * size && z[i] * z[i] > most * size) {
+            p = i;
+            most = z[i] * z[i] / size;
+          }
+        }
+      feasible = p < 0;
     }
-    if (next < 0) break;
-    const double which = z[next] > high[next] ? 1.0 : -1.0;
-    double pushed = 0.0;
-    while (sound && exchanges < MOST) {
-      COLUMN(next)
-      const double full = (z[next] - (which > 0.0 ? high[next] : low[next])) * which / column[next];
-      double length = full;
-      int blocking = -1;
+    /* Then what leaves its bounds is held, the steepest ascent of the dual cost first; */
+    if (p < 0 && next < 0) {
+      double most = 0.0;
       for (int i = 0; i < SIZE; ++i) {
+        const double above = z[i] - roof[i], below = floor[i] - z[i], excess = above > below ? above : below;
+        if (excess > tolerance && excess * excess > most * AT(i, i)) {
+          next = i;
+          most = excess * excess / AT(i, i);
+        }
+      }
+      which = next >= 0 && z[next] > roof[next] ? 1.0 : -1.0;
+      pushed = 0.0;
+    }
+  }
+#define COLUMN(p) \
+  for (int i = 0; i < (p) / 8 * 8 + 8; ++i) column[i] = AT(i, p); \
+  for (int J = (p) / 8 + 1; J < PANELS; ++J) \
+    for (int i = 0; i < 8; ++i) column[8 * J + i] = PANEL(J)[p][i];
+  /* what would get a multiplier of the wrong sign before it arrives there is released on the way. */
+  if (p < 0 && next >= 0) {
+    COLUMN(next)
+    p = next;
+    onto = which;
+    double length = (z[next] - (which > 0.0 ? roof[next] : floor[next])) * which / column[next];
+    for (int i = 0; i < SIZE; ++i)
+      if (held[i] * z[i] < length * (held[i] * which * column[i])) {
         const double rate = held[i] * which * column[i];
-        if (rate > 0.0 && low[i] != high[i] && held[i] * z[i] < length * rate) {
-          blocking = i;
+        if (rate > 0.0 && low[i] != high[i]) {
+          p = i;
+          onto = 0.0;
           length = held[i] * z[i] > 0.0 ? held[i] * z[i] / rate : 0.0;
         }
       }
-      if (blocking < 0) {
-        HOLD(next, which)
-        z[next] += pushed;
-        break;
-      }
-      for (int i = 0; i < SIZE; ++i) z[i] -= column[i] * length * which;
+    if (p != next) {
+      for (int i = 0; i < LINE; ++i) z[i] -= column[i] * length * which;
       pushed += length * which;
-      z[blocking] = 0.0;
-      COLUMN(blocking)
-      RELEASE(blocking)
+      z[p] = 0.0;
+      COLUMN(p)
     }
+  } else if (p >= 0) {
+    COLUMN(p)
   }
-  /* The states that follow and the true gradient; what it leaves of a Newton step in the free inputs is the error. */
-  double gradient[LINE] __attribute__((aligned(64))), state[STATES + N_INPUTS + 1], size = 0.0;
+
+  if (p >= 0) {
+    /* The symmetric sweep operator on p. */
+    if (onto != 0.0) z[p] -= onto > 0.0 ? high[p] : low[p];
+    sound = onto != 0.0 ? column[p] > 0.0 : column[p] < 0.0;
+    const double inverse = 1.0 / column[p], turned = onto != 0.0 ? 1.0 : -1.0, moved = z[p] * inverse;
+    for (int i = 0; i < LINE; ++i) {
+      share[i] = column[i] * inverse;
+      z[i] -= column[i] * moved;
+    }
+    for (int J = 0; J < PANELS; ++J)
+      for (int part = 0; part < 8; part += LANES) {
+        const vector line = *(const vector *)(column + 8 * J + part);
+        for (int i = 0; i < 8 * J + 8; ++i) *(vector *)(PANEL(J)[i] + part) -= share[i] * line;
+      }
+    for (int i = 0; i < p / 8 * 8 + 8; ++i) AT(i, p) = turned * share[i];
+    for (int i = p / 8 * 8; i < LINE; ++i) AT(p, i) = turned * share[i];
+    AT(p, p) = -inverse;
+    z[p] = turned * moved;
+    if (onto != 0.0) {
+      if (p == next) {
+        z[p] += pushed;
+        next = -1;
+      }
+      floor[p] = -none;
+      roof[p] = none;
+    } else {
+      floor[p] = low[p];
+      roof[p] = high[p];
+      z[p] += held[p] > 0.0 ? high[p] : low[p];
+    }
+    held[p] = onto;
+    ++exchanges;
+    continue;
+  }
+
+
+  /* Nothing is left to exchange: the states that follow, and the true gradient, which is zero in the free inputs. */
+  double gradient[LINE], state[STATES], size = 0.0;
   for (int i = 0; i < STATES; ++i) state[i] = 0.0;
   for (int k = 0; k < NODES; ++k) {
-    double *after = dX + k * STATES;
+    double moving[ROW]; /* as a row of M: motion, inputs, 1 */
+    for (int i = 0; i < MOTION; ++i) moving[i] = state[PLACE + i];
     for (int a = 0, i = k * N_INPUTS; a < N_INPUTS; ++a, ++i) {
-      const double d = held[i] != 0.0 ? BOUND(i) : z[i] > high[i] ? high[i] : z[i] < low[i] ? low[i] : z[i];
-      state[STATES + a] = dU[i] = d;
+      const double inside = z[i] > high[i] ? high[i] : z[i] < low[i] ? low[i] : z[i];
+      moving[MOTION + a] = dU[i] = held[i] > 0.0 ? high[i] : held[i] < 0.0 ? low[i] : inside;
     }
-    state[STATES + N_INPUTS] = 1.0;
+    for (int j = AFFINE; j < ROW; ++j) moving[j] = j == AFFINE;
     for (int i = 0; i < STATES; ++i) {
       double sum = i < PLACE ? state[i] : 0.0;
-      for (int j = 0; j < AFFINE + 1; ++j) sum += M[k][i][j] * state[PLACE + j];
-      after[i] = sum;
+      for (int j = 0; j < ROW; ++j) sum += M[k][i][j] * moving[j];
+      dX[k * STATES + i] = sum;
     }
     for (int i = 0; i < STATES; ++i) {
-      state[i] = after[i];
-      size += after[i] > 0.0 ? after[i] : -after[i];
+      state[i] = dX[k * STATES + i];
+      size += state[i] > 0.0 ? state[i] : -state[i];
     }
   }
-  double multiplier[STATES];
-  for (int i = 0; i < STATES; ++i) multiplier[i] = 0.0;
+  for (int i = 0; i < STATES; ++i) state[i] = 0.0; /* from here the multipliers of the dynamics */
   for (int k = NODES - 1; k >= 0; --k) {
     double both[ROW];
-    for (int i = 0; i < STATES; ++i)
-      multiplier[i] += q[(k + 1) * STATES + i] + Q[k * STATES + i] * dX[k * STATES + i];
-    for (int j = 0; j < ROW; ++j) both[j] = 0.0;
-    for (int c = 0; c < STATES; ++c)
-      for (int j = 0; j < ROW; ++j) both[j] += M[k][c][j] * multiplier[c];
-    for (int i = 0; i < MOTION; ++i) multiplier[PLACE + i] = both[i];
+    vector sums[ROW / LANES];
+    for (int j = 0; j < ROW / LANES; ++j) sums[j] = (vector){0};
+    for (int i = 0; i < STATES; ++i) {
+      state[i] += q[(k + 1) * STATES + i] + Q[k * STATES + i] * dX[k * STATES + i];
+      for (int j = 0; j < ROW / LANES; ++j) sums[j] += state[i] * *(const vector *)(M[k][i] + j * LANES);
+    }
+    for (int j = 0; j < ROW / LANES; ++j) *(vector *)(both + j * LANES) = sums[j];
+    for (int i = 0; i < MOTION; ++i) state[PLACE + i] = both[i];
     for (int a = 0, i = k * N_INPUTS; a < N_INPUTS; ++a, ++i) {
       gradient[i] = r[i] + R[i] * dU[i] + both[MOTION + a];
       size += gradient[i] > 0.0 ? gradient[i] : -gradient[i];
     }
   }
-  sound = sound && FINITE(size);
-  error = 0.0;
-  for (int i = 0; i < LINE; ++i) column[i] = 0.0; /* S y, with y the gradient of the free inputs */
-  for (int i = 0; i < SIZE; ++i)
-    if (held[i] == 0.0) {
-      const double y = gradient[i];
-      for (int j = 0; j < FROM(i); ++j) column[j] += y * S[j][i];
-      for (int j = FROM(i); j < LINE; j += LANES) *(vector *)(column + j) += y * *(const vector *)(S[i] + j);
+
+  /* One Newton step, S y of the free inputs' gradient y: what it would still change is the error. */
+  for (int i = 0; i < LINE; ++i) {
+    share[i] = i < SIZE && held[i] == 0.0 ? gradient[i] : 0.0;
+    column[i] = 0.0;
+  }
+  for (int J = 0; J < PANELS; ++J)
+    for (int i = 0; i < 8 * J + 8; ++i) {
+      double across = 0.0;
+      for (int j = 0; j < 8; ++j) {
+        column[8 * J + j] += share[i] * PANEL(J)[i][j];
+        across += PANEL(J)[i][j] * share[8 * J + j];
+      }
+      if (i < 8 * J) column[i] += across;
     }
-  settled = 1;
+  error = 0.0;
   for (int i = 0; i < SIZE; ++i) {
-    double wrong;
+    double left = column[i] > 0.0 ? column[i] : -column[i];
+    z[i] = dU[i] - column[i];
     if (held[i] != 0.0) {
       z[i] = -gradient[i] - column[i];
-      wrong = low[i] == high[i] ? 0.0 : held[i] * z[i] / S[i][i];
-    } else {
-      wrong = column[i] > 0.0 ? column[i] : -column[i];
-      z[i] = dU[i] - column[i];
+      left = low[i] == high[i] ? 0.0 : held[i] * z[i] / AT(i, i);
     }
-    if (wrong > error) error = wrong;
+    if (left > error) error = left;
+    size += left > 0.0 ? left : -left;
   }
-  settled = error <= 10.0 * tolerance;
-  ++round;
+  sound = FINITE(size);
+  if (error <= 10.0 * tolerance || ++rounds == ROUNDS) break;
+  feasible = 0;
 }
+
 __builtin_free(memory);
-sound = sound && FINITE(error);
 checks[0] = sound && error <= loose;
 checks[1] = exchanges;
 for (int i = 0; i < SIZE; ++i) {
@@ -248,9 +276,6 @@ for (int i = 0; i < SIZE; ++i) {
 }
 checks[3] = error;
 #undef FINITE
-#undef FROM
-#undef BOUND
+#undef PANEL
+#undef AT
 #undef COLUMN
-#undef EXCHANGE
-#undef HOLD
-#undef RELEASE
