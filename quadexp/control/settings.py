@@ -22,7 +22,6 @@ class MPCSettings:
     input_weight: diagonal of R on thrusts normalised by the largest one.
     terminal_weight: factor on Q at the last node. feedforward: let the reference's attitude, rates and thrusts contain
     the residual. initial_iterations: SQP iterations allowed on the first step (one on every later step).
-    max_sweeps: active-set sweeps before the last resort.
     """
 
     horizon: float = 1.0
@@ -37,7 +36,6 @@ class MPCSettings:
     terminal_weight: float = 0.0
     feedforward: bool = True
     initial_iterations: int = 20
-    max_sweeps: int = 12
 
     def __post_init__(self) -> None:
         if self.nodes < 2:
