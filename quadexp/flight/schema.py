@@ -63,7 +63,7 @@ RESIDUAL_COLUMNS: dict[str, Column] = {
 }
 
 RESULT_COLUMNS: dict[str, Column] = {
-    "speed": Column("m/s", "", "nominal speed of the trajectory"),
+    "speed": Column("m/s", "", "nominal speed of the trajectory; asked peak speed of a random path or of waypoints"),
     "rmse": Column("m", "world", "sqrt(mean ||e||^2) of the position error e"),
     "mean_error": Column("m", "world", "mean ||e||; Torrente et al. 2021 print this one as RMSE"),
     "max_error": Column("m", "world", "max ||e||"),
