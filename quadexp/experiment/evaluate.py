@@ -159,6 +159,7 @@ def result_row(config: Config, flight: Flight) -> dict[str, Any]:
         "model": metadata["model"],
         "seed": config.seed,
         **flight_metrics(flight, config.vehicle.thrust_min, config.vehicle.thrust_max),
+        "reference_residual": metadata.get("reference_residual"),
         "outcome": metadata["outcome"],
         "backend": metadata.get("backend", ""),
         "cause": metadata.get("cause", ""),
