@@ -38,7 +38,7 @@ def main(overrides):
     vehicle = build_vehicle(config.vehicle)
     plant = build_plant(vehicle, config.plant)
     controller = build_controller(config, vehicle, plant, find_model(config))
-    reference = SampledReference(build_trajectory(config.trajectory), controller)
+    reference = SampledReference(build_trajectory(config.trajectory, vehicle), controller)
     start = reference.at(0)[0].copy()
     stack, distances = Stack(plant, start, controller.control_period), []
     controller.reset(start, reference.window(0))

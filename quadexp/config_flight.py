@@ -139,10 +139,11 @@ class LemniscateConfig(CircleConfig):
 
 @dataclass
 class RandomConfig(TrajectoryConfig):
-    """A smooth random path through a few keypoints; speed = mean keypoint distance / segment time."""
+    """A smooth random path through a few keypoints, as fast as `speed` and the vehicle's limits allow."""
 
     kind: str = "random"
     speed: float = number("(0, 60]", "m/s")
+    margin: float = number("[0, 0.9]", "")
     seed: int = number("[0, 4294967295]", "")
     keypoints: int = number("[4, 200]", "points")
     extent: float = number("(0, 1000]", "m")
@@ -172,10 +173,13 @@ class StepConfig(TrajectoryConfig):
 
 @dataclass
 class FileConfig(TrajectoryConfig):
-    """A trajectory from a CSV or TUM file."""
+    """A sampled track from a CSV (t, p_x, p_y, p_z, optionally yaw) or TUM file, or minimum-snap polynomials through
+    the waypoints of a CSV (x, y, z, optionally t and yaw; 2 are enough)."""
 
     kind: str = "file"
     path: str = MISSING
+    speed: float | None = number("(0, 60]", "m/s", None)
+    margin: float = number("[0, 0.9]", "")
 
 
 # ------------------------------------------------------------------------------------------------------ controller

@@ -63,9 +63,14 @@ MEANINGS: dict[str, str] = {
     "sensor.accelerometer_bias": "constant error of the specific force",
     "sensor.accelerometer_noise": "standard deviation of the specific force, white",
     # trajectory
-    "trajectory.allow_infeasible": "fly a reference that asks for more collective thrust than the vehicle has",
+    "trajectory.allow_infeasible": "fly a reference that asks for more collective thrust than the vehicle has;"
+    " trajectory=random: at the asked speed whatever the limits",
     "trajectory.lost_distance": "further than this from the reference a flight is over",
-    "trajectory.speed": "nominal speed, the column `speed` of tables; the peak is said by `quadexp simulate`",
+    "trajectory.speed": "the column `speed` of tables: nominal speed (circle, lemniscate), whose peak is said by"
+    " `quadexp simulate`, or asked peak speed (random, waypoints without t), less where the vehicle's limits come"
+    " first",
+    "trajectory.margin": "share of the room between hover and the limits of thrusts, and of the largest body rate, that"
+    " the reference leaves unused",
     "trajectory.acceleration": "of the run up to the nominal speed and back",
     "trajectory.radius": "radius of the circle, half width of the lemniscate",
     "trajectory.height": "height of the path, world",
@@ -80,7 +85,8 @@ MEANINGS: dict[str, str] = {
     " reference",
     "trajectory.target": "where the set-point jumps to, world",
     "trajectory.step_time": "when it jumps",
-    "trajectory.path": "CSV (t, x, y, z, optionally yaw) or TUM file",
+    "trajectory.path": "sampled track: CSV with the columns t, p_x, p_y, p_z, optionally yaw, or TUM;"
+    " waypoints: CSV with the columns x, y, z, optionally t and yaw",
     "trajectory.slow_half": "duration of the slow half of a lap",
     "trajectory._target_": "MODULE.NAME of a class of one's own",
     "trajectory.options": "its keyword arguments",
@@ -133,8 +139,8 @@ MEANINGS: dict[str, str] = {
     "collect.mode": "smooth random paths, or jumps between random points",
     "collect.duration": "time flown altogether",
     "collect.flight_duration": "length of one flight",
-    "collect.speed_min": "least nominal speed; speeds are spread evenly",
-    "collect.speed_max": "largest nominal speed; the peak is about twice that",
+    "collect.speed_min": "least peak speed of a path; they are spread evenly",
+    "collect.speed_max": "largest peak speed of a path",
     "collect.extent": "edge of the cube that the paths stay in",
     "collect.clearance": "height of the lowest point, world",
     "collect.frame": "where in a transition features and target belong: its middle (second order),"

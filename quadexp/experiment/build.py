@@ -25,6 +25,7 @@ T = TypeVar("T")
 MODEL_FILE = "model.json"
 KEPT = 64  # things kept at most, the one not used for longest goes: a sweep over plants makes a plant a cell
 _kept: dict[str, Any] = {}
+WITHIN_LIMITS = ("random", "file")  # kinds of trajectory that are timed by the limits of the vehicle
 
 # How to make the checkpoint that a residual needs.
 MAKERS = {
@@ -87,8 +88,12 @@ def build_sensor(config: SensorConfig) -> Any:
     return Accelerometer(_tuples(bias), _tuples(noise))
 
 
-def build_trajectory(config: TrajectoryConfig) -> Any:
-    """The trajectory; raises UsageError or DataError where its numbers or its file describe none."""
+def build_trajectory(config: TrajectoryConfig, vehicle: Vehicle | None = None) -> Any:
+    """The trajectory; raises UsageError or DataError where its numbers or its file describe none.
+
+    vehicle: whose limits decide how fast a path is flown, for the kinds that follow them (random, file); they raise
+    UsageError without it. A custom trajectory never sees it.
+    """
     if config.kind == "custom":
         return build_custom.custom_trajectory(config)
     from quadexp.trajectory.circle import Circle
@@ -114,6 +119,10 @@ def build_trajectory(config: TrajectoryConfig) -> Any:
     arguments = {k: _tuples(v) for k, v in asdict(config).items() if k not in aside}
     if "path" in arguments:
         arguments["path"] = str(located(arguments["path"]))
+    if config.kind in WITHIN_LIMITS:
+        if vehicle is None:
+            raise UsageError(f"trajectory={config.name}: is timed by the limits of a vehicle, and none was given")
+        arguments["vehicle"] = None if config.allow_infeasible else vehicle
     return kinds[config.kind](**arguments)
 
 

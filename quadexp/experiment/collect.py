@@ -1,8 +1,10 @@
 """Flights for learning, and the data set made from them.
 
-mode "random": smooth random paths, one lap each, their nominal speeds spread evenly over [speed_min, speed_max]; a path
-that takes more thrust than the vehicle has is drawn anew.
-mode "setpoints": jumps between random points, each held for (distance to the next) / (a speed of that range).
+mode "random": smooth random paths, one lap each, their peak speeds spread evenly over [speed_min, speed_max]; a path
+that takes more thrust than all rotors have together is drawn anew. Single rotors may meet their limits, unlike on the
+paths of trajectory=random: data for learning are wanted from everywhere that a vehicle can get to.
+mode "setpoints": jumps between random points, each held for as long as a minimum-snap move to the next one would take
+at a peak speed of that range.
 
 Paths and noise are drawn from the seed alone, whatever flies them, so that the data of two controllers or plants can be
 compared; and it stops at a simulated time. The same command makes the same data set anywhere.
@@ -35,6 +37,7 @@ from quadexp.trajectory.base import FlatOutput
 from quadexp.trajectory.random_polynomial import RandomPolynomial
 from quadexp.vehicle import Vehicle
 
+PEAK_OVER_MEAN = 35 / 16  # speed of the minimum-snap move from rest to rest, 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7
 DRAWS = 50  # paths drawn before giving up on one that can be flown
 OF_RECORDED = ("target", "identified")  # keys of `collect` that no flight is flown by
 LOST_DISTANCE = 1e3  # m; a jump of the set-point is no lost flight
@@ -123,11 +126,11 @@ def _trajectory(config: Config, vehicle: Vehicle, speed: float, left: float, rng
 
 
 def setpoints(extent: float, clearance: float, speed: float, duration: float, rng: np.random.Generator) -> Setpoints:
-    """Random points in a cube of side `extent` (m) above `clearance`, held for distance / speed each."""
+    """Random points in a cube of side `extent` (m) above `clearance`, each held for a minimum-snap move at `speed`."""
     points, times = [rng.uniform(0.0, extent, 3)], [0.0]
     while times[-1] < duration:
         point = rng.uniform(0.0, extent, 3)
-        times.append(times[-1] + max(0.1, float(np.linalg.norm(point - points[-1])) / speed))
+        times.append(times[-1] + max(0.1, PEAK_OVER_MEAN * float(np.linalg.norm(point - points[-1])) / speed))
         points.append(point)
     shift = np.array([-extent / 2, -extent / 2, clearance])
     return Setpoints(np.array(points) + shift, np.array(times), duration)

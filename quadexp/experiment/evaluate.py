@@ -86,7 +86,8 @@ def check_feasible(config: Config, trajectory: Any, vehicle: Vehicle) -> str:
             " lower trajectory.speed, or pass trajectory.allow_infeasible=true"
         )
     worst = compare(reference, vehicle)
-    return "" if worst is None else str(worst)
+    notes = [getattr(trajectory, "note", ""), "" if worst is None else str(worst)]
+    return "; ".join(note for note in notes if note)
 
 
 def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
@@ -99,7 +100,7 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
 
     model = model or find_model(config)
     vehicle = build_vehicle(config.vehicle)
-    trajectory = build_trajectory(config.trajectory)
+    trajectory = build_trajectory(config.trajectory, vehicle)
     note = check_feasible(config, trajectory, vehicle)
     plant = build_plant(vehicle, config.plant)
     controller = build_controller(config, vehicle, plant, model)
@@ -158,6 +159,7 @@ def result_row(config: Config, flight: Flight) -> dict[str, Any]:
         "model": metadata["model"],
         "seed": config.seed,
         **flight_metrics(flight, config.vehicle.thrust_min, config.vehicle.thrust_max),
+        "reference_residual": metadata.get("reference_residual"),
         "outcome": metadata["outcome"],
         "backend": metadata.get("backend", ""),
         "cause": metadata.get("cause", ""),

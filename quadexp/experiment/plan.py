@@ -15,6 +15,7 @@ from typing import Any
 
 from quadexp.cells import Cell
 from quadexp.config import Config
+from quadexp.config_flight import TrajectoryConfig, VehicleConfig
 from quadexp.experiment import keys as cell_keys
 from quadexp.experiment.build import (
     ModelFile,
@@ -87,15 +88,15 @@ class Plan:
         """Raise UsageError where the settings of a cell contradict each other, before anything is flown."""
         for key in keys:
             config = self.job(key).cell.config
-            checks: tuple[tuple[Any, Callable[[Any], Any]], ...] = (
-                (config.trajectory, build_trajectory),
-                (config.controller, controller_settings),
-                (config.vehicle, build_vehicle),
+            checks: tuple[tuple[tuple[Any, ...], Callable[..., Any]], ...] = (
+                ((config.vehicle,), build_vehicle),
+                ((config.trajectory, config.vehicle), _build_trajectory),
+                ((config.controller,), controller_settings),
             )
-            for node, check in checks:
-                text = self._text(node)
+            for nodes, check in checks:
+                text = "".join(self._text(node) for node in nodes)
                 if text not in self._checked:
-                    check(node)
+                    check(*nodes)
                     self._checked.add(text)
 
     def flying_order(self, keys: Sequence[str]) -> Iterator[str]:
@@ -151,6 +152,10 @@ class Plan:
             self._texts.clear()
         self._texts[id(node)] = node, canonical(record)  # the node is kept, so that its id stays its own
         return self._texts[id(node)][1]
+
+
+def _build_trajectory(trajectory: TrajectoryConfig, vehicle: VehicleConfig) -> Any:
+    return build_trajectory(trajectory, build_vehicle(vehicle))
 
 
 def _structure(config: Config, vehicle: str) -> str:

@@ -55,13 +55,21 @@ class SampledReference:
         self.renew(controller.residual)
 
     def renew(self, residual: Residual | None) -> None:
-        """Make attitude, rates and thrusts anew for another belief of the air; UsageError where there are none."""
+        """Make attitude, rates and thrusts anew for another belief of the air, under as much of it as can be.
+
+        Raises UsageError where the trajectory leaves no attitude.
+        """
         if residual is self._believed:
             return
         self._believed = residual
         times = self._grid * TIME_RESOLUTION
         self.reference = flat_reference(self._trajectory, times, self._vehicle, residual=residual)
         self.reference.state.flags.writeable = self.reference.input.flags.writeable = False  # horizons are views
+
+    @property
+    def residual_share(self) -> float:
+        """Share of the controller's residual that the reference contains, 0 .. 1; NaN where it shall contain none."""
+        return self.reference.residual
 
     def __len__(self) -> int:
         return len(self.t)
@@ -111,7 +119,8 @@ def fly(
     sensor: what the controller's accelerometer makes of the specific force; None: it reads it exactly.
     The flight ends early, with the log up to there, where the vehicle is further than lost_distance (m) from the
     reference or its state is not finite ("lost"), or a control step fails ("solver_failed"). metadata is kept and
-    extended by the outcome.
+    extended by the outcome, and by the share of the residual that the reference contained on average over the flight
+    (None: it shall contain none).
     """
     controller = as_controller(controller)
     period, rotors = controller.control_period, plant.vehicle.n_rotors
@@ -124,12 +133,13 @@ def fly(
     reading = np.array([0.0, 0.0, plant.vehicle.gravity])
     measured, speed = None, None
     controller.reset(x, reference.window(0))
-    outcome, cause = "ok", ""
+    outcome, cause, shares = "ok", "", []
     for k in range(len(reference)):
         t = float(reference.t[k])
         if renewal.due(k):
             renewal.make(k, reference, controller.residual)
         state_reference, input_reference = reference.at(k)
+        shares.append(reference.residual_share)
         error = x[POSITION] - state_reference[POSITION]
         distance = math.sqrt(error.dot(error))
         if not distance <= lost_distance:
@@ -151,7 +161,9 @@ def fly(
         measured, speed = reading, getattr(plant, "rotor_speed", None)
     if not log.records:
         raise QuadexpError(f"the flight is over before it began: {cause}")
+    share = float(np.mean(shares))  # a reference that is made anew in flight may contain more or less than before
     details: dict[str, Any] = {"outcome": outcome, "cause": cause, "backend": controller.backend}
+    details["reference_residual"] = None if math.isnan(share) else share
     if renewal.failed:
         details["stale_references"] = renewal.failed
     return Flight(log.columns(reference.t, inner_names), {**(metadata or {}), **details})
@@ -160,8 +172,8 @@ def fly(
 class _Renewal:
     """When a reference is made anew from what has been identified: every `period` control steps (0: never).
 
-    Where the new belief admits no reference the earlier one stays, and the next attempt waits twice as long as the one
-    before: a path that asks for more than the vehicle has is found out at the cost of many iterations.
+    Where the new belief admits no reference the earlier one stays. After that, and after a reference that contains a
+    share of the belief only, the next attempt waits twice as long as the one before: both cost many iterations.
     """
 
     def __init__(self, period: int) -> None:
@@ -173,7 +185,7 @@ class _Renewal:
     def make(self, k: int, reference: SampledReference, residual: Residual | None) -> None:
         try:
             reference.renew(residual)
-            self._wait = self._period
+            self._wait = 2 * self._wait if reference.residual_share < 1 else self._period
         except UsageError:
             self.failed += 1
             self._wait *= 2

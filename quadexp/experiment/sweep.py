@@ -81,7 +81,8 @@ def run_sweep(
     if not isolate:
         for job in plan:
             config = job.cell.config
-            check_feasible(config, build_trajectory(config.trajectory), build_vehicle(config.vehicle))
+            vehicle = build_vehicle(config.vehicle)
+            check_feasible(config, build_trajectory(config.trajectory, vehicle), vehicle)
     store.open()
     with store.emptied(), store.lock():
         if not force:

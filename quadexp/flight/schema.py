@@ -63,7 +63,7 @@ RESIDUAL_COLUMNS: dict[str, Column] = {
 }
 
 RESULT_COLUMNS: dict[str, Column] = {
-    "speed": Column("m/s", "", "nominal speed of the trajectory"),
+    "speed": Column("m/s", "", "nominal speed of the trajectory; asked peak speed of a random path or of waypoints"),
     "rmse": Column("m", "world", "sqrt(mean ||e||^2) of the position error e"),
     "mean_error": Column("m", "world", "mean ||e||; Torrente et al. 2021 print this one as RMSE"),
     "max_error": Column("m", "world", "max ||e||"),
@@ -74,6 +74,11 @@ RESULT_COLUMNS: dict[str, Column] = {
     "saturated_share": Column("1", "", "share of samples with a rotor at its thrust limit"),
     "peak_speed": Column("m/s", "world", "largest speed flown"),
     "duration": Column("s", "", "length of the flight"),
+    "reference_residual": Column(
+        "1",
+        "",
+        "share of the controller's residual that the reference contains, mean over the flight; empty: none by design",
+    ),
 }
 
 # One row per metric, condition and contestant; `unit` names the unit of the columns that are in the metric's own.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import textwrap
 from collections.abc import Mapping
 from pathlib import Path
@@ -65,6 +66,12 @@ def flight_lines(metadata: Mapping[str, Any]) -> list[str]:
         f"flight      {row['duration']:.2f} s, peak speed {row['peak_speed']:.2f} m/s,"
         f" {100 * row['saturated_share']:.1f} % of samples at a thrust limit"
     )
+    share = row.get("reference_residual")
+    if share is not None and share < 1:
+        lines.append(
+            f"reference   contains {math.floor(100 * share)} % of the residual ({knows}):"
+            " with all of it none was found on this path"
+        )
     return lines
 
 

@@ -41,6 +41,7 @@ ROW_COLUMNS = (
     "peak_speed",
     "duration",
     "last_resort_count",
+    "reference_residual",
     "outcome",
     "backend",
     "cause",

@@ -28,9 +28,15 @@ class AirResponse:
     by_velocity: np.ndarray
     by_thrust: np.ndarray
 
+    def times(self, share: float) -> AirResponse:
+        """The response of a model that is `share` times as strong."""
+        return AirResponse(share * self.outputs, share * self.by_velocity, share * self.by_thrust)
+
 
 class AirModel:
     """y = r(z), dy/dv_body and dy/du at many points."""
+
+    share = 1.0  # of the residual
 
     def __init__(self, residual: Residual) -> None:
         self.name = residual.name
@@ -56,3 +62,19 @@ class AirModel:
         return AirResponse(
             values[:N_OUTPUTS], by_velocity.reshape(N_OUTPUTS, N_VELOCITY, k), by_thrust.reshape(N_OUTPUTS, -1, k)
         )
+
+
+@dataclass(frozen=True)
+class PartialAir:
+    """`share` times a model of the air."""
+
+    model: AirModel
+    share: float
+
+    @property
+    def name(self) -> str:
+        return self.model.name
+
+    def __call__(self, z: np.ndarray) -> AirResponse:
+        """See AirModel."""
+        return self.model(z).times(self.share)

@@ -21,14 +21,14 @@ from enum import Enum
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.trajectory.air_model import AirModel
+from quadexp.trajectory.air_model import AirModel, PartialAir
 from quadexp.trajectory.air_step import newton_step, reachable
 from quadexp.trajectory.demand import Demand
 from quadexp.trajectory.flat_map import twisted, untwisted
 from quadexp.trajectory.motion import Air, Calculus, Motion, flat_motion, within_limits
 from quadexp.vehicle import Vehicle
 
-KINK = 0.5  # m/s^2, N m: change that may be left at the instants where a rotor meets its limit
+KINK = 0.5  # m/s^2, N m: change that may be left at the instants where a rotor meets its limit, of the whole residual
 SETTLED = 0.3  # m/s^2: until l changes by less in an iteration its differences in time are noise, and taken as zero
 PATIENCE, PROGRESS = 12, 0.5  # iterations within which the change must fall to this share of the smallest before
 FALLING, SHORTEST = 0.9, 0.1  # where the change does not fall to this share the step is halved, but no shorter than
@@ -44,10 +44,11 @@ class Outcome(Enum):
 
 @dataclass(frozen=True)
 class Settings:
-    """tolerance: on the last change, m/s^2 and N m."""
+    """tolerance: on the last change, m/s^2 and N m. corners: whether l' = l'' = 0 may be taken, and a KINK be left."""
 
     tolerance: float
     max_iterations: int
+    corners: bool = True
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class Iterated:
 def agreeing_air(
     demand: Demand,
     vehicle: Vehicle,
-    model: AirModel | None,
+    model: AirModel | PartialAir | None,
     calculus: Calculus,
     settings: Settings,
     start: np.ndarray | None = None,
@@ -82,9 +83,9 @@ def agreeing_air(
         return air, flat_motion(demand, vehicle, air, calculus)
     iteration = _Iteration(demand, vehicle, model, calculus, settings)
     result = iteration.run(air, held=False)
-    if result.outcome is not Outcome.AGREED:
+    if result.outcome is not Outcome.AGREED and settings.corners:
         result = iteration.run(air, held=True)
-    if result.outcome is Outcome.AGREED or result.change.max() < KINK:
+    if result.outcome is Outcome.AGREED or (settings.corners and result.change.max() < KINK * model.share):
         return result.air, result.motion
     worst = int(np.argmax(result.change))
     raise UsageError(
@@ -115,7 +116,7 @@ class _Iteration:
 
     demand: Demand
     vehicle: Vehicle
-    model: AirModel
+    model: AirModel | PartialAir
     calculus: Calculus
     settings: Settings
 

@@ -1,52 +1,133 @@
-"""Trajectory from a file: recorded or designed positions, interpolated with continuous derivatives up to snap.
+"""Trajectory from a file: a sampled track, or a few waypoints; track_file.py says how the two are told apart.
 
-Two formats, told apart by the first line that is not a comment:
+A sampled track is interpolated by a degree-7 spline through every row (continuous up to the sixth derivative,
+not-a-knot ends), so it wants to be smooth: noise in the rows grows by dt^-4 in the snap. Time starts at the first row;
+without a yaw the heading is 0.
 
-    CSV    a header with the columns t, p_x, p_y, p_z and, if there, yaw (s, m, rad; world ENU); others are ignored
-    TUM    t x y z qx qy qz qw, separated by blanks, no header (s, m; quaternion body to world)
-
-Interpolation by a degree-7 spline through every row (continuous up to the sixth derivative, not-a-knot ends), so a
-recorded track wants to be smooth: noise in the rows grows by dt^-4 in the snap. Time starts at the first row.
-The yaw of a TUM file is that of the reference's convention, y_body level with (-sin yaw, cos yaw, 0).
+Waypoints are joined by minimum-snap polynomials, at rest at both ends (minimum_snap.py); without a yaw the heading is
+free. Their times are kept where they are given. Otherwise segments last in proportion to the p-th power of their
+length, with the p of POWERS that leads to the shortest flight within the vehicle's limits and the asked peak speed
+(time_scale.py). World ENU, SI.
 """
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
-from scipy.spatial.transform import Rotation
 
-from quadexp.errors import DataError, UsageError
-from quadexp.trajectory.base import N_DERIVATIVES, FlatOutput, flat_output_held, hold_outside, sampled_peak_speed
+from quadexp.errors import UsageError
+from quadexp.trajectory.base import (
+    N_DERIVATIVES,
+    FlatOutput,
+    Trajectory,
+    check_positive,
+    flat_output_held,
+    hold_outside,
+    sampled_peak_speed,
+)
+from quadexp.trajectory.minimum_snap import minimum_snap
+from quadexp.trajectory.time_scale import MARGIN, ScaledPath, time_scale
+from quadexp.trajectory.track_file import Positions, read_positions
+from quadexp.vehicle import Vehicle
 
 DEGREE = 7
-MIN_ROWS = DEGREE + 1
-CSV_COLUMNS = ("t", "p_x", "p_y", "p_z")
-TUM_COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
+POWERS = (0.5, 0.75, 1.0)  # sqrt: what a limited acceleration asks for; 1: what a limited speed asks for
 
 
 @dataclass(frozen=True, kw_only=True)
 class FileTrajectory:
-    """The track in a CSV or TUM file; it is read when first used.
+    """The track or the waypoints in a CSV or TUM file; it is read when first used.
 
-    path: file. Raises UsageError where there is no such file, DataError (with the line number) where it is not a track.
+    path: file. speed: largest speed of waypoints, m/s; None: whatever the vehicle can do. vehicle: whose limits
+    waypoints without times keep; None: none. margin: share of the room to the limits that is left, [0, 1).
+    Raises UsageError where there is no such file, where times in the file and the speed contradict each other, or where
+    the limits leave no flight; DataError (with the line number) where the file holds no positions.
     """
 
     path: str
+    speed: float | None = None
+    vehicle: Vehicle | None = None
+    margin: float = MARGIN
 
     def __post_init__(self) -> None:
+        if self.speed is not None:
+            check_positive(speed=self.speed)
         if not Path(self.path).is_file():
             raise UsageError(f"trajectory.path: there is no file {str(self.path)!r}")
 
     @property
     def duration(self) -> float:
-        return self._track[0]
+        return self._flown.duration
+
+    @property
+    def peak_speed(self) -> float:
+        return self._flown.peak_speed
+
+    @property
+    def note(self) -> str:
+        """What keeps the waypoints below the asked speed, in one line; "" where nothing does."""
+        return self._made[1]
+
+    def flat_output(self, t: np.ndarray) -> FlatOutput:
+        """See Trajectory.flat_output."""
+        return self._flown.flat_output(t)
+
+    @property
+    def _flown(self) -> Trajectory:
+        return self._made[0]
+
+    @cached_property
+    def _made(self) -> tuple[Trajectory, str]:
+        """The trajectory and its note."""
+        positions = read_positions(Path(self.path))
+        if positions.sampled:
+            if self.speed is not None:
+                raise UsageError(
+                    f"trajectory.speed={self.speed:g}: {self.path} is a sampled track, which has its own times;"
+                    " leave the speed out, or name the columns x, y, z for waypoints"
+                )
+            return SampledTrack(positions), ""
+        try:
+            return self._through(positions)
+        except ValueError as error:
+            raise UsageError(f"{self.path}: no polynomials through these waypoints ({error})") from None
+
+    def _through(self, positions: Positions) -> tuple[ScaledPath, str]:
+        """The path through waypoints, and its note."""
+        columns = [positions.points] + ([] if positions.yaw is None else [positions.yaw[:, None]])
+        points = np.concatenate(columns, axis=1)
+        if positions.times is not None:
+            timed = ScaledPath(minimum_snap(positions.times, points), 1.0)
+            if self.speed is not None and self.vehicle is not None and timed.peak_speed > self.speed:
+                raise UsageError(
+                    f"trajectory.speed={self.speed:g}: the times in {self.path} take a peak speed of"
+                    f" {timed.peak_speed:.4g} m/s; leave out the column t, raise the speed, or pass"
+                    " trajectory.allow_infeasible=true"
+                )
+            return timed, ""
+        lengths = np.linalg.norm(np.diff(positions.points, axis=0), axis=1) / np.ptp(positions.points, axis=0).max()
+        found = []
+        for power in POWERS:
+            path = minimum_snap(np.concatenate([[0.0], np.cumsum(lengths**power)]), points)
+            scale = time_scale(path, self.vehicle, speed=self.speed, margin=self.margin)
+            found.append((ScaledPath(path, scale.factor), scale))
+        path, scale = min(found, key=lambda one: one[0].duration)
+        return path, scale.note(self.speed, path.peak_speed, self.vehicle)
+
+
+@dataclass(frozen=True)
+class SampledTrack:
+    """A spline through the rows of a track."""
+
+    positions: Positions
+
+    @cached_property
+    def duration(self) -> float:
+        return float(self._times[-1])
 
     @cached_property
     def peak_speed(self) -> float:
@@ -54,77 +135,18 @@ class FileTrajectory:
 
     def flat_output(self, t: np.ndarray) -> FlatOutput:
         """See Trajectory.flat_output."""
-        duration, derivatives = self._track
-        t, inside = hold_outside(t, duration)
-        values = np.stack([derivative(t) for derivative in derivatives], axis=1)
+        t, inside = hold_outside(t, self.duration)
+        values = np.stack([derivative(t) for derivative in self._derivatives], axis=1)
         return flat_output_held(values[:, :, :3].copy(), values[:, :3, 3].copy(), inside)
 
+    @property
+    def _times(self) -> np.ndarray:
+        assert self.positions.times is not None
+        return self.positions.times - self.positions.times[0]
+
     @cached_property
-    def _track(self) -> tuple[float, tuple[BSpline, ...]]:
-        """Duration (s) and the splines of [x, y, z, yaw] with their derivatives up to the fourth."""
-        track = read_track(Path(self.path))
-        t = track[:, 0] - track[0, 0]
-        spline = make_interp_spline(t, track[:, 1:], k=DEGREE)
-        return float(t[-1]), tuple(spline.derivative(order) if order else spline for order in range(N_DERIVATIVES))
-
-
-def read_track(path: Path) -> np.ndarray:
-    """Rows [t, x, y, z, yaw] of a CSV or TUM file, (k, 5) (s, m, rad), yaw unwrapped.
-
-    Raises DataError with the line number for a missing column, a value that is no finite number, time that does not
-    increase, or fewer than 8 rows.
-    """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: not a readable text file ({error})") from None
-    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
-    if not lines:
-        raise DataError(f"{path}: no rows (a track needs at least {MIN_ROWS})")
-    if "," in lines[0][1]:
-        header = [name.strip() for name in next(csv.reader([lines[0][1]]))]
-        missing = [name for name in CSV_COLUMNS if name not in header]
-        if missing:
-            raise DataError(
-                f"{path}, line {lines[0][0]}: no column {', '.join(missing)} in the header"
-                f" (found {', '.join(header)}; needed {', '.join(CSV_COLUMNS)}, optional yaw)"
-            )
-        lines = lines[1:]
-        columns: tuple[str, ...] = (*CSV_COLUMNS, "yaw") if "yaw" in header else CSV_COLUMNS
-        rows = [(i, next(csv.reader([line]))) for i, line in lines]
-    else:
-        header, columns = list(TUM_COLUMNS), TUM_COLUMNS
-        rows = [(i, line.split()) for i, line in lines]
-    values = np.array([_numbers(path, i, row, header, columns) for i, row in rows]).reshape(len(rows), len(columns))
-    if len(values) < MIN_ROWS:
-        raise DataError(f"{path}: {len(values)} rows, a track needs at least {MIN_ROWS}")
-    for (i, _), (before, now) in zip(rows[1:], pairwise(values[:, 0]), strict=True):
-        if now <= before:
-            raise DataError(f"{path}, line {i}: t = {now:g} s does not come after {before:g} s, time must increase")
-    if columns == TUM_COLUMNS:
-        lengths = np.linalg.norm(values[:, 4:], axis=1)
-        if np.any(np.abs(lengths - 1) > 0.01):
-            i = int(np.argmax(np.abs(lengths - 1)))
-            raise DataError(f"{path}, line {rows[i][0]}: the quaternion has length {lengths[i]:.3g}, not 1")
-        y_body = Rotation.from_quat(values[:, 4:]).as_matrix()[:, :, 1]
-        yaw = np.arctan2(-y_body[:, 0], y_body[:, 1])
-    else:
-        yaw = values[:, 4] if "yaw" in columns else np.zeros(len(values))
-    return np.column_stack([values[:, :4], np.unwrap(yaw)])
-
-
-def _numbers(path: Path, line: int, row: list[str], header: list[str], columns: tuple[str, ...]) -> list[float]:
-    """The named columns of one row as finite numbers; DataError with the line otherwise."""
-    if len(row) != len(header):
-        raise DataError(f"{path}, line {line}: {len(row)} values for the {len(header)} columns {' '.join(header)}")
-    numbers = []
-    for name in columns:
-        word = row[header.index(name)]
-        try:
-            value = float(word)
-        except ValueError:
-            raise DataError(f"{path}, line {line}: {name} is {word!r}, not a number") from None
-        if not np.isfinite(value):
-            raise DataError(f"{path}, line {line}: {name} is {word.strip()}, not a finite number")
-        numbers.append(value)
-    return numbers
+    def _derivatives(self) -> tuple[BSpline, ...]:
+        """The splines of [x, y, z, yaw] with their derivatives up to the fourth."""
+        yaw = np.zeros(len(self._times)) if self.positions.yaw is None else self.positions.yaw
+        spline = make_interp_spline(self._times, np.column_stack([self.positions.points, yaw]), k=DEGREE)
+        return tuple(spline.derivative(order) if order else spline for order in range(N_DERIVATIVES))

@@ -10,11 +10,13 @@ drawn exactly through the kernel's Fourier series, with I_n the modified Bessel 
 
 (its covariance matrix is singular to working precision, so that a Cholesky factor would give other numbers on other
 machines). The path is scaled so that the mean of its three axis ranges is `extent`; keypoints are taken at equal phase,
-the last one equal to the first, each segment lasting (mean keypoint distance) / (nominal speed). Through them run
-7th-order polynomials of minimal integrated squared snap (Mellinger & Kumar 2011), at rest with zero acceleration and
-jerk at both ends; the minimiser is continuous up to the sixth derivative. The whole is moved up so that its lowest
-point clears the ground. World frame, m.
-Source: Torrente et al. 2021, public code (kernels, extent, segment time); `minsnap-trajectories` for the polynomials.
+the last one equal to the first, every segment lasting equally long. Through them run minimum-snap polynomials from rest
+to rest (minimum_snap.py). The whole is moved up so that its lowest point clears the ground.
+
+The seed alone decides the path; how fast it is flown follows from the asked peak speed and, where a vehicle is given,
+from its limits (time_scale.py). World frame, m.
+Source: Torrente et al. 2021, public code (kernels, extent). There, `speed` is the mean keypoint distance over
+the segment time, and the peak about 2.4 times that.
 """
 
 from __future__ import annotations
@@ -23,20 +25,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from minsnap_trajectories import Waypoint, generate_trajectory
 from scipy.interpolate import PPoly
 from scipy.special import ive
 
 from quadexp.errors import UsageError
-from quadexp.trajectory.base import (
-    N_DERIVATIVES,
-    FlatOutput,
-    check_finite,
-    check_positive,
-    flat_output_held,
-    hold_outside,
-    sampled_peak_speed,
-)
+from quadexp.trajectory.base import FlatOutput, check_finite, check_positive
+from quadexp.trajectory.minimum_snap import minimum_snap
+from quadexp.trajectory.time_scale import MARGIN, ScaledPath, TimeScale, time_scale
+from quadexp.vehicle import Vehicle
 
 KERNELS = (  # per axis: (length scale, cycles per loop), summed
     ((4.5, 2), (4.5, 1)),
@@ -45,17 +41,17 @@ KERNELS = (  # per axis: (length scale, cycles per loop), summed
 )
 N_HARMONICS = 8  # I_8(1/l^2) is below 1e-17 of I_1 for every kernel above
 N_PATH = 100  # points that measure the path's extent
-DEGREE = 7
 
 
 @dataclass(frozen=True, kw_only=True)
 class RandomPolynomial:
-    """A random closed path; the same seed gives the same path whatever the speed.
+    """A random closed path; the same seed gives the same path whatever the speed and the vehicle.
 
-    speed: nominal speed, m/s: mean keypoint distance over segment time (the peak is higher, see peak_speed).
+    speed: largest speed, m/s; less where the vehicle's limits come first. vehicle: whose limits are kept; None: none.
+    margin: share of the room between hover and the limits that is left, [0, 1).
     keypoints: number of keypoints, the closing one included. extent: mean range of the three axes, m.
     clearance: height of the lowest point, m. yaw: heading held, rad; None: free, body yaw rate zero.
-    Raises UsageError where a number is out of range.
+    Raises UsageError where a number is out of range, or where the vehicle can fly the path at no speed.
     """
 
     speed: float
@@ -64,6 +60,8 @@ class RandomPolynomial:
     extent: float = 6.0
     clearance: float = 1.0
     yaw: float | None = None
+    vehicle: Vehicle | None = None
+    margin: float = MARGIN
 
     def __post_init__(self) -> None:
         check_positive(speed=self.speed, extent=self.extent)
@@ -75,17 +73,21 @@ class RandomPolynomial:
 
     @property
     def duration(self) -> float:
-        return float(self.times[-1])
+        return self._flown.duration
 
-    @cached_property
+    @property
     def peak_speed(self) -> float:
-        return sampled_peak_speed(self)
+        return self._flown.peak_speed
+
+    @property
+    def note(self) -> str:
+        """What keeps the path below the asked speed, in one line; "" where nothing does."""
+        return self._scale.note(self.speed, self.peak_speed, self.vehicle)
 
     @cached_property
     def times(self) -> np.ndarray:
         """Times of the keypoints, (keypoints,) (s)."""
-        distance = np.linalg.norm(np.diff(self._keypoints, axis=0), axis=1).mean()
-        return distance / self.speed * np.arange(self.keypoints)
+        return self._scale.factor * np.arange(self.keypoints)
 
     @cached_property
     def waypoints(self) -> np.ndarray:
@@ -94,10 +96,9 @@ class RandomPolynomial:
 
     def flat_output(self, t: np.ndarray) -> FlatOutput:
         """See Trajectory.flat_output."""
-        t, inside = hold_outside(t, self.duration)
-        position = np.stack([derivative(t) for derivative in self._derivatives], axis=1)
-        position[:, 0, 2] += self._lift
-        return flat_output_held(position, self.yaw, inside)
+        flat = self._flown.flat_output(t)
+        flat.position[:, 0, 2] += self._lift
+        return flat
 
     @cached_property
     def _keypoints(self) -> np.ndarray:
@@ -112,31 +113,26 @@ class RandomPolynomial:
 
     @cached_property
     def _path(self) -> PPoly:
-        """The polynomials through the keypoints about the middle of the path, m."""
-        rest = np.zeros(3)
-        ends = (0, self.keypoints - 1)
-        points = zip(self.times, self._keypoints, strict=True)
+        """The polynomials through the keypoints about the middle of the path, m, a segment a unit of time."""
         try:
-            pieces = generate_trajectory(
-                [Waypoint(time, point, jerk=rest if i in ends else None) for i, (time, point) in enumerate(points)],
-                degree=DEGREE,
-                idx_minimized_orders=4,
-                num_continuous_orders=4,
-            )
+            return minimum_snap(np.arange(self.keypoints), self._keypoints)
         except ValueError as error:
-            span = f"trajectory.extent={self.extent:g} at trajectory.speed={self.speed:g}"
+            span = f"trajectory.extent={self.extent:g}"
             raise UsageError(f"{span}: no polynomials through these keypoints ({error})") from None
-        return PPoly(pieces.coefficients[:, ::-1].transpose(1, 0, 2), pieces.time_reference)
+
+    @cached_property
+    def _scale(self) -> TimeScale:
+        return time_scale(self._path, self.vehicle, speed=self.speed, margin=self.margin)
+
+    @cached_property
+    def _flown(self) -> ScaledPath:
+        return ScaledPath(self._path, self._scale.factor, self.yaw)
 
     @cached_property
     def _lift(self) -> float:
         """Height of the middle of the path that gives its lowest point the clearance, m."""
-        return self.clearance - self._path(np.linspace(0, self.duration, 200 * self.keypoints))[:, 2].min()
-
-    @cached_property
-    def _derivatives(self) -> tuple[PPoly, ...]:
-        """Derivatives of the path up to snap."""
-        return tuple(self._path.derivative(order) for order in range(N_DERIVATIVES))
+        instants = np.linspace(0, self.keypoints - 1, 200 * self.keypoints)
+        return self.clearance - self._path(instants)[:, 2].min()
 
 
 def _periodic_draw(phase: np.ndarray, length_scale: float, cycles: int, rng: np.random.Generator) -> np.ndarray:

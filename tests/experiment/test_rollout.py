@@ -49,6 +49,8 @@ def test_a_renewal_that_fails_is_tried_again_after_twice_the_time():
     made = []
 
     class Reference:
+        residual_share = 1.0
+
         def renew(self, residual):
             made.append(k)
             if k < 60:
