@@ -2,12 +2,13 @@
 
     least      the smallest L_k = mean_c mean_i ln x_kci over the common flights i of the conditions c (see common.py)
     ratio      exp(L_j - L_least) of another to the least, paired, with its interval and p (see inference.log_ratio)
-    p          (k - 1) max_j p_j, at most 1, for k that are compared; corrected by Holm over the lines of a table
-    best       p < 1 - confidence, and nobody ended a larger share of the flights well
+    p          k max_j p_j, at most 1, for k that are ranked; corrected by Holm over the lines of a table
+    best       p < 1 - confidence = alpha, and nobody ended a larger share of the flights well
 
-The least of k was chosen for being the least, so each p_j is multiplied by k - 1. That holds the error rate whatever the
-correlation: to name one falsely it must beat a truly equal or better one from the wrong side, at half of alpha / (k - 1),
-and k of them can do so: k / (k - 1) alpha / 2 <= alpha (Bonferroni). Bounds (perfect_*, oracle_*) take no part.
+The least of k was chosen for being the least, so each p_j is multiplied by k. That holds the error rate whatever the
+correlation: to name one falsely it must beat a truly equal or better one from the wrong side, which has a probability
+of alpha / (2 k) at most, and there are k of them (Bonferroni): alpha / 2 for the verdict over all conditions and
+alpha / 2 for the marks in a table, alpha together. Bounds (perfect_*, oracle_*) take no part.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class Ranking(NamedTuple):
 
     def alike(self, confidence: float) -> list[Contestant]:
         """Who is not distinguishable from the least."""
-        count = len(self.ratios)
+        count = len(self.ratios) + 1
         return [who for who, ratio in self.ratios.items() if not count * ratio.p < 1 - confidence]
 
 
@@ -48,7 +49,7 @@ def rank(groups: Groups, among: Common, who: Sequence[Contestant], place: int, c
     first, *others = sorted(means, key=lambda one: means[one])
     ratios = {one: _ratio(logs[one], logs[first], confidence) for one in others}
     p = [ratio.p for ratio in ratios.values()]
-    return Ranking(first, ratios, min(1.0, len(p) * max(p)) if p and not np.isnan(p).any() else math.nan)
+    return Ranking(first, ratios, min(1.0, len(means) * max(p)) if p and not np.isnan(p).any() else math.nan)
 
 
 def _logs(groups: Groups, among: Common, who: Sequence[Contestant], place: int) -> dict[Contestant, list[np.ndarray]]:
@@ -67,6 +68,12 @@ def _logs(groups: Groups, among: Common, who: Sequence[Contestant], place: int) 
 
 def _ratio(values: Sequence[np.ndarray], others: Sequence[np.ndarray], confidence: float) -> Ratio:
     return log_ratio([a - b for a, b in zip(values, others, strict=True)], confidence, across=True)
+
+
+def ratio_of(groups: Groups, among: Common, who: Contestant, other: Contestant, confidence: float) -> Ratio:
+    """Error of one over that of another, of the first metric, over the common flights."""
+    logs = _logs(groups, among, [who, other], 0)
+    return _ratio(logs[who], logs[other], confidence)
 
 
 def line_p(
@@ -173,8 +180,7 @@ def _verdict(groups: Groups, among: Common, flights: dict[Contestant, Flights], 
     if least is not None:
         bound = next((one for one in among.compared if is_bound(one[0])), None)
     if least is not None and bound is not None:
-        logs = _logs(groups, among, [least, bound], 0)
-        bound_ratio = _ratio(logs[least], logs[bound], confidence)
+        bound_ratio = ratio_of(groups, among, least, bound, confidence)
     return Verdict(
         **about,
         flown=[[labels[one], *count] for one, count in flights.items()],
