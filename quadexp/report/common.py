@@ -1,4 +1,4 @@
-"""Which flights are compared: the one rule behind every table, statistic, figure and sentence about several controllers.
+"""Which flights are compared: the one rule of every table, statistic, figure and sentence on several controllers.
 
     trial      a flight that was asked for; one that nobody could fly (infeasible for all who were asked) is none
     flown      "k of n": of n trials, k ended well

@@ -66,7 +66,8 @@ def _attitude_error(rows: Sequence[Row]) -> str:
         return ""
     worst, row = max(large, key=lambda one: one[0])
     return (
-        f"attitude error above {math.degrees(LARGE_ATTITUDE_ERROR):.0f} degrees in {len(large)} of {len(errors)} flights"
+        f"attitude error above {math.degrees(LARGE_ATTITUDE_ERROR):.0f} degrees in {len(large)} of {len(errors)}"
+        f" flight{'s' if len(errors) > 1 else ''}"
         f" (most: {math.degrees(worst):.3g} degrees, {_place(row)})"
     )
 

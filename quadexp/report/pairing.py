@@ -88,7 +88,7 @@ class Common(NamedTuple):
     seeds: Mapping[Condition, frozenset[int]]
 
     @property
-    def count(self) -> int:
+    def flights(self) -> int:
         return sum(map(len, self.seeds.values()))
 
 

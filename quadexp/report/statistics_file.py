@@ -37,8 +37,8 @@ _DTYPES = {"int": np.int64, "float": float, "str": object}
 
 @dataclass(frozen=True)
 class Statistics:
-    """rows: per metric, condition and contestant. overall: per metric and contestant, over all conditions. verdicts: per
-    metric, plant and vehicle, who has the least error. notes: see report/notes.py."""
+    """rows: per metric, condition and contestant. overall: per metric and contestant, over all conditions. verdicts:
+    per metric, plant and vehicle, who has the least error. notes: see report/notes.py."""
 
     rows: list[Statistic]
     overall: list[Overall]

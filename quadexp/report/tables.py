@@ -20,7 +20,7 @@ from quadexp.report.common import Flights
 from quadexp.report.metrics import SHOWN
 from quadexp.report.notes import notes as row_notes
 from quadexp.report.overall import Overall, overall
-from quadexp.report.pairing import contestant_labels, contestant_of, split_variant, variant_parts
+from quadexp.report.pairing import contestant_labels, contestant_of, variant_parts
 from quadexp.report.statistics import BASELINE, CONFIDENCE, Statistic, compute_statistics
 from quadexp.report.winner import Verdict, verdicts
 from quadexp.report.wording import notes, with_interval
@@ -66,9 +66,9 @@ class Entry:
     """One cell of the table.
 
     mean, low, high, spread: over the `flights` that all who are compared ended well, with its interval and standard
-    deviation (shown unit); NaN where there is none. own, own_flights: mean over all that it ended well itself, and their
-    number. lost: outcome -> count of those that did not end well. best: marked, see winner.py. significant: differs from
-    the baseline.
+    deviation (shown unit); NaN where there is none. own, own_flights: mean over all that it ended well itself, and
+    their number. lost: outcome -> count of those that did not end well. best: marked, see winner.py. significant:
+    differs from the baseline.
     """
 
     mean: float
@@ -123,7 +123,7 @@ class ErrorTable:
 
 
 def column_labels(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What stands over each row's column: the controller with its settings, and its plant and vehicle if there are several.
+    """What stands over each row's column: the controller with its settings; plant and vehicle if there are several.
 
     What else varies is of the condition: it stands beside the trajectory, see `course_labels`.
     """

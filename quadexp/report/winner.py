@@ -106,11 +106,11 @@ def _flew_most(who: Contestant, flights: dict[Contestant, Flights]) -> bool:
 class Verdict:
     """Who has the least error of one metric on one plant and vehicle, over all conditions, and how sure that is.
 
-    flown: [label, flights that ended well, trials] of each. compared: labels. common: flights that all of them ended well, in
-    `conditions` conditions. least: "" where nobody is compared. ways: how many rivals were ranked. best: `least` is told
-    apart from all of them and nobody flew more. flew_less: somebody ended a larger share of its flights well. alike:
-    rivals that are not distinguishable from the least. next: the nearest rival, at `ratio` times the error. bound: the
-    first bound; the least has `bound_ratio` times its error. Ratios: [value, low, high, p], NaN where there is none.
+    flown: [label, flights that ended well, trials] of each. compared: labels. common: flights that all of them ended
+    well, in `conditions` conditions. least: "" where nobody is compared. ways: how many rivals were ranked. best:
+    `least` is told apart from all of them and nobody flew more. flew_less: somebody ended a larger share of its flights
+    well. alike: rivals that are not distinguishable from the least. next: the nearest rival, at `ratio` times the error.
+    bound: the first bound; the least has `bound_ratio` times its error. Ratios: [value, low, high, p], NaN where there is none.
     """
 
     metric: str
@@ -185,7 +185,7 @@ def _verdict(groups: Groups, among: Common, flights: dict[Contestant, Flights], 
         **about,
         flown=[[labels[one], *count] for one, count in flights.items()],
         compared=[labels[one] for one in among.compared],
-        common=among.count,
+        common=among.flights,
         conditions=len(among.seeds),
         least=labels[least] if least is not None else "",
         ways=len(ranking.ratios) + (least is not None),

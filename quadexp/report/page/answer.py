@@ -84,7 +84,8 @@ def _gain(comparison: Comparison) -> str:
         return f"{over}the {metric} is {listed(errors)}."
     one = comparison.overall.get(lead)
     if base is None or base not in compared or one is None or not math.isfinite(one.reduction):
-        return f"{over}{spoken(lead)}{_standing(comparison)} has a {metric} of {_error(comparison, lead)}{_bound(comparison)}."
+        error = _error(comparison, lead)
+        return f"{over}{spoken(lead)}{_standing(comparison)} has a {metric} of {error}{_bound(comparison)}."
     both = f"{_error(comparison, lead)} against {_error(comparison, base)}"
     reduction, limits = percent_with_interval(one.reduction, one.reduction_low, one.reduction_high)
     limits = f" {limits}" if limits else ""
@@ -104,8 +105,9 @@ def _gain(comparison: Comparison) -> str:
         )
     ratio = 1 / (1 - one.reduction / 100)
     return (
-        f"{over}knowing the aerodynamics cuts the {metric} by {reduction}{limits}: {spoken(lead)}{_standing(comparison)}"
-        f" tracks {times(ratio)} times closer than {spoken(base)} ({both}){_bound(comparison)}."
+        f"{over}knowing the aerodynamics cuts the {metric} by {reduction}{limits}:"
+        f" {spoken(lead)}{_standing(comparison)} tracks {times(ratio)} times closer than {spoken(base)}"
+        f" ({both}){_bound(comparison)}."
     )
 
 
@@ -116,7 +118,7 @@ def _over(comparison: Comparison) -> str:
         return ""
     names = [comparison.labels[one] for one in comparison.common.compared]
     who = "all" if len(names) == len(comparison.order) else listed([spoken(name) for name in names])
-    count = comparison.common.count
+    count = comparison.common.flights
     return f"over the {count} flight{'s' if count != 1 else ''} that {who} ended well, " if len(names) > 1 else ""
 
 
@@ -186,7 +188,7 @@ def _note(comparison: Comparison) -> str:
     plant, vehicle = comparison.world
     flown = listed(trajectories) + (f" at {span(speeds, 'm/s')}" if speeds else "")
     count = f"{len(seeds)} seed{'s' if len(seeds) > 1 else ''}"
-    count += "" if comparison.common.count == 0 else f", {comparison.common.count} flights each"
+    count += "" if comparison.common.flights == 0 else f", {comparison.common.flights} flights each"
     parts = [f"Geometric means over {flown}, {count}, plant {plant}, vehicle {vehicle}."]
     one = comparison.overall.get(comparison.lead or "")
     if one is not None and one.pairs:
@@ -199,9 +201,10 @@ def _note(comparison: Comparison) -> str:
     total = len(comparison.main_rows)
     kinds = list(dict.fromkeys(row["outcome"].replace("_", " ") for row in bad))
     if comparison.best is not None and len(comparison.rivals) > 1:
-        parts.append(f"Best of {len(comparison.ranking.ratios) + 1}: {probability(comparison.ranking.p)}, corrected for the choice.")
+        p = probability(comparison.ranking.p)
+        parts.append(f"Best of {len(comparison.ranking.ratios) + 1}: {p}, corrected for the choice.")
     left = [spoken(x) for x in comparison.order if not math.isfinite(comparison.geometric_mean(x))]
-    if left and comparison.common.count:
+    if left and comparison.common.flights:
         parts.append(f"Not compared, for want of flights that ended well: {listed(left)}.")
     parts.append(
         f"{len(bad)} of {total} flights did not end well ({listed(kinds)})."

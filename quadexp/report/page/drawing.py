@@ -177,9 +177,8 @@ def _estimates(comparison: Comparison, title: str, flights: list[tuple[str, Flig
 
 
 def _estimate_draws(comparison: Comparison, flights: list[tuple[str, Flight]]) -> dict[str, Draw]:
-    return {
-        name: partial(estimate_panel, name=name, flights=flights, worn=comparison.look) for name in identified(flights[0][1])
-    }
+    draw = partial(estimate_panel, flights=flights, worn=comparison.look)
+    return {name: partial(draw, name=name) for name in identified(flights[0][1])}
 
 
 def draw_paper(comparison: Comparison, drawn: PageFigures) -> dict[str, Figure]:

@@ -144,8 +144,12 @@ def estimate_panel(
     for label, flight in flights:
         every = max(1, len(flight) // 500)
         panel.plot(
-            flight.t[::every], flight[name][::every], color=palette.series[worn[label].token],
-            linestyle=worn[label].dash, linewidth=1.2, alpha=0.9,
+            flight.t[::every],
+            flight[name][::every],
+            color=palette.series[worn[label].token],
+            linestyle=worn[label].dash,
+            linewidth=1.2,
+            alpha=0.9,
         )
         values.append(flight[name][len(flight) // 20 :])
     true = truth(flights[0][1], name)

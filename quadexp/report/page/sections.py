@@ -37,7 +37,7 @@ SPARK_POINTS = 120
 
 
 def scoreboard(comparison: Comparison) -> list[dict[str, Any]]:
-    """Everyone in the world of the answer: how flights ended, error over the common flights, against the baseline, time.
+    """Everyone in the world of the answer: how flights ended, error over the common ones, against the baseline, time.
 
     Who ended most flights well comes first, then the least error.
     """
@@ -59,7 +59,7 @@ def scoreboard(comparison: Comparison) -> list[dict[str, Any]]:
                 "error": number(mean),
                 "unit": unit,
                 "own": f"own {number(factor * comparison.geometric_mean(label, own=True))} of {own}"
-                if own > (comparison.common.count if mean == mean else 0)
+                if own > (comparison.common.flights if mean == mean else 0)
                 else "",
                 "at": 4 + 92 * (math.log(mean) - low) / span if mean > 0 else None,
                 "change": _change(one.reduction, one.reduction_low, one.reduction_high)[0] if one else "",

@@ -44,7 +44,7 @@ TABLED = ("mean_error", "rmse", "max_error")
 
 @dataclass(frozen=True)
 class Comparison:
-    """Results with their statistics. metric: the one that decides. baseline: a controller's name. notes: on the rows."""
+    """Results with their statistics. metric: the one that decides. baseline: a controller's name. notes: on rows."""
 
     root: Path
     rows: list[dict[str, Any]]
