@@ -158,7 +158,8 @@ def tracked_paths(flights: Sequence[tuple[str, Flight]], title: str = "", missin
             panel.set_xlabel("x (m)")
         for panel in grid[:, 0]:
             panel.set_ylabel("y (m)")
-        bar = figure.colorbar(ScalarMappable(norm, ERROR_COLOURS), ax=grid, label="position error (mm)", shrink=0.85)
+        shown = ScalarMappable(norm, ERROR_COLOURS)
+        bar = figure.colorbar(shown, ax=grid, label="position error (mm)", shrink=0.85, aspect=20 * lines)
         if isinstance(norm, LogNorm):
             plain_log(bar.ax.yaxis)
         figure.legend(*_legend([grid.flat[0]]), loc="outside lower center", ncols=2)

@@ -109,8 +109,9 @@ class Verdict:
     flown: [label, flights that ended well, trials] of each. compared: labels. common: flights that all of them ended
     well, in `conditions` conditions. least: "" where nobody is compared. ways: how many rivals were ranked. best:
     `least` is told apart from all of them and nobody flew more. flew_less: somebody ended a larger share of its flights
-    well. alike: rivals that are not distinguishable from the least. next: the nearest rival, at `ratio` times the error.
-    bound: the first bound; the least has `bound_ratio` times its error. Ratios: [value, low, high, p], NaN where there is none.
+    well. alike: rivals that are not distinguishable from the least. next: the nearest rival, at `ratio` times the
+    error. bound: the first bound; the least has `bound_ratio` times its error. Ratios: [value, low, high, p], NaN where
+    there is none.
     """
 
     metric: str

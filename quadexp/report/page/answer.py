@@ -29,23 +29,31 @@ QUESTION = (
     "How much does knowing the aerodynamics buy, which way of knowing it is best, and does it still run in real time?"
 )
 MOST_COUNTS = 6  # of "k of n" in the headline
+MOST_NAMES = 4  # of controllers with the same count
 ALONE = "How closely does it track, and does it run in real time?"
 
 
 @dataclass(frozen=True)
 class Answer:
-    """question; sentences: who flew and what it buys, and whether it is in time; note: what the sentences rest on."""
+    """question; flown, gain, in_time: the answer's parts; note: what they rest on."""
 
     question: str
-    sentences: tuple[str, str]
+    flown: str
+    gain: str
+    in_time: str
     note: str
+
+    @property
+    def sentences(self) -> tuple[str, str]:
+        """Who flew and what it buys; whether it is in time."""
+        return f"{self.flown} {self.gain}".strip(), self.in_time
 
 
 def answer(comparison: Comparison) -> Answer:
     """What the numbers say, for any results: with or without a baseline, a winner, or a flight that ended well."""
     question = QUESTION if len(comparison.order) > 1 else ALONE
-    first = f"{_flown(comparison)} {_capital(_gain(comparison))}"
-    return Answer(question, (first, _in_time(comparison)), _note(comparison))
+    gain = _capital(_gain(comparison))
+    return Answer(question, _flown(comparison), gain, _in_time(comparison), _note(comparison))
 
 
 def _flown(comparison: Comparison) -> str:
@@ -57,9 +65,12 @@ def _flown(comparison: Comparison) -> str:
     groups: dict[tuple[int, int], list[str]] = {}
     for label, count in counts.items():
         groups.setdefault(count, []).append(spoken(label))
-    parts = [f"{listed(names)} {k} of {n}" for (k, n), names in groups.items()]
+    parts = [
+        f"{listed(names) if len(names) <= MOST_NAMES else f'{len(names)} controllers'} {k} of {n}"
+        for (k, n), names in groups.items()
+    ]
     if len(parts) > MOST_COUNTS:
-        parts = [*parts[: MOST_COUNTS - 1], f"{len(parts) - MOST_COUNTS} more in the table", parts[-1]]
+        parts = [*parts[: MOST_COUNTS - 1], f"{len(parts) - MOST_COUNTS} more counts in the table", parts[-1]]
     return f"Flights that ended well: {', '.join(parts)}."
 
 
@@ -85,7 +96,8 @@ def _gain(comparison: Comparison) -> str:
     one = comparison.overall.get(lead)
     if base is None or base not in compared or one is None or not math.isfinite(one.reduction):
         error = _error(comparison, lead)
-        return f"{over}{spoken(lead)}{_standing(comparison)} has a {metric} of {error}{_bound(comparison)}."
+        rest = f"{_bound(comparison)}{_flew_more(comparison)}"
+        return f"{over}{spoken(lead)}{_standing(comparison)} has a {metric} of {error}{rest}."
     both = f"{_error(comparison, lead)} against {_error(comparison, base)}"
     reduction, limits = percent_with_interval(one.reduction, one.reduction_low, one.reduction_high)
     limits = f" {limits}" if limits else ""
@@ -94,7 +106,7 @@ def _gain(comparison: Comparison) -> str:
         few = "" if one.comparable else f"; so few flights ({one.pairs}) cannot tell"
         return (
             f"{over}{spoken(lead)}{_standing(comparison)} is not distinguishable from {spoken(base)}: its {metric} is"
-            f" {reduction}{limits} smaller ({both}{chance}{few}){_bound(comparison)}."
+            f" {reduction}{limits} smaller ({both}{chance}{few}){_bound(comparison)}{_flew_more(comparison)}."
         )
     if one.reduction <= 0:
         more, limits = percent_with_interval(-one.reduction, -one.reduction_high, -one.reduction_low)
@@ -107,7 +119,7 @@ def _gain(comparison: Comparison) -> str:
     return (
         f"{over}knowing the aerodynamics cuts the {metric} by {reduction}{limits}:"
         f" {spoken(lead)}{_standing(comparison)} tracks {times(ratio)} times closer than {spoken(base)}"
-        f" ({both}){_bound(comparison)}."
+        f" ({both}){_bound(comparison)}{_flew_more(comparison)}."
     )
 
 
@@ -133,10 +145,22 @@ def _standing(comparison: Comparison) -> str:
         clauses.append(f"the least of {ways} but not distinguishable from {listed(alike, 'or')}")
     if comparison.flew_more and comparison.lead:
         _, k, n = comparison.success(comparison.lead)
-        clauses.append(f"{'which' if clauses else 'the least of these errors but'} ended only {k} of {n} flights well")
+        least = "with" if clauses else "with the least of these errors but"
+        clauses.append(f"{least} only {k} of {n} flights that ended well")
     if not clauses:
         clauses = [f"the best of {ways} ways" if ways > 1 else "the one way that flew"]
-    return f", {', '.join(clauses)},"
+    return f", {' and '.join(clauses)},"
+
+
+def _flew_more(comparison: Comparison) -> str:
+    """Who has the least error of those that flew more than the lead."""
+    rivals = [x for x in comparison.flew_more if x in comparison.rivals]
+    errors = {x: comparison.geometric_mean(x) for x in rivals}
+    known = {x: error for x, error in errors.items() if math.isfinite(error)}
+    if not known:
+        return ""
+    least = min(known, key=lambda x: known[x])
+    return f"; of the ways that ended more flights well, {spoken(least)} has the least ({_error(comparison, least)})"
 
 
 def _bound(comparison: Comparison) -> str:

@@ -59,10 +59,10 @@ def course_title(comparison: Comparison, course: Course) -> str:
     """The trajectory, and of plant, vehicle and settings what tells it from the others."""
     plant, vehicle, trajectory, setting = course
     worlds = comparison.worlds
-    parts = [trajectory]
+    parts = [comparison.courses[trajectory, setting]]
     parts += [plant] if len({w[0] for w in worlds}) > 1 else []
     parts += [vehicle] if len({w[1] for w in worlds}) > 1 else []
-    return ", ".join([*parts, *([setting] if setting else [])])
+    return ", ".join(parts)
 
 
 def _on(comparison: Comparison, course: Course) -> list[Statistic]:
@@ -114,7 +114,8 @@ def speed_panel(panel: Any, comparison: Comparison, course: Course, palette: Pal
     panel.set_yscale("log")
     panel.set_ylim(*error_limits(comparison))
     panel.set_xticks(speeds)
-    panel.set_xlim(speeds[0] - 6 * apart, speeds[-1] + 6 * apart)
+    room = max(6.0, len(labels) / 2 + 1) * apart
+    panel.set_xlim(speeds[0] - room, speeds[-1] + room)
     panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     plain_log(panel.yaxis)
     panel.set_xlabel("nominal speed (m/s)")

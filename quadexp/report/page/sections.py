@@ -10,7 +10,7 @@ import numpy as np
 
 from quadexp.report.common import Flights
 from quadexp.report.metrics import position_error
-from quadexp.report.page.figures import course_title
+from quadexp.report.page.figures import Course, course_title
 from quadexp.report.page.names import KNOWS, spoken
 from quadexp.report.page.numbers import (
     MINUS,
@@ -103,16 +103,18 @@ def _table(comparison: Comparison, metric: str) -> dict[str, Any]:
     found = {(s.condition, comparison.labels[s.contestant]): s for s in comparison.select(metric)}
     columns = [label for label in comparison.look if any(label == who for _, who in found)]
     flown = _flown(comparison, metric)
+    order = list(dict.fromkeys(map(_course, comparison.conditions)))
+    conditions = sorted(comparison.conditions, key=lambda c: (order.index(_course(c)), -1.0 if c[3] is None else c[3]))
     compared = [c for c in columns if any(s.baseline for (_, who), s in found.items() if who == c)]
     lines = [
         {
-            "course": course_title(comparison, (c[0], c[1], c[2], c[4])),
+            "course": course_title(comparison, _course(c)),
             "speed": "" if c[3] is None else f"{c[3]:g}",
-            "first": i == 0 or comparison.conditions[i - 1][:3] != c[:3],
+            "first": i == 0 or _course(conditions[i - 1]) != _course(c),
             "means": [_mean_cell(found.get((c, x)), factor) for x in columns],
             "differences": [_difference_cell(found.get((c, x)), factor) for x in compared],
         }
-        for i, c in enumerate(comparison.conditions)
+        for i, c in enumerate(conditions)
     ]
     some = next(iter(found.values()))
     baseline = next((s.baseline for s in found.values() if s.baseline), "")
@@ -138,6 +140,11 @@ def _flown(comparison: Comparison, metric: str) -> dict[str, Flights]:
         before = found.get(label, Flights(0, 0))
         found[label] = Flights(before.ended + s.flown.ended, before.trials + s.flown.trials)
     return found
+
+
+def _course(condition: Condition) -> Course:
+    plant, vehicle, trajectory, _, setting = condition
+    return plant, vehicle, trajectory, setting
 
 
 def _mean_cell(s: Statistic | None, factor: float) -> dict[str, Any]:

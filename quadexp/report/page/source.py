@@ -35,7 +35,7 @@ from quadexp.report.pairing import (
 from quadexp.report.statistics import CONFIDENCE, Statistic
 from quadexp.report.statistics_file import results_statistics
 from quadexp.report.style import Look, looks
-from quadexp.report.tables import from_columns
+from quadexp.report.tables import course_labels, from_columns
 from quadexp.report.winner import Ranking, rank, ratio_of
 
 RESULTS = "results.parquet"
@@ -63,6 +63,11 @@ class Comparison:
     @cached_property
     def conditions(self) -> list[Condition]:
         return list(dict.fromkeys(map(condition_of, self.rows)))
+
+    @cached_property
+    def courses(self) -> dict[tuple[str, str], str]:
+        """(trajectory, other settings) -> what it is called."""
+        return course_labels((c[2], c[4]) for c in self.conditions)
 
     @cached_property
     def world(self) -> World:

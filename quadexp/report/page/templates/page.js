@@ -33,7 +33,7 @@ for (const box of boxes) {
 const measure = () => {
   for (const box of boxes) {
     const first = box.querySelector("th"), wide = box.scrollWidth > box.clientWidth + 1;
-    if (first) box.style.setProperty("--first", `${first.offsetWidth}px`);
+    if (first) box.style.setProperty("--first", `${Math.floor(first.getBoundingClientRect().width) - 1}px`);
     box.classList.toggle("over", wide);
     box.previousElementSibling.classList.toggle("on", wide);
   }
