@@ -90,14 +90,20 @@ STATISTIC_COLUMNS: dict[str, Column] = {
     "label": Column("", "", "controller, and what tells it from the others"),
     "confidence": Column("1", "", "of every interval"),
     "seeds": Column("1", "", "cells asked for"),
+    "trials": Column("1", "", "cells asked for that somebody could fly"),
     "n": Column("1", "", "flights that ended well, which the mean is over"),
-    "mean": Column(_OWN, "", "mean over the seeds"),
+    "mean": Column(_OWN, "", "mean over its own flights that ended well"),
     **{f: Column(_OWN, "", f"{end} limit of the mean") for f, end in (("low", "lower"), ("high", "upper"))},
     "std": Column(_OWN, "", "standard deviation over the seeds"),
     "interval": Column("", "", "BCa bootstrap, t, constant, or none"),
-    "success": Column("1", "", "share that ended well, of all but the infeasible; limits by Wilson"),
+    "common": Column("1", "", "flights that all who are compared ended well; 0 for who is not compared"),
+    "common_mean": Column(_OWN, "", "mean over the common flights"),
+    "common_std": Column(_OWN, "", "standard deviation over the common flights"),
+    "common_interval": Column("", "", "as interval, of the common mean"),
+    "best_p": Column("1", "", "p that it is not the best of its line, for who may be marked so; see report/winner.py"),
+    "success": Column("1", "", "share of the trials that ended well; limits by Wilson"),
     "baseline": Column("", "", "label of whom it is compared with"),
-    "pairs": Column("1", "", "seeds on which both ended well"),
+    "pairs": Column("1", "", "seeds that both ended well, as did all who are compared"),
     "left_out": Column("", "", "seeds that make no pair, by cause"),
     "baseline_mean": Column(_OWN, "", "mean of the baseline over the pairs"),
     "difference": Column(_OWN, "", "mean of contestant - baseline over the pairs"),
@@ -109,7 +115,7 @@ STATISTIC_COLUMNS: dict[str, Column] = {
     "p_least": Column("1", "", "the least p that so many pairs can give"),
     "comparisons": Column("1", "", "over how many p_holm is corrected"),
 }
-for _name in ("success", "difference", "reduction"):
+for _name in ("success", "difference", "reduction", "common"):
     for _end in ("low", "high"):
         STATISTIC_COLUMNS[f"{_name}_{_end}"] = STATISTIC_COLUMNS[_name]._replace(description=f"{_end} limit of {_name}")
 

@@ -1,7 +1,9 @@
 """Two tables of results: what differs in configuration, in outcome, and in the figures of the cells that both have.
 
-Cells are paired by condition, contestant and seed. Over the pairs of a contestant, b is compared with a as a contestant
-is with a baseline in overall.py: a mean ratio with its interval, and a paired permutation test.
+Cells are paired by condition, contestant and seed. First stands how many flights of each ended well. Errors are over the
+flights that all contestants ended well in both (common.py): b is compared with a as a contestant is with a baseline in
+overall.py, by a mean ratio with its interval and a paired permutation test; where that shows no difference, b is "not
+distinguishable". Means over all flights that a contestant itself ended well in both stand beside it.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import numpy as np
 from quadexp.errors import QuadexpError
 from quadexp.flight.cell_store import CellStore
 from quadexp.flight.store import read_metadata, read_table
+from quadexp.report.common import common
 from quadexp.report.differences import ABSENT, change, differing, record_of, said_relative, setting_lines
 from quadexp.report.inference import holm
 from quadexp.report.metrics import METRICS, SHOWN
@@ -132,20 +135,42 @@ def _settings(a: Path, b: Path, pairs: Sequence[tuple[Row, Row]]) -> tuple[dict[
 def _contestants(
     left: Mapping[Key, Row], right: Mapping[Key, Row], both: Sequence[Key], metric: str, confidence: float
 ) -> list[dict[str, Any]]:
-    """For each contestant: means of a and b over the pairs that both ended well, and b against a."""
+    """For each contestant: flights that ended well, means of a and b over the common flights, and b against a."""
     labels = contestant_labels(list(dict.fromkeys(key[1] for key in both)))
+    ended: dict[Any, set[Any]] = {contestant: set() for contestant in labels}
+    for key in both:
+        if left[key]["outcome"] == right[key]["outcome"] == "ok":
+            ended[key[1]].add((key[0], key[2]))
+    compared, shared = common(ended)
     made = []
     for contestant, label in labels.items():
-        keys = [key for key in both if key[1] == contestant]
+        asked = [key for key in both if key[1] == contestant]
+        own = [key for key in asked if (key[0], key[2]) in ended[contestant]]
+        well = [key for key in own if contestant in compared and (key[0], key[2]) in shared]
+        keys = [key for key in asked if key in set(well) or key not in set(own)]
         rows = [dict(left[key], controller="a", model="", variant=key[0][4]) for key in keys]
         rows += [dict(right[key], controller="b", model="", variant=key[0][4]) for key in keys]
         (pooled,) = overall(rows, metric=metric, baseline="a", confidence=confidence)
-        ended = [key for key in keys if left[key]["outcome"] == right[key]["outcome"] == "ok"]
-        means = [sum(side[key][metric] for key in ended) / len(ended) if ended else math.nan for side in (left, right)]
-        made.append({"label": label, "cells": len(keys), **change(*means), **_against(pooled)})
+        flown = {
+            side: [sum(rows_of[key]["outcome"] == "ok" for key in asked), len(asked)]
+            for side, rows_of in (("a", left), ("b", right))
+        }
+        beyond = len(own) - len(well)
+        against = _against(pooled)
+        if beyond:
+            against["left_out"] = ", ".join(filter(None, [against["left_out"], f"{beyond} not ended well by all"]))
+        means = change(_mean(left, well, metric), _mean(right, well, metric))
+        all_own = change(_mean(left, own, metric), _mean(right, own, metric))
+        made.append({"label": label, "cells": len(asked), "flown": flown, **means, **against})
+        made[-1]["own"] = {"pairs": len(own), **all_own}
     for one, p in zip(made, holm(np.array([one["p"] for one in made])), strict=True):
         one["p_holm"] = float(p)
+        one["distinguishable"] = bool(p < 1 - confidence)
     return made
+
+
+def _mean(rows: Mapping[Key, Row], keys: Sequence[Key], metric: str) -> float:
+    return sum(rows[key][metric] for key in keys) / len(keys) if keys else math.nan
 
 
 def _against(pooled: Overall) -> dict[str, Any]:
@@ -179,12 +204,15 @@ def _conditions(
 
 def _table(metrics: Sequence[Mapping[str, Any]], metric: str) -> list[str]:
     factor, unit = SHOWN[metric]
-    rows = [[f"{TITLES[metric]} ({unit})", "pairs", "a", "b", "b - a", "over the conditions", "p (Holm)"]]
+    rows = [
+        [f"{TITLES[metric]} ({unit})", "flown a", "flown b", "pairs", "a", "b", "b - a", "ratio", "p (Holm)", "b is"]
+    ]
     for one in metrics:
         numbers = [number(factor * one[name]) for name in ("a", "b", "difference")]
         limits = "" if math.isnan(one["ratio_low"]) else f" [{one['ratio_low']:+.3g}, {one['ratio_high']:+.3g}]"
         ratio = "-" if math.isnan(one["ratio"]) else "same" if one["ratio"] == 0 else f"{one['ratio']:+.3g} %{limits}"
-        rows.append([one["label"], str(one["pairs"]), *numbers, ratio, said_p(one["p_holm"])])
+        flown = [f"{k} of {n}" for k, n in (one["flown"][side] for side in "ab")]
+        rows.append([one["label"], *flown, str(one["pairs"]), *numbers, ratio, said_p(one["p_holm"]), _said(one)])
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     lines = []
     for row in rows:
@@ -193,7 +221,22 @@ def _table(metrics: Sequence[Mapping[str, Any]], metric: str) -> list[str]:
     left_out = [
         f"  {one['label']}: left out {one['left_out'].replace(' by a', ' in a')}" for one in metrics if one["left_out"]
     ]
-    return lines + left_out
+    own = [
+        f"  {one['label']}: over all {one['own']['pairs']} that it ended well in both:"
+        f" {number(factor * one['own']['a'])} and {number(factor * one['own']['b'])} {unit}"
+        for one in metrics
+        if one["own"]["pairs"] > one["pairs"]
+    ]
+    return lines + left_out + own
+
+
+def _said(one: Mapping[str, Any]) -> str:
+    """Whether b is smaller or larger, beyond chance."""
+    if math.isnan(one["ratio"]):
+        return "-"
+    if one["ratio"] == 0:
+        return "the same"
+    return ("smaller" if one["ratio"] < 0 else "larger") if one["distinguishable"] else "not distinguishable"
 
 
 def _condition_lines(conditions: Sequence[Mapping[str, Any]], metric: str) -> list[str]:
@@ -203,7 +246,8 @@ def _condition_lines(conditions: Sequence[Mapping[str, Any]], metric: str) -> li
     lines = []
     for one in changed[:MOST_CONDITIONS]:
         speed = "" if one["speed"] is None else f" {one['speed']:g} m/s"
-        where = " ".join(part for part in (f"{one['trajectory']}{speed}", one["setting"]) if part)
+        world = f"@{one['plant']}" if len({c["plant"] for c in conditions}) > 1 else ""
+        where = " ".join(part for part in (f"{one['trajectory']}{speed}", one["setting"], world) if part)
         numbers = f"{number(factor * one['a'])} -> {number(factor * one['b'])} {unit}"
         lines.append(f"  {one['label']} on {where}: {numbers} ({said_relative(one['relative'])})")
     rest = len(changed) - len(lines)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import math
 import textwrap
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +22,12 @@ from matplotlib.figure import Figure
 from quadexp.flight.cell_store import CellStore
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import read_flight, write_bytes, write_text
-from quadexp.report.inference import mean_interval
+from quadexp.report.common import Flights
 from quadexp.report.metrics import SHOWN, position_error
-from quadexp.report.statistics import CONFIDENCE
+from quadexp.report.pairing import condition_of
+from quadexp.report.statistics import CONFIDENCE, Statistic, compute_statistics
 from quadexp.report.style import PLAIN, STYLE, looks, plain_log
-from quadexp.report.tables import TITLES, column_labels
+from quadexp.report.tables import TITLES, column_labels, course_labels, table_rows
 from quadexp.report.wording import METHODS
 
 # Light for small errors, dark for large ones; without the end that white paper swallows.
@@ -35,65 +36,75 @@ ERROR_COLOURS = LinearSegmentedColormap.from_list(
 )
 FORMATS = ("svg", "png")
 DRAWN = ".drawn"  # says of which rows the figures beside it are
-MAX_PANELS = 6  # of tracked paths in one figure
+MAX_PANELS = 36  # of tracked paths in one figure
+MAX_ACROSS = 4  # panels of one line
 
 
 def error_against_speed(
     rows: Sequence[Mapping[str, Any]], metric: str = "mean_error", confidence: float = CONFIDENCE
 ) -> Figure | None:
-    """Error over nominal speed, a panel per trajectory and a line per controller: mean and its interval over seeds.
+    """Error over nominal speed, a panel per trajectory (and setting) and a line per controller.
 
-    None where no trajectory was flown at any speed.
+    Means and intervals are over the flights of a point that all who are compared ended well (common.py); a legend entry
+    says how many of all its flights ended well, where these are not all. None where there is no point at any speed.
     """
     factor, unit = SHOWN[metric]
-    labels = column_labels(rows)
-    flown = [
-        (row, label) for row, label in zip(rows, labels, strict=True) if _is_flown(row) and _speed(row) is not None
-    ]
-    names = list(dict.fromkeys(row["trajectory"] for row, _ in flown))
-    if not names:
+    statistics = compute_statistics(rows, metrics=(metric,), baseline="", confidence=confidence)
+    courses = course_labels((s.trajectory, s.setting) for s in statistics)
+    labels = column_labels(table_rows(statistics))
+    points: dict[str, dict[str, list[Statistic]]] = {}
+    flown: dict[str, Flights] = {}
+    for s, label in zip(statistics, labels, strict=True):
+        before = flown.get(label, Flights(0, 0))
+        flown[label] = Flights(before.ended + s.flown.ended, before.trials + s.flown.trials)
+        if s.common and not math.isnan(s.speed):
+            points.setdefault(courses[s.trajectory, s.setting], {}).setdefault(label, []).append(s)
+    if not points:
         return None
     worn = looks(labels)
-    methods: set[str] = set()
-    bottoms: list[float] = []
+    texts = {x: x if n.ended == n.trials else f"{x} ({n.text()} flown)" for x, n in flown.items()}
+    chosen = [s for lines in points.values() for line in lines.values() for s in line]
+    methods = {s.common_interval for s in chosen}
+    # A lower limit of zero has no place on a logarithmic axis: the band then ends below the panel.
+    ends = [v for s in chosen for v in (s.common_mean, s.common_low) if v > 0.1 * s.common_mean]
     with matplotlib.rc_context(STYLE):
-        width = max(5.6, 1.4 + 3.1 * len(names))
-        columns = min(len(worn), max(1, int(13 * width / (max(map(len, worn)) + 6))))  # of the legend
-        height = 3.0 + 0.2 * math.ceil(len(worn) / columns)
+        across = min(len(points), MAX_ACROSS)
+        lines = math.ceil(len(points) / across)
+        width = max(5.6, 1.4 + 3.1 * across)
+        columns = min(len(worn), max(1, int(13 * width / (max(map(len, texts.values())) + 6))))  # of the legend
+        height = 3.0 * lines + 0.2 * math.ceil(len(worn) / columns)
         figure = Figure(figsize=(width, height), layout="constrained")
-        panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
-        for panel, name in zip(panels, names, strict=True):
+        panels = figure.subplots(lines, across, sharey=True, squeeze=False)
+        for panel, (name, by_label) in zip(panels.flat, points.items(), strict=False):
             for label, look in worn.items():
-                points: dict[float, list[float]] = {}
-                for row, its_label in flown:
-                    if row["trajectory"] == name and its_label == label:
-                        points.setdefault(float(row["speed"]), []).append(factor * row[metric])
-                if not points:
+                line = sorted(by_label.get(label, []), key=lambda s: s.speed)
+                if not line:
                     continue
-                speed = np.array(sorted(points))
-                mean = np.array([np.mean(points[v]) for v in speed])
-                limits = [mean_interval(np.array(points[v]), confidence, least=0.0) for v in speed]
-                methods.update(limit.method for limit in limits)
-                # A lower limit of zero has no place on a logarithmic axis: the band then ends below the panel.
-                low, high = (np.array([getattr(limit, end) for limit in limits]) for end in ("low", "high"))
-                bottoms.append(float(np.nanmin([*mean, *low[low > 0.1 * mean]])))
+                speed = np.array([s.speed for s in line])
+                mean, low, high = (
+                    factor * np.array([getattr(s, f"common_{end}") for s in line]) for end in ("mean", "low", "high")
+                )
                 panel.fill_between(speed, np.maximum(low, 1e-9), high, color=look.colour, alpha=0.25, linewidth=0)
-                panel.plot(speed, mean, label=label, **look.points())
+                panel.plot(speed, mean, label=texts[label], **look.points())
             panel.set_yscale("log")
-            panel.set_title(name)
+            panel.set_title(textwrap.fill(name, 34))
             panel.set_xlabel("nominal speed (m/s)")
-            speeds = sorted({float(row["speed"]) for row, _ in flown if row["trajectory"] == name})
-            panel.set_xticks(_apart(speeds, 0.22 * len(names) / width * (speeds[-1] - speeds[0])))
+            speeds = sorted({s.speed for line in by_label.values() for s in line})
+            panel.set_xticks(_apart(speeds, 0.22 * across / width * (speeds[-1] - speeds[0])))
             panel.set_xticks(speeds, minor=True)
             panel.margins(x=0.08)
             panel.grid(True, which="minor", axis="y", linewidth=0.3)
             panel.xaxis.set_major_formatter(PLAIN)
-        panels[0].set_ylim(bottom=0.7 * min(bottoms))
-        plain_log(panels[0].yaxis, minor=True)
-        panels[0].set_ylabel(f"{TITLES[metric]} ({unit})")
-        handles, texts = _legend(panels)
-        title = said_interval(methods, confidence)
-        figure.legend(handles, texts, loc="outside lower center", ncols=columns, title=title, title_fontsize=8)
+        for panel in panels.flat[len(points) :]:
+            panel.set_axis_off()
+        panels[0, 0].set_ylim(bottom=0.7 * factor * min(ends))
+        plain_log(panels[0, 0].yaxis, minor=True)
+        for line_of_panels in panels:
+            line_of_panels[0].set_ylabel(f"{TITLES[metric]} ({unit})")
+        handles, names = _legend(panels.flat)
+        all_well = all(n.ended == n.trials for n in flown.values())
+        title = said_interval(methods, confidence, "seeds" if all_well else "the flights that all ended well")
+        figure.legend(handles, names, loc="outside lower center", ncols=columns, title=title, title_fontsize=8)
     return figure
 
 
@@ -106,17 +117,19 @@ def _apart(values: Sequence[float], least: float) -> list[float]:
     return kept
 
 
-def said_interval(methods: Collection[str], confidence: float) -> str:
+def said_interval(methods: Collection[str], confidence: float, over: str = "seeds") -> str:
     """What lines and bands show, such as "mean over seeds; shaded: its 95 % interval (Student's t)"."""
     used = " or ".join(text for name, text in METHODS.items() if name in methods)
-    return f"mean over seeds; shaded: its {100 * confidence:g} % interval ({used})" if used else "mean over seeds"
+    return f"mean over {over}; shaded: its {100 * confidence:g} % interval ({used})" if used else f"mean over {over}"
 
 
-def tracked_paths(flights: Sequence[tuple[str, Flight]], title: str = "") -> Figure:
+def tracked_paths(flights: Sequence[tuple[str, Flight]], title: str = "", missing: Sequence[str] = ()) -> Figure:
     """Flown paths seen from above, coloured by the position error, over the reference; one scale for all panels.
 
-    flights: (heading, flight), at most MAX_PANELS are drawn.
+    flights: (heading, flight). missing: who has no panel, and why; said below the title, as are flights beyond
+    MAX_PANELS.
     """
+    missing = [*missing, *(f"{heading} (no room)" for heading, _ in flights[MAX_PANELS:])]
     flights = flights[:MAX_PANELS]
     errors = [1e3 * position_error(flight) for _, flight in flights]
     largest = max(float(error.max()) for error in errors)
@@ -145,19 +158,25 @@ def tracked_paths(flights: Sequence[tuple[str, Flight]], title: str = "") -> Fig
             panel.set_xlabel("x (m)")
         for panel in grid[:, 0]:
             panel.set_ylabel("y (m)")
-        bar = figure.colorbar(ScalarMappable(norm, ERROR_COLOURS), ax=grid, label="position error (mm)", shrink=0.85)
+        shown = ScalarMappable(norm, ERROR_COLOURS)
+        bar = figure.colorbar(shown, ax=grid, label="position error (mm)", shrink=0.85, aspect=20 * lines)
         if isinstance(norm, LogNorm):
             plain_log(bar.ax.yaxis)
         figure.legend(*_legend([grid.flat[0]]), loc="outside lower center", ncols=2)
+        if missing:
+            title = f"{title}\n" + textwrap.fill(
+                f"not drawn: {', '.join(missing)}", int(14 * figure.get_size_inches()[0])
+            )
         if title:
-            figure.suptitle(title, fontsize=10)
+            figure.suptitle(title.strip(), fontsize=10)
     return figure
 
 
 def solve_times(rows: Sequence[Mapping[str, Any]]) -> Figure | None:
     """Time of the control step per controller: medians over its flights of their median and 99th percentile."""
     groups: dict[str, list[Mapping[str, Any]]] = {}
-    for row, label in zip(rows, column_labels(rows), strict=True):
+    labels = column_labels(rows)
+    for row, label in zip(rows, labels, strict=True):
         if _is_flown(row):
             groups.setdefault(label, []).append(row)
     if not groups:
@@ -165,7 +184,7 @@ def solve_times(rows: Sequence[Mapping[str, Any]]) -> Figure | None:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 1.1 + 0.4 * len(groups)), layout="constrained")
         panel = figure.subplots()
-        worn = looks(list(groups))
+        worn = looks(labels)
         for i, (label, group) in enumerate(groups.items()):
             median, p99 = (1e6 * float(np.median([row[f"solve_time_{k}"] for row in group])) for k in ("median", "p99"))
             colour = worn[label].colour
@@ -185,6 +204,9 @@ def solve_times(rows: Sequence[Mapping[str, Any]]) -> Figure | None:
         plain_log(panel.xaxis)
         panel.set_xlabel("time (µs): median (marker) / 99th percentile (bar)")
         panel.set_title(f"control step, {', '.join(backends)}")
+        gone = [label for label in dict.fromkeys(labels) if label not in groups]
+        if gone:
+            figure.suptitle(textwrap.fill(f"no flight ended well: {', '.join(gone)}", 90), fontsize=8)
     return figure
 
 
@@ -209,7 +231,7 @@ def draw_results(
     makers: dict[str, Callable[[], Figure | None]] = {
         f"{metric.removesuffix('_error')}_error_against_speed": lambda: error_against_speed(rows, metric, confidence),
         "solve_time": lambda: solve_times(rows),
-        **{f"path_{name}": functools.partial(_path_figure, store, name, paths[name]) for name in paths},
+        **{f"path_{name}": functools.partial(_path_figure, store, name, *paths[name]) for name in paths},
     }
     files: dict[str, str] = {}
     for name, make in makers.items():
@@ -225,10 +247,12 @@ def draw_results(
     return files
 
 
-def _path_figure(store: CellStore, trajectory: str, chosen: Sequence[tuple[str, Mapping[str, Any]]]) -> Figure:
+def _path_figure(
+    store: CellStore, trajectory: str, chosen: Sequence[tuple[str, Mapping[str, Any]]], missing: Sequence[str]
+) -> Figure:
     flights = [(label, read_flight(store.path(row["key"]))) for label, row in chosen]
     speed = _speed(chosen[0][1])
-    return tracked_paths(flights, trajectory if speed is None else f"{trajectory}, {speed:g} m/s")
+    return tracked_paths(flights, trajectory if speed is None else f"{trajectory}, {speed:g} m/s", missing)
 
 
 def save(figure: Figure, path: Path) -> Path:
@@ -241,18 +265,31 @@ def save(figure: Figure, path: Path) -> Path:
     return path.with_suffix(".svg")
 
 
-def _fastest(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[str, Mapping[str, Any]]]]:
-    """For each trajectory the flights at the highest speed that most controllers flew, one per controller."""
-    chosen: dict[str, list[tuple[str, Mapping[str, Any]]]] = {}
-    labels = column_labels(rows)
-    for name in dict.fromkeys(row["trajectory"] for row in rows):
-        by_speed: dict[float, dict[str, Mapping[str, Any]]] = {}
-        for row, label in zip(rows, labels, strict=True):
-            if row["trajectory"] == name and _is_flown(row):
-                by_speed.setdefault(_speed(row) or 0.0, {}).setdefault(label, row)
-        if by_speed:
-            speed = max(by_speed, key=lambda v: (len(by_speed[v]), v))
-            chosen[name] = list(by_speed[speed].items())
+def _fastest(
+    rows: Sequence[Mapping[str, Any]],
+) -> dict[str, tuple[list[tuple[str, Mapping[str, Any]]], list[str]]]:
+    """For each trajectory the flights at the highest speed that most controllers flew, one per controller, and who did
+    not end a flight of it well."""
+    chosen: dict[str, tuple[list[tuple[str, Mapping[str, Any]]], list[str]]] = {}
+    by_trajectory: dict[str, dict[float, dict[str, list[Mapping[str, Any]]]]] = {}
+    courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in rows)
+    for row, label in zip(rows, column_labels(rows), strict=True):
+        setting = courses[row["trajectory"], condition_of(row)[4]].removeprefix(row["trajectory"]).strip()
+        heading = f"{label}, {setting}" if setting else label
+        by_speed = by_trajectory.setdefault(row["trajectory"], {})
+        by_speed.setdefault(_speed(row) or 0.0, {}).setdefault(heading, []).append(row)
+    for name, by_speed in by_trajectory.items():
+        flown = {
+            v: {x: next(filter(_is_flown, own), None) for x, own in found.items()} for v, found in by_speed.items()
+        }
+        count = {v: sum(row is not None for row in found.values()) for v, found in flown.items()}
+        speed = max(flown, key=lambda v: (count[v], v))
+        if count[speed]:
+            outcomes = {
+                x: ", ".join(dict.fromkeys(row["outcome"] for row in own)) for x, own in by_speed[speed].items()
+            }
+            missing = [f"{x} ({outcomes[x]})" for x, row in flown[speed].items() if row is None]
+            chosen[name] = [(x, row) for x, row in flown[speed].items() if row is not None], missing
     return chosen
 
 
@@ -265,7 +302,7 @@ def _speed(row: Mapping[str, Any]) -> float | None:
     return None if speed is None or math.isnan(float(speed)) else float(speed)
 
 
-def _legend(panels: Sequence[Any]) -> tuple[list[Any], list[str]]:
+def _legend(panels: Iterable[Any]) -> tuple[list[Any], list[str]]:
     found: dict[str, Any] = {}
     for panel in panels:
         for handle, text in zip(*panel.get_legend_handles_labels(), strict=True):

@@ -7,6 +7,9 @@ With n values x_i, mean m, standard deviation s, confidence 1 - alpha, and paire
     share      (k + z^2/2 +- z sqrt(k (n - k) / n + z^2/4)) / (n + z^2)        (Wilson 1927, JASA 22(158))
     p          share of the 2^n sign patterns g with |sum g_i d_i| >= |sum d_i|  (Fisher 1935, Design of Experiments)
     effect     (R- - R+) / (R- + R+), R the rank sums of |d_i| by sign of d_i    (Kerby 2014, Compr. Psychol. 3)
+    ratio      exp(L +- t s), L = mean_c mean_i ln(x_ci / b_ci) over C conditions, s^2 = sum_c s_c^2 / n_c / C^2, with
+               Satterthwaite's degrees of freedom (sum_c v_c)^2 / sum_c (v_c^2 / (n_c - 1)), v_c = s_c^2 / n_c
+               (Satterthwaite 1946, Biometrics 2(6)); its p is that of L = 0
     Holm       p_(i) -> max over j <= i of min(1, (m - j + 1) p_(j))             (Holm 1979, Scand. J. Stat. 6(2))
 
 Why not the bootstrap for every n: it never leaves the range of the data, which holds the median with probability
@@ -24,11 +27,11 @@ are given.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import ndtr, ndtri, stdtrit
+from scipy.special import ndtr, ndtri, stdtr, stdtrit
 
 RESAMPLES = 9999
 MOST_BOOTSTRAPPED = 200  # values; beyond, the t interval is the same
@@ -100,6 +103,44 @@ def reduction_interval(
         half = student(confidence, n - 1) * float(np.std(linear, ddof=1)) / math.sqrt(n)
         limits = Interval(reduction - half, reduction + half, "t")
     return limits
+
+
+class Ratio(NamedTuple):
+    """Ratio of two errors over conditions, its limits and the p of a ratio of one; NaN where there is none."""
+
+    value: float
+    low: float
+    high: float
+    p: float
+
+
+def log_ratio(logs: Sequence[np.ndarray], confidence: float = 0.95, *, across: bool = False) -> Ratio:
+    """The mean ratio over conditions, each with the same weight. logs: ln(x / b) of the pairs of each condition.
+
+    Limits and p speak of new seeds of these conditions. Where a condition has one pair, there are none, or, with
+    `across`, those of the conditions' means as a sample: wider, since what differs between conditions counts too.
+    """
+    logs = [np.asarray(log, float) for log in logs if len(log)]
+    if not logs:
+        return Ratio(math.nan, math.nan, math.nan, math.nan)
+    means = np.array([np.mean(log) for log in logs])
+    mean, count = float(np.mean(means)), len(logs)
+    if all(len(log) > 1 for log in logs):
+        variances = np.array([np.var(log, ddof=1) / len(log) for log in logs])
+        degrees_of_each = np.array([len(log) - 1.0 for log in logs])
+    elif across and count > 1:
+        variances, degrees_of_each, count = np.array([np.var(means, ddof=1) / count]), np.array([count - 1.0]), 1
+    else:
+        return Ratio(math.exp(mean), math.nan, math.nan, math.nan)
+    error = math.sqrt(float(variances.sum())) / count
+    largest = max(float(np.abs(log).max()) for log in logs)
+    if error <= SAME * max(largest, 1.0):  # every pair says the same
+        alike = abs(mean) <= SAME * max(largest, 1.0)
+        return Ratio(math.exp(mean), math.exp(mean), math.exp(mean), 1.0 if alike else 0.0)
+    degrees = float(variances.sum()) ** 2 / float(np.sum(variances**2 / degrees_of_each))
+    half = student(confidence, degrees) * error
+    p = 2 * float(stdtr(degrees, -abs(mean) / error))
+    return Ratio(math.exp(mean), math.exp(mean - half), math.exp(mean + half), p)
 
 
 def widened(confidence: float, n: int) -> float:

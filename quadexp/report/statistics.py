@@ -1,22 +1,24 @@
 """Statistics of a comparison: one row per metric, condition and contestant, over the seeds.
 
-The mean is over the flights that ended well; those that did not are counted beside it, by outcome, and lower the
-success rate. A contestant is compared with the baseline seed by seed, difference = contestant - baseline, over the
-seeds on which both ended well; the others are counted in `left_out`, by cause. p-values are corrected for all
-comparisons of one metric. The equations stand in inference.py, conditions and pairs in pairing.py.
+Two means: `mean` over the contestant's own flights that ended well, `common_mean` over those that all who are compared
+ended well (common.py), which is what tables set side by side. Flights that did not end well are counted, by outcome,
+and lower the success rate. A contestant is compared with the baseline seed by seed, difference = contestant - baseline,
+over the common flights; the others are counted in `left_out`, by cause. p-values are corrected for all comparisons of
+one metric. The equations stand in inference.py, conditions and pairs in pairing.py, who is best in winner.py.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from quadexp.flight.schema import describe
+from quadexp.report.common import Flights
 from quadexp.report.inference import (
     cohen_d,
     holm,
@@ -28,7 +30,8 @@ from quadexp.report.inference import (
     success_interval,
 )
 from quadexp.report.metrics import SHOWN
-from quadexp.report.pairing import Condition, Contestant, Flown, Groups, Row, said
+from quadexp.report.pairing import Condition, Contestant, Flown, Groups, Row, World, said
+from quadexp.report.winner import barred, line_p
 
 COMPARED = tuple(dict.fromkeys((*SHOWN, "attitude_rmse")))
 DESCRIBED = ("solve_time_median", "solve_time_p99", "saturated_share")  # no comparison: they are not paired by noise
@@ -46,7 +49,9 @@ class Statistic:
     where the contestant's mean is smaller than the baseline's over the same pairs. effect, cohen_d: of the paired
     differences, positive where smaller than the baseline.
 
-    seeds: cells asked for. n: flights in the mean. baseline: label of whom it is compared with, "" for nobody.
+    seeds: cells asked for. trials: those of them that somebody could fly. n: flights in the mean. common: flights in
+    the common mean, 0 where it is not compared. best_p: see `winner.line_p`, corrected for the number of lines, NaN for
+    who may not be marked as best. baseline: label of whom it is compared with, "" for nobody.
     interval: how [low, high] came about. p_least: the least p that so many pairs can give. comparisons: over how many
     p_holm is corrected. speed: m/s, NaN where the trajectory has none.
     """
@@ -64,12 +69,19 @@ class Statistic:
     label: str
     confidence: float
     seeds: int
+    trials: int
     n: int
     mean: float
     low: float
     high: float
     std: float
     interval: str
+    common: int
+    common_mean: float
+    common_low: float
+    common_high: float
+    common_std: float
+    common_interval: str
     lost: int
     solver_failed: int
     infeasible: int
@@ -77,6 +89,7 @@ class Statistic:
     success: float
     success_low: float
     success_high: float
+    best_p: float = NAN
     baseline: str = ""
     pairs: int = 0
     left_out: str = ""
@@ -109,21 +122,32 @@ class Statistic:
         return {name: count for name in FAILURES if (count := getattr(self, name))}
 
     @property
+    def flown(self) -> Flights:
+        return Flights(self.seeds - sum(self.failures.values()), self.trials)
+
+    @property
+    def best(self) -> bool:
+        """Whether it has the least error of its line, beyond chance, and nobody flew more."""
+        return self.best_p < 1 - self.confidence  # False for NaN
+
+    @property
     def significant(self) -> bool:
         return self.p_holm < 1 - self.confidence  # False for NaN
 
 
-def tally(flights: Sequence[Flown], confidence: float) -> dict[str, Any]:
+def tally(flights: Sequence[Flown], trials: int, confidence: float) -> dict[str, Any]:
     """How the flights of a group ended: counts by outcome, and the success rate with its interval.
 
-    A reference that nobody can fly (infeasible) is no trial; a cell without a result (failed) is one, and no success.
+    trials: how many of them somebody could fly, see `Groups.flights`; a cell without a result (failed) is one.
     """
     outcomes = Counter(f.outcome if f.outcome in ("ok", *FAILURES) else "failed" for f in flights)
-    trials = len(flights) - outcomes["infeasible"]
     low, high = success_interval(outcomes["ok"], trials, confidence)
     success = outcomes["ok"] / trials if trials else NAN
     counts = {name: outcomes[name] for name in FAILURES}
-    return {"seeds": len(flights), **counts, "success": success, "success_low": low, "success_high": high}
+    return {
+        "seeds": len(flights), "trials": trials, **counts,
+        "success": success, "success_low": low, "success_high": high,
+    }  # fmt: skip
 
 
 def compute_statistics(
@@ -137,18 +161,27 @@ def compute_statistics(
     """The statistics of result rows, metric by metric. baseline: name of a controller. seed: of the bootstrap."""
     groups = Groups(rows, baseline, metrics)
     paired = {
-        (condition, contestant): (rival, *groups.pairs(condition, contestant, rival))
+        (condition, contestant): (rival, *groups.pairs(condition, contestant, rival, groups.common_in(condition)))
         for condition, contestant in groups.cells
         if (rival := groups.baseline(contestant)) is not None
     }
-    tallies = {at: tally(group, confidence) for at, group in groups.cells.items()}
+    flights = {condition: groups.flights([condition]) for condition in dict.fromkeys(at for at, _ in groups.cells)}
+    tallies = {at: tally(group, flights[at[0]][at[1]].trials, confidence) for at, group in groups.cells.items()}
+    least = barred(groups)
     statistics: list[Statistic] = []
     for place, metric in enumerate(metrics):
         made = []
+        best = _best(groups, flights, place, confidence, least) if metric in COMPARED else {}
         for (condition, contestant), group in groups.cells.items():
             values = np.array([flown.values[place] for flown in group if flown.outcome == "ok"])
             values = values[np.isfinite(values)]
             limits = mean_interval(values, confidence, least=0.0, seed=seed)
+            among = groups.common_in(condition)
+            seeds = among.seeds.get(condition, frozenset()) if contestant in among.compared else frozenset[int]()
+            shared = groups.values(condition, contestant, place, seeds)
+            shared = shared[np.isfinite(shared)]
+            same = np.array_equal(np.sort(shared), np.sort(values))
+            common = limits if same else mean_interval(shared, confidence, least=0.0, seed=seed)
             fields: dict[str, Any] = {
                 **dict(zip(("plant", "vehicle", "trajectory", "speed", "setting"), condition, strict=True)),
                 **dict(zip(("controller", "model", "variant"), contestant, strict=True)),
@@ -156,6 +189,13 @@ def compute_statistics(
                 "n": len(values),
                 "mean": float(np.mean(values)) if len(values) else NAN,
                 "std": float(np.std(values, ddof=1)) if len(values) > 1 else NAN,
+                "common": len(shared),
+                "common_mean": float(np.mean(shared)) if len(shared) else NAN,
+                "common_low": common.low,
+                "common_high": common.high,
+                "common_std": float(np.std(shared, ddof=1)) if len(shared) > 1 else NAN,
+                "common_interval": common.method,
+                "best_p": best.get((condition, contestant), NAN),
                 **tallies[condition, contestant],
             }
             if metric in COMPARED and (condition, contestant) in paired:
@@ -176,6 +216,19 @@ def compute_statistics(
             )
         statistics += _corrected(made)
     return statistics
+
+
+def _best(
+    groups: Groups,
+    conditions: Iterable[Condition],
+    place: int,
+    confidence: float,
+    least: Mapping[World, frozenset[Contestant]],
+) -> dict[tuple[Condition, Contestant], float]:
+    """(condition, contestant) -> p that it is not the best of its line, by Holm over the lines."""
+    found = {at: line_p(groups, at, place, confidence, least[at[:2]]) for at in conditions}
+    corrected = holm(np.array([p for _, p in found.values()]))
+    return {(at, who): float(p) for (at, (who, _)), p in zip(found.items(), corrected, strict=True) if who is not None}
 
 
 def _comparison(pairs: Sequence[tuple[Flown, Flown]], place: int, confidence: float, seed: int) -> dict[str, Any]:

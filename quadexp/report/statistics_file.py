@@ -22,23 +22,28 @@ import numpy as np
 from quadexp.errors import QuadexpError
 from quadexp.flight.store import read_metadata, read_table, write_table, write_text
 from quadexp.report.comparison_table import comparison_latex, comparison_markdown
+from quadexp.report.notes import notes
 from quadexp.report.overall import Overall, overall
 from quadexp.report.pairing import Row
 from quadexp.report.statistics import BASELINE, COMPARED, CONFIDENCE, DESCRIBED, Statistic, compute_statistics
 from quadexp.report.tables import ErrorTable, csv_value, table_of, to_latex, to_markdown
+from quadexp.report.winner import Verdict, verdicts
 
 FILE = "statistics.parquet"
-VERSION = 1  # of how the numbers are computed; another one makes stored statistics unknown
+VERSION = 2  # of how the numbers are computed; another one makes stored statistics unknown
 _KINDS = {field.name: str(field.type) for field in fields(Statistic)}
 _DTYPES = {"int": np.int64, "float": float, "str": object}
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """rows: per metric, condition and contestant. overall: per metric and contestant, over all conditions."""
+    """rows: per metric, condition and contestant. overall: per metric and contestant, over all conditions. verdicts:
+    per metric, plant and vehicle, who has the least error. notes: see report/notes.py."""
 
     rows: list[Statistic]
     overall: list[Overall]
+    verdicts: list[Verdict]
+    notes: list[str]
     baseline: str
     confidence: float
     fingerprint: str
@@ -53,6 +58,9 @@ class Statistics:
     def pooled(self, metric: str) -> list[Overall]:
         return [entry for entry in self.overall if entry.metric == metric]
 
+    def verdicts_of(self, metric: str) -> list[Verdict]:
+        return [verdict for verdict in self.verdicts if verdict.metric == metric]
+
 
 def results_statistics(
     root: str | Path | None, rows: Sequence[Row], *, baseline: str = BASELINE, confidence: float = CONFIDENCE
@@ -65,11 +73,15 @@ def results_statistics(
         except QuadexpError:
             record = {}
         if record.get("fingerprint") == fingerprint:
-            pooled = [_with_nan(entry) for entry in record["overall"]]
-            return Statistics(from_statistics_columns(columns), pooled, baseline, confidence, fingerprint)
+            pooled = [Overall(**_with_nan(entry)) for entry in record["overall"]]
+            found = [Verdict(**_with_nan(entry)) for entry in record["verdicts"]]
+            stored = from_statistics_columns(columns)
+            return Statistics(stored, pooled, found, notes(rows), baseline, confidence, fingerprint)
     options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
     pooled = [entry for metric in COMPARED for entry in overall(rows, metric=metric, **options)]
-    return Statistics(compute_statistics(rows, **options), pooled, baseline, confidence, fingerprint)
+    found = [one for metric in COMPARED for one in verdicts(rows, metric=metric, confidence=confidence)]
+    made = compute_statistics(rows, **options)
+    return Statistics(made, pooled, found, notes(rows), baseline, confidence, fingerprint)
 
 
 def write_statistics(root: str | Path, statistics: Statistics) -> dict[str, str]:
@@ -84,7 +96,8 @@ def write_statistics(root: str | Path, statistics: Statistics) -> dict[str, str]
             "baseline": statistics.baseline,
             "confidence": statistics.confidence,
             "fingerprint": statistics.fingerprint,
-            "overall": [_without_nan(entry) for entry in statistics.overall],
+            "overall": [_without_nan(asdict(entry)) for entry in statistics.overall],
+            "verdicts": [_without_nan(asdict(entry)) for entry in statistics.verdicts],
         }
         write_table(path, statistics_columns(statistics.rows), record, "statistics")
         write_text(text, statistics_csv(statistics.rows))
@@ -94,7 +107,7 @@ def write_statistics(root: str | Path, statistics: Statistics) -> dict[str, str]
 def write_comparison(root: str | Path, statistics: Statistics, metric: str) -> tuple[ErrorTable, dict[str, str]]:
     """Write the statistics and the tables of one metric; returns the error table and name -> path."""
     root = Path(root)
-    table = table_of(statistics.of(metric), statistics.pooled(metric))
+    table = table_of(statistics.of(metric), statistics.pooled(metric), statistics.verdicts_of(metric), statistics.notes)
     compared = statistics.of(metric)
     text = f"{to_markdown(table)}\n{comparison_markdown(compared)}".rstrip() + "\n"
     files = {
@@ -147,10 +160,18 @@ def _settled(value: Any) -> Any:
     return "" if value != value else value  # NaN
 
 
-def _without_nan(entry: Overall) -> dict[str, Any]:
-    return {name: None if value != value else value for name, value in asdict(entry).items()}
+def _without_nan(value: Any) -> Any:
+    """NaN as null, which JSON has."""
+    if isinstance(value, Mapping):
+        return {name: _without_nan(inner) for name, inner in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(inner) for inner in value]
+    return None if value != value else value
 
 
-def _with_nan(entry: Mapping[str, Any]) -> Overall:
-    fields: dict[str, Any] = {name: math.nan if value is None else value for name, value in entry.items()}
-    return Overall(**fields)
+def _with_nan(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _with_nan(inner) for name, inner in value.items()}
+    if isinstance(value, list):
+        return [_with_nan(inner) for inner in value]
+    return math.nan if value is None else value

@@ -1,8 +1,9 @@
-"""What all figures share: the style, who wears which colour and marker, and logarithmic axes with plain numbers.
+"""What all figures and the report's page share: who wears which colour and marker, the style, and logarithmic axes.
 
-Colours are Okabe and Ito's, with a dark brown for their yellow, which white paper swallows: colour-blind readers can
-tell them apart, and markers and dashes differ as well. A controller looks the same in every figure, and so does a model
-of the air: `gp_mpc` and a fitted GP are blue.
+A controller looks the same in every figure and on the page, whatever its rank and company, and so does a model of the
+air: `gp_mpc` and a fitted GP are blue. Variants of a controller (its settings, its checkpoint) share its hue in another
+shade, with hollow markers and another dash. Every hue has a colour on light ground, which is that of paper, and one on
+dark ground. All keep a contrast of 3:1 and can be told apart by colour-blind readers (tests/report/test_palette.py).
 """
 
 from __future__ import annotations
@@ -14,10 +15,29 @@ from typing import Any
 
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
-COLOURS = ("#000000", "#E69F00", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#663311")
+HUES: dict[str, tuple[str, str]] = {  # hue -> colour on light and on dark ground
+    "ink": ("#000000", "#ffffff"),
+    "orange": ("#b87708", "#ecb83f"),
+    "blue": ("#004fc3", "#51a3fa"),
+    "green": ("#0a7344", "#46d7a0"),
+    "pink": ("#90338f", "#c751ba"),
+    "vermillion": ("#8c2e08", "#e47048"),
+    "sky": ("#1e8fcc", "#a3cee6"),
+    "brown": ("#4e1b06", "#906b5a"),
+    "grey": ("#5f6773", "#8d97a5"),
+}
+USUAL_SHADES = ((-0.45, 0.25, -0.7), (0.6, 0.35, -0.25))  # of variants on light and dark: share of white, or of black
+OTHER_SHADES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {  # where the usual ones would not be seen
+    "ink": ((0.5, 0.25, 0.38), (-0.55, -0.25, -0.4)),
+    "orange": ((-0.45, -0.25, -0.7), (0.6, -0.35, 0.35)),
+    "pink": (USUAL_SHADES[0], (0.65, 0.3, 0.48)),
+    "sky": ((-0.45, -0.25, -0.7), (-0.45, 0.7, -0.25)),
+    "brown": ((0.45, 0.25, -0.6), (0.65, 0.3, 0.48)),
+}
+COLOURS = tuple(HUES[hue][0] for hue in HUES if hue != "grey")
+GREY = HUES["grey"][0]
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "h", "<", ">", "p")
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
-GREY = "#5F6773"
 STYLE: Any = {  # matplotlib types every single key
     "font.size": 9,
     "axes.titlesize": 10,
@@ -34,32 +54,46 @@ STYLE: Any = {  # matplotlib types every single key
     "svg.hashsalt": "quadexp",
 }
 PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
-KNOWN: dict[str, tuple[str, str, Any]] = {  # controller or model of the air -> colour, marker, dash
-    "nominal_mpc": (GREY, "o", "-"),
-    "linear_drag_mpc": (COLOURS[1], "s", "-"),
-    "gp_mpc": (COLOURS[2], "^", "-"),
-    "rls_mpc": (COLOURS[5], "D", "-"),
-    "perfect_mpc": (COLOURS[0], "v", ":"),
-    "static_feedback": (COLOURS[4], "P", "--"),
-    "rls_feedback": (COLOURS[3], "X", "-"),
-    "oracle_feedback": (COLOURS[6], "*", ":"),
-    "literal_feedback": (COLOURS[7], "h", "-."),
-    "nominal": (GREY, "o", "-"),
-    "linear drag": (COLOURS[1], "s", "-"),
-    "quadratic drag": (COLOURS[3], "X", "--"),
-    "blade element": (COLOURS[5], "D", "-."),
+LOOKS: dict[str, tuple[str, str, Any]] = {  # controller or model of the air -> hue, marker, dash
+    "nominal_mpc": ("grey", "o", "-"),
+    "linear_drag_mpc": ("orange", "s", "-"),
+    "gp_mpc": ("blue", "^", "-"),
+    "rls_mpc": ("vermillion", "D", "-"),
+    "perfect_mpc": ("ink", "v", ":"),
+    "static_feedback": ("pink", "P", "--"),
+    "rls_feedback": ("green", "X", "-"),
+    "oracle_feedback": ("sky", "*", ":"),
+    "literal_feedback": ("brown", "h", "-."),
+    "nominal": ("grey", "o", "-"),
+    "linear drag": ("orange", "s", "-"),
+    "quadratic drag": ("green", "X", "--"),
+    "blade element": ("vermillion", "D", "-."),
 }
-MOST_VARIANTS = 4  # of one controller that share its colour; of more, every one takes a colour of its own
+KNOWN: dict[str, tuple[str, str, Any]] = {  # the same with the colour on paper
+    name: (HUES[hue][0], marker, dash) for name, (hue, marker, dash) in LOOKS.items()
+}
+MOST_VARIANTS = 4  # of one controller that share its hue; of more, every one takes a hue of its own
 
 
 @dataclass(frozen=True)
 class Look:
-    """How one line is drawn. filled: its markers."""
+    """How one contestant is drawn everywhere. hue: of HUES. shade: 0, or of its variants. filled: its markers."""
 
-    colour: str
+    hue: str
     marker: str
     dash: Any
+    shade: int = 0
     filled: bool = True
+
+    @property
+    def token(self) -> str:
+        """Name of the colour, such as "blue-1": the page has it as a CSS variable."""
+        return f"{self.hue}-{self.shade}"
+
+    @property
+    def colour(self) -> str:
+        """On paper."""
+        return shaded(self.hue, self.shade)
 
     def line(self) -> dict[str, Any]:
         """Keywords of `plot` for a line without markers."""
@@ -71,11 +105,22 @@ class Look:
         return {**self.line(), "marker": self.marker, "markersize": 5, "markerfacecolor": face}
 
 
-def looks(labels: Sequence[str]) -> dict[str, Look]:
-    """Label -> look. The first word of a label is the controller, which decides colour and marker.
+def shaded(hue: str, shade: int = 0, *, dark: bool = False) -> str:
+    """The colour of a hue, or of the shade of one of its variants. dark: on dark ground."""
+    colour = HUES[hue][dark]
+    if shade == 0:
+        return colour
+    share = OTHER_SHADES.get(hue, USUAL_SHADES)[dark][shade - 1]
+    end = 255 if share > 0 else 0
+    mixed = (int(colour[i : i + 2], 16) * (1 - abs(share)) + end * abs(share) for i in (1, 3, 5))
+    return "#" + "".join(f"{round(value):02x}" for value in mixed)
 
-    Further variants of a controller have its colour, hollow markers and another dash; the plain one is that on the
-    plant ("@plant") which most labels share.
+
+def looks(labels: Sequence[str]) -> dict[str, Look]:
+    """Label -> look. The first word of a label is the controller, which decides hue and marker.
+
+    Further variants of a controller have its hue in another shade, hollow markers and another dash; the plain one is
+    that on the plant ("@plant") which most labels share.
     """
     labels = list(dict.fromkeys(labels))
     plants = [_plant(label) for label in labels]
@@ -83,25 +128,25 @@ def looks(labels: Sequence[str]) -> dict[str, Look]:
     variants: dict[str, list[str]] = {}
     for label in sorted(labels, key=lambda label: -usual[label]):
         variants.setdefault(name_of(label), []).append(label)
-    worn = {KNOWN[name][:2] for name, own in variants.items() if name in KNOWN and len(own) <= MOST_VARIANTS}
+    worn = {LOOKS[name][:2] for name, own in variants.items() if name in LOOKS and len(own) <= MOST_VARIANTS}
     spare = _spare(worn)
     found: dict[str, Look] = {}
     for name, own in variants.items():
         if len(own) > MOST_VARIANTS:
             for i, label in enumerate(own):
-                colour, marker = next(spare)
-                found[label] = Look(colour, marker, DASHES[i // len(COLOURS) % len(DASHES)])
+                hue, marker = next(spare)
+                found[label] = Look(hue, marker, DASHES[i // len(HUES) % len(DASHES)])
             continue
-        colour, marker, dash = KNOWN[name] if name in KNOWN else (*next(spare), "-")
+        hue, marker, dash = LOOKS[name] if name in LOOKS else (*next(spare), "-")
         others = [other for other in DASHES if other != dash]
         for i, label in enumerate(own):
-            found[label] = Look(colour, marker, dash if i == 0 else others[i - 1], filled=i == 0)
+            found[label] = Look(hue, marker, dash if i == 0 else others[i - 1], i, i == 0)
     return {label: found[label] for label in labels}
 
 
 def name_of(label: str) -> str:
     """The controller of a label such as "gp_mpc per_axis @ideal"; a model of the air is its whole label."""
-    return label if label in KNOWN else label.split(" ", maxsplit=1)[0]
+    return label if label in LOOKS else label.split(" ", maxsplit=1)[0]
 
 
 def _plant(label: str) -> str:
@@ -109,12 +154,12 @@ def _plant(label: str) -> str:
 
 
 def _spare(worn: set[tuple[str, str]]) -> Iterator[tuple[str, str]]:
-    """Pairs of colour and marker without end, those first that nobody wears."""
-    colours = [c for c in COLOURS if c not in {w[0] for w in worn}] or list(COLOURS)
+    """Pairs of hue and marker without end, those first that nobody wears."""
+    hues = [hue for hue in HUES if hue not in {w[0] for w in worn}] or list(HUES)
     markers = [m for m in MARKERS if m not in {w[1] for w in worn}] or list(MARKERS)
     i = 0
     while True:
-        yield colours[i % len(colours)], markers[i % len(markers)]
+        yield hues[i % len(hues)], markers[i % len(markers)]
         i += 1
 
 

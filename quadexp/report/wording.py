@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from quadexp.report.inference import least_p
 from quadexp.report.overall import Overall
 from quadexp.report.statistics import Statistic
+from quadexp.report.winner import Verdict
 
 METHODS = {"BCa": "BCa bootstrap", "t": "Student's t"}  # of intervals, see inference.Interval
 
@@ -30,14 +31,22 @@ def with_interval(mean: float, low: float, high: float) -> tuple[str, str]:
     return text, f" [{low:.{decimals}f}, {high:.{decimals}f}]"
 
 
-def notes(statistics: Sequence[Statistic], pooled: Sequence[Overall]) -> tuple[str, ...]:
-    """What the numbers of a table are, and each contestant against the baseline over all conditions."""
-    used = [text for name, text in METHODS.items() if any(s.interval == name for s in statistics)]
+def notes(statistics: Sequence[Statistic], pooled: Sequence[Overall], found: Sequence[Verdict] = ()) -> tuple[str, ...]:
+    """What the numbers of a table are, who is best, and each contestant against the baseline over all conditions."""
+    used = [text for name, text in METHODS.items() if any(s.common_interval == name for s in statistics)]
     confidence = statistics[0].confidence
     interval = f" [{100 * confidence:g} % interval: {' or '.join(used)}]" if used else ""
     seeds = sorted({s.seeds for s in statistics})
     count = f"{seeds[0]} seed{'s' if seeds[-1] > 1 else ''}" if len(seeds) == 1 else f"{seeds[0]} to {seeds[-1]} seeds"
-    said = [f"mean over {count}{interval}; bold: least of those with the fewest failures"]
+    all_well = not any(s.failures for s in statistics)
+    over = f"mean over {count}" if all_well else f"mean over the flights of a line that all ended well, of {count}"
+    contestants = len({s.contestant for s in statistics})
+    bold = (
+        "; bold: least error of a line, told apart from every other"
+        f" (p < {1 - confidence:.2g}, corrected for the choice among them and for the lines), by who flew no less"
+        + ("" if any(s.best for s in statistics) else "; here nobody")
+    )
+    said = [f"{over}{interval}" + (bold if contestants > 1 else "")]
     tested = [s for s in statistics if s.comparisons]
     alpha = 1 - confidence
     if tested:
@@ -52,8 +61,11 @@ def notes(statistics: Sequence[Statistic], pooled: Sequence[Overall]) -> tuple[s
                 f"{pairs} pairs a line cannot show significance (p is {least_p(pairs):.3g} at least, over {over}):"
                 f" {enough} could"
             )
-    elif not any(s.baseline for s in statistics) and len({s.contestant for s in statistics}) > 1:
+    elif not any(s.baseline for s in statistics) and contestants > 1:
         said.append("no comparison: the baseline (evaluate.baseline) is not among these controllers")
+    if any(s.n > s.common for s in statistics):
+        said.append("own: mean over all flights that it ended well itself, and their number")
+    said += [text for one in found if (text := one.text())]
     return (*said, *(entry.text() for entry in pooled))
 
 

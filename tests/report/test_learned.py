@@ -16,6 +16,7 @@ from quadexp.identify.model import GPSettings
 from quadexp.report.page import make_report
 from quadexp.report.page.fits import estimate_panel, fit_panel, identified, read_checkpoint
 from quadexp.report.page.palette import PAPER
+from quadexp.report.style import looks
 from tests.flight.flights import straight_flight
 from tests.identify.synthetic import synthetic_dataset
 from tests.report.results import make_results
@@ -35,7 +36,7 @@ class TestIdentified:
     def test_the_coefficient_over_time_and_the_true_one(self):
         panel = Figure().subplots()
         flights = [("rls_mpc", identifying(0.23)), ("rls_feedback", identifying(0.21))]
-        estimate_panel(panel, "C_d0", flights, {"rls_mpc": 1, "rls_feedback": 3}, PAPER)
+        estimate_panel(panel, "C_d0", flights, looks(["rls_mpc", "rls_feedback"]), PAPER)
         first, second, true = panel.lines
         for line, final in ((first, 0.23), (second, 0.21)):
             t, value = line.get_data()
@@ -53,7 +54,7 @@ class TestIdentified:
     @pytest.mark.parametrize("plant", [{}, {**CONSTANT["plant"], "schedule": [{"at": 5}]}])
     def test_no_truth_is_drawn_where_the_plant_has_none_that_stays(self, plant):
         panel = Figure().subplots()
-        estimate_panel(panel, "C_d0", [("rls_mpc", identifying(0.23, {"plant": plant}))], {"rls_mpc": 1}, PAPER)
+        estimate_panel(panel, "C_d0", [("rls_mpc", identifying(0.23, {"plant": plant}))], looks(["rls_mpc"]), PAPER)
         assert len(panel.lines) == 1
 
 

@@ -7,7 +7,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from quadexp.report.page.palette import PAGE, SHAPES, STANDINS, TOKENS, looks
+from quadexp.report.page.build import SHAPE_PATHS
+from quadexp.report.page.palette import PAGE, SHAPES, STANDINS, TOKENS
+from quadexp.report.style import HUES, LOOKS, MARKERS, MOST_VARIANTS, shaded
 
 # Linear sRGB as seen without one kind of cone: Machado, Oliveira, Fernandes 2009 (IEEE TVCG 15(6)), severity 1.
 VISIONS = {
@@ -17,6 +19,7 @@ VISIONS = {
     "tritanopia": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.3039]],
 }
 SERIES = [name for name in TOKENS if name.startswith("series-")]
+HUE_SERIES = [f"series-{hue}-0" for hue in HUES]
 
 
 def linear(colour):
@@ -49,18 +52,23 @@ def test_contrast(theme):
 @pytest.mark.parametrize("theme", [0, 1])
 @pytest.mark.parametrize("vision", VISIONS)
 def test_series_can_be_told_apart(theme, vision):
-    seen = {name: lab(np.array(VISIONS[vision]) @ linear(TOKENS[name][theme])) for name in SERIES}
-    for a, b in combinations(SERIES, 2):
+    seen = {name: lab(np.array(VISIONS[vision]) @ linear(TOKENS[name][theme])) for name in HUE_SERIES}
+    for a, b in combinations(HUE_SERIES, 2):
         assert np.linalg.norm(seen[a] - seen[b]) > 10, (a, b)  # 2 is a just noticeable difference
 
 
-def test_looks_differ_and_say_who_is_who():
-    labels = ["perfect_mpc", "gp_mpc", "linear_drag_mpc", "rls_mpc", "nominal_mpc"]
-    worn = looks(labels, "nominal_mpc", "gp_mpc", ["perfect_mpc"])
-    assert [worn[label].colour for label in ("nominal_mpc", "gp_mpc", "perfect_mpc")] == [0, 1, 2]
-    assert len({look.colour for look in worn.values()}) == len({look.shape for look in worn.values()}) == 5
-    many = looks([f"c{i}" for i in range(20)], None, None, [])
-    assert {look.shape for look in many.values()} == set(SHAPES)
+@pytest.mark.parametrize("theme", [0, 1])
+@pytest.mark.parametrize("vision", VISIONS)
+@pytest.mark.parametrize("hue", HUES)
+def test_shades_of_variants_can_be_told_apart(hue, vision, theme):
+    shades = [shaded(hue, shade, dark=bool(theme)) for shade in range(MOST_VARIANTS)]
+    seen = [lab(np.array(VISIONS[vision]) @ linear(colour)) for colour in shades]
+    assert min(np.linalg.norm(a - b) for a, b in combinations(seen, 2)) > 6
+
+
+def test_every_marker_has_a_shape_and_every_look_a_colour_on_the_page():
+    assert set(SHAPES) == set(MARKERS) and set(SHAPES.values()) == set(SHAPE_PATHS)
+    assert {f"series-{hue}-0" for hue, _, _ in LOOKS.values()} <= set(SERIES)
 
 
 def test_no_two_stand_in_colours_are_alike():

@@ -106,7 +106,8 @@ class TestFailures:
     def test_nothing_flown_at_all(self):
         rows = errors("nominal_mpc", [0.2, 0.3]) + errors("gp_mpc", ["infeasible", "infeasible"])
         gp = only(compute_statistics(rows, metrics=["mean_error"]), "gp_mpc")
-        assert gp.n == 0 and math.isnan(gp.mean) and math.isnan(gp.success) and gp.left_out == "2 infeasible"
+        assert gp.n == 0 and math.isnan(gp.mean) and gp.left_out == "2 infeasible"
+        assert gp.success == 0 and gp.flown.text() == "0 of 2"  # what nominal_mpc flew, somebody can fly
 
     def test_an_outcome_nobody_knows_is_a_failure(self):
         gp = only(compute_statistics(errors("gp_mpc", [0.1, "exploded"]), metrics=["rmse"]), "gp_mpc")

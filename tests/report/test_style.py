@@ -9,9 +9,9 @@ import pytest
 from matplotlib.figure import Figure
 
 from quadexp.report.figures import error_against_speed
-from quadexp.report.page.palette import MARKERS
-from quadexp.report.page.palette import looks as page_looks
-from quadexp.report.style import KNOWN, MOST_VARIANTS, looks, plain_log
+from quadexp.report.page.source import read_comparison
+from quadexp.report.style import KNOWN, LOOKS, MOST_VARIANTS, looks, plain_log, shaded
+from tests.report.results import ERRORS, make_results
 from tests.report.test_palette import VISIONS, contrast, lab, linear
 from tests.report.test_tables import row
 
@@ -41,13 +41,19 @@ def test_variants_share_a_colour_and_the_plain_one_is_on_the_usual_plant():
     worn = looks(labels)
     assert list(worn) == labels
     assert [worn[label].filled for label in labels] == [False, True, True, False]
-    assert worn["nominal_mpc @ideal"].colour == worn["nominal_mpc @simplified"].colour == KNOWN["nominal_mpc"][0]
+    assert worn["nominal_mpc @ideal"].hue == worn["nominal_mpc @simplified"].hue == LOOKS["nominal_mpc"][0]
+    assert worn["nominal_mpc @simplified"].colour == KNOWN["nominal_mpc"][0] == shaded("grey")
+    assert worn["gp_mpc a @simplified"].colour != worn["gp_mpc b @simplified"].colour
     assert worn["gp_mpc a @simplified"].dash != worn["gp_mpc b @simplified"].dash
 
 
-def test_many_variants_have_colours_of_their_own():
-    labels = [f"gp_mpc nodes={n}" for n in range(MOST_VARIANTS + 1)]
-    assert len({look.colour for look in looks(labels).values()}) == len(labels)
+@pytest.mark.parametrize("count", [2, MOST_VARIANTS, MOST_VARIANTS + 1, 12, 30])
+def test_no_two_variants_look_the_same(count):
+    labels = ["nominal_mpc", "perfect_mpc", *(f"gp_mpc nodes={n}" for n in range(count))]
+    worn = looks(labels)
+    assert len({(look.colour, look.marker, look.filled) for look in worn.values()}) == len(labels)
+    if count <= 5:
+        assert len({look.colour for look in worn.values()}) == len(labels)
 
 
 def test_strangers_wear_what_nobody_wears():
@@ -55,11 +61,17 @@ def test_strangers_wear_what_nobody_wears():
     assert len({look.colour for look in worn.values()}) == len({look.marker for look in worn.values()}) == 4
 
 
-def test_the_page_uses_the_same_markers():
-    worn = page_looks(["perfect_mpc", "gp_mpc", "own_mpc", "nominal_mpc", "gp_mpc b"], "nominal_mpc", "gp_mpc", [])
-    for name in ("perfect_mpc", "gp_mpc", "nominal_mpc"):
-        assert MARKERS[worn[name].shape] == KNOWN[name][1]
-    assert len({look.shape for look in worn.values()}) == 5
+@pytest.mark.parametrize("better", ["gp_mpc", "linear_drag_mpc"])
+def test_on_the_page_rank_decides_no_colour_and_figures_have_the_same(tmp_path, monkeypatch, better):
+    monkeypatch.setitem(ERRORS, better, 0.0004)  # the least error of all, of one or the other
+    comparison = read_comparison(make_results(tmp_path / "results", lost=False))
+    assert comparison.best == better
+    assert {label: (look.hue, look.marker) for label, look in comparison.look.items()} == {
+        label: LOOKS[label][:2] for label in comparison.look
+    }
+    panel = error_against_speed(comparison.rows).axes[0]
+    drawn = {line.get_label(): (line.get_color(), line.get_marker()) for line in panel.lines}
+    assert drawn == {label: (look.colour, look.marker) for label, look in comparison.look.items()}
 
 
 @pytest.mark.parametrize(

@@ -33,12 +33,13 @@ def row(controller="nominal_mpc", speed=8.0, seed=0, error=0.24, **more):
 
 
 def test_mean_over_seeds_in_millimetres_and_the_best_marked():
-    rows = [row(seed=0, error=0.2), row(seed=1, error=0.3), row("gp_mpc", seed=0, error=0.004)]
+    rows = [row(seed=0, error=0.2), row(seed=1, error=0.3)]
+    rows += [row("gp_mpc", seed=0, error=0.004), row("gp_mpc", seed=1, error=0.006)]  # the same ratio: no chance
     table = error_table(rows)
     assert table.columns == ("nominal_mpc", "gp_mpc") and table.rows == (("circle", "8"),)
     nominal, gp = (table.entries[table.rows[0], column] for column in table.columns)
     assert nominal.mean == pytest.approx(250.0) and nominal.spread == pytest.approx(50 * math.sqrt(2))
-    assert gp.best and not nominal.best and math.isnan(gp.spread)
+    assert gp.best and not nominal.best and gp.mean == pytest.approx(5.0)
     assert error_table(rows, "rmse").entries[table.rows[0], "nominal_mpc"].mean == pytest.approx(300.0)
 
 
@@ -51,7 +52,8 @@ def test_lost_flights_are_counted_and_not_averaged():
     table = error_table(rows)
     texts = [table.entries[table.rows[0], column].text() for column in table.columns]
     assert texts == ["200.0 (1 lost)", "1 lost"]
-    assert table.entries[table.rows[0], "nominal_mpc"].best
+    assert {name: flown.text() for name, flown in table.flown.items()} == {"nominal_mpc": "1 of 2", "gp_mpc": "0 of 1"}
+    assert not any(entry.best for entry in table.entries.values())  # nobody to be better than
 
 
 def test_columns_tell_apart_whatever_differs():
@@ -92,14 +94,17 @@ def test_digits(value, text):
 
 
 def test_markdown_and_latex():
-    table = error_table([row(error=0.2), row("gp_mpc", error=0.004)])
-    assert "| circle | 8 | 200.0 | **4.00** |" in to_markdown(table)
+    table = error_table([row(error=0.2, seed=s) for s in (0, 1)] + [row("gp_mpc", error=0.004, seed=s) for s in (0, 1)])
+    assert (
+        "| flown |  | 2 of 2 | 2 of 2 |\n| circle | 8 | 200.0 [200.0, 200.0] | **4.00** [4.00, 4.00] |"
+        in to_markdown(table)
+    )
     latex = to_latex(table)
-    assert r"circle & 8 & 200.0 & \textbf{4.00} \\" in latex
-    assert r"nominal\_mpc & gp\_mpc" in latex
+    assert r"circle & 8 & 200.0 [200.0, 200.0] & \textbf{4.00} [4.00, 4.00] \\" in latex
+    assert r"nominal\_mpc & gp\_mpc" in latex and r"flown &  & 2 of 2 & 2 of 2 \\" in latex
     assert latex.count(r"\toprule") == latex.count(r"\bottomrule") == 1
     assert r"trajectory & speed (m/s) & nominal\_mpc" in latex and r"\multicolumn{2}{c}{mean error (mm)}" in latex
-    assert latex.count("&") == 2 + 2 * 3
+    assert latex.count("&") == 2 + 3 * 3
 
 
 def test_latex_escapes_outcomes_with_underscores():
@@ -134,7 +139,7 @@ class TestIntervals:
         console = Console(width=60, file=io.StringIO())
         console.print(to_rich(table, stacked=True))
         lines = [line.split("│")[-2].strip() for line in console.file.getvalue().splitlines() if "│" in line]
-        assert lines == ["210.0", "[185.2, 234.8]"]  # 10 mm spread, t(0.975, 2) = 4.303
+        assert lines == ["3 of 3", "210.0", "[185.2, 234.8]"]  # 10 mm spread, t(0.975, 2) = 4.303
 
     def test_digits_follow_the_interval(self):
         assert with_interval(240.57, 239.91, 241.22) == ("240.6", " [239.9, 241.2]")
@@ -155,15 +160,19 @@ class TestIntervals:
         text = f"[{gp.low:.2f}, {gp.high:.2f}]"
         assert f"**{gp.mean:.2f}** {text}*" in to_markdown(table)
         assert rf"\textbf{{{gp.mean:.2f}}} {text}$^*$" in to_latex(table)
-        assert "] (1 lost) |" in to_markdown(table)
+        assert f"] (1 lost) | **{gp.mean:.2f}** {text}* (own {gp.own:.2f} of 7) |" in to_markdown(table)
+        assert gp.own == pytest.approx((sum(4 + 0.1 * s for s in range(6)) + 4) / 7) and gp.flights == 6
         assert "- &ast; differs from nominal_mpc: p < 0.05" in to_markdown(table)
-        assert table.notes[0].startswith("mean over 7 seeds [95 % interval: BCa bootstrap]")
+        assert table.notes[0].startswith(
+            "mean over the flights of a line that all ended well, of 7 seeds [95 % interval: BCa bootstrap]; bold:"
+        )
 
-    def test_a_controller_that_loses_flights_is_not_the_best(self):
-        rows = [row(seed=0, error=0.2), row(seed=1, error=0.2)]
-        rows += [row("gp_mpc", seed=0, error=0.01), row("gp_mpc", seed=1, outcome="lost", error=math.nan)]
+    def test_a_controller_that_loses_flights_is_not_the_best_and_who_has_the_larger_error_is_not_either(self):
+        rows = [row(seed=seed, error=0.2) for seed in range(4)]
+        rows += [row("gp_mpc", seed=seed, error=0.01) for seed in range(3)]
+        rows += [row("gp_mpc", seed=3, outcome="lost", error=math.nan)]
         table = error_table(rows)
-        assert [table.entries[table.rows[0], c].best for c in table.columns] == [True, False]
+        assert [table.entries[table.rows[0], c].best for c in table.columns] == [False, False]
 
     def test_the_note_says_how_many_seeds_a_significant_line_takes(self):
         rows = [row(seed=s, error=0.2 + 0.01 * s) for s in range(5)] + [row("gp_mpc", seed=s) for s in range(5)]

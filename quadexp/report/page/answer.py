@@ -1,18 +1,21 @@
-"""The question, and its answer in two sentences made from the numbers: what it buys and who is best; is it in time."""
+"""The question, and its answer made from the numbers: who flew, what it buys and who is best; is it in time.
+
+Success comes first. Errors are over the flights that all who are compared ended well (report/common.py). A single best
+is named only where it is told apart from every other way and nobody flew more (report/winner.py).
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-from quadexp.report.overall import Overall
 from quadexp.report.page.names import spoken
 from quadexp.report.page.numbers import (
+    NOBREAK,
     SPACE,
     duration,
     listed,
     number,
-    percent,
     percent_with_interval,
     probability,
     shown,
@@ -25,22 +28,50 @@ from quadexp.report.tables import TITLES
 QUESTION = (
     "How much does knowing the aerodynamics buy, which way of knowing it is best, and does it still run in real time?"
 )
+MOST_COUNTS = 6  # of "k of n" in the headline
+MOST_NAMES = 4  # of controllers with the same count
 ALONE = "How closely does it track, and does it run in real time?"
 
 
 @dataclass(frozen=True)
 class Answer:
-    """question; sentences: what it buys, and whether it is in time; note: what the sentences rest on."""
+    """question; flown, gain, in_time: the answer's parts; note: what they rest on."""
 
     question: str
-    sentences: tuple[str, str]
+    flown: str
+    gain: str
+    in_time: str
     note: str
+
+    @property
+    def sentences(self) -> tuple[str, str]:
+        """Who flew and what it buys; whether it is in time."""
+        return f"{self.flown} {self.gain}".strip(), self.in_time
 
 
 def answer(comparison: Comparison) -> Answer:
     """What the numbers say, for any results: with or without a baseline, a winner, or a flight that ended well."""
     question = QUESTION if len(comparison.order) > 1 else ALONE
-    return Answer(question, (_gain(comparison), _in_time(comparison)), _note(comparison))
+    gain = _capital(_gain(comparison))
+    return Answer(question, _flown(comparison), gain, _in_time(comparison), _note(comparison))
+
+
+def _flown(comparison: Comparison) -> str:
+    """How many flights of whom ended well."""
+    counts = {label: comparison.success(label)[1:] for label in comparison.order}
+    trials = sum(n for _, n in counts.values())
+    if all(k == n for k, n in counts.values()):
+        return f"All {trials} flights ended well." if trials > 1 else "The flight ended well." if trials else ""
+    groups: dict[tuple[int, int], list[str]] = {}
+    for label, count in counts.items():
+        groups.setdefault(count, []).append(spoken(label))
+    parts = [
+        f"{listed(names) if len(names) <= MOST_NAMES else f'{len(names)} controllers'} {k} of {n}"
+        for (k, n), names in groups.items()
+    ]
+    if len(parts) > MOST_COUNTS:
+        parts = [*parts[: MOST_COUNTS - 1], f"{len(parts) - MOST_COUNTS} more counts in the table", parts[-1]]
+    return f"Flights that ended well: {', '.join(parts)}."
 
 
 def _error(comparison: Comparison, label: str) -> str:
@@ -49,64 +80,119 @@ def _error(comparison: Comparison, label: str) -> str:
 
 
 def _gain(comparison: Comparison) -> str:
-    best, base = comparison.best, comparison.reference
+    lead, base = comparison.lead, comparison.reference
     metric = TITLES.get(comparison.metric, comparison.metric)
-    if best is None:
-        alone = next((x for x in comparison.order if math.isfinite(comparison.geometric_mean(x))), None)
-        if alone is None:
-            return "No flight ended well, so there is no error to compare."
-        return f"{_capital(spoken(alone))} keeps a {metric} of {_error(comparison, alone)}."
-    one = comparison.overall.get(best)
-    if base is None or one is None or not math.isfinite(one.reduction):
+    compared = [label for label in comparison.order if math.isfinite(comparison.geometric_mean(label))]
+    if not compared:
+        if any(comparison.success(label)[1] for label in comparison.order):
+            return "no two of them ended the same flight well, so there is no error to compare."
+        return "no flight ended well, so there is no error to compare."
+    over = _over(comparison)
+    if lead is None:
+        errors = [f"{spoken(label)} {_error(comparison, label)}" for label in compared]
+        if len(compared) == 1:
+            return f"{over}{spoken(compared[0])} keeps a {metric} of {_error(comparison, compared[0])}."
+        return f"{over}the {metric} is {listed(errors)}."
+    one = comparison.overall.get(lead)
+    if base is None or base not in compared or one is None or not math.isfinite(one.reduction):
+        error = _error(comparison, lead)
+        rest = f"{_bound(comparison)}{_flew_more(comparison)}"
+        return f"{over}{spoken(lead)}{_standing(comparison)} has a {metric} of {error}{rest}."
+    both = f"{_error(comparison, lead)} against {_error(comparison, base)}"
+    reduction, limits = percent_with_interval(one.reduction, one.reduction_low, one.reduction_high)
+    limits = f" {limits}" if limits else ""
+    chance = f", {probability(one.p_holm)}" if math.isfinite(one.p_holm) else ""
+    if not one.significant:
+        few = "" if one.comparable else f"; so few flights ({one.pairs}) cannot tell"
         return (
-            f"{_capital(spoken(best))} tracks best, with a {metric} of {_error(comparison, best)}{_bound(comparison)}."
+            f"{over}{spoken(lead)}{_standing(comparison)} is not distinguishable from {spoken(base)}: its {metric} is"
+            f" {reduction}{limits} smaller ({both}{chance}{few}){_bound(comparison)}{_flew_more(comparison)}."
         )
     if one.reduction <= 0:
+        more, limits = percent_with_interval(-one.reduction, -one.reduction_high, -one.reduction_low)
+        limits = f" {limits}" if limits else ""
         return (
-            f"Knowing the aerodynamics buys nothing here: the best way, {spoken(best)}, has a {metric}"
-            f" {percent(-one.reduction)} larger than {spoken(base)}"
-            f" ({_error(comparison, best)} against {_error(comparison, base)}){_chance(one)}."
+            f"{over}knowing the aerodynamics buys nothing: {spoken(lead)}{_standing(comparison)} has a {metric}"
+            f" {more}{limits} larger than {spoken(base)} ({both}{chance})."
         )
     ratio = 1 / (1 - one.reduction / 100)
-    rivals = [x for x in comparison.order if x not in comparison.bounds and x != base]
-    among = f"the best of {len(rivals)} ways" if len(rivals) > 1 else "the one way tried"
-    reduction, limits = percent_with_interval(one.reduction, one.reduction_low, one.reduction_high)
-    said = (
-        f"Knowing the aerodynamics cuts the {metric} by {reduction}{f' {limits}' if limits else ''}:"
-        f" {spoken(best)}, {among}, tracks {times(ratio)} times closer than {spoken(base)}"
-        f" ({_error(comparison, best)} against {_error(comparison, base)}){_bound(comparison)}"
+    return (
+        f"{over}knowing the aerodynamics cuts the {metric} by {reduction}{limits}:"
+        f" {spoken(lead)}{_standing(comparison)} tracks {times(ratio)} times closer than {spoken(base)}"
+        f" ({both}){_bound(comparison)}{_flew_more(comparison)}."
     )
-    return f"{said}{_chance(one)}."
 
 
-def _chance(one: Overall) -> str:
-    """What to add where the difference may be none."""
-    if not math.isfinite(one.p_holm) or one.significant:
+def _over(comparison: Comparison) -> str:
+    """Over which flights errors are compared, where these are not all."""
+    trials = max(comparison.success(label)[2] for label in comparison.order)
+    if len(comparison.order) == 1 or all(comparison.success(x)[1] == trials for x in comparison.order):
         return ""
-    return f", though so few flights cannot rule out chance ({probability(one.p_holm)})"
+    names = [comparison.labels[one] for one in comparison.common.compared]
+    who = "all" if len(names) == len(comparison.order) else listed([spoken(name) for name in names])
+    count = comparison.common.flights
+    return f"over the {count} flight{'s' if count != 1 else ''} that {who} ended well, " if len(names) > 1 else ""
+
+
+def _standing(comparison: Comparison) -> str:
+    """What the lead is among the ways, as a clause between commas."""
+    ways = len([x for x in comparison.rivals if math.isfinite(comparison.geometric_mean(x))])
+    if len(comparison.rivals) == 1:
+        return ", the one way tried," if comparison.reference or comparison.bounds else ""
+    clauses = []
+    if comparison.alike:
+        alike = [spoken(x) for x in comparison.alike]
+        clauses.append(f"the least of {ways} but not distinguishable from {listed(alike, 'or')}")
+    if comparison.flew_more and comparison.lead:
+        _, k, n = comparison.success(comparison.lead)
+        least = "with" if clauses else "with the least of these errors but"
+        clauses.append(f"{least} only {k} of {n} flights that ended well")
+    if not clauses:
+        clauses = [f"the best of {ways} ways" if ways > 1 else "the one way that flew"]
+    return f", {' and '.join(clauses)},"
+
+
+def _flew_more(comparison: Comparison) -> str:
+    """Who has the least error of those that flew more than the lead."""
+    rivals = [x for x in comparison.flew_more if x in comparison.rivals]
+    errors = {x: comparison.geometric_mean(x) for x in rivals}
+    known = {x: error for x, error in errors.items() if math.isfinite(error)}
+    if not known:
+        return ""
+    least = min(known, key=lambda x: known[x])
+    return f"; of the ways that ended more flights well, {spoken(least)} has the least ({_error(comparison, least)})"
 
 
 def _bound(comparison: Comparison) -> str:
-    """How near the best comes to what perfect knowledge would give."""
+    """How near the lead comes to what perfect knowledge would give: the ratio of their errors with its interval."""
     good = [x for x in comparison.bounds if math.isfinite(comparison.geometric_mean(x))]
-    if not good or comparison.best is None:
+    if not good or comparison.lead is None:
         return ""
-    ratio = comparison.geometric_mean(comparison.best) / comparison.geometric_mean(good[0])
-    if ratio <= 1.005:
-        return f", as close as {spoken(good[0])}"
-    if ratio < 2:
-        return f", and comes within {percent(100 * (ratio - 1), 0)} of {spoken(good[0])}"
-    return f"; {spoken(good[0])} reaches {_error(comparison, good[0])}"
+    name, (value, low, high, p) = spoken(good[0]), comparison.to_bound(good[0])
+    if not math.isfinite(value):
+        return ""
+    if not math.isfinite(low):
+        return f"; {name} reaches {_error(comparison, good[0])}, which so few flights cannot tell from it"
+    limits = f"[{low:.3g},{NOBREAK}{high:.3g}]"
+    if not p < 1 - comparison.confidence:
+        return f", not distinguishable from {name} ({value:.3g}{SPACE}times its error {limits})"
+    if value > 2:
+        return f"; {name} reaches {_error(comparison, good[0])}, {value:.3g}{SPACE}times less {limits}"
+    text, ends = percent_with_interval(100 * (value - 1), 100 * (low - 1), 100 * (high - 1))
+    if value < 1:
+        text, ends = percent_with_interval(100 * (1 - value), 100 * (1 - high), 100 * (1 - low))
+        return f", {text} {ends} closer than {name}"
+    return f", and comes within {text} {ends} of {name}".replace("  ", " ")
 
 
 def _in_time(comparison: Comparison) -> str:
-    label = comparison.best or next(iter(comparison.order), None)
+    label = comparison.lead or next(iter(comparison.order), None)
     if label is None or not math.isfinite(comparison.time(label)):
         return "No step of a controller was timed."
     median, tail, period = comparison.time(label), comparison.time(label, "p99"), comparison.period(label)
     base = comparison.reference
     beside = f"; {spoken(base)}: {duration(comparison.time(base))}" if base and base != label else ""
-    step = f"its control step takes {duration(median)} (median{beside})"
+    step = f"the control step of {spoken(label)} takes {duration(median)} (median{beside})"
     if not math.isfinite(period):
         return f"{_capital(step)} and {duration(tail)} at the 99th percentile."
     due = f"of the {duration(period, exact=True)} between two commands"
@@ -126,8 +212,9 @@ def _note(comparison: Comparison) -> str:
     plant, vehicle = comparison.world
     flown = listed(trajectories) + (f" at {span(speeds, 'm/s')}" if speeds else "")
     count = f"{len(seeds)} seed{'s' if len(seeds) > 1 else ''}"
+    count += "" if comparison.common.flights == 0 else f", {comparison.common.flights} flights each"
     parts = [f"Geometric means over {flown}, {count}, plant {plant}, vehicle {vehicle}."]
-    one = comparison.overall.get(comparison.best or "")
+    one = comparison.overall.get(comparison.lead or "")
     if one is not None and one.pairs:
         p = probability(one.p_holm)
         corrected = f", {p} corrected by Holm" if p else ""
@@ -137,6 +224,12 @@ def _note(comparison: Comparison) -> str:
     bad = [row for row in comparison.main_rows if row["outcome"] != "ok"]
     total = len(comparison.main_rows)
     kinds = list(dict.fromkeys(row["outcome"].replace("_", " ") for row in bad))
+    if comparison.best is not None and len(comparison.rivals) > 1:
+        p = probability(comparison.ranking.p)
+        parts.append(f"Best of {len(comparison.ranking.ratios) + 1}: {p}, corrected for the choice.")
+    left = [spoken(x) for x in comparison.order if not math.isfinite(comparison.geometric_mean(x))]
+    if left and comparison.common.flights:
+        parts.append(f"Not compared, for want of flights that ended well: {listed(left)}.")
     parts.append(
         f"{len(bad)} of {total} flights did not end well ({listed(kinds)})."
         if bad

@@ -25,10 +25,11 @@ from quadexp.report.page.figures import courses
 from quadexp.report.page.names import spoken
 from quadexp.report.page.numbers import duration, percent
 from quadexp.report.page.provenance import origin, portable
-from quadexp.report.page.replay import BUDGET, Case, choose_cases, pack_replay
+from quadexp.report.page.replay import BUDGET, MAX_TRACKS, Case, choose_cases, pack_replay
 from quadexp.report.page.sections import scoreboard, tables, worst, worst_rows
 from quadexp.report.page.source import TABLED, Comparison, read_comparison
 from quadexp.report.pairing import condition_of
+from quadexp.report.style import LOOKS
 from quadexp.report.tables import TITLES, to_csv
 
 LIMIT = 2_000_000  # bytes of the page
@@ -42,8 +43,13 @@ SHAPE_PATHS = {
     "wedge": "M0 4.8L4.8-4H-4.8Z",
     "plus": "M-1.8-5H1.8V-1.8H5V1.8H1.8V5H-1.8V1.8H-5V-1.8H-1.8Z",
     "cross": "M-5-2.6L-2.6-5L0-2.4L2.6-5L5-2.6L2.4 0L5 2.6L2.6 5L0 2.4L-2.6 5L-5 2.6L-2.4 0Z",
+    "hexagon": "M-4.3-2.5L0-5L4.3-2.5V2.5L0 5L-4.3 2.5Z",
+    "left": "M-4.8 0L4-4.8V4.8Z",
+    "right": "M4.8 0L-4-4.8V4.8Z",
+    "pentagon": "M0-5L4.8-1.5L2.9 4H-2.9L-4.8-1.5Z",
     "star": "M0-5L1.4-1.6L5-1.5L2.1.7L3.1 4.4L0 2.3L-3.1 4.4L-2.1.7L-5-1.5L-1.4-1.6Z",
 }
+LEARNED = {name: f"{LOOKS[key][0]}-0" for name, key in (("gp", "gp_mpc"), ("drag", "linear drag"), ("data", "nominal"))}
 TEMPLATES = files("quadexp.report.page") / "templates"
 
 
@@ -122,7 +128,7 @@ def _render(comparison: Comparison, drawn: PageFigures, command: str, extent: Ex
     said, board, every = answer(comparison), scoreboard(comparison), tables(comparison)
     numbers = [{**table, "lines": table["lines"][: extent.lines]} for table in every[: extent.metrics]]
     downloads = _downloads(comparison) if extent.carries_data else []
-    left_out = _left_out(comparison, kept, every, numbers, downloads)
+    left_out = _left_out(comparison, packed, kept, every, numbers, downloads)
     environment = Environment(autoescape=True, trim_blocks=False)
     light, dark = palette.css_blocks()
     confidence = comparison.confidence
@@ -136,11 +142,12 @@ def _render(comparison: Comparison, drawn: PageFigures, command: str, extent: Ex
         metric_title=TITLES.get(comparison.metric, comparison.metric),
         baseline=comparison.reference,
         board=board,
-        all_well=all(row["complete"] for row in board),
         tables=numbers,
         alpha=1 - confidence,
         looks=comparison.look,
-        shapes=SHAPE_PATHS,
+        shapes={marker: SHAPE_PATHS[name] for marker, name in palette.SHAPES.items()},
+        learned=LEARNED,
+        row_notes=comparison.notes,
         spoken=spoken,
         css_light=light,
         css_dark=dark,
@@ -156,6 +163,9 @@ def _render(comparison: Comparison, drawn: PageFigures, command: str, extent: Ex
         fits=drawn.fits,
         estimates=drawn.estimates,
         worst=worst(comparison, bad, {case: i for i, case in enumerate(kept)}),
+        flights=len(comparison.rows),
+        bad=sum(row["outcome"] != "ok" for row in comparison.rows),
+        bad_shown=sum(row["outcome"] != "ok" for row in bad),
         many_worlds=len(comparison.worlds) > 1,
         origin=origin(comparison),
         downloads=downloads,
@@ -166,6 +176,7 @@ def _render(comparison: Comparison, drawn: PageFigures, command: str, extent: Ex
 
 def _left_out(
     comparison: Comparison,
+    packed: Sequence[Mapping[str, Any]],
     replayed: Sequence[Case],
     every: Sequence[Mapping[str, Any]],
     numbers: Sequence[Mapping[str, Any]],
@@ -180,6 +191,8 @@ def _left_out(
     said += [f"the table of the {table['title']}" for table in every[len(numbers) :]]
     more = len(courses(comparison)) - MAX_COURSES
     said += [f"error over speed on {more} more courses"] if more > 0 else []
+    crowd = max((len(case["left_out"]) for case in packed), default=0)
+    said += [f"in the replay, up to {crowd} controllers of a flight beyond the first {MAX_TRACKS}"] if crowd else []
     there = {name for name, _ in downloads}
     said += [f"{name}, which lies with the results" for name in CARRIED if name not in there]
     return said

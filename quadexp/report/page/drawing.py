@@ -17,6 +17,7 @@ from quadexp.report.page.figures import (
     course_title,
     courses,
     labels_on,
+    mark,
     pareto_front,
     pareto_panel,
     pareto_points,
@@ -32,7 +33,6 @@ from quadexp.report.page.svg import STYLE, inline_svg
 SIZE = 3.9, 3.0  # inches, of a panel
 WIDE = 6.2, 4.1
 MAX_COURSES = 12
-MAX_ESTIMATES = 4  # flights whose coefficients are drawn
 PREDICTORS = {"gp": "GP", "linear_drag": "linear drag", "zero": "nothing"}
 
 Draw = Callable[..., None]  # (panel, palette=Palette)
@@ -155,7 +155,7 @@ def estimated(comparison: Comparison) -> list[tuple[str, list[tuple[str, Flight]
     made = []
     for (plant, trajectory), rows in chosen.items():
         flights = [(label, f) for label, row in rows.items() if (f := comparison.flight(row)) is not None]
-        flights = [(label, f) for label, f in flights if identified(f)][:MAX_ESTIMATES]
+        flights = [(label, f) for label, f in flights if identified(f)]
         if flights:
             made.append((f"{trajectory} on {plant}", flights))
     return made
@@ -177,10 +177,8 @@ def _estimates(comparison: Comparison, title: str, flights: list[tuple[str, Flig
 
 
 def _estimate_draws(comparison: Comparison, flights: list[tuple[str, Flight]]) -> dict[str, Draw]:
-    colours = {label: look.colour for label, look in comparison.look.items()}
-    return {
-        name: partial(estimate_panel, name=name, flights=flights, colours=colours) for name in identified(flights[0][1])
-    }
+    draw = partial(estimate_panel, flights=flights, worn=comparison.look)
+    return {name: partial(draw, name=name) for name in identified(flights[0][1])}
 
 
 def draw_paper(comparison: Comparison, drawn: PageFigures) -> dict[str, Figure]:
@@ -222,8 +220,8 @@ def _sheet(draws: list[Draw], handles: list[Line2D], size: tuple[float, float] =
 def _handles(comparison: Comparison, labels: list[str]) -> list[Line2D]:
     return [
         Line2D(
-            [], [], color=PAPER.series[look.colour], marker=look.marker, linestyle=look.dashes, label=spoken(label),
-            markeredgecolor=PAPER.panel, markeredgewidth=0.7,
+            [], [], color=PAPER.series[look.token], linestyle=look.dash, label=spoken(label),
+            **mark(look, PAPER.series[look.token], PAPER),
         )
         for label in labels
         if (look := comparison.look[label])

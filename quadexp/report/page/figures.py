@@ -17,7 +17,7 @@ from quadexp.report.page.numbers import duration, shown
 from quadexp.report.page.palette import Palette
 from quadexp.report.page.source import Comparison
 from quadexp.report.statistics import Statistic
-from quadexp.report.style import plain_log
+from quadexp.report.style import Look, plain_log
 from quadexp.report.tables import TITLES
 
 AROUND = 2.5  # times that an interval may reach beyond the means before the panel cuts it
@@ -36,12 +36,21 @@ def dress(panel: Any, palette: Palette) -> None:
     panel.yaxis.label.set_color(palette.muted)
 
 
+def mark(look: Look, colour: str, palette: Palette) -> dict[str, Any]:
+    """Keywords of `plot` for the marker of a look: filled, or hollow for the variants of a controller."""
+    if look.filled:
+        return {"marker": look.marker, "markeredgecolor": palette.panel, "markeredgewidth": 0.7}
+    return {
+        "marker": look.marker, "markerfacecolor": palette.panel, "markeredgecolor": colour, "markeredgewidth": 1.3,
+    }  # fmt: skip
+
+
 def courses(comparison: Comparison) -> list[Course]:
     """What was flown at one speed or more, and ended well at least once."""
     found = [
         (s.plant, s.vehicle, s.trajectory, s.setting)
         for s in comparison.select(comparison.metric)
-        if s.n and not math.isnan(s.speed)
+        if s.common and not math.isnan(s.speed)
     ]
     return list(dict.fromkeys(found))
 
@@ -50,14 +59,14 @@ def course_title(comparison: Comparison, course: Course) -> str:
     """The trajectory, and of plant, vehicle and settings what tells it from the others."""
     plant, vehicle, trajectory, setting = course
     worlds = comparison.worlds
-    parts = [trajectory]
+    parts = [comparison.courses[trajectory, setting]]
     parts += [plant] if len({w[0] for w in worlds}) > 1 else []
     parts += [vehicle] if len({w[1] for w in worlds}) > 1 else []
-    return ", ".join([*parts, *([setting] if setting else [])])
+    return ", ".join(parts)
 
 
 def _on(comparison: Comparison, course: Course) -> list[Statistic]:
-    chosen = [s for s in comparison.select(comparison.metric) if s.n]
+    chosen = [s for s in comparison.select(comparison.metric) if s.common]
     return [s for s in chosen if (s.plant, s.vehicle, s.trajectory, s.setting) == course]
 
 
@@ -70,17 +79,17 @@ def labels_on(comparison: Comparison, course: Course) -> list[str]:
 def error_limits(comparison: Comparison) -> tuple[float, float]:
     """Vertical limits that all panels of error over speed share, in the shown unit."""
     factor, _ = shown(comparison.metric)
-    chosen = [s for s in comparison.select(comparison.metric) if s.n and not math.isnan(s.speed)]
-    means = [factor * s.mean for s in chosen if s.mean > 0]
+    chosen = [s for s in comparison.select(comparison.metric) if s.common and not math.isnan(s.speed)]
+    means = [factor * s.common_mean for s in chosen if s.common_mean > 0]
     if not means:
         return 0.1, 10.0
-    ends = [factor * v for s in chosen for v in (s.low, s.high) if math.isfinite(v) and v > 0]
+    ends = [factor * v for s in chosen for v in (s.common_low, s.common_high) if math.isfinite(v) and v > 0]
     low, high = min([*means, *ends]), max([*means, *ends])
     return max(low / 1.35, min(means) / AROUND), min(high * 1.35, max(means) * AROUND)
 
 
 def speed_panel(panel: Any, comparison: Comparison, course: Course, palette: Palette) -> None:
-    """Mean error over nominal speed with its interval, a line a contestant.
+    """Mean error over nominal speed with its interval, a line a contestant, over the flights that all ended well.
 
     Points of one speed are set apart a little, so that intervals can be told from one another.
     """
@@ -92,19 +101,21 @@ def speed_panel(panel: Any, comparison: Comparison, course: Course, palette: Pal
     for k, label in enumerate(labels):
         mine = sorted((s for s in chosen if comparison.labels[s.contestant] == label), key=lambda s: s.speed)
         look = comparison.look[label]
-        colour = palette.series[look.colour]
+        colour = palette.series[look.token]
         x = np.array([s.speed for s in mine]) + apart * (k - (len(labels) - 1) / 2)
-        mean, low, high = (factor * np.array([getattr(s, name) for s in mine]) for name in ("mean", "low", "high"))
+        mean, low, high = (
+            factor * np.array([getattr(s, f"common_{name}") for s in mine]) for name in ("mean", "low", "high")
+        )
         known = np.isfinite(low) & np.isfinite(high)
         panel.vlines(x[known], np.maximum(low[known], 1e-9), high[known], color=colour, linewidth=3.2, alpha=0.35)
         panel.plot(
-            x, mean, color=colour, marker=look.marker, linestyle=look.dashes, markeredgecolor=palette.panel,
-            markeredgewidth=0.7, label=label, zorder=4 if label == comparison.best else 3,
+            x, mean, color=colour, linestyle=look.dash, label=label, zorder=3, **mark(look, colour, palette),
         )  # fmt: skip
     panel.set_yscale("log")
     panel.set_ylim(*error_limits(comparison))
     panel.set_xticks(speeds)
-    panel.set_xlim(speeds[0] - 6 * apart, speeds[-1] + 6 * apart)
+    room = max(6.0, len(labels) / 2 + 1) * apart
+    panel.set_xlim(speeds[0] - room, speeds[-1] + room)
     panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     plain_log(panel.yaxis)
     panel.set_xlabel("nominal speed (m/s)")
@@ -159,16 +170,14 @@ def pareto_panel(panel: Any, comparison: Comparison, palette: Palette) -> None:
     if len(front) > 1:
         panel.plot(1e6 * path[:, 0], path[:, 1], color=palette.accent, linewidth=1.1, alpha=0.6, zorder=1)
     for label, (time, error, low, high) in points.items():
-        look, colour = comparison.look[label], palette.series[comparison.look[label].colour]
+        look, colour = comparison.look[label], palette.series[comparison.look[label].token]
         faded = 1.0 if label in front else 0.75
         if math.isfinite(low):
             panel.vlines(1e6 * time, max(low, 1e-6), high, color=colour, linewidth=3.2, alpha=0.35)
         panel.hlines(error, 1e6 * time, 1e6 * max(tails[label], time), color=colour, linewidth=1.0, alpha=0.55)
         panel.plot(
-            1e6 * time, error, color=colour, marker=look.marker, markersize=8, alpha=faded, zorder=4,
-            linestyle="none", markeredgewidth=1.4 if label in comparison.bounds else 0.8,
-            markeredgecolor=colour if label in comparison.bounds else palette.panel,
-            markerfacecolor="none" if label in comparison.bounds else colour,
+            1e6 * time, error, color=colour, markersize=8, alpha=faded, zorder=4, linestyle="none",
+            **mark(look, colour, palette),
         )  # fmt: skip
     periods = [p for label in points if math.isfinite(p := comparison.period(label))]
     times = [1e6 * t for t in (*(p[0] for p in points.values()), *tails.values(), *periods)]
@@ -217,7 +226,7 @@ def _name_points(
         taken.append(boxes[chosen])
         panel.annotate(
             name, points[label][:2] * np.array([1e6, 1.0]), spots[chosen], textcoords="offset points", ha="left",
-            va="bottom", color=palette.series[comparison.look[label].colour], fontsize=8.5,
+            va="bottom", color=palette.series[comparison.look[label].token], fontsize=8.5,
             fontweight="bold" if label in front else "normal",
         )  # fmt: skip
 

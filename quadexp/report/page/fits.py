@@ -19,7 +19,8 @@ from quadexp.identify.model import GPModel, OutputPosterior
 from quadexp.identify.predict import AXIS, predict
 from quadexp.report.fit_figures import axis_label, symbol, unit
 from quadexp.report.page.figures import dress
-from quadexp.report.page.palette import BASELINE, BEST, OTHERS, Palette
+from quadexp.report.page.palette import Palette
+from quadexp.report.style import LOOKS, Look
 
 CURVE_POINTS = 120
 DOTS = 400  # of the data set behind a curve
@@ -80,7 +81,7 @@ def fit_panel(panel: Any, checkpoint: Checkpoint, output: OutputPosterior, palet
     grid[:, 0] = x = np.linspace(low, high, CURVE_POINTS)
     own = replace(model, outputs=(output,))
     mean, std = _predict(own, output, grid)
-    colour, other, grey = (palette.series[i] for i in (BEST, OTHERS[0], BASELINE))
+    colour, other, grey = (palette.series[LOOKS[name][0] + "-0"] for name in ("gp_mpc", "linear drag", "nominal"))
     if data is not None:
         every = max(1, data.n_rows // DOTS)
         features = data.matrix(output.features)[::every]
@@ -136,14 +137,19 @@ def truth(flight: Flight, name: str) -> np.ndarray | None:
 
 
 def estimate_panel(
-    panel: Any, name: str, flights: Sequence[tuple[str, Flight]], colours: Mapping[str, int], palette: Palette
+    panel: Any, name: str, flights: Sequence[tuple[str, Flight]], worn: Mapping[str, Look], palette: Palette
 ) -> None:
-    """One coefficient over time, a line a flight (label, flight), and the plant's own value. colours: by label."""
+    """One coefficient over time, a line a flight (label, flight), and the plant's own value. worn: by label."""
     values = []
     for label, flight in flights:
         every = max(1, len(flight) // 500)
         panel.plot(
-            flight.t[::every], flight[name][::every], color=palette.series[colours[label]], linewidth=1.2, alpha=0.9
+            flight.t[::every],
+            flight[name][::every],
+            color=palette.series[worn[label].token],
+            linestyle=worn[label].dash,
+            linewidth=1.2,
+            alpha=0.9,
         )
         values.append(flight[name][len(flight) // 20 :])
     true = truth(flights[0][1], name)

@@ -1,4 +1,4 @@
-"""What controllers and their parts are called in a sentence, and which of them are bounds rather than contestants."""
+"""What controllers and their parts are called in a sentence, and what they know."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ KNOWS = {
     "static_feedback": "static thrust and torque only",
     "oracle_feedback": "the plant's own coefficients",
 }
-BOUNDS = ("perfect_", "oracle_")  # they know what nobody can know
 BASELINES = ("nominal_mpc", "static_feedback")  # in this order, unless told
 
 
@@ -31,7 +30,3 @@ def spoken(label: str) -> str:
     controller, _, rest = label.partition(" ")
     name = NAMES.get(controller, controller.replace("_mpc", " MPC").replace("_", " "))
     return f"{name} {rest}".strip()
-
-
-def is_bound(controller: str) -> bool:
-    return controller.startswith(BOUNDS)

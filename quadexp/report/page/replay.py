@@ -19,11 +19,12 @@ import numpy as np
 from quadexp.flight.schema import Flight
 from quadexp.report.page.figures import course_title
 from quadexp.report.page.names import spoken
+from quadexp.report.page.palette import SHAPES
 from quadexp.report.page.source import Comparison
 from quadexp.report.pairing import condition_of
 
 BUDGET = 900_000  # characters of packed tracks
-MAX_TRACKS = 8
+MAX_TRACKS = 12
 MAX_CASES = 24
 MAX_SAMPLES = 1500
 LEAST_STEP = 0.02  # s
@@ -82,8 +83,9 @@ def pack_replay(
 
 def _pack(comparison: Comparison, case: Case, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
     rank = {label: k for k, label in enumerate(comparison.look)}
-    first = [comparison.best, comparison.reference, *comparison.bounds]
-    rows = sorted(rows, key=lambda row: (comparison.label(row) not in first, rank[comparison.label(row)]))[:MAX_TRACKS]
+    first = [comparison.lead, comparison.reference, *comparison.bounds]
+    ordered = sorted(rows, key=lambda row: (comparison.label(row) not in first, rank[comparison.label(row)]))
+    rows = ordered[:MAX_TRACKS]
     flights = [(comparison.label(row), flight) for row in rows if (flight := comparison.flight(row)) is not None]
     flights = [(label, flight) for label, flight in flights if "ref_p_x" in flight.columns]
     if not flights:
@@ -106,6 +108,7 @@ def _pack(comparison: Comparison, case: Case, rows: Sequence[Mapping[str, Any]])
         "rotors": config.get("rotor_position") or SOME_ROTORS,
         "centre": centre.tolist(),
         **_integers("reference", reference - centre),
+        "left_out": [spoken(comparison.label(row)) for row in ordered[MAX_TRACKS:]],
         "tracks": sorted(tracks, key=lambda track: rank[track["label"]]),
     }
 
@@ -123,8 +126,9 @@ def _track(
     return {
         "label": label,
         "name": spoken(label),
-        "colour": look.colour,
-        "shape": look.shape,
+        "colour": look.token,
+        "shape": SHAPES[look.marker],
+        "filled": look.filled,
         "samples": len(t),
         "outcome": flight.outcome,
         "cause": flight.metadata.get("cause", ""),

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.report.common import Flights
 from quadexp.report.metrics import position_error
-from quadexp.report.page.figures import course_title
+from quadexp.report.page.figures import Course, course_title
 from quadexp.report.page.names import KNOWS, spoken
 from quadexp.report.page.numbers import (
     MINUS,
@@ -29,13 +30,17 @@ from quadexp.report.tables import TITLES
 from quadexp.report.wording import notes, with_interval
 
 WORST = 9
+WIDE = 6  # columns; with more, a table is printed across the sheet
 EACH = 2  # flights of one contestant among the worst, of those that ended well
 SPARK = 160, 36  # of an error trace, px
 SPARK_POINTS = 120
 
 
 def scoreboard(comparison: Comparison) -> list[dict[str, Any]]:
-    """Everyone in the world of the answer, the best first: error, against the baseline, time, how flights ended."""
+    """Everyone in the world of the answer: how flights ended, error over the common ones, against the baseline, time.
+
+    Who ended most flights well comes first, then the least error.
+    """
     factor, unit = shown(comparison.metric)
     means = {label: factor * comparison.geometric_mean(label) for label in comparison.order}
     known = [m for m in means.values() if m > 0]
@@ -45,6 +50,7 @@ def scoreboard(comparison: Comparison) -> list[dict[str, Any]]:
     for label in comparison.order:
         one, mean = comparison.overall.get(label), means[label]
         _, good, flown = comparison.success(label)
+        own = comparison.own_flights(label)
         board.append(
             {
                 "label": label,
@@ -52,6 +58,9 @@ def scoreboard(comparison: Comparison) -> list[dict[str, Any]]:
                 "role": _role(comparison, label),
                 "error": number(mean),
                 "unit": unit,
+                "own": f"own {number(factor * comparison.geometric_mean(label, own=True))} of {own}"
+                if own > (comparison.common.flights if mean == mean else 0)
+                else "",
                 "at": 4 + 92 * (math.log(mean) - low) / span if mean > 0 else None,
                 "change": _change(one.reduction, one.reduction_low, one.reduction_high)[0] if one else "",
                 "limits": _change(one.reduction, one.reduction_low, one.reduction_high)[1] if one else "",
@@ -66,9 +75,9 @@ def scoreboard(comparison: Comparison) -> list[dict[str, Any]]:
 
 
 def _role(comparison: Comparison, label: str) -> str:
-    if label == comparison.best:
-        base = comparison.reference
-        return "best" if base is None or not comparison.rank(label) > comparison.rank(base) else ""
+    if label == comparison.best and len(comparison.rivals) > 1:
+        base, own = comparison.reference, comparison.geometric_mean(label)
+        return "best" if base is None or not own > comparison.geometric_mean(base) else ""
     return "baseline" if label == comparison.reference else "bound" if label in comparison.bounds else ""
 
 
@@ -81,7 +90,10 @@ def _change(reduction: float, low: float = math.nan, high: float = math.nan) -> 
 
 
 def tables(comparison: Comparison) -> list[dict[str, Any]]:
-    """One table of means and one of paired differences for every metric; the deciding metric first."""
+    """One table of means and one of paired differences for every metric; the deciding metric first.
+
+    Means and differences are over the flights of a line that all who are compared ended well.
+    """
     metrics = [comparison.metric, *(m for m in TABLED if m != comparison.metric)]
     return [_table(comparison, metric) for metric in metrics if comparison.select(metric)]
 
@@ -90,17 +102,19 @@ def _table(comparison: Comparison, metric: str) -> dict[str, Any]:
     factor, unit = shown(metric)
     found = {(s.condition, comparison.labels[s.contestant]): s for s in comparison.select(metric)}
     columns = [label for label in comparison.look if any(label == who for _, who in found)]
-    best = {condition: _best(comparison, found, condition) for condition in comparison.conditions}
+    flown = _flown(comparison, metric)
+    order = list(dict.fromkeys(map(_course, comparison.conditions)))
+    conditions = sorted(comparison.conditions, key=lambda c: (order.index(_course(c)), -1.0 if c[3] is None else c[3]))
     compared = [c for c in columns if any(s.baseline for (_, who), s in found.items() if who == c)]
     lines = [
         {
-            "course": course_title(comparison, (c[0], c[1], c[2], c[4])),
+            "course": course_title(comparison, _course(c)),
             "speed": "" if c[3] is None else f"{c[3]:g}",
-            "first": i == 0 or comparison.conditions[i - 1][:3] != c[:3],
-            "means": [_mean_cell(found.get((c, x)), factor, best[c] == x) for x in columns],
+            "first": i == 0 or _course(conditions[i - 1]) != _course(c),
+            "means": [_mean_cell(found.get((c, x)), factor) for x in columns],
             "differences": [_difference_cell(found.get((c, x)), factor) for x in compared],
         }
-        for i, c in enumerate(comparison.conditions)
+        for i, c in enumerate(conditions)
     ]
     some = next(iter(found.values()))
     baseline = next((s.baseline for s in found.values() if s.baseline), "")
@@ -108,33 +122,41 @@ def _table(comparison: Comparison, metric: str) -> dict[str, Any]:
         "metric": metric,
         "title": TITLES[metric],
         "unit": unit,
-        "columns": columns,
+        "columns": [{"label": label, "flown": flown[label].text()} for label in columns],
         "compared": compared,
         "baseline": baseline,
         "lines": lines,
         "confidence": f"{some.confidence:.0%}",
         "notes": notes(list(found.values()), ()),
+        "wide": len(columns) > WIDE,
     }
 
 
-def _best(comparison: Comparison, found: Mapping[tuple[Condition, str], Statistic], condition: Condition) -> str | None:
-    """The least mean among those with the highest success rate."""
-    rivals = {who: s for (c, who), s in found.items() if c == condition and s.n}
-    if len(rivals) < 2:
-        return None
-    most = max(s.success for s in rivals.values())
-    return min((who for who in rivals if rivals[who].success == most), key=lambda who: rivals[who].mean)
+def _flown(comparison: Comparison, metric: str) -> dict[str, Flights]:
+    """Label -> how many flights ended well, on all plants and vehicles."""
+    found: dict[str, Flights] = {}
+    for s in comparison.select(metric):
+        label = comparison.labels[s.contestant]
+        before = found.get(label, Flights(0, 0))
+        found[label] = Flights(before.ended + s.flown.ended, before.trials + s.flown.trials)
+    return found
 
 
-def _mean_cell(s: Statistic | None, factor: float, best: bool) -> dict[str, Any]:
+def _course(condition: Condition) -> Course:
+    plant, vehicle, trajectory, _, setting = condition
+    return plant, vehicle, trajectory, setting
+
+
+def _mean_cell(s: Statistic | None, factor: float) -> dict[str, Any]:
     if s is None:
-        return {"text": "\u2013", "limits": "", "lost": "", "best": False}
+        return {"text": "\u2013", "limits": "", "own": "", "lost": "", "best": False}
     lost = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in s.failures.items())
-    if not s.n:
-        return {"text": "", "limits": "", "lost": lost, "best": False}
-    text, limits = with_interval(factor * s.mean, factor * s.low, factor * s.high)
-    star = "*" if s.significant else ""
-    return {"text": text + star, "limits": limits.strip().replace(" ", NOBREAK), "lost": lost, "best": best}
+    own = f"own {with_interval(factor * s.mean, math.nan, math.nan)[0]} of {s.n}" if s.n > s.common else ""
+    if not s.common:
+        return {"text": "", "limits": "", "own": own, "lost": lost, "best": False}
+    text, limits = with_interval(factor * s.common_mean, factor * s.common_low, factor * s.common_high)
+    star, limits = "*" if s.significant else "", limits.strip().replace(" ", NOBREAK)
+    return {"text": text + star, "limits": limits, "own": own, "lost": lost, "best": s.best}
 
 
 def _difference_cell(s: Statistic | None, factor: float) -> dict[str, Any]:

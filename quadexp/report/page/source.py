@@ -17,22 +17,34 @@ from quadexp.errors import DataError, UsageError
 from quadexp.flight.cell_store import CellStore
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import read_flight, read_metadata, read_table
+from quadexp.report.common import Flights
+from quadexp.report.inference import Ratio
 from quadexp.report.overall import Overall, overall
-from quadexp.report.page.names import BASELINES, is_bound
-from quadexp.report.page.palette import Look, looks
-from quadexp.report.pairing import Condition, Contestant, condition_of, contestant_labels, contestant_of
+from quadexp.report.page.names import BASELINES
+from quadexp.report.pairing import (
+    Common,
+    Condition,
+    Contestant,
+    Groups,
+    World,
+    condition_of,
+    contestant_labels,
+    contestant_of,
+    is_bound,
+)
 from quadexp.report.statistics import CONFIDENCE, Statistic
 from quadexp.report.statistics_file import results_statistics
-from quadexp.report.tables import from_columns
+from quadexp.report.style import Look, looks
+from quadexp.report.tables import course_labels, from_columns
+from quadexp.report.winner import Ranking, rank, ratio_of
 
 RESULTS = "results.parquet"
 TABLED = ("mean_error", "rmse", "max_error")
-World = tuple[str, str]  # plant, vehicle
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Results with their statistics. metric: the one that decides. baseline: a controller's name."""
+    """Results with their statistics. metric: the one that decides. baseline: a controller's name. notes: on rows."""
 
     root: Path
     rows: list[dict[str, Any]]
@@ -42,6 +54,7 @@ class Comparison:
     baseline: str
     confidence: float
     digest: str
+    notes: list[str]
 
     @cached_property
     def labels(self) -> dict[Contestant, str]:
@@ -50,6 +63,11 @@ class Comparison:
     @cached_property
     def conditions(self) -> list[Condition]:
         return list(dict.fromkeys(map(condition_of, self.rows)))
+
+    @cached_property
+    def courses(self) -> dict[tuple[str, str], str]:
+        """(trajectory, other settings) -> what it is called."""
+        return course_labels((c[2], c[4]) for c in self.conditions)
 
     @cached_property
     def world(self) -> World:
@@ -83,20 +101,49 @@ class Comparison:
         return {self.labels[one.controller, one.model, one.variant]: one for one in made}
 
     @cached_property
+    def groups(self) -> Groups:
+        """The flights of the world of the answer, with the deciding metric."""
+        return Groups(self.main_rows, self.baseline, (self.metric,))
+
+    @cached_property
+    def common(self) -> Common:
+        """Who is compared in that world, and over which flights; see report/common.py."""
+        return self.groups.common(self.groups.worlds.get(self.world, []))
+
+    @cached_property
     def errors(self) -> dict[str, dict[Condition, float]]:
-        """Label -> condition -> mean of the metric over seeds (SI), in the world of the answer."""
+        """Label -> condition -> mean of the metric over the common flights (SI), in the world of the answer."""
+        return self._means(common=True)
+
+    @cached_property
+    def own_errors(self) -> dict[str, dict[Condition, float]]:
+        """As `errors`, over all flights that each ended well itself."""
+        return self._means(common=False)
+
+    def _means(self, *, common: bool) -> dict[str, dict[Condition, float]]:
         found: dict[str, dict[Condition, float]] = {}
-        for s in self.select(self.metric):
-            if s.condition[:2] == self.world:
-                by_condition = found.setdefault(self.labels[s.contestant], {})
-                if s.n:
-                    by_condition[s.condition] = s.mean
+        for condition, contestant in self.groups.cells:
+            ended = {f.seed for f in self.groups.cells[condition, contestant] if f.outcome == "ok"}
+            if common:
+                ended &= self.common.seeds.get(condition, frozenset()) if contestant in self.common.compared else set()
+            values = self.groups.values(condition, contestant, 0, ended)
+            values = values[np.isfinite(values)]
+            by_condition = found.setdefault(self.labels[contestant], {})
+            if len(values):
+                by_condition[condition] = float(np.mean(values))
         return found
 
-    def geometric_mean(self, label: str) -> float:
-        """Of the errors over the conditions that it ended well in, SI; NaN without any."""
-        values = [value for value in self.errors.get(label, {}).values() if value > 0]
+    def geometric_mean(self, label: str, *, own: bool = False) -> float:
+        """Of the errors over the conditions of the common flights, SI; NaN for who is not compared.
+
+        own: over the conditions that it ended well in itself.
+        """
+        values = [v for v in (self.own_errors if own else self.errors).get(label, {}).values() if v > 0]
         return float(np.exp(np.mean(np.log(values)))) if values else math.nan
+
+    def own_flights(self, label: str) -> int:
+        """How many flights its own mean is over."""
+        return self.success(label)[1]
 
     @cached_property
     def flyers(self) -> list[str]:
@@ -105,15 +152,13 @@ class Comparison:
 
     @cached_property
     def order(self) -> list[str]:
-        """Labels of that world, the best first; those that never ended well at the end."""
-        return sorted(self.flyers, key=lambda label: (math.isnan(m := self.rank(label)), m))
+        """Labels of that world: who ended the largest share of its flights well first, then the least error."""
 
-    def rank(self, label: str) -> float:
-        """What contestants are ordered by: the ratio to the baseline where there is one, else the error."""
-        one = self.overall.get(label)
-        if one is not None and math.isfinite(one.reduction):
-            return (1 - one.reduction / 100) * self.geometric_mean(self.reference or label)
-        return self.geometric_mean(label)
+        def place(label: str) -> tuple[float, bool, float]:
+            share, error = self.success(label)[0], self.geometric_mean(label)
+            return -share if share == share else 1.0, math.isnan(error), error
+
+        return sorted(self.flyers, key=place)
 
     @cached_property
     def controllers(self) -> dict[str, str]:
@@ -130,28 +175,60 @@ class Comparison:
         found = [label for label in self.flyers if self.controllers[label] == self.baseline]
         return found[0] if len(found) == 1 else None
 
+    @property
+    def rivals(self) -> list[str]:
+        """Those that are neither bound nor baseline."""
+        return [label for label in self.order if label not in self.bounds and label != self.reference]
+
     @cached_property
+    def ranking(self) -> Ranking:
+        """Of the rivals."""
+        contestants = {label: contestant for contestant, label in self.labels.items()}
+        return rank(self.groups, self.common, [contestants[x] for x in self.rivals], 0, self.confidence)
+
+    @property
+    def lead(self) -> str | None:
+        """The rival with the least error over the common flights, whether by chance or not."""
+        return None if self.ranking.least is None else self.labels[self.ranking.least]
+
+    @property
+    def alike(self) -> list[str]:
+        """Rivals that are not distinguishable from the lead."""
+        return [self.labels[one] for one in self.ranking.alike(self.confidence)]
+
+    @property
+    def flew_more(self) -> list[str]:
+        """Who of rivals and baseline ended a larger share of its flights well than the lead."""
+        rivals = [x for x in self.order if x not in self.bounds]
+        return [x for x in rivals if self.lead and self.success(x)[0] > self.success(self.lead)[0]]
+
+    @property
     def best(self) -> str | None:
-        """The least error among those that are neither bound nor baseline and that lost the fewest flights."""
-        rivals = [
-            x for x in self.order if x not in self.bounds and x != self.reference and not math.isnan(self.rank(x))
-        ]
-        if not rivals:
-            return None
-        success = {label: self.success(label)[0] for label in rivals}
-        most = max(success.values())
-        return next(label for label in rivals if success[label] == most)
+        """The lead, where it is the only rival, or is told apart from the others and nobody flew more; else None."""
+        return self.lead if not self.alike and not self.flew_more else None
+
+    def to_bound(self, bound: str) -> Ratio:
+        """Error of the lead over that of a bound: their ratio over the common flights, with its interval."""
+        assert self.ranking.least is not None
+        contestants = {label: contestant for contestant, label in self.labels.items()}
+        return ratio_of(self.groups, self.common, self.ranking.least, contestants[bound], self.confidence)
+
+    @cached_property
+    def _flown(self) -> dict[Contestant, Flights]:
+        return self.groups.flights(self.groups.worlds.get(self.world, []))
 
     def success(self, label: str) -> tuple[float, int, int]:
-        """Share, number and count of all its flights in that world that ended well (infeasible ones are no trial)."""
-        mine = [row for row in self.main_rows if self.label(row) == label and row["outcome"] != "infeasible"]
-        good = sum(row["outcome"] == "ok" for row in mine)
-        return good / len(mine) if mine else math.nan, good, len(mine)
+        """Share, number and count of all its flights in that world that ended well; see report/common.py."""
+        contestant = next(one for one, name in self.labels.items() if name == label)
+        flown = self._flown.get(contestant, Flights(0, 0))
+        return flown.share, flown.ended, flown.trials
 
     @cached_property
     def look(self) -> dict[str, Look]:
+        """Label -> look, in the order of the page; who looks how does not depend on that order."""
+        worn = looks(list(self.labels.values()))
         others = [label for label in self.labels.values() if label not in self.order]
-        return looks([*self.order, *others], self.reference, self.best, self.bounds)
+        return {label: worn[label] for label in (*self.order, *others)}
 
     @cached_property
     def grids(self) -> list[Grid]:
@@ -219,16 +296,17 @@ def read_comparison(path: str | Path, *, baseline: str | None = None) -> Compari
         raise UsageError(f"--baseline {baseline}: did not fly here; there are {', '.join(sorted(flown))}")
     chosen = baseline or _baseline(record, flown)
     confidence = float(record.get("confidence", CONFIDENCE))
-    statistics = results_statistics(file.parent, rows, baseline=chosen, confidence=confidence).rows
+    statistics = results_statistics(file.parent, rows, baseline=chosen, confidence=confidence)
     return Comparison(
         root=file.parent,
         rows=rows,
         record=record,
-        statistics=statistics,
+        statistics=statistics.rows,
         metric=record.get("metric", "mean_error"),
         baseline=chosen,
         confidence=confidence,
         digest=hashlib.sha256(file.read_bytes()).hexdigest(),
+        notes=statistics.notes,
     )
 
 

@@ -23,6 +23,25 @@ const choose = metric => {
 for (const tab of tabs) tab.onclick = () => choose(tab.dataset.metricSwitch);
 if (tabs.length) choose(tabs[0].dataset.metricSwitch);
 
+const boxes = [...document.querySelectorAll(".scroll")];
+for (const box of boxes) {
+  const hint = document.createElement("p");
+  hint.className = "more-hint";
+  hint.textContent = "Wider than the window: scroll sideways for all columns \u2192";
+  box.before(hint);
+}
+const measure = () => {
+  for (const box of boxes) {
+    const first = box.querySelector("th"), wide = box.scrollWidth > box.clientWidth + 1;
+    if (first) box.style.setProperty("--first", `${Math.floor(first.getBoundingClientRect().width) - 1}px`);
+    box.classList.toggle("over", wide);
+    box.previousElementSibling.classList.toggle("on", wide);
+  }
+};
+const sized = new ResizeObserver(measure);
+for (const box of boxes) sized.observe(box);
+measure();
+
 for (const button of document.querySelectorAll("[data-copy]")) {
   button.onclick = async () => {
     const text = button.dataset.copy, said = button.textContent;

@@ -44,7 +44,7 @@ const VIEWS = { orbit: [-0.7, 0.5], top: [0, Math.PI / 2 - 1e-3], side: [0, 0.02
 const camera = { yaw: -0.7, pitch: 0.5, zoom: 1, view: "orbit", centre: [0, 0, 0], rise: 0.54, fit: 0, fitted: "" };
 function readColours() {
   const style = getComputedStyle(document.documentElement), names = ["panel", "ink", "muted", "rule", "accent"];
-  for (let i = 0; i < 8; i++) names.push(`series-${i}`);
+  for (const c of cases) for (const track of c.tracks) names.push(`series-${track.colour}`);
   colours = Object.fromEntries(names.map(n => [n, style.getPropertyValue(`--${n}`).trim()]));
 }
 const colourOf = track => colours[`series-${track.colour}`];
@@ -278,7 +278,7 @@ function open(index) {
     const button = document.createElement("button");
     button.type = "button"; button.className = "pilot"; button.setAttribute("aria-pressed", String(track.shown));
     const name = document.createElement("span"), bars = document.createElement("span"), now = document.createElement("span");
-    name.innerHTML = `<svg class="mark" viewBox="-5 -5 10 10" aria-hidden="true" style="fill:var(--series-${track.colour})"><path d="${SHAPES[track.shape]}"/></svg>`;
+    name.innerHTML = `<svg class="mark${track.filled ? "" : " hollow"}" viewBox="-5 -5 10 10" aria-hidden="true" style="--own:var(--series-${track.colour})"><path d="${SHAPES[track.shape]}"/></svg>`;
     name.append(track.name);
     bars.className = "thrust"; bars.style.color = `var(--series-${track.colour})`; bars.setAttribute("aria-hidden", "true");
     track.bars = flown.rotors.map(() => bars.appendChild(document.createElement("i")));
