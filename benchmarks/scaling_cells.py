@@ -87,6 +87,7 @@ def trivial_cell(config: Any, model: Any, path: str, key: str) -> dict[str, Any]
         "mean_error": 0.001 * (config.seed % 89),
         "max_error": 0.002,
         "outcome": "ok",
+        **program_record(),
     }
 
 

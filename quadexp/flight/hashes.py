@@ -91,12 +91,28 @@ def sealed_bytes(path: Path) -> tuple[bytes, bool | None]:
     Raises OSError where it cannot be read.
     """
     content = path.read_bytes()
-    size = int.from_bytes(content[-8:-4], "little") + 8
-    footer = max(0, len(content) - size)
-    found = _SEAL.search(content, footer)
+    found = _SEAL.search(content, _footer_start(content))
     if found is None:
         return content, None
     digest = hashlib.sha256(memoryview(content)[: found.start(1)])
     digest.update(_NONE_YET)
     digest.update(memoryview(content)[found.end(1) :])
     return content, digest.hexdigest().encode() == found[1]
+
+
+def sealed_value(content: bytes, key: bytes) -> bytes | None:
+    """What stands under a key in the metadata of a file whose hash was found right, without parsing its columns' part
+    (a tenth of the time); None where it is not found."""
+    start = content.find(bytes([len(key)]) + key + b"\x18", _footer_start(content))
+    if start < 0:
+        return None
+    at, size, shift = start + len(key) + 2, 0, 0
+    while content[at] & 0x80:  # the length, seven bits a byte, the lowest first
+        size |= (content[at] & 0x7F) << shift
+        at, shift = at + 1, shift + 7
+    size |= content[at] << shift
+    return content[at + 1 : at + 1 + size]
+
+
+def _footer_start(content: bytes) -> int:
+    return max(0, len(content) - 8 - int.from_bytes(content[-8:-4], "little"))

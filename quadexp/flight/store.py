@@ -1,10 +1,10 @@
 """Tables on disk: Parquet, with the record in the schema metadata, appearing whole or not at all.
 
 Under the key `quadexp` the file carries JSON: {"kind": "flight" | "residuals" | "results", "schema": 2, ...}, and
-under `quadexp_sha256` the hash of that text and of the columns' names; every page of data carries a checksum. The hash of
-the columns' types and values stands beside it and is checked where the file is read in full, that of the file's bytes
-behind it (see hashes.py). So a changed bit, an edited number and a file that another program wrote anew are noticed. A
-file is written to a temporary name in its own folder, flushed to the disk, then renamed.
+under `quadexp_sha256` the hash of that text and of the columns' names; every page of data carries a checksum. The hash
+of the columns' types and values stands beside it and is checked where the file is read in full, that of the file's
+bytes behind it (see hashes.py). So a changed bit, an edited number and a file that another program wrote anew are
+noticed. A file is written to a temporary name in its own folder, flushed to the disk, then renamed.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.errors import DataError, QuadexpError, UsageError, write_error
-from quadexp.flight.hashes import CONTENT_KEY, content_hash, sealed_bytes, write_sealed
+from quadexp.errors import DataError, UsageError, write_error
+from quadexp.flight.hashes import CONTENT_KEY, content_hash, sealed_bytes, sealed_value, write_sealed
 from quadexp.flight.schema import Flight, describe
 from quadexp.state import STATE_COLUMNS
 
@@ -92,6 +92,14 @@ def write_text(path: str | Path, text: str) -> Path:
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return path
+
+
+def read_text(path: Path) -> str | None:
+    """What a text file holds; None where there is none, or no text."""
+    try:
+        return path.read_bytes().decode("utf-8")
+    except (OSError, UnicodeError):
+        return None
 
 
 def write_bytes(path: str | Path, write: Callable[[Path], Any]) -> Path:
@@ -240,27 +248,31 @@ def has_content_hash(path: str | Path) -> bool:
     return CONTENT_KEY in (pq.read_schema(path).metadata or {})
 
 
-def changed_since_written(path: str | Path, kind: str, mark: str = "") -> str:
-    """What is wrong with a file that was written whole, "" where nothing: by the hash of its bytes where it has one,
-    else (an earlier version's file) by reading it in full.
+def read_record(path: str | Path, kind: str) -> dict[str, Any]:
+    """The record of a table that holds, byte for byte, what was written: by the hash of its bytes, or (a file of an
+    earlier version) by reading all of it.
 
-    mark: text that its record must hold, as JSON has it.
+    Raises UsageError where there is no such file, DataError where it has changed or is of another kind.
     """
     path = Path(path)
     try:
         content, sealed = sealed_bytes(path)
-    except OSError as error:
-        return f"cannot be read ({error.strerror})"
+    except OSError:
+        return read_metadata(path, kind)  # says what is wrong with it
     if sealed is False:
-        return "its bytes do not match their hash"
-    if sealed is None:
-        try:
-            read_table(path, kind)
-            if has_content_hash(path):
-                return "was written anew by another program"
-        except QuadexpError as error:
-            return str(error).removeprefix(f"{path}: ")
-    return "" if mark.encode() in content else "holds another flight than its name says"
+        read_metadata(path, kind)
+        raise DataError(f"{path}: its bytes do not match their hash: it was edited or damaged after it was written")
+    raw = sealed_value(content, METADATA_KEY) if sealed else None
+    try:
+        record = json.loads(raw or b"")
+        if record["kind"] == kind and record["schema"] == SCHEMA:
+            return dict(record)
+    except (TypeError, ValueError, KeyError):
+        pass
+    _, record = read_table(path, kind)
+    if sealed is None and has_content_hash(path):
+        raise DataError(f"{path}: was written anew by another program")
+    return record
 
 
 def check_finite(columns: Mapping[str, np.ndarray], names: Iterable[str], where: str) -> None:
