@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.experiment import build
-from quadexp.experiment.evaluate import fly_one
+from quadexp.experiment.evaluate import fly_one, program_record
 from quadexp.flight.store import write_flight
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import hashlib
 import importlib
 import json
 from collections.abc import Iterable, Mapping
@@ -26,12 +27,17 @@ from quadexp.flight.cell_store import CellStore
 from quadexp.flight.store import has_content_hash, read_table, read_text, write_table, write_text
 from quadexp.provenance import sources
 from quadexp.report.flown_by import mixed_programs
-from quadexp.report.statistics_file import Statistics, altered_files, results_statistics, write_comparison
+from quadexp.report.statistics_file import (
+    Statistics,
+    comparison_texts,
+    results_statistics,
+    statistics_csv,
+    write_comparison,
+)
 from quadexp.report.tables import ErrorTable, to_csv
 
 RESULTS = "results.parquet"
 UNFINISHED = "rows.parquet"
-ALTERED = "is not what the flights say (edited, or of another version)"
 READERS, AT_ONCE = 4, 1000  # threads that read cells, and cells that are given to them together
 CELLS_BETWEEN = 5000  # new rows after which they are written, or a quarter of those there, whichever is more
 
@@ -105,7 +111,7 @@ def write_results(
     root: Path, rows: Rows, record: Mapping[str, Any]
 ) -> tuple[Statistics, ErrorTable, dict[str, str], list[str]]:
     """Write the rows and all that is made from them; returns statistics, the error table, name -> path, and a line for
-    each file that had been altered.
+    each file that no longer held what was written.
 
     record: metric of the table, baseline and confidence of the statistics, and what else goes with the rows. Rows that
     lie there already with the same record are left as they are.
@@ -113,20 +119,37 @@ def write_results(
     options = {name: record[name] for name in ("baseline", "confidence")}
     statistics, remarks, csv = results_statistics(root, rows, **options), mixed_programs(rows), to_csv(rows)
     files = {"results": root / RESULTS, "csv": root / "results.csv"}
-    same, found = _lies_there(root, rows, record), read_text(files["csv"])
-    altered: list[str] = [] if isinstance(same, bool) else [same]
-    if same is True:
-        paths = altered_files(root, statistics, record["metric"], remarks)
-        paths += [files["csv"]] if found not in (None, csv) else []
-        altered += [
-            f"{path}: is not what the flights say (edited, or of another version): written anew" for path in paths
-        ]
-    if found != csv:
+    texts = comparison_texts(statistics, record["metric"], remarks)[1]
+    texts |= {"results.csv": csv, "statistics.csv": statistics_csv(statistics.rows)}
+    made = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()}
+    record = {**record, "made": made, "statistics": statistics.fingerprint}
+    stored, wrong = _stored(files["results"])
+    wrong += [f"{path}: {what}" for path, what in altered_texts(root, stored[1]).items()] if stored else []
+    if read_text(files["csv"]) != csv:
         write_text(files["csv"], csv)
-    if same is not True:
+    if stored is None or not _same_table(*stored, rows, record) or not has_content_hash(files["results"]):
         write_table(files["results"], rows.columns(), record, "results")
-    table, made = write_comparison(root, statistics, record["metric"], remarks)
-    return statistics, table, {name: str(path) for name, path in files.items()} | made, altered
+    table, paths = write_comparison(root, statistics, record["metric"], remarks)
+    altered = [f"{what}: written anew" for what in wrong]
+    return statistics, table, {name: str(path) for name, path in files.items()} | paths, altered
+
+
+def altered_texts(root: Path, record: Mapping[str, Any]) -> dict[str, str]:
+    """Path -> what is wrong, of the text files that are not those written with a table of results of this record."""
+    texts = {root / name: digest for name, digest in record.get("made", {}).items() if (root / name).is_file()}
+    return {
+        str(path): f"is not what was written with {RESULTS} (edited, or a run was ended between the two)"
+        for path, digest in texts.items()
+        if hashlib.sha256(path.read_bytes()).hexdigest() != digest
+    }
+
+
+def _stored(path: Path) -> tuple[tuple[dict[str, Any], dict[str, Any]] | None, list[str]]:
+    """Columns and record of a table of results, and what is wrong with it if it is there."""
+    try:
+        return read_table(path, "results"), []
+    except QuadexpError as error:
+        return None, [str(error)] if path.exists() else []
 
 
 def _give_back_memory() -> None:
@@ -138,20 +161,14 @@ def _give_back_memory() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
-def _lies_there(root: Path, rows: Rows, record: Mapping[str, Any]) -> bool | str:
-    """Whether the file holds these rows, or what is wrong with it; when and where they were made takes no part."""
-    path = root / RESULTS
-    if not path.exists():
-        return False
-    try:
-        columns, stored = read_table(path, "results")
-    except QuadexpError as error:
-        return f"{error}: written anew"
+def _same_table(columns: Mapping[str, Any], stored: Mapping[str, Any], rows: Rows, record: Mapping[str, Any]) -> bool:
+    """Whether a stored table holds these rows; when and where they were made takes no part."""
     asked = json.loads(json.dumps({name: value for name, value in record.items() if name != "provenance"}))
-    if any(stored.get(name) != asked[name] for name in asked) or not has_content_hash(path):
-        return False
-    return columns.keys() == rows.columns().keys() and all(
-        _same(values, columns[name]) for name, values in rows.columns().items()
+    mine = rows.columns()
+    return (
+        all(stored.get(name) == asked[name] for name in asked)
+        and columns.keys() == mine.keys()
+        and all(_same(values, columns[name]) for name, values in mine.items())
     )
 
 

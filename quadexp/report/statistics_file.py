@@ -105,19 +105,6 @@ def comparison_texts(
     return table, {name: text for name, text in files.items() if text}
 
 
-def altered_files(root: str | Path, statistics: Statistics, metric: str, remarks: Sequence[str] = ()) -> list[Path]:
-    """Files of a folder that are there and are not what these statistics make: altered, or of another version."""
-    root = Path(root)
-    texts = comparison_texts(statistics, metric, remarks)[1]
-    texts[Path(FILE).with_suffix(".csv").name] = statistics_csv(statistics.rows)
-    altered = [root / name for name, text in texts.items() if (root / name).exists() and read_text(root / name) != text]
-    try:
-        same = read_table(root / FILE, "statistics")[1].get("fingerprint") == statistics.fingerprint
-    except QuadexpError:
-        same = not (root / FILE).exists()
-    return altered if same else [*altered, root / FILE]
-
-
 def write_comparison(
     root: str | Path, statistics: Statistics, metric: str, remarks: Sequence[str] = ()
 ) -> tuple[ErrorTable, dict[str, str]]:
