@@ -39,6 +39,7 @@ def start_pool(workers: int, memory: float | None, preload: Sequence[str]) -> Pr
     memory: GB of data (heap and private maps) a process may take, None for no limit.
     Raises QuadexpError where the processes import another quadexp than this one.
     """
+    path, pool = os.environ.get(PATH), None
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(dict.fromkeys(preload)))
     try:
@@ -50,15 +51,15 @@ def start_pool(workers: int, memory: float | None, preload: Sequence[str]) -> Pr
                 forkserver.ensure_running()
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
-            settings = memory, os.environ.get(PATH)
-            pool = ProcessPool(max_workers=workers, context=context, initializer=begin, initargs=settings)
+            pool = ProcessPool(max_workers=workers, context=context, initializer=begin, initargs=(memory, path))
             asked = pool.schedule(identity)
             wait([asked], timeout=STARTING)
         if asked.done():
             _check_program(asked)
     except (KeyboardInterrupt, QuadexpError):
-        pool.stop()
-        pool.join()
+        if pool is not None:
+            pool.stop()
+            pool.join()
         raise
     return pool
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import signal
+import sys
 import time
 from pathlib import Path
 
@@ -82,3 +83,14 @@ def poisoned_cell(config, model, path, key):
 def slow_cell(config, model, path, key):
     time.sleep(0.2)
     return quick_cell(config, model, path, key)
+
+
+def foreign_cell(config, model, path, key):
+    """A cell whose second seed another program has flown."""
+    row = quick_cell(config, model, path, key)
+    return row | ({"program": "9.9.9", "sources": "abcdef123456"} if config.seed == 1 else {})
+
+
+def surroundings():
+    """What a child has to import from."""
+    return {"path": sys.path, "PYTHONPATH": os.environ.get("PYTHONPATH")}

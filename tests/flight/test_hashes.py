@@ -1,4 +1,4 @@
-"""Hashes of columns and of files: what is edited or damaged is noticed, what only another program wrote anew is read."""
+"""Hashes of columns and of files: what is edited or damaged is noticed, what is only written anew is read."""
 
 from __future__ import annotations
 
