@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.experiment import build
-from quadexp.experiment.evaluate import fly_one
+from quadexp.experiment.evaluate import fly_one, program_record
 from quadexp.flight.store import write_flight
 
 
@@ -87,6 +87,7 @@ def trivial_cell(config: Any, model: Any, path: str, key: str) -> dict[str, Any]
         "mean_error": 0.001 * (config.seed % 89),
         "max_error": 0.002,
         "outcome": "ok",
+        **program_record(),
     }
 
 

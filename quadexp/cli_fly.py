@@ -84,12 +84,17 @@ def evaluate(
         bool | None, typer.Option("--figures/--no-figures", help="Draw figures (a sweep does unless told).")
     ] = None,
     conf: Conf = None,
+    refly: Annotated[
+        bool, typer.Option("--refly", help="Fly cells again that another version of the sources has flown.")
+    ] = False,
+    keep_old: Annotated[bool, typer.Option("--keep-old", help="Keep them in the table, beside new ones.")] = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
     """Fly one cell, or every cell of a sweep, and write the table of results.
 
-    A sweep that was interrupted goes on where it stopped; one that is done only prints its table.
+    A sweep that was interrupted goes on where it stopped; one that is done only prints its table. Cells that were
+    flown by other sources of this program are neither kept nor flown again unless --keep-old or --refly says so.
 
     \b
     quadexp evaluate --sweep trajectory=circle,lemniscate trajectory.speed=4,8,12 \\
@@ -102,6 +107,8 @@ def evaluate(
     from quadexp.experiment.sweep import run_sweep
     from quadexp.progress import Progress
 
+    if refly and keep_old:
+        raise UsageError("--refly and --keep-old: give one of them")
     given = list(overrides or [])
     with session(conf) as composer:
         cells = composer.expand(given, check=False) if sweep else [Cell(composer.compose(given), tuple(given))]
@@ -118,9 +125,12 @@ def evaluate(
             confidence=first.evaluate.confidence,
             engine=build_engine(first),
             force=force,
+            old="refly" if refly else "keep" if keep_old else "ask",
             isolate=sweep,
             progress=progress,
         )
+    for note in result.notes:
+        say(f"note: {note}")
     files = dict(result.files)
     if sweep if figures is None else figures:
         from quadexp.report.figures import draw_results
@@ -142,6 +152,7 @@ def evaluate(
                 "out": out,
                 "files": files,
                 "flown": result.flown,
+                "notes": result.notes,
                 "not_flown": len(result.not_flown),
                 "rows": list(result.rows),
                 "statistics": result.statistics.record(first.evaluate.metric),

@@ -26,9 +26,15 @@ def results(
     failures: Annotated[bool, typer.Option("--failures", help="What did not end well, with its cause.")] = False,
     prune: Annotated[bool, typer.Option("--prune", help="Remove cells: see above.")] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do remove them.")] = False,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Read every file and say which no longer holds what was written.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """List, filter, sort and prune the flights of a sweep.
+
+    --verify compares every flight and table with its hashes, rows with their flights, and texts with their rows; exit
+    code 1 where something is wrong. The next run of the sweep flies such cells again and writes such tables anew.
 
     --prune removes the cells that the last sweep did not ask for or, with KEY=VALUE, those that match; without --yes it
     only says which.
@@ -37,11 +43,19 @@ def results(
     quadexp results results/table1 --sort -mean_error --limit 10
     quadexp results results/table1 controller=gp_mpc trajectory.speed=8 --json
     quadexp results results/table1 --failures
+    quadexp results results/table1 sources=78f30eeaa2be
     quadexp results results/table1 --prune --yes
+    quadexp results results/table1 --verify
     """
+    from quadexp.errors import UsageError
     from quadexp.experiment.results import list_results
     from quadexp.experiment.results import prune as prune_results
+    from quadexp.report.flown_by import flown_by, flown_by_lines
 
+    if verify:
+        if filters or prune:
+            raise UsageError("--verify looks at the whole folder: give it alone")
+        return _verify(folder, json)
     chosen = [text.replace("trajectory.speed=", "speed=", 1) for text in filters or []]
     if prune:
         done = prune_results(folder, chosen, remove=yes)
@@ -56,7 +70,8 @@ def results(
     if json:
         emit({"count": len(rows), "rows": shown})
         return
-    _print(shown, FAILED_COLUMNS if failures else COLUMNS)
+    found = flown_by(rows)
+    _print(shown, (*(FAILED_COLUMNS if failures else COLUMNS), *(("sources",) if len(found) > 1 else ())))
     counts: dict[str, int] = {}
     for row in rows:
         counts[row["outcome"]] = counts.get(row["outcome"], 0) + 1
@@ -66,6 +81,31 @@ def results(
         + "".join(f", {count} {outcome}" for outcome, count in sorted(counts.items()))
         + (f"; {unwanted} not of the last sweep (--prune)" if unwanted else "")
     )
+    if len(found) > 1:
+        for line in flown_by_lines(rows):
+            say(line)
+
+
+def _verify(folder: Path, json: bool) -> None:
+    from quadexp.errors import QuadexpError
+    from quadexp.experiment.verify import verify_results
+    from quadexp.progress import Progress
+
+    with Progress("files") as progress:
+        found = verify_results(folder, progress)
+    if json:
+        emit({"files": found.files, "wrong": found.wrong, "unhashed": found.unhashed})
+    else:
+        for path, what in found.wrong.items():
+            print(f"{path}: {what}")
+        if found.unhashed:
+            print(
+                f"{len(found.unhashed)} files are of an earlier version, without a hash: an edit would not be"
+                f" noticed there; the first: {found.unhashed[0]}"
+            )
+        print(f"{found.files} files, {len(found.wrong)} wrong")
+    if found.wrong:
+        raise QuadexpError(f"{folder}: {len(found.wrong)} files do not hold what was written there")
 
 
 def _print(rows: list[dict[str, Any]], columns: tuple[str, ...]) -> None:

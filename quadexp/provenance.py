@@ -1,30 +1,119 @@
-"""Where a result came from: versions, revision, machine, time."""
+"""Where a result came from: versions, sources, revision, machine, time.
+
+Which sources decide a flight stands in DECIDING, and tests/test_provenance.py holds it to what `evaluate_cell` imports.
+Not among them: what composes and checks a configuration (its outcome is in the key of the cell), what stores, reports
+or hands out flights, and what is fitted before (a checkpoint's content is in the key). `report/metrics.py` is, because
+the figures of a row are computed once, when the cell is flown.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import importlib.util
 import platform
 import subprocess
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Any
 
 import quadexp
 
-PACKAGES = ("casadi", "numpy", "scipy", "pandas", "pyarrow", "torch", "gpytorch", "hydra-core")
+PACKAGES = (
+    "casadi", "numpy", "scipy", "pandas", "pyarrow", "torch", "gpytorch", "hydra-core", "minsnap-trajectories",
+)  # fmt: skip
+NUMERIC = ("python", "casadi", "numpy", "scipy", "torch", "minsnap-trajectories")  # a result row names these
+MODULES = {"hydra-core": "hydra", "minsnap-trajectories": "minsnap_trajectories"}  # where the name is another
+
+# Below the package: folders, whole, and files whose content decides what a flight is and the figures of its row.
+DECIDING = (
+    "control", "dynamics", "plant", "residual", "sensor", "trajectory",
+    "backend.py", "compiler.py", "expression.py", "rotation.py", "rotor.py", "state.py", "vehicle.py",
+    "experiment/build.py", "experiment/build_custom.py", "experiment/build_identified.py",
+    "experiment/build_lei_li.py", "experiment/evaluate.py", "experiment/identity.py", "experiment/rollout.py",
+    "identify/body_drag.py", "identify/checkpoint.py", "identify/dataset.py", "identify/linear_drag.py",
+    "identify/lumped.py", "identify/model.py", "identify/regression.py", "identify/rls.py", "identify/rls_step.py",
+    "identify/samples.py", "identify/term_mean.py", "identify/terms.py", "identify/thrust_curve.py",
+    "identify/thrust_design.py", "identify/vehicle_model.py",
+    "report/metrics.py",
+)  # fmt: skip
+SUFFIXES = (".py", ".c")
+SHORT = 12  # hex digits of a hash that people read
+
+
+def package_folder() -> Path:
+    """Where the quadexp lies that runs."""
+    return Path(quadexp.__file__).resolve().parent
+
+
+@cache
+def sources() -> str:
+    """Hash of the sources that decide a flight (see the module), 12 hex digits; once per process, some milliseconds."""
+    return _source_hash(package_folder() / name for name in DECIDING)
+
+
+@cache
+def package_hash() -> str:
+    """Hash of all sources of this package, 12 hex digits: a worker must have the driver's."""
+    return _source_hash([package_folder()])
+
+
+def identity() -> dict[str, str]:
+    """What two processes of one sweep must share: versions, and the hash of the sources of this package."""
+    return {**versions(), "sources": package_hash()}
+
+
+def _source_hash(places: Iterable[Path]) -> str:
+    root = package_folder()
+    files = {
+        file
+        for place in places
+        for file in (place.rglob("*") if place.is_dir() else [place])
+        if file.suffix in SUFFIXES and file.is_file()
+    }
+    digest = hashlib.sha256()
+    for file in sorted(files):
+        content = file.read_bytes()
+        digest.update(f"{file.relative_to(root).as_posix()}\0{len(content)}\0".encode())
+        digest.update(content)
+    return digest.hexdigest()[:SHORT]
 
 
 @cache
 def versions() -> dict[str, str]:
-    """Version of this program, of Python, and of the packages that can change a number."""
+    """Version of this program, of Python, and of the packages that can change a number.
+
+    A module that is imported from elsewhere than its installed package is named with where it lies.
+    """
     found = {"quadexp": quadexp.__version__, "python": platform.python_version()}
     for package in PACKAGES:
         try:
-            found[package] = version(package)
+            installed = distribution(package)
         except PackageNotFoundError:
             continue
+        elsewhere = _elsewhere(MODULES.get(package, package), Path(str(installed.locate_file(""))))
+        found[package] = installed.version + (f" (imported from {elsewhere})" if elsewhere else "")
     return found
+
+
+def _elsewhere(module: str, installed: Path) -> str:
+    """The file of a module that does not lie where its package is installed, "" where it does."""
+    try:
+        spec = importlib.util.find_spec(module)
+    except (ImportError, ValueError):
+        return ""
+    origin = spec.origin if spec else None
+    if origin is None or Path(origin).resolve().is_relative_to(installed.resolve()):
+        return ""
+    return origin
+
+
+def libraries(found: Mapping[str, str] | None = None) -> str:
+    """The versions that decide the numbers of a flight in one line: of this process, or out of a file's record."""
+    found = versions() if found is None else found
+    return ", ".join(f"{name} {found[name]}" for name in NUMERIC if name in found)
 
 
 @cache

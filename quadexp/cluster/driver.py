@@ -20,9 +20,10 @@ from distributed import Client, Future
 from quadexp.cluster.worker import CellRunner, InputFile, run_cell
 from quadexp.errors import QuadexpError
 from quadexp.experiment.build import MODEL_FILE
+from quadexp.experiment.build_custom import source_hashes
 from quadexp.experiment.engine import CellFailed, Task
 from quadexp.flight.store import write_bytes
-from quadexp.provenance import versions
+from quadexp.provenance import identity
 
 QUEUED = 3  # cells handed out per thread of the cluster
 LOSSES = 4  # workers a cell may lose before it is held to be the cause
@@ -73,7 +74,7 @@ class _Flights:
         return f"{self.prefix}cells"
 
     def run(self, tasks: Iterable[Task]) -> Iterator[tuple[str, Any]]:
-        plugin = CellRunner(self.runner, self.engine.timeout, self.engine.memory, versions())
+        plugin = CellRunner(self.runner, self.engine.timeout, self.engine.memory, identity())
         self._await_workers(time.monotonic())
         self._remove_abandoned()
         self._register(plugin)
@@ -101,7 +102,8 @@ class _Flights:
     def _submit(self, task: Task, losses: int) -> None:
         inputs = self._ship(task)
         name = f"{self.prefix}{task.key}-{losses}"
-        future = self.client.submit(run_cell, self.runner, self.function, task, inputs, key=name, pure=False)
+        given = self.runner, self.function, task, inputs, source_hashes(task.config)
+        future = self.client.submit(run_cell, *given, key=name, pure=False)
         self.running[name] = task, future, losses
         future.add_done_callback(self.landed.put)
 

@@ -18,10 +18,10 @@ from distributed.security import Security
 
 from quadexp.config_engine import ClusterConfig, DaskConfig, SlurmConfig
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.experiment.child import THREADS
+from quadexp.experiment.child import SAFE, THREADS, safe_path
 
 CONNECT = 20.0  # s to wait for a scheduler
-ENVIRONMENT = {"DASK_DISTRIBUTED__WORKER__DAEMON": "False", **dict.fromkeys(THREADS, "1")}
+ENVIRONMENT = {"DASK_DISTRIBUTED__WORKER__DAEMON": "False", SAFE: "1", **dict.fromkeys(THREADS, "1")}
 # A worker's cells run in children with a memory limit of their own; it must neither pause nor kill itself over them.
 SETTINGS = {
     "distributed.worker.daemon": False,
@@ -29,7 +29,7 @@ SETTINGS = {
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
     "distributed.worker.memory.terminate": False,
-    "distributed.nanny.pre-spawn-environ": dict.fromkeys(THREADS, "1"),
+    "distributed.nanny.pre-spawn-environ": dict.fromkeys((SAFE, *THREADS), "1"),
 }
 
 
@@ -44,6 +44,7 @@ def open_cluster(config: ClusterConfig, workers: int) -> Iterator[Client]:
         for name in ("distributed", "dask_jobqueue", "asyncssh"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
     with contextlib.ExitStack() as stack:
+        stack.enter_context(safe_path())
         connect = {"distributed.comm.timeouts.connect": f"{CONNECT:g}s"}
         stack.enter_context(dask.config.set({**SETTINGS, **connect, **_tls_settings(config)}))
         where = _name(config)
@@ -140,7 +141,7 @@ def _ssh(config: DaskConfig, workers: int) -> Any:
             "protocol": protocol,
         },
         scheduler_options={"dashboard": False, "port": 0, "protocol": protocol},
-        remote_python=config.remote_python or sys.executable,
+        remote_python=f"{config.remote_python or sys.executable} -P",  # not from the folder it is started in
         security=_security(config),
     )
 

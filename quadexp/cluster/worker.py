@@ -14,10 +14,12 @@ from typing import Any
 
 from distributed import WorkerPlugin, get_worker
 
+from quadexp.errors import QuadexpError
+from quadexp.experiment.build_custom import source_hashes
 from quadexp.experiment.child import GONE, PRELOAD, cause, one_thread, start_pool
 from quadexp.experiment.engine import ATTEMPTS, CellFailed, Task
 from quadexp.experiment.inputs import use_copies
-from quadexp.provenance import versions
+from quadexp.provenance import identity
 
 FOLDER = "quadexp-"  # beginning of the names of a worker's own folders
 
@@ -25,15 +27,15 @@ FOLDER = "quadexp-"  # beginning of the names of a worker's own folders
 class CellRunner(WorkerPlugin):
     """The child processes of a worker, as many as it has threads, and a folder for the files of their cells.
 
-    timeout: s of wall time a cell may take. memory: GB a child may take. expected: versions that a worker must have,
-    because results must not depend on where they were made.
+    timeout: s of wall time a cell may take. memory: GB a child may take. expected: versions and hash of the sources
+    that a worker must have, because results must not depend on where they were made.
     """
 
     def __init__(self, name: str, timeout: float | None, memory: float | None, expected: Mapping[str, str]) -> None:
         self.name, self._timeout, self._memory, self._expected = name, timeout, memory, dict(expected)
 
     def setup(self, worker: Any) -> None:
-        other = {name: there for name, there in versions().items() if self._expected.get(name, there) != there}
+        other = {name: there for name, there in identity().items() if self._expected.get(name, there) != there}
         if other:
             name, there = next(iter(other.items()))
             raise RuntimeError(f"this worker has {name} {there}, the driver {self._expected[name]}")
@@ -53,9 +55,9 @@ class CellRunner(WorkerPlugin):
             self._pool.join()
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def fly(self, function: Callable[..., Any], task: Task, copies: Mapping[str, str]) -> Any:
+    def fly(self, function: Callable[..., Any], task: Task, copies: Mapping[str, str], parts: Mapping[str, str]) -> Any:
         """(row, content of the cell's file), or CellFailed."""
-        arguments = (function, task.config, task.model, task.key, self._folder, copies)
+        arguments = (function, task.config, task.model, task.key, self._folder, copies, parts)
         for attempt in range(ATTEMPTS):
             try:
                 return self._schedule(function, arguments).result()
@@ -92,23 +94,39 @@ class InputFile(WorkerPlugin):
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def run_cell(runner: str, function: Callable[..., Any], task: Task, inputs: Mapping[str, tuple[str, bool]]) -> Any:
+def run_cell(
+    runner: str,
+    function: Callable[..., Any],
+    task: Task,
+    inputs: Mapping[str, tuple[str, bool]],
+    parts: Mapping[str, str],
+) -> Any:
     """A Dask task: fly one cell in a child of this worker.
 
-    inputs: path as configured -> name of the InputFile, and whether the path means its folder.
+    inputs: path as configured -> name of the InputFile, and whether the path means its folder. parts: hashes of the
+    driver's sources of what the user wrote, see build_custom.source_hashes.
     """
     plugins: Any = get_worker().plugins
     copies = {
         path: plugins[name].folder if is_folder else plugins[name].path for path, (name, is_folder) in inputs.items()
     }
-    return plugins[runner].fly(function, task, copies)
+    return plugins[runner].fly(function, task, copies, parts)
 
 
 def child_cell(
-    function: Callable[..., Any], config: Any, model: Any, key: str, folder: str, copies: Mapping[str, str]
+    function: Callable[..., Any],
+    config: Any,
+    model: Any,
+    key: str,
+    folder: str,
+    copies: Mapping[str, str],
+    parts: Mapping[str, str],
 ) -> Any:
     """In the child: fly, and give back the row with the file's content (None if there is no file)."""
     use_copies(copies)
+    for name, found in source_hashes(config).items():
+        if found != parts.get(name):
+            raise QuadexpError(f"{name}: this worker has another one than the driver")
     path = Path(folder) / f"{key}.{os.getpid()}.parquet"
     try:
         row = function(config, model, str(path), key)

@@ -1,6 +1,8 @@
 """Processes that fly cells: pools of them, what each does at its start, and what is said of one that ends badly.
 
-A child ends with the process that started it, whatever happens to that one, and takes no more memory than it may.
+A child ends with the process that started it, whatever happens to that one, and takes no more memory than it may. It
+imports from where its parent does and from nowhere else, so not from the folder where somebody stands, and a pool whose
+children import another quadexp is refused.
 """
 
 from __future__ import annotations
@@ -13,16 +15,19 @@ import resource
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
-from concurrent.futures import TimeoutError, wait
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, TimeoutError, wait
 from multiprocessing import forkserver, resource_tracker
+from pathlib import Path
 
 from pebble import ProcessExpired, ProcessPool
 
-from quadexp.errors import QuadexpError
+from quadexp.errors import QuadexpError, UsageError
+from quadexp.provenance import identity, package_folder
 
 PRELOAD = ("casadi", "numpy", "scipy.spatial.transform", "pyarrow.parquet")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+SAFE, PATH = "PYTHONSAFEPATH", "PYTHONPATH"
 STARTING = 60.0  # s that a pool may take for its first process
 GONE = (ProcessExpired, TimeoutError)  # how a call ends whose process died or took too long
 _SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
@@ -32,11 +37,13 @@ def start_pool(workers: int, memory: float | None, preload: Sequence[str]) -> Pr
     """A pool whose processes are forked from one server that has `preload` imported.
 
     memory: GB of data (heap and private maps) a process may take, None for no limit.
+    Raises QuadexpError where the processes import another quadexp than this one.
     """
+    path, pool = os.environ.get(PATH), None
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(dict.fromkeys(preload)))
     try:
-        with _undisturbed():
+        with _undisturbed(), same_imports():
             resource_tracker.ensure_running()  # unblocks what it blocked, so it goes first
             # Inherited: the server and its children end with this process, not by the Ctrl-C that reaches the group.
             before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -44,13 +51,53 @@ def start_pool(workers: int, memory: float | None, preload: Sequence[str]) -> Pr
                 forkserver.ensure_running()
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
-            pool = ProcessPool(max_workers=workers, context=context, initializer=begin, initargs=(memory,))
-            wait([pool.schedule(os.getpid)], timeout=STARTING)
-    except KeyboardInterrupt:
-        pool.stop()
-        pool.join()
+            pool = ProcessPool(max_workers=workers, context=context, initializer=begin, initargs=(memory, path))
+            asked = pool.schedule(identity)
+            wait([asked], timeout=STARTING)
+        if asked.done():
+            _check_program(asked)
+    except (KeyboardInterrupt, QuadexpError):
+        if pool is not None:
+            pool.stop()
+            pool.join()
         raise
     return pool
+
+
+def _check_program(asked: Future[dict[str, str]]) -> None:
+    """Raise QuadexpError where a child is not the program that this process is."""
+    try:
+        child = asked.result()
+    except GONE:  # which every cell will say of itself
+        return
+    except Exception as error:  # it has no such function, for one
+        raise QuadexpError(f"worker processes do not run the quadexp of {package_folder()} ({error})") from None
+    for name, mine in identity().items():
+        if child.get(name) != mine:
+            raise QuadexpError(f"worker processes have {name} {child.get(name)}, this process has {mine}")
+
+
+@contextlib.contextmanager
+def safe_path() -> Iterator[None]:
+    """Python processes started inside do not import from the folder where they are started.
+
+    Raises UsageError where Python was told to ignore the environment, which says so to them.
+    """
+    if sys.flags.ignore_environment and not sys.flags.safe_path:
+        raise UsageError(
+            "Python was started with -E, so that its children would import from the current folder: add -P"
+        )
+    with environment({SAFE: "1"}):
+        yield
+
+
+@contextlib.contextmanager
+def same_imports() -> Iterator[None]:
+    """Python processes started inside find modules where this one does, in the same order, and nowhere else."""
+    places = [str(Path(place).absolute()) for place in sys.path if isinstance(place, str)]
+    known = os.pathsep.join(place for place in places if os.pathsep not in place)
+    with safe_path(), environment({PATH: known}):
+        yield
 
 
 @contextlib.contextmanager
@@ -76,8 +123,15 @@ def _undisturbed() -> Iterator[None]:
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
     """Processes started inside use one thread of linear algebra each."""
-    saved = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
+    with environment(dict.fromkeys(THREADS, "1")):
+        yield
+
+
+@contextlib.contextmanager
+def environment(variables: Mapping[str, str]) -> Iterator[None]:
+    """Processes started inside have these variables; this one has its own again afterwards."""
+    saved = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
     try:
         yield
     finally:
@@ -88,8 +142,15 @@ def one_thread() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def begin(memory: float | None) -> None:
-    """First thing in a child: it dies with its parent, and asks for no more memory than it may have."""
+def begin(memory: float | None, path: str | None) -> None:
+    """First thing in a child: it dies with its parent, and asks for no more memory than it may have.
+
+    path: PYTHONPATH for programs that the child starts itself; it has found its own modules.
+    """
+    if path is None:
+        os.environ.pop(PATH, None)
+    else:
+        os.environ[PATH] = path
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)

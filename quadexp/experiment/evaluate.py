@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+import quadexp
 from quadexp.config import Config
 from quadexp.errors import UsageError
 from quadexp.experiment.build import (
@@ -23,7 +24,7 @@ from quadexp.experiment.build import (
 from quadexp.experiment.identity import digest, flight_entropy, flight_record
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import write_flight
-from quadexp.provenance import provenance, versions
+from quadexp.provenance import libraries, provenance, sources, versions
 from quadexp.report.metrics import flight_metrics
 from quadexp.vehicle import Vehicle
 
@@ -143,6 +144,7 @@ def describe(config: Config, vehicle: Vehicle, model: ModelFile | None) -> dict[
         "model": model.path if model else "",
         "model_sha256": model.sha256 if model else "",
         "versions": versions(),
+        "sources": sources(),
         "provenance": provenance(),
     }
 
@@ -163,7 +165,13 @@ def result_row(config: Config, flight: Flight) -> dict[str, Any]:
         "outcome": metadata["outcome"],
         "backend": metadata.get("backend", ""),
         "cause": metadata.get("cause", ""),
+        **program_record(),
     }
+
+
+def program_record() -> dict[str, str]:
+    """What a row says of the program that made it: version, hash of the sources that decide a flight, libraries."""
+    return {"program": quadexp.__version__, "sources": sources(), "libraries": libraries()}
 
 
 def failed_row(config: Config, model: ModelFile | None, cause: str) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from quadexp.report.tables import ROW_COLUMNS, to_columns
+from quadexp.report.tables import ROW_COLUMNS, TEXT_COLUMNS, to_columns
 
 OPTIONAL = ("speed", "reference_residual")  # not every trajectory has a speed, not every reference a residual
 
@@ -21,6 +21,8 @@ class Rows(Sequence[dict[str, Any]]):
     def __init__(self, length: int) -> None:
         empty = to_columns([])
         self._columns = {name: np.empty(length, empty[name].dtype) for name in ROW_COLUMNS}
+        for name in TEXT_COLUMNS:  # a table of an earlier version may lack some
+            self._columns[name].fill("")
         self._words: dict[str, str] = {}
         self.filled = np.zeros(length, bool)
 

@@ -12,8 +12,9 @@ import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import quadexp
 from quadexp.cells import Cell, Cells
 from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.experiment.build import build_trajectory, build_vehicle
@@ -23,17 +24,20 @@ from quadexp.experiment.plan import Plan
 from quadexp.experiment.sweep_table import RESULTS, SweepTable, write_results
 from quadexp.flight.cell_store import CellStore
 from quadexp.flight.store import read_metadata
-from quadexp.provenance import provenance, versions
+from quadexp.provenance import libraries, provenance, sources
+from quadexp.report.flown_by import counted, differing_libraries, flown_by, program_name, programs_of
 from quadexp.report.statistics import BASELINE, CONFIDENCE
 from quadexp.report.statistics_file import Statistics
 from quadexp.report.tables import ErrorTable
 
+Old = Literal["ask", "refly", "keep"]  # what to do with cells that other sources have flown
 COUNTED = ("failed", "infeasible")  # outcomes that make a sweep end with exit code 1
 
 
 @dataclass(frozen=True)
 class SweepResult:
-    """rows: one a cell, in the order asked for. flown: how many were not there before. table: of the chosen metric."""
+    """rows: one a cell, in the order asked for. flown: how many were not there before. table: of the chosen metric.
+    notes: what a reader of the table should know, a line each."""
 
     out: Path
     rows: Sequence[dict[str, Any]]
@@ -41,6 +45,7 @@ class SweepResult:
     table: ErrorTable
     statistics: Statistics
     files: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
     @property
     def not_flown(self) -> list[dict[str, Any]]:
@@ -62,6 +67,7 @@ def run_sweep(
     workers: int = 0,
     timeout: float | None = None,
     force: bool = False,
+    old: Old = "ask",
     isolate: bool = True,
     progress: Callable[[int, int], None] = lambda done, total: None,
     function: CellFunction = evaluate_cell,
@@ -70,7 +76,8 @@ def run_sweep(
 
     metric: of the table. baseline: controller that the others are compared with. confidence: of the intervals.
     engine: where to fly; None for `workers` processes of this machine (0: one a core), each cell for at most `timeout`
-    seconds. force: fly everything again, and replace another sweep's table. isolate: False flies in this process.
+    seconds. force: fly everything again, and replace another sweep's table. old: of cells that are there and were flown
+    by other sources than those that run: "refly", "keep", or refuse to go on. isolate: False flies in this process.
     progress: called with the numbers of cells done and of all.
 
     Raises UsageError before anything is flown, SweepInterrupted on Ctrl-C.
@@ -92,6 +99,7 @@ def run_sweep(
             store.remove(plan.places)
         table = SweepTable(store, plan)
         table.recall()
+        notes = _settle_old(store, table, old)
         todo = table.lacking()
         before = len(plan) - len(todo)
         progress(before, len(plan))
@@ -111,12 +119,38 @@ def run_sweep(
             "confidence": confidence,
             "grids": list(cells.grids) if isinstance(cells, Cells) else [[[o] for o in c.overrides] for c in cells],
             "conditions": sorted(plan.conditions()),
-            "versions": versions(),
+            "flown_by": flown_by(table.rows),
             "provenance": provenance(),
         }
-        statistics, shown, files = write_results(store.root, table.rows, record)
+        statistics, shown, files, altered = write_results(store.root, table.rows, record)
         table.settled()
-    return SweepResult(store.root, table.rows, len(todo), shown, statistics, files)
+    return SweepResult(store.root, table.rows, len(todo), shown, statistics, files, [*notes, *altered])
+
+
+def _settle_old(store: CellStore, table: SweepTable, old: Old) -> list[str]:
+    """Decide on recalled cells that are not of this program; returns what is to be said of the recalled ones.
+
+    Raises UsageError where there are some and `old` does not say what to do with them.
+    """
+    notes = []
+    if table.changed:
+        first = next(iter(table.changed.values()))
+        notes.append(f"{len(table.changed)} cells have changed since they were flown and are flown again: {first}")
+    others = table.flown_elsewhere()
+    found = counted(programs_of(others.values()))
+    if others and old == "ask":
+        raise UsageError(
+            f"{store.root}: {len(others)} of its cells were flown by other sources than these (quadexp"
+            f" {quadexp.__version__}, sources {sources()}): {found}; pass --refly to fly them again or --keep-old to"
+            f" keep them beside new ones (`quadexp results {store.root} sources=HASH` lists them)"
+        )
+    if others and old == "refly":
+        table.forget(others)
+        notes.append(f"{len(others)} cells of other sources are flown again: {found}")
+    elif others:
+        notes.append(f"{len(others)} cells of other sources are kept: {found}; these are {sources()}")
+    kept = (row for place, row in enumerate(table.rows) if table.rows.filled[place])
+    return [*notes, *filter(None, [differing_libraries(kept, libraries())])]
 
 
 def _fly(
@@ -128,7 +162,7 @@ def _fly(
         folder.mkdir(exist_ok=True)
     if not isolate:
         for job in map(plan.job, todo):
-            yield job.key, function(job.cell.config, job.model, str(store.path(job.key)), job.key)
+            yield job.key, _own(function(job.cell.config, job.model, str(store.path(job.key)), job.key))
         return
 
     def tasks() -> Iterator[Task]:
@@ -137,10 +171,19 @@ def _fly(
 
     with contextlib.closing(engine.fly(function, tasks())) as flown:
         for key, row in flown:
+            row = _own(row)
             if isinstance(row, CellFailed):
                 job = plan.job(key)
+                store.remove([key])
                 row = failed_row(job.cell.config, job.model, row.cause)
             yield key, row
+
+
+def _own(row: Any) -> Any:
+    """A row that comes in, or CellFailed where another program than this one made it."""
+    if isinstance(row, CellFailed) or row.get("sources") == sources():
+        return row
+    return CellFailed(f"flown by {program_name(row)}, not by this one (quadexp {quadexp.__version__}, {sources()})")
 
 
 def _refuse_another_sweep(store: CellStore, plan: Plan) -> None:

@@ -2,7 +2,8 @@
 
     <results>/cells/<2 hex>/<key>.parquet
 
-A cell is done when its file exists; a file appears whole or not at all. Nothing else is remembered between runs.
+A cell is done when its file exists and is, byte for byte, what was written; a file appears whole or not at all. Nothing
+else is remembered between runs.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.errors import DataError, UsageError
-from quadexp.flight.store import check_output, read_metadata
+from quadexp.flight.store import check_output, read_record
 
 MARK = "cells"
 
@@ -64,15 +65,15 @@ class CellStore:
         return self.folder / key[:2] / f"{key}.parquet"
 
     def done(self) -> set[str]:
-        """Keys of the cells that lie there."""
+        """Keys of the cells that lie there, whatever their files hold."""
         return {entry.name.removesuffix(".parquet") for entry in self._entries() if entry.name.endswith(".parquet")}
 
     def row(self, key: str) -> dict[str, Any]:
-        """Result row of a cell, from the record in its file (the flight is not read).
+        """Result row of a cell, from the record in its file, every byte of which is checked.
 
-        Raises DataError where the file is damaged or holds another flight.
+        Raises DataError where the file has changed since it was written, or holds another flight.
         """
-        record = read_metadata(self.path(key), "flight")
+        record = read_record(self.path(key), "flight")
         if record.get("key") != key or "row" not in record:
             raise DataError(f"{self.path(key)}: holds another flight than its name says")
         return record["row"]

@@ -1,9 +1,10 @@
 """Tables on disk: Parquet, with the record in the schema metadata, appearing whole or not at all.
 
 Under the key `quadexp` the file carries JSON: {"kind": "flight" | "residuals" | "results", "schema": 2, ...}, and
-under `quadexp_sha256` the hash of that text and of the columns' names; every page of data carries a checksum. A changed
-bit is therefore noticed wherever it is. A file is written to a temporary name in its own folder, flushed to the disk,
-then renamed.
+under `quadexp_sha256` the hash of that text and of the columns' names; every page of data carries a checksum. The hash
+of the columns' types and values stands beside it and is checked where the file is read in full, that of the file's
+bytes behind it (see hashes.py). So a changed bit, an edited number and a file that another program wrote anew are
+noticed. A file is written to a temporary name in its own folder, flushed to the disk, then renamed.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import contextlib
 import hashlib
 import json
 import os
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError, UsageError, write_error
+from quadexp.flight.hashes import CONTENT_KEY, content_hash, sealed_bytes, sealed_value, write_sealed
 from quadexp.flight.schema import Flight, describe
 from quadexp.state import STATE_COLUMNS
 
@@ -91,6 +94,14 @@ def write_text(path: str | Path, text: str) -> Path:
     return path
 
 
+def read_text(path: Path) -> str | None:
+    """What a text file holds; None where there is none, or no text."""
+    try:
+        return path.read_bytes().decode("utf-8")
+    except (OSError, UnicodeError):
+        return None
+
+
 def write_bytes(path: str | Path, write: Callable[[Path], Any]) -> Path:
     """Let `write(temporary path)` make a file, then move it to `path`."""
     path = Path(path)
@@ -110,22 +121,23 @@ def _field(name: str, array: Any, kind: str) -> Any:
 def write_table(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, Any], kind: str) -> Path:
     """Write columns (each (k,)) and JSON-able metadata as one Parquet file."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     arrays = {name: _arrow(values) for name, values in columns.items()}
     record = json.dumps({**metadata, "kind": kind, "schema": SCHEMA}, sort_keys=True, default=_plain)
     fields = [_field(name, array, kind) for name, array in arrays.items()]
-    digest = _digest(record.encode(), list(arrays))
-    schema = pa.schema(fields, metadata={METADATA_KEY: record, HASH_KEY: digest})
+    content = content_hash(arrays, arrays.values())
+    digest = _digest(record.encode(), list(arrays), content)
+    schema = pa.schema(fields, metadata={METADATA_KEY: record, HASH_KEY: digest, CONTENT_KEY: content})
     table = pa.Table.from_arrays(list(arrays.values()), schema=schema)
     text = [name for name, array in arrays.items() if pa.types.is_string(array.type)]
     options = {"compression": "zstd", "use_dictionary": text, "write_page_checksum": True}
-    return write_bytes(path, lambda temporary: pq.write_table(table, temporary, **options))
+    return write_bytes(path, lambda temporary: write_sealed(table, temporary, **options))
 
 
-def _digest(record: bytes, names: list[str]) -> bytes:
-    """Hash of a table's record and of its columns' names."""
-    return hashlib.sha256(b"\0".join([record, *(name.encode() for name in names)])).hexdigest().encode()
+def _digest(record: bytes, names: list[str], content: bytes | None) -> bytes:
+    """Hash of a table's record, of its columns' names, and of the hash of its columns where it has one."""
+    parts = [record, *(name.encode() for name in names), *([] if content is None else [content])]
+    return hashlib.sha256(b"\0".join(parts)).hexdigest().encode()
 
 
 def _plain(value: Any) -> Any:
@@ -165,7 +177,7 @@ def read_metadata(path: str | Path, kind: str | None = None) -> dict[str, Any]:
         raise DataError(f"{path}: a Parquet file, but not one that quadexp wrote") from None
     if version != SCHEMA:
         raise DataError(f"{path}: written with schema {version}, this program reads schema {SCHEMA}: make it again")
-    if schema.metadata.get(HASH_KEY) != _digest(raw, schema.names):
+    if schema.metadata.get(HASH_KEY) != _digest(raw, schema.names, schema.metadata.get(CONTENT_KEY)):
         raise DataError(f"{path}: damaged, its record does not match its hash: make it again")
     if kind is not None and found != kind:
         raise DataError(f"{path}: holds {found}, {kind} are needed here (made by `quadexp {COMMANDS[kind]}`)")
@@ -192,6 +204,7 @@ def read_table(
         with pq.ParquetFile(path, page_checksum_verification=True) as file:  # pq.read_table imports pandas for it
             table = file.read()
         columns = {name: _numpy(table.column(name)) for name in table.column_names}
+        _check_content(path, table, kind)
     except (pa.ArrowException, OSError, MemoryError, ValueError, OverflowError) as error:
         raise DataError(f"{path}: damaged ({first_line(error)}){_remade(kind)}") from None
     missing = [name for name in required if name not in columns]
@@ -200,6 +213,66 @@ def read_table(
     names = list(columns) if finite is True else [name for name in finite or () if name in columns]
     check_finite(columns, names, str(path))
     return columns, record
+
+
+def _check_content(path: str | Path, table: Any, kind: str) -> None:
+    """Raise DataError where the columns are not those that were written; a file of before there was a hash is said."""
+    stored = (table.schema.metadata or {}).get(CONTENT_KEY)
+    if stored is None:
+        _say_unhashed(path)
+    elif stored != content_hash(table.column_names, table.columns):
+        raise DataError(
+            f"{path}: its columns do not match their hash: it was edited or damaged after it was written;"
+            f" make it again{_remade(kind)}"
+        )
+
+
+_unhashed: list[str] = []  # files without a hash of their columns that were read
+
+
+def _say_unhashed(path: str | Path) -> None:
+    """Once a process, so that a hundred files are not a hundred lines."""
+    if not _unhashed:
+        print(
+            f"note: {path}: written before columns were hashed, so an edited number would not be noticed"
+            " (`quadexp show FILE` says it of each file)",
+            file=sys.stderr,
+        )
+    _unhashed.append(str(path))
+
+
+def has_content_hash(path: str | Path) -> bool:
+    """Whether a table carries the hash of its columns; files of earlier versions do not."""
+    import pyarrow.parquet as pq
+
+    return CONTENT_KEY in (pq.read_schema(path).metadata or {})
+
+
+def read_record(path: str | Path, kind: str) -> dict[str, Any]:
+    """The record of a table that holds, byte for byte, what was written: by the hash of its bytes, or (a file of an
+    earlier version) by reading all of it.
+
+    Raises UsageError where there is no such file, DataError where it has changed or is of another kind.
+    """
+    path = Path(path)
+    try:
+        content, sealed = sealed_bytes(path)
+    except OSError:
+        return read_metadata(path, kind)  # says what is wrong with it
+    if sealed is False:
+        read_metadata(path, kind)
+        raise DataError(f"{path}: its bytes do not match their hash: it was edited or damaged after it was written")
+    raw = sealed_value(content, METADATA_KEY) if sealed else None
+    try:
+        record = json.loads(raw or b"")
+        if record["kind"] == kind and record["schema"] == SCHEMA:
+            return dict(record)
+    except (TypeError, ValueError, KeyError):
+        pass
+    _, record = read_table(path, kind)
+    if sealed is None and has_content_hash(path):
+        raise DataError(f"{path}: was written anew by another program")
+    return record
 
 
 def check_finite(columns: Mapping[str, np.ndarray], names: Iterable[str], where: str) -> None:

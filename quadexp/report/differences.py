@@ -43,7 +43,11 @@ def record_of(metadata: Mapping[str, Any]) -> dict[str, Any]:
     return {
         **(metadata.get("config") or {}),
         "model_sha256": (metadata.get("model_sha256") or "")[:12],
-        "versions": {**(metadata.get("versions") or {}), "commit": (git.get("commit") or "")[:10]},
+        "versions": {
+            **(metadata.get("versions") or {}),
+            "sources": metadata.get("sources") or "",
+            "commit": (git.get("commit") or "")[:10],
+        },
         "backend": metadata.get("backend", ""),
     }
 

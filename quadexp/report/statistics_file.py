@@ -13,14 +13,14 @@ import io
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from quadexp.errors import QuadexpError
-from quadexp.flight.store import read_metadata, read_table, write_table, write_text
+from quadexp.flight.store import read_table, read_text, write_table, write_text
 from quadexp.report.comparison_table import comparison_latex, comparison_markdown
 from quadexp.report.notes import notes
 from quadexp.report.overall import Overall, overall
@@ -87,8 +87,9 @@ def results_statistics(
 def write_statistics(root: str | Path, statistics: Statistics) -> dict[str, str]:
     """Write both files unless they hold these statistics already; returns name -> path."""
     path, text = Path(root) / FILE, (Path(root) / FILE).with_suffix(".csv")
+    csv = statistics_csv(statistics.rows)
     try:
-        same = text.is_file() and read_metadata(path, "statistics").get("fingerprint") == statistics.fingerprint
+        same = read_table(path, "statistics")[1].get("fingerprint") == statistics.fingerprint
     except QuadexpError:
         same = False
     if not same:
@@ -100,24 +101,33 @@ def write_statistics(root: str | Path, statistics: Statistics) -> dict[str, str]
             "verdicts": [_without_nan(asdict(entry)) for entry in statistics.verdicts],
         }
         write_table(path, statistics_columns(statistics.rows), record, "statistics")
-        write_text(text, statistics_csv(statistics.rows))
+    if read_text(text) != csv:
+        write_text(text, csv)
     return {"statistics": str(path), "statistics_csv": str(text)}
 
 
-def write_comparison(root: str | Path, statistics: Statistics, metric: str) -> tuple[ErrorTable, dict[str, str]]:
-    """Write the statistics and the tables of one metric; returns the error table and name -> path."""
-    root = Path(root)
-    table = table_of(statistics.of(metric), statistics.pooled(metric), statistics.verdicts_of(metric), statistics.notes)
+def comparison_texts(
+    statistics: Statistics, metric: str, remarks: Sequence[str] = ()
+) -> tuple[ErrorTable, dict[str, str]]:
+    """The error table of one metric, and name -> content of the text files made of it. remarks: lines below it."""
     compared = statistics.of(metric)
+    table = table_of(compared, statistics.pooled(metric), statistics.verdicts_of(metric), statistics.notes)
+    table = replace(table, notes=(*table.notes, *remarks))
     text = f"{to_markdown(table)}\n{comparison_markdown(compared)}".rstrip() + "\n"
-    files = {
-        "markdown": str(write_text(root / "table.md", text)),
-        "latex": str(write_text(root / "table.tex", to_latex(table))),
-    }
-    latex = comparison_latex(compared)
-    if latex:
-        files["comparison"] = str(write_text(root / "comparison.tex", latex))
-    else:
+    files = {"table.md": text, "table.tex": to_latex(table), "comparison.tex": comparison_latex(compared)}
+    return table, {name: text for name, text in files.items() if text}
+
+
+def write_comparison(
+    root: str | Path, statistics: Statistics, metric: str, remarks: Sequence[str] = ()
+) -> tuple[ErrorTable, dict[str, str]]:
+    """Write the statistics and the tables of one metric; returns the error table and name -> path. remarks: lines
+    below the table."""
+    root = Path(root)
+    table, texts = comparison_texts(statistics, metric, remarks)
+    names = {"table.md": "markdown", "table.tex": "latex", "comparison.tex": "comparison"}
+    files = {names[name]: str(write_text(root / name, text)) for name, text in texts.items()}
+    if "comparison.tex" not in texts:
         (root / "comparison.tex").unlink(missing_ok=True)
     return table, files | write_statistics(root, statistics)
 

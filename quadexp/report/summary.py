@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,10 @@ import numpy as np
 
 from quadexp.errors import DataError, UsageError
 from quadexp.flight.schema import describe
-from quadexp.flight.store import check_finite, read_metadata, read_table
+from quadexp.flight.store import check_finite, has_content_hash, read_metadata, read_table
+from quadexp.report.flown_by import flown_by, flown_by_lines, versions_of
 from quadexp.report.metrics import METRICS
+from quadexp.report.tables import from_columns
 
 MODEL_FILE = "model.json"
 RESULTS_FILE = "results.parquet"
@@ -90,7 +92,9 @@ def _table(path: Path) -> dict[str, Any]:
         "config": record.get("config"),
         "seed": record.get("seed"),
         "versions": record.get("versions", {}),
+        "sources": record.get("sources", ""),
         "provenance": record.get("provenance", {}),
+        "hashed": has_content_hash(path),
     }
     lines = [f"{path}: {kind}, {rows} rows, {len(columns)} columns, {_size(summary['bytes'])}"]
     if kind == "flight" and "row" in record:
@@ -107,11 +111,18 @@ def _table(path: Path) -> dict[str, Any]:
         summary["flights"] = record.get("flights", [])
         lines += _residual_lines(record, columns)
     elif kind == "results":
-        lines += _result_lines(record, columns, path.parent)
+        rows_of = from_columns(columns)
+        summary |= {"versions": versions_of(rows_of), "flown_by": flown_by(rows_of)}
+        lines += _result_lines(record, rows_of, path.parent)
     lines += _config_lines(record.get("config"))
-    if kind != "results":
-        lines += _unit_lines(summary["columns"])
+    if kind == "results":  # the rows say who flew them; the record, who wrote the table
+        created = summary["provenance"].get("created")
+        lines += [f"table       written {created}"] if created else []
+        return summary | {"lines": lines}
+    lines += _unit_lines(summary["columns"])
     lines += _provenance_lines(record)
+    if not summary["hashed"]:
+        lines.append("hash        none of the columns: written by an earlier version, an edit would not be noticed")
     return summary | {"lines": lines}
 
 
@@ -143,15 +154,15 @@ def _residual_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]
     return lines
 
 
-def _result_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], folder: Path) -> list[str]:
+def _result_lines(record: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], folder: Path) -> list[str]:
     from quadexp.report.statistics_file import results_statistics
-    from quadexp.report.tables import from_columns, table_of, to_markdown
+    from quadexp.report.tables import table_of, to_markdown
 
-    rows = from_columns(columns)
     outcomes: dict[str, int] = {}
     for row in rows:
         outcomes[row["outcome"]] = outcomes.get(row["outcome"], 0) + 1
     lines = ["outcomes    " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items())]
+    lines += flown_by_lines(rows)
     if rows:
         options = {name: record[name] for name in ("baseline", "confidence") if name in record}
         statistics, metric = results_statistics(folder, rows, **options), record.get("metric", "mean_error")
@@ -268,6 +279,8 @@ def _provenance_lines(record: Mapping[str, Any]) -> list[str]:
     lines = []
     if versions:
         lines.append("versions    " + ", ".join(f"{name} {version}" for name, version in versions.items()))
+    if record.get("sources"):
+        lines.append(f"sources     {record['sources']} (hash of what decides a flight)")
     if provenance:
         git = provenance.get("git") or {}
         revision = f"commit {git['commit'][:10]}{' with changes' if git.get('dirty') else ''}, " if git else ""

@@ -50,10 +50,14 @@ ROW_COLUMNS = (
     "outcome",
     "backend",
     "cause",
+    "program",
+    "sources",
+    "libraries",
     "key",
 )
 TEXT_COLUMNS = (
-    "plant", "vehicle", "trajectory", "controller", "model", "variant", "outcome", "backend", "cause", "key",
+    "plant", "vehicle", "trajectory", "controller", "model", "variant", "outcome", "backend", "cause",
+    "program", "sources", "libraries", "key",
 )  # fmt: skip
 INTEGER_COLUMNS = ("seed", "last_resort_count")
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import ctypes
 import os
 import signal
+import sys
 import time
 from pathlib import Path
 
 from quadexp.experiment.build import build_vehicle
-from quadexp.experiment.evaluate import describe, result_row
-from quadexp.flight.store import write_flight
+from quadexp.experiment.evaluate import describe, program_record, result_row
+from quadexp.flight.store import write_flight, write_table
 from tests.flight.flights import straight_flight
 
 
@@ -54,9 +55,11 @@ def quick_cell(config, model, path, key):
 
 
 def bare_cell(config, model, path, key):
-    """An empty file for a flight: what is done is told from names, and its row from the table."""
-    Path(path).touch()
-    return {"controller": config.controller.name, "seed": config.seed, "mean_error": 0.1, "outcome": "ok"}
+    """A file without samples for a flight, which holds its row."""
+    row = {"controller": config.controller.name, "seed": config.seed, "mean_error": 0.1, "outcome": "ok"}
+    row |= {**program_record(), "key": key}
+    write_table(path, {"t": []}, {"key": key, "row": row}, "flight")
+    return row
 
 
 def poisoned_cell(config, model, path, key):
@@ -80,3 +83,14 @@ def poisoned_cell(config, model, path, key):
 def slow_cell(config, model, path, key):
     time.sleep(0.2)
     return quick_cell(config, model, path, key)
+
+
+def foreign_cell(config, model, path, key):
+    """A cell whose second seed another program has flown."""
+    row = quick_cell(config, model, path, key)
+    return row | ({"program": "9.9.9", "sources": "abcdef123456"} if config.seed == 1 else {})
+
+
+def surroundings():
+    """What a child has to import from."""
+    return {"path": sys.path, "PYTHONPATH": os.environ.get("PYTHONPATH")}

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.cells import Grid
+from quadexp.report.flown_by import versions_of
 from quadexp.report.page.source import Comparison
 
 LOOKED_AT = 500  # flights whose settings are compared
@@ -20,9 +21,9 @@ def origin(comparison: Comparison) -> dict[str, Any]:
     flights = comparison.sample(LOOKED_AT)
     made_by = record.get("provenance", {})
     return {
-        "versions": record.get("versions", {}),
+        "versions": versions_of(comparison.rows),
         "provenance": made_by,
-        "commit": _commit(made_by),
+        "commit": ", ".join(sorted({c for f in flights if (c := _commit(f.get("provenance", {})))})),
         "seeds": _ranges(sorted({int(row["seed"]) for row in comparison.rows})),
         "digest": comparison.digest,
         "flights": len(comparison.rows),

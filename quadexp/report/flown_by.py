@@ -1,0 +1,83 @@
+"""Which program flew the rows of a table: versions, sources and libraries as the cells carry them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+UNKNOWN = "an earlier version that did not say"
+
+
+def flown_by(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Every program that flew some of the rows, the most frequent first: program, sources, libraries, cells."""
+    counts = Counter(tuple(row.get(name) or "" for name in ("program", "sources", "libraries")) for row in rows)
+    return [
+        {"program": program, "sources": sources, "libraries": libraries, "cells": count}
+        for (program, sources, libraries), count in counts.most_common()
+    ]
+
+
+def programs_of(rows: Iterable[Mapping[str, Any]]) -> dict[str, int]:
+    """Such as "quadexp 0.1.0, sources 78f30eeaa2be" -> number of rows that it flew."""
+    return dict(Counter(map(program_name, rows)).most_common())
+
+
+def program_name(row: Mapping[str, Any]) -> str:
+    """The program of a row, for people."""
+    if not row.get("sources"):
+        return UNKNOWN
+    return f"quadexp {row.get('program')}, sources {row['sources']}"
+
+
+def counted(found: Mapping[str, int]) -> str:
+    """Such as "3 by quadexp 0.1.0, sources 78f30eeaa2be; 2 by ..."."""
+    return "; ".join(f"{count} by {name}" for name, count in found.items())
+
+
+def mixed_programs(rows: Iterable[Mapping[str, Any]]) -> list[str]:
+    """The line below a table whose flights are not all of one program; empty where they are."""
+    found = programs_of(rows)
+    return [] if len(found) < 2 else [f"flights of {len(found)} programs stand side by side: {counted(found)}"]
+
+
+def differing_libraries(rows: Iterable[Mapping[str, Any]], here: str) -> str:
+    """One line on the cells whose libraries have other versions than `here` says, "" where none has."""
+    counts: Counter[str] = Counter()
+    cells = 0
+    now = _versions(here)
+    for row in rows:
+        text = row.get("libraries") or ""
+        other = {name: there for name, there in _versions(text).items() if now.get(name) != there}
+        cells += bool(other)
+        counts.update(f"{name} {there} (here {now.get(name, 'none')})" for name, there in other.items())
+    if not cells:
+        return ""
+    return f"{cells} cells were flown with other libraries: " + ", ".join(
+        f"{count} with {what}" for what, count in counts.most_common()
+    )
+
+
+def versions_of(rows: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    """Name -> version of the program, its sources and every library, as the rows carry them; several: with " | "."""
+    found: dict[str, dict[str, None]] = {}
+    for one in flown_by(rows):
+        parts = {"quadexp": one["program"], "sources": one["sources"], **_versions(one["libraries"])}
+        for name, version in parts.items():
+            found.setdefault(name, {})[version or "unknown"] = None
+    return {name: " | ".join(values) for name, values in found.items()}
+
+
+def flown_by_lines(rows: Iterable[Mapping[str, Any]]) -> list[str]:
+    """What `show` says of a table of results."""
+    lines = []
+    for one in flown_by(rows):
+        lines.append(f"flown by    {program_name(one)}: {one['cells']} cells")
+        if one["libraries"]:
+            lines.append(f"            {one['libraries']}")
+    return lines
+
+
+def _versions(text: str) -> dict[str, str]:
+    """Name -> version from the text of a row's libraries."""
+    return {name: version for part in text.split(", ") for name, _, version in [part.partition(" ")] if version}
