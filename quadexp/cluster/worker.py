@@ -14,6 +14,7 @@ from typing import Any
 
 from distributed import WorkerPlugin, get_worker
 
+from quadexp.errors import stops_all
 from quadexp.experiment.child import GONE, PRELOAD, cause, one_thread, start_pool
 from quadexp.experiment.engine import ATTEMPTS, CellFailed, Task
 from quadexp.experiment.inputs import use_copies
@@ -25,7 +26,7 @@ FOLDER = "quadexp-"  # beginning of the names of a worker's own folders
 class CellRunner(WorkerPlugin):
     """The child processes of a worker, as many as it has threads, and a folder for the files of their cells.
 
-    timeout: s of wall time a cell may take. memory: GB a child may take. expected: versions that a worker must have,
+    timeout: s a cell may take. memory: GB a child may take. expected: versions that a worker must have,
     because results must not depend on where they were made.
     """
 
@@ -63,7 +64,7 @@ class CellRunner(WorkerPlugin):
                 if attempt == ATTEMPTS - 1:
                     return CellFailed(cause(error, self._timeout))
             except Exception as error:
-                return CellFailed(cause(error, self._timeout))
+                return CellFailed(cause(error, self._timeout), stops_all(error))
         raise AssertionError
 
     def _schedule(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Future[Any]:

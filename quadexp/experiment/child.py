@@ -13,11 +13,14 @@ import resource
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import TimeoutError, wait
 from multiprocessing import forkserver, resource_tracker
 
 from pebble import ProcessExpired, ProcessPool
+from pebble.pool.base_pool import Task
+from pebble.pool.process import TaskManager
 
 from quadexp.errors import QuadexpError
 
@@ -45,12 +48,29 @@ def start_pool(workers: int, memory: float | None, preload: Sequence[str]) -> Pr
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
             pool = ProcessPool(max_workers=workers, context=context, initializer=begin, initargs=(memory,))
+            manager = pool._pool_manager
+            manager.task_manager = _MonotonicTasks(manager.task_manager.task_done_callback)
             wait([pool.schedule(os.getpid)], timeout=STARTING)
     except KeyboardInterrupt:
         pool.stop()
         pool.join()
         raise
     return pool
+
+
+class _MonotonicTasks(TaskManager):
+    """Pebble's tasks, their time limits by the monotonic clock: neither a suspended computer nor a clock that is set
+    makes a call late. (Pebble 5 counts wall time.)"""
+
+    def task_start(self, task_id: int, worker_id: int | None) -> None:
+        super().task_start(task_id, worker_id)
+        task = self.tasks.get(task_id)
+        if task is not None:
+            task.timestamp = time.monotonic()
+
+    @staticmethod
+    def timeout(task: Task) -> bool:
+        return bool(task.timeout and task.started and time.monotonic() - task.timestamp > task.timeout)
 
 
 @contextlib.contextmanager

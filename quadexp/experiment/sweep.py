@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.cells import Cell, Cells
-from quadexp.errors import DataError, QuadexpError, UsageError
+from quadexp.errors import DataError, QuadexpError, UsageError, WriteError, write_error
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.engine import CellFailed, CellFunction, Engine, LocalEngine, Task
 from quadexp.experiment.evaluate import check_feasible, evaluate_cell, failed_row
@@ -73,7 +73,8 @@ def run_sweep(
     seconds. force: fly everything again, and replace another sweep's table. isolate: False flies in this process.
     progress: called with the numbers of cells done and of all.
 
-    Raises UsageError before anything is flown, SweepInterrupted on Ctrl-C.
+    Raises UsageError before anything is flown, SweepInterrupted on Ctrl-C, QuadexpError at the first file that cannot
+    be written; what is done is kept.
     """
     store, plan = CellStore(out), Plan(cells)
     done = set() if force else store.done()
@@ -100,8 +101,11 @@ def run_sweep(
                 table.add(key, row)
                 progress(count, len(plan))
         except KeyboardInterrupt:
-            count = len(store.done().intersection(plan.places))
-            raise SweepInterrupted(f"{count} of {len(plan)} done; run the same command to continue") from None
+            raise SweepInterrupted(f"{_done(store, plan)}; run the same command to continue") from None
+        except WriteError as error:
+            raise QuadexpError(
+                f"{error}: {_done(store, plan)}; run the same command to continue once it can be written"
+            ) from None
         finally:
             store.clean()
         record = {
@@ -118,13 +122,20 @@ def run_sweep(
     return SweepResult(store.root, table.rows, len(todo), shown, statistics, files)
 
 
+def _done(store: CellStore, plan: Plan) -> str:
+    return f"{len(store.done().intersection(plan.places))} of {len(plan)} done"
+
+
 def _fly(
     todo: Sequence[str], store: CellStore, plan: Plan, engine: Engine, function: CellFunction, isolate: bool
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     if not todo:
         return
     for folder in {store.path(key).parent for key in todo}:
-        folder.mkdir(exist_ok=True)
+        try:
+            folder.mkdir(exist_ok=True)
+        except OSError as error:
+            raise write_error(folder, error) from error
     if not isolate:
         for job in map(plan.job, todo):
             yield job.key, function(job.cell.config, job.model, str(store.path(job.key)), job.key)
@@ -137,6 +148,8 @@ def _fly(
     with contextlib.closing(engine.fly(function, tasks())) as flown:
         for key, row in flown:
             if isinstance(row, CellFailed):
+                if row.all:
+                    raise WriteError(row.cause)
                 job = plan.job(key)
                 row = failed_row(job.cell.config, job.model, row.cause)
             yield key, row

@@ -35,6 +35,8 @@ def misbehave(what, folder):
     if what == "loop":
         while True:
             time.sleep(0.01)
+    if what == "nap":
+        time.sleep(1.0)
     if what == "kill_once" and len((Path(folder) / what).read_text()) == 1:
         os.kill(os.getpid(), signal.SIGKILL)
     return what
@@ -51,6 +53,13 @@ def quick_cell(config, model, path, key):
         with open(count, "a") as file:
             file.write("x")
     return flight.metadata["row"]
+
+
+def counted_cell(config, model, path, key):
+    """As quick_cell; a letter in the file that the environment names for every try."""
+    with open(os.environ["QUADEXP_TEST_FLOWN"], "a") as file:
+        file.write("x")
+    return quick_cell(config, model, path, key)
 
 
 def bare_cell(config, model, path, key):
