@@ -6,6 +6,7 @@ import ctypes
 import os
 import signal
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 from quadexp.experiment.build import build_vehicle
@@ -55,11 +56,16 @@ def quick_cell(config, model, path, key):
     return flight.metadata["row"]
 
 
-def counted_cell(config, model, path, key):
-    """As quick_cell; a letter in the file that the environment names for every try."""
-    with open(os.environ["QUADEXP_TEST_FLOWN"], "a") as file:
-        file.write("x")
-    return quick_cell(config, model, path, key)
+@dataclass(frozen=True)
+class CountedCell:
+    """quick_cell, with a letter in a file for every try."""
+
+    file: str
+
+    def __call__(self, config, model, path, key):
+        with open(self.file, "a") as file:
+            file.write("x")
+        return quick_cell(config, model, path, key)
 
 
 def bare_cell(config, model, path, key):

@@ -16,7 +16,7 @@ from quadexp.errors import QuadexpError
 from quadexp.experiment.sweep import run_sweep
 from quadexp.flight.cell_store import CellStore
 from quadexp.flight.store import read_flight
-from tests.experiment.cells import counted_cell
+from tests.experiment.cells import CountedCell
 from tests.faults.command import FLY, one_line, run
 
 
@@ -101,14 +101,14 @@ def test_a_sweep_ends_where_the_disk_is_full(disk):
 
 
 @pytest.mark.parametrize("engine", ["local", "dask"])
-def test_how_many_are_flown_for_a_full_disk(disk, tmp_path, engine, monkeypatch):
+def test_how_many_are_flown_for_a_full_disk(disk, tmp_path, engine):
     """One that fails, and those that were in the air or handed out when it did."""
     if engine == "dask":
         pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
-    monkeypatch.setenv("QUADEXP_TEST_FLOWN", str(tmp_path / "flown"))  # counted where there is room
+    counted = CountedCell(str(tmp_path / "flown"))  # where there is room
     started = build_engine(compose([f"engine={engine}", "evaluate.workers=2"]))
     with pytest.raises(QuadexpError, match="No space left on device.* of 400 done; run the same command") as error:
-        run_sweep(expand(["seed=range(400)"]), disk / "results", function=counted_cell, engine=started)
+        run_sweep(expand(["seed=range(400)"]), disk / "results", function=counted, engine=started)
     assert error.value.exit_code == 1
     done = len(CellStore(disk / "results").done())
     assert done > 3 and done < len((tmp_path / "flown").read_text()) <= done + 12
