@@ -164,7 +164,7 @@ MEANINGS: dict[str, str] = {
     "drag.holdout": "flights kept out of the fit to report on",
     "drag.seed": "draws the held-out flights",
     # engine
-    "engine.tls": "encrypt and authenticate, with certificates made for it unless given; false: others may run code as you",
+    "engine.tls": "encrypt, authenticate (certificates made for it unless given); false: others may run code",
     "engine.tls_ca": "file of the certificate authority",
     "engine.tls_cert": "file of the certificate",
     "engine.tls_key": "file of its key",

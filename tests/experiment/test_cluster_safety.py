@@ -89,6 +89,16 @@ def listening():
     return found
 
 
+def answers_http(host, port):
+    """Whether a web server listens there."""
+    with socket.create_connection((host, port), timeout=5) as connection:
+        try:
+            connection.sendall(b"GET / HTTP/1.0\r\n\r\n")
+            return connection.recv(4) == b"HTTP"
+        except OSError:
+            return False
+
+
 @pytest.mark.parametrize("tls", [None, "engine.tls=false"])
 def test_who_runs_code_on_a_cluster_of_this_machine(tls, tmp_path, capfd):
     """Without a word: certificates. Only where going without is asked for by name does the attack do anything, which
@@ -263,7 +273,7 @@ class TestHostsOverSSH:
                 folders = set(Path("/tmp").glob(pattern)) - before
                 seen.extend((path, stat.S_IMODE(path.stat().st_mode)) for path in folders)
                 seen.extend((path, stat.S_IMODE(path.stat().st_mode)) for f in folders for path in f.iterdir())
-                addresses.update(listening())
+                addresses.update((host, answers_http(host, port)) for host, port in listening())
 
         engine = build_engine(compose(["engine=dask", "engine.hosts=[127.0.0.1]", "evaluate.workers=1"]))
         away = run_sweep(expand([GRID]), tmp_path / "away", function=cells.slow_cell, engine=engine, progress=look)
@@ -271,7 +281,8 @@ class TestHostsOverSSH:
         assert [(path.name.partition("-")[0], mode) for path, mode in seen] == [("quadexp", 0o700), ("tls.pem", 0o600)]
         assert not any(path.exists() for path, _ in seen), "the key is left behind"
         same_results(run_sweep(expand([GRID]), tmp_path / "home_r", function=cells.quick_cell, workers=1), away)
-        assert {host for host, _ in addresses} == {"127.0.0.1"}
+        assert {host for host, answers in addresses if answers} == {"127.0.0.1"}, "web pages beyond the loopback"
+        assert {host for host, _ in addresses} != {"127.0.0.1"}, "the scheduler is to be reached from other hosts"
 
     def test_a_host_that_cannot_be_reached(self, home, tmp_path):
         (home / ".ssh" / "known_hosts").write_text("")
