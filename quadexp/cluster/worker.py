@@ -18,6 +18,7 @@ from quadexp.errors import stops_all
 from quadexp.experiment.child import GONE, PRELOAD, cause, one_thread, start_pool
 from quadexp.experiment.engine import ATTEMPTS, CellFailed, Task
 from quadexp.experiment.inputs import use_copies
+from quadexp.plugins import own_folders
 from quadexp.provenance import versions
 
 FOLDER = "quadexp-"  # beginning of the names of a worker's own folders
@@ -32,6 +33,7 @@ class CellRunner(WorkerPlugin):
 
     def __init__(self, name: str, timeout: float | None, memory: float | None, expected: Mapping[str, str]) -> None:
         self.name, self._timeout, self._memory, self._expected = name, timeout, memory, dict(expected)
+        self._folders = own_folders()  # of the driver; a worker calls nothing else under `_target_` either
 
     def setup(self, worker: Any) -> None:
         other = {name: there for name, there in versions().items() if self._expected.get(name, there) != there}
@@ -71,7 +73,8 @@ class CellRunner(WorkerPlugin):
         with self._lock:
             if self._pool is None:
                 with one_thread():
-                    self._pool = start_pool(self._workers, self._memory, [*PRELOAD, function.__module__])
+                    preload = [*PRELOAD, function.__module__]
+                    self._pool = start_pool(self._workers, self._memory, preload, self._folders)
             return self._pool.schedule(child_cell, args=arguments, timeout=self._timeout)
 
 

@@ -17,12 +17,14 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import TimeoutError, wait
 from multiprocessing import forkserver, resource_tracker
+from pathlib import Path
 
 from pebble import ProcessExpired, ProcessPool
 from pebble.pool.base_pool import Task
 from pebble.pool.process import TaskManager
 
 from quadexp.errors import QuadexpError
+from quadexp.plugins import import_from, own_folders
 
 PRELOAD = ("casadi", "numpy", "scipy.spatial.transform", "pyarrow.parquet")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -31,10 +33,13 @@ GONE = (ProcessExpired, TimeoutError)  # how a call ends whose process died or t
 _SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
 
 
-def start_pool(workers: int, memory: float | None, preload: Sequence[str]) -> ProcessPool:
+def start_pool(
+    workers: int, memory: float | None, preload: Sequence[str], folders: Sequence[str] | None = None
+) -> ProcessPool:
     """A pool whose processes are forked from one server that has `preload` imported.
 
-    memory: GB of data (heap and private maps) a process may take, None for no limit.
+    memory: GB of data (heap and private maps) a process may take, None for no limit. folders: in which `_target_` may
+    name modules, None for those of this process.
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(dict.fromkeys(preload)))
@@ -47,7 +52,8 @@ def start_pool(workers: int, memory: float | None, preload: Sequence[str]) -> Pr
                 forkserver.ensure_running()
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
-            pool = ProcessPool(max_workers=workers, context=context, initializer=begin, initargs=(memory,))
+            given = own_folders() if folders is None else tuple(folders)
+            pool = ProcessPool(max_workers=workers, context=context, initializer=begin, initargs=(memory, given))
             manager = pool._pool_manager
             manager.task_manager = _MonotonicTasks(manager.task_manager.task_done_callback)
             wait([pool.schedule(os.getpid)], timeout=STARTING)
@@ -108,8 +114,11 @@ def one_thread() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def begin(memory: float | None) -> None:
-    """First thing in a child: it dies with its parent, and asks for no more memory than it may have."""
+def begin(memory: float | None, folders: Sequence[str]) -> None:
+    """First thing in a child: it dies with its parent, asks for no more memory than it may have, and calls what lies in
+    the folders given with --conf."""
+    for folder in folders:
+        import_from(Path(folder))
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
