@@ -25,7 +25,7 @@ import casadi as ca
 import numpy as np
 
 from quadexp.compiler import compile_flags, compiler, not_found, required_compiler, run_compiler, toolchain
-from quadexp.errors import QuadexpError, UsageError
+from quadexp.errors import DEVICE, QuadexpError, UsageError, WriteError
 
 BACKENDS = ("auto", "compiled", "interpreted")
 LONG_AGO = 86400.0  # s
@@ -63,7 +63,8 @@ def _usual_folder() -> Path:
 
 def _unusable(folder: Path, error: OSError) -> QuadexpError:
     reason = error.strerror or error
-    return QuadexpError(
+    kind = WriteError if error.errno in DEVICE else QuadexpError
+    return kind(
         f"{folder}: compiled functions cannot be kept there ({reason}); set QUADEXP_CACHE to one that takes files"
     )
 

@@ -138,7 +138,7 @@ class EvaluateConfig(Checked):
 
     metric: what the table shows. figures: which beside the standard ones.
     baseline: controller that the others are compared with. confidence: of intervals.
-    workers: processes (0: one a core). timeout: wall time a flight may take. memory: of its process (0: no limit).
+    workers: processes (0: one a core). timeout: of a flight (monotonic). memory: of its process (0: no limit).
     """
 
     prefix: ClassVar[str] = "evaluate."

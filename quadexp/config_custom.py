@@ -7,8 +7,8 @@ A configuration file says where it is found and what it is given:
     _target_: my_package.helix.Helix
     options: {radius: 3.0, pitch: 0.5}
 
-`_target_` is imported, so only what is installed or stands in the --conf folder can be named; see
-quadexp/experiment/build_custom.py for what is called with what.
+`_target_` is imported and called; it can only name what stands in the --conf folder or in an installed plugin package,
+see quadexp/plugins.py and, for what is called with what, quadexp/experiment/build_custom.py.
 """
 
 from __future__ import annotations

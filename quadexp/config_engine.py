@@ -21,9 +21,10 @@ class EngineConfig(Checked):
 @dataclass
 class ClusterConfig(EngineConfig):
     """What all clusters share. tls: encrypt and authenticate with certificates; made for the occasion unless given.
-    wait: how long a sweep goes on without a single worker."""
+    Without it whoever reaches the scheduler can run code as the user. wait: how long a sweep goes on without a single
+    worker."""
 
-    tls: bool = False
+    tls: bool = True
     tls_ca: str | None = None
     tls_cert: str | None = None
     tls_key: str | None = None
@@ -34,6 +35,8 @@ class ClusterConfig(EngineConfig):
         given = [value for value in (self.tls_ca, self.tls_cert, self.tls_key) if value is not None]
         if given and len(given) < 3:
             raise ValueError("engine.tls_ca, engine.tls_cert and engine.tls_key: give all three, or none")
+        if given and not self.tls:
+            raise ValueError("engine.tls=false: contradicts the certificates that are given; leave one of them out")
 
 
 @dataclass
@@ -49,6 +52,24 @@ class DaskConfig(ClusterConfig):
         super().__post_init__()
         if self.address and self.hosts:
             raise ValueError("engine.address and engine.hosts: give one of them")
+        if self.address:
+            self._check_address(self.address)
+
+    def _check_address(self, address: str) -> None:
+        """A scheduler that somebody else started: certificates are given, or going without them is asked for."""
+        encrypted = address.startswith("tls://")
+        if encrypted and not self.tls:
+            raise ValueError(f"engine.address={address}: contradicts engine.tls=false; leave that out")
+        if self.tls and not encrypted:
+            raise ValueError(
+                f"engine.address={address}: is not encrypted; give a tls:// address with its certificates, or"
+                " engine.tls=false, with which everybody who reaches that scheduler can run code as you"
+            )
+        if self.tls and self.tls_ca is None:
+            raise ValueError(
+                f"engine.address={address}: needs engine.tls_ca, engine.tls_cert and engine.tls_key, as the scheduler"
+                " was given them"
+            )
 
 
 @dataclass

@@ -14,7 +14,7 @@ MEANINGS: dict[str, str] = {
     "evaluate.baseline": "controller that the others are compared with, seed by seed",
     "evaluate.confidence": "confidence level of every interval",
     "evaluate.workers": "processes that fly at a time; 0: one a core",
-    "evaluate.timeout": "wall time after which a flight is given up, and tried once more",
+    "evaluate.timeout": "time (monotonic) after which a flight is given up, and tried once more",
     "evaluate.memory": "what the process of a flight may take; 0: no limit",
     # vehicle
     "vehicle.mass": "mass, without a payload",
@@ -169,7 +169,7 @@ MEANINGS: dict[str, str] = {
     "drag.holdout": "flights kept out of the fit to report on",
     "drag.seed": "draws the held-out flights",
     # engine
-    "engine.tls": "encrypt and authenticate; with certificates made for the occasion unless given",
+    "engine.tls": "encrypt, authenticate (certificates made for it unless given); false: others may run code",
     "engine.tls_ca": "file of the certificate authority",
     "engine.tls_cert": "file of the certificate",
     "engine.tls_key": "file of its key",

@@ -29,10 +29,22 @@ class ModelDomainError(QuadexpError):
     """A physical model was asked for a point where it has no answer, or more than one."""
 
 
-def write_error(path: Path, error: OSError) -> QuadexpError:
-    """What to raise for a file that could not be written: a failure where the device is full or broken, else a wrong
-    request. Arrow names the number only in its message."""
+class WriteError(QuadexpError):
+    """A file could not be written because the device is full or broken: what comes after it could not be either."""
+
+
+class RefusedWriteError(WriteError, UsageError):
+    """A file could not be written because the place takes none: a wrong request."""
+
+
+def write_error(path: Path, error: OSError) -> WriteError:
+    """What to raise for a file that could not be written. Arrow names the number only in its message."""
     named = re.search(r"errno (\d+)", str(error))
     number = error.errno or (int(named[1]) if named else 0)
-    kind = QuadexpError if number in DEVICE else UsageError
+    kind = WriteError if number in DEVICE else RefusedWriteError
     return kind(f"{path}: cannot be written ({error.strerror or error})")
+
+
+def stops_all(error: BaseException) -> bool:
+    """Whether an error of one flight will meet all others too: no file can be written."""
+    return isinstance(error, WriteError) or (isinstance(error, OSError) and error.errno in DEVICE)

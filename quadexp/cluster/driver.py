@@ -36,7 +36,7 @@ PREFIX = "quadexp/"  # then the client's name, of all that a sweep keeps on work
 class DaskEngine:
     """A cluster, opened when the first cell is flown. open: gives its client, and ends what it started.
 
-    timeout: s of wall time a cell may take. memory: GB of its process. wait: s to go on without a worker.
+    timeout: s a cell may take. memory: GB of its process. wait: s to go on without a worker.
     """
 
     open: Callable[[], AbstractContextManager[Client]]

@@ -14,12 +14,15 @@ from typing import Any
 
 import dask
 from distributed import Client, LocalCluster
-from distributed.security import Security
 
+from quadexp.cluster.certificates import handed_out, security, settings
 from quadexp.config_engine import ClusterConfig, DaskConfig, SlurmConfig
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.child import SAFE, THREADS, safe_path
 
+UNPROTECTED = "engine.tls=false: whoever reaches the scheduler or a worker can run code as you"
+# The web server of a scheduler and of a worker, which Dask starts with or without a dashboard.
+LOOPBACK = "127.0.0.1:0"
 CONNECT = 20.0  # s to wait for a scheduler
 ENVIRONMENT = {"DASK_DISTRIBUTED__WORKER__DAEMON": "False", SAFE: "1", **dict.fromkeys(THREADS, "1")}
 # A worker's cells run in children with a memory limit of their own; it must neither pause nor kill itself over them.
@@ -46,11 +49,13 @@ def open_cluster(config: ClusterConfig, workers: int) -> Iterator[Client]:
     with contextlib.ExitStack() as stack:
         stack.enter_context(safe_path())
         connect = {"distributed.comm.timeouts.connect": f"{CONNECT:g}s"}
-        stack.enter_context(dask.config.set({**SETTINGS, **connect, **_tls_settings(config)}))
+        stack.enter_context(dask.config.set({**SETTINGS, **connect}))
         where = _name(config)
+        if not config.tls:
+            print(f"warning: {UNPROTECTED}", file=sys.stderr, flush=True)
         try:
             cluster = _cluster(config, workers, stack)
-            client = Client(cluster, security=_security(config), timeout=CONNECT, set_as_default=False)
+            client = Client(cluster, security=security(config), timeout=CONNECT, set_as_default=False)
         except QuadexpError:
             raise
         except Exception as error:
@@ -77,73 +82,47 @@ def _cluster(config: ClusterConfig, workers: int, stack: contextlib.ExitStack) -
     if config.address:
         return config.address
     if config.hosts:
-        return stack.enter_context(_ssh(config, workers))
+        return _ssh(config, workers, stack)
     protocol = "tls://" if config.tls else "tcp://"
     cluster = LocalCluster(
         n_workers=workers,
         threads_per_worker=1,
         host="127.0.0.1",
         protocol=protocol,
-        security=_security(config),
-        dashboard_address="127.0.0.1:0",
+        security=security(config),
+        dashboard_address=LOOPBACK,
         memory_limit=0,
         silence_logs=logging.CRITICAL,
     )
     return stack.enter_context(cluster)
 
 
-_temporary: dict[str, Security] = {}
-
-
-def _security(config: ClusterConfig) -> Security | None:
-    """Certificates as given, made for the occasion, or none."""
-    if not config.tls and not (isinstance(config, DaskConfig) and (config.address or "").startswith("tls:")):
-        return None
-    if config.tls_ca is not None:
-        for name in ("tls_ca", "tls_cert", "tls_key"):
-            if not Path(getattr(config, name)).is_file():
-                raise UsageError(f"engine.{name}={getattr(config, name)}: no such file")
-        cert = {f"tls_{role}_cert": config.tls_cert for role in ("client", "scheduler", "worker")}
-        key = {f"tls_{role}_key": config.tls_key for role in ("client", "scheduler", "worker")}
-        return Security(tls_ca_file=config.tls_ca, require_encryption=True, **cert, **key)
-    if isinstance(config, DaskConfig) and (config.address or config.hosts):
-        raise UsageError("engine.tls: a cluster elsewhere needs engine.tls_ca, engine.tls_cert and engine.tls_key")
-    if isinstance(config, SlurmConfig) and config.shared is None:
-        raise UsageError("engine.tls: Slurm's nodes need engine.shared=FOLDER to get the certificates")
-    if "made" not in _temporary:
-        _temporary["made"] = Security.temporary()
-    return _temporary["made"]
-
-
-def _tls_settings(config: ClusterConfig) -> dict[str, Any]:
-    """Given certificates as Dask settings, which processes started over SSH inherit."""
-    if not config.tls or config.tls_ca is None:
-        return {}
-    found: dict[str, Any] = {"distributed.comm.require-encryption": True}
-    found["distributed.comm.tls.ca-file"] = config.tls_ca
-    for role in ("client", "scheduler", "worker"):
-        found[f"distributed.comm.tls.{role}.cert"] = config.tls_cert
-        found[f"distributed.comm.tls.{role}.key"] = config.tls_key
-    return found
-
-
-def _ssh(config: DaskConfig, workers: int) -> Any:
+def _ssh(config: DaskConfig, workers: int, stack: contextlib.ExitStack) -> Any:
     from distributed import SSHCluster
 
     protocol = "tls://" if config.tls else "tcp://"
-    return SSHCluster(
+    options = {"known_hosts": _known_hosts()}
+    known = security(config)
+    if config.tls_ca and config.tls_cert and config.tls_key:
+        stack.enter_context(dask.config.set(settings(config.tls_ca, config.tls_cert, config.tls_key)))
+    elif known is not None:
+        file = stack.enter_context(handed_out(known, config.hosts, options))
+        stack.enter_context(dask.config.set(settings(file, file, file)))
+    cluster = SSHCluster(
         [config.hosts[0], *config.hosts],
-        connect_options={"known_hosts": _known_hosts()},
+        connect_options=options,
         worker_options={
             "nthreads": 1,
             "n_workers": max(1, workers // len(config.hosts)),
             "memory_limit": 0,
             "protocol": protocol,
+            "dashboard_address": LOOPBACK,
         },
-        scheduler_options={"dashboard": False, "port": 0, "protocol": protocol},
+        scheduler_options={"dashboard": False, "dashboard_address": LOOPBACK, "port": 0, "protocol": protocol},
         remote_python=f"{config.remote_python or sys.executable} -P",  # not from the folder it is started in
-        security=_security(config),
+        security=known,
     )
+    return stack.enter_context(cluster)
 
 
 def _known_hosts() -> str:
@@ -155,8 +134,16 @@ def _slurm(config: SlurmConfig, workers: int) -> Any:
     from dask_jobqueue import SLURMCluster
 
     folder = Path(config.shared) if config.shared else None
+    if folder is None and config.tls and config.tls_ca is None:
+        raise UsageError(
+            "engine=slurm: its nodes get their certificates in engine.shared=FOLDER, one that all nodes see and nobody"
+            " else writes to; or engine.tls=false, with which everybody on that network can run code as you"
+        )
     if folder is not None:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = folder.stat()
+        if config.tls and (found.st_uid != os.getuid() or found.st_mode & 0o022):
+            raise UsageError(f"engine.shared={folder}: others may write there, where certificates lie: use another")
     cluster = SLURMCluster(
         cores=1,
         processes=1,
@@ -168,12 +155,12 @@ def _slurm(config: SlurmConfig, workers: int) -> Any:
         python=config.python,
         job_extra_directives=list(config.directives),
         job_script_prologue=[*(f"export {k}={v}" for k, v in ENVIRONMENT.items()), *config.prologue],
-        worker_extra_args=["--memory-limit", "0"],
+        worker_extra_args=["--memory-limit", "0", "--no-dashboard", "--dashboard-address", LOOPBACK],
         log_directory=str(folder / "logs") if folder else None,
         shared_temp_directory=str(folder) if folder else None,
-        security=_security(config),
+        security=security(config),
         protocol="tls://" if config.tls else None,
-        scheduler_options={"dashboard": False},
+        scheduler_options={"dashboard": False, "dashboard_address": LOOPBACK},
         silence_logs="critical",
     )
     try:

@@ -14,11 +14,12 @@ from typing import Any
 
 from distributed import WorkerPlugin, get_worker
 
-from quadexp.errors import QuadexpError
+from quadexp.errors import QuadexpError, stops_all
 from quadexp.experiment.build_custom import source_hashes
 from quadexp.experiment.child import GONE, PRELOAD, cause, one_thread, start_pool
 from quadexp.experiment.engine import ATTEMPTS, CellFailed, Task
 from quadexp.experiment.inputs import use_copies
+from quadexp.plugins import own_folders
 from quadexp.provenance import identity
 
 FOLDER = "quadexp-"  # beginning of the names of a worker's own folders
@@ -27,12 +28,13 @@ FOLDER = "quadexp-"  # beginning of the names of a worker's own folders
 class CellRunner(WorkerPlugin):
     """The child processes of a worker, as many as it has threads, and a folder for the files of their cells.
 
-    timeout: s of wall time a cell may take. memory: GB a child may take. expected: versions and hash of the sources
+    timeout: s a cell may take. memory: GB a child may take. expected: versions and hash of the sources
     that a worker must have, because results must not depend on where they were made.
     """
 
     def __init__(self, name: str, timeout: float | None, memory: float | None, expected: Mapping[str, str]) -> None:
         self.name, self._timeout, self._memory, self._expected = name, timeout, memory, dict(expected)
+        self._folders = own_folders()  # of the driver; a worker calls nothing else under `_target_` either
 
     def setup(self, worker: Any) -> None:
         other = {name: there for name, there in identity().items() if self._expected.get(name, there) != there}
@@ -65,14 +67,15 @@ class CellRunner(WorkerPlugin):
                 if attempt == ATTEMPTS - 1:
                     return CellFailed(cause(error, self._timeout))
             except Exception as error:
-                return CellFailed(cause(error, self._timeout))
+                return CellFailed(cause(error, self._timeout), stops_all(error))
         raise AssertionError
 
     def _schedule(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Future[Any]:
         with self._lock:
             if self._pool is None:
                 with one_thread():
-                    self._pool = start_pool(self._workers, self._memory, [*PRELOAD, function.__module__])
+                    preload = [*PRELOAD, function.__module__]
+                    self._pool = start_pool(self._workers, self._memory, preload, self._folders)
             return self._pool.schedule(child_cell, args=arguments, timeout=self._timeout)
 
 

@@ -1,6 +1,7 @@
 """From a configuration to classes and functions that are not this program's own.
 
-The dotted name under `_target_` is imported and called; what comes back must have what its seam asks for. The source
+The dotted name under `_target_` is imported and called, if it lies in a --conf folder or in an installed plugin package
+(plugins.py); what comes back must have what its seam asks for. The source
 file's hash is among the inputs of a flight, so that an edited class is flown anew and an untouched one is not.
 """
 
@@ -14,6 +15,7 @@ from typing import Any
 
 from quadexp.config import Config
 from quadexp.errors import QuadexpError, UsageError
+from quadexp.plugins import lies_outside
 from quadexp.vehicle import Vehicle
 
 # What of a seam is looked for, so that something else is refused before the flight and not in it.
@@ -87,16 +89,25 @@ def _import(key: str, name: str) -> Callable[..., Any]:
     module_name, _, attribute = name.rpartition(".")
     if not module_name:
         raise UsageError(f"{key}={name}: expected MODULE.NAME, such as my_package.helix.Helix")
+    outside = lies_outside(module_name)
+    if outside:
+        raise UsageError(f"{key}={name}: {outside}")
     try:
         module = importlib.import_module(module_name)
     except ImportError as error:
-        where = "it must be installed, or stand in the --conf folder or on PYTHONPATH"
-        raise UsageError(f"{key}={name}: {error} ({where})") from None
+        raise UsageError(f"{key}={name}: {error}") from None
     except Exception as error:
         raise UsageError(f"{key}={name}: importing {module_name} raised {type(error).__name__}: {error}") from error
     target = getattr(module, attribute, None)
     if not callable(target):
         raise UsageError(f"{key}={name}: module {module_name} has no class or function {attribute!r}")
+    if inspect.isclass(target) or inspect.isroutine(target):
+        home = getattr(target, "__module__", None) or "builtins"
+        if lies_outside(home):
+            raise UsageError(
+                f"{key}={name}: comes from module {home}, which is neither in the --conf folder nor in an installed"
+                " plugin package: call it from a function in your module"
+            )
     return target
 
 

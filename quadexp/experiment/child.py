@@ -15,14 +15,18 @@ import resource
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, TimeoutError, wait
 from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 
 from pebble import ProcessExpired, ProcessPool
+from pebble.pool.base_pool import Task
+from pebble.pool.process import TaskManager
 
 from quadexp.errors import QuadexpError, UsageError
+from quadexp.plugins import import_from, own_folders
 from quadexp.provenance import identity, package_folder
 
 PRELOAD = ("casadi", "numpy", "scipy.spatial.transform", "pyarrow.parquet")
@@ -33,10 +37,13 @@ GONE = (ProcessExpired, TimeoutError)  # how a call ends whose process died or t
 _SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
 
 
-def start_pool(workers: int, memory: float | None, preload: Sequence[str]) -> ProcessPool:
+def start_pool(
+    workers: int, memory: float | None, preload: Sequence[str], folders: Sequence[str] | None = None
+) -> ProcessPool:
     """A pool whose processes are forked from one server that has `preload` imported.
 
-    memory: GB of data (heap and private maps) a process may take, None for no limit.
+    memory: GB of data (heap and private maps) a process may take, None for no limit. folders: in which `_target_` may
+    name modules, None for those of this process.
     Raises QuadexpError where the processes import another quadexp than this one.
     """
     path, pool = os.environ.get(PATH), None
@@ -51,7 +58,10 @@ def start_pool(workers: int, memory: float | None, preload: Sequence[str]) -> Pr
                 forkserver.ensure_running()
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
-            pool = ProcessPool(max_workers=workers, context=context, initializer=begin, initargs=(memory, path))
+            given = own_folders() if folders is None else tuple(folders)
+            pool = ProcessPool(max_workers=workers, context=context, initializer=begin, initargs=(memory, path, given))
+            manager = pool._pool_manager
+            manager.task_manager = _MonotonicTasks(manager.task_manager.task_done_callback)
             asked = pool.schedule(identity)
             wait([asked], timeout=STARTING)
         if asked.done():
@@ -100,6 +110,21 @@ def same_imports() -> Iterator[None]:
         yield
 
 
+class _MonotonicTasks(TaskManager):
+    """Pebble's tasks, their time limits by the monotonic clock: neither a suspended computer nor a clock that is set
+    makes a call late. (Pebble 5 counts wall time.)"""
+
+    def task_start(self, task_id: int, worker_id: int | None) -> None:
+        super().task_start(task_id, worker_id)
+        task = self.tasks.get(task_id)
+        if task is not None:
+            task.timestamp = time.monotonic()
+
+    @staticmethod
+    def timeout(task: Task) -> bool:
+        return bool(task.timeout and task.started and time.monotonic() - task.timestamp > task.timeout)
+
+
 @contextlib.contextmanager
 def _undisturbed() -> Iterator[None]:
     """What asks this process to end does so afterwards: children that are just starting would complain at length."""
@@ -142,8 +167,9 @@ def environment(variables: Mapping[str, str]) -> Iterator[None]:
                 os.environ[name] = value
 
 
-def begin(memory: float | None, path: str | None) -> None:
-    """First thing in a child: it dies with its parent, and asks for no more memory than it may have.
+def begin(memory: float | None, path: str | None, folders: Sequence[str]) -> None:
+    """First thing in a child: it dies with its parent, asks for no more memory than it may have, and calls what lies in
+    the folders given with --conf.
 
     path: PYTHONPATH for programs that the child starts itself; it has found its own modules.
     """
@@ -151,6 +177,8 @@ def begin(memory: float | None, path: str | None) -> None:
         os.environ.pop(PATH, None)
     else:
         os.environ[PATH] = path
+    for folder in folders:
+        import_from(Path(folder))
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from quadexp.config import Config
+from quadexp.errors import stops_all
 from quadexp.experiment.build import ModelFile
 from quadexp.experiment.child import GONE, PRELOAD, cause, one_thread, start_pool
 
@@ -22,9 +23,10 @@ QUEUED = 4  # cells handed out per worker, so that no worker waits
 
 @dataclass(frozen=True)
 class CellFailed:
-    """Why a cell has no result."""
+    """Why a cell has no result. all: whether no other would have one either, as where a disk is full."""
 
     cause: str
+    all: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +56,7 @@ class Engine(Protocol):
 
 @dataclass(frozen=True)
 class LocalEngine:
-    """The processes of this machine. workers: 0 for one a core. timeout: s of wall time a cell may take.
+    """The processes of this machine. workers: 0 for one a core. timeout: s a cell may take.
     memory: GB that a process may take, None for no limit."""
 
     workers: int = 0
@@ -82,7 +84,7 @@ def run_cells(
 ) -> Generator[tuple[str, Any]]:
     """Call `function(*arguments)` for every job in worker processes; yield (key, result or CellFailed) as they end.
 
-    jobs: key -> arguments, handed out in this order, taken when they are. timeout: s of wall time a call may take.
+    jobs: key -> arguments, handed out in this order, taken when they are. timeout: s a call may take (monotonic).
     memory: GB a worker may take.
     A call that raises fails at once (it would raise again); one whose process dies or that takes too long is tried
     once more. Leaving the iterator early, or an interrupt, stops every worker.
@@ -117,7 +119,7 @@ def run_cells(
                         else:
                             yield key, CellFailed(cause(error, timeout))
                     except Exception as error:
-                        yield key, CellFailed(cause(error, timeout))
+                        yield key, CellFailed(cause(error, timeout), stops_all(error))
                 hand_out()
         finally:
             if running:

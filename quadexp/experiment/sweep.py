@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import quadexp
 from quadexp.cells import Cell, Cells
-from quadexp.errors import DataError, QuadexpError, UsageError
+from quadexp.errors import DataError, QuadexpError, UsageError, WriteError, write_error
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.engine import CellFailed, CellFunction, Engine, LocalEngine, Task
 from quadexp.experiment.evaluate import check_feasible, evaluate_cell, failed_row
@@ -80,7 +80,8 @@ def run_sweep(
     by other sources than those that run: "refly", "keep", or refuse to go on. isolate: False flies in this process.
     progress: called with the numbers of cells done and of all.
 
-    Raises UsageError before anything is flown, SweepInterrupted on Ctrl-C.
+    Raises UsageError before anything is flown, SweepInterrupted on Ctrl-C, QuadexpError at the first file that cannot
+    be written; what is done is kept.
     """
     store, plan = CellStore(out), Plan(cells)
     done = set() if force else store.done()
@@ -109,8 +110,11 @@ def run_sweep(
                 table.add(key, row)
                 progress(count, len(plan))
         except KeyboardInterrupt:
-            count = len(store.done().intersection(plan.places))
-            raise SweepInterrupted(f"{count} of {len(plan)} done; run the same command to continue") from None
+            raise SweepInterrupted(f"{_done(store, plan)}; run the same command to continue") from None
+        except WriteError as error:
+            raise QuadexpError(
+                f"{error}: {_done(store, plan)}; run the same command to continue once it can be written"
+            ) from None
         finally:
             store.clean()
         record = {
@@ -153,13 +157,20 @@ def _settle_old(store: CellStore, table: SweepTable, old: Old) -> list[str]:
     return [*notes, *filter(None, [differing_libraries(kept, libraries())])]
 
 
+def _done(store: CellStore, plan: Plan) -> str:
+    return f"{len(store.done().intersection(plan.places))} of {len(plan)} done"
+
+
 def _fly(
     todo: Sequence[str], store: CellStore, plan: Plan, engine: Engine, function: CellFunction, isolate: bool
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     if not todo:
         return
     for folder in {store.path(key).parent for key in todo}:
-        folder.mkdir(exist_ok=True)
+        try:
+            folder.mkdir(exist_ok=True)
+        except OSError as error:
+            raise write_error(folder, error) from error
     if not isolate:
         for job in map(plan.job, todo):
             yield job.key, _own(function(job.cell.config, job.model, str(store.path(job.key)), job.key))
@@ -173,6 +184,8 @@ def _fly(
         for key, row in flown:
             row = _own(row)
             if isinstance(row, CellFailed):
+                if row.all:
+                    raise WriteError(row.cause)
                 job = plan.job(key)
                 store.remove([key])
                 row = failed_row(job.cell.config, job.model, row.cause)

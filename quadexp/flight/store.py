@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError, UsageError, write_error
+from quadexp.flight.declared import check_declared, check_numbers
 from quadexp.flight.hashes import CONTENT_KEY, content_hash, sealed_bytes, sealed_value, write_sealed
 from quadexp.flight.schema import Flight, describe
 from quadexp.state import STATE_COLUMNS
@@ -35,6 +36,11 @@ COMMANDS = {
     "estimates": "identify",
     "statistics": "evaluate",
 }
+
+# What stands in the record of a file, where it does.
+RECORD: dict[str, type] = {
+    "kind": str, "config": dict, "row": dict, "vehicle": dict, "versions": dict, "provenance": dict, "outcome": str,
+}  # fmt: skip
 
 
 def check_output(path: str | Path, *, force: bool = False, folder: bool = False) -> Path:
@@ -173,12 +179,15 @@ def read_metadata(path: str | Path, kind: str | None = None) -> dict[str, Any]:
     try:
         record = json.loads(raw)
         found, version = record["kind"], record["schema"]
-    except (TypeError, ValueError, KeyError):
+    except (TypeError, ValueError, KeyError, RecursionError):
         raise DataError(f"{path}: a Parquet file, but not one that quadexp wrote") from None
     if version != SCHEMA:
         raise DataError(f"{path}: written with schema {version}, this program reads schema {SCHEMA}: make it again")
     if schema.metadata.get(HASH_KEY) != _digest(raw, schema.names, schema.metadata.get(CONTENT_KEY)):
         raise DataError(f"{path}: damaged, its record does not match its hash: make it again")
+    wrong = [name for name, type_ in RECORD.items() if not isinstance(record.get(name), type_ | None)]
+    if wrong:
+        raise DataError(f"{path}: damaged, {wrong[0]!r} of its record is {str(record[wrong[0]])[:40]!r}")
     if kind is not None and found != kind:
         raise DataError(f"{path}: holds {found}, {kind} are needed here (made by `quadexp {COMMANDS[kind]}`)")
     return record
@@ -202,6 +211,7 @@ def read_table(
     record = read_metadata(path, kind)
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:  # pq.read_table imports pandas for it
+            check_declared(path, file)
             table = file.read()
         columns = {name: _numpy(table.column(name)) for name in table.column_names}
         _check_content(path, table, kind)
@@ -210,6 +220,7 @@ def read_table(
     missing = [name for name in required if name not in columns]
     if missing:
         raise DataError(f"{path}: column {missing[0]!r} is missing (it has {', '.join(list(columns)[:12])}, ...)")
+    check_numbers(columns, [name for name in columns if describe(name, kind).unit], str(path))
     names = list(columns) if finite is True else [name for name in finite or () if name in columns]
     check_finite(columns, names, str(path))
     return columns, record

@@ -19,6 +19,7 @@ import numpy as np
 
 from quadexp.errors import DataError, UsageError, write_error
 from quadexp.flight.store import check_output
+from quadexp.identify.checkpoint_check import check_model
 from quadexp.identify.linear_drag import LinearDrag
 from quadexp.identify.model import GPModel, OutputPosterior
 from quadexp.identify.term_mean import TermMean
@@ -28,6 +29,7 @@ from quadexp.identify.vehicle_model import VehicleModel
 from quadexp.vehicle import Vehicle
 
 SCHEMA = 1
+LARGEST = 100_000_000  # bytes of a model.json: six outputs of a thousand inducing points each have 60 MB
 MODEL_FILE = "model.json"
 REPORT_FILE = "report.json"
 Model = GPModel | LinearDrag | VehicleModel
@@ -82,6 +84,9 @@ def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Model:
     if not file.is_file():
         raise UsageError(f"{path}: no model there; make one with {COMMANDS.format(path=path)}")
     try:
+        size = file.stat().st_size
+        if size > LARGEST:
+            raise DataError(f"{file}: has {size / 1e6:.0f} MB, a model has {LARGEST / 1e6:.0f} MB at most")
         document = json.loads(file.read_text(encoding="utf-8"))
         schema, digest, payload = document["schema"], document["sha256"], document["payload"]
     except OSError as error:
@@ -94,8 +99,9 @@ def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Model:
         raise DataError(f"{file}: damaged or edited, its content does not match its sha256; fit it again")
     try:
         model = _decode(payload)
-    except (KeyError, TypeError, ValueError) as error:
-        raise DataError(f"{file}: incomplete ({_line(error)}); fit it again") from None
+        check_model(model)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
+        raise DataError(f"{file}: no model that can be used ({_line(error)}); fit it again") from None
     if vehicle is not None:
         fitted = model.vehicle.get("fingerprint")
         if fitted != vehicle.fingerprint:
@@ -110,15 +116,18 @@ def load_report(path: str | Path) -> dict[str, Any]:
     """The report.json of a checkpoint directory, {} if it has none."""
     file = Path(path) / REPORT_FILE
     try:
-        return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+        found = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
     except (ValueError, RecursionError) as error:
         raise DataError(f"{file}: damaged ({_line(error)})") from None
     except OSError as error:
         raise UsageError(f"{file}: cannot be read ({error.strerror})") from None
+    if not isinstance(found, dict):
+        raise DataError(f"{file}: damaged (holds a {type(found).__name__}, not a mapping)")
+    return found
 
 
 def _line(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}".splitlines()[0]
+    return (f"{type(error).__name__}: {error}".splitlines() or [""])[0][:300]
 
 
 def _hash(payload: Any) -> str:
@@ -182,6 +191,8 @@ def _terms(content: dict[str, Any]) -> TermModel:
 def _posterior(content: dict[str, Any]) -> OutputPosterior:
     content = _arrays(content, OutputPosterior)
     m = len(content["alpha"])
+    if np.shape(content["variance_factor"]) != (m * (m + 1) // 2,):
+        raise ValueError(f"variance_factor has not the {m * (m + 1) // 2} numbers of {m} inducing points")
     factor = np.zeros((m, m))
     factor[np.triu_indices(m)] = content["variance_factor"]
     features = tuple(content["features"])

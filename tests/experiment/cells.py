@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 from quadexp.experiment.build import build_vehicle
@@ -36,6 +37,8 @@ def misbehave(what, folder):
     if what == "loop":
         while True:
             time.sleep(0.01)
+    if what == "nap":
+        time.sleep(1.0)
     if what == "kill_once" and len((Path(folder) / what).read_text()) == 1:
         os.kill(os.getpid(), signal.SIGKILL)
     return what
@@ -52,6 +55,18 @@ def quick_cell(config, model, path, key):
         with open(count, "a") as file:
             file.write("x")
     return flight.metadata["row"]
+
+
+@dataclass(frozen=True)
+class CountedCell:
+    """quick_cell, with a letter in a file for every try."""
+
+    file: str
+
+    def __call__(self, config, model, path, key):
+        with open(self.file, "a") as file:
+            file.write("x")
+        return quick_cell(config, model, path, key)
 
 
 def bare_cell(config, model, path, key):

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,13 +22,16 @@ ENVIRONMENT = {
 
 
 class Cluster:
-    """address: of the scheduler. workers: their nannies, each of which keeps one worker process alive."""
+    """address: of the scheduler. workers: their nannies, each of which keeps one worker process alive.
+    certificate: files by the names tls_ca, tls_cert, tls_key; None for a cluster without any."""
 
-    def __init__(self, folder: Path, workers: int = 2) -> None:
+    def __init__(self, folder: Path, workers: int = 2, certificate: Mapping[str, Path] | None = None) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self._folder, self._file = folder, folder / "scheduler.json"
         self._started: list[subprocess.Popen] = []
-        scheduler = ["dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+        names = {"tls_ca": "--tls-ca-file", "tls_cert": "--tls-cert", "tls_key": "--tls-key"}
+        self._tls = [word for name, path in (certificate or {}).items() for word in (names[name], str(path))]
+        scheduler = ["dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", *self._tls]
         self.scheduler = self._start(*scheduler, "--scheduler-file", str(self._file))
         deadline = time.monotonic() + 30
         while not self._file.exists():
@@ -40,7 +44,17 @@ class Cluster:
 
     def add_worker(self, *options: str, **environment: str) -> subprocess.Popen:
         """Start a worker of one thread; its files lie in a folder of its own."""
-        arguments = ["--host", "127.0.0.1", "--nthreads", "1", "--memory-limit", "0", "--no-dashboard", *options]
+        arguments = [
+            "--host",
+            "127.0.0.1",
+            "--nthreads",
+            "1",
+            "--memory-limit",
+            "0",
+            "--no-dashboard",
+            *self._tls,
+            *options,
+        ]
         return self._start("dask_worker", self.address, *arguments, **environment)
 
     def workers_of(self, nanny: subprocess.Popen) -> list[int]:

@@ -51,7 +51,7 @@ def on(cluster, **options):
 
 
 def at(address, **options):
-    config = compose(["engine=dask", f"engine.address={address}"]).engine
+    config = compose(["engine=dask", f"engine.address={address}", "engine.tls=false"]).engine
     return DaskEngine(lambda: open_cluster(config, 1), **options)
 
 
@@ -241,9 +241,11 @@ class TestMistakes:
     @pytest.mark.parametrize(
         ("overrides", "says"),
         [
-            (["engine.address=tcp://127.0.0.1:1"], "engine.address=tcp://127.0.0.1:1 cannot be had"),
-            (["engine.address=tls://127.0.0.1:1"], "needs engine.tls_ca"),
-            (["engine.tls=true", "engine.tls_ca=a", "engine.tls_cert=b", "engine.tls_key=c"], "tls_ca=a: no such file"),
+            (
+                ["engine.tls=false", "engine.address=tcp://127.0.0.1:1"],
+                "engine.address=tcp://127.0.0.1:1 cannot be had",
+            ),
+            (["engine.tls_ca=a", "engine.tls_cert=b", "engine.tls_key=c"], "tls_ca=a: no such file"),
         ],
     )
     def test_one_line_says_what_is_wrong(self, overrides, says, tmp_path, monkeypatch):
@@ -266,13 +268,6 @@ class TestMistakes:
         run_sweep(expand(SHORT), tmp_path / "r", engine=LocalEngine(1))
         engine = DaskEngine(lambda: pytest.fail("it started a cluster"))
         assert run_sweep(expand(SHORT), tmp_path / "r", engine=engine).flown == 0
-
-
-def test_a_cluster_of_this_machine_with_certificates(tmp_path):
-    pytest.importorskip("cryptography")
-    engine = build_engine(compose(["engine=dask", "engine.tls=true", "evaluate.workers=1"]))
-    result = run_sweep(expand([*SHORT, "seed=0,1"]), tmp_path / "r", engine=engine)
-    assert result.flown == 2 and not result.not_flown
 
 
 def make_checkpoint(folder):

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import resource
 import subprocess
 
 import pytest
 
+from quadexp.cluster.engines import build_engine
+from quadexp.compose import compose, expand
+from quadexp.errors import QuadexpError
+from quadexp.experiment.sweep import run_sweep
+from quadexp.flight.cell_store import CellStore
 from quadexp.flight.store import read_flight
+from tests.experiment.cells import CountedCell
 from tests.faults.command import FLY, one_line, run
 
 
@@ -55,6 +62,67 @@ def test_a_file_may_not_grow(tmp_path):
     line = one_line(done)
     assert str(path) in line and "too large" in line and done.returncode == 1
     assert path.read_bytes() == whole and files(tmp_path) == ["a.parquet"]
+
+
+MANY = ("evaluate", "--sweep", "--no-figures", *FLY[1:], "seed=range(40)", "evaluate.workers=2")
+
+
+def ended_at_the_first_failed_write(done, out, says):
+    """What a sweep must do whose disk is full: one line, exit code 1; what is done is there and whole, nothing else."""
+    line = one_line(done)
+    assert done.returncode == 1 and says in line and "run the same command to continue" in line
+    cells = [path for path in out.rglob("*") if path.is_file() and path.parent.parent.name == "cells"]
+    assert f"{len(cells)} of 40 done" in line and all(path.suffix == ".parquet" for path in cells)
+    assert all(read_flight(path).outcome == "ok" for path in cells)
+    assert files(out) == sorted(path.name for path in cells)
+    return cells
+
+
+@pytest.fixture
+def disk(tmp_path):
+    """A file system with room for a few flights."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", place], capture_output=True).returncode:
+        pytest.skip("no file system can be mounted here")
+    yield place
+    subprocess.run(["umount", place], check=True)
+
+
+def test_a_sweep_ends_where_the_disk_is_full(disk):
+    """At the first failed write, not after all the rest was flown for nothing; with room again the rest is flown."""
+    command = (*MANY, "--out", disk / "results")
+    cells = ended_at_the_first_failed_write(run(*command), disk / "results", "No space left on device")
+    assert 3 <= len(cells) < 12, "a cell has some 30 kB"
+    subprocess.run(["mount", "-o", "remount,size=8m", disk], check=True)
+    again = run(*command, "--json")
+    assert again.returncode == 0, again.stderr
+    assert json.loads(again.stdout)["flown"] == 40 - len(cells)
+
+
+@pytest.mark.parametrize("engine", ["local", "dask"])
+def test_how_many_are_flown_for_a_full_disk(disk, tmp_path, engine):
+    """One that fails, and those that were in the air or handed out when it did."""
+    if engine == "dask":
+        pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+    counted = CountedCell(str(tmp_path / "flown"))  # where there is room
+    started = build_engine(compose([f"engine={engine}", "evaluate.workers=2"]))
+    with pytest.raises(QuadexpError, match="No space left on device.* of 400 done; run the same command") as error:
+        run_sweep(expand(["seed=range(400)"]), disk / "results", function=counted, engine=started)
+    assert error.value.exit_code == 1
+    done = len(CellStore(disk / "results").done())
+    assert done > 3 and done < len((tmp_path / "flown").read_text()) <= done + 12
+
+
+def test_a_sweep_ends_where_no_file_may_grow(tmp_path):
+    """The same without a file system of its own: every flight is larger than a file may be."""
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (16384, 16384))
+
+    out = tmp_path / "results"
+    done = run(*MANY, "trajectory.duration=2.0", "--out", out, limit=limit)
+    assert ended_at_the_first_failed_write(done, out, "too large") == []
 
 
 @pytest.fixture

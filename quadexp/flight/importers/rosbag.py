@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError, QuadexpError
+from quadexp.flight.declared import allowed_bytes
 from quadexp.flight.importers.extras import missing_package
 from quadexp.flight.importers.mapped import with_attitude
 from quadexp.flight.importers.raw import RawLog, clean_stream
@@ -29,6 +30,7 @@ from quadexp.flight.signal import Stream, increasing
 from quadexp.flight.store import first_line
 
 MOST_MESSAGES = 20_000_000
+PER_MESSAGE = 400  # bytes that a message takes once it is read
 MOST_ROTORS = 16
 NOT_MEASURED = re.compile(r"setpoint|reference|desired|target|command/pose|cmd_vel|goal|raw_odom|waypoint")
 BODY_FRAME = re.compile(r"base_link|body|imu|fcu|drone|quad|child")
@@ -63,8 +65,9 @@ def read_rosbag(path: Path) -> RawLog:
             if not wanted:
                 there = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections})[:8]) or "none"
                 raise DataError(f"no topic of pose, motion, IMU or motors; topics: {there}")
-            if sum(c.msgcount for c in wanted) > MOST_MESSAGES:
-                raise DataError(f"declares more than {MOST_MESSAGES} messages")
+            declared = sum(c.msgcount for c in wanted)
+            if declared > MOST_MESSAGES or declared * PER_MESSAGE > allowed_bytes(source):
+                raise DataError(f"declares {declared} messages: too many for its size, or for any log")
             for connection, stamp, raw in reader.messages(connections=wanted):
                 message = reader.deserialize(raw, connection.msgtype)
                 takers[connection.msgtype](found, connection.topic, _time(message, stamp), message)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError
+from quadexp.flight.declared import allowed_bytes
 from quadexp.flight.store import first_line
 
 HEAD = 1 << 18  # bytes looked at for header and delimiter
@@ -252,9 +253,10 @@ def _read_hdf5(table: Table, names: list[str], rows: int | None) -> dict[str, np
             for name in names:
                 key, _, index = name.partition("[")
                 data = file[key]
-                if len(data) * len(names) > MOST_VALUES:
-                    raise DataError(f"{table.path}: {key} declares {len(data)} rows: too many to be a log, or damaged")
                 part = slice(None, rows)
+                declared = min(len(data), rows or len(data)) * len(names)
+                if declared > MOST_VALUES or 8 * declared > allowed_bytes(table.path):
+                    raise DataError(f"{table.path}: {key} declares {len(data)} rows: too many to be a log, or damaged")
                 made[name] = np.asarray(data[part, int(index[:-1])] if index else data[part], float)
     except (OSError, RuntimeError, ValueError, KeyError, MemoryError) as error:
         raise DataError(f"{table.path}: damaged ({first_line(error)})") from None
