@@ -151,7 +151,7 @@ MISTAKES = {
     "plant.motor_loss=2": r"plant.motor_loss=2.0: must be in \[0, 1\)",
     "gp.features.a_x=[speed]": "unknown feature 'speed'; allowed are v_x",
     "gp.features.a_q=[v_x]": r"gp.features.a_q: no such key; did you mean gp.features.a_",
-    "collect.speed_min=20": "must not exceed collect.speed_max",
+    "collect.speed_min=21": "must not exceed collect.speed_max",
     "vehicle.inertia=[[1,2],[3]]": "must be 3 rows of 3 numbers each",
     "evaluate.metric=mae": "must be one of mean_error, rmse, max_error",
 }

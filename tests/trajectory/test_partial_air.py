@@ -59,9 +59,8 @@ def test_the_equations_of_motion_hold_under_the_reported_share(vehicle, air, ext
     assert 0.03 < share < 1
     part = scaled(residual, share)
     dynamics = corrected_function(vehicle, part)
-    asked = np.array(
-        [np.array(dynamics(state, thrusts, part.theta)).ravel() for state, thrusts in zip(x[:, 1], u, strict=True)]
-    )
+    pairs = zip(x[:, 1], u, strict=True)
+    asked = np.array([np.array(dynamics(state, thrusts, part.theta)).ravel() for state, thrusts in pairs])
     wrong = {
         "acceleration": asked[:, VELOCITY] - path.flat_output(t).position[:, 2],
         "velocity": asked[:, POSITION] - path.flat_output(t).position[:, 1],
