@@ -112,15 +112,15 @@ class InterpretedSolver:
         A, B = (self._transposed(name) for name in ("A", "B"))
         U, weights = data["U_lin"], np.vstack([np.tile(data["Q"], (nodes - 1, 1)), data["Q_end"]])
 
-        def states(d_input: np.ndarray) -> np.ndarray:
-            d_state, d = np.zeros((nodes, N_STATE)), np.zeros(N_STATE)
-            for k in range(nodes):
-                d_state[k] = d = d @ A[k] + d_input[k] @ B[k] + data["b"][k]
-            return d_state
+        d_state = np.zeros((nodes, N_STATE))
 
         def gradient(flat: np.ndarray) -> np.ndarray:
-            d_input = flat.reshape(nodes, n)
-            slopes = data["q"][1:] + weights * states(d_input)
+            """Of the cost in all inputs' changes, by the states that follow: they are in d_state then."""
+            d_input, d = flat.reshape(nodes, n), np.zeros(N_STATE)
+            pushed = np.einsum("ki,kij->kj", d_input, B) + data["b"]
+            for k in range(nodes):
+                d_state[k] = d = d @ A[k] + pushed[k]
+            slopes = data["q"][1:] + weights * d_state
             result, p = data["r"] + data["R"] * d_input, np.zeros(N_STATE)
             for k in range(nodes - 1, -1, -1):
                 p += slopes[k]
@@ -136,8 +136,7 @@ class InterpretedSolver:
             self.arguments["guess"].ravel(),
             gradient,
         )
-        d_input = found.u.reshape(nodes, n)
-        d_state, results = states(d_input), self.results
+        d_input, results = found.u.reshape(nodes, n), self.results
         turn = np.linalg.norm(d_state[:, ATTITUDE], axis=1).max()
         if "frames" in data:  # from the cost's coordinates, see control.attitude_error: dq = L de
             frames = data["frames"].reshape(nodes + 1, 4, 4)
@@ -160,11 +159,13 @@ class InterpretedSolver:
         nodes, n = self.arguments["guess"].shape
         K = self._data["K"].reshape(nodes, N_STATE, n)  # transposed, as it is stored
         factors = self._data["factor"].reshape(nodes, n, n).transpose(0, 2, 1)
+        from_L = np.linalg.inv(np.tril(factors, -1) + np.eye(n))
+        from_D = np.diagonal(factors, axis1=1, axis2=2)
+        at_nodes = from_L.transpose(0, 2, 1) @ (from_D[:, :, None] * from_L)  # H_k^-1
         inverse, p = np.zeros((nodes * n, nodes * n)), np.zeros((N_STATE, 0))
         for k in range(nodes - 1, -1, -1):
             h = np.hstack([np.eye(n), B[k] @ p])
-            y = np.linalg.solve(np.tril(factors[k], -1) + np.eye(n), h)
-            inverse[k * n :, k * n :] += y.T @ (np.diag(factors[k])[:, None] * y)
+            inverse[k * n :, k * n :] += h.T @ (at_nodes[k] @ h)
             p = np.hstack([np.zeros((N_STATE, n)), A[k] @ p]) - K[k] @ h
         return inverse
 

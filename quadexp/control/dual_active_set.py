@@ -25,6 +25,7 @@ import numpy as np
 TOLERANCE, LOOSE = 1e-10, 1e-7  # N, of an input: left by the exchanges; left by rounding where no more can be had
 ROUNDS, MOST = 4, 10  # Newton steps; exchanges, per input
 
+Inputs = np.ndarray | slice  # which ones
 Gradient = Callable[[np.ndarray], np.ndarray]
 
 
@@ -51,8 +52,8 @@ def bounded_minimum(
     gradient: u -> H (u - u0), computed without S, to see what rounding does.
     """
     tableau = _Tableau(inverse, start, low, high)
-    for i in np.flatnonzero((guess != 0) | tableau.fixed).tolist():
-        tableau.hold(i, 1.0 if tableau.fixed[i] else guess[i])
+    sides = np.where(tableau.fixed, 1.0, guess)
+    tableau.hold(np.flatnonzero(sides), sides[sides != 0])
     u, error = start, np.inf
     for _ in range(ROUNDS):
         if not tableau.sound:
@@ -82,29 +83,37 @@ class _Tableau:
     def bound(self, side: np.ndarray) -> np.ndarray:
         return np.where(side > 0, self.high, self.low)
 
-    def hold(self, i: int, side: float) -> None:
-        """Free input i goes to its bound; z of it becomes its multiplier."""
-        self.sound = self.sound and self.S[i, i] > 0
-        self.side[i] = side
-        self.z[i] -= self.high[i] if side > 0 else self.low[i]
-        self._exchange(i)
+    def hold(self, p: Inputs, sides: np.ndarray | float) -> None:
+        """Free inputs p go to their bounds; z of them becomes their multipliers."""
+        self.side[p] = sides
+        self.z[p] -= self.bound(self.side)[p]
+        self._exchange(p, 1.0)
 
-    def release(self, i: int) -> None:
-        """The multiplier of held input i goes to zero; z of it becomes its value."""
-        self.sound = self.sound and self.S[i, i] < 0
-        self._exchange(i)
-        self.z[i] += self.high[i] if self.side[i] > 0 else self.low[i]
-        self.side[i] = 0.0
+    def release(self, p: Inputs) -> None:
+        """The multipliers of held inputs p go to zero; z of them becomes their values."""
+        self._exchange(p, -1.0)
+        self.z[p] += self.bound(self.side)[p]
+        self.side[p] = 0.0
 
-    def _exchange(self, i: int) -> None:
-        column, inverse = self.S[i].copy(), 1.0 / self.S[i, i]
-        moved = self.z[i] * inverse
-        self.S -= np.outer(column * inverse, column)
-        self.S[i] = self.S[:, i] = column * abs(inverse)
-        self.S[i, i] = -inverse
-        self.z -= column * moved
-        self.z[i] = moved * np.sign(inverse)
-        self.exchanges += 1
+    def _exchange(self, p: Inputs, turned: float) -> None:
+        """The symmetric sweep operator on p, backwards where turned = -1."""
+        columns = self.S[:, p].copy()
+        pivots = columns[p]
+        self.sound = self.sound and bool(np.all(turned * pivots.diagonal() > 0))
+        try:
+            inverse = np.linalg.inv(pivots) if pivots.size > 1 else 1.0 / pivots
+        except np.linalg.LinAlgError:
+            self.sound = False
+        if not self.sound:
+            return
+        shares, moved = columns @ inverse, inverse @ self.z[p]
+        self.S -= shares @ columns.T
+        self.z -= columns @ moved
+        self.z[p] = turned * moved
+        shares *= turned
+        shares[p] = -inverse
+        self.S[:, p], self.S[p] = shares, shares.T
+        self.exchanges += moved.size
 
     def release_wrong(self) -> None:
         """Release held inputs whose multipliers have the wrong sign, the steepest first."""
@@ -113,7 +122,7 @@ class _Tableau:
             wrong = (self.side != 0) & ~self.fixed & (self.side * self.z < -TOLERANCE * size)
             if not wrong.any():
                 return
-            self.release(int(np.argmax(np.where(wrong, self.z**2 / size, -1.0))))
+            self.release(_only(np.argmax(np.where(wrong, self.z**2 / size, -1.0))))
 
     def hold_leaving(self) -> None:
         """Hold free inputs that leave their bounds, the steepest ascent of the dual cost first."""
@@ -137,14 +146,14 @@ class _Tableau:
             lengths = np.where(falling, np.maximum(self.side * self.z, 0.0) / np.where(falling, rate, 1.0), np.inf)
             blocking = int(np.argmin(lengths))
             if full <= lengths[blocking]:
-                self.hold(i, side)
+                self.hold(_only(i), side)
                 self.z[i] += pushed
                 return
             length = lengths[blocking] * side
             self.z -= column * length
             pushed += length
             self.z[blocking] = 0.0
-            self.release(blocking)
+            self.release(_only(blocking))
 
     def refine(self, u: np.ndarray, gradient: np.ndarray) -> float:
         """One Newton step from u with its true gradient, into z; the largest change (N) that it says is left."""
@@ -155,3 +164,7 @@ class _Tableau:
         left = np.where(held, wrong, np.abs(step))
         self.sound = self.sound and bool(np.isfinite(gradient).all() and np.isfinite(left).all())
         return float(max(left.max(), 0.0))
+
+
+def _only(i: int | np.integer) -> slice:
+    return slice(int(i), int(i) + 1)
