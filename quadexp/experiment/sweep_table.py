@@ -73,11 +73,16 @@ class SweepTable:
         except (DataError, UsageError) as error:
             return error
 
-    def flown_elsewhere(self) -> dict[str, dict[str, str]]:
-        """Key -> program, sources and libraries of the cells that other sources have flown than those that run."""
-        names = ("program", "sources", "libraries")
-        rows = ((key, self.rows[place]) for key, place in self._plan.places.items() if self.rows.filled[place])
-        return {key: {name: row[name] for name in names} for key, row in rows if row["sources"] != sources()}
+    def flown_elsewhere(self) -> dict[str, dict[str, Any]]:
+        """Key -> row of the cells that other sources have flown than those that run."""
+        there, own, mine = self.rows.filled, self.rows.column("sources"), sources()
+        return {
+            key: self.rows[place] for key, place in self._plan.places.items() if there[place] and own[place] != mine
+        }
+
+    def libraries(self) -> list[str]:
+        """The libraries of every row."""
+        return self.rows.column("libraries")[self.rows.filled].tolist()
 
     def forget(self, keys: Iterable[str]) -> None:
         """Have these cells flown again: their files and rows go."""
