@@ -178,7 +178,7 @@ class TestInterrupted:
         with pytest.raises(Exception, match="of 10 done"):
             fly(grid, tmp_path / "r", progress=stop)
         assert (tmp_path / "r/cells/rows.parquet").exists()
-        assert sum(row["wanted"] for row in list_results(tmp_path / "r")) == 9
+        assert sum(row["wanted"] for row in list_results(tmp_path / "r")) in (9, 10)  # one may have been under way
 
     def test_rows_are_taken_from_the_flights_and_not_from_their_copy(self, tmp_path):
         """Which may be of a flight that has been flown again since, or edited."""
