@@ -55,6 +55,10 @@ class Rows(Sequence[dict[str, Any]]):
         rows.put(everything, columns, everything)
         return rows
 
+    def column(self, name: str) -> np.ndarray:
+        """One column of all rows, also of those that were not set."""
+        return self._columns[name]
+
     def columns(self) -> dict[str, np.ndarray]:
         """The columns of the rows that were set."""
         return {name: values[self.filled] for name, values in self._columns.items()}

@@ -153,8 +153,7 @@ def _settle_old(store: CellStore, table: SweepTable, old: Old) -> list[str]:
         notes.append(f"{len(others)} cells of other sources are flown again: {found}")
     elif others:
         notes.append(f"{len(others)} cells of other sources are kept: {found}; these are {sources()}")
-    kept = (row for place, row in enumerate(table.rows) if table.rows.filled[place])
-    return [*notes, *filter(None, [differing_libraries(kept, libraries())])]
+    return [*notes, *filter(None, [differing_libraries(table.libraries(), libraries())])]
 
 
 def _done(store: CellStore, plan: Plan) -> str:

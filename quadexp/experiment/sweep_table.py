@@ -1,7 +1,7 @@
 """The rows of a sweep while it runs: what earlier runs left, what comes in, and now and then a copy on disk.
 
 A row stands in the file of its cell, and is taken from there whenever a sweep goes on: the hash of every byte is
-checked on the way, which costs a quarter of a millisecond a flight of 20 s. Tables are written from rows and never
+checked on the way, which costs .4 ms of processor time a flight of 20 s. Tables are written from rows and never
 believed. While a sweep is not finished its rows lie in cells/rows.parquet too, for `quadexp results`.
 """
 
@@ -73,11 +73,16 @@ class SweepTable:
         except (DataError, UsageError) as error:
             return error
 
-    def flown_elsewhere(self) -> dict[str, dict[str, str]]:
-        """Key -> program, sources and libraries of the cells that other sources have flown than those that run."""
-        names = ("program", "sources", "libraries")
-        rows = ((key, self.rows[place]) for key, place in self._plan.places.items() if self.rows.filled[place])
-        return {key: {name: row[name] for name in names} for key, row in rows if row["sources"] != sources()}
+    def flown_elsewhere(self) -> dict[str, dict[str, Any]]:
+        """Key -> row of the cells that other sources have flown than those that run."""
+        there, own, mine = self.rows.filled, self.rows.column("sources"), sources()
+        return {
+            key: self.rows[place] for key, place in self._plan.places.items() if there[place] and own[place] != mine
+        }
+
+    def libraries(self) -> list[str]:
+        """The libraries of every row."""
+        return self.rows.column("libraries")[self.rows.filled].tolist()
 
     def forget(self, keys: Iterable[str]) -> None:
         """Have these cells flown again: their files and rows go."""

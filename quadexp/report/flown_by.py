@@ -41,16 +41,19 @@ def mixed_programs(rows: Iterable[Mapping[str, Any]]) -> list[str]:
     return [] if len(found) < 2 else [f"flights of {len(found)} programs stand side by side: {counted(found)}"]
 
 
-def differing_libraries(rows: Iterable[Mapping[str, Any]], here: str) -> str:
-    """One line on the cells whose libraries have other versions than `here` says, "" where none has."""
+def differing_libraries(texts: Iterable[str | None], here: str) -> str:
+    """One line on the cells whose libraries have other versions than `here` says, "" where none has.
+
+    texts: `libraries` of each row.
+    """
     counts: Counter[str] = Counter()
     cells = 0
     now = _versions(here)
-    for row in rows:
-        text = row.get("libraries") or ""
-        other = {name: there for name, there in _versions(text).items() if now.get(name) != there}
-        cells += bool(other)
-        counts.update(f"{name} {there} (here {now.get(name, 'none')})" for name, there in other.items())
+    for text, count in Counter(texts).items():
+        other = {name: there for name, there in _versions(text or "").items() if now.get(name) != there}
+        cells += count if other else 0
+        for name, there in other.items():
+            counts[f"{name} {there} (here {now.get(name, 'none')})"] += count
     if not cells:
         return ""
     return f"{cells} cells were flown with other libraries: " + ", ".join(

@@ -169,9 +169,9 @@ class TestLibraries:
         assert versions_of(result.rows)["numpy"] == f"{here['numpy']} | 0{here['numpy']}"
 
     def test_a_cell_that_says_nothing_of_them_differs_in_nothing(self):
-        assert differing_libraries([{"libraries": ""}, {}], "numpy 2") == ""
-        assert differing_libraries([{"libraries": "numpy 2"}], "numpy 2, torch 3") == ""
-        assert "numpy 1 (here none)" in differing_libraries([{"libraries": "numpy 1"}], "torch 3")
+        assert differing_libraries(["", None], "numpy 2") == ""
+        assert differing_libraries(["numpy 2"], "numpy 2, torch 3") == ""
+        assert "numpy 1 (here none)" in differing_libraries(["numpy 1"], "torch 3")
 
     def test_every_cell_has_all_versions_in_its_record(self, folder):
         record = read_metadata(next(folder.glob("cells/*/*.parquet")), "flight")
