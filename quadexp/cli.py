@@ -109,7 +109,7 @@ def _run() -> int:
             error.show()  # type: ignore[attr-defined]
             code = 2
         else:
-            typer.secho(f"error: {error.format_message()}", fg="red", err=True)
+            fail(error.format_message(), 2)
             code = getattr(error, "exit_code", 2)
     return code if isinstance(code, int) else 0
 

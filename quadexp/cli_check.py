@@ -9,7 +9,7 @@ import typer
 
 from quadexp.cli_options import Conf, Json
 from quadexp.errors import DataError, QuadexpError, UsageError
-from quadexp.terminal import emit, guarded
+from quadexp.terminal import console, emit, guarded
 
 COLOURS = {"blocking": "bold red", "warning": "yellow", "info": "dim"}
 
@@ -107,17 +107,14 @@ def _with_import(findings: list[Any], flight: Any) -> list[Any]:
 
 
 def _print(loaded: dict[Path, Any], found: dict[str, list[Any]], drawn: dict[str, Path]) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=200)
+    out = console()
     for path, flight in loaded.items():
         findings = found[str(path)]
         length = float(flight.t[-1] - flight.t[0]) if len(flight) else 0.0
-        console.print(Text(f"{path}: {len(flight)} rows, {length:.1f} s"), soft_wrap=True)
+        out.print(Text(f"{path}: {len(flight)} rows, {length:.1f} s"), soft_wrap=True)
         if findings:
             table = Table(show_edge=False, pad_edge=False, box=None, header_style="bold")
             for title in ("", "fault", "where", "measured", "allowed"):
@@ -126,19 +123,19 @@ def _print(loaded: dict[Path, Any], found: dict[str, list[Any]], drawn: dict[str
                 measured = one.measured + (f" - {one.advice}" if one.advice else "")
                 cells = (one.severity, one.name, one.where, measured, one.allowed)
                 table.add_row(*(Text(cell) for cell in cells), style=COLOURS[one.severity])
-            console.print(table)
+            out.print(table)
         else:
-            console.print("  nothing found")
+            out.print("  nothing found")
         if str(path) in drawn:
-            console.print(Text(f"  {drawn[str(path)]}"), soft_wrap=True)
-        console.print()
+            out.print(Text(f"  {drawn[str(path)]}"), soft_wrap=True)
+        out.print()
     counts = dict.fromkeys(COLOURS, 0)
     for findings in found.values():
         for severity in {one.severity for one in findings}:
             counts[severity] += 1
     clean = sum(1 for findings in found.values() if all(one.severity == "info" for one in findings))
     flights = "1 flight" if len(found) == 1 else f"{len(found)} flights"
-    console.print(f"{flights}: {clean} clean, {counts['warning']} with warnings, {counts['blocking']} blocked")
+    out.print(f"{flights}: {clean} clean, {counts['warning']} with warnings, {counts['blocking']} blocked")
 
 
 def _draw(folder: Path, loaded: dict[Path, Any], found: dict[str, list[Any]]) -> dict[str, Path]:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from quadexp.cli_options import Json
-from quadexp.terminal import emit, guarded, say
+from quadexp.terminal import console, emit, guarded, say
 
 COLUMNS = ("trajectory", "speed", "plant", "controller", "model", "variant", "seed", "outcome", "mean_error", "rmse")
 FAILED_COLUMNS = ("trajectory", "speed", "plant", "controller", "model", "variant", "seed", "outcome", "cause")
@@ -109,7 +109,7 @@ def _verify(folder: Path, json: bool) -> None:
 
 
 def _print(rows: list[dict[str, Any]], columns: tuple[str, ...]) -> None:
-    from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     from quadexp.report.metrics import SHOWN
@@ -127,7 +127,6 @@ def _print(rows: list[dict[str, Any]], columns: tuple[str, ...]) -> None:
                 value = "" if value is None or value != value else f"{SHOWN[name][0] * value:.4g}"
             elif isinstance(value, float):
                 value = f"{value:g}"
-            cells.append("" if value is None else str(value))
+            cells.append("" if value is None else escape(str(value)))
         table.add_row(*cells)
-    console = Console()
-    (console if console.is_terminal else Console(width=200)).print(table)
+    console().print(table)

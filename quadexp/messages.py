@@ -1,10 +1,48 @@
-"""One line from a mistake: what may have been meant, and the telling part of a library's error."""
+"""What people read: one line from a mistake (what may have been meant, the telling part of a library's error), and text
+without anything that a terminal would obey.
+
+Names come from files that others made. A control character in one could move the cursor, hide or forge lines, or set
+the terminal's title; so standard output and the error stream are wrapped once (quadexp/terminal.py), and whatever is
+printed shows such characters instead of sending them.
+"""
 
 from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+# All of ASCII's and Latin-1's but tab and newline, and those that turn the direction of writing or break lines.
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+
+
+def clean(text: str) -> str:
+    """The text with control characters written out, such as \\x1b for ESC."""
+    return _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
+
+
+class CleanStream:
+    """A text stream that passes on no control character. raw: the stream itself, for what this program styles."""
+
+    def __init__(self, raw: Any) -> None:
+        self.raw = raw
+
+    def write(self, text: str) -> int:
+        self.raw.write(clean(text))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.raw, name)
+
+
+def raw(stream: Any) -> Any:
+    """What is below a CleanStream; any other stream itself."""
+    return stream.raw if isinstance(stream, CleanStream) else stream
 
 # What OmegaConf says of a value of the wrong type.
 _CONVERSION = re.compile(r"Value '(.*)' of type '[^']*' could not be converted to (\w+)$")

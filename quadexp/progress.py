@@ -6,6 +6,8 @@ import sys
 from types import TracebackType
 from typing import Any
 
+from quadexp.messages import CleanStream, raw
+
 
 class Progress:
     """with Progress("flights") as progress: progress(done, total)"""
@@ -23,8 +25,10 @@ class Progress:
             from rich.progress import Progress as Bar
 
             columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-            self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
+            terminal = Console(file=raw(sys.stderr), stderr=True)
+            self._bar = Bar(*columns, console=terminal, transient=True)
             self._bar.start()
+            sys.stdout, sys.stderr = CleanStream(sys.stdout), CleanStream(sys.stderr)  # the bar's, until it stops
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:

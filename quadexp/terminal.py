@@ -11,13 +11,14 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import typer
 
 from quadexp.errors import QuadexpError
+from quadexp.messages import CleanStream, clean, raw
 
 PLAIN = {"\u00a0": " ", "\u202f": " ", "\u2013": "-", "\u2212": "-", "\u00b5": "u", "\u00b1": "+-", "\u00b7": "."}
 NO_MEMORY = re.compile("can't allocate memory|Cannot allocate memory|bad_alloc")  # as libraries say it
@@ -25,7 +26,8 @@ _signals: list[int] = []  # that asked this process to end
 
 
 def prepare() -> None:
-    """Before any command: SIGTERM ends it as Ctrl-C does, and a terminal of few letters gets what it can show."""
+    """Before any command: SIGTERM ends it as Ctrl-C does, a terminal gets what letters it can show, and no control
+    characters from a file."""
     usual = {signal.SIGTERM: signal.SIG_DFL, signal.SIGINT: signal.default_int_handler}
     for number, handler in usual.items():
         if signal.getsignal(number) is handler:
@@ -33,6 +35,9 @@ def prepare() -> None:
     codecs.register_error("quadexp", _plain)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="quadexp")
+        sys.stdout = CleanStream(sys.stdout)
+    if isinstance(sys.stderr, io.TextIOWrapper):
+        sys.stderr = CleanStream(sys.stderr)
 
 
 def _interrupt(number: int, frame: Any) -> None:
@@ -110,7 +115,7 @@ def fail(message: object, code: int) -> typer.Exit:
         import traceback
 
         traceback.print_exc()
-    typer.secho(f"error: {' '.join(str(message).split())}", fg="red", err=True)
+    typer.secho(f"error: {clean(' '.join(str(message).split()))}", fg="red", file=raw(sys.stderr))
     return typer.Exit(code)
 
 
@@ -136,17 +141,44 @@ def _finite(value: Any) -> Any:
     return value.item() if hasattr(value, "item") else value
 
 
-def print_table(table: Any) -> None:
+def console() -> Any:
+    """A rich console on standard output, wide where that is no terminal; what it prints is clean like all the rest."""
     from rich.console import Console
 
+    made = Console(file=raw(sys.stdout))
+    if not made.is_terminal:
+        made = Console(file=raw(sys.stdout), width=200)
+    made.push_render_hook(cast(Any, _CleanHook()))
+    return made
+
+
+class _CleanHook:
+    """Has every piece of text cleaned before rich adds its colours."""
+
+    def process_renderables(self, renderables: list[Any]) -> list[Any]:
+        return [_Clean(one) for one in renderables]
+
+
+class _Clean:
+    """renderable: of rich."""
+
+    def __init__(self, renderable: Any) -> None:
+        self.renderable = renderable
+
+    def __rich_console__(self, console: Any, options: Any) -> Iterator[Any]:
+        from rich.segment import Segment
+
+        for piece in console.render(self.renderable, options):
+            yield piece if piece.control else Segment(clean(piece.text), piece.style)
+
+
+def print_table(table: Any) -> None:
     from quadexp.report.tables import to_rich
 
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=200)
+    out = console()
     shown = to_rich(table)
-    if console.measure(shown, options=console.options.update(max_width=10_000)).maximum > console.width:
+    if out.measure(shown, options=out.options.update(max_width=10_000)).maximum > out.width:
         shown = to_rich(table, stacked=True)
-    console.print(shown)
+    out.print(shown)
     for note in table.notes:
-        console.print(note, markup=False, highlight=False, soft_wrap=True)
+        out.print(note, markup=False, highlight=False, soft_wrap=True)

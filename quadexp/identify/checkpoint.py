@@ -100,8 +100,10 @@ def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Model:
     try:
         model = _decode(payload)
         check_model(model)
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
-        raise DataError(f"{file}: no model that can be used ({_line(error)}); fit it again") from None
+    except ValueError as error:
+        raise DataError(f"{file}: no model that can be used: {str(error).splitlines()[0]}; fit it again") from None
+    except (KeyError, TypeError, AttributeError, IndexError, OverflowError) as error:
+        raise DataError(f"{file}: no model that can be used, parts are missing or of a wrong kind ({error})") from None
     if vehicle is not None:
         fitted = model.vehicle.get("fingerprint")
         if fitted != vehicle.fingerprint:
@@ -180,8 +182,8 @@ def _vehicle_model(content: dict[str, Any]) -> VehicleModel:
 
 
 def _terms(content: dict[str, Any]) -> TermModel:
-    per_axis = {key: tuple(np.array(row, float) for row in content[key]) for key in ("coefficients", "covariance")}
-    whole = {key: np.array(content[key], float) for key in ("residual_std", "condition")}
+    per_axis = {key: tuple(_numbers(row, key) for row in content[key]) for key in ("coefficients", "covariance")}
+    whole = {key: _numbers(content[key], key) for key in ("residual_std", "condition")}
     terms = {"terms": tuple(map(tuple, content["terms"])), "freedom": tuple(content["freedom"])}
     if isinstance(content["momentum"], list):
         terms["momentum"] = tuple(content["momentum"])
@@ -190,7 +192,7 @@ def _terms(content: dict[str, Any]) -> TermModel:
 
 def _posterior(content: dict[str, Any]) -> OutputPosterior:
     content = _arrays(content, OutputPosterior)
-    m = len(content["alpha"])
+    m = len(np.atleast_1d(content["alpha"]))
     if np.shape(content["variance_factor"]) != (m * (m + 1) // 2,):
         raise ValueError(f"variance_factor has not the {m * (m + 1) // 2} numbers of {m} inducing points")
     factor = np.zeros((m, m))
@@ -203,4 +205,17 @@ def _posterior(content: dict[str, Any]) -> OutputPosterior:
 def _arrays(content: dict[str, Any], kind: type) -> dict[str, Any]:
     """The fields that `kind` declares as arrays, made so."""
     names = {f.name for f in fields(kind) if "ndarray" in str(f.type)}
-    return {key: np.array(value, float) if key in names else value for key, value in content.items()}
+    return {key: _numbers(value, key) if key in names else value for key, value in content.items()}
+
+
+def _numbers(value: Any, name: str) -> Any:
+    """An array of what is a list of numbers, or of such lists; None stays None."""
+    if value is None:
+        return None
+    try:
+        found = np.array(value)
+    except ValueError:  # rows of different lengths
+        found = np.array("")
+    if found.dtype.kind not in "fi" and found.size:
+        raise ValueError(f"{name} holds {str(value)[:60]}; numbers are needed")
+    return found.astype(float)

@@ -5,7 +5,6 @@ Everything is said as b against a: difference = b - a, relative = 100 (b - a) / 
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.errors import UsageError
+from quadexp.errors import QuadexpError, UsageError
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import read_flight, read_metadata
+from quadexp.identify.checkpoint import load_report
 from quadexp.report.differences import change, differing, figure_lines, record_of, setting_lines
 from quadexp.report.summary import MODEL_FILE, RESULTS_FILE, summarise
 from quadexp.state import POSITION
@@ -164,15 +164,14 @@ def _parameters(path: Path, summary: Mapping[str, Any]) -> dict[str, float]:
     """The numbers of a checkpoint by name; held-out errors from the report beside it, where there is one."""
     folder = path.parent if path.name == MODEL_FILE else path
     values: dict[str, float] = {}
-    try:
-        rows = json.loads((folder / "report.json").read_text(encoding="utf-8")).get("rows", [])
-    except (OSError, ValueError):
-        rows = []
     units = {"a": "m/s^2", "t": "N m"}
-    for row in rows:
-        if row.get("predictor") != "zero":
-            name = f"held-out RMSE of {row['output']} by {row['predictor']} ({units[row['output'][0]]})"
-            values[name] = row["rmse"]
+    try:
+        for row in load_report(folder).get("rows", []):
+            if row.get("predictor") != "zero":
+                name = f"held-out RMSE of {row['output']} by {row['predictor']} ({units[row['output'][0]]})"
+                values[name] = float(row["rmse"])
+    except (QuadexpError, ValueError, TypeError, KeyError, AttributeError):  # the model is whole without it
+        values.clear()
     values |= {f"drag_{axis} (1/s)": value for axis, value in zip("xyz", summary["drag"], strict=True)}
     for output, one in summary["outputs"].items():
         values[f"{output} signal"], values[f"{output} noise"] = one["signal_std"], one["noise_std"]

@@ -215,17 +215,18 @@ def table_of(
 
 def to_rich(table: ErrorTable, *, stacked: bool = False) -> Any:
     """A rich Table for the terminal. stacked: intervals below their means, for a narrow one."""
+    from rich.markup import escape as plain
     from rich.table import Table
 
     shown = Table(title=table.title, title_justify="left")
     for heading in ("trajectory", "m/s"):
         shown.add_column(heading, justify="left" if heading == "trajectory" else "right")
     for heading in table.columns:
-        shown.add_column(heading, justify="right", overflow="fold")
+        shown.add_column(plain(heading), justify="right", overflow="fold")
     shown.add_row(*flown_cells(table), end_section=True)
     for line in table.rows:
         cells = [_decorated(table, line, column, "[bold]{}[/bold]") for column in table.columns]
-        shown.add_row(*line, *(cell.replace(" [", "\n[") if stacked else cell for cell in cells))
+        shown.add_row(*map(plain, line), *(cell.replace(" [", "\n[") if stacked else cell for cell in cells))
     return shown
 
 
