@@ -198,9 +198,8 @@ class Comparison:
 
     @property
     def flew_more(self) -> list[str]:
-        """Who of rivals and baseline ended a larger share of its flights well than the lead."""
-        rivals = [x for x in self.order if x not in self.bounds]
-        return [x for x in rivals if self.lead and self.success(x)[0] > self.success(self.lead)[0]]
+        """Who ended a larger share of its flights well than the lead."""
+        return [x for x in self.order if self.lead and self.success(x)[0] > self.success(self.lead)[0]]
 
     @property
     def best(self) -> str | None:
