@@ -44,7 +44,7 @@ class TestRule:
 
 
 def lost_gp(outcome="lost"):
-    """20 paths (seeds), the later the harder; gp_mpc flies only the five easiest, a hair better than the others there."""
+    """20 paths (seeds), the later the harder; gp_mpc flies only the five easiest, and those best."""
     rng = np.random.default_rng(1)
     path = 0.01 * (1 + np.arange(20.0)) * np.exp(0.02 * rng.normal(size=20))
     factors = {"nominal_mpc": 2.0, "linear_drag_mpc": 1.0, "perfect_mpc": 0.45, "gp_mpc": 0.5}
@@ -198,7 +198,7 @@ def test_a_real_sweep_in_which_one_controller_is_lost_at_high_speed(real, tmp_pa
     first = made["answer"][0]
     assert first.startswith("Flights that ended well: perfect MPC nodes=12 and perfect MPC nodes=8 4 of 4, nominal MPC")
     assert "2 of 4. Over the 2 flights that all ended well, " in first and "the best" not in first
-    files = draw_results(result.rows, tmp_path)
+    files = draw_results(result.rows, root)
     assert any("path_circle" in name for name in files)
 
 
