@@ -83,7 +83,10 @@ def line_p(
 
     barred: who flew least of all on this plant and vehicle.
     """
-    among, flights = groups.common_in(condition), groups.flights([condition])
+    among = groups.common_in(condition)
+    if among.flights < 2:
+        return None, math.nan
+    flights = groups.flights([condition])
     rivals = [one for one in flights if not is_bound(one[0])]
     ranking = rank(groups, among, rivals, place, confidence)
     least = ranking.least
