@@ -9,6 +9,7 @@ in overall.py, by a mean ratio with its interval and a paired permutation test; 
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -219,7 +220,9 @@ def _table(metrics: Sequence[Mapping[str, Any]], metric: str) -> list[str]:
         cells = [f"{text:>{width}}" for text, width in zip(row[1:], widths[1:], strict=True)]
         lines.append("  ".join([f"{row[0]:<{widths[0]}}", *cells]))
     left_out = [
-        f"  {one['label']}: left out {one['left_out'].replace(' by a', ' in a')}" for one in metrics if one["left_out"]
+        f"  {one['label']}: left out {re.sub(r' by a(?=,|$)', ' in a', one['left_out'])}"
+        for one in metrics
+        if one["left_out"]
     ]
     own = [
         f"  {one['label']}: over all {one['own']['pairs']} that it ended well in both:"

@@ -213,6 +213,14 @@ class Comparison:
         return ratio_of(self.groups, self.common, self.ranking.least, contestants[bound], self.confidence)
 
     @cached_property
+    def to_base(self) -> tuple[Ratio, float]:
+        """Error of the lead over the baseline's, and the p of no difference for a lead chosen among the rivals."""
+        assert self.reference is not None
+        ratio = self.to_bound(self.reference)
+        p = (len(self.ranking.ratios) + 1) * ratio.p
+        return ratio, 1.0 if p > 1 else p
+
+    @cached_property
     def _flown(self) -> dict[Contestant, Flights]:
         return self.groups.flights(self.groups.worlds.get(self.world, []))
 
