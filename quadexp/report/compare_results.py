@@ -1,14 +1,15 @@
 """Two tables of results: what differs in configuration, in outcome, and in the figures of the cells that both have.
 
-Cells are paired by condition, contestant and seed. First stands how many flights of each ended well. Errors are over the
-flights that all contestants ended well in both (common.py): b is compared with a as a contestant is with a baseline in
-overall.py, by a mean ratio with its interval and a paired permutation test; where that shows no difference, b is "not
-distinguishable". Means over all flights that a contestant itself ended well in both stand beside it.
+Cells are paired by condition, contestant and seed. First stands how many flights of each ended well. Errors are over
+the flights that all contestants ended well in both (common.py): b is compared with a as a contestant is with a baseline
+in overall.py, by a mean ratio with its interval and a paired permutation test; where that shows no difference, b is
+"not distinguishable". Means over all flights that a contestant itself ended well in both stand beside it.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -147,7 +148,8 @@ def _contestants(
         asked = [key for key in both if key[1] == contestant]
         own = [key for key in asked if (key[0], key[2]) in ended[contestant]]
         well = [key for key in own if contestant in compared and (key[0], key[2]) in shared]
-        keys = [key for key in asked if key in set(well) or key not in set(own)]
+        beyond = set(own) - set(well)
+        keys = [key for key in asked if key not in beyond]
         rows = [dict(left[key], controller="a", model="", variant=key[0][4]) for key in keys]
         rows += [dict(right[key], controller="b", model="", variant=key[0][4]) for key in keys]
         (pooled,) = overall(rows, metric=metric, baseline="a", confidence=confidence)
@@ -155,10 +157,9 @@ def _contestants(
             side: [sum(rows_of[key]["outcome"] == "ok" for key in asked), len(asked)]
             for side, rows_of in (("a", left), ("b", right))
         }
-        beyond = len(own) - len(well)
         against = _against(pooled)
         if beyond:
-            against["left_out"] = ", ".join(filter(None, [against["left_out"], f"{beyond} not ended well by all"]))
+            against["left_out"] = ", ".join(filter(None, [against["left_out"], f"{len(beyond)} not ended well by all"]))
         means = change(_mean(left, well, metric), _mean(right, well, metric))
         all_own = change(_mean(left, own, metric), _mean(right, own, metric))
         made.append({"label": label, "cells": len(asked), "flown": flown, **means, **against})
@@ -219,7 +220,9 @@ def _table(metrics: Sequence[Mapping[str, Any]], metric: str) -> list[str]:
         cells = [f"{text:>{width}}" for text, width in zip(row[1:], widths[1:], strict=True)]
         lines.append("  ".join([f"{row[0]:<{widths[0]}}", *cells]))
     left_out = [
-        f"  {one['label']}: left out {one['left_out'].replace(' by a', ' in a')}" for one in metrics if one["left_out"]
+        f"  {one['label']}: left out {re.sub(r' by a(?=,|$)', ' in a', one['left_out'])}"
+        for one in metrics
+        if one["left_out"]
     ]
     own = [
         f"  {one['label']}: over all {one['own']['pairs']} that it ended well in both:"

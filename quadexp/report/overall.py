@@ -68,11 +68,6 @@ class Overall:
     def significant(self) -> bool:
         return self.p_holm < 1 - self.confidence
 
-    @property
-    def comparable(self) -> bool:
-        """Whether so many pairs can show a difference at all."""
-        return self.p_least < 1 - self.confidence
-
     def text(self) -> str:
         """Such as "gp_mpc: 98.7 % [98.6, 98.8] less than nominal_mpc over 4 conditions (20 pairs, p < 0.0001)"."""
         if not self.pairs:

@@ -104,6 +104,7 @@ class Groups:
         self.labels = contestant_labels(self.contestants)
         self._rivals = [c for c in self.contestants if c[0] == baseline]
         self._common: dict[Condition, Common] = {}
+        self._by_cell: dict[tuple[Condition, Contestant], tuple[dict[int, int], np.ndarray]] = {}
 
     @cached_property
     def worlds(self) -> dict[World, list[Condition]]:
@@ -154,8 +155,23 @@ class Groups:
 
     def values(self, condition: Condition, contestant: Contestant, place: int, seeds: Set[int]) -> np.ndarray:
         """Of one metric, one value a seed in ascending order; the mean where a seed was flown more than once."""
-        by_seed = _by_seed(f for f in self.cells.get((condition, contestant), []) if f.seed in seeds)
-        return np.array([np.mean([f.values[place] for f in by_seed[seed]]) for seed in sorted(by_seed)])
+        own, values = self._values(condition, contestant)
+        if seeds >= own.keys():
+            return values[:, place]
+        return values[[i for seed, i in own.items() if seed in seeds], place]
+
+    def _values(self, condition: Condition, contestant: Contestant) -> tuple[dict[int, int], np.ndarray]:
+        """Seed -> row, ascending, and the values of all metrics, a row a seed."""
+        at = condition, contestant
+        if at not in self._by_cell:
+            group = sorted(self.cells.get(at, []), key=lambda f: f.seed)
+            seeds = dict.fromkeys(f.seed for f in group)
+            values = np.array([f.values for f in group], float).reshape(len(group), -1)
+            if len(seeds) < len(group):
+                places = {seed: [i for i, f in enumerate(group) if f.seed == seed] for seed in seeds}
+                values = np.array([values[rows].mean(axis=0) for rows in places.values()])
+            self._by_cell[at] = {seed: i for i, seed in enumerate(seeds)}, values
+        return self._by_cell[at]
 
     def baseline(self, contestant: Contestant) -> Contestant | None:
         """Whom to compare with: the baseline controller; where it flew with several settings, with the same ones."""

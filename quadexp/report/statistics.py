@@ -178,22 +178,24 @@ def compute_statistics(
             limits = mean_interval(values, confidence, least=0.0, seed=seed)
             among = groups.common_in(condition)
             seeds = among.seeds.get(condition, frozenset()) if contestant in among.compared else frozenset[int]()
-            shared = groups.values(condition, contestant, place, seeds)
+            shared = groups.values(condition, contestant, place, seeds) if seeds else values[:0]
             shared = shared[np.isfinite(shared)]
-            same = np.array_equal(np.sort(shared), np.sort(values))
+            same = len(shared) == len(values)  # the common flights are among its own
             common = limits if same else mean_interval(shared, confidence, least=0.0, seed=seed)
+            mean, std = _moments(values)
+            common_mean, common_std = (mean, std) if same else _moments(shared)
             fields: dict[str, Any] = {
                 **dict(zip(("plant", "vehicle", "trajectory", "speed", "setting"), condition, strict=True)),
                 **dict(zip(("controller", "model", "variant"), contestant, strict=True)),
                 "speed": NAN if condition[3] is None else condition[3],
                 "n": len(values),
-                "mean": float(np.mean(values)) if len(values) else NAN,
-                "std": float(np.std(values, ddof=1)) if len(values) > 1 else NAN,
+                "mean": mean,
+                "std": std,
                 "common": len(shared),
-                "common_mean": float(np.mean(shared)) if len(shared) else NAN,
+                "common_mean": common_mean,
                 "common_low": common.low,
                 "common_high": common.high,
-                "common_std": float(np.std(shared, ddof=1)) if len(shared) > 1 else NAN,
+                "common_std": common_std,
                 "common_interval": common.method,
                 "best_p": best.get((condition, contestant), NAN),
                 **tallies[condition, contestant],
@@ -216,6 +218,12 @@ def compute_statistics(
             )
         statistics += _corrected(made)
     return statistics
+
+
+def _moments(values: np.ndarray) -> tuple[float, float]:
+    """Mean and standard deviation, NaN where there is none."""
+    mean = float(np.mean(values)) if len(values) else NAN
+    return mean, float(np.std(values, ddof=1)) if len(values) > 1 else NAN
 
 
 def _best(

@@ -8,7 +8,7 @@
 The least of k was chosen for being the least, so each p_j is multiplied by k. That holds the error rate whatever the
 correlation: to name one falsely it must beat a truly equal or better one from the wrong side, which has a probability
 of alpha / (2 k) at most, and there are k of them (Bonferroni): alpha / 2 for the verdict over all conditions and
-alpha / 2 for the marks in a table, alpha together. Bounds (perfect_*, oracle_*) take no part.
+alpha / 2 for the marks in a table, alpha together. Bounds (perfect_*, oracle_*) are not ranked.
 """
 
 from __future__ import annotations
@@ -83,11 +83,14 @@ def line_p(
 
     barred: who flew least of all on this plant and vehicle.
     """
-    among, flights = groups.common_in(condition), groups.flights([condition])
+    among = groups.common_in(condition)
+    if among.flights < 2:
+        return None, math.nan
+    flights = groups.flights([condition])
     rivals = [one for one in flights if not is_bound(one[0])]
     ranking = rank(groups, among, rivals, place, confidence)
     least = ranking.least
-    if least is None or least in {*barred} or not _flew_most(least, {one: flights[one] for one in rivals}):
+    if least is None or least in {*barred} or not _flew_most(least, flights):
         return None, math.nan
     means = {
         one: float(np.mean(groups.values(condition, one, place, among.seeds[condition]))) for one in ranking.ratios
@@ -138,7 +141,7 @@ class Verdict:
         if not self.least or not self.ways > 1:
             return ""
         over = f"over the {self.common} flight{'s' if self.common != 1 else ''} that all ended well"
-        head = f"least {over}: {self.least}"
+        head = f"least {over}{', bounds aside' if self.bound else ''}: {self.least}"
         ratio = f"{ratio_text(self.ratio)}, {p_text(self.p)}"
         if self.alike:
             return f"{head}, not distinguishable from {', '.join(self.alike)} (nearest: {ratio})"
@@ -175,7 +178,7 @@ def _verdict(groups: Groups, among: Common, flights: dict[Contestant, Flights], 
     rivals = [one for one in flights if not is_bound(one[0])]
     ranking = rank(groups, among, rivals, 0, confidence)
     least, alike = ranking.least, ranking.alike(confidence)
-    less = least is not None and not _flew_most(least, {one: flights[one] for one in rivals})
+    less = least is not None and not _flew_most(least, flights)
     nearest = next(iter(alike), next(iter(ranking.ratios), None))
     bound, bound_ratio = None, NO_RATIO
     if least is not None:
@@ -202,8 +205,5 @@ def _verdict(groups: Groups, among: Common, flights: dict[Contestant, Flights], 
 
 
 def barred(groups: Groups) -> dict[tuple[str, str], frozenset[Contestant]]:
-    """Plant and vehicle -> who flew least there of those that are no bounds."""
-    return {
-        world: flew_least({one: n for one, n in groups.flights(conditions).items() if not is_bound(one[0])})
-        for world, conditions in groups.worlds.items()
-    }
+    """Plant and vehicle -> who flew least there."""
+    return {world: flew_least(groups.flights(conditions)) for world, conditions in groups.worlds.items()}

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from quadexp.report.inference import least_p
 from quadexp.report.overall import Overall
+from quadexp.report.pairing import is_bound
 from quadexp.report.statistics import Statistic
 from quadexp.report.winner import Verdict
 
@@ -44,6 +45,7 @@ def notes(statistics: Sequence[Statistic], pooled: Sequence[Overall], found: Seq
     bold = (
         "; bold: least error of a line, told apart from every other"
         f" (p < {1 - confidence:.2g}, corrected for the choice among them and for the lines), by who flew no less"
+        + ("; bounds take no part" if any(is_bound(s.controller) for s in statistics) else "")
         + ("" if any(s.best for s in statistics) else "; here nobody")
     )
     said = [f"{over}{interval}" + (bold if contestants > 1 else "")]

@@ -8,8 +8,11 @@ import time
 
 import pytest
 
+from quadexp.flight.store import write_table
 from quadexp.report.page import make_report
+from quadexp.report.tables import to_columns
 from tests.report.results import make_results
+from tests.report.test_tables import row
 
 BROWSER = next(
     (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
@@ -47,7 +50,7 @@ def opened(browser, page):
     return show(browser, page)
 
 
-def show(browser, page, width=1280, height=900, **media):
+def show(browser, page, width=1280, height=900, replay=True, **media):
     features = [{"name": f"prefers-{name.replace('_', '-')}", "value": value} for name, value in media.items()]
     metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
@@ -55,7 +58,8 @@ def show(browser, page, width=1280, height=900, **media):
     for kind in ("browser", "performance"):
         browser.get_log(kind)
     browser.get(page.as_uri())
-    wait(browser, "document.querySelector('[data-replay=time]').textContent !== '0.00 s'")
+    if replay:
+        wait(browser, "document.querySelector('[data-replay=time]').textContent !== '0.00 s'")
     return browser
 
 
@@ -97,6 +101,80 @@ def test_the_first_screen_holds_the_answer_and_the_best(opened):
 def test_nothing_is_wider_than_the_screen(browser, page, width):
     show(browser, page, width=width)
     assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+
+
+@pytest.fixture(scope="module")
+def wide_page(tmp_path_factory):
+    """Eleven contestants, two of them variants of one controller, and a setting that varies: wider than a screen."""
+    root = tmp_path_factory.mktemp("wide")
+    names = ["nominal_mpc", "linear_drag_mpc", "rls_mpc", "perfect_mpc", "static_feedback", "rls_feedback"]
+    who = [(name, "") for name in (*names, "oracle_feedback", "literal_feedback", "own_mpc")]
+    who += [("gp_mpc", f"controller.nodes={n} ") for n in (10, 20)]
+    rows = [
+        row(name, seed=seed, speed=speed, error=0.001 * (k + 1) * (1 + 0.01 * ((7 * seed + k) % 5)))
+        | {"variant": f"{own}plant.payload={payload}", "solve_time_median": 3e-5, "solve_time_p99": 6e-5}
+        for payload in ("0", "0.1")
+        for speed in (4.0, 8.0)
+        for k, (name, own) in enumerate(who)
+        for seed in range(3)
+    ]
+    rows = [made | {"key": f"{i:020x}", "backend": "compiled"} for i, made in enumerate(rows)]
+    record = {"metric": "mean_error", "grids": [], "conditions": [], "versions": {}, "provenance": {}}
+    write_table(root / "results.parquet", to_columns(rows), record, "results")
+    return make_report(root, root / "report.html")["path"]
+
+
+BOX = "document.querySelector('[data-table=mean_error]').closest('.scroll')"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [390, 768, 1280])
+def test_a_wide_table_scrolls_visibly_and_its_first_columns_stay(browser, wide_page, width, scheme):
+    show(browser, wide_page, width=width, replay=False, color_scheme=scheme)
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    assert browser.execute_script(f"return {BOX}.scrollWidth > {BOX}.clientWidth + 100")
+    wait(browser, f"{BOX}.classList.contains('over')")
+    hint = "const h = arguments[0].previousElementSibling; return [h.textContent, h.offsetHeight > 0]"
+    box = browser.execute_script(f"return {BOX}")
+    text, seen = browser.execute_script(hint, box)
+    assert "scroll sideways" in text and seen
+    if width > 600:  # a phone lays its scroll bars over the page while they are used
+        assert browser.execute_script("return arguments[0].offsetHeight - arguments[0].clientHeight", box) > 8
+    lefts = (
+        "return [...arguments[0].querySelectorAll('tbody tr:first-child > *')].slice(0, 3)"
+        ".map(e => e.getBoundingClientRect().left)"
+    )
+    before = browser.execute_script(lefts, box)
+    browser.execute_script("arguments[0].scrollLeft = 120", box)
+    after = browser.execute_script(lefts, box)
+    assert after[:2] == pytest.approx(before[:2], abs=2) and after[2] == pytest.approx(before[2] - 120, abs=2)
+    ground = "return getComputedStyle(arguments[0].querySelector('tbody th')).backgroundColor"
+    assert browser.execute_script(ground, box) not in ("rgba(0, 0, 0, 0)", "transparent")
+
+
+def test_a_narrow_table_has_no_hint(opened):
+    assert not opened.execute_script(f"return {BOX}.previousElementSibling.offsetHeight > 0")
+
+
+def test_a_wide_table_fits_a_sheet_of_paper(browser, wide_page):
+    show(browser, wide_page, width=1046, replay=False)  # A4 across, margins of 1 cm
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    wide = "return [...document.querySelectorAll('table')].map(t => t.getBoundingClientRect().right)"
+    rights = browser.execute_script(wide)
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    assert rights and max(rights) <= 1046
+
+
+def test_variants_differ_in_shade_and_marker_and_every_line_says_its_setting(browser, wide_page):
+    show(browser, wide_page, replay=False)
+    marks = browser.execute_script(
+        "return [...document.querySelectorAll('[data-table=mean_error] th[data-label] .mark')].map(m => {"
+        " const s = getComputedStyle(m), d = m.querySelector('path').getAttribute('d');"
+        " return [d, s.fill, s.stroke].join(); })"
+    )
+    assert len(marks) == len(set(marks)) == 11
+    courses = "return [...document.querySelectorAll('[data-table=mean_error] tbody th')].map(h => h.textContent.trim())"
+    assert browser.execute_script(courses) == ["circle payload=0"] * 2 + ["circle payload=0.1"] * 2
 
 
 def test_the_replay_plays_and_pauses(opened):

@@ -93,33 +93,33 @@ def _gain(comparison: Comparison) -> str:
         if len(compared) == 1:
             return f"{over}{spoken(compared[0])} keeps a {metric} of {_error(comparison, compared[0])}."
         return f"{over}the {metric} is {listed(errors)}."
-    one = comparison.overall.get(lead)
-    if base is None or base not in compared or one is None or not math.isfinite(one.reduction):
+    rest = f"{_bound(comparison)}{_flew_more(comparison)}"
+    if base is None or base not in compared:
         error = _error(comparison, lead)
-        rest = f"{_bound(comparison)}{_flew_more(comparison)}"
         return f"{over}{spoken(lead)}{_standing(comparison)} has a {metric} of {error}{rest}."
+    ratio, p = comparison.to_base
     both = f"{_error(comparison, lead)} against {_error(comparison, base)}"
-    reduction, limits = percent_with_interval(one.reduction, one.reduction_low, one.reduction_high)
+    less = ratio.value <= 1
+    reduction, limits = (
+        percent_with_interval(100 * (1 - ratio.value), 100 * (1 - ratio.high), 100 * (1 - ratio.low))
+        if less
+        else percent_with_interval(100 * (ratio.value - 1), 100 * (ratio.low - 1), 100 * (ratio.high - 1))
+    )
     limits = f" {limits}" if limits else ""
-    chance = f", {probability(one.p_holm)}" if math.isfinite(one.p_holm) else ""
-    if not one.significant:
-        few = "" if one.comparable else f"; so few flights ({one.pairs}) cannot tell"
+    if not p < 1 - comparison.confidence:
+        chance = probability(p) if math.isfinite(p) else "so few flights cannot tell"
         return (
             f"{over}{spoken(lead)}{_standing(comparison)} is not distinguishable from {spoken(base)}: its {metric} is"
-            f" {reduction}{limits} smaller ({both}{chance}{few}){_bound(comparison)}{_flew_more(comparison)}."
+            f" {reduction}{limits} {'smaller' if less else 'larger'} ({both}; {chance}){rest}."
         )
-    if one.reduction <= 0:
-        more, limits = percent_with_interval(-one.reduction, -one.reduction_high, -one.reduction_low)
-        limits = f" {limits}" if limits else ""
+    if not less:
         return (
             f"{over}knowing the aerodynamics buys nothing: {spoken(lead)}{_standing(comparison)} has a {metric}"
-            f" {more}{limits} larger than {spoken(base)} ({both}{chance})."
+            f" {reduction}{limits} larger than {spoken(base)} ({both})."
         )
-    ratio = 1 / (1 - one.reduction / 100)
     return (
         f"{over}knowing the aerodynamics cuts the {metric} by {reduction}{limits}:"
-        f" {spoken(lead)}{_standing(comparison)} tracks {times(ratio)} times closer than {spoken(base)}"
-        f" ({both}){_bound(comparison)}{_flew_more(comparison)}."
+        f" {spoken(lead)}{_standing(comparison)} tracks {times(1 / ratio.value)} times closer than {spoken(base)} ({both}){rest}."
     )
 
 
@@ -148,7 +148,7 @@ def _standing(comparison: Comparison) -> str:
         least = "with" if clauses else "with the least of these errors but"
         clauses.append(f"{least} only {k} of {n} flights that ended well")
     if not clauses:
-        clauses = [f"the best of {ways} ways" if ways > 1 else "the one way that flew"]
+        clauses = [f"the best of {ways} ways" if ways > 1 else "the one way compared"]
     return f", {' and '.join(clauses)},"
 
 
@@ -214,19 +214,19 @@ def _note(comparison: Comparison) -> str:
     count = f"{len(seeds)} seed{'s' if len(seeds) > 1 else ''}"
     count += "" if comparison.common.flights == 0 else f", {comparison.common.flights} flights each"
     parts = [f"Geometric means over {flown}, {count}, plant {plant}, vehicle {vehicle}."]
-    one = comparison.overall.get(comparison.lead or "")
-    if one is not None and one.pairs:
-        p = probability(one.p_holm)
-        corrected = f", {p} corrected by Holm" if p else ""
-        parts.append(f"{comparison.confidence:.0%} interval over {one.pairs} paired flights{corrected}.")
+    if comparison.lead is not None and comparison.reference is not None:
+        (ratio, p), ways = comparison.to_base, len(comparison.ranking.ratios) + 1
+        if math.isfinite(ratio.low):
+            corrected = f", corrected for the choice among {ways}" if ways > 1 else ""
+            parts.append(f"{comparison.confidence:.0%} intervals; against the baseline {probability(p)}{corrected}.")
     if len(comparison.worlds) > 1:
         parts.append("Other plants and vehicles stand in the tables.")
     bad = [row for row in comparison.main_rows if row["outcome"] != "ok"]
     total = len(comparison.main_rows)
     kinds = list(dict.fromkeys(row["outcome"].replace("_", " ") for row in bad))
-    if comparison.best is not None and len(comparison.rivals) > 1:
-        p = probability(comparison.ranking.p)
-        parts.append(f"Best of {len(comparison.ranking.ratios) + 1}: {p}, corrected for the choice.")
+    if comparison.best is not None and comparison.ranking.ratios:
+        chance = probability(comparison.ranking.p)
+        parts.append(f"Best of {len(comparison.ranking.ratios) + 1}: {chance}, corrected for the choice.")
     left = [spoken(x) for x in comparison.order if not math.isfinite(comparison.geometric_mean(x))]
     if left and comparison.common.flights:
         parts.append(f"Not compared, for want of flights that ended well: {listed(left)}.")

@@ -198,9 +198,8 @@ class Comparison:
 
     @property
     def flew_more(self) -> list[str]:
-        """Who of rivals and baseline ended a larger share of its flights well than the lead."""
-        rivals = [x for x in self.order if x not in self.bounds]
-        return [x for x in rivals if self.lead and self.success(x)[0] > self.success(self.lead)[0]]
+        """Who ended a larger share of its flights well than the lead."""
+        return [x for x in self.order if self.lead and self.success(x)[0] > self.success(self.lead)[0]]
 
     @property
     def best(self) -> str | None:
@@ -212,6 +211,14 @@ class Comparison:
         assert self.ranking.least is not None
         contestants = {label: contestant for contestant, label in self.labels.items()}
         return ratio_of(self.groups, self.common, self.ranking.least, contestants[bound], self.confidence)
+
+    @cached_property
+    def to_base(self) -> tuple[Ratio, float]:
+        """Error of the lead over the baseline's, and the p of no difference for a lead chosen among the rivals."""
+        assert self.reference is not None
+        ratio = self.to_bound(self.reference)
+        p = (len(self.ranking.ratios) + 1) * ratio.p
+        return ratio, 1.0 if p > 1 else p
 
     @cached_property
     def _flown(self) -> dict[Contestant, Flights]:

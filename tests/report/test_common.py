@@ -1,0 +1,210 @@
+"""Which flights are compared: the rule itself, and that tables, statistics, comparison, page and figures follow it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from quadexp.compose import expand
+from quadexp.experiment.sweep import run_sweep
+from quadexp.flight.store import write_table
+from quadexp.report.common import Flights, common, flew_least
+from quadexp.report.compare import compare
+from quadexp.report.figures import draw_results, error_against_speed
+from quadexp.report.overall import overall
+from quadexp.report.page import make_report
+from quadexp.report.page.answer import answer
+from quadexp.report.page.sections import scoreboard, tables
+from quadexp.report.page.source import read_comparison
+from quadexp.report.statistics import compute_statistics
+from quadexp.report.tables import error_table, to_columns, to_latex, to_markdown
+from quadexp.report.winner import verdicts
+from tests.report.test_tables import row
+
+TIMES = {"solve_time_median": 3e-5, "solve_time_p99": 6e-5, "backend": "compiled"}
+
+
+class TestRule:
+    def test_flights_that_all_ended_well(self):
+        ended = {"a": {1, 2, 3}, "b": {2, 3, 4}, "c": set()}
+        assert common(ended) == (["a", "b"], frozenset({2, 3}))
+        assert common({"a": set(), "b": set()}) == ([], frozenset())
+
+    def test_who_has_the_fewest_is_left_out_where_there_would_be_none(self):
+        assert common({"a": {1, 2, 3}, "b": {2, 3}, "c": {9}}) == (["a", "b"], frozenset({2, 3}))
+        assert common({"a": {1, 2}, "b": {3, 4}}) == ([], frozenset())  # two that never met
+
+    def test_who_flew_least(self):
+        flights = {"a": Flights(20, 20), "b": Flights(5, 20), "c": Flights(1, 4), "d": Flights(0, 0)}
+        assert flew_least(flights) == {"b", "c"}
+        assert flew_least({"a": Flights(3, 3), "b": Flights(5, 5)}) == frozenset()
+        assert flights["b"].text() == "5 of 20" and math.isnan(flights["d"].share)
+
+
+def lost_gp(outcome="lost"):
+    """20 paths (seeds), the later the harder; gp_mpc flies only the five easiest, and those best."""
+    rng = np.random.default_rng(1)
+    path = 0.01 * (1 + np.arange(20.0)) * np.exp(0.02 * rng.normal(size=20))
+    factors = {"nominal_mpc": 2.0, "linear_drag_mpc": 1.0, "perfect_mpc": 0.45, "gp_mpc": 0.5}
+    made = []
+    for name, factor in factors.items():
+        for seed in range(20):
+            gone = name == "gp_mpc" and seed >= 5
+            error = math.nan if gone else float(factor * path[seed] * np.exp(0.01 * rng.normal()))
+            made.append(row(name, seed=seed, error=error, trajectory="random") | TIMES)
+            made[-1] |= {"key": f"{len(made):020x}", "outcome": outcome if gone else "ok"}
+    return made
+
+
+def mean(rows, name, seeds):
+    return 1e3 * float(np.mean([r["mean_error"] for r in rows if r["controller"] == name and r["seed"] in seeds]))
+
+
+@pytest.mark.parametrize("outcome", ["lost", "failed", "infeasible", "solver_failed"])
+class TestFifteenOfTwentyNotFlown:
+    """The case of the complaint, whatever the flights that are missing are called."""
+
+    def test_table(self, outcome):
+        rows = lost_gp(outcome)
+        table = error_table(rows)
+        assert {name: one.text() for name, one in table.flown.items()} == {
+            "nominal_mpc": "20 of 20", "linear_drag_mpc": "20 of 20", "perfect_mpc": "20 of 20", "gp_mpc": "5 of 20",
+        }  # fmt: skip
+        for name in table.columns:
+            entry = table.entries[table.rows[0], name]
+            assert entry.mean == pytest.approx(mean(rows, name, range(5))) and entry.flights == 5 and not entry.best
+            if name != "gp_mpc":
+                assert entry.own == pytest.approx(mean(rows, name, range(20))) and entry.own_flights == 20
+        text = to_markdown(table)
+        assert "| flown |  | 20 of 20 | 20 of 20 | 20 of 20 | 5 of 20 |" in text and "**" not in text
+        assert f"own {mean(rows, 'nominal_mpc', range(20)):.1f} of 20" in text
+        assert r"flown &  & 20 of 20 & 20 of 20 & 20 of 20 & 5 of 20 \\" in to_latex(table)
+        assert r"\textbf" not in to_latex(table)
+
+    def test_statistics_and_overall(self, outcome):
+        rows = lost_gp(outcome)
+        for s in compute_statistics(rows, metrics=["mean_error"]):
+            assert s.common == 5 and s.common_mean == pytest.approx(mean(rows, s.controller, range(5)) / 1e3)
+            assert s.n == (5 if s.controller == "gp_mpc" else 20) and s.pairs == (5 if s.baseline else 0)
+            assert s.success == pytest.approx(0.25 if s.controller == "gp_mpc" else 1.0) and not s.best
+        linear = next(one for one in overall(rows) if one.controller == "linear_drag_mpc")
+        assert linear.pairs == 5 and linear.own_pairs == 20 and linear.left_out == "15 not ended well by all"
+        assert "over all 20 that both ended well: 50" in linear.text()
+        (verdict,) = verdicts(rows)
+        assert verdict.least == "gp_mpc" and not verdict.best and verdict.flew_less and verdict.common == 5
+
+    def test_page(self, outcome, tmp_path):
+        rows = lost_gp(outcome)
+        record = {"metric": "mean_error", "grids": [], "conditions": [], "versions": {}, "provenance": {}}
+        write_table(tmp_path / "results.parquet", to_columns(rows), record, "results")
+        comparison = read_comparison(tmp_path)
+        said = answer(comparison)
+        assert said.flown == (
+            "Flights that ended well: perfect MPC, linear-drag MPC and nominal MPC 20 of 20, GP MPC 5 of 20."
+        )
+        assert said.sentences[0].startswith(said.flown)
+        assert said.gain.startswith("Over the 5 flights that all ended well, ")
+        assert "with the least of these errors but only 5 of 20 flights that ended well" in said.gain
+        assert "the best of" not in said.gain and comparison.best is None
+        board = scoreboard(comparison)
+        assert [one["label"] for one in board][-1] == "gp_mpc" and board[-1]["ended"] == "5 of 20"
+        assert not any(one["role"] == "best" for one in board)
+        assert board[0]["own"].endswith("of 20") and board[-1]["own"] == ""
+        (line,) = tables(comparison)[0]["lines"]
+        assert not any(cell["best"] for cell in line["means"])
+
+    def test_figure(self, outcome):
+        rows = lost_gp(outcome)
+        figure = error_against_speed(rows)
+        drawn = {line.get_label(): float(line.get_ydata()[0]) for line in figure.axes[0].lines}
+        assert drawn == {
+            label: pytest.approx(mean(rows, label.split()[0], range(5)))
+            for label in ("nominal_mpc", "linear_drag_mpc", "perfect_mpc", "gp_mpc (5 of 20 flown)")
+        }
+        assert "mean over the flights that all ended well" in figure.legends[0].get_title().get_text()
+
+    def test_compare(self, outcome, tmp_path):
+        rows = lost_gp(outcome)
+        for name, made in (("a", [r | {"outcome": "ok", "mean_error": 0.1} for r in rows]), ("b", rows)):
+            write_table(tmp_path / name / "results.parquet", to_columns(made), {"metric": "mean_error"}, "results")
+        report = compare(tmp_path / "a", tmp_path / "b")
+        by_label = {one["label"]: one for one in report["metrics"]}
+        assert by_label["gp_mpc"]["flown"] == {"a": [20, 20], "b": [5, 20]}
+        for name, one in by_label.items():
+            assert one["pairs"] == 5 and 1e3 * one["b"] == pytest.approx(mean(rows, name, range(5)))
+        assert by_label["nominal_mpc"]["own"]["pairs"] == 20
+        assert 1e3 * by_label["nominal_mpc"]["own"]["b"] == pytest.approx(mean(rows, "nominal_mpc", range(20)))
+        assert any("nominal_mpc: over all 20 that it ended well in both" in line for line in report["lines"])
+
+
+def test_what_nobody_can_fly_is_no_trial_and_what_somebody_flew_is_one():
+    rows = [row("nominal_mpc", seed=s, outcome="infeasible", error=math.nan) for s in range(3)]
+    rows += [row("gp_mpc", seed=s, outcome="infeasible", error=math.nan) for s in range(3)]
+    assert {one.text() for one in error_table(rows).flown.values()} == {"0 of 0"}
+    rows[0] |= {"outcome": "ok", "mean_error": 0.1}
+    assert {n: one.text() for n, one in error_table(rows).flown.items()} == {
+        "nominal_mpc": "1 of 1",
+        "gp_mpc": "0 of 1",
+    }
+
+
+def test_compare_says_not_distinguishable(tmp_path):
+    rng = np.random.default_rng(4)
+    for name in "ab":
+        made = [row("gp_mpc", seed=s, error=float(0.1 * np.exp(0.3 * rng.normal()))) for s in range(8)]
+        made += [row("rls_mpc", seed=s, error=0.1 if name == "a" else 0.02) for s in range(8)]
+        write_table(tmp_path / name / "results.parquet", to_columns(made), {"metric": "mean_error"}, "results")
+    report = compare(tmp_path / "a", tmp_path / "b")
+    assert [one["distinguishable"] for one in report["metrics"]] == [False, True]
+    lines = {line.split()[0]: line for line in report["lines"] if line.startswith(("gp_mpc", "rls_mpc"))}
+    assert lines["gp_mpc"].endswith("not distinguishable") and lines["rls_mpc"].endswith("smaller")
+
+
+def test_settings_of_a_condition_stand_in_the_line_and_no_two_lines_or_columns_are_the_same():
+    rows = [
+        row(name, seed=s, error=0.1 + 0.01 * s, variant=f"{own}plant.payload={payload}")
+        for name, own in (("nominal_mpc", ""), ("gp_mpc", "controller.a.gain=1 "), ("gp_mpc", "controller.b.gain=1 "))
+        for payload in ("0", "0.1")
+        for s in range(3)
+    ]
+    table = error_table(rows)
+    assert table.rows == (("circle payload=0", "8"), ("circle payload=0.1", "8"))
+    assert table.columns == ("nominal_mpc", "gp_mpc controller.a.gain=1", "gp_mpc controller.b.gain=1")
+    assert len(table.entries) == 6
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory):
+    """Real flights: at 10 m/s nominal MPC strays further than 0.4 m and is lost, perfect MPC is not."""
+    root = tmp_path_factory.mktemp("real")
+    asked = ["controller=nominal_mpc,perfect_mpc", "controller.nodes=8,12", "trajectory=circle", "seed=range(2)"]
+    result = run_sweep(expand([*asked, "trajectory.speed=4,10", "trajectory.lost_distance=0.4"]), root, isolate=False)
+    return root, result
+
+
+def test_a_real_sweep_in_which_one_controller_is_lost_at_high_speed(real, tmp_path):
+    root, result = real
+    assert {(r["controller"], r["speed"]) for r in result.rows if r["outcome"] == "lost"} == {("nominal_mpc", 10.0)}
+    labels = [f"{name} nodes={n}" for name in ("nominal_mpc", "perfect_mpc") for n in (8, 12)]
+    assert {name: one.text() for name, one in result.table.flown.items()} == dict(
+        zip(labels, ["2 of 4", "2 of 4", "4 of 4", "4 of 4"], strict=True)
+    )
+    text = (root / "table.md").read_text()
+    assert "| flown |  | 2 of 4 | 2 of 4 | 4 of 4 | 4 of 4 |" in text and "| circle | 10 | 2 lost | 2 lost |" in text
+    assert "**" not in text  # nominal_mpc flew least, the others are bounds
+    made = make_report(root, tmp_path / "report.html")
+    first = made["answer"][0]
+    assert first.startswith("Flights that ended well: perfect MPC nodes=12 and perfect MPC nodes=8 4 of 4, nominal MPC")
+    assert "2 of 4. Over the 2 flights that all ended well, " in first and "the best" not in first
+    files = draw_results(result.rows, root)
+    assert any("path_circle" in name for name in files)
+
+
+def test_paths_of_a_real_sweep_say_who_is_missing(real):
+    from quadexp.report.figures import _fastest
+
+    chosen, missing = _fastest([r for r in real[1].rows if r["speed"] == 10.0])["circle"]
+    assert [label for label, _ in chosen] == ["perfect_mpc nodes=8", "perfect_mpc nodes=12"]
+    assert missing == ["nominal_mpc nodes=8 (lost)", "nominal_mpc nodes=12 (lost)"]

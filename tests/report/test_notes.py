@@ -1,0 +1,52 @@
+"""Notes on rows: what their columns say, where they are, and nothing where they are not."""
+
+from __future__ import annotations
+
+import math
+
+from quadexp.report.notes import notes
+from quadexp.report.tables import error_table, to_latex, to_markdown
+from tests.report.test_tables import row
+
+
+def test_plain_rows_have_no_notes():
+    assert notes([row(seed=s) for s in range(3)]) == []
+    assert notes([row() | {"outside_data": math.nan, "reference_residual": None, "program": ""}]) == []
+
+
+def test_samples_outside_the_data_of_a_learned_model():
+    rows = [row("gp_mpc", speed=v) | {"outside_data": share} for v, share in ((4.0, 0.0), (8.0, 0.06), (18.0, 0.3))]
+    rows += [row("nominal_mpc", speed=v) | {"outside_data": math.nan} for v in (4.0, 8.0, 18.0)]
+    assert notes(rows) == [
+        "gp_mpc: 12 % of samples outside the data its model was fitted to (most: 30 %, circle 18 m/s)"
+    ]
+    assert notes([row("gp_mpc") | {"outside_data": 0.0}]) == []
+
+
+def test_references_without_all_of_the_residual():
+    values = [1.0] * 15 + [0.5] * 3 + [0.0] * 2
+    rows = [row("gp_mpc", seed=s) | {"reference_residual": v} for s, v in enumerate(values)]
+    assert notes(rows) == [
+        "gp_mpc: 3 of 20 references contain the residual only in part, 2 of 20 references do not contain the residual"
+    ]
+
+
+def test_large_attitude_errors_of_flights_that_ended_well():
+    rows = [row("static_feedback", seed=s, attitude_rmse=math.radians(a)) for s, a in enumerate((2, 9.9, 11, 51.5))]
+    rows.append(row("static_feedback", seed=4, attitude_rmse=math.radians(170), outcome="lost"))
+    assert notes(rows) == [
+        "static_feedback: attitude error above 10 degrees in 2 of 4 flights (most: 51.5 degrees, circle 8 m/s)"
+    ]
+
+
+def test_several_versions_of_the_program():
+    rows = [row(seed=s) | {"program": "1.0" if s < 2 else "1.1", "sources": "aa"} for s in range(5)]
+    assert notes(rows) == ["flown by 2 versions of the program: 1.1 (3 flights), 1.0 (2 flights)"]
+
+
+def test_they_stand_under_every_table():
+    rows = [row("gp_mpc", seed=s) | {"outside_data": 0.25} for s in range(2)]
+    said = "gp_mpc: 25 % of samples outside the data its model was fitted to"
+    table = error_table(rows)
+    assert any(note.startswith(said) for note in table.notes)
+    assert said in to_markdown(table) and said in to_latex(table)

@@ -1,0 +1,149 @@
+"""Who is named best: hardly ever by chance, and where there is a difference. Error rates over many made-up sweeps."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from quadexp.flight.store import write_table
+from quadexp.report.inference import log_ratio
+from quadexp.report.page.answer import answer
+from quadexp.report.page.sections import scoreboard, tables
+from quadexp.report.page.source import read_comparison
+from quadexp.report.statistics import compute_statistics
+from quadexp.report.tables import error_table, to_columns, to_markdown
+from quadexp.report.winner import verdicts
+from tests.report.test_tables import row
+
+NOISES = {
+    "lognormal": lambda rng, n: np.exp(0.3 * rng.normal(size=n)),
+    "uniform": lambda rng, n: rng.uniform(0.5, 1.5, n),
+    "exponential": lambda rng, n: 0.05 + rng.exponential(size=n),
+}
+
+
+def sweep(rng, controllers, *, conditions=1, seeds=5, noise="lognormal", factors=None):
+    """Errors of one distribution for everybody, times `factors`; flights of one seed share what the noise did."""
+    made = []
+    for c in range(conditions):
+        shared = np.exp(0.3 * rng.normal(size=seeds))
+        for name in controllers:
+            errors = 0.01 * (c + 1) * (factors or {}).get(name, 1.0) * shared * NOISES[noise](rng, seeds)
+            made += [row(name, speed=4.0 + c, seed=s, error=float(e)) for s, e in enumerate(errors)]
+    return made
+
+
+def named(rows):
+    """Whether the verdict or a mark of the table names a single best."""
+    return any(v.best for v in verdicts(rows)) or any(
+        s.best for s in compute_statistics(rows, metrics=["mean_error"], baseline="")
+    )
+
+
+@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize(
+    ("count", "conditions", "seeds"), [(2, 1, 5), (4, 1, 5), (4, 3, 4), (8, 2, 3), (2, 2, 3), (4, 6, 1)]
+)
+def test_of_identical_distributions_a_single_best_is_named_in_at_most_five_percent(count, conditions, seeds, noise):
+    rng = np.random.default_rng([count, conditions, seeds])
+    names = [f"way{i}_mpc" for i in range(count)]
+    hits = sum(named(sweep(rng, names, conditions=conditions, seeds=seeds, noise=noise)) for _ in range(120))
+    assert hits / 120 <= 0.05 + 2 * math.sqrt(0.05 * 0.95 / 120)
+
+
+def test_two_equal_ways_that_are_better_than_all_others_are_the_hardest_case():
+    rng = np.random.default_rng(3)
+    names = [f"way{i}_mpc" for i in range(5)]
+    factors = dict.fromkeys(names[2:], 20.0)
+    hits = sum(named(sweep(rng, names, seeds=5, factors=factors)) for _ in range(200))
+    assert hits / 200 <= 0.05
+
+
+@pytest.mark.parametrize("seeds", [3, 5, 12])
+def test_a_real_difference_is_named(seeds):
+    rng = np.random.default_rng(seeds)
+    names = [f"way{i}_mpc" for i in range(4)]
+    hits = 0
+    for _ in range(40):
+        (verdict,) = verdicts(sweep(rng, names, conditions=3, seeds=seeds, factors={"way2_mpc": 0.1}))
+        hits += verdict.best and verdict.least == "way2_mpc"
+    assert hits >= 38
+
+
+def test_the_ratio_and_its_p_by_hand():
+    logs = np.log([1.1, 1.3, 1.2, 1.6])
+    found = log_ratio([logs], 0.95)
+    mean, error = logs.mean(), logs.std(ddof=1) / 2
+    assert found.value == pytest.approx(math.exp(mean))
+    assert (found.low, found.high) == pytest.approx(
+        (math.exp(mean - 3.182446 * error), math.exp(mean + 3.182446 * error))
+    )
+    assert pytest.approx(1 - log_ratio([logs - mean + 3.182446 * error], 0.95).p, abs=1e-6) == 0.95
+    # Several conditions: Welch's degrees of freedom and the weights of the module.
+    other = np.log([0.9, 1.4])
+    both = log_ratio([logs, other], 0.95)
+    assert both.value == pytest.approx(math.exp((logs.mean() + other.mean()) / 2))
+    assert math.isnan(log_ratio([logs, other[:1]]).low) and not math.isnan(
+        log_ratio([logs, other[:1]], across=True).low
+    )
+
+
+def test_the_choice_among_k_is_paid_for():
+    """One and the same pair of errors: told apart when there are two, not any more among many."""
+    rng = np.random.default_rng(0)
+    base = np.exp(0.1 * rng.normal(size=5))
+    ratios = np.exp(np.array([0.04, 0.05, 0.06, 0.10, 0.02]))
+    two = [row("a_mpc", seed=s, error=0.01 * e) for s, e in enumerate(base)]
+    two += [row("b_mpc", seed=s, error=0.01 * e) for s, e in enumerate(base * ratios)]
+    p = log_ratio([np.log(ratios)]).p
+    assert verdicts(two)[0].p == pytest.approx(2 * p) and verdicts(two)[0].best
+    more = [row(f"c{i}_mpc", seed=s, error=0.05 * (1 + 1e-3 * i) * e) for i in range(8) for s, e in enumerate(base)]
+    (verdict,) = verdicts(two + more)
+    assert verdict.p == pytest.approx(10 * p) and verdict.best == (10 * p < 0.05)
+
+
+def results(root, rows):
+    root.mkdir(parents=True)
+    times = {"solve_time_median": 3e-5, "solve_time_p99": 6e-5, "backend": "compiled"}
+    rows = [made | times | {"key": f"{i:020x}"} for i, made in enumerate(rows)]
+    record = {"metric": "mean_error", "grids": [], "conditions": [], "versions": {}, "provenance": {}}
+    write_table(root / "results.parquet", to_columns(rows), record, "results")
+    return read_comparison(root)
+
+
+FOUR = ["nominal_mpc", "linear_drag_mpc", "gp_mpc", "rls_mpc", "perfect_mpc"]
+
+
+def test_the_page_says_not_distinguishable_of_identical_distributions(tmp_path):
+    rng, best, sure = np.random.default_rng(8), 0, 0
+    for i in range(25):
+        comparison = results(tmp_path / str(i), sweep(rng, FOUR, conditions=2, seeds=4))
+        said = answer(comparison).gain
+        assert "as close as" not in said
+        best += "the best of" in said or any(one["role"] == "best" for one in scoreboard(comparison))
+        sure += "not distinguishable from perfect MPC" in said and "times its error [" in said
+    assert best <= 1 and sure >= 22
+
+
+def test_the_page_names_a_real_best_and_gives_its_ratio_to_the_bound_an_interval(tmp_path):
+    factors = {"gp_mpc": 0.1, "linear_drag_mpc": 0.5, "rls_mpc": 0.4, "perfect_mpc": 0.08}
+    comparison = results(tmp_path / "r", sweep(np.random.default_rng(5), FOUR, conditions=4, seeds=8, factors=factors))
+    said = answer(comparison).gain
+    assert comparison.best == "gp_mpc" and "GP MPC, the best of 3 ways, tracks" in said
+    value, low, high, _ = comparison.to_bound("perfect_mpc")
+    assert low < 1.25 < high and low < value < high
+    assert f"{100 * (value - 1):.1f}" in said and f"[{100 * (low - 1):.1f},\u00a0{100 * (high - 1):.1f}]" in said
+    assert next(one["label"] for one in scoreboard(comparison) if one["role"] == "best") == "gp_mpc"
+    cells = [cell for line in tables(comparison)[0]["lines"] for cell in line["means"] if cell["best"]]
+    assert len(cells) == 4
+    assert "the best of 4, told apart from the next" in to_markdown(error_table(comparison.rows))
+
+
+def test_the_same_flights_twice_are_not_distinguishable():
+    rows = sweep(np.random.default_rng(2), ["gp_mpc"], conditions=2, seeds=6)
+    rows += [made | {"controller": "own_mpc"} for made in rows]
+    (verdict,) = verdicts(rows)
+    assert not verdict.best and verdict.alike and verdict.ratio[:3] == [1.0, 1.0, 1.0]
+    assert "not distinguishable from" in to_markdown(error_table(rows)) and "**" not in to_markdown(error_table(rows))
