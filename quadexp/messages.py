@@ -44,6 +44,7 @@ def raw(stream: Any) -> Any:
     """What is below a CleanStream; any other stream itself."""
     return stream.raw if isinstance(stream, CleanStream) else stream
 
+
 # What OmegaConf says of a value of the wrong type.
 _CONVERSION = re.compile(r"Value '(.*)' of type '[^']*' could not be converted to (\w+)$")
 _KINDS = {"Float": "a number", "Integer": "a whole number", "Boolean": "true or false"}
