@@ -119,7 +119,8 @@ def _gain(comparison: Comparison) -> str:
         )
     return (
         f"{over}knowing the aerodynamics cuts the {metric} by {reduction}{limits}:"
-        f" {spoken(lead)}{_standing(comparison)} tracks {times(1 / ratio.value)} times closer than {spoken(base)} ({both}){rest}."
+        f" {spoken(lead)}{_standing(comparison)} tracks {times(1 / ratio.value)} times closer than {spoken(base)}"
+        f" ({both}){rest}."
     )
 
 
