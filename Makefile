@@ -24,7 +24,7 @@ quick: $(STAMP)
 	$(QUADEXP) simulate controller=nominal_mpc trajectory=circle trajectory.speed=8 --out runs/quick.parquet --force
 	$(QUADEXP) collect --out data/residuals.parquet --force
 	$(QUADEXP) fit-gp data/residuals.parquet --out models/gp --force
-	$(QUADEXP) evaluate --sweep experiment=quick --out results/quick
+	$(QUADEXP) evaluate --sweep experiment=quick --out results/quick --refly
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n auto -m 'not slow' tests
@@ -48,18 +48,18 @@ reproduce-torrente: $(STAMP)
 	$(QUADEXP) collect experiment=torrente_table1 --out data/torrente.parquet --force
 	$(QUADEXP) fit-gp data/torrente.parquet gp=per_axis --out models/torrente/per_axis --force
 	$(QUADEXP) fit-gp data/torrente.parquet --out models/torrente/best --force
-	$(QUADEXP) evaluate --sweep experiment=torrente_table1 --out results/torrente_table1
+	$(QUADEXP) evaluate --sweep experiment=torrente_table1 --out results/torrente_table1 --refly
 
 # Examples 1 and 2 of Lei & Li 2017, then both families of controllers on both plants, then changes in mid-flight.
 reproduce-lei-li: $(STAMP)
-	$(QUADEXP) evaluate --sweep experiment=lei_li_example1 --out results/lei_li_example1
-	$(QUADEXP) evaluate --sweep experiment=lei_li_example2 --out results/lei_li_example2
+	$(QUADEXP) evaluate --sweep experiment=lei_li_example1 --out results/lei_li_example1 --refly
+	$(QUADEXP) evaluate --sweep experiment=lei_li_example2 --out results/lei_li_example2 --refly
 	$(QUADEXP) collect vehicle=lei_li plant=blade_element --out data/lei_li_blade_element.parquet --force
 	$(QUADEXP) fit-gp data/lei_li_blade_element.parquet vehicle=lei_li plant=blade_element gp=blade_element --out models/lei_li/blade_element --force
 	$(QUADEXP) collect vehicle=lei_li plant=simplified --out data/lei_li_simplified.parquet --force
 	$(QUADEXP) fit-gp data/lei_li_simplified.parquet vehicle=lei_li plant=simplified --out models/lei_li/simplified --force
-	$(QUADEXP) evaluate --sweep experiment=families --out results/families
-	$(QUADEXP) evaluate --sweep experiment=adaptation --out results/adaptation
+	$(QUADEXP) evaluate --sweep experiment=families --out results/families --refly
+	$(QUADEXP) evaluate --sweep experiment=adaptation --out results/adaptation --refly
 
 # The same claims on fewer flights, as tests that fail where a promised figure is missed.
 reproduce-quick: $(STAMP)

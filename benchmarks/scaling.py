@@ -7,7 +7,7 @@ overhead, dask   short flights on one and on two workers, in turns: time per cel
 driver           20 000 cells without a flight: memory of the driver as they come in, time per cell
 rerun            the command again, when all is flown: seconds of the whole process
 order            flights whose controllers must all be built, in the order of the plan and shuffled: builds, seconds
-store            scan of the cells, footers, and the table, by number of cells
+store            scan of the cells, recalling them, and the table, by number of cells
 
 Nothing is left behind. Other load on the machine shows in every wall clock. Times called `own` are the wall clock less
 the time for which a thread that could have run waited for a core (/proc/*/schedstat): they say what the same would take
@@ -202,7 +202,7 @@ def store(sizes: list[int]) -> Record:
         began = time.perf_counter()
         for key in keys:
             few.row(key)
-        found["footer_ms"] = 1e3 * (time.perf_counter() - began) / len(keys)
+        found["recall_ms"] = 1e3 * (time.perf_counter() - began) / len(keys)
         found["bytes_per_cell"] = int(np.mean([few.path(key).stat().st_size for key in keys]))
         template = flown.rows[0]
         for size in sizes:

@@ -120,11 +120,16 @@ class TestSweep:
         fly(grid, tmp_path / "r", metric="rmse")
         assert len((tmp_path / "r" / "results.csv").read_text().splitlines()) == 13
 
-    def test_two_thousand_cells_again(self, tmp_path):
-        overrides = ["controller=nominal_mpc,perfect_mpc", "seed=range(1000)"]
-        run_sweep(expand(overrides), tmp_path / "r", function=cells.bare_cell, isolate=False)
+    def test_many_cells_again_are_recalled_from_their_files(self, tmp_path, monkeypatch):
+        """Every one by the hash of its bytes: nothing is decoded, and no table is asked."""
+        overrides = ["controller=nominal_mpc,perfect_mpc", "seed=range(50)"]
+        first = run_sweep(expand(overrides), tmp_path / "r", function=cells.bare_cell, isolate=False)
+        for name in ("results.parquet", "results.csv"):
+            (tmp_path / "r" / name).unlink()
+        monkeypatch.setattr("quadexp.flight.store.read_table", lambda *_, **__: pytest.fail("a flight was decoded"))
         again = run_sweep(expand(overrides), tmp_path / "r")
-        assert again.flown == 0 and len(again.rows) == 2000
+        assert again.flown == 0 and len(again.rows) == 100
+        assert [row["key"] for row in again.rows] == [row["key"] for row in first.rows]
 
     def test_a_lost_cell_is_flown_again_and_only_that(self, grid, tmp_path):
         first = fly(grid, tmp_path / "r")
