@@ -160,8 +160,8 @@ def _consistency(
             if name in streams:
                 columns = np.nan_to_num(streams[name]).T
                 shifted[name] = np.stack([np.interp(t + start.seconds, t, column) for column in columns], axis=-1)
-    explained, windows = consistency.explain(cut(t, shifted, starts, half))
-    found = [one.finding() for one in explained] + consistency.disagreements(windows)
+    explained, windows, doubtful = consistency.explain(cut(t, shifted, starts, half))
+    found = [one.finding() for one in explained] + doubtful + consistency.disagreements(windows)
     repaired = _repaired(t, streams, explained) if explained else streams
     return repaired, found
 

@@ -16,7 +16,9 @@ from quadexp.flight.importers.detect import detect
 from quadexp.flight.importers.mapping import Mapping
 from quadexp.flight.importers.mapping_reader import load_mapping
 from quadexp.flight.importers.raw import RawLog
+from quadexp.flight.importers.units import mounting_matrix
 from quadexp.flight.schema import Flight
+from quadexp.flight.signal import Stream
 from quadexp.vehicle import Vehicle
 
 FORMATS = {
@@ -38,13 +40,15 @@ _KINDS = {  # what a file's content may be for a --format
 @dataclass
 class Options:
     """How to import. rate: Hz, None for the log's own. crop: whether to cut ground phases. align: whether to move the
-    streams by the time offsets found."""
+    streams by the time offsets found. mounting, gyro_mounting: roll, pitch, yaw of the sensor in the body (deg)."""
 
     format: str = "auto"
     mapping: Path | None = None
     rate: float | None = None
     crop: bool = True
     align: bool = False
+    mounting: tuple[float, float, float] | None = None
+    gyro_mounting: tuple[float, float, float] | None = None
 
 
 @dataclass
@@ -107,11 +111,24 @@ def _import(path: Path, vehicle: Vehicle | None, options: Options, mapping: Mapp
     log = read_log(path, kind, options.format, mapping)
     if isinstance(log, Flight):
         return log, []
+    _unmount(path, log, options)
     offsets, said = _offsets(path, log, options.align)
     made = assemble(path, log, vehicle, rate=options.rate, cropping=options.crop)
     log.streams.clear()  # a long log is held once
     metadata = _metadata(path, log, made, vehicle, offsets)
     return Flight(made.columns, metadata), [*made.notes, *said]
+
+
+def _unmount(path: Path, log: RawLog, options: Options) -> None:
+    """Turn accelerometer and gyro into the body's axes, where the options say how they sit."""
+    for name, angles in (("acceleration", options.mounting), ("rate", options.gyro_mounting)):
+        if angles is None:
+            continue
+        if name not in log.streams:
+            raise DataError(f"{path}: has no {name} that a mounting could turn")
+        stream = log.streams[name]
+        log.streams[name] = Stream(stream.t, stream.values @ mounting_matrix(angles).T)
+        log.about.setdefault("mounting", {})[name] = list(angles)
 
 
 def read_log(path: Path, kind: str, form: str, mapping: Mapping | None) -> RawLog | Flight:

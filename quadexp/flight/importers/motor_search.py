@@ -138,8 +138,8 @@ def find_battery(names: list[str], s: Samples, usable: list[int], said: Groups) 
         x = s.x[:, columns[0]]
         middle = float(np.median(x))
         unit = unit_of(names[columns[0]])[1]
-        if unit not in ("V", "mV", "cV"):
-            unit = "V" if middle < 60 else "cV" if middle < 6000 else "mV"
+        if unit not in ("V", "mV", "cV", "dV"):
+            unit = "V" if middle < 60 else "dV" if middle < 280 else "cV" if middle < 6000 else "mV"
         if middle > 0:
             return {
                 "battery_voltage": Proposal({"column": names[columns[0]], "unit": unit}, 0.8, f"median {middle:.4g}")
