@@ -40,6 +40,14 @@ def import_flights(
     gyro_mounting: Annotated[
         str | None, typer.Option("--gyro-mounting", metavar="R,P,Y", help="The same of the gyro.")
     ] = None,
+    bad_rows: Annotated[
+        str,
+        typer.Option(
+            "--bad-rows", metavar="HOW",
+            help="Repeated rows, outliers, stretches of a dead logger: refuse the log, drop them (bridged where short),"
+            " or make each a gap.",
+        ),
+    ] = "refuse",
     keep: Annotated[bool, typer.Option("--keep", help="Write flights with blocking findings too.")] = False,
     conf: Conf = None,
     force: Force = False,
@@ -59,7 +67,7 @@ def import_flights(
     from quadexp.flight.importers.importing import Options
 
     turned = (_angles("--mounting", mounting), _angles("--gyro-mounting", gyro_mounting))
-    options = Options(form, mapping, rate, crop, align, *turned)
+    options = Options(form, mapping, rate, crop, align, *turned, bad_rows)
     records: list[dict[str, Any]] = []
     for one in import_files(logs, out, options, vehicle=vehicle, conf=conf, force=force, keep=keep):
         records.append(one.record())

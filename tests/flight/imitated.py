@@ -91,7 +91,7 @@ def imitated(
 
 
 def _logged(signal: str, u: np.ndarray, body: Vehicle) -> np.ndarray:
-    u = np.clip(u, 0.0, None)
+    u = np.clip(u, 0.0, body.thrust_max)
     if signal == "u":
         return u
     return np.sqrt(u / body.thrust_max) * (2000.0 if signal == "rotor_speed" else 1.0)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from quadexp.flight.check.finding import Finding, rows, span
+from quadexp.flight.check.finding import LEAVE_OUT, Finding, rows, span
 from quadexp.flight.schema import Flight
 from quadexp.flight.signal.crop import runs
 from quadexp.vehicle import Vehicle
@@ -51,9 +51,8 @@ def check_commands(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
         if allowed is None or not np.isfinite(values).any():
             continue
         low, high, unit = allowed
-        slack = ROUNDING * (high - low)
         finite = np.where(np.isfinite(values), values, low)
-        outside: np.ndarray = (finite < low - slack) | (finite > high + slack)
+        outside = _outside(finite, low, high)
         allowed_range = f"{low:g}..{high:.4g}{unit}"
         if outside.any():
             mask = np.asarray(outside.any(axis=1))
@@ -63,7 +62,9 @@ def check_commands(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
             first = int(np.argmax(mask))
             where = f"{columns}, {rows(start, stop, flight.t)} longest, {rows(first, first + 1, flight.t)} first"
             found.append(
-                Finding("impossible_command", "blocking", where, text, allowed_range, span=span(flight.t, start, stop))
+                Finding(
+                    "impossible_command", "blocking", where, text, allowed_range, LEAVE_OUT, span(flight.t, start, stop)
+                )  # fmt: skip
             )
         share = (finite >= high - 2e-3 * (high - low)).mean(axis=0)
         found += _spikes(names, np.clip(finite, low, high, out=finite), outside, high - low, flight.t)
@@ -75,6 +76,22 @@ def check_commands(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
             severity = "warning" if share[k] > SATURATED else "info"
             found.append(Finding("saturation", severity, names[k], text, f"{SATURATED:.0%}"))
     return found
+
+
+def _outside(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    slack = ROUNDING * (high - low)
+    return np.asarray((values < low - slack) | (values > high + slack))
+
+
+def impossible_rows(flight: Flight, vehicle: Vehicle | None) -> np.ndarray:
+    """Rows with a command out of its range, (k,)."""
+    bad = np.zeros(len(flight), bool)
+    for kind, names in command_columns(flight).items():
+        allowed = limits(kind, vehicle)
+        if allowed is not None:
+            values = flight.stack(names).astype(float)
+            bad |= _outside(np.nan_to_num(values, nan=allowed[0]), *allowed[:2]).any(axis=1)
+    return bad
 
 
 def _spikes(

@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from quadexp.flight.check.finding import Finding
+from quadexp.flight.check.finding import LEAVE_OUT, Finding
 from quadexp.flight.check.mounting import mounting_repairs
 from quadexp.flight.check.repairs import COLUMNS, Repair, clock_repair, repairs, scale_repairs
 from quadexp.flight.check.windows import SIDES, STREAMS, Pair, Windows, pairs
@@ -215,7 +215,38 @@ def _candidates(windows: Windows, before: dict[str, Agreement], taken: list[Expl
             continue
         if value > LEAST_GAIN and _plausible(repair, before, after):
             found.append(Candidate(value, repair, changed, after, _left(before, after)))
+    if not any(one.repair.severity == "blocking" and one.left < MOST_LEFT for one in found):
+        found += _under_a_mount(windows, before, likely, max((one.value for one in found), default=0.0))
+    blocking = max((one.value for one in found if one.repair.name != "mounting"), default=-np.inf)
+    found = [
+        one
+        for one in found
+        if one.repair.name != "mounting" or one.repair.severity != "blocking" or one.value > blocking + CLEARLY
+    ]
     return sorted(found, key=lambda one: -one.value)
+
+
+def _under_a_mount(
+    windows: Windows, before: dict[str, Agreement], likely: list[Repair], alone: float
+) -> list[Candidate]:
+    """Faults of a sensor that is turned besides: each repair is judged with the turn that is left undone too.
+
+    alone: what the best single repair explains; two must explain clearly more.
+    """
+    found = []
+    for repair in likely:
+        if repair.severity != "blocking" or repair.name in ("mounting", "scale") or not set("pvqf") & set(repair.streams):
+            continue
+        changed = repair.apply(windows)
+        known = agreements(changed, before, repair.streams)
+        mount = next((one for one in mounting_repairs(changed) if one.streams == "f" and one.severity != "blocking"), None)
+        if mount is None:
+            continue
+        after = agreements(mount.apply(changed), known, "f")
+        value = _total(before) - _total(after) - TIE * (repair.cost + mount.cost)
+        if value > alone + CLEARLY + LEAST_GAIN and _plausible(repair, before, after):
+            found.append(Candidate(value, repair, changed, known, _left(before, after)))
+    return found
 
 
 def _left(before: dict[str, Agreement], after: dict[str, Agreement]) -> float:
@@ -314,8 +345,11 @@ def _telling(before: dict[str, Agreement], after: dict[str, Agreement]) -> bool:
     )
 
 
-def stray(windows: Windows) -> list[Finding]:
-    """Stretches where an accelerometer or gyro leaves the motion that the other sensors see, agreeing elsewhere."""
+def stray(windows: Windows) -> list[tuple[Finding, np.ndarray]]:
+    """Stretches where an accelerometer or gyro leaves the motion that the other sensors see, agreeing elsewhere.
+
+    Each with the first and last times of its windows, (n, 2) (s).
+    """
     found = []
     every = {pair.relation: pair for pair in pairs(windows)}
     for name, relations in (("acceleration_outlier", ("force", "force (p)")), ("rate_outlier", ("rate",))):
@@ -333,7 +367,10 @@ def stray(windows: Windows) -> list[Finding]:
         text = f"off by up to {size.max():.4g} {WORDS[pair.relation][1]} in {bad.mean():.1%} of the windows"
         column = COLUMNS["w" if name == "rate_outlier" else "f"]
         where = f"{column}, {low:.2f}..{high:.2f} s"
-        found.append(Finding(name, "blocking", where, text, f"{limit:.3g} from the motion", span=(low, high)))
+        ends = np.stack([windows.t[:, 0], windows.t[:, -1]], axis=1)
+        when = (np.concatenate([ends, ends]) if halves else ends)[bad]
+        allowed = f"{limit:.3g} from the motion"
+        found.append((Finding(name, "blocking", where, text, allowed, LEAVE_OUT, (low, high)), when))
     return found
 
 

@@ -90,7 +90,15 @@ def clean_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes
 def _forward(
     path: Path, name: str, t: np.ndarray, values: np.ndarray, step: np.ndarray, notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows whose time is later than that of all rows before; few may be lost."""
+    """Rows whose time is later than that of all rows before; few may be lost, but for copies of earlier rows."""
+    _, first = np.unique(np.column_stack([t, values]), axis=0, return_index=True)
+    if len(first) < len(t):
+        notes.append(f"{name}: {len(t) - len(first)} of {len(t)} rows are copies of earlier ones, time and all: dropped")
+        first = np.sort(first)
+        t, values = t[first], values[first]
+        step = np.diff(t)
+        if not len(step) or step.min() > 0:
+            return t, values
     back = np.flatnonzero(step < 0)
     late = increasing(t)
     lost = len(t) - int(late.sum())
