@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from quadexp.flight.check import clock, commands, consistency, timing
+from quadexp.flight.check import clock, commands, consistency, rotors, timing
 from quadexp.flight.check import rows as row_checks
 from quadexp.flight.check.dead import check_dead
 from quadexp.flight.check.duplicates import check_duplicates
@@ -36,11 +36,24 @@ def check_flight(flight: Flight, vehicle: Vehicle | None = None) -> list[Finding
 
     vehicle: whose limits the commands must keep; None: unknown. Raises DataError where there is no column t.
     """
-    return inspect_flight(flight, vehicle)[0]
+    motions: list[rotors.Motion] = []
+    found, _ = inspect_flight(flight, vehicle, motions)
+    return worst_first(found + _rotor_findings(flight, vehicle, motions))
 
 
-def inspect_flight(flight: Flight, vehicle: Vehicle | None = None) -> tuple[list[Finding], dict[str, np.ndarray]]:
-    """The findings, and the rows that cannot be, (k,) masks by the name of the finding. Arguments as check_flight."""
+def _rotor_findings(flight: Flight, vehicle: Vehicle | None, motions: list[rotors.Motion]) -> list[Finding]:
+    if vehicle is None or not motions:
+        return []
+    return rotors.rotor_findings(rotors.judge(motions, vehicle), rotors.signal_kind(flight), vehicle)
+
+
+def inspect_flight(
+    flight: Flight, vehicle: Vehicle | None = None, motions: list[rotors.Motion] | None = None
+) -> tuple[list[Finding], dict[str, np.ndarray]]:
+    """The findings, but for those of the rotors; and the rows that cannot be, (k,) masks by the name of the finding.
+
+    Arguments as check_flight; motions: is given what the flight says of its rotors, where it says anything.
+    """
     t = np.asarray(flight.t, float)
     streams = _streams(flight)
     bad_rows: dict[str, np.ndarray] = {}
@@ -104,6 +117,11 @@ def inspect_flight(flight: Flight, vehicle: Vehicle | None = None) -> tuple[list
     found += [one for one in spikes if one.name not in {other.name for other in found}]
     found += commands.check_commands(kept, vehicle)
     mark("impossible_command", commands.impossible_rows(kept, vehicle))
+    found += commands.check_voltage(kept, vehicle)
+    if vehicle is not None and motions is not None and "w" in repaired:
+        motion = rotors.motion_of(kept, vehicle, repaired["w"], bad)
+        if motion is not None:
+            motions.append(motion)
     if t[-1] - t[0] < SHORT:
         found.append(Finding("short", "warning", "all rows", f"{t[-1] - t[0]:.2f} s", f"{SHORT:g} s"))
     return worst_first(_without_symptoms(found)), bad_rows
@@ -126,13 +144,33 @@ def _within(t: np.ndarray, when: np.ndarray) -> np.ndarray:
 def check_flights(
     flights: Mapping[str, Flight], vehicles: Mapping[str, Vehicle | None] | Vehicle | None = None
 ) -> dict[str, list[Finding]]:
-    """Findings of every flight by its name, those about two flights (duplicates) among them."""
+    """Findings of every flight by its name, those about several flights (duplicates, rotors) among them."""
     same = check_duplicates(flights)
-    found = {}
+    found: dict[str, list[Finding]] = {}
+    silent: dict[tuple[str, str], list[tuple[str, rotors.Motion]]] = {}
     for name, flight in flights.items():
         vehicle = vehicles.get(name) if isinstance(vehicles, Mapping) else vehicles
-        found[name] = worst_first(same.get(name, []) + check_flight(flight, vehicle))
-    return found
+        motions: list[rotors.Motion] = []
+        found[name] = same.get(name, []) + inspect_flight(flight, vehicle, motions)[0]
+        if vehicle is None or not motions:
+            continue
+        verdict = rotors.judge(motions, vehicle)
+        found[name] += rotors.rotor_findings(verdict, rotors.signal_kind(flight), vehicle)
+        if verdict is None or not (verdict.sure and verdict.spin):
+            key = (vehicle.fingerprint, rotors.signal_kind(flight))
+            silent.setdefault(key, []).append((name, motions[0]))
+    for (_, kind), members in silent.items():  # what none tells by itself they may tell together
+        if len(members) < 2:
+            continue
+        first = members[0][0]
+        vehicle = vehicles.get(first) if isinstance(vehicles, Mapping) else vehicles
+        assert vehicle is not None
+        verdict = rotors.judge([motion for _, motion in members], vehicle)
+        for name, _ in members:
+            known = {one.name for one in found[name]}
+            made = rotors.rotor_findings(verdict, kind, vehicle)
+            found[name] += [one for one in made if one.name not in known]
+    return {name: worst_first(findings) for name, findings in found.items()}
 
 
 def _streams(flight: Flight) -> dict[str, np.ndarray]:

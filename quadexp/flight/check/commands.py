@@ -17,6 +17,9 @@ SATURATED = 0.05  # share of the samples of one rotor
 SPIKE = 15.0
 SPIKE_FLOOR = 0.5  # of the range
 STANDS = 0.01  # m, m/s: what motion capture makes of a vehicle that stands
+CELL = (2.5, 4.45)  # V: of a lithium cell, empty and full
+MOST_CELLS = 14
+ONE_CELL_MASS = 0.25  # kg: heavier vehicles fly on two cells or more
 FASTEST_ROTOR = 1e4  # rad/s: 95 000 rpm, above any propeller drive
 
 
@@ -92,6 +95,39 @@ def impossible_rows(flight: Flight, vehicle: Vehicle | None) -> np.ndarray:
             values = flight.stack(names).astype(float)
             bad |= _outside(np.nan_to_num(values, nan=allowed[0]), *allowed[:2]).any(axis=1)
     return bad
+
+
+def check_voltage(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
+    """Whether the battery's voltage can be one: of lithium cells, and of one for a vehicle as heavy as this."""
+    if "battery_voltage" not in flight.columns:
+        return []
+    values = np.asarray(flight.columns["battery_voltage"], float)
+    values = values[np.isfinite(values)]
+    middle = float(np.median(values)) if len(values) else 0.0
+    where = "battery_voltage"
+    allowed = f"{CELL[0]:g} to {CELL[1]:g} V a cell, 1 to {MOST_CELLS} cells"
+    if not middle > 0:
+        return [Finding("implausible_voltage", "warning", where, f"median {middle:g} V: not measured", allowed)]
+    light = vehicle is None or vehicle.mass < ONE_CELL_MASS
+    least = CELL[0] if light else 2 * CELL[0]
+    if least <= middle <= MOST_CELLS * CELL[1]:
+        return []
+    text = f"median {middle:.3g} V"
+    if vehicle is not None and CELL[0] <= middle < least:
+        text += f" for {vehicle.mass:g} kg, which takes two cells or more"
+    likely = [(factor, n) for factor in (10.0, 100.0, 0.1, 0.01, 1e-3) if (n := _cells(factor * middle, least))]
+    advice = "state the unit of battery_voltage (V, dV, cV, mV) in the mapping"
+    if likely:
+        factor, cells = likely[0]
+        text += f"; {factor:g} times as much would be {cells} {'cell' if cells == 1 else 'cells'} of"
+        text += f" {factor * middle / cells:.2f} V"
+    return [Finding("implausible_voltage", "blocking", where, text, allowed, advice)]
+
+
+def _cells(voltage: float, least: float) -> int:
+    """How many cells of about 3.8 V a battery of this voltage has; 0 where it is none."""
+    n = round(voltage / 3.8)
+    return n if voltage >= least and 1 <= n <= MOST_CELLS and 3.2 <= voltage / n <= 4.4 else 0
 
 
 def _spikes(

@@ -66,6 +66,9 @@ class RawLog:
     about: dict[str, Any] = field(default_factory=dict)
 
 
+MOST_COPIES = 0.2  # share of the rows that may be copies of earlier ones, time and all
+
+
 def clean_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes: list[str]) -> Stream:
     """A stream without rows that are not numbers or repeat a time; what was dropped is noted.
 
@@ -92,7 +95,7 @@ def _forward(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows whose time is later than that of all rows before; few may be lost, but for copies of earlier rows."""
     _, first = np.unique(np.column_stack([t, values]), axis=0, return_index=True)
-    if len(first) < len(t):
+    if (1 - MOST_COPIES) * len(t) <= len(first) < len(t):
         notes.append(f"{name}: {len(t) - len(first)} of {len(t)} rows are copies of earlier ones, time and all: dropped")
         first = np.sort(first)
         t, values = t[first], values[first]
