@@ -18,7 +18,7 @@ SPIKE = 15.0
 SPIKE_FLOOR = 0.5  # of the range
 STANDS = 0.01  # m, m/s: what motion capture makes of a vehicle that stands
 CELL = (2.5, 4.45)  # V: of a lithium cell, empty and full
-MOST_CELLS = 14
+MOST_CELLS, USUAL_CELLS = 14, 8
 ONE_CELL_MASS = 0.25  # kg: heavier vehicles fly on two cells or more
 FASTEST_ROTOR = 1e4  # rad/s: 95 000 rpm, above any propeller drive
 
@@ -118,7 +118,7 @@ def check_voltage(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
     likely = [(factor, n) for factor in (10.0, 100.0, 0.1, 0.01, 1e-3) if (n := _cells(factor * middle, least))]
     advice = "state the unit of battery_voltage (V, dV, cV, mV) in the mapping"
     if likely:
-        factor, cells = likely[0]
+        factor, cells = min(likely, key=lambda one: one[1] > USUAL_CELLS)
         text += f"; {factor:g} times as much would be {cells} {'cell' if cells == 1 else 'cells'} of"
         text += f" {factor * middle / cells:.2f} V"
     return [Finding("implausible_voltage", "blocking", where, text, allowed, advice)]

@@ -97,7 +97,7 @@ def estimate(known: list[Pair], windows: int) -> Mounting | None:
     if alone:
         vector = np.degrees(turn.as_rotvec())
         if abs(vector[2]) < CERTAIN_ALONE * error[2] or error[2] > LEAST:
-            turn = turn * _about_z(turn).inv()  # the shortest turn that moves z as this one does
+            turn = _shortest(turn)
     made = Mounting(turn.as_matrix(), error)
     size = np.linalg.norm(error[:2] if alone else error)
     if made.angle < max(LEAST, CERTAIN * float(size)):
@@ -123,12 +123,15 @@ def _kabsch(x: np.ndarray, y: np.ndarray) -> Rotation:
         return Rotation.align_vectors(x, y)[0]
 
 
-def _about_z(turn: Rotation) -> Rotation:
-    """The part of a turn that is about z (first that, then a turn about an axis across it)."""
+def _shortest(turn: Rotation) -> Rotation:
+    """The shortest of the turns that bring the same direction of the sensor onto the body's z."""
     from scipy.spatial.transform import Rotation
 
-    x, y, z, w = turn.as_quat()
-    return Rotation.from_quat([0.0, 0.0, z, w] if z * z + w * w > 1e-12 else [0.0, 0.0, 0.0, 1.0])
+    z = np.array([0.0, 0.0, 1.0])
+    axis = np.cross(turn.inv().apply(z), z)
+    sine = float(np.linalg.norm(axis))
+    angle = np.arctan2(sine, float(turn.inv().apply(z) @ z))
+    return Rotation.from_rotvec(angle * axis / sine) if sine > 1e-9 else Rotation.identity()
 
 
 def _repair(streams: str, one: Mounting, cost: float) -> Repair:
