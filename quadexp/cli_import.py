@@ -43,7 +43,8 @@ def import_flights(
     bad_rows: Annotated[
         str,
         typer.Option(
-            "--bad-rows", metavar="HOW",
+            "--bad-rows",
+            metavar="HOW",
             help="Repeated rows, outliers, stretches of a dead logger: refuse the log, drop them (bridged where short),"
             " or make each a gap.",
         ),

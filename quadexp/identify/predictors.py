@@ -31,9 +31,10 @@ Acceleration = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Predictor:
-    """name: of the row. torque: fitted, None where there is none. curve: thrust. beyond: (v (k, 3), w (k, 3), rotor accelerations (k, n)) -> (k, 3), m/s^2.
+    """name: of the row. curve: thrust. beyond: (v (k, 3), w (k, 3), rotor accelerations (k, n)) -> (k, 3), m/s^2.
 
     seen: names of the flights that it was fitted to. ranges: feature -> [low, high] of the fit, for the share outside.
+    torque: fitted, None where there is none.
     """
 
     name: str

@@ -135,7 +135,7 @@ def gyroscopic(rate: np.ndarray, vehicle: Vehicle) -> np.ndarray:
 
 
 def fit_torque(samples: Samples, vehicle: Vehicle, curve: ThrustCurve) -> TorqueModel | None:
-    """Gain, lag and offset an axis; None where the flights have no gyro or no signal of every rotor, or are too short."""
+    """Gain, lag and offset an axis; None where the flights lack a gyro or a signal of every rotor, or are too short."""
     pieces = _cut(samples, vehicle, curve)
     sums = _sums(pieces)
     if sums is None or len(sums.n) < LEAST_BLOCKS:

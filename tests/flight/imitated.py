@@ -74,7 +74,9 @@ def imitated(
     reading = sensor.apply(force, inverse=True) + rng.normal(0, 0.06, 3) + 0.3 * noise * rng.normal(size=p.shape)
     gyro = sensor.apply(w, inverse=True) if turned_gyro else w
     gyro = gyro + rng.normal(0, 0.003, 3) + 0.02 * noise * rng.normal(size=p.shape)
-    tilt = Rotation.from_rotvec(np.radians(0.1) * noise * rng.normal(size=p.shape) + np.radians(0.3) * rng.normal(size=3))
+    tilt = Rotation.from_rotvec(
+        np.radians(0.1) * noise * rng.normal(size=p.shape) + np.radians(0.3) * rng.normal(size=3)
+    )
     q = (Rotation.from_quat(q, scalar_first=True) * tilt).as_quat(scalar_first=True)
     q *= np.cumprod(np.concatenate([[1.0], np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)]))[:, None]
     columns = {"t": t - t[0]}

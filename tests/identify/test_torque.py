@@ -72,7 +72,10 @@ def test_rotors_that_say_nothing_are_refused_by_name():
     ]
     model = fit_torque(gather(swapped, "u"), body, thrust_in_newtons(body))
     assert not model.used.any()
-    assert all("refused" in line and axis in line for line, axis in zip(torque_lines(model), ("roll", "pitch", "yaw"), strict=True))
+    assert all(
+        "refused" in line and axis in line
+        for line, axis in zip(torque_lines(model), ("roll", "pitch", "yaw"), strict=True)
+    )
 
 
 @pytest.fixture(scope="module")

@@ -246,7 +246,7 @@ def _consistency(
 def _stray(
     t: np.ndarray, streams: dict[str, np.ndarray], segment: np.ndarray | None, without: list[np.ndarray]
 ) -> list[tuple[Finding, np.ndarray]]:
-    """Stretches where a sensor leaves the motion, and their times. without: masks of rows whose motion is not to be believed."""
+    """Stretches where a sensor leaves the motion, and their times. without: masks of rows of untrue motion."""
     good = np.ones(len(t), bool)
     for values in streams.values():
         good &= np.isfinite(values).all(axis=1)

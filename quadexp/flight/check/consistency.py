@@ -197,9 +197,7 @@ def _candidates(windows: Windows, before: dict[str, Agreement], taken: list[Expl
     done |= {(streams, "mounting") for one in taken if one.repair.name == "mounting" for streams in ("f", "w", "wf")
              if set(streams) & set(one.repair.streams)}  # fmt: skip
     every = [
-        repair
-        for repair in (*repairs(present(windows)), *_scales(before))
-        if (repair.streams, repair.name) not in done
+        repair for repair in (*repairs(present(windows)), *_scales(before)) if (repair.streams, repair.name) not in done
     ]
     few = windows.every(max(1, len(windows.t) // FEW))
     known = agreements(few)
@@ -235,11 +233,17 @@ def _under_a_mount(
     """
     found = []
     for repair in likely:
-        if repair.severity != "blocking" or repair.name in ("mounting", "scale") or not set("pvqf") & set(repair.streams):
+        if (
+            repair.severity != "blocking"
+            or repair.name in ("mounting", "scale")
+            or not set("pvqf") & set(repair.streams)
+        ):
             continue
         changed = repair.apply(windows)
         known = agreements(changed, before, repair.streams)
-        mount = next((one for one in mounting_repairs(changed) if one.streams == "f" and one.severity != "blocking"), None)
+        mount = next(
+            (one for one in mounting_repairs(changed) if one.streams == "f" and one.severity != "blocking"), None
+        )
         if mount is None:
             continue
         after = agreements(mount.apply(changed), known, "f")

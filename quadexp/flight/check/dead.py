@@ -63,7 +63,8 @@ def check_dead(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Find
 def _bend(x: np.ndarray, t: np.ndarray, m: int) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Second differences over m samples, (k, columns), what counts as none, and the usual one, (columns,).
 
-    A line may have been drawn over the times or over the rows. Columns that never bend are left out; None where there is none that could tell.
+    A line may have been drawn over the times or over the rows. Columns that never bend are left out; None where no
+    column could tell.
     """
     bend = np.full(x.shape, np.inf)
     first, middle, last = x[: -2 * m], x[m:-m], x[2 * m :]

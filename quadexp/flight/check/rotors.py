@@ -36,7 +36,7 @@ AXES = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True)
 class Motion:
-    """torque: J w' + w x J w, thrust: of every rotor (any scale) at each lag: (k, 3), (lags, k, n); all without mean."""
+    """torque: J w' + w x J w, thrust: of every rotor (any scale) at each lag: (k, 3), (lags, k, n); no means."""
 
     torque: np.ndarray
     thrust: np.ndarray
@@ -74,7 +74,9 @@ class Verdict:
         return bool(self.best[:2].min() > EXPLAINS)
 
 
-def motion_of(flight: Flight, vehicle: Vehicle, w: np.ndarray | None = None, bad: np.ndarray | None = None) -> Motion | None:
+def motion_of(
+    flight: Flight, vehicle: Vehicle, w: np.ndarray | None = None, bad: np.ndarray | None = None
+) -> Motion | None:
     """What one flight says of its rotors; None where it has no gyro, no rotor signal or too little of it.
 
     w: (k, 3) rad/s, body FLU, in place of the flight's own. bad: rows not to be used, (k,).
@@ -255,7 +257,9 @@ def rotor_findings(verdict: Verdict | None, kind: str, vehicle: Vehicle) -> list
         severity = "blocking" if verdict.clear else "warning"
         found.append(Finding("rotor_order", severity, where, text, f"{MARGIN:.0%} less than another order", advice))
     if verdict.spin < 0:
-        text = f"the yaw acceleration is opposite to what {vehicle.name}'s rotors say {over} ({verdict.best[2]:.0%} of it"
+        text = (
+            f"the yaw acceleration is opposite to what {vehicle.name}'s rotors say {over} ({verdict.best[2]:.0%} of it"
+        )
         text += " explained with every spin reversed)"
         advice = "reverse rotor_spin in the vehicle's file, or the order of the motors if that is where it comes from"
         found.append(Finding("rotor_spin", "blocking", where, text, "the vehicle's spin directions", advice))

@@ -104,9 +104,7 @@ def check_repeats(columns: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[F
     source = int(first[inverse.ravel()[start]])
     text = f"{again.sum()} rows ({again.mean():.2%}) repeat earlier ones to the last digit, these row {source} and on"
     severity = "blocking" if again.mean() > 0.001 else "warning"
-    finding = Finding(
-        "duplicated_rows", severity, rows(start, stop, t), text, "none", LEAVE_OUT, span(t, start, stop)
-    )
+    finding = Finding("duplicated_rows", severity, rows(start, stop, t), text, "none", LEAVE_OUT, span(t, start, stop))
     return [finding], kept & ~again
 
 

@@ -38,7 +38,10 @@ SIGNS = {
 
 @dataclass
 class Assembled:
-    """columns: of the flight. derived: whether velocity is the derivative of the position. start, end: cut out of the log (s, from its start). rates: of every stream (Hz)."""
+    """columns: of the flight. start, end: cut out of the log (s, from its start). rates: of every stream (Hz).
+
+    derived: whether the velocity is the derivative of the position.
+    """
 
     columns: dict[str, np.ndarray]
     rate: float

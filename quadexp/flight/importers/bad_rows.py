@@ -44,16 +44,22 @@ def without_bad_rows(
             break
         if total + int(bad.sum()) > MOST * length:
             names = ", ".join(masks)
-            return flight, counts, [
-                f"{bad.mean():.1%} of the rows are bad ({names}), {MOST:.0%} is the most that is left out: not done"
-            ]
+            return (
+                flight,
+                counts,
+                [f"{bad.mean():.1%} of the rows are bad ({names}), {MOST:.0%} is the most that is left out: not done"],
+            )
         for name, mask in masks.items():
             counts[name] = counts.get(name, 0) + int(mask.sum())
         total += int(bad.sum())
         flight = _without(flight, bad, mode, derived)
     said = ", ".join(f"{count} {name}" for name, count in counts.items())
     what = "bridged where short, else made a gap" if mode == "drop" else "made gaps"
-    return flight, counts, [f"left out: {total} of {length} rows ({total / length:.2%}; {said}), {what}"] if total else []
+    return (
+        flight,
+        counts,
+        [f"left out: {total} of {length} rows ({total / length:.2%}; {said}), {what}"] if total else [],
+    )
 
 
 def _without(flight: Flight, bad: np.ndarray, mode: str, derived: bool) -> Flight:

@@ -96,7 +96,9 @@ def _forward(
     """Rows whose time is later than that of all rows before; few may be lost, but for copies of earlier rows."""
     _, first = np.unique(np.column_stack([t, values]), axis=0, return_index=True)
     if (1 - MOST_COPIES) * len(t) <= len(first) < len(t):
-        notes.append(f"{name}: {len(t) - len(first)} of {len(t)} rows are copies of earlier ones, time and all: dropped")
+        notes.append(
+            f"{name}: {len(t) - len(first)} of {len(t)} rows are copies of earlier ones, time and all: dropped"
+        )
         first = np.sort(first)
         t, values = t[first], values[first]
         step = np.diff(t)

@@ -1,6 +1,6 @@
 """False alarms and misses of the check, counted over imitated flights of six vehicles: a table, and limits on it.
 
-    pytest tests/flight/check/test_confusion.py -m slow -s -n 0      prints the table
+pytest tests/flight/check/test_confusion.py -m slow -s -n 0      prints the table
 """
 
 from __future__ import annotations
@@ -70,10 +70,14 @@ def test_few_false_alarms_and_few_misses():
         said = blocking(turned, vehicle)
         table.setdefault("turned by 3 to 15 deg", Counter())[", ".join(sorted(said)) or (found or ["-"])[0]] += 1
         noisy = imitated(seed, vehicle, noise=3.0, mounting=random_mounting(seed, degrees), **options)
-        table.setdefault("three times the noise, turned", Counter())[", ".join(sorted(blocking(noisy, vehicle))) or "-"] += 1
+        table.setdefault("three times the noise, turned", Counter())[
+            ", ".join(sorted(blocking(noisy, vehicle))) or "-"
+        ] += 1
         for name, (fault, expected) in FAULTS.items():
             said = blocking(fault(sound), vehicle, spins=name == "spins reversed")
-            right = "named" if said == expected else ("and more" if said > expected else f"not: {', '.join(sorted(said))}")
+            right = (
+                "named" if said == expected else ("and more" if said > expected else f"not: {', '.join(sorted(said))}")
+            )
             table.setdefault(name, Counter())[right] += 1
     for name, counts in table.items():
         print(f"{name:<36}{dict(counts)}")

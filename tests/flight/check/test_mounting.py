@@ -1,4 +1,4 @@
-"""A turned accelerometer is offered its correction and is called nothing else; real faults keep their names beside it."""
+"""A turned accelerometer is offered its correction and is called nothing else; real faults keep their names."""
 
 from __future__ import annotations
 
@@ -11,7 +11,15 @@ from tests.flight.check.faults import ACC, P, V, W, inject, put, rotation, take
 from tests.flight.imitated import VEHICLES, imitated, random_mounting, vehicle_named
 
 ANGLES = (3.0, 5.0, 8.0, 11.0, 15.0)
-FOREIGN = {"units", "axis_swap", "sign_flip", "frame_acceleration", "gravity_removed", "inconsistent", "ned_not_converted"}
+FOREIGN = {
+    "units",
+    "axis_swap",
+    "sign_flip",
+    "frame_acceleration",
+    "gravity_removed",
+    "inconsistent",
+    "ned_not_converted",
+}
 CASES = [(VEHICLES[i % 4], seed, ANGLES[i % 5]) for i, seed in enumerate(range(20, 32))]
 
 
@@ -42,7 +50,9 @@ def test_a_turned_accelerometer_is_offered_its_correction(vehicle, seed, degrees
     columns = {key: values.copy() for key, values in flight.columns.items()}
     for names in (ACC, W) if seed % 2 else (ACC,):
         put(columns, names, take(columns, names) @ matrix.T)
-    left = [one for one in check_flight(Flight(columns, flight.metadata), vehicle_named(vehicle)) if one.severity != "info"]
+    left = [
+        one for one in check_flight(Flight(columns, flight.metadata), vehicle_named(vehicle)) if one.severity != "info"
+    ]
     assert not left, [one.message for one in left]
 
 

@@ -19,7 +19,9 @@ RIGGED = {"gain": (0.6, 0.5, 0.4), "lag": 0.02, "offset": (1.0, -0.5, 0.2)}  # a
 
 def reordered(flight: Flight, kind: str, order) -> Flight:
     """The flight with the rotors' columns in another order: column i is rotor order[i]."""
-    return Flight({**flight.columns, **{f"{kind}_{i}": flight[f"{kind}_{k}"] for i, k in enumerate(order)}}, flight.metadata)
+    return Flight(
+        {**flight.columns, **{f"{kind}_{i}": flight[f"{kind}_{k}"] for i, k in enumerate(order)}}, flight.metadata
+    )
 
 
 def mirrored(vehicle):
@@ -64,7 +66,9 @@ def test_flights_too_short_by_themselves_tell_together():
     flights = {str(seed): imitated(seed, "torrente", duration=4.5, noise=1.0) for seed in (73, 74, 75)}
     wrong = {name: reordered(flight, "motor_command", (1, 0, 3, 2)) for name, flight in flights.items()}
     body = vehicle_named("torrente")
-    assert all("rotor_order" not in {one.name for one in findings} for findings in check_flights(flights, body).values())
+    assert all(
+        "rotor_order" not in {one.name for one in findings} for findings in check_flights(flights, body).values()
+    )
     assert all("rotor_order" in {one.name for one in findings} for findings in check_flights(wrong, body).values())
 
 
@@ -94,6 +98,8 @@ def test_on_real_flights(name):
 def test_a_voltage_that_no_battery_has(vehicle, voltage, named):
     flight = imitated(77, vehicle, duration=6.0)
     columns = flight.columns | {"battery_voltage": np.full(len(flight), voltage)}
-    found = [one for one in check_flight(Flight(columns, flight.metadata), vehicle_named(vehicle)) if "voltage" in one.name]
+    found = [
+        one for one in check_flight(Flight(columns, flight.metadata), vehicle_named(vehicle)) if "voltage" in one.name
+    ]
     assert bool(found) == bool(named) and (not named or named in found[0].measured)
     assert not found or found[0].blocks == (voltage > 0)

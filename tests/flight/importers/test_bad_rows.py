@@ -1,4 +1,4 @@
-"""Repeated rows, outliers and a dead logger's line: refused by default with what mends it, left out or cut on request."""
+"""Repeated rows, outliers and a dead logger's line: refused with what mends it, left out or cut on request."""
 
 from __future__ import annotations
 
@@ -105,7 +105,9 @@ def test_bad_rows_are_refused_dropped_or_gaps(tmp_path, case):
 
 
 def test_the_line_is_named_with_its_time():
-    for vehicle, seed, start, length in zip(VEHICLES, range(81, 85), (3.0, 6.5, 9.0, 4.4), (0.8, 2.0, 4.0, 1.3), strict=True):
+    for vehicle, seed, start, length in zip(
+        VEHICLES, range(81, 85), (3.0, 6.5, 9.0, 4.4), (0.8, 2.0, 4.0, 1.3), strict=True
+    ):
         flight = with_line(imitated(seed, vehicle, duration=15), start, start + length)
         (found,) = [one for one in check_flight(flight) if one.name == "dead_logger"]
         assert found.blocks and found.span == pytest.approx((start, start + length), abs=0.03)
@@ -118,16 +120,22 @@ def test_a_frozen_state_is_named_too():
     for name in (*P, *V, *Q):
         columns[name][500:700] = columns[name][500]
     found = {one.name: one for one in check_flight(Flight(columns, flight.metadata))}
-    assert "stands still" in found["dead_logger"].measured and found["dead_logger"].span == pytest.approx((5.0, 7.0), abs=0.03)
+    assert "stands still" in found["dead_logger"].measured and found["dead_logger"].span == pytest.approx(
+        (5.0, 7.0), abs=0.03
+    )
 
 
-@pytest.mark.parametrize("name", ["B2_circle_fast_rep2", "B9_trefoil_slow_rep12", "B3_figure8_fast_rep1", "train", "test"])
+@pytest.mark.parametrize(
+    "name", ["B2_circle_fast_rep2", "B9_trefoil_slow_rep12", "B3_figure8_fast_rep1", "train", "test"]
+)
 def test_real_flights_hold_no_line_but_one_put_there(name):
     flight = blackbird(name) if name in ("train", "test") else nanobench(name)
     for one, expected in ((flight, 0.0), (with_line(flight, 4.0, 6.0), 2.0)):
         streams = {"p": one.stack(P), "v": one.stack(V), "q": one.stack(Q)}
         found, mask = check_dead(streams, one.t)
-        assert len(found) == (expected > 0) and mask.sum() * np.median(np.diff(one.t)) == pytest.approx(expected, abs=0.05)
+        assert len(found) == (expected > 0) and mask.sum() * np.median(np.diff(one.t)) == pytest.approx(
+            expected, abs=0.05
+        )
 
 
 def test_smooth_simulated_flights_hold_no_line():

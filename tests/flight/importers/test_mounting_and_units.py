@@ -34,7 +34,9 @@ def test_what_the_import_offers_mends_it(tmp_path, seed):
     (found,) = [one for one in outcome.findings if one.name == "mounting"]
     assert flight is not None and found.severity == "warning"
     angles = found.advice.split("mounting: [")[1].split("]")[0]
-    words = MAPPING.replace("acc_z]}", f"acc_z], mounting: [{angles}]}}").replace("w_z]}", f"w_z], mounting: [{angles}]}}")
+    words = MAPPING.replace("acc_z]}", f"acc_z], mounting: [{angles}]}}").replace(
+        "w_z]}", f"w_z], mounting: [{angles}]}}"
+    )
     by_mapping, first = made(tmp_path, turned, words)
     values = tuple(float(word) for word in angles.split(","))
     by_option, second = made(tmp_path, turned, MAPPING, mounting=values, gyro_mounting=values)
@@ -71,7 +73,10 @@ def test_decivolts_and_electrical_turns(tmp_path):
     words = MAPPING.splitlines()
     words = [line for line in words if not line.startswith("motor_command")]
     names = ", ".join(f"rotor_speed_{i}" for i in range(4))
-    words += [f"rotor_speed: {{columns: [{names}], unit: erpm, pole_pairs: 7}}", "battery_voltage: {column: battery_voltage, unit: dV}"]
+    words += [
+        f"rotor_speed: {{columns: [{names}], unit: erpm, pole_pairs: 7}}",
+        "battery_voltage: {column: battery_voltage, unit: dV}",
+    ]
     outcome, one = made(tmp_path, Flight(columns, {}), "\n".join(words))
     assert one is not None, outcome.cause
     assert np.allclose(one["battery_voltage"], flight["battery_voltage"])
@@ -102,6 +107,9 @@ def test_one_line_says_what_is_wrong_with_the_mapping(tmp_path, line, message):
 
 def test_options_are_checked(tmp_path):
     (tmp_path / "a.csv").write_text("t\n")
-    for words, text in ((("--mounting", "1,2"), "must be roll,pitch,yaw"), (("--gyro-mounting", "1,2,nan"), "in [-360, 360]")):
+    for words, text in (
+        (("--mounting", "1,2"), "must be roll,pitch,yaw"),
+        (("--gyro-mounting", "1,2,nan"), "in [-360, 360]"),
+    ):
         code, _, error = run("import", tmp_path / "a.csv", *words, "--out", tmp_path / "out")
         assert code == 2 and text in error and len(error.strip().splitlines()) == 1
