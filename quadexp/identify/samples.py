@@ -59,8 +59,10 @@ class Samples:
         """The rows of a mask or index array; the flights keep their numbers."""
         names = ("time", "flight", "segment", "force", "velocity", "signal")
         chosen: dict[str, Any] = {name: getattr(self, name)[selection] for name in names}
-        optional = {"voltage": self.voltage, "rate": self.rate}
-        return replace(self, **chosen, **{key: None if x is None else x[selection] for key, x in optional.items()})
+        for name in ("voltage", "rate"):
+            values = getattr(self, name)
+            chosen[name] = None if values is None else values[selection]
+        return replace(self, **chosen)
 
 
 def rotor_columns(flight: Flight, kind: str) -> list[str]:

@@ -32,7 +32,7 @@ BLOCK = 2.0  # s, of the means and of the bootstrap
 MEMORY = 0.4  # s, of the offset that is followed
 HORIZON = 0.2  # s
 DRAWS = 400
-LEAST_BLOCKS = 4
+LEAST_BLOCKS, LEAST_ROWS = 4, 20
 PIECE, MOST_ROWS = 20.0, 60_000  # s, rows: of a long log every so many pieces are looked at
 
 
@@ -143,8 +143,12 @@ def fit_torque(samples: Samples, vehicle: Vehicle, curve: ThrustCurve) -> Torque
     value = _solve(*_totals(sums, np.ones((1, len(sums.n)))))
     low, high = np.percentile(_solve(*_totals(sums, _weights(sums.flight))), [2.5, 97.5], axis=1)
     share, share_low = _held_out(pieces, sums)
-    made = [part for i in range(3) for part in (value[i, 0], low[i], high[i])]  # gain, lag, offset
-    return TorqueModel(*made, share, share_low)
+    made = {
+        f"{name}{end}": part[i]
+        for i, name in enumerate(("gain", "lag", "offset"))
+        for end, part in (("", value[:, 0]), ("_low", low), ("_high", high))
+    }
+    return TorqueModel(**made, share=share, share_low=share_low)
 
 
 def explained(model: TorqueModel, samples: Samples, vehicle: Vehicle, curve: ThrustCurve) -> np.ndarray | None:
@@ -190,14 +194,14 @@ def _pieces(time: np.ndarray, segment: np.ndarray) -> list[tuple[int, int]]:
     for start, stop in zip(bounds[:-1], bounds[1:], strict=True):
         rows = max(2, int(PIECE / np.median(step)))
         found += [(int(a), int(min(a + rows, stop))) for a in range(start, stop, rows)]
-    return found
+    return [(start, stop) for start, stop in found if stop - start >= LEAST_ROWS]
 
 
 def _blocks(piece: _Piece) -> list[tuple[np.ndarray, ...]]:
     """n, s, ss, sy, y, yy of every block of one stretch."""
     reach = float(max(-LAGS[0], LAGS[-1]))
     t = piece.t
-    if len(t) < 20 or t[-1] - t[0] < WINDOW + 2 * reach + 0.5 * BLOCK:
+    if t[-1] - t[0] < WINDOW + 2 * reach + 0.5 * BLOCK:
         return []
     grid = t[0] + np.arange(len(t)) * (t[-1] - t[0]) / (len(t) - 1)
 
@@ -213,7 +217,7 @@ def _blocks(piece: _Piece) -> list[tuple[np.ndarray, ...]]:
     late = np.stack([np.stack([np.interp(grid[rows] - lag, grid, c) for c in smooth.T], axis=1) for lag in LAGS])
     y = y[rows]
     count = max(1, round(len(rows) * (grid[1] - grid[0]) / BLOCK))
-    found = []
+    found: list[tuple[np.ndarray, ...]] = []
     for part in np.array_split(np.arange(len(rows)), count):
         a, b = late[:, part], y[part]
         da, db = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=0)

@@ -62,28 +62,28 @@ def test_few_false_alarms_and_few_misses():
     table: dict[str, Counter] = {}
     for number, (vehicle, seed) in enumerate(FLIGHTS):
         options = {"duration": 15.0, "speed": None, **RIGGED}
-        degrees = (0.0, 3.0, 7.0, 10.0, 15.0, 8.0)[number % 6]
         sound = imitated(seed, vehicle, **options)
         table.setdefault("sound", Counter())[", ".join(sorted(blocking(sound, vehicle))) or "-"] += 1
         turned = imitated(seed, vehicle, mounting=random_mounting(seed, 3 + 2.4 * (number % 6)), **options)
         found = [one.name for one in check_flight(turned, vehicle_named(vehicle)) if one.name == "mounting"]
         said = blocking(turned, vehicle)
         table.setdefault("turned by 3 to 15 deg", Counter())[", ".join(sorted(said)) or (found or ["-"])[0]] += 1
-        noisy = imitated(seed, vehicle, noise=3.0, mounting=random_mounting(seed, degrees), **options)
-        table.setdefault("three times the noise, turned", Counter())[
-            ", ".join(sorted(blocking(noisy, vehicle))) or "-"
-        ] += 1
-        for name, (fault, expected) in FAULTS.items():
+        if number % 3 == 0:
+            noisy = imitated(seed, vehicle, noise=3.0, mounting=random_mounting(seed, 9.0), **options)
+            said = blocking(noisy, vehicle)
+            table.setdefault("three times the noise, turned", Counter())[", ".join(sorted(said)) or "-"] += 1
+        for k in (2 * number, 2 * number + 1):
+            name = list(FAULTS)[k % len(FAULTS)]
+            fault, expected = FAULTS[name]
             said = blocking(fault(sound), vehicle, spins=name == "spins reversed")
-            right = (
-                "named" if said == expected else ("and more" if said > expected else f"not: {', '.join(sorted(said))}")
-            )
+            right = "named" if said == expected else ("and more: " if said > expected else "missed: ")
+            right += ", ".join(sorted(said - expected))
             table.setdefault(name, Counter())[right] += 1
     for name, counts in table.items():
         print(f"{name:<36}{dict(counts)}")
     n = len(FLIGHTS)
     assert table["sound"]["-"] == n
     assert table["turned by 3 to 15 deg"]["mounting"] >= n - 1
-    assert table["three times the noise, turned"]["-"] == n
+    assert set(table["three times the noise, turned"]) == {"-"}
     for name in FAULTS:
-        assert table[name]["named"] + table[name]["and more"] >= 0.9 * n, name
+        assert not any(said.startswith("missed") for said in table[name]), name

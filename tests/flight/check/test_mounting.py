@@ -43,8 +43,10 @@ def test_a_turned_accelerometer_is_offered_its_correction(vehicle, seed, degrees
     mount = random_mounting(seed, degrees)
     flight = imitated(seed, vehicle, mounting=mount, turned_gyro=bool(seed % 2))
     assert not {one.name for one in check_flight(flight, vehicle_named(vehicle))} & FOREIGN
-    matrix = mounting_matrix(angles_of(flight, vehicle))
     up = np.array([0.0, 0.0, 1.0])
+    if not seed % 2 and np.degrees(np.arccos(mount.apply(up) @ up)) < 1.0:
+        return  # about z alone, which a specific force along z does not see
+    matrix = mounting_matrix(angles_of(flight, vehicle))
     apart = np.degrees(np.arccos(np.clip((matrix @ mount.inv().apply(up)) @ up, -1, 1)))
     assert apart < 1.5
     columns = {key: values.copy() for key, values in flight.columns.items()}
