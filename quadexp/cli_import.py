@@ -33,6 +33,22 @@ def import_flights(
     ] = False,
     crop: Annotated[bool, typer.Option("--crop/--no-crop", help="Cut off what is on the ground.")] = True,
     align: Annotated[bool, typer.Option("--align", help="Move gyro and accelerometer by the offsets found.")] = False,
+    mounting: Annotated[
+        str | None,
+        typer.Option("--mounting", metavar="R,P,Y", help="Roll, pitch, yaw of the accelerometer in the body (deg)."),
+    ] = None,
+    gyro_mounting: Annotated[
+        str | None, typer.Option("--gyro-mounting", metavar="R,P,Y", help="The same of the gyro.")
+    ] = None,
+    bad_rows: Annotated[
+        str,
+        typer.Option(
+            "--bad-rows",
+            metavar="HOW",
+            help="Repeated rows, outliers, stretches of a dead logger: refuse the log, drop them (bridged where short),"
+            " or make each a gap.",
+        ),
+    ] = "refuse",
     keep: Annotated[bool, typer.Option("--keep", help="Write flights with blocking findings too.")] = False,
     conf: Conf = None,
     force: Force = False,
@@ -51,7 +67,8 @@ def import_flights(
     from quadexp.experiment.import_flights import import_files
     from quadexp.flight.importers.importing import Options
 
-    options = Options(form, mapping, rate, crop, align)
+    turned = (_angles("--mounting", mounting), _angles("--gyro-mounting", gyro_mounting))
+    options = Options(form, mapping, rate, crop, align, *turned, bad_rows)
     records: list[dict[str, Any]] = []
     for one in import_files(logs, out, options, vehicle=vehicle, conf=conf, force=force, keep=keep):
         records.append(one.record())
@@ -62,6 +79,21 @@ def import_flights(
     failed = [record for record in records if record["path"] is None]
     if failed:
         raise QuadexpError(f"{len(failed)} of {len(records)} logs were not imported")
+
+
+def _angles(option: str, text: str | None) -> tuple[float, float, float] | None:
+    """Three angles (deg) with commas between."""
+    import math
+
+    if text is None:
+        return None
+    try:
+        roll, pitch, yaw = (float(word) for word in text.split(","))
+    except ValueError:
+        raise UsageError(f"{option}: '{text}' must be roll,pitch,yaw in degrees, as {option}=0.5,-7.8,0") from None
+    if not all(math.isfinite(x) and abs(x) <= 360 for x in (roll, pitch, yaw)):
+        raise UsageError(f"{option}: '{text}' must be in [-360, 360] deg")
+    return roll, pitch, yaw
 
 
 def _describe(logs: list[Path], json: bool) -> None:

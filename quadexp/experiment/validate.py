@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +17,12 @@ from quadexp.flight.schema import Flight
 from quadexp.flight.store import check_output, read_flight, write_text
 from quadexp.identify.gp_fit import fit_gp
 from quadexp.identify.model import GPModel, GPSettings
-from quadexp.identify.open_loop import Track, rollout_errors
+from quadexp.identify.open_loop import TURNING, Track, rollout_errors
 from quadexp.identify.predictors import NOMINAL, Predictor, nominal, predictors
 from quadexp.identify.recorded import recorded_dataset
+from quadexp.identify.samples import gather
 from quadexp.identify.thrust_curve import ThrustCurve
+from quadexp.identify.torque import TorqueModel, explained, torque_lines
 from quadexp.identify.validation import FlightRows, Residuals, band_rows, read_rows, residuals, score_rows
 from quadexp.identify.vehicle_fit import FitSettings, fit_vehicle_model
 from quadexp.identify.vehicle_model import VehicleModel
@@ -69,12 +71,14 @@ def validate(
     found: dict[str, list[Residuals]] = {}
     rollouts: list[dict[str, Any]] = []
     notes: list[str] = []
+    torques: list[str] = []
     for done, (_, tested, fitted) in enumerate(folds):
         progress(done, len(folds))
         chosen = loaded
         if leave_one_out:
             chosen = refitted(loaded, {name: flown[name] for name in fitted}, vehicle)
-        made = _predictors(chosen, vehicle)
+        made, said = _torque_tested(_predictors(chosen, vehicle), [flown[name] for name in tested], tested, vehicle)
+        torques += [f"{', '.join(tested)}: {line}" if leave_one_out else line for line in said]
         rows = [read_rows(flown[name], name, made[0].curve.signal) for name in tested]
         if not leave_one_out:
             notes += _seen(made, tested)
@@ -91,6 +95,7 @@ def validate(
         "rows": score_rows(merged, NOMINAL),
         "bands": band_rows(merged),
         "rollouts": _mean_rollouts(rollouts),
+        "torque": torques,
         "notes": list(dict.fromkeys(notes)),
         "versions": versions(),
         "provenance": provenance(),
@@ -117,17 +122,53 @@ def _load(paths: Sequence[Path], vehicle: Vehicle) -> list[tuple[str, Any]]:
 def _predictors(loaded: Sequence[tuple[str, Any]], vehicle: Vehicle) -> list[Predictor]:
     """All predictors, nominal first; names stay unique where two identified vehicles are compared."""
     curve: ThrustCurve | None = None
+    torque: TorqueModel | None = None
     made: list[Predictor] = []
     several = sum(isinstance(model, VehicleModel) for _, model in loaded) > 1
     for label, model in loaded:
         for one in predictors(model, label, vehicle, curve):
             if several and isinstance(model, VehicleModel):
-                one = Predictor(f"{label}: {one.name}", one.curve, one.beyond, one.seen, one.ranges)
-            made.append(one)
+                one = replace(one, name=f"{label}: {one.name}")
+            made.append(replace(one, torque=one.torque or torque))
         curve = curve or getattr(model, "thrust", None)
+        torque = torque or getattr(model, "torque", None)
     if all(one.name != NOMINAL for one in made):
         made.insert(0, nominal(made[0].curve, made[0].seen))
     return made
+
+
+def _torque_tested(
+    made: Sequence[Predictor], flights: Sequence[Flight], names: Sequence[str], vehicle: Vehicle
+) -> tuple[list[Predictor], list[str]]:
+    """The predictors, with a fitted torque whose axes that fail on these flights are refused; and what it is.
+
+    An axis is used where it explained what was left out of the fit, and explains the flights here, better than nothing.
+    """
+    found: list[Predictor] = []
+    lines: list[str] = []
+    seen: list[tuple[TorqueModel, TorqueModel]] = []
+    for one in made:
+        model = one.torque
+        if model is None:
+            found.append(one)
+            continue
+        tested = next((new for old, new in seen if old is model), None)
+        if tested is None:
+            share = explained(model, gather(flights, one.curve.signal, names), vehicle, one.curve)
+            tested = model if share is None else replace(model, share_low=np.minimum(model.share_low, share))
+            seen.append((model, tested))
+            lines += _torque_lines(model, share)
+        found.append(replace(one, torque=tested))
+    return found, lines
+
+
+def _torque_lines(model: TorqueModel, share: np.ndarray | None) -> list[str]:
+    lines = []
+    for i, line in enumerate(torque_lines(model)):
+        here = "" if share is None else f"; {100 * share[i]:.0f} % of it here"
+        refused = model.used[i] and share is not None and share[i] <= 0
+        lines.append(line + here + (": no better than nothing, refused" if refused else ""))
+    return lines
 
 
 def refitted(
@@ -202,7 +243,9 @@ def _rollouts(
         for tracked in (False, True):
             found += rollout_errors(predictor, tracks, horizons, tracked=tracked)
         if predictor.curve.signal != "thrust_acceleration" and predictor.curve.rotors == vehicle.n_rotors:
-            found += rollout_errors(predictor, tracks, horizons, tracked=True, vehicle=vehicle)
+            for mode in TURNING:
+                if mode != "torque" or predictor.torque is not None:
+                    found += rollout_errors(predictor, tracks, horizons, tracked=True, vehicle=vehicle, mode=mode)
     return found
 
 

@@ -25,6 +25,7 @@ from quadexp.identify.model import GPModel, OutputPosterior
 from quadexp.identify.term_mean import TermMean
 from quadexp.identify.terms import TermModel
 from quadexp.identify.thrust_curve import ThrustCurve
+from quadexp.identify.torque import TorqueModel
 from quadexp.identify.vehicle_model import VehicleModel
 from quadexp.vehicle import Vehicle
 
@@ -178,6 +179,8 @@ def _vehicle_model(content: dict[str, Any]) -> VehicleModel:
     content["thrust"] = ThrustCurve(**_arrays(content["thrust"], ThrustCurve))
     for kind in ("linear", "quadratic", "blade_element"):
         content[kind] = None if content[kind] is None else _terms(content[kind])
+    if content.get("torque") is not None:
+        content["torque"] = TorqueModel(**_arrays(content["torque"], TorqueModel))
     return VehicleModel(**content | {"notes": tuple(content["notes"])})
 
 

@@ -1,10 +1,14 @@
 """Open-loop prediction: start at a measured state, go on with the model alone, compare with what was measured.
 
 attitude   v' = R(t) f_model(R(t)^T v, w(t), a(t)) + g,  p' = v        R, w and the rotors' signal as measured
-full       the rigid body of 13 states (quadexp.dynamics.rigid_body) under the rotors' thrusts, the model as correction
+held       all 13 states; the body rates stay what they were at the start
+torque     all 13 states; angular acceleration by the fitted torque (quadexp.identify.torque), its offset that at
+           the start; rates held on refused axes
+full       all 13 states of the rigid body (quadexp.dynamics.rigid_body) under the rotors' thrusts and arms
 
-"full" needs the thrust of every rotor and trusts the vehicle's inertia, arms and reaction torques; its attitude drifts
-with every torque that nobody modelled. "attitude" needs no torque model: Heun's method on the samples. A thrust scale
+In all of them the model gives the specific force. "full" needs the thrust of every rotor and trusts the vehicle's
+inertia, arms and reaction torques; its attitude drifts with every torque that nobody modelled, so that "held" is what
+it, and "torque", have to beat. "attitude" needs no torque model: Heun's method on the samples. A thrust scale
 tracked up to the start is held over the rollout. What the accelerometer reads beside the true specific force (its bias,
 and its misalignment's share of gravity) has no place in a motion: it is the mean of f - R^T (dv/dt + g) over a flight,
 and is taken out of the model's prediction, which was fitted to that accelerometer.
@@ -12,19 +16,23 @@ and is taken out of the model's prediction, which was fitted to that acceleromet
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from quadexp.errors import DataError
 from quadexp.identify.predictors import Predictor
+from quadexp.identify.torque import geometric_acceleration, gyroscopic
 from quadexp.identify.tracking import tracked_scale
 from quadexp.identify.validation import FlightRows
 from quadexp.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.vehicle import GRAVITY, Vehicle
 
 LOST_SPEED, LOST_RATE = 100.0, 200.0  # m/s, rad/s: beyond them an open-loop prediction is over
+TURNING = ("held", "torque", "full")
+Turning = Callable[[np.ndarray, np.ndarray], np.ndarray]
 STARTS = 120  # a flight at the most, spread evenly
 QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 POINT, WORLD_VELOCITY, RATES = ("p_x", "p_y", "p_z"), ("v_x", "v_y", "v_z"), ("w_x", "w_y", "w_z")
@@ -47,6 +55,7 @@ class Track:
         wanted = one.samples.force[:, 2] - beyond[:, 2]
         self.scale = tracked_scale(self.rotors.sum(axis=1), wanted, self.dt)
         self.bias = accelerometer_bias(self.time, self.velocity, self.matrix, one.samples.force, gravity)
+        self.torque = predictor.torque
 
     def starts(self, steps: int) -> np.ndarray:
         """Samples from which `steps` more follow in the same segment, spread over the flight."""
@@ -96,12 +105,36 @@ def attitude_rollout(
     return np.array(position), np.array(velocity)
 
 
+def turning(track: Track, mode: str, vehicle: Vehicle, starts: np.ndarray) -> Turning | None:
+    """Angular acceleration (n, 3) (rad/s^2) at samples k (n,) and rates (n, 3), by mode; None for the geometric torque.
+
+    Raises DataError for "torque" where there is no fitted torque.
+    """
+    if mode == "full":
+        return None
+    if mode == "held":
+        return lambda k, w: np.zeros_like(w)
+    if track.torque is None:
+        raise DataError(f"{track.name}: there is no fitted torque to predict with")
+    model, at = track.torque, (track.time, track.segment)
+    driven = model.driven(*at, geometric_acceleration(track.rotors, vehicle))
+    offset = model.followed(*at, driven, track.rate, gyroscopic(track.rate, vehicle))[starts]
+    return lambda k, w: np.where(model.used, driven[k] + offset - gyroscopic(w, vehicle), 0.0)
+
+
 def full_rollout(
-    predictor: Predictor, track: Track, starts: np.ndarray, steps: int, vehicle: Vehicle, *, tracked: bool
+    predictor: Predictor,
+    track: Track,
+    starts: np.ndarray,
+    steps: int,
+    vehicle: Vehicle,
+    *,
+    tracked: bool,
+    mode: str = "full",
 ) -> np.ndarray:
     """States, (steps + 1, starts, 13): the rigid body under the rotors' thrusts, the model evaluated every sample.
 
-    NaN from where a prediction has left LOST_SPEED or LOST_RATE.
+    mode: what turns it, one of TURNING. NaN from where a prediction has left LOST_SPEED or LOST_RATE.
     """
     import casadi as ca
 
@@ -110,6 +143,7 @@ def full_rollout(
 
     x, u, y, h = ca.SX.sym("x", 13), ca.SX.sym("u", vehicle.n_rotors), ca.SX.sym("y", 6), ca.SX.sym("h")
     step = ca.Function("step", [x, u, y, h], [rk4_step(lambda at: state_derivative(at, u, vehicle, y), x, h)])
+    turn = turning(track, mode, vehicle, starts)
     scale = track.scale[starts] if tracked else np.ones(len(starts))
     quaternion = track.rotation[starts].as_quat(scalar_first=True)
     state = np.hstack([track.position[starts], quaternion, track.velocity[starts], track.rate[starts]])
@@ -123,7 +157,12 @@ def full_rollout(
         body = np.einsum("kji,kj->ki", matrix, state[:, VELOCITY] - track.wind[k])
         correction = predictor.beyond(body, state[:, RATE], track.rotors[k]) - track.bias
         thrust = vehicle.mass * scale[:, None] * track.rotors[k]
-        correction = np.hstack([correction, np.zeros_like(correction)])
+        torque = np.zeros_like(correction)
+        if turn is not None:  # in place of the geometric torque
+            rate = state[:, RATE]
+            wanted = (turn(k, rate) + gyroscopic(rate, vehicle)) @ vehicle.inertia_matrix
+            torque = wanted - thrust @ vehicle.allocation[1:].T
+        correction = np.hstack([correction, torque])
         duration = track.time[k + 1] - track.time[k]
         state = np.array(step(state.T, thrust.T, correction.T, duration[None]).full()).T
         state[:, ATTITUDE] /= np.linalg.norm(state[:, ATTITUDE], axis=1, keepdims=True)
@@ -138,10 +177,11 @@ def rollout_errors(
     *,
     tracked: bool,
     vehicle: Vehicle | None = None,
+    mode: str = "full",
 ) -> list[dict[str, Any]]:
     """Errors at each horizon: {horizon, starts, lost (share), position, velocity: RMS over starts (m, m/s), medians}.
 
-    vehicle: fly all 13 states; then attitude (rad) and rate (rad/s) errors are there too.
+    vehicle: fly all 13 states, turned as `mode` says; then attitude (rad) and rate (rad/s) errors are there too.
     """
     rows = []
     for horizon in horizons:
@@ -155,7 +195,7 @@ def rollout_errors(
             if vehicle is None:
                 position, velocity = (a[-1] for a in attitude_rollout(predictor, track, starts, steps, tracked=tracked))
             else:
-                last = full_rollout(predictor, track, starts, steps, vehicle, tracked=tracked)[-1]
+                last = full_rollout(predictor, track, starts, steps, vehicle, tracked=tracked, mode=mode)[-1]
                 position, velocity = last[:, POSITION], last[:, VELOCITY]
                 level = np.where(np.isfinite(last[:, ATTITUDE]), last[:, ATTITUDE], [1.0, 0.0, 0.0, 0.0])
                 turned = Rotation.from_quat(level, scalar_first=True).inv() * track.rotation[end]
@@ -168,7 +208,7 @@ def rollout_errors(
         if not sums:
             continue
         speed = np.concatenate(sums.pop("speed"))
-        row: dict[str, Any] = {"predictor": predictor.name, "mode": "attitude" if vehicle is None else "full"}
+        row: dict[str, Any] = {"predictor": predictor.name, "mode": "attitude" if vehicle is None else mode}
         row |= {"horizon": float(horizon), "thrust_tracked": tracked, "starts": len(speed)}
         for name, parts in sums.items():
             values = np.concatenate(parts)

@@ -21,6 +21,7 @@ from quadexp.identify.model import GPModel
 from quadexp.identify.predict import predict
 from quadexp.identify.recorded import curve_from_record
 from quadexp.identify.thrust_curve import ThrustCurve
+from quadexp.identify.torque import TorqueModel
 from quadexp.identify.vehicle_model import VehicleModel
 from quadexp.vehicle import Vehicle
 
@@ -33,6 +34,7 @@ class Predictor:
     """name: of the row. curve: thrust. beyond: (v (k, 3), w (k, 3), rotor accelerations (k, n)) -> (k, 3), m/s^2.
 
     seen: names of the flights that it was fitted to. ranges: feature -> [low, high] of the fit, for the share outside.
+    torque: fitted, None where there is none.
     """
 
     name: str
@@ -40,11 +42,12 @@ class Predictor:
     beyond: Acceleration
     seen: tuple[str, ...] = ()
     ranges: dict[str, Any] = field(default_factory=dict)
+    torque: TorqueModel | None = None
 
 
-def nominal(curve: ThrustCurve, seen: tuple[str, ...] = ()) -> Predictor:
+def nominal(curve: ThrustCurve, seen: tuple[str, ...] = (), torque: TorqueModel | None = None) -> Predictor:
     """The thrust curve alone."""
-    return Predictor(NOMINAL, curve, lambda v, w, a: np.zeros((len(v), 3)), seen)
+    return Predictor(NOMINAL, curve, lambda v, w, a: np.zeros((len(v), 3)), seen, torque=torque)
 
 
 def predictors(model: Any, label: str, vehicle: Vehicle, curve: ThrustCurve | None) -> list[Predictor]:
@@ -54,9 +57,9 @@ def predictors(model: Any, label: str, vehicle: Vehicle, curve: ThrustCurve | No
     """
     if isinstance(model, VehicleModel):
         seen = tuple(model.dataset.get("names", ()))
-        found = [nominal(model.thrust, seen)]
+        found = [nominal(model.thrust, seen, model.torque)]
         for kind, terms in model.models.items():
-            found.append(Predictor(_KIND_NAMES[kind], model.thrust, _of_terms(terms), seen))
+            found.append(Predictor(_KIND_NAMES[kind], model.thrust, _of_terms(terms), seen, torque=model.torque))
         return found
     record = (model.dataset or {}).get("thrust")
     own = curve_from_record(record) if record else curve

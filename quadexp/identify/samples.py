@@ -23,6 +23,7 @@ from quadexp.flight.schema import Flight
 # Best first: what says most about the thrust.
 SIGNALS = {"rotor_speed": "rad/s", "motor_command": "1", "thrust_acceleration": "m/s^2", "u": "N"}
 HELD = ("u", "motor_command")  # commands, held over an interval
+RATES = ("w_x", "w_y", "w_z")
 QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 
 
@@ -32,6 +33,7 @@ class Samples:
 
     force: specific force, (k, 3) body FLU (m/s^2). velocity: air-relative, (k, 3) body FLU (m/s).
     signal: rotors' signal, (k, n) ((k, 1) for thrust_acceleration). voltage: (k,) V, or None where a flight lacks it.
+    rate: body rates, (k, 3) FLU (rad/s), or None where a flight lacks them.
     """
 
     time: np.ndarray
@@ -43,6 +45,7 @@ class Samples:
     voltage: np.ndarray | None
     kind: str
     names: tuple[str, ...]
+    rate: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.time)
@@ -56,7 +59,10 @@ class Samples:
         """The rows of a mask or index array; the flights keep their numbers."""
         names = ("time", "flight", "segment", "force", "velocity", "signal")
         chosen: dict[str, Any] = {name: getattr(self, name)[selection] for name in names}
-        return replace(self, voltage=None if self.voltage is None else self.voltage[selection], **chosen)
+        for name in ("voltage", "rate"):
+            values = getattr(self, name)
+            chosen[name] = None if values is None else values[selection]
+        return replace(self, **chosen)
 
 
 def rotor_columns(flight: Flight, kind: str) -> list[str]:
@@ -107,6 +113,8 @@ def gather(flights: Sequence[Flight], kind: str, names: Sequence[str] | None = N
     names = tuple(names or [name_of(flight, i) for i, flight in enumerate(flights)])
     parts: list[tuple[np.ndarray, ...]] = []
     with_voltage = all("battery_voltage" in flight.columns for flight in flights)
+    with_rate = all(_has_rates(flight) for flight in flights)
+    rates: list[np.ndarray] = []
     segments = 0
     for index, (flight, name) in enumerate(zip(flights, names, strict=True)):
         columns = ["t", *QUATERNION, "v_x", "v_y", "v_z", "acc_x", "acc_y", "acc_z", *rotor_columns(flight, kind)]
@@ -127,9 +135,18 @@ def gather(flights: Sequence[Flight], kind: str, names: Sequence[str] | None = N
             row = int(k[np.argmin(voltage)])
             raise DataError(f"{name}: battery_voltage is {voltage.min():g} V in row {row}, it must be positive")
         force = flight.stack(["acc_x", "acc_y", "acc_z"])[k]
+        if with_rate:
+            rates.append(flight.stack(RATES)[k].astype(float))
         parts.append((flight.t[k], np.full(len(k), index), segment, force, body_velocity(flight)[k], signal, voltage))
     time, flight_index, segment, force, velocity, signal, voltage = map(np.concatenate, zip(*parts, strict=True))
-    return Samples(time, flight_index, segment, force, velocity, signal, voltage if with_voltage else None, kind, names)
+    rate = np.concatenate(rates) if with_rate else None
+    return Samples(
+        time, flight_index, segment, force, velocity, signal, voltage if with_voltage else None, kind, names, rate
+    )  # fmt: skip
+
+
+def _has_rates(flight: Flight) -> bool:
+    return all(name in flight.columns and np.isfinite(flight[name]).all() for name in RATES)
 
 
 def _check(flight: Flight, name: str, columns: Sequence[str], first: int) -> None:

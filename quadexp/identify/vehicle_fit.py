@@ -22,6 +22,7 @@ from quadexp.identify.regression import Regression, regress
 from quadexp.identify.samples import Samples, choose_signal, gather
 from quadexp.identify.terms import AXES, TermModel, all_columns, term_columns, term_model
 from quadexp.identify.thrust_curve import ThrustCurve, fit_thrust_samples, thrust_columns
+from quadexp.identify.torque import fit_torque
 from quadexp.identify.vehicle_model import KINDS, VehicleModel
 from quadexp.vehicle import Vehicle
 
@@ -181,7 +182,7 @@ def fit_vehicle_model(
         linear.curve, linear.terms, found["quadratic"], found["blade_element"],
         best if best is not None and best in kinds else kinds[-1], record, dataset_record(samples),
         {"loss": settings.loss, "signal": samples.kind, "per_rotor": settings.per_rotor, "momentum": momentum},
-        tuple(notes),
+        tuple(notes), torque=None if vehicle is None else fit_torque(samples, vehicle, linear.curve),
     )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from quadexp.identify.linear_drag import LinearDrag
 from quadexp.identify.samples import body_velocity
 from quadexp.identify.terms import TermModel
 from quadexp.identify.thrust_curve import ThrustCurve
+from quadexp.identify.torque import TorqueModel
 
 KINDS = ("linear", "quadratic", "blade_element")
 
@@ -28,7 +29,8 @@ class VehicleModel:
     """thrust: the curve. linear, quadratic, blade_element: see the module; best: the one with the least held-out error.
 
     vehicle: {name, fingerprint, mass}, as far as known. dataset: {sha256, rows, flights, duration, names}.
-    settings: how it was fitted. notes: what could not be fitted, and why.
+    settings: how it was fitted. notes: what could not be fitted, and why. torque: None where the flights do not say
+    what every rotor did.
     """
 
     thrust: ThrustCurve
@@ -41,6 +43,7 @@ class VehicleModel:
     settings: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     versions: dict[str, str] = field(default_factory=dict)
+    torque: TorqueModel | None = None
 
     @property
     def drag(self) -> LinearDrag:

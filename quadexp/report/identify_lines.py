@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from quadexp.identify.terms import TermModel
+from quadexp.identify.torque import torque_lines
 from quadexp.identify.vehicle_model import VehicleModel
 
 
@@ -40,6 +41,8 @@ def model_lines(model: VehicleModel) -> list[str]:
     lines = [f"thrust      {model.thrust}"]
     for kind, one in model.models.items():
         lines += _coefficient_lines(kind, one)
+    if model.torque is not None:
+        lines += torque_lines(model.torque)
     return lines
 
 

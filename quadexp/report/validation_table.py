@@ -7,7 +7,9 @@ from typing import Any
 
 MODES = {
     "attitude": "attitude, rates and rotor signals as measured",
-    "full": "all 13 states from the start on, rotor thrusts as measured, thrust scale tracked up to the start",
+    "held": "rates held: all 13 states from the start on, body rates constant as they were measured there",
+    "torque": "fitted torque: all 13 states, its offset followed up to the start, rates held on axes that are refused",
+    "full": "geometric torque: all 13 states, turned by the vehicle's arms and inertia",
 }
 
 
@@ -30,12 +32,16 @@ def validation_lines(report: Mapping[str, Any]) -> list[str]:
     for mode, meaning in MODES.items():
         found = [row for row in report["rollouts"] if row["mode"] == mode]
         if found:
+            if mode == "torque":
+                lines += ["", *report["torque"]]
             mean = "RMS" if mode == "attitude" else "median"  # a few that tumble would be all that an RMS shows
+            if mode != "attitude":
+                meaning += "; rotor thrusts as measured, thrust scale tracked up to the start"
             starts = found[0]["starts"]
             lines += [
                 "",
                 f"open loop: {meaning}; {mean} over {starts} starts",
-                *rollout_lines(found, median=mode == "full"),
+                *rollout_lines(found, median=mode != "attitude"),
             ]
     return lines
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from quadexp.flight.check.finding import Finding, rows, span
+from quadexp.flight.check.finding import LEAVE_OUT, Finding, rows, span
 from quadexp.flight.schema import Flight
 from quadexp.flight.signal.crop import runs
 from quadexp.vehicle import Vehicle
@@ -17,6 +17,9 @@ SATURATED = 0.05  # share of the samples of one rotor
 SPIKE = 15.0
 SPIKE_FLOOR = 0.5  # of the range
 STANDS = 0.01  # m, m/s: what motion capture makes of a vehicle that stands
+CELL = (2.5, 4.45)  # V: of a lithium cell, empty and full
+MOST_CELLS, USUAL_CELLS = 14, 8
+ONE_CELL_MASS = 0.25  # kg: heavier vehicles fly on two cells or more
 FASTEST_ROTOR = 1e4  # rad/s: 95 000 rpm, above any propeller drive
 
 
@@ -51,9 +54,8 @@ def check_commands(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
         if allowed is None or not np.isfinite(values).any():
             continue
         low, high, unit = allowed
-        slack = ROUNDING * (high - low)
         finite = np.where(np.isfinite(values), values, low)
-        outside: np.ndarray = (finite < low - slack) | (finite > high + slack)
+        outside = _outside(finite, low, high)
         allowed_range = f"{low:g}..{high:.4g}{unit}"
         if outside.any():
             mask = np.asarray(outside.any(axis=1))
@@ -63,7 +65,9 @@ def check_commands(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
             first = int(np.argmax(mask))
             where = f"{columns}, {rows(start, stop, flight.t)} longest, {rows(first, first + 1, flight.t)} first"
             found.append(
-                Finding("impossible_command", "blocking", where, text, allowed_range, span=span(flight.t, start, stop))
+                Finding(
+                    "impossible_command", "blocking", where, text, allowed_range, LEAVE_OUT, span(flight.t, start, stop)
+                )  # fmt: skip
             )
         share = (finite >= high - 2e-3 * (high - low)).mean(axis=0)
         found += _spikes(names, np.clip(finite, low, high, out=finite), outside, high - low, flight.t)
@@ -75,6 +79,55 @@ def check_commands(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
             severity = "warning" if share[k] > SATURATED else "info"
             found.append(Finding("saturation", severity, names[k], text, f"{SATURATED:.0%}"))
     return found
+
+
+def _outside(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    slack = ROUNDING * (high - low)
+    return np.asarray((values < low - slack) | (values > high + slack))
+
+
+def impossible_rows(flight: Flight, vehicle: Vehicle | None) -> np.ndarray:
+    """Rows with a command out of its range, (k,)."""
+    bad = np.zeros(len(flight), bool)
+    for kind, names in command_columns(flight).items():
+        allowed = limits(kind, vehicle)
+        if allowed is not None:
+            values = flight.stack(names).astype(float)
+            bad |= _outside(np.nan_to_num(values, nan=allowed[0]), *allowed[:2]).any(axis=1)
+    return bad
+
+
+def check_voltage(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
+    """Whether the battery's voltage can be one: of lithium cells, and of one for a vehicle as heavy as this."""
+    if "battery_voltage" not in flight.columns:
+        return []
+    values = np.asarray(flight.columns["battery_voltage"], float)
+    values = values[np.isfinite(values)]
+    middle = float(np.median(values)) if len(values) else 0.0
+    where = "battery_voltage"
+    allowed = f"{CELL[0]:g} to {CELL[1]:g} V a cell, 1 to {MOST_CELLS} cells"
+    if not middle > 0:
+        return [Finding("implausible_voltage", "warning", where, f"median {middle:g} V: not measured", allowed)]
+    light = vehicle is None or vehicle.mass < ONE_CELL_MASS
+    least = CELL[0] if light else 2 * CELL[0]
+    if least <= middle <= MOST_CELLS * CELL[1]:
+        return []
+    text = f"median {middle:.3g} V"
+    if vehicle is not None and CELL[0] <= middle < least:
+        text += f" for {vehicle.mass:g} kg, which takes two cells or more"
+    likely = [(factor, n) for factor in (10.0, 100.0, 0.1, 0.01, 1e-3) if (n := _cells(factor * middle, least))]
+    advice = "state the unit of battery_voltage (V, dV, cV, mV) in the mapping"
+    if likely:
+        factor, cells = min(likely, key=lambda one: one[1] > USUAL_CELLS)
+        text += f"; {factor:g} times as much would be {cells} {'cell' if cells == 1 else 'cells'} of"
+        text += f" {factor * middle / cells:.2f} V"
+    return [Finding("implausible_voltage", "blocking", where, text, allowed, advice)]
+
+
+def _cells(voltage: float, least: float) -> int:
+    """How many cells of about 3.8 V a battery of this voltage has; 0 where it is none."""
+    n = round(voltage / 3.8)
+    return n if voltage >= least and 1 <= n <= MOST_CELLS and 3.2 <= voltage / n <= 4.4 else 0
 
 
 def _spikes(

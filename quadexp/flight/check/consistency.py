@@ -16,7 +16,8 @@ from functools import cached_property
 
 import numpy as np
 
-from quadexp.flight.check.finding import Finding
+from quadexp.flight.check.finding import LEAVE_OUT, Finding
+from quadexp.flight.check.mounting import mounting_repairs
 from quadexp.flight.check.repairs import COLUMNS, Repair, clock_repair, repairs, scale_repairs
 from quadexp.flight.check.windows import SIDES, STREAMS, Pair, Windows, pairs
 
@@ -24,6 +25,8 @@ KEPT = 0.9  # share of the windows that a residual is taken over
 LEAST_GAIN = 0.35  # clean flights of every kind at hand stay below 0.06
 TIE = 0.15  # of J a unit of cost: a repair that claims more must explain more
 MOST_FAULTS = 4
+MOST_LEFT = 0.4  # of a misfit: a repair that leaves as much names no fault
+CLEARLY = 0.3  # of J, by which a fault must explain more than a turned sensor does
 FEW, FINALISTS = 100, 10  # every hypothesis is tried on so many windows first, the best ones on all
 STRAY = 12.0  # robust standard deviations
 STRAY_FLOOR = {"acceleration_outlier": 8.0, "rate_outlier": 4.0}  # m/s^2 and rad/s, means over a window
@@ -68,6 +71,11 @@ class Agreement:
         """Residual over signal, the floor taken off: 0 perfect, 1 unrelated, 2 reversed."""
         excess = np.sqrt(np.maximum(0.0, np.sum(self.residual**2) - 3 * self.floor**2))
         return float(excess / max(np.sqrt(np.sum(self.signal**2)), self.floor))
+
+    @property
+    def excess(self) -> float:
+        """Squared residual beyond the floor, in floors."""
+        return WEIGHT.get(self.relation, 1.0) * max(0.0, float(np.sum(self.residual**2)) / self.floor**2 - 3.0)
 
     @property
     def words(self) -> str:
@@ -129,16 +137,32 @@ class Explained:
         rest = np.sqrt(np.sum(self.after[name].residual ** 2))
         return Finding(
             self.repair.name,
-            "blocking",
+            self.repair.severity,
             self.repair.where,
             f"{self.repair.text}: {self.before[name].words}, by {rest:.3g} {unit} once that is undone",
             "SI units, world ENU, body FLU, quaternion body to world with w first",
-            "state it in the mapping of the import",
+            self.repair.advice,
         )
 
 
-def explain(windows: Windows) -> tuple[list[Explained], Windows]:
-    """The repairs that the flight needs, most telling first, and the windows after them."""
+@dataclass(frozen=True)
+class Candidate:
+    """A repair that was tried. value: by how much it lowers J, its cost taken off; left: share of the misfit of the
+    relations it betters that stays."""
+
+    value: float
+    repair: Repair
+    windows: Windows
+    after: dict[str, Agreement]
+    left: float
+
+
+def explain(windows: Windows) -> tuple[list[Explained], Windows, list[Finding]]:
+    """The repairs that the flight needs, most telling first; the windows after them; a misfit that none explains.
+
+    A turned sensor is the first hypothesis: another one is taken only where it explains the flight clearly better. A
+    repair that would block and leaves MOST_LEFT of the misfit or more is not taken.
+    """
     taken: list[Explained] = []
     before = agreements(windows)
     clock = _clock(before)
@@ -149,32 +173,99 @@ def explain(windows: Windows) -> tuple[list[Explained], Windows]:
             windows = changed
             taken.append(Explained(clock, before, after, _total(before) - _total(after)))
             before = after
+    doubtful: list[Finding] = []
     while before and not _settled(before) and len(taken) < MOST_FAULTS:
-        every = [
-            repair
-            for repair in (*repairs(present(windows)), *_scales(before))
-            if not (taken and (repair.streams, repair.name) == (taken[-1].repair.streams, taken[-1].repair.name))
-        ]
-        few = windows.every(max(1, len(windows.t) // FEW))
-        known = agreements(few)
-        coarse = [_tried(repair, few, known)[0] for repair in every]
-        best: tuple[float, Repair, Windows, dict[str, Agreement]] | None = None
-        for i in np.argsort(coarse)[::-1][:FINALISTS]:
-            if coarse[i] <= 0:
-                break
-            value, changed, after = _tried(every[i], windows, before)
-            if every[i].name == "scale" and not _telling(before, after):
-                continue
-            if every[i].name == "units" and not _more_than_nothing(every[i], windows, before, after):
-                continue
-            if value > LEAST_GAIN and _plausible(every[i], before, after) and (best is None or value > best[0]):
-                best = (value, every[i], changed, after)
-        if best is None:
+        found = _candidates(windows, before, taken)
+        doubtful = []
+        named = [one for one in found if one.left < MOST_LEFT or one.repair.severity != "blocking"]
+        if not named:
+            doubtful = [_unexplained(found[0], before)] if found else []
             break
-        value, repair, windows, after = best
-        taken.append(Explained(repair, before, after, value))
+        best = named[0]
+        mount = next((one for one in named if one.repair.name == "mounting"), None)
+        if mount is not None and mount.repair.severity != "blocking" and mount.value > best.value - CLEARLY:
+            best = mount
+        taken.append(Explained(best.repair, before, best.after, best.value))
+        windows = best.windows
         before = agreements(windows)
-    return taken, windows
+    return taken, windows, doubtful
+
+
+def _candidates(windows: Windows, before: dict[str, Agreement], taken: list[Explained]) -> list[Candidate]:
+    """Repairs that may be taken next, the best first."""
+    done = {(one.repair.streams, one.repair.name) for one in taken[-1:]}
+    done |= {(streams, "mounting") for one in taken if one.repair.name == "mounting" for streams in ("f", "w", "wf")
+             if set(streams) & set(one.repair.streams)}  # fmt: skip
+    every = [
+        repair for repair in (*repairs(present(windows)), *_scales(before)) if (repair.streams, repair.name) not in done
+    ]
+    few = windows.every(max(1, len(windows.t) // FEW))
+    known = agreements(few)
+    coarse = [_tried(repair, few, known)[0] for repair in every]
+    likely = [every[i] for i in np.argsort(coarse)[::-1][:FINALISTS] if coarse[i] > 0]
+    likely += [repair for repair in mounting_repairs(windows) if (repair.streams, repair.name) not in done]
+    found = []
+    for repair in likely:
+        value, changed, after = _tried(repair, windows, before)
+        if repair.name == "scale" and not _telling(before, after):
+            continue
+        if repair.name == "units" and not _more_than_nothing(repair, windows, before, after):
+            continue
+        if value > LEAST_GAIN and _plausible(repair, before, after):
+            found.append(Candidate(value, repair, changed, after, _left(before, after)))
+    if not any(one.repair.severity == "blocking" and one.left < MOST_LEFT for one in found):
+        found += _under_a_mount(windows, before, likely, max((one.value for one in found), default=0.0))
+    blocking = max((one.value for one in found if one.repair.name != "mounting"), default=-np.inf)
+    found = [
+        one
+        for one in found
+        if one.repair.name != "mounting" or one.repair.severity != "blocking" or one.value > blocking + CLEARLY
+    ]
+    return sorted(found, key=lambda one: -one.value)
+
+
+def _under_a_mount(
+    windows: Windows, before: dict[str, Agreement], likely: list[Repair], alone: float
+) -> list[Candidate]:
+    """Faults of a sensor that is turned besides: each repair is judged with the turn that is left undone too.
+
+    alone: what the best single repair explains; two must explain clearly more.
+    """
+    found = []
+    for repair in likely:
+        if (
+            repair.severity != "blocking"
+            or repair.name in ("mounting", "scale")
+            or not set("pvqf") & set(repair.streams)
+        ):
+            continue
+        changed = repair.apply(windows)
+        known = agreements(changed, before, repair.streams)
+        mount = next(
+            (one for one in mounting_repairs(changed) if one.streams == "f" and one.severity != "blocking"), None
+        )
+        if mount is None:
+            continue
+        after = agreements(mount.apply(changed), known, "f")
+        value = _total(before) - _total(after) - TIE * (repair.cost + mount.cost)
+        if value > alone + CLEARLY + LEAST_GAIN and _plausible(repair, before, after):
+            found.append(Candidate(value, repair, changed, known, _left(before, after)))
+    return found
+
+
+def _left(before: dict[str, Agreement], after: dict[str, Agreement]) -> float:
+    """Share of the misfit beyond what sensors differ by, root mean square, that stays in the relations bettered."""
+    better = [name for name in after if after[name].score < before[name].score - 0.1]
+    was, stays = (sum(found[name].excess for name in better) for found in (before, after))
+    return float(np.sqrt(stays / was)) if was > 0 else 1.0
+
+
+def _unexplained(best: Candidate, before: dict[str, Agreement]) -> Finding:
+    """A misfit that is said, and no name given to it."""
+    name = max(best.after, key=lambda relation: before[relation].score - best.after[relation].score)
+    columns = ", ".join(COLUMNS[stream] for stream in SIDES[name])
+    text = f"{before[name].words}; the hypothesis that comes nearest ({best.repair.where}: {best.repair.text}) leaves"
+    return Finding("misfit", "warning", columns, f"{text} {best.left:.0%} of it, so none is named", f"{MOST_LEFT:.0%}")
 
 
 def _tried(
@@ -258,8 +349,11 @@ def _telling(before: dict[str, Agreement], after: dict[str, Agreement]) -> bool:
     )
 
 
-def stray(windows: Windows) -> list[Finding]:
-    """Stretches where an accelerometer or gyro leaves the motion that the other sensors see, agreeing elsewhere."""
+def stray(windows: Windows) -> list[tuple[Finding, np.ndarray]]:
+    """Stretches where an accelerometer or gyro leaves the motion that the other sensors see, agreeing elsewhere.
+
+    Each with the first and last times of its windows, (n, 2) (s).
+    """
     found = []
     every = {pair.relation: pair for pair in pairs(windows)}
     for name, relations in (("acceleration_outlier", ("force", "force (p)")), ("rate_outlier", ("rate",))):
@@ -277,7 +371,10 @@ def stray(windows: Windows) -> list[Finding]:
         text = f"off by up to {size.max():.4g} {WORDS[pair.relation][1]} in {bad.mean():.1%} of the windows"
         column = COLUMNS["w" if name == "rate_outlier" else "f"]
         where = f"{column}, {low:.2f}..{high:.2f} s"
-        found.append(Finding(name, "blocking", where, text, f"{limit:.3g} from the motion", span=(low, high)))
+        ends = np.stack([windows.t[:, 0], windows.t[:, -1]], axis=1)
+        when = (np.concatenate([ends, ends]) if halves else ends)[bad]
+        allowed = f"{limit:.3g} from the motion"
+        found.append((Finding(name, "blocking", where, text, allowed, LEAVE_OUT, (low, high)), when))
     return found
 
 

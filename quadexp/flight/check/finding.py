@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+# What mends rows that cannot be.
+LEAVE_OUT = "`import --bad-rows drop` leaves them out, `--bad-rows gap` makes them gaps"
 SEVERITIES = ("info", "warning", "blocking")
 
 

@@ -30,7 +30,8 @@ SPEEDS = {"cm/s": 100.0, "mm/s": 1000.0, "km/h": 3.6, "feet/s": 1 / 0.3048, "kno
 class Repair:
     """name: of the fault it undoes. streams: what it changes, letters of Windows. text: what the data fit, one phrase.
 
-    cost: how much it claims; of two repairs that explain a flight alike, the one that claims less is taken.
+    cost: how much it claims; of two repairs that explain a flight alike, the one that claims less is taken. severity,
+    advice: of the finding.
     """
 
     name: str
@@ -38,6 +39,8 @@ class Repair:
     text: str
     apply: Callable[[Windows], Windows]
     cost: float = 1.0
+    severity: str = "blocking"
+    advice: str = "state it in the mapping of the import"
 
     @property
     def where(self) -> str:

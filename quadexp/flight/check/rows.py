@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.flight.check.finding import Finding, rows, span
+from quadexp.flight.check.finding import LEAVE_OUT, Finding, rows, span
 from quadexp.flight.check.windows import STREAMS, attitude_rate
 from quadexp.flight.signal.crop import runs
 
@@ -104,9 +104,7 @@ def check_repeats(columns: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[F
     source = int(first[inverse.ravel()[start]])
     text = f"{again.sum()} rows ({again.mean():.2%}) repeat earlier ones to the last digit, these row {source} and on"
     severity = "blocking" if again.mean() > 0.001 else "warning"
-    finding = Finding(
-        "duplicated_rows", severity, rows(start, stop, t), text, "none", "leave them out", span(t, start, stop)
-    )
+    finding = Finding("duplicated_rows", severity, rows(start, stop, t), text, "none", LEAVE_OUT, span(t, start, stop))
     return [finding], kept & ~again
 
 
@@ -144,7 +142,8 @@ def check_frozen(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Fi
             severity = "blocking" if share > 0.02 else "warning"
             text += f" ({share:.1%} of the rows)"
             where = f"{COLUMNS[name]}, {rows(*worst, t)}"
-            found.append(Finding("frozen_sensor", severity, where, text, f"{FROZEN:g} s", span=span(t, *worst)))
+            when = span(t, *worst)
+            found.append(Finding("frozen_sensor", severity, where, text, f"{FROZEN:g} s", LEAVE_OUT, when))
         elif axes:
             columns = " ".join(STREAMS[name][i] for i in axes)
             text = "one value throughout while " + ("the vehicle moves along it" if proved else "the others change")
@@ -257,7 +256,8 @@ def check_spikes(
                 where,
                 f"{text}; {bad.sum()} rows ({share:.2%})",
                 allowed,
-                span=span(t, start, stop),
+                LEAVE_OUT,
+                span(t, start, stop),
             )
         )
     return found, masks

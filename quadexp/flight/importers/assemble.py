@@ -38,7 +38,10 @@ SIGNS = {
 
 @dataclass
 class Assembled:
-    """columns: of the flight. start, end: cut out of the log (s, from its start). rates: of every stream (Hz)."""
+    """columns: of the flight. start, end: cut out of the log (s, from its start). rates: of every stream (Hz).
+
+    derived: whether the velocity is the derivative of the position.
+    """
 
     columns: dict[str, np.ndarray]
     rate: float
@@ -46,6 +49,7 @@ class Assembled:
     rates: dict[str, float]
     notes: list[str] = field(default_factory=list)
     resampled: bool = False
+    derived: bool = False
 
 
 def assemble(path: Path, log: RawLog, vehicle: Vehicle | None, *, rate: float | None, cropping: bool) -> Assembled:
@@ -81,7 +85,8 @@ def assemble(path: Path, log: RawLog, vehicle: Vehicle | None, *, rate: float | 
         if name in values:
             made = values[name]
             columns |= {c: made[:, i] for i, c in enumerate(columns_of(name, made.shape[1]))}
-    if "velocity" not in streams and "position" in streams:
+    derived = "velocity" not in streams and "position" in streams
+    if derived:
         found = derivative(t, values["position"], segment=segment, window=max(0.1, 5 / rate))
         columns |= dict(zip(("v_x", "v_y", "v_z"), found.values.T, strict=True))
         notes.append(f"velocity: derivative of the position, to {found.bandwidth:.3g} Hz")
@@ -93,7 +98,7 @@ def assemble(path: Path, log: RawLog, vehicle: Vehicle | None, *, rate: float | 
     columns["t"] = columns["t"] - columns["t"][0]
     _, columns["segment"] = np.unique(columns["segment"] + _breaks(kept), return_inverse=True)
     columns["segment"] = columns["segment"].astype(np.int32)
-    return Assembled(columns, float(rate), (t0, t1), rates, notes, own is None or given)
+    return Assembled(columns, float(rate), (t0, t1), rates, notes, own is None or given, derived)
 
 
 def _short_ones_out(streams: dict[str, Stream], notes: list[str]) -> None:

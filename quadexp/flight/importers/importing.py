@@ -12,11 +12,14 @@ import numpy as np
 
 from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.flight.importers.assemble import Assembled, assemble
+from quadexp.flight.importers.bad_rows import MODES, without_bad_rows
 from quadexp.flight.importers.detect import detect
 from quadexp.flight.importers.mapping import Mapping
 from quadexp.flight.importers.mapping_reader import load_mapping
 from quadexp.flight.importers.raw import RawLog
+from quadexp.flight.importers.units import mounting_matrix
 from quadexp.flight.schema import Flight
+from quadexp.flight.signal import Stream
 from quadexp.vehicle import Vehicle
 
 FORMATS = {
@@ -38,13 +41,17 @@ _KINDS = {  # what a file's content may be for a --format
 @dataclass
 class Options:
     """How to import. rate: Hz, None for the log's own. crop: whether to cut ground phases. align: whether to move the
-    streams by the time offsets found."""
+    streams by the time offsets found. mounting, gyro_mounting: roll, pitch, yaw of the sensor in the body (deg).
+    bad_rows: what becomes of rows that cannot be, a name of bad_rows.MODES."""
 
     format: str = "auto"
     mapping: Path | None = None
     rate: float | None = None
     crop: bool = True
     align: bool = False
+    mounting: tuple[float, float, float] | None = None
+    gyro_mounting: tuple[float, float, float] | None = None
+    bad_rows: str = "refuse"
 
 
 @dataclass
@@ -74,6 +81,8 @@ def import_logs(paths: Sequence[Path], vehicle: Vehicle | None, options: Options
         raise UsageError("--format csv: needs --mapping FILE; `quadexp import --describe LOG` proposes one")
     if options.rate is not None and not 0.1 <= options.rate <= 10_000:
         raise UsageError(f"--rate {options.rate:g}: must be in [0.1, 10000] Hz")
+    if options.bad_rows not in MODES:
+        raise UsageError(f"--bad-rows {options.bad_rows}: no such way; there are {', '.join(MODES)}")
     for path in paths:
         try:
             flight, notes = import_log(path, vehicle, options, mapping)
@@ -106,12 +115,42 @@ def _import(path: Path, vehicle: Vehicle | None, options: Options, mapping: Mapp
         raise DataError(f"{path}: its content is {kind}, not --format {options.format}")
     log = read_log(path, kind, options.format, mapping)
     if isinstance(log, Flight):
-        return log, []
+        if options.mounting or options.gyro_mounting:
+            raise DataError(f"{path}: --mounting is for logs; this file holds a flight as it is")
+        return _mended(log, vehicle, options)
+    _unmount(path, log, options)
     offsets, said = _offsets(path, log, options.align)
     made = assemble(path, log, vehicle, rate=options.rate, cropping=options.crop)
     log.streams.clear()  # a long log is held once
     metadata = _metadata(path, log, made, vehicle, offsets)
-    return Flight(made.columns, metadata), [*made.notes, *said]
+    flight, left_out = _mended(Flight(made.columns, metadata), vehicle, options, made.derived)
+    return flight, [*made.notes, *said, *left_out]
+
+
+def _mended(
+    flight: Flight, vehicle: Vehicle | None, options: Options, derived: bool = False
+) -> tuple[Flight, list[str]]:
+    """The flight as it is, or without its bad rows where the options say so; and what there is to say of it."""
+    if options.bad_rows == "refuse":
+        return flight, []
+    mended, counts, said = without_bad_rows(flight, vehicle, options.bad_rows, derived=derived)
+    if not counts:
+        return mended, said
+    record = {"mode": options.bad_rows, "rows": counts}
+    source = {**mended.metadata.get("source", {}), "left_out": record}
+    return Flight(mended.columns, {**mended.metadata, "source": source}), said
+
+
+def _unmount(path: Path, log: RawLog, options: Options) -> None:
+    """Turn accelerometer and gyro into the body's axes, where the options say how they sit."""
+    for name, angles in (("acceleration", options.mounting), ("rate", options.gyro_mounting)):
+        if angles is None:
+            continue
+        if name not in log.streams:
+            raise DataError(f"{path}: has no {name} that a mounting could turn")
+        stream = log.streams[name]
+        log.streams[name] = Stream(stream.t, stream.values @ mounting_matrix(angles).T)
+        log.about.setdefault("mounting", {})[name] = list(angles)
 
 
 def read_log(path: Path, kind: str, form: str, mapping: Mapping | None) -> RawLog | Flight:

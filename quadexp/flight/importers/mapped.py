@@ -51,6 +51,8 @@ def convert(name: str, entry: Entry, stream: Stream) -> Stream:
         values = (values - entry.low) / (entry.high - entry.low)
     if values.shape[1] == 3 and not (entry.axes == np.eye(3)).all():
         values = values @ entry.axes.T
+    if not (entry.mounting == np.eye(3)).all():
+        values = values @ entry.mounting.T
     return Stream(stream.t, values)
 
 

@@ -5,11 +5,14 @@
     time: {column: t, unit: s}
     position: {columns: [x, y, z], unit: m}
     attitude: {columns: [qx, qy, qz, qw], order: xyzw, direction: body_to_world}
-    acceleration: {columns: [ax, ay, az], unit: g, kind: specific_force}
+    rate: {columns: [gx, gy, gz], unit: deg/s}
+    acceleration: {columns: [ax, ay, az], unit: g, kind: specific_force, mounting: [0.5, -7.8, 0]}
     motor_command: {columns: [m1, m2, m3, m4], range: [0, 65535], layout: [front_right, ...]}
+    rotor_speed: {columns: [e1, e2, e3, e4], unit: erpm, pole_pairs: 7}
     crop: {height: 0.5, margin: 1.5}
 
-Every key may be left out but `time`. Read by mapping_reader.py.
+Every key may be left out but `time`. mounting: roll, pitch and yaw (deg) of the sensor in the body, after `frame`:
+v_body = R_z(yaw) R_y(pitch) R_x(roll) v_sensor. Read by mapping_reader.py.
 """
 
 from __future__ import annotations
@@ -48,6 +51,7 @@ class Entry:
     coordinate: bool = False
     low: float = 0.0
     high: float = 1.0
+    mounting: np.ndarray = field(default_factory=lambda: np.eye(3))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,16 @@ import numpy as np
 from quadexp.errors import UsageError
 from quadexp.flight.importers.mapping import Clock, Entry, Mapping
 from quadexp.flight.importers.raw import QUANTITIES, ROTORS, Crop
-from quadexp.flight.importers.units import BODY_FRAMES, UNITS, WORLD_FRAMES, axes_matrix, is_rotation, unit_factor
+from quadexp.flight.importers.units import (
+    BODY_FRAMES,
+    ELECTRICAL,
+    UNITS,
+    WORLD_FRAMES,
+    axes_matrix,
+    is_rotation,
+    mounting_matrix,
+    unit_factor,
+)
 from quadexp.messages import suggestion
 
 PLACES = ("front_right", "back_right", "back_left", "front_left", "front", "right", "back", "left")
@@ -24,9 +33,10 @@ _ENTRY = ("column", "columns", "unit", "scale", "frame", "time")
 _OWN = {
     "attitude": ("order", "direction"),
     "reference_attitude": ("order", "direction"),
-    "acceleration": ("kind",),
+    "rate": ("mounting",),
+    "acceleration": ("kind", "mounting"),
     "motor_command": ("range", "layout"),
-    "rotor_speed": ("layout",),
+    "rotor_speed": ("layout", "pole_pairs"),
     "rotor_thrust": ("layout",),
 }
 _DIMENSION = {
@@ -135,15 +145,20 @@ class _Reader:
             factor = options.pop("unit")
         else:
             dimension = _DIMENSION[name]
-            factor = unit_factor(
-                dimension, str(value.get("unit", next(iter(UNITS[dimension])))), self.at(f"{name}.unit")
-            )
+            unit = str(value.get("unit", next(iter(UNITS[dimension]))))
+            factor = unit_factor(dimension, unit, self.at(f"{name}.unit"))
             options |= self.frame(name, value, frames)
+            if name == "rotor_speed":
+                factor /= self.pole_pairs(unit, value.get("pole_pairs"))
         if name == "acceleration":
             kind = value.get("kind", "specific_force")
             if kind not in KINDS:
                 raise self.fail(f"{name}.kind", f"{kind!r} is not known; allowed are {', '.join(KINDS)}")
             options["coordinate"] = kind == "coordinate"
+        if value.get("mounting") is not None:
+            if not options["in_body"]:
+                raise self.fail(f"{name}.mounting", "turns a sensor in the body, but `frame` says world")
+            options["mounting"] = self.mounting(f"{name}.mounting", value["mounting"])
         if name == "motor_command":
             options |= self.range(value.get("range", [0, 1]))
         if name in ROTORS and value.get("layout"):
@@ -152,6 +167,22 @@ class _Reader:
         if len(scale) not in (1, len(columns)) or not scale.all():
             raise self.fail(f"{name}.scale", "must be one number, or one a column, and not zero")
         return Entry(columns, factor * scale, **options)
+
+    def mounting(self, key: str, value: Any) -> np.ndarray:
+        if not isinstance(value, list) or len(value) != 3:
+            raise self.fail(key, f"{value!r} must be [roll, pitch, yaw] of the sensor in the body (deg)")
+        return mounting_matrix(self.numbers(key, value))
+
+    def pole_pairs(self, unit: str, value: Any) -> float:
+        """Turns of the field for one of the rotor, 1 for a unit that counts the rotor's own."""
+        if unit not in ELECTRICAL:
+            if value is not None:
+                raise self.fail("rotor_speed.pole_pairs", f"goes with unit {' or '.join(ELECTRICAL)}, not {unit}")
+            return 1.0
+        if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= 100:
+            what = "is missing" if value is None else f"{value!r} must be a whole number from 1 to 100"
+            raise self.fail("rotor_speed.pole_pairs", f"{what}: magnets of the motor over two, as `pole_pairs: 7`")
+        return float(value)
 
     def names(self, name: str, value: dict[str, Any]) -> tuple[str, ...]:
         given = value.get("columns", value.get("column"))

@@ -79,6 +79,9 @@ def _range(names: list[str], columns: list[int], kind: str, x: np.ndarray) -> tu
     written = unit_of(names[columns[0]])[1]
     largest, middle = float(x.max()), float(np.median(x))
     why = f"median {middle:.4g}, largest {largest:.5g}"
+    if written == "erpm" or (kind == "rotor_speed" and "erpm" in names[columns[0]].lower()):
+        why += "; electrical turns: pole_pairs is a guess, magnets of the motor over two"
+        return "rotor_speed", {"unit": "erpm", "pole_pairs": 7}, 0.4, why
     if written in ("rpm", "rad/s", "Hz"):
         return "rotor_speed", {"unit": written}, 0.9, f"the name says the unit; {why}"
     if kind == "rotor_speed" and largest > 1.5:
@@ -138,8 +141,8 @@ def find_battery(names: list[str], s: Samples, usable: list[int], said: Groups) 
         x = s.x[:, columns[0]]
         middle = float(np.median(x))
         unit = unit_of(names[columns[0]])[1]
-        if unit not in ("V", "mV", "cV"):
-            unit = "V" if middle < 60 else "cV" if middle < 6000 else "mV"
+        if unit not in ("V", "mV", "cV", "dV"):
+            unit = "V" if middle < 60 else "dV" if middle < 280 else "cV" if middle < 6000 else "mV"
         if middle > 0:
             return {
                 "battery_voltage": Proposal({"column": names[columns[0]], "unit": unit}, 0.8, f"median {middle:.4g}")

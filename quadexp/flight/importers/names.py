@@ -26,6 +26,7 @@ _UNITS = {
     "rad/s": "rad/s", "rad s^-1": "rad/s", "deg/s": "deg/s", "dps": "deg/s", "°/s": "deg/s", "g": "g", "gs": "g",
     "m/s^2": "m/s^2", "m/s/s": "m/s^2", "m/s2": "m/s^2", "m/s²": "m/s^2", "m s^-2": "m/s^2", "mg": "mg",
     "rad": "rad", "deg": "deg", "degrees": "deg", "°": "deg", "v": "V", "volt": "V", "mv": "mV", "cv": "cV",
+    "dv": "dV", "erpm": "erpm",
     "rpm": "rpm", "hz": "Hz", "n": "N", "mn": "mN",
 }  # fmt: skip
 _SUFFIX = re.compile(

@@ -66,6 +66,9 @@ class RawLog:
     about: dict[str, Any] = field(default_factory=dict)
 
 
+MOST_COPIES = 0.2  # share of the rows that may be copies of earlier ones, time and all
+
+
 def clean_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes: list[str]) -> Stream:
     """A stream without rows that are not numbers or repeat a time; what was dropped is noted.
 
@@ -90,7 +93,17 @@ def clean_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes
 def _forward(
     path: Path, name: str, t: np.ndarray, values: np.ndarray, step: np.ndarray, notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows whose time is later than that of all rows before; few may be lost."""
+    """Rows whose time is later than that of all rows before; few may be lost, but for copies of earlier rows."""
+    _, first = np.unique(np.column_stack([t, values]), axis=0, return_index=True)
+    if (1 - MOST_COPIES) * len(t) <= len(first) < len(t):
+        notes.append(
+            f"{name}: {len(t) - len(first)} of {len(t)} rows are copies of earlier ones, time and all: dropped"
+        )
+        first = np.sort(first)
+        t, values = t[first], values[first]
+        step = np.diff(t)
+        if not len(step) or step.min() > 0:
+            return t, values
     back = np.flatnonzero(step < 0)
     late = increasing(t)
     lost = len(t) - int(late.sum())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -19,11 +20,13 @@ UNITS: dict[str, dict[str, float]] = {
     "rate": {"rad/s": 1.0, "deg/s": np.pi / 180, "mrad/s": 1e-3, "mdeg/s": np.pi / 180e3},
     "acceleration": {"m/s^2": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "cm/s^2": 1e-2},
     "angle": {"rad": 1.0, "deg": np.pi / 180, "cdeg": np.pi / 18000},
-    "rotor_speed": {"rad/s": 1.0, "rpm": _TURN / 60, "krpm": _TURN / 60e-3, "Hz": _TURN, "deg/s": np.pi / 180},
-    "voltage": {"V": 1.0, "mV": 1e-3, "cV": 1e-2},
+    "rotor_speed": {"rad/s": 1.0, "rpm": _TURN / 60, "krpm": _TURN / 60e-3, "Hz": _TURN, "deg/s": np.pi / 180,
+                    "erpm": _TURN / 60},
+    "voltage": {"V": 1.0, "mV": 1e-3, "cV": 1e-2, "dV": 1e-1},
     "force": {"N": 1.0, "mN": 1e-3, "gf": 1e-3 * STANDARD_GRAVITY},
     "none": {"1": 1.0},
-}
+}  # fmt: skip
+ELECTRICAL = ("erpm",)  # turns of the motor's field: pole pairs times those of the rotor
 
 # Axes of a frame in ENU or FLU, as the log's components: "y x -z" says ENU = (log y, log x, -log z).
 WORLD_FRAMES = {"enu": "x y z", "nwu": "-y x z", "ned": "y x -z", "nue": "z x y", "eus": "x -z y"}
@@ -57,6 +60,14 @@ def axes_matrix(kind: str, frame: str, where: str) -> np.ndarray:
     for row, part in enumerate(parts):
         matrix[row, "xyz".index(part[2])] = -1.0 if part[1] == "-" else 1.0
     return matrix
+
+
+def mounting_matrix(angles: Sequence[float]) -> np.ndarray:
+    """R_z(yaw) R_y(pitch) R_x(roll), (3, 3), of roll, pitch, yaw in degrees: from a sensor's axes to the body's."""
+    from scipy.spatial.transform import Rotation
+
+    roll, pitch, yaw = angles
+    return np.asarray(Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_matrix())
 
 
 def is_rotation(matrix: np.ndarray) -> bool:
