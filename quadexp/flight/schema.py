@@ -130,7 +130,9 @@ ESTIMATE_COLUMNS: dict[str, Column] = {
     **{name: column._replace(description=f"{column.description}, in use") for name, column in _COEFFICIENTS.items()},
     **{f"raw_{name}": column for name, column in _COEFFICIENTS.items()},
     **{
-        f"std_{name}": column._replace(description=f"standard error of the {column.description}")
+        f"std_{name}": column._replace(
+            description=f"the recursion's own deviation of the {column.description}; no interval"
+        )
         for name, column in _COEFFICIENTS.items()
     },
     **{f"error_{i}": Column("m/s^2", "body", "specific force less its prediction") for i in _AXES},
