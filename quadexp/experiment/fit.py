@@ -7,6 +7,8 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from quadexp.config import Config
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
@@ -105,7 +107,9 @@ def _fit_drag(data: ResidualDataset, config: Config) -> tuple[Any, ...]:
         held_out = sorted(set(map(str, test.columns["flight_name"])))
     model = fit_linear_drag(data, **options)
     report = {"rows": rows, "held_out_flights": held_out, "refitted": True, "summary": f"linear drag {model}"}
-    report["drag"] = {"drag": model.drag.tolist(), "error": model.drag_error.tolist()}
+    half = [None if np.isnan(value) else float(value) for value in model.half_width[:3]]
+    report["drag"] = {"drag": model.drag.tolist(), "error": model.drag_error.tolist(), "half_width_95": half}
+    report["drag"]["intervals"] = model.label
     return model, report, lambda folder: {}
 
 

@@ -157,7 +157,7 @@ def refitted(
                 from quadexp.identify.linear_drag import fit_linear_drag
                 from quadexp.identify.trim import trim
 
-                fresh = fit_linear_drag(trim(rows).dataset, thrust=False, loss=model.loss)
+                fresh = fit_linear_drag(trim(rows).dataset, thrust=False, loss=model.loss, intervals=False)
         made.append((label, fresh))
     return made
 

@@ -52,6 +52,7 @@ class VehicleModel:
         return LinearDrag(
             value[0], value[1], 0.0, error[0], error[1], 0.0, self.linear.residual_std, np.zeros(3),
             int(self.dataset.get("rows", 0)), "blocks", self.linear.loss, dict(self.vehicle), dict(self.dataset),
+            np.array([*map(float, self.linear.freedom)] * 2 + [0.0]), int(self.dataset.get("flights", 0)),
         )  # fmt: skip
 
     linear_drag = drag

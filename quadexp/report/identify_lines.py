@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from quadexp.identify.regression import FLIGHT_CLUSTERS
 from quadexp.identify.terms import TermModel
 from quadexp.identify.vehicle_model import VehicleModel
 
@@ -15,7 +16,7 @@ def identification_lines(model: VehicleModel, report: Mapping[str, Any]) -> list
     lines = [
         (
             f"regression on {data['flights']} flights of {vehicle.get('name') or 'an unnamed vehicle'},"
-            f" {data['rows']} samples, {data['duration']:.0f} s; +- is half the 95 % interval"
+            f" {data['rows']} samples, {data['duration']:.0f} s"
         ),
     ]
     lines += model_lines(model)
@@ -37,10 +38,21 @@ def identification_lines(model: VehicleModel, report: Mapping[str, Any]) -> list
 
 def model_lines(model: VehicleModel) -> list[str]:
     """Thrust curve and coefficients, +- half the 95 % interval."""
-    lines = [f"thrust      {model.thrust}"]
+    lines = [f"intervals   +- is half the 95 % interval {interval_of(model.dataset.get('flights', 0))}"]
+    lines.append(f"thrust      {model.thrust}")
     for kind, one in model.models.items():
         lines += _coefficient_lines(kind, one)
     return lines
+
+
+def interval_of(flights: int) -> str:
+    """What the intervals of a fit to so many flights cover (quadexp.identify.regression)."""
+    if flights >= FLIGHT_CLUSTERS:
+        return f"over {flights} flights"
+    return (
+        "of these flights only, from blocks of time: what differs from flight to flight is not in it"
+        f" ({FLIGHT_CLUSTERS} flights or more show that)"
+    )
 
 
 def _coefficient_lines(kind: str, model: TermModel) -> list[str]:
