@@ -21,6 +21,7 @@ from quadexp.experiment.plan import Plan
 from quadexp.experiment.rows import Rows
 from quadexp.flight.cell_store import CellStore
 from quadexp.flight.store import read_metadata, read_table, write_table, write_text
+from quadexp.report.outside import outside_notes
 from quadexp.report.statistics_file import Statistics, results_statistics, write_comparison
 from quadexp.report.tables import ErrorTable, to_csv
 
@@ -99,7 +100,7 @@ def write_results(root: Path, rows: Rows, record: Mapping[str, Any]) -> tuple[St
     if not _lies_there(root, rows, record):
         write_text(files["csv"], to_csv(rows))
         write_table(files["results"], rows.columns(), record, "results")
-    table, made = write_comparison(root, statistics, record["metric"])
+    table, made = write_comparison(root, statistics, record["metric"], outside_notes(rows))
     return statistics, table, {name: str(path) for name, path in files.items()} | made
 
 

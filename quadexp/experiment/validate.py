@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -122,7 +122,7 @@ def _predictors(loaded: Sequence[tuple[str, Any]], vehicle: Vehicle) -> list[Pre
     for label, model in loaded:
         for one in predictors(model, label, vehicle, curve):
             if several and isinstance(model, VehicleModel):
-                one = Predictor(f"{label}: {one.name}", one.curve, one.beyond, one.seen, one.ranges)
+                one = replace(one, name=f"{label}: {one.name}")
             made.append(one)
         curve = curve or getattr(model, "thrust", None)
     if all(one.name != NOMINAL for one in made):

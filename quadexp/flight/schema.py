@@ -74,6 +74,9 @@ RESULT_COLUMNS: dict[str, Column] = {
     "saturated_share": Column("1", "", "share of samples with a rotor at its thrust limit"),
     "peak_speed": Column("m/s", "world", "largest speed flown"),
     "duration": Column("s", "", "length of the flight"),
+    "outside_data": Column(
+        "1", "", "share of samples outside the data of the controller's learned model; NaN without one, or unknown"
+    ),
 }
 
 # One row per metric, condition and contestant; `unit` names the unit of the columns that are in the metric's own.

@@ -5,10 +5,10 @@ flight, so it is flights that are independent, not rows. With c_g the coefficien
 
     variance = (G - 1)/G sum_g (c_g - c)^2
 
-(delete-one-cluster jackknife, CR3: MacKinnon, Nielsen & Webb 2023, J. Econometrics 232(2)). Each c_g is a fit of its own,
-the scale of Huber's loss with it; a sandwich of scores takes that scale for known and holds the truth in 82 to 88 % of
-data sets only. A few fast flights decide most of a drag coefficient, so Student's t has Satterthwaite's degrees of
-freedom for flights whose share of the variance goes with the square of their share h_g of the information on
+(delete-one-cluster jackknife, CR3: MacKinnon, Nielsen & Webb 2023, J. Econometrics 232(2)). Each c_g is a fit of its
+own, the scale of Huber's loss with it; a sandwich of scores takes that scale for known and holds the truth in 82 to
+88 % of data sets only. A few fast flights decide most of a drag coefficient, so Student's t has Satterthwaite's degrees
+of freedom for flights whose share of the variance goes with the square of their share h_g of the information on
 coefficient j, as it does where the model is too simple,
 
     (sum_g h_g^2)^2 / sum_g h_g^4 - 1,      h_g = sum_{k in g} a_k^2 / sum_k a_k^2,      a = X (X'X)^-1 e_j

@@ -1,6 +1,8 @@
 """Linear regression by Huber's loss (Huber 1964), or by least squares.
 
-    minimise sum_k rho(y_k - x_k c),    rho(e) = e^2/2 for |e| <= L, L (|e| - L/2) beyond,    L = 1.345 * 1.4826 median |e|
+    minimise sum_k rho(y_k - x_k c),    rho(e) = e^2/2 for |e| <= L, L (|e| - L/2) beyond
+
+with L = 1.345 * 1.4826 median |e|,
 
 by reweighting. rho is quadratic up to 1.345 robust standard deviations: 95 % efficient where the scatter is normal.
 """
@@ -22,11 +24,8 @@ def solve(
 
     start: coefficients to reweight from, None for least squares. tolerance: relative, of the last change.
     """
-    if start is None or loss != "huber":
-        coefficients = np.linalg.lstsq(x, target, rcond=None)[0]
-    else:
-        coefficients = start
-    limit = np.inf
+    coefficients = start if start is not None and loss == "huber" else np.linalg.lstsq(x, target, rcond=None)[0]
+    limit = float(np.inf)
     for _ in range(ROUNDS if loss == "huber" else 0):
         left = target - x @ coefficients
         limit = HUBER * MAD_TO_STD * float(np.median(np.abs(left)))

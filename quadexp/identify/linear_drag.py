@@ -26,6 +26,7 @@ from quadexp.errors import DataError, UsageError
 from quadexp.identify.dataset import THRUST, ResidualDataset
 from quadexp.identify.flight_jackknife import flight_errors
 from quadexp.identify.huber import LOSSES, solve
+from quadexp.identify.support import feature_ranges
 
 ERRORS = ("flight", "hc1")
 AXES = "xyz"
@@ -45,7 +46,7 @@ class LinearDrag:
     n: rows. errors: which standard errors. loss: which fit.
     vehicle, dataset: fingerprint and hash of what it was fitted to.
     freedom: (7,), degrees of freedom of Student's t in the order of `parameters`; 0 where there is no interval.
-    flights: how many the errors are over.
+    flights: how many the errors are over. feature_range: of the rows, see quadexp.identify.support.
     """
 
     drag: np.ndarray
@@ -63,6 +64,7 @@ class LinearDrag:
     dataset: dict[str, Any] = field(default_factory=dict)
     freedom: np.ndarray = field(default_factory=lambda: np.zeros(7))
     flights: int = 0
+    feature_range: dict[str, list[float]] = field(default_factory=dict)
 
     @property
     def parameters(self) -> np.ndarray:
@@ -165,6 +167,7 @@ def fit_linear_drag(
         drag[0], offset[0], float(gain[0]), drag[1], offset[1], float(gain[1]), std, r_squared, n, errors, loss,
         dict(dataset.metadata.get("vehicle") or {}), dataset.summary(),
         np.concatenate([drag[2], offset[2], [gain[2]]]), len(np.unique(flight)),
+        feature_ranges(dataset, [THRUST] if thrust else []),
     )  # fmt: skip
 
 

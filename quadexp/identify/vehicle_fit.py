@@ -16,10 +16,12 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.flight.schema import Flight
 from quadexp.identify.body_drag import LINEAR, QUADRATIC
+from quadexp.identify.dataset import ResidualDataset
 from quadexp.identify.lumped import SELF_CONSISTENT, lumped_terms, momentum_of
 from quadexp.identify.lumped_fit import fit_inflow
 from quadexp.identify.regression import Regression, regress
 from quadexp.identify.samples import Samples, choose_signal, gather
+from quadexp.identify.support import VELOCITY, feature_ranges
 from quadexp.identify.terms import AXES, TermModel, all_columns, term_columns, term_model
 from quadexp.identify.thrust_curve import ThrustCurve, fit_thrust_samples, thrust_columns
 from quadexp.identify.vehicle_model import KINDS, VehicleModel
@@ -181,8 +183,13 @@ def fit_vehicle_model(
         linear.curve, linear.terms, found["quadratic"], found["blade_element"],
         best if best is not None and best in kinds else kinds[-1], record, dataset_record(samples),
         {"loss": settings.loss, "signal": samples.kind, "per_rotor": settings.per_rotor, "momentum": momentum},
-        tuple(notes),
+        tuple(notes), feature_range=_velocity_ranges(samples.velocity),
     )  # fmt: skip
+
+
+def _velocity_ranges(velocity: np.ndarray) -> dict[str, list[float]]:
+    columns = {name: velocity[:, i] for i, name in enumerate(VELOCITY)}
+    return feature_ranges(ResidualDataset(columns, {}))
 
 
 def curve_beside_quadratic(samples: Samples, settings: FitSettings, curve: ThrustCurve) -> ThrustCurve:

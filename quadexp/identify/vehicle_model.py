@@ -29,6 +29,7 @@ class VehicleModel:
 
     vehicle: {name, fingerprint, mass}, as far as known. dataset: {sha256, rows, flights, duration, names}.
     settings: how it was fitted. notes: what could not be fitted, and why.
+    feature_range: of body velocity and speed, see quadexp.identify.support.
     """
 
     thrust: ThrustCurve
@@ -41,6 +42,7 @@ class VehicleModel:
     settings: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     versions: dict[str, str] = field(default_factory=dict)
+    feature_range: dict[str, list[float]] = field(default_factory=dict)
 
     @property
     def drag(self) -> LinearDrag:

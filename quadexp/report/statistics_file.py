@@ -91,10 +91,15 @@ def write_statistics(root: str | Path, statistics: Statistics) -> dict[str, str]
     return {"statistics": str(path), "statistics_csv": str(text)}
 
 
-def write_comparison(root: str | Path, statistics: Statistics, metric: str) -> tuple[ErrorTable, dict[str, str]]:
-    """Write the statistics and the tables of one metric; returns the error table and name -> path."""
+def write_comparison(
+    root: str | Path, statistics: Statistics, metric: str, said: Sequence[str] = ()
+) -> tuple[ErrorTable, dict[str, str]]:
+    """Write the statistics and the tables of one metric; returns the error table and name -> path.
+
+    said: further notes below the table.
+    """
     root = Path(root)
-    table = table_of(statistics.of(metric), statistics.pooled(metric))
+    table = table_of(statistics.of(metric), statistics.pooled(metric), said)
     compared = statistics.of(metric)
     text = f"{to_markdown(table)}\n{comparison_markdown(compared)}".rstrip() + "\n"
     files = {

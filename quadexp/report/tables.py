@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.report.metrics import SHOWN
+from quadexp.report.outside import outside_notes
 from quadexp.report.overall import Overall, overall
 from quadexp.report.pairing import contestant_labels, contestant_of, split_variant, variant_parts
 from quadexp.report.statistics import BASELINE, CONFIDENCE, Statistic, compute_statistics
@@ -41,6 +42,7 @@ ROW_COLUMNS = (
     "peak_speed",
     "duration",
     "last_resort_count",
+    "outside_data",
     "outcome",
     "backend",
     "cause",
@@ -135,11 +137,14 @@ def error_table(
     """The table of one metric from result rows; see `table_of`."""
     options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
     statistics = compute_statistics(rows, metrics=(metric,), **options)
-    return table_of(statistics, overall(rows, metric=metric, **options))
+    return table_of(statistics, overall(rows, metric=metric, **options), outside_notes(rows))
 
 
-def table_of(statistics: Sequence[Statistic], pooled: Sequence[Overall] = ()) -> ErrorTable:
-    """The table of one metric's statistics; the best of a row is marked among the flights on one plant and vehicle."""
+def table_of(statistics: Sequence[Statistic], pooled: Sequence[Overall] = (), said: Sequence[str] = ()) -> ErrorTable:
+    """The table of one metric's statistics; the best of a row is marked among the flights on one plant and vehicle.
+
+    said: further notes below it.
+    """
     metric = statistics[0].metric
     factor, unit = SHOWN[metric]
     order: dict[tuple[str, float], tuple[str, str]] = {}
@@ -169,7 +174,7 @@ def table_of(statistics: Sequence[Statistic], pooled: Sequence[Overall] = ()) ->
             if len(rivals) > 1 and able:
                 best = min(able, key=lambda c: (-entries[line, c].success, entries[line, c].mean))
                 entries[line, best] = replace(entries[line, best], best=True)
-    return ErrorTable(metric, unit, lines, tuple(columns), entries, notes(statistics, pooled))
+    return ErrorTable(metric, unit, lines, tuple(columns), entries, (*notes(statistics, pooled), *said))
 
 
 def to_rich(table: ErrorTable, *, stacked: bool = False) -> Any:

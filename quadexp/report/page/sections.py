@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.report.metrics import position_error
+from quadexp.report.outside import outside_notes
 from quadexp.report.page.figures import course_title
 from quadexp.report.page.names import KNOWS, spoken
 from quadexp.report.page.numbers import (
@@ -113,7 +114,7 @@ def _table(comparison: Comparison, metric: str) -> dict[str, Any]:
         "baseline": baseline,
         "lines": lines,
         "confidence": f"{some.confidence:.0%}",
-        "notes": notes(list(found.values()), ()),
+        "notes": (*notes(list(found.values()), ()), *outside_notes(comparison.rows)),
     }
 
 
