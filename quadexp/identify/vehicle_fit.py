@@ -41,7 +41,8 @@ class FitSettings:
 
     signal, reference_voltage, powers, thrust_intercept, per_rotor: of the thrust curve, None for what the flights
     suggest; voltage_exponent: None fits it. radius: of the rotors, m, for the induced velocity. loss: squares or huber.
-    kinds: models to fit besides linear. mass: kg, where no vehicle says it.
+    kinds: models to fit besides linear. mass: kg, where no vehicle says it. induced: False leaves the induced velocity
+    out of the blade element although the radius is known.
     """
 
     signal: str | None = None
@@ -54,6 +55,7 @@ class FitSettings:
     mass: float | None = None
     loss: str = "squares"
     kinds: tuple[str, ...] = KINDS
+    induced: bool = True
 
     def __post_init__(self) -> None:
         for kind in self.kinds:
@@ -167,7 +169,7 @@ def fit_vehicle_model(
     for kind in found:
         if kind not in settings.kinds:
             continue
-        for kappa in (momentum, 0.0) if kind == "blade_element" and momentum else (0.0,):
+        for kappa in (momentum, 0.0) if kind == "blade_element" and momentum and settings.induced else (0.0,):
             try:
                 fit = fit_level(kind, samples, settings, kappa)
                 found[kind] = fit.model

@@ -30,7 +30,7 @@ def identification_lines(model: VehicleModel, report: Mapping[str, Any]) -> list
     lines.append(f"by {report['other_loss']['loss']:<9}linear {drag} 1/s")
     lines += _flight_lines(report["flights"])
     lines += _curve_lines(report["curves"], model)
-    lines += selection_lines(report["selection"], report["best"])
+    lines += selection_lines(report["selection"], report.get("best_row", report["best"]))
     lines += [f"note        {note}" for note in report["notes"]]
     lines.append(f"recursive   ends {report['recursion']:.1g} standard errors from the batch estimates")
     return lines

@@ -231,7 +231,7 @@ def _vehicle_lines(model: Any, report: Mapping[str, Any]) -> list[str]:
 
     lines = model_lines(model)
     if report.get("selection"):
-        lines += selection_lines(report["selection"], model.best)
+        lines += selection_lines(report["selection"], report.get("best_row", model.best))
     return lines + [f"note        {note}" for note in model.notes]
 
 
