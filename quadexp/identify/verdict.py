@@ -212,9 +212,11 @@ def verdict_lines(report: dict[str, Any]) -> list[str]:
         if other and other["verdict"] == "better":
             names = ",".join(other["features"])
             lines.append(f"       features that are: {names} ({other['text']}): gp.features.{output}=[{names}]")
-        else:
-            tried = f"the best tried, {', '.join(other['features'])}, has {other['text']}" if other else "none could be"
+        elif other:
+            tried = f"the best, {', '.join(other['features'])}, has {other['text']}"
             lines.append(f"       no features tried are shown to be better ({tried}): linear drag is as good here")
+        else:
+            lines.append("       other features were not tried: it takes two flights to fit and one to judge")
     if report.get("identified"):
         lines += _identified_lines(report["identified"])
     return lines
