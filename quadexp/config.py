@@ -126,7 +126,7 @@ class DragConfig(Checked):
 
     intercept: bool = True
     thrust: bool = True
-    errors: str = choice("hc1", "flight")
+    errors: str = choice("flight", "hc1")
     loss: str = choice("huber", "squares")
     holdout: float = number("[0, 0.9]", "of the flights")
     seed: int = number("[0, 4294967295]", "")

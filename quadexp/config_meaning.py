@@ -164,7 +164,7 @@ MEANINGS: dict[str, str] = {
     # drag
     "drag.intercept": "fit a constant acceleration beside the drag",
     "drag.thrust": "fit a share of the collective thrust on the z axis",
-    "drag.errors": "standard errors robust to uneven scatter, or to correlation within a flight",
+    "drag.errors": "95 % intervals over flights, or as if rows were independent, which rows of a flight are not",
     "drag.loss": "Huber's, which the few fastest rows do not bend, or least squares as published",
     "drag.holdout": "flights kept out of the fit to report on",
     "drag.seed": "draws the held-out flights",

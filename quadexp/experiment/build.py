@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -189,12 +189,14 @@ def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
     checkpoint = load_model(folder, vehicle=vehicle)
     if kind == "linear_drag":
         drag = checkpoint.linear_drag
-        return linear_drag_residual(vehicle, drag.drag, drag.intercept, drag.thrust_gain, source=model.path)
+        residual = linear_drag_residual(vehicle, drag.drag, drag.intercept, drag.thrust_gain, source=model.path)
+        return replace(residual, ranges=drag.feature_range)
     if not isinstance(checkpoint, GPModel):
         raise UsageError(f"{model.path}: holds linear drag, a Gaussian process is needed: {MAKERS[kind]}")
-    return gaussian_process_residual(
+    residual = gaussian_process_residual(
         vehicle, checkpoint.outputs, checkpoint.mean_parameters, model.path, mean_terms=checkpoint.mean_terms
     )
+    return replace(residual, ranges=checkpoint.feature_range)
 
 
 def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:

@@ -22,6 +22,7 @@ from quadexp.experiment.build import (
     find_model,
 )
 from quadexp.experiment.identity import digest, flight_entropy, flight_record
+from quadexp.experiment.outside import outside_data
 from quadexp.flight.schema import Flight
 from quadexp.flight.store import write_flight
 from quadexp.provenance import libraries, provenance, sources, versions
@@ -118,6 +119,7 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     )
     flight.metadata["reference_note"] = note
     flight.metadata["residual"] = {"name": controller.name, "source": controller.source}
+    flight.metadata["outside_data"] = outside_data(flight, model, controller)
     flight.metadata["row"] = result_row(config, flight)
     return flight
 
@@ -162,6 +164,7 @@ def result_row(config: Config, flight: Flight) -> dict[str, Any]:
         "seed": config.seed,
         **flight_metrics(flight, config.vehicle.thrust_min, config.vehicle.thrust_max),
         "reference_residual": metadata.get("reference_residual"),
+        "outside_data": (metadata.get("outside_data") or {}).get("share"),
         "outcome": metadata["outcome"],
         "backend": metadata.get("backend", ""),
         "cause": metadata.get("cause", ""),

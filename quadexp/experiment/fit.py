@@ -7,6 +7,8 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from quadexp.config import Config
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
@@ -44,6 +46,12 @@ def fit_checkpoint(
     files = draw(out / "figures") if figures else {}
     lines = [f"{report['summary']} from {data.n_rows} rows of {len(data.flights)} flights"]
     lines += _split_lines(report)
+    if "verdict" in report:
+        from quadexp.identify.verdict import verdict_lines
+
+        lines += verdict_lines(report["verdict"])
+    elif kind == "gp":
+        lines.append("no verdict on linear drag: it takes held-out flights (gp.holdout above 0, gp.split=flight)")
     return {"path": out, "kind": kind, "figures": files, "lines": lines, **report}
 
 
@@ -72,6 +80,10 @@ def _fit_gp(data: ResidualDataset, config: Config, *, compare: bool, progress: P
         report["target"] = data.metadata["target"]
     chosen = "; ".join(f"{o.output} <- {', '.join(o.features)}" for o in fit.model.outputs)
     report["summary"] = f"Gaussian processes {chosen} ({settings.inducing} points, {settings.method})"
+    if fit.test is not None and settings.split == "flight":
+        from quadexp.identify.verdict import verdict
+
+        report["verdict"] = verdict(fit.held_out_model, fit.train, fit.test, settings)
     if compare:
         from quadexp.identify.comparison import compare as compare_sizes
 
@@ -104,8 +116,17 @@ def _fit_drag(data: ResidualDataset, config: Config) -> tuple[Any, ...]:
         rows = evaluate_drag(train, test, **options)
         held_out = sorted(set(map(str, test.columns["flight_name"])))
     model = fit_linear_drag(data, **options)
-    report = {"rows": rows, "held_out_flights": held_out, "refitted": True, "summary": f"linear drag {model}"}
-    report["drag"] = {"drag": model.drag.tolist(), "error": model.drag_error.tolist()}
+    report: dict[str, Any] = {
+        "rows": rows,
+        "held_out_flights": held_out,
+        "refitted": True,
+        "summary": f"linear drag {model}",
+    }
+    half = [None if np.isnan(value) else float(value) for value in model.half_width[:3]]
+    report["drag"] = {
+        "drag": model.drag.tolist(), "error": model.drag_error.tolist(), "half_width_95": half,
+        "intervals": model.label,
+    }  # fmt: skip
     return model, report, lambda folder: {}
 
 

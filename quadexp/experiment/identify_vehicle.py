@@ -18,7 +18,7 @@ from quadexp.identify.checkpoint import save_model
 from quadexp.identify.lumped import momentum_of
 from quadexp.identify.recursion import Recursion, recurse
 from quadexp.identify.samples import Samples, choose_signal, gather
-from quadexp.identify.selection import best_level, compare_curves, flight_by_flight, selection
+from quadexp.identify.selection import STILL, best_level, compare_curves, flight_by_flight, selection
 from quadexp.identify.thrust_curve import ThrustCurve
 from quadexp.identify.vehicle_fit import (
     AxisFit,
@@ -37,6 +37,7 @@ LEAST_IMPROVEMENT = 0.02  # of the held-out error along z, below which the thrus
 EXPONENT_IMPROVEMENT = 0.1  # the same, below which the voltage's exponent stays 1
 EXPONENTS = (0.5, 1.5)  # of the voltage, that a motor can have; beyond, something else differs between the flights
 OTHER_ROWS = 100_000  # that the other loss is tried on
+NO_INDUCED = "blade element without induced velocity, which errs less on what was left out than with it"
 RECURSION_TOLERANCE = 1e-6  # standard errors between the last recursive estimate and the batch's
 
 
@@ -62,6 +63,10 @@ def identify_vehicle(
     if curves and choose_curve:
         settings = chosen_curve(curves, settings)
     ladder = selection(samples, settings, momentum)
+    best = best_level(ladder)
+    fitted_with = any(row["level"] == "blade_element" and not row["note"] for row in ladder)
+    if fitted_with and best_level(ladder, ("blade_element", STILL)) == STILL:
+        settings = replace(settings, induced=False)
     series: dict[str, dict[str, Recursion]] = {}
     apart: list[float] = []
 
@@ -73,14 +78,22 @@ def identify_vehicle(
         apart.append(_agreement(fit.axes, series[kind]))
 
     model = fit_vehicle_model(
-        flights, vehicle, settings, names=names, samples=samples, best=best_level(ladder), fitted=through_recursion
+        flights,
+        vehicle,
+        settings,
+        names=names,
+        samples=samples,
+        fitted=through_recursion,
+        best="blade_element" if best == STILL else best,
     )
+    if not settings.induced:
+        model = replace(model, notes=(*model.notes, NO_INDUCED))
     model = replace(model, versions=versions())
     report: dict[str, Any] = {
         "kind": "vehicle_model", "vehicle": model.vehicle, "dataset": model.dataset, "signal": samples.kind,
         "thrust": str(model.thrust), "models": {kind: one.rows() for kind, one in model.models.items()},
         "other_loss": _other_loss(samples, settings), "flights": flight_by_flight(samples, settings),
-        "curves": curves, "selection": ladder, "best": model.best, "notes": list(model.notes),
+        "curves": curves, "selection": ladder, "best": model.best, "best_row": best, "notes": list(model.notes),
         "recursion": max(apart), "beside_quadratic": _beside_quadratic(samples, settings, model.thrust),
     }  # fmt: skip
     return VehicleIdentification(model, samples, series, report)

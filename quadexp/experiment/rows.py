@@ -9,7 +9,7 @@ import numpy as np
 
 from quadexp.report.tables import ROW_COLUMNS, TEXT_COLUMNS, to_columns
 
-OPTIONAL = ("speed", "reference_residual")  # not every trajectory has a speed, not every reference a residual
+OPTIONAL = ("speed", "reference_residual", "outside_data")  # what not every flight has
 
 
 class Rows(Sequence[dict[str, Any]]):

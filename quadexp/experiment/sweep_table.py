@@ -26,7 +26,6 @@ from quadexp.experiment.rows import Rows
 from quadexp.flight.cell_store import CellStore
 from quadexp.flight.store import has_content_hash, read_table, read_text, write_table, write_text
 from quadexp.provenance import sources
-from quadexp.report.flown_by import mixed_programs
 from quadexp.report.statistics_file import (
     Statistics,
     comparison_texts,
@@ -122,9 +121,9 @@ def write_results(
     lie there already with the same record are left as they are.
     """
     options = {name: record[name] for name in ("baseline", "confidence")}
-    statistics, remarks, csv = results_statistics(root, rows, **options), mixed_programs(rows), to_csv(rows)
+    statistics, csv = results_statistics(root, rows, **options), to_csv(rows)
     files = {"results": root / RESULTS, "csv": root / "results.csv"}
-    texts = comparison_texts(statistics, record["metric"], remarks)[1]
+    texts = comparison_texts(statistics, record["metric"])[1]
     texts |= {"results.csv": csv, "statistics.csv": statistics_csv(statistics.rows)}
     made = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()}
     record = {**record, "made": made, "statistics": statistics.fingerprint}
@@ -134,7 +133,7 @@ def write_results(
         write_text(files["csv"], csv)
     if stored is None or not _same_table(*stored, rows, record) or not has_content_hash(files["results"]):
         write_table(files["results"], rows.columns(), record, "results")
-    table, paths = write_comparison(root, statistics, record["metric"], remarks)
+    table, paths = write_comparison(root, statistics, record["metric"])
     altered = [f"{what}: written anew" for what in wrong]
     return statistics, table, {name: str(path) for name, path in files.items()} | paths, altered
 

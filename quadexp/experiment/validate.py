@@ -198,7 +198,7 @@ def refitted(
                 from quadexp.identify.linear_drag import fit_linear_drag
                 from quadexp.identify.trim import trim
 
-                fresh = fit_linear_drag(trim(rows).dataset, thrust=False, loss=model.loss)
+                fresh = fit_linear_drag(trim(rows).dataset, thrust=False, loss=model.loss, intervals=False)
         made.append((label, fresh))
     return made
 
@@ -219,6 +219,7 @@ def _settings(model: VehicleModel, flights: int) -> FitSettings:
         voltage_exponent=None if curve.voltage_exponent_error and flights > 1 else curve.voltage_exponent,
         powers=tuple(int(p) for p in curve.powers), thrust_intercept=bool(curve.intercept_error),
         per_rotor=curve.coefficients.ndim > 1, loss=curve.loss, kinds=tuple(model.models),
+        induced=model.blade_element is None or isinstance(model.blade_element.momentum, tuple),
     )  # fmt: skip
 
 

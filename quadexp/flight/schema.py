@@ -79,6 +79,9 @@ RESULT_COLUMNS: dict[str, Column] = {
         "",
         "share of the controller's residual that the reference contains, mean over the flight; empty: none by design",
     ),
+    "outside_data": Column(
+        "1", "", "share of samples outside the data of the controller's learned model; NaN without one, or unknown"
+    ),
 }
 
 # One row per metric, condition and contestant; `unit` names the unit of the columns that are in the metric's own.
@@ -141,7 +144,9 @@ ESTIMATE_COLUMNS: dict[str, Column] = {
     **{name: column._replace(description=f"{column.description}, in use") for name, column in _COEFFICIENTS.items()},
     **{f"raw_{name}": column for name, column in _COEFFICIENTS.items()},
     **{
-        f"std_{name}": column._replace(description=f"standard error of the {column.description}")
+        f"std_{name}": column._replace(
+            description=f"the recursion's own deviation of the {column.description}; no interval"
+        )
         for name, column in _COEFFICIENTS.items()
     },
     **{f"error_{i}": Column("m/s^2", "body", "specific force less its prediction") for i in _AXES},

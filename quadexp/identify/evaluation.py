@@ -17,9 +17,10 @@ import numpy as np
 from quadexp.errors import DataError
 from quadexp.identify.dataset import ResidualDataset
 from quadexp.identify.gp_fit import Callback, fit_gp
-from quadexp.identify.linear_drag import fit_linear_drag
+from quadexp.identify.linear_drag import LinearDrag, fit_linear_drag
 from quadexp.identify.model import GPModel, GPSettings
 from quadexp.identify.predict import AXIS, predict
+from quadexp.identify.support import feature_ranges, outside_shares
 from quadexp.identify.trim import is_trimmable, trim
 
 Row = dict[str, Any]
@@ -88,12 +89,9 @@ def split(dataset: ResidualDataset, settings: GPSettings) -> tuple[ResidualDatas
 
 
 def out_of_range(train: ResidualDataset, test: ResidualDataset, model: GPModel) -> dict[str, float]:
-    """Share of the test rows outside the train rows' range, for every feature of the model and for any of them."""
-    names = list(dict.fromkeys(name for output in model.outputs for name in output.features))
-    inside, seen = test.matrix(names), train.matrix(names)
-    outside = (inside < seen.min(axis=0)) | (inside > seen.max(axis=0))
-    shares = {name: float(share) for name, share in zip(names, outside.mean(axis=0), strict=True)}
-    return shares | {"any": float(outside.any(axis=1).mean())}
+    """Share of the test rows outside the train rows' range, see quadexp.identify.support."""
+    names = [name for output in model.outputs for name in output.features]
+    return outside_shares(feature_ranges(train, names), test)
 
 
 def split_by_flight(dataset: ResidualDataset, share: float, seed: int = 0) -> tuple[ResidualDataset, ResidualDataset]:
@@ -134,9 +132,7 @@ def evaluate(model: GPModel, train: ResidualDataset, test: ResidualDataset) -> l
 
 def evaluate_drag(train: ResidualDataset, test: ResidualDataset, **options: Any) -> list[Row]:
     """The rows of `evaluate` for linear drag and zero alone; options go to `fit_linear_drag`."""
-    recorded = is_trimmable(train)
-    fitted = trim(train).dataset if recorded else train
-    drag = fit_linear_drag(fitted, **({"thrust": not recorded} | options))
+    drag = drag_baseline(train, **options)
     mean = drag.acceleration(test)
     rows = []
     for output, axis in AXIS.items():
@@ -145,6 +141,13 @@ def evaluate_drag(train: ResidualDataset, test: ResidualDataset, **options: Any)
         rows.append({"output": output, "predictor": "linear_drag"} | score(target, mean[:, axis], std))
         rows.append(_zero(output, train, test))
     return rows
+
+
+def drag_baseline(train: ResidualDataset, **options: Any) -> LinearDrag:
+    """Linear drag of the train rows, as every comparison takes it; options go to `fit_linear_drag`."""
+    recorded = is_trimmable(train)
+    fitted = trim(train).dataset if recorded else train
+    return fit_linear_drag(fitted, **({"thrust": not recorded, "intervals": False} | options))
 
 
 def _zero(output: str, train: ResidualDataset, test: ResidualDataset) -> Row:

@@ -21,6 +21,7 @@ from quadexp.identify.inducing import greedy_points
 from quadexp.identify.linear_drag import LinearDrag, constant_mean, fit_linear_drag
 from quadexp.identify.model import GPModel, GPSettings, OutputPosterior
 from quadexp.identify.predict import AXIS
+from quadexp.identify.support import feature_ranges
 from quadexp.identify.term_mean import KINDS as TERM_MEANS
 from quadexp.identify.term_mean import TermMean, fit_term_mean
 from quadexp.identify.trim import is_trimmable, trim
@@ -89,8 +90,7 @@ def fit_gp(
             posteriors.append(replace(made, noise_variance=made.noise_variance + spread) if output == "a_z" else made)
     if callback is not None:
         callback("fit done", 1.0)
-    used = dict.fromkeys(name for features in settings.features.values() for name in features)
-    ranges = {name: dataset.matrix([name])[:, 0] for name in used}
+    used = [name for features in settings.features.values() for name in features]
     return GPModel(
         tuple(posteriors),
         mean,
@@ -98,7 +98,7 @@ def fit_gp(
         dict(dataset.metadata.get("vehicle") or {}),
         dataset.summary(),
         settings.as_dict(),
-        {name: [float(values.min()), float(values.max())] for name, values in ranges.items()},
+        feature_ranges(dataset, used),
         {library: version(library) for library in LIBRARIES},
     )
 

@@ -9,10 +9,10 @@ loss="huber" (default) minimises sum rho(e / s) with Huber's rho, quadratic up t
 (1.4826 median |e|) and linear beyond (Huber 1964): where the true drag is not linear, the few fastest rows then no
 longer bend the line for all others, and the controller that uses it tracks better. loss="squares" is the published fit.
 
-Standard errors are heteroscedasticity-robust (HC1, MacKinnon & White 1985): with psi = rho', H = X' diag(psi') X,
-H^-1 X' diag(psi^2) X H^-1 n/(n - p), because the scatter grows with speed where the true drag is not linear.
-errors="flight" sums the scores X_k psi_k within each flight first (cluster-robust, Liang & Zeger 1986): larger, and the
-right ones where rows of one flight err alike.
+Intervals: errors="flight" (default) takes flights for independent (quadexp.identify.flight_jackknife): 95 % intervals
+that hold what more flights of the same kind would give, also where the true drag is not linear. errors="hc1" takes rows
+for independent (HC1, MacKinnon & White 1985: with psi = rho', H = X' diag(psi') X, H^-1 X' diag(psi^2) X H^-1
+n/(n - p)), which on flights is 7 to 10 times too small.
 """
 
 from __future__ import annotations
@@ -24,23 +24,29 @@ import numpy as np
 
 from quadexp.errors import DataError, UsageError
 from quadexp.identify.dataset import THRUST, ResidualDataset
+from quadexp.identify.flight_jackknife import flight_errors
+from quadexp.identify.huber import LOSSES, solve
+from quadexp.identify.support import feature_ranges
 
-ERRORS = ("hc1", "flight")
-LOSSES = ("huber", "squares")
-HUBER = 1.345  # robust standard deviations; 95 % efficient where the scatter is normal
-MAD_TO_STD = 1.4826
-ROUNDS = 200  # of reweighting, at the most
+ERRORS = ("flight", "hc1")
 AXES = "xyz"
+LABELS = {
+    "flight": "95 % interval over {flights} flights",
+    "hc1": "95 % interval as if rows were independent, which rows of a flight are not",
+    "blocks": "95 % interval of quadexp identify",
+}
 
 
 @dataclass(frozen=True)
 class LinearDrag:
     """a_body = -drag v_body + intercept + (0, 0, thrust_gain T), with one standard error per number.
 
-    drag: (3,) 1/s. intercept: (3,) m/s^2. thrust_gain: 1/kg. *_error: standard errors, same shapes (0: not fitted).
+    drag: (3,) 1/s. intercept: (3,) m/s^2. thrust_gain: 1/kg. *_error: standard errors, same shapes.
     residual_std: (3,), root mean square of what is left, m/s^2. r_squared: (3,), share of the variance explained.
     n: rows. errors: which standard errors. loss: which fit.
     vehicle, dataset: fingerprint and hash of what it was fitted to.
+    freedom: (7,), degrees of freedom of Student's t in the order of `parameters`; 0 where there is no interval.
+    flights: how many the errors are over. feature_range: of the rows, see quadexp.identify.support.
     """
 
     drag: np.ndarray
@@ -52,10 +58,13 @@ class LinearDrag:
     residual_std: np.ndarray
     r_squared: np.ndarray
     n: int
-    errors: str = "hc1"
+    errors: str = "flight"
     loss: str = "huber"
     vehicle: dict[str, Any] = field(default_factory=dict)
     dataset: dict[str, Any] = field(default_factory=dict)
+    freedom: np.ndarray = field(default_factory=lambda: np.zeros(7))
+    flights: int = 0
+    feature_range: dict[str, list[float]] = field(default_factory=dict)
 
     @property
     def parameters(self) -> np.ndarray:
@@ -74,11 +83,36 @@ class LinearDrag:
             value[:, 2] += self.thrust_gain * dataset.matrix([THRUST])[:, 0]
         return value
 
+    @property
+    def half_width(self) -> np.ndarray:
+        """Half the 95 % interval of every one of `parameters`, (7,); NaN where there is no interval."""
+        from scipy.stats import t as student_t
+
+        error = np.concatenate([self.drag_error, self.intercept_error, [self.thrust_gain_error]])
+        known = self.freedom > 0
+        return np.where(known, student_t.ppf(0.975, np.where(known, self.freedom, 1.0)) * error, np.nan)
+
+    @property
+    def label(self) -> str:
+        """What the intervals are, or why there are none."""
+        if self.freedom.any():
+            return LABELS[self.errors].format(flights=self.flights)
+        if self.flights == 1:
+            return "no interval: one flight does not tell how flights differ"
+        if self.flights:
+            return "no interval: without one of its flights the coefficients cannot be told apart"
+        return "no interval: fitted by an older version, whose errors took rows for independent; fit it again"
+
     def __str__(self) -> str:
-        terms = [f"d_{a} {d:.4f} +- {e:.4f} 1/s" for a, d, e in zip(AXES, self.drag, self.drag_error, strict=True)]
-        if self.thrust_gain_error:
-            terms.append(f"kappa {self.thrust_gain:.5f} +- {self.thrust_gain_error:.5f} 1/kg")
-        return ", ".join(terms)
+        half = self.half_width
+        terms = [f"d_{a} {self.drag[i]:.4f}{_ends(self.drag[i], half[i], 4)} 1/s" for i, a in enumerate(AXES)]
+        if self.thrust_gain:
+            terms.append(f"kappa {self.thrust_gain:.5f}{_ends(self.thrust_gain, half[6], 5)} 1/kg")
+        return f"{', '.join(terms)} ({self.label})"
+
+
+def _ends(value: float, half: float, digits: int) -> str:
+    return f" [{value - half:.{digits}f}, {value + half:.{digits}f}]" if np.isfinite(half) else ""
 
 
 def constant_mean(value: np.ndarray) -> LinearDrag:
@@ -92,13 +126,14 @@ def fit_linear_drag(
     *,
     intercept: bool = True,
     thrust: bool = True,
-    errors: str = "hc1",
+    errors: str = "flight",
     loss: str = "huber",
+    intervals: bool = True,
 ) -> LinearDrag:
     """Regression of the residual acceleration on body velocity, axis by axis.
 
     intercept, thrust: whether b and kappa are fitted (False, False is the published model).
-    errors: "hc1" or "flight"; loss: "huber" or "squares"; see the module.
+    errors: "flight" or "hc1"; loss: "huber" or "squares"; see the module. intervals: False fits the coefficients alone.
 
     Raises DataError if there are fewer rows than two more than coefficients, or if they do not tell the coefficients
     apart (a velocity that never changes, say).
@@ -108,36 +143,38 @@ def fit_linear_drag(
     if loss not in LOSSES:
         raise UsageError(f"drag.loss: '{loss}' is none of {', '.join(LOSSES)}")
     n = dataset.n_rows
-    drag, offset, gain = np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2)
+    drag, offset, gain = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
     std, r_squared = np.zeros(3), np.zeros(3)
-    groups = np.unique(dataset.columns["flight"], return_inverse=True)[1] if errors == "flight" else np.arange(n)
+    flight = np.asarray(dataset.columns["flight"])
     for i, axis in enumerate(AXES):
         names = [f"v_{axis}"] + [THRUST] * (thrust and axis == "z")
         design = dataset.matrix(names) * np.array([-1.0, 1.0])[: len(names)]
         if intercept:
             design = np.column_stack([design, np.ones(n)])
         target = dataset.matrix([f"a_{axis}"])[:, 0]
-        coefficients, error, left = _regression(
-            design, target, groups, f"a_{axis} on {', '.join(names)}", robust=loss == "huber"
+        found, left = _regression(
+            design, target, flight, f"a_{axis} on {', '.join(names)}", loss, errors if intervals else ""
         )
-        drag[:, i] = coefficients[0], error[0]
+        drag[:, i] = found[:, 0]
         if intercept:
-            offset[:, i] = coefficients[-1], error[-1]
+            offset[:, i] = found[:, -1]
         if len(names) == 2:
-            gain[:] = coefficients[1], error[1]
+            gain[:] = found[:, 1]
         std[i] = np.sqrt(np.mean(left**2))
         spread = np.sum((target - target.mean()) ** 2) if intercept else np.sum(target**2)
         r_squared[i] = 1 - np.sum(left**2) / spread if spread > 0 else 0.0
     return LinearDrag(
-        drag[0], offset[0], float(gain[0]), drag[1], offset[1], float(gain[1]),
-        std, r_squared, n, errors, loss, dict(dataset.metadata.get("vehicle") or {}), dataset.summary(),
+        drag[0], offset[0], float(gain[0]), drag[1], offset[1], float(gain[1]), std, r_squared, n, errors, loss,
+        dict(dataset.metadata.get("vehicle") or {}), dataset.summary(),
+        np.concatenate([drag[2], offset[2], [gain[2]]]), len(np.unique(flight)),
+        feature_ranges(dataset, [THRUST] if thrust else []),
     )  # fmt: skip
 
 
 def _regression(
-    design: np.ndarray, target: np.ndarray, groups: np.ndarray, what: str, *, robust: bool
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Coefficients, sandwich standard errors, and residuals; scores are summed within groups."""
+    design: np.ndarray, target: np.ndarray, flight: np.ndarray, what: str, loss: str, errors: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients, standard errors, degrees of freedom, (3, p), and residuals (n,); errors: "" for none."""
     n, p = design.shape
     if n < p + 2:
         raise DataError(f"drag fit of {what}: {n} rows for {p} coefficients, at least {p + 2} are needed")
@@ -149,23 +186,13 @@ def _regression(
             f"drag fit of {what}: these columns do not vary independently over the {n} rows, so their coefficients"
             " cannot be told apart: add flights with more motion, or leave out the intercept or the thrust term"
         )
-    coefficients = np.linalg.lstsq(x, target, rcond=None)[0]
-    limit = np.inf
-    for _ in range(ROUNDS if robust else 0):
-        left = target - x @ coefficients
-        limit = HUBER * MAD_TO_STD * np.median(np.abs(left))
-        if not limit > 1e-12 * np.abs(target).max():  # most rows lie on the line already
-            limit = np.inf
-            break
-        root = np.sqrt(np.minimum(1.0, limit / np.maximum(np.abs(left), limit)))
-        before, coefficients = coefficients, np.linalg.lstsq(x * root[:, None], target * root, rcond=None)[0]
-        if np.abs(coefficients - before).max() <= 1e-12 * np.abs(coefficients).max():
-            break
+    coefficients, limit = solve(x, target, loss)
     left = target - x @ coefficients
-    inside = np.abs(left) <= limit
-    scores = np.zeros((groups.max() + 1, p))
-    np.add.at(scores, groups, x * np.clip(left, -limit, limit)[:, None])
-    clusters = len(scores)
-    correction = n / (n - p) if clusters == n else clusters / max(clusters - 1, 1) * (n - 1) / (n - p)
-    half = np.linalg.solve(x[inside].T @ x[inside], scores.T) / scale[:, None]
-    return coefficients / scale, np.sqrt(correction * np.sum(half**2, axis=1)), left
+    error, freedom = np.zeros(p), np.zeros(p)
+    if errors == "flight":
+        error, freedom = flight_errors(x, target, flight, coefficients, loss)
+    elif errors == "hc1":
+        inside = x[np.abs(left) <= limit]
+        half = np.linalg.solve(inside.T @ inside, (x * np.clip(left, -limit, limit)[:, None]).T)
+        error, freedom = np.sqrt(n / (n - p) * np.sum(half**2, axis=1)), np.full(p, float(n - p))
+    return np.stack([coefficients / scale, error / scale, freedom]), left

@@ -18,7 +18,7 @@ import numpy as np
 from quadexp.dynamics.induced_velocity import safe_newton
 from quadexp.dynamics.term_equations import ITERATIONS, TERMS, Air, Inflow, thrust_balance
 from quadexp.errors import DataError
-from quadexp.identify.linear_drag import HUBER, MAD_TO_STD
+from quadexp.identify.huber import HUBER, MAD_TO_STD
 from quadexp.identify.lumped import SELF_CONSISTENT
 
 NAMES = SELF_CONSISTENT[2]

@@ -119,7 +119,7 @@ class GPModel:
     mean: prior mean of the accelerations (LinearDrag without drag where it is constant, or terms), or None for zero;
         torque outputs have prior mean zero.
     linear_drag: the RDRv baseline, fitted to the same rows. vehicle: {name, fingerprint}. dataset: hash, rows, flights.
-    feature_range: feature -> [min, max] of the rows. versions: library -> version.
+    feature_range: of the rows, see quadexp.identify.support. versions: library -> version.
     """
 
     outputs: tuple[OutputPosterior, ...]

@@ -33,8 +33,8 @@ Acceleration = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 class Predictor:
     """name: of the row. curve: thrust. beyond: (v (k, 3), w (k, 3), rotor accelerations (k, n)) -> (k, 3), m/s^2.
 
-    seen: names of the flights that it was fitted to. ranges: feature -> [low, high] of the fit, for the share outside.
-    torque: fitted, None where there is none.
+    seen: names of the flights that it was fitted to. ranges: of the fit, see quadexp.identify.support. mass: kg, of the
+    vehicle whose thrust is in the ranges. torque: fitted, None where there is none.
     """
 
     name: str
@@ -42,6 +42,7 @@ class Predictor:
     beyond: Acceleration
     seen: tuple[str, ...] = ()
     ranges: dict[str, Any] = field(default_factory=dict)
+    mass: float = 1.0
     torque: TorqueModel | None = None
 
 
@@ -59,7 +60,10 @@ def predictors(model: Any, label: str, vehicle: Vehicle, curve: ThrustCurve | No
         seen = tuple(model.dataset.get("names", ()))
         found = [nominal(model.thrust, seen, model.torque)]
         for kind, terms in model.models.items():
-            found.append(Predictor(_KIND_NAMES[kind], model.thrust, _of_terms(terms), seen, torque=model.torque))
+            beyond = _of_terms(terms)
+            found.append(
+                Predictor(_KIND_NAMES[kind], model.thrust, beyond, seen, model.feature_range, torque=model.torque)
+            )
         return found
     record = (model.dataset or {}).get("thrust")
     own = curve_from_record(record) if record else curve
@@ -68,8 +72,8 @@ def predictors(model: Any, label: str, vehicle: Vehicle, curve: ThrustCurve | No
                          " `quadexp identify`) beside it for its thrust curve")  # fmt: skip
     seen = tuple((model.dataset or {}).get("names", ()))
     if isinstance(model, GPModel):
-        return [Predictor(label, own, _of_gp(model, vehicle), seen, model.feature_range)]
-    return [Predictor(label, own, _of_drag(model, vehicle), seen)]
+        return [Predictor(label, own, _of_gp(model, vehicle), seen, model.feature_range, vehicle.mass)]
+    return [Predictor(label, own, _of_drag(model, vehicle), seen, model.feature_range, vehicle.mass)]
 
 
 _KIND_NAMES = {"linear": "linear drag", "quadratic": "quadratic drag", "blade_element": "blade element"}

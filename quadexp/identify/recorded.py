@@ -185,6 +185,8 @@ def target_cost(flights: Sequence[Flight], vehicle: Vehicle, curve: ThrustCurve,
     left = []
     for target in ("specific_force", "velocity"):
         data = recorded_dataset(flights, vehicle, curve, target=target, frame=frame)
-        residual = data.matrix(["a_x", "a_y", "a_z"]) - fit_linear_drag(data, loss="squares").acceleration(data)
+        residual = data.matrix(["a_x", "a_y", "a_z"]) - fit_linear_drag(
+            data, loss="squares", intervals=False
+        ).acceleration(data)
         left.append(float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))))
     return TargetCost(*left)

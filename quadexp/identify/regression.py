@@ -1,6 +1,6 @@
 """Linear regression on flight logs, with intervals that hold although neighbouring samples err alike.
 
-    y = X c + e,      c minimises sum rho(e),      rho(e) = e^2 / 2 ("squares") or Huber's ("huber", see linear_drag)
+    y = X c + e,      c minimises sum rho(e),      rho(e) = e^2 / 2 ("squares") or Huber's ("huber", see huber.py)
 
 What a model leaves of a flight is smooth in time (a drag term that is missing, motor lag, a gust), so n samples are not
 n observations and the textbook variance s^2 (X'X)^-1 is far too small. The scores X_k rho'(e_k) are therefore summed
@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadexp.errors import DataError, UsageError
-from quadexp.identify.linear_drag import HUBER, LOSSES, MAD_TO_STD, ROUNDS
+from quadexp.identify.huber import LOSSES, solve
 
 BLOCK_TIMES = 8.0
 FLIGHT_CLUSTERS = 10
@@ -98,7 +98,7 @@ def regress(
     length = np.linalg.norm(design, axis=0)
     x = _unit_columns(design, length, names, what)
     condition = _condition(x, names, what, condition_limit)
-    coefficients, limit = _solve(x, target, loss)
+    coefficients, limit = solve(x, target, loss)
     left = target - x @ coefficients
     inside = x if np.isinf(limit) else x * (np.abs(left) <= limit)[:, None]
     information = inside.T @ x
@@ -112,22 +112,6 @@ def regress(
     half = np.linalg.solve(information, sums.T) / length[:, None]
     covariance = count / max(count - p, 1) * half @ half.T
     return Regression(tuple(names), coefficients / length, covariance, plain, left, count, condition)
-
-
-def _solve(x: np.ndarray, target: np.ndarray, loss: str) -> tuple[np.ndarray, float]:
-    """Coefficients, and beyond which residual the loss is linear."""
-    coefficients = np.linalg.lstsq(x, target, rcond=None)[0]
-    limit = np.inf
-    for _ in range(ROUNDS if loss == "huber" else 0):
-        left = target - x @ coefficients
-        limit = HUBER * MAD_TO_STD * float(np.median(np.abs(left)))
-        if not limit > 1e-12 * np.abs(target).max():  # most rows lie on the line already
-            return coefficients, np.inf
-        root = np.sqrt(np.minimum(1.0, limit / np.maximum(np.abs(left), limit)))
-        before, coefficients = coefficients, np.linalg.lstsq(x * root[:, None], target * root, rcond=None)[0]
-        if np.abs(coefficients - before).max() <= 1e-12 * np.abs(coefficients).max():
-            break
-    return coefficients, limit
 
 
 def _unit_columns(design: np.ndarray, length: np.ndarray, names: Sequence[str], what: str) -> np.ndarray:

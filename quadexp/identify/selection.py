@@ -20,6 +20,7 @@ from quadexp.identify.vehicle_fit import LEVEL_NAMES, LEVELS, FitSettings, fit_l
 from quadexp.identify.vehicle_model import KINDS
 
 MOST_FOLDS = 10
+STILL = "blade_element_still"  # the rung of the blade element whose induced velocity is taken as it is in hover
 MOST_ROWS = 20_000  # of the ladder and of the comparison of curves, where more flights' rows are thinned evenly
 CURVES = ((1, 2), (1,), (2,))  # powers of motor_command that are compared
 
@@ -36,6 +37,7 @@ def selection(samples: Samples, settings: FitSettings, momentum: float = 0.0) ->
     Returns per level {level, name, in_sample {x, y, z, norm}, held_out the same, trimmed the same, per_flight
     {name: norm}, note}. trimmed: of the flights left out with each one's own mean residual taken away, what is left to
     a controller with integral action. With one flight nothing can be left out: held_out and trimmed are None.
+    With the rotors' radius known there are two rungs of the blade element, with induced velocity and without (STILL).
     Of two flights, a voltage exponent that is fitted is that of both: one alone does not tell it.
     """
     samples = samples.thinned(MOST_ROWS)
@@ -43,9 +45,13 @@ def selection(samples: Samples, settings: FitSettings, momentum: float = 0.0) ->
         curve, _ = _curve_residual(samples, samples, settings)
         settings = replace(settings, voltage_exponent=curve.voltage_exponent)
     chosen = [level for level in LEVELS if level not in KINDS or level in ("linear", *settings.kinds)]
+    rungs = [(level, level, LEVEL_NAMES[level], momentum) for level in chosen]
+    if momentum and "blade_element" in chosen:
+        rungs[-1] = (*rungs[-1][:2], "blade element, with V_I", momentum)
+        rungs.append((STILL, "blade_element", "blade element, no V_I", 0.0))
     rows: list[dict[str, Any]] = []
-    for level in chosen:
-        row: dict[str, Any] = {"level": level, "name": LEVEL_NAMES[level], "in_sample": None, "held_out": None}
+    for rung, level, name, momentum in rungs:
+        row: dict[str, Any] = {"level": rung, "name": name, "in_sample": None, "held_out": None}
         row |= {"trimmed": None, "per_flight": {}, "note": ""}
         rows.append(row)
         try:
@@ -134,12 +140,12 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def best_level(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The model with the least held-out error (in-sample where nothing was held out), linear at least."""
+def best_level(rows: Sequence[Mapping[str, Any]], levels: Sequence[str] = (*KINDS, STILL)) -> str:
+    """The rung of `levels` with the least held-out error (in-sample where nothing was held out), linear at least."""
     scored = {}
     for row in rows:
         score = row["held_out"] or (row["in_sample"] if all(r["held_out"] is None for r in rows) else None)
-        if row["level"] in KINDS and score is not None and not row["note"]:
+        if row["level"] in levels and score is not None and not row["note"]:
             scored[row["level"]] = score["norm"]
     return min(scored, key=scored.__getitem__) if scored else "linear"
 

@@ -18,8 +18,10 @@ import numpy as np
 from quadexp.errors import DataError
 from quadexp.flight.schema import Flight
 from quadexp.identify.predictors import Predictor
+from quadexp.identify.predictors import rows as feature_rows
 from quadexp.identify.regression import FLIGHT_CLUSTERS
 from quadexp.identify.samples import Samples, gather
+from quadexp.identify.support import outside_shares
 from quadexp.identify.tracking import tracked_scale
 
 BLOCK = 2.0  # s, of the bootstrap
@@ -89,23 +91,13 @@ def residuals(predictor: Predictor, flights: Sequence[FlightRows]) -> Residuals:
         block = blocks + (np.arange(len(samples)) * one.dt // BLOCK).astype(int)
         blocks = int(block[-1]) + 1
         parts.append((error, tracked, scale, np.full(len(samples), index), block, one.speed))
-        outside += int(_outside(predictor, samples.velocity, one.rate, rotors).sum())
+        if predictor.ranges:
+            seen = feature_rows(samples.velocity, one.rate, predictor.mass * rotors)
+            outside += round(outside_shares(predictor.ranges, seen)["any"] * len(samples))
         rows += len(samples)
     share = outside / rows if predictor.ranges else None
     error, tracked, scale, flight, block, speed = map(np.concatenate, zip(*parts, strict=True))
     return Residuals(predictor.name, error, tracked, scale, flight, block, speed, share)
-
-
-def _outside(predictor: Predictor, velocity: np.ndarray, rate: np.ndarray, rotors: np.ndarray) -> np.ndarray:
-    """Whether a feature of the predictor is outside the range of its fit, (k,)."""
-    found = np.zeros(len(velocity), bool)
-    for name, (low, high) in predictor.ranges.items():
-        letter, _, axis = name.partition("_")
-        source = {"v": velocity, "w": rate}.get(letter)
-        if source is not None:
-            values = source[:, "xyz".index(axis)]
-            found |= (values < low) | (values > high)
-    return found
 
 
 def score_rows(found: Sequence[Residuals], baseline: str = "nominal") -> list[Row]:

@@ -16,10 +16,12 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.flight.schema import Flight
 from quadexp.identify.body_drag import LINEAR, QUADRATIC
+from quadexp.identify.dataset import ResidualDataset
 from quadexp.identify.lumped import SELF_CONSISTENT, lumped_terms, momentum_of
 from quadexp.identify.lumped_fit import fit_inflow
 from quadexp.identify.regression import Regression, regress
 from quadexp.identify.samples import Samples, choose_signal, gather
+from quadexp.identify.support import VELOCITY, feature_ranges
 from quadexp.identify.terms import AXES, TermModel, all_columns, term_columns, term_model
 from quadexp.identify.thrust_curve import ThrustCurve, fit_thrust_samples, thrust_columns
 from quadexp.identify.torque import fit_torque
@@ -40,7 +42,8 @@ class FitSettings:
 
     signal, reference_voltage, powers, thrust_intercept, per_rotor: of the thrust curve, None for what the flights
     suggest; voltage_exponent: None fits it. radius: of the rotors, m, for the induced velocity. loss: squares or huber.
-    kinds: models to fit besides linear. mass: kg, where no vehicle says it.
+    kinds: models to fit besides linear. mass: kg, where no vehicle says it. induced: False leaves the induced velocity
+    out of the blade element although the radius is known.
     """
 
     signal: str | None = None
@@ -53,6 +56,7 @@ class FitSettings:
     mass: float | None = None
     loss: str = "squares"
     kinds: tuple[str, ...] = KINDS
+    induced: bool = True
 
     def __post_init__(self) -> None:
         for kind in self.kinds:
@@ -166,7 +170,7 @@ def fit_vehicle_model(
     for kind in found:
         if kind not in settings.kinds:
             continue
-        for kappa in (momentum, 0.0) if kind == "blade_element" and momentum else (0.0,):
+        for kappa in (momentum, 0.0) if kind == "blade_element" and momentum and settings.induced else (0.0,):
             try:
                 fit = fit_level(kind, samples, settings, kappa)
                 found[kind] = fit.model
@@ -183,7 +187,13 @@ def fit_vehicle_model(
         best if best is not None and best in kinds else kinds[-1], record, dataset_record(samples),
         {"loss": settings.loss, "signal": samples.kind, "per_rotor": settings.per_rotor, "momentum": momentum},
         tuple(notes), torque=None if vehicle is None else fit_torque(samples, vehicle, linear.curve),
+        feature_range=_velocity_ranges(samples.velocity),
     )  # fmt: skip
+
+
+def _velocity_ranges(velocity: np.ndarray) -> dict[str, list[float]]:
+    columns = {name: velocity[:, i] for i, name in enumerate(VELOCITY)}
+    return feature_ranges(ResidualDataset(columns, {}))
 
 
 def curve_beside_quadratic(samples: Samples, settings: FitSettings, curve: ThrustCurve) -> ThrustCurve:

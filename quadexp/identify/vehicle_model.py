@@ -30,7 +30,7 @@ class VehicleModel:
 
     vehicle: {name, fingerprint, mass}, as far as known. dataset: {sha256, rows, flights, duration, names}.
     settings: how it was fitted. notes: what could not be fitted, and why. torque: None where the flights do not say
-    what every rotor did.
+    what every rotor did. feature_range: of body velocity and speed, see quadexp.identify.support.
     """
 
     thrust: ThrustCurve
@@ -44,6 +44,7 @@ class VehicleModel:
     notes: tuple[str, ...] = ()
     versions: dict[str, str] = field(default_factory=dict)
     torque: TorqueModel | None = None
+    feature_range: dict[str, list[float]] = field(default_factory=dict)
 
     @property
     def drag(self) -> LinearDrag:
@@ -55,6 +56,7 @@ class VehicleModel:
         return LinearDrag(
             value[0], value[1], 0.0, error[0], error[1], 0.0, self.linear.residual_std, np.zeros(3),
             int(self.dataset.get("rows", 0)), "blocks", self.linear.loss, dict(self.vehicle), dict(self.dataset),
+            np.array([*map(float, self.linear.freedom)] * 2 + [0.0]), int(self.dataset.get("flights", 0)),
         )  # fmt: skip
 
     linear_drag = drag

@@ -31,6 +31,7 @@ LEVEL_COLOURS = {
     "linear": ORANGE,
     "quadratic": QUADRATIC,
     "blade_element": KNOWN["blade element"][0],
+    "blade_element_still": "#7F8C99",
 }
 SYMBOLS = {"linear": "d", "quadratic": "e", "offset": "b"}
 MAX_COLUMNS = 4

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from quadexp.identify.regression import FLIGHT_CLUSTERS
 from quadexp.identify.terms import TermModel
 from quadexp.identify.torque import torque_lines
 from quadexp.identify.vehicle_model import VehicleModel
@@ -16,7 +17,7 @@ def identification_lines(model: VehicleModel, report: Mapping[str, Any]) -> list
     lines = [
         (
             f"regression on {data['flights']} flights of {vehicle.get('name') or 'an unnamed vehicle'},"
-            f" {data['rows']} samples, {data['duration']:.0f} s; +- is half the 95 % interval"
+            f" {data['rows']} samples, {data['duration']:.0f} s"
         ),
     ]
     lines += model_lines(model)
@@ -30,7 +31,7 @@ def identification_lines(model: VehicleModel, report: Mapping[str, Any]) -> list
     lines.append(f"by {report['other_loss']['loss']:<9}linear {drag} 1/s")
     lines += _flight_lines(report["flights"])
     lines += _curve_lines(report["curves"], model)
-    lines += selection_lines(report["selection"], report["best"])
+    lines += selection_lines(report["selection"], report.get("best_row", report["best"]))
     lines += [f"note        {note}" for note in report["notes"]]
     lines.append(f"recursive   ends {report['recursion']:.1g} standard errors from the batch estimates")
     return lines
@@ -38,12 +39,23 @@ def identification_lines(model: VehicleModel, report: Mapping[str, Any]) -> list
 
 def model_lines(model: VehicleModel) -> list[str]:
     """Thrust curve and coefficients, +- half the 95 % interval."""
-    lines = [f"thrust      {model.thrust}"]
+    lines = [f"intervals   +- is half the 95 % interval {interval_of(model.dataset.get('flights', 0))}"]
+    lines.append(f"thrust      {model.thrust}")
     for kind, one in model.models.items():
         lines += _coefficient_lines(kind, one)
     if model.torque is not None:
         lines += torque_lines(model.torque)
     return lines
+
+
+def interval_of(flights: int) -> str:
+    """What the intervals of a fit to so many flights cover (quadexp.identify.regression)."""
+    if flights >= FLIGHT_CLUSTERS:
+        return f"over {flights} flights"
+    return (
+        "of these flights only, from blocks of time: what differs from flight to flight is not in it"
+        f" ({FLIGHT_CLUSTERS} flights or more show that)"
+    )
 
 
 def _coefficient_lines(kind: str, model: TermModel) -> list[str]:

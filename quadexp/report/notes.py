@@ -7,14 +7,15 @@ rows is another function here; it is called with the rows of each contestant, an
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from quadexp.identify.support import WORTH_SAYING
+from quadexp.report.flown_by import mixed_programs
 from quadexp.report.pairing import condition_of, contestant_labels, contestant_of
 
 LARGE_ATTITUDE_ERROR = math.radians(10.0)  # rad, RMS over a flight
-LEAST_SHARE = 0.0005  # of samples outside the data; below, it would read "0.0 %"
+UNFLOWN = ("failed", "infeasible")  # outcomes without a sample
 
 Row = Mapping[str, Any]
 
@@ -29,20 +30,23 @@ def notes(rows: Sequence[Row]) -> list[str]:
     for note in OF_A_CONTESTANT:
         texts = {labels[who]: note(own) for who, own in groups.items()}
         said += [f"{label}: {text}" for label, text in texts.items() if text]
-    return said + _programs(rows)
+    return said + mixed_programs(rows)
 
 
 def _outside_data(rows: Sequence[Row]) -> str:
-    """Samples outside the data that a learned model was fitted to."""
+    """Samples outside the data that a learned model was fitted to, and flights of which that is not known."""
     shares = [(share, row) for row in rows if not math.isnan(share := _number(row.get("outside_data")))]
-    if not shares:
-        return ""
-    mean = sum(share for share, _ in shares) / len(shares)
-    largest, row = max(shares, key=lambda one: one[0])
-    if largest < LEAST_SHARE:
-        return ""
-    most = f" (most: {100 * largest:.3g} %, {_place(row)})" if len(shares) > 1 else ""
-    return f"{100 * mean:.3g} % of samples outside the data its model was fitted to{most}"
+    unknown = sum(
+        bool(row.get("model")) and row["outcome"] not in UNFLOWN and math.isnan(_number(row.get("outside_data")))
+        for row in rows
+    )
+    parts = [f"unknown of {unknown} flights whether inside the data of its model (older checkpoint)"] if unknown else []
+    if shares and max(share for share, _ in shares) > WORTH_SAYING:
+        mean = sum(share for share, _ in shares) / len(shares)
+        largest, row = max(shares, key=lambda one: one[0])
+        most = f" (most: {100 * largest:.3g} %, {_place(row)})" if len(shares) > 1 else ""
+        parts.insert(0, f"{100 * mean:.3g} % of samples outside the data its model was fitted to{most}")
+    return "; ".join(parts)
 
 
 def _reference_residual(rows: Sequence[Row]) -> str:
@@ -70,17 +74,6 @@ def _attitude_error(rows: Sequence[Row]) -> str:
         f" flight{'s' if len(errors) > 1 else ''}"
         f" (most: {math.degrees(worst):.3g} degrees, {_place(row)})"
     )
-
-
-def _programs(rows: Sequence[Row]) -> list[str]:
-    """Flights by several versions of the program, or by several states of its sources."""
-    said = []
-    for name, what in (("program", "versions of the program"), ("sources", "states of the program's sources")):
-        counts = Counter(str(row[name]) for row in rows if row.get(name) not in (None, ""))
-        if len(counts) > 1:
-            each = ", ".join(f"{version[:12]} ({count} flights)" for version, count in counts.most_common())
-            said.append(f"flown by {len(counts)} {what}: {each}")
-    return said
 
 
 OF_A_CONTESTANT: tuple[Callable[[Sequence[Row]], str], ...] = (_outside_data, _reference_residual, _attitude_error)

@@ -13,7 +13,7 @@ import io
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -106,25 +106,19 @@ def write_statistics(root: str | Path, statistics: Statistics) -> dict[str, str]
     return {"statistics": str(path), "statistics_csv": str(text)}
 
 
-def comparison_texts(
-    statistics: Statistics, metric: str, remarks: Sequence[str] = ()
-) -> tuple[ErrorTable, dict[str, str]]:
-    """The error table of one metric, and name -> content of the text files made of it. remarks: lines below it."""
+def comparison_texts(statistics: Statistics, metric: str) -> tuple[ErrorTable, dict[str, str]]:
+    """The error table of one metric, and name -> content of the text files made of it."""
     compared = statistics.of(metric)
     table = table_of(compared, statistics.pooled(metric), statistics.verdicts_of(metric), statistics.notes)
-    table = replace(table, notes=(*table.notes, *remarks))
     text = f"{to_markdown(table)}\n{comparison_markdown(compared)}".rstrip() + "\n"
     files = {"table.md": text, "table.tex": to_latex(table), "comparison.tex": comparison_latex(compared)}
     return table, {name: text for name, text in files.items() if text}
 
 
-def write_comparison(
-    root: str | Path, statistics: Statistics, metric: str, remarks: Sequence[str] = ()
-) -> tuple[ErrorTable, dict[str, str]]:
-    """Write the statistics and the tables of one metric; returns the error table and name -> path. remarks: lines
-    below the table."""
+def write_comparison(root: str | Path, statistics: Statistics, metric: str) -> tuple[ErrorTable, dict[str, str]]:
+    """Write the statistics and the tables of one metric; returns the error table and name -> path."""
     root = Path(root)
-    table, texts = comparison_texts(statistics, metric, remarks)
+    table, texts = comparison_texts(statistics, metric)
     names = {"table.md": "markdown", "table.tex": "latex", "comparison.tex": "comparison"}
     files = {names[name]: str(write_text(root / name, text)) for name, text in texts.items()}
     if "comparison.tex" not in texts:

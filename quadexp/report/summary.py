@@ -42,8 +42,10 @@ def summarise(path: str | Path) -> dict[str, Any]:
     return _table(path)
 
 
-def flight_lines(metadata: Mapping[str, Any]) -> list[str]:
-    """How one flight went, for people."""
+def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[str]:
+    """How one flight went, for people. always: also where it lay inside the data of the model that flew it."""
+    from quadexp.report.outside import outside_line
+
     row, residual = metadata["row"], metadata.get("residual", {})
     knows = residual.get("name", "?")
     source = f" from {residual['source']}" if residual.get("source") else ""
@@ -74,7 +76,13 @@ def flight_lines(metadata: Mapping[str, Any]) -> list[str]:
             f"reference   contains {math.floor(100 * share)} % of the residual ({knows}):"
             " with all of it none was found on this path"
         )
-    return lines
+    return lines + outside_line(metadata.get("outside_data", _unknown(row)), always=always)
+
+
+def _unknown(row: Mapping[str, Any]) -> dict[str, Any] | None:
+    """What a flight of an older version says of its model's data."""
+    note = "flown by an older version"
+    return {"model": row["model"], "share": None, "note": note} if row.get("model") else None
 
 
 def _table(path: Path) -> dict[str, Any]:
@@ -101,7 +109,7 @@ def _table(path: Path) -> dict[str, Any]:
         summary["metrics"] = {name: record["row"].get(name) for name in METRICS}
         summary["outcome"] = record.get("outcome")
         if rows:
-            lines += flight_lines(record)
+            lines += flight_lines(record, always=True)
         else:
             lines.append(f"outcome     {record.get('outcome')}: {record.get('cause')}")
     elif kind == "flight" and record.get("recorded"):
@@ -155,8 +163,8 @@ def _residual_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]
 
 
 def _result_lines(record: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], folder: Path) -> list[str]:
-    from quadexp.report.statistics_file import results_statistics
-    from quadexp.report.tables import table_of, to_markdown
+    from quadexp.report.statistics_file import comparison_texts, results_statistics
+    from quadexp.report.tables import to_markdown
 
     outcomes: dict[str, int] = {}
     for row in rows:
@@ -166,7 +174,7 @@ def _result_lines(record: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], 
     if rows:
         options = {name: record[name] for name in ("baseline", "confidence") if name in record}
         statistics, metric = results_statistics(folder, rows, **options), record.get("metric", "mean_error")
-        table = table_of(statistics.of(metric), statistics.pooled(metric))
+        table = comparison_texts(statistics, metric)[0]
         lines += ["", *to_markdown(table).splitlines(), ""]
     return lines
 
@@ -174,6 +182,7 @@ def _result_lines(record: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], 
 def _checkpoint(path: Path) -> dict[str, Any]:
     from quadexp.identify.checkpoint import KINDS, load_model, load_report
     from quadexp.identify.vehicle_model import VehicleModel
+    from quadexp.report.outside import range_lines
 
     model = load_model(path)
     file = path / MODEL_FILE
@@ -224,6 +233,8 @@ def _checkpoint(path: Path) -> dict[str, Any]:
         lines += _vehicle_lines(model, load_report(path))
     else:
         lines.append(f"drag        {model.linear_drag}")
+    summary["feature_range"] = dict(model.feature_range)
+    lines += range_lines(model.feature_range)
     settings = {k: v for k, v in summary["settings"].items() if k != "features"}
     if settings:
         lines.append("settings    " + ", ".join(f"{k} {v}" for k, v in settings.items()))
@@ -237,7 +248,7 @@ def _vehicle_lines(model: Any, report: Mapping[str, Any]) -> list[str]:
 
     lines = model_lines(model)
     if report.get("selection"):
-        lines += selection_lines(report["selection"], model.best)
+        lines += selection_lines(report["selection"], report.get("best_row", model.best))
     return lines + [f"note        {note}" for note in model.notes]
 
 

@@ -47,6 +47,7 @@ ROW_COLUMNS = (
     "duration",
     "last_resort_count",
     "reference_residual",
+    "outside_data",
     "outcome",
     "backend",
     "cause",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
@@ -29,6 +30,8 @@ class Residual:
     theta: parameter values, (p,).
     source: checkpoint path or a word, for the record.
     to_compile: the same function in a form for code that gets compiled; None: `function` itself.
+    ranges: feature -> [least, largest] of the data that it was fitted to (quadexp.identify.support), None where it was
+        not fitted or nobody knows.
     """
 
     name: str
@@ -36,6 +39,7 @@ class Residual:
     theta: np.ndarray
     source: str = ""
     to_compile: ca.Function | None = None
+    ranges: Mapping[str, Sequence[float]] | None = field(default=None, compare=False)
 
     def __call__(self, features: np.ndarray) -> np.ndarray:
         """Residual at many points: features (k, 6 + n) -> outputs (k, 6) in the units of `OUTPUTS`."""

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from quadexp.errors import DataError
 from quadexp.flight.schema import Flight, describe
 from quadexp.flight.store import read_table, write_table
-from quadexp.identify.offline import FIRST_VALUES, identify_flight
+from quadexp.identify.offline import FIRST_VALUES, OFFLINE, identify_flight
 from quadexp.identify.rls import BladeElementRLS, RLSSettings
 from quadexp.state import ATTITUDE, STATE_COLUMNS, VELOCITY
 from tests.identify.air_data import air_data
@@ -31,8 +31,9 @@ def flight() -> Flight:
 
 def test_estimates_and_confidence(lei_li, flight):
     found = identify_flight(flight, lei_li, settings=RLSSettings.scaled(gauss_newton=True, relative_std=2.0))
-    error = np.abs(found.raw[-1] - [0.22, 3.32, 0.01, 0.01, 0.02])
-    assert np.all(error < 4 * found.standard_error[-1])
+    truth = np.array([0.22, 3.32, 0.01, 0.01, 0.02])
+    assert np.all(np.abs(found.raw[-1] - truth) < 4 * found.standard_error[-1])
+    assert np.all(np.abs(found.fit.theta - truth) < 2 * found.fit.half_width)
     assert found.noise == pytest.approx(0.05, rel=0.1)
     assert found.raw.shape == found.theta.shape == found.standard_error.shape == (799, 5)
     assert np.all(found.standard_error[-1] < found.standard_error[50])
@@ -40,7 +41,7 @@ def test_estimates_and_confidence(lei_li, flight):
 
 def test_is_the_estimator_sample_by_sample(lei_li, flight):
     found = identify_flight(flight, lei_li)
-    estimator, data = BladeElementRLS(lei_li, FIRST_VALUES, RLSSettings.scaled()), air_data(800, period=0.02)
+    estimator, data = BladeElementRLS(lei_li, FIRST_VALUES, OFFLINE), air_data(800, period=0.02)
     for k in range(1, 800):
         force = [flight[f"acc_{axis}"][k] for axis in "xyz"]
         estimator.update(data.velocity[k], data.rotor_speed[k], np.array(force))
@@ -49,15 +50,29 @@ def test_is_the_estimator_sample_by_sample(lei_li, flight):
 
 def test_lines(lei_li, flight):
     lines = identify_flight(flight, lei_li).lines()
-    assert lines[0].startswith("lively: 799 samples, noise 0.05")
-    assert [line.split()[0] for line in lines[1:6]] == ["C_d0", "C_la", "C_Dx", "C_Dy", "C_Dz"]
+    assert lines[0].startswith("lively: 799 samples, noise 0.0495 m/s^2")
+    assert "accelerometer offset fitted too" in lines[1]
+    assert [line.split()[0] for line in lines[2:7]] == ["C_d0", "C_la", "C_Dx", "C_Dy", "C_Dz"]
+    assert all("95 % interval" in line and "recursion ends at" in line for line in lines[2:7])
+
+
+def test_without_enough_samples_no_interval_is_printed(lei_li, flight):
+    short = Flight({name: column[:20] for name, column in flight.columns.items()}, flight.metadata)
+    found = identify_flight(short, lei_li)
+    assert found.fit is None and "19 samples, at least 28 are needed" in found.lines()[-1]
+    assert not any("interval " in line for line in found.lines()[1:6])
+    assert "interval_95" not in found.metadata() and found.metadata()["estimates"] == found.metadata()["recursion"]
 
 
 def test_time_series_can_be_stored(lei_li, flight, tmp_path):
     found = identify_flight(flight, lei_li)
     path = write_table(tmp_path / "estimates.parquet", found.columns(), found.metadata(), "estimates")
     columns, record = read_table(path, "estimates")
-    assert columns["raw_C_la"][-1] == record["estimates"]["C_la"] == found.raw[-1, 1]
+    assert columns["raw_C_la"][-1] == record["recursion"]["C_la"] == found.raw[-1, 1]
+    assert record["estimates"]["C_la"] == found.fit.theta[1]
+    assert record["interval_95"]["C_la"] == pytest.approx(
+        found.fit.theta[1] + np.array([-1, 1]) * found.fit.half_width[1]
+    )
     assert describe("std_C_la", "estimates").unit == "1/rad"
     assert all(describe(name, "estimates").description for name in columns)
 

@@ -10,6 +10,7 @@ from quadexp.flight.schema import Flight
 from quadexp.identify import selection as ladder
 from quadexp.identify.samples import gather
 from quadexp.identify.vehicle_fit import FitSettings, fit_vehicle_model
+from quadexp.report.identify_lines import identification_lines
 from tests.identify.logged_flights import CURVE, DRAG, logged_flight
 
 
@@ -79,6 +80,26 @@ def test_a_thinned_ladder_says_the_same(monkeypatch):
     for a, b in zip(every, some, strict=True):
         assert b["held_out"]["norm"] == pytest.approx(a["held_out"]["norm"], rel=0.05)
     assert ladder.best_level(some) == ladder.best_level(every)
+
+
+@pytest.mark.parametrize(("radius", "winner"), [(0.02, "blade_element"), (0.3, ladder.STILL)])
+def test_knowing_the_radius_keeps_the_row_without_it_and_takes_the_better(radius, winner):
+    """Linear drag is the truth: which radius helps on flights left out is chance, and the ladder shows both rows."""
+    flights, names = [logged_flight(seed, seconds=12) for seed in range(3)], ["a", "b", "c"]
+    without = identify_vehicle(flights, names, settings=FitSettings(mass=0.03))
+    found = identify_vehicle(flights, names, settings=FitSettings(mass=0.03, radius=radius))
+    rows = {row["level"]: row for row in found.report["selection"]}
+    alone = {row["level"]: row for row in without.report["selection"]}
+    assert ladder.STILL in rows and ladder.STILL not in alone
+    assert rows[ladder.STILL]["held_out"] == alone["blade_element"]["held_out"]
+    scores = {level: rows[level]["held_out"]["norm"] for level in ("blade_element", ladder.STILL)}
+    assert min(scores, key=scores.__getitem__) == winner
+    assert isinstance(found.model.blade_element.momentum, tuple) == (winner == "blade_element")
+    assert any("errs less on what was left out" in note for note in found.model.notes) == (winner == ladder.STILL)
+    lines = identification_lines(found.model, found.report)
+    assert any(line.startswith("blade element, no V_I") for line in lines)
+    assert any(line.startswith("blade element, with V_I") for line in lines)
+    assert sum("<- best" in line for line in lines) == 1
 
 
 @pytest.mark.slow

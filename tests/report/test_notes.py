@@ -41,7 +41,9 @@ def test_large_attitude_errors_of_flights_that_ended_well():
 
 def test_several_versions_of_the_program():
     rows = [row(seed=s) | {"program": "1.0" if s < 2 else "1.1", "sources": "aa"} for s in range(5)]
-    assert notes(rows) == ["flown by 2 versions of the program: 1.1 (3 flights), 1.0 (2 flights)"]
+    assert notes(rows) == [
+        "flights of 2 programs stand side by side: 3 by quadexp 1.1, sources aa; 2 by quadexp 1.0, sources aa"
+    ]
 
 
 def test_they_stand_under_every_table():

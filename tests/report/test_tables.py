@@ -27,6 +27,7 @@ from quadexp.report.wording import significant, with_interval
 def row(controller="nominal_mpc", speed=8.0, seed=0, error=0.24, **more):
     made = dict.fromkeys(ROW_COLUMNS, 0.0)
     made |= dict.fromkeys(("model", "variant", "backend", "cause", "key"), "")
+    made |= dict.fromkeys(("reference_residual", "outside_data"))
     made |= {"plant": "simplified", "vehicle": "torrente", "trajectory": "circle", "outcome": "ok"}
     made |= {"controller": controller, "speed": speed, "seed": seed, "mean_error": error, "rmse": 1.2 * error}
     return made | more

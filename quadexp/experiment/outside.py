@@ -1,0 +1,35 @@
+"""How much of a flight lay outside the data that the controller's learned model was fitted to."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from quadexp.experiment.build import ModelFile
+from quadexp.flight.schema import Flight
+
+UNKNOWN = "the checkpoint does not say what its data cover: fitted by an older version, fit it again"
+
+
+def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> dict[str, Any] | None:
+    """{model, share, shares, ranges, note} of a flight, None where the controller flies without a learned model.
+
+    share: of the samples, 0..1, None where it is unknown. shares: of every feature. See quadexp.identify.support.
+    """
+    if model is None:
+        return None
+    mpc = getattr(controller, "mpc", None)
+    ranges = dict(getattr(getattr(mpc, "residual", None), "ranges", None) or {})
+    record: dict[str, Any] = {"model": model.path, "share": None, "shares": {}, "ranges": ranges, "note": UNKNOWN}
+    if not ranges or not len(flight):
+        return record | ({"note": "no sample was flown"} if ranges else {})
+    from quadexp.identify.predictors import rows
+    from quadexp.identify.samples import body_velocity
+    from quadexp.identify.support import outside_shares
+
+    rate = flight.stack(["w_x", "w_y", "w_z"])
+    finite = np.isfinite(flight.state).all(axis=1)
+    seen = rows(body_velocity(flight)[finite], rate[finite], flight.input[finite])
+    shares = outside_shares(ranges, seen)
+    return record | {"share": shares.pop("any"), "shares": shares, "note": ""}

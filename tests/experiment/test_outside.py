@@ -1,0 +1,91 @@
+"""Flights of a learned model say which share lay outside its data: in the file, the row, the table, the page."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from quadexp.flight.store import read_flight, read_metadata, read_table
+from quadexp.identify.checkpoint import load_model, save_model
+from quadexp.identify.dataset import read_dataset
+from quadexp.identify.linear_drag import fit_linear_drag
+from quadexp.report.notes import notes
+from tests.cli.command import run
+
+QUICK = ("controller.backend=interpreted", "plant.backend=interpreted")
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    """Linear drag of one slow minute."""
+    folder = tmp_path_factory.mktemp("slow")
+    collect = ("collect", "collect.duration=30", "collect.speed_max=7", "plant.backend=interpreted")
+    assert run(*collect, "--out", folder / "data.parquet")[0] == 0
+    save_model(folder / "drag", fit_linear_drag(read_dataset(folder / "data.parquet")))
+    return folder / "drag"
+
+
+def fly(model, speed, out, *more):
+    return run(
+        "simulate", "controller=linear_drag_mpc", "trajectory=circle", f"trajectory.speed={speed}", f"model={model}",
+        *QUICK, "--out", out, *more,
+    )  # fmt: skip
+
+
+def test_a_fast_flight_says_so_and_a_slow_one_does_not(model, tmp_path):
+    code, out, error = fly(model, 12, tmp_path / "fast.parquet")
+    assert code == 0, error
+    line = next(line for line in out.splitlines() if line.startswith("data  "))
+    flight, fit = read_flight(tmp_path / "fast.parquet"), load_model(model)
+    record = flight.metadata["outside_data"]
+    speed = np.linalg.norm(flight.stack(["v_x", "v_y", "v_z"]), axis=1)
+    beyond = np.mean(speed > fit.feature_range["speed"][1])  # no wind: the norm is the same in both frames
+    assert record["shares"]["speed"] == pytest.approx(beyond) and beyond > 0.3
+    assert record["share"] >= beyond and flight.metadata["row"]["outside_data"] == record["share"]
+    assert f"{100 * record['share']:.1f} % of samples outside the data that {model}" in line and "speed" in line
+    code, out, _ = fly(model, 2, tmp_path / "slow.parquet")
+    assert code == 0 and "outside the data" not in out
+    assert read_metadata(tmp_path / "slow.parquet")["outside_data"]["share"] <= 0.01
+    assert "data        0.0 % of samples outside" in run("show", tmp_path / "slow.parquet")[1]
+
+
+def test_an_old_checkpoint_says_unknown(model, tmp_path):
+    from dataclasses import replace
+
+    save_model(tmp_path / "old", replace(load_model(model), feature_range={}))
+    code, out, _ = fly(tmp_path / "old", 2, tmp_path / "a.parquet")
+    assert code == 0 and "unknown whether the flight lay inside the data" in out
+    code, out, _ = fly(tmp_path / "old", 2, tmp_path / "b.parquet", "--json")
+    assert json.loads(out)["outside_data"] is None
+
+
+def test_rows_and_tables_of_a_sweep(model, tmp_path):
+    sweep = (
+        "evaluate", "--sweep", "trajectory=circle", "trajectory.speed=2,12", "controller=nominal_mpc,linear_drag_mpc",
+        f"model={model}", *QUICK, "--no-figures", "--out", tmp_path / "r",
+    )  # fmt: skip
+    code, out, error = run(*sweep)
+    assert code == 0, error
+    columns, _ = read_table(tmp_path / "r" / "results.parquet", "results")
+    found = dict(zip(zip(columns["controller"], columns["speed"], strict=True), columns["outside_data"], strict=True))
+    assert math.isnan(found["nominal_mpc", 2.0]) and math.isnan(found["nominal_mpc", 12.0])
+    assert found["linear_drag_mpc", 2.0] <= 0.01 < 0.3 < found["linear_drag_mpc", 12.0]
+    note = f"(most: {100 * found['linear_drag_mpc', 12.0]:.3g} %, circle 12 m/s)"
+    assert "of samples outside the data its model was fitted to" in (tmp_path / "r" / "table.md").read_text()
+    assert note in (tmp_path / "r" / "table.md").read_text() and note in " ".join(out.split())
+    assert note in run("show", tmp_path / "r")[1]
+    assert run("report", tmp_path / "r", "--out", tmp_path / "page.html")[0] == 0
+    assert note in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+def test_rows_of_an_older_table_are_unknown_not_inside():
+    row = {
+        "plant": "simplified", "vehicle": "torrente", "trajectory": "circle", "speed": 8.0, "controller": "gp_mpc",
+        "model": "models/gp", "variant": "", "seed": 0, "outcome": "ok",
+    }  # fmt: skip
+    (note,) = notes([row])
+    assert note.startswith("gp_mpc: unknown of 1 flights whether inside the data")
+    assert notes([{**row, "model": "", "controller": "nominal_mpc"}]) == []
