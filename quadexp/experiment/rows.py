@@ -17,8 +17,8 @@ class Rows(Sequence[dict[str, Any]]):
     """
 
     def __init__(self, length: int) -> None:
-        empty = to_columns([])
-        self._columns = {name: np.empty(length, empty[name].dtype) for name in ROW_COLUMNS}
+        blank = to_columns([{}])  # what a table of an older version lacks stays so
+        self._columns = {name: np.full(length, blank[name][0], blank[name].dtype) for name in ROW_COLUMNS}
         self._words: dict[str, str] = {}
         self.filled = np.zeros(length, bool)
 
