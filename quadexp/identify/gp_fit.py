@@ -55,8 +55,8 @@ def fit_gp(
     """Fit every output that `settings.features` names to all rows (up to settings.max_rows) of the dataset.
 
     start: a model of the same shape to start from, in place of the first stages.
-    callback: called with a message and the share that is done, 0 .. 1. drag_intervals: False leaves out the intervals of
-    the linear drag beside it, where the model is not kept.
+    callback: called with a message and the share that is done, 0 .. 1.
+    drag_intervals: False leaves out the intervals of the linear drag beside it, where the model is not kept.
 
     Raises DataError if the dataset is empty, lacks a feature or output, has fewer rows than inducing points or more
     than an exact GP can take, or if a feature never changes.
