@@ -7,7 +7,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from quadexp.report.tables import ROW_COLUMNS, TEXT_COLUMNS, to_columns
+from quadexp.report.tables import ROW_COLUMNS, to_columns
 
 OPTIONAL = ("speed", "reference_residual", "outside_data")  # what not every flight has
 
@@ -19,10 +19,8 @@ class Rows(Sequence[dict[str, Any]]):
     """
 
     def __init__(self, length: int) -> None:
-        empty = to_columns([])
-        self._columns = {name: np.empty(length, empty[name].dtype) for name in ROW_COLUMNS}
-        for name in TEXT_COLUMNS:  # a table of an earlier version may lack some
-            self._columns[name].fill("")
+        blank = to_columns([{}])  # what a table of an older version lacks stays so
+        self._columns = {name: np.full(length, blank[name][0], blank[name].dtype) for name in ROW_COLUMNS}
         self._words: dict[str, str] = {}
         self.filled = np.zeros(length, bool)
 

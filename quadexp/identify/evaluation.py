@@ -60,7 +60,7 @@ def fit_with_report(
     train, test = split(dataset, settings)
     refit = settings.refit and settings.method != "exact"
     share = 0.8 if refit else 1.0
-    held_out_model = fit_gp(train, settings, callback=_scaled(callback, 0.0, share))
+    held_out_model = fit_gp(train, settings, callback=_scaled(callback, 0.0, share), drag_intervals=not refit)
     model = held_out_model
     if refit:
         short = replace(settings, max_iterations=max(settings.max_iterations // 4, 1))

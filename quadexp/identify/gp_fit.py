@@ -50,11 +50,13 @@ def fit_gp(
     *,
     start: GPModel | None = None,
     callback: Callback | None = None,
+    drag_intervals: bool = True,
 ) -> GPModel:
     """Fit every output that `settings.features` names to all rows (up to settings.max_rows) of the dataset.
 
     start: a model of the same shape to start from, in place of the first stages.
     callback: called with a message and the share that is done, 0 .. 1.
+    drag_intervals: False leaves out the intervals of the linear drag beside it, where the model is not kept.
 
     Raises DataError if the dataset is empty, lacks a feature or output, has fewer rows than inducing points or more
     than an exact GP can take, or if a feature never changes.
@@ -71,7 +73,8 @@ def fit_gp(
     if recorded:
         found = trim(dataset)
         dataset, spread = found.dataset, found.variance
-    drag = fit_linear_drag(dataset, thrust=not recorded)  # a thrust curve has the scale
+    thrust = not recorded  # a thrust curve has the scale
+    drag = fit_linear_drag(dataset, thrust=thrust, intervals=drag_intervals)
     mean = _prior_mean(dataset, settings, drag)
     prior = None if mean is None else mean.acceleration(dataset)
     posteriors: list[OutputPosterior] = []

@@ -89,3 +89,12 @@ def test_rows_of_an_older_table_are_unknown_not_inside():
     (note,) = notes([row])
     assert note.startswith("gp_mpc: unknown of 1 flights whether inside the data")
     assert notes([{**row, "model": "", "controller": "nominal_mpc"}]) == []
+
+
+def test_what_an_older_table_lacks_is_unknown_after_it_is_recalled():
+    from quadexp.experiment.rows import Rows
+    from quadexp.report.tables import to_columns
+
+    old = to_columns([{"controller": "gp_mpc", "model": "models/gp", "outcome": "ok"}] * 50)
+    del old["outside_data"]
+    assert all(row["outside_data"] is None for row in Rows.of(old))
