@@ -80,17 +80,16 @@ double(*S)[8] = (double(*)[8])(((__UINTPTR_TYPE__)memory + 63) / 64 * 64);
   }
 }
 
-
-/* z: of a free input its change, of a held one its multiplier. held: side of every input, 0 free. floor, roof: bounds
+/* z: of a free input its change, of a held one its multiplier. held: side of every input, 0 free. bottom, top: bounds
    of the free ones; nothing leaves those of the others. */
 double z[LINE] __attribute__((aligned(64))), column[LINE] __attribute__((aligned(64)));
-double share[LINE] __attribute__((aligned(64))), held[LINE], floor[LINE], roof[LINE];
+double share[LINE] __attribute__((aligned(64))), held[LINE], bottom[LINE], top[LINE];
 int sound = 1;
 for (int i = 0; i < LINE; ++i) {
   const int inside = i < SIZE;
   z[i] = inside ? start[i] : 0.0;
-  floor[i] = inside ? low[i] : -none;
-  roof[i] = inside ? high[i] : none;
+  bottom[i] = inside ? low[i] : -none;
+  top[i] = inside ? high[i] : none;
   held[i] = 0.0;
   if (inside) sound = sound && FINITE(start[i]) && FINITE(AT(i, i)) && AT(i, i) > 0.0;
 }
@@ -124,13 +123,13 @@ while (sound) {
     if (p < 0 && next < 0) {
       double most = 0.0;
       for (int i = 0; i < SIZE; ++i) {
-        const double above = z[i] - roof[i], below = floor[i] - z[i], excess = above > below ? above : below;
+        const double above = z[i] - top[i], below = bottom[i] - z[i], excess = above > below ? above : below;
         if (excess > tolerance && excess * excess > most * AT(i, i)) {
           next = i;
           most = excess * excess / AT(i, i);
         }
       }
-      which = next >= 0 && z[next] > roof[next] ? 1.0 : -1.0;
+      which = next >= 0 && z[next] > top[next] ? 1.0 : -1.0;
       pushed = 0.0;
     }
   }
@@ -143,7 +142,7 @@ while (sound) {
     COLUMN(next)
     p = next;
     onto = which;
-    double length = (z[next] - (which > 0.0 ? roof[next] : floor[next])) * which / column[next];
+    double length = (z[next] - (which > 0.0 ? top[next] : bottom[next])) * which / column[next];
     for (int i = 0; i < SIZE; ++i)
       if (held[i] * z[i] < length * (held[i] * which * column[i])) {
         const double rate = held[i] * which * column[i];
@@ -175,6 +174,7 @@ while (sound) {
     for (int J = 0; J < PANELS; ++J)
       for (int part = 0; part < 8; part += LANES) {
         const vector line = *(const vector *)(column + 8 * J + part);
+#pragma GCC unroll 8
         for (int i = 0; i < 8 * J + 8; ++i) *(vector *)(PANEL(J)[i] + part) -= share[i] * line;
       }
     for (int i = 0; i < p / 8 * 8 + 8; ++i) AT(i, p) = turned * share[i];
@@ -186,18 +186,17 @@ while (sound) {
         z[p] += pushed;
         next = -1;
       }
-      floor[p] = -none;
-      roof[p] = none;
+      bottom[p] = -none;
+      top[p] = none;
     } else {
-      floor[p] = low[p];
-      roof[p] = high[p];
+      bottom[p] = low[p];
+      top[p] = high[p];
       z[p] += held[p] > 0.0 ? high[p] : low[p];
     }
     held[p] = onto;
     ++exchanges;
     continue;
   }
-
 
   /* Nothing is left to exchange: the states that follow, and the true gradient, which is zero in the free inputs. */
   double gradient[LINE], state[STATES], size = 0.0;
@@ -236,7 +235,6 @@ while (sound) {
       size += gradient[i] > 0.0 ? gradient[i] : -gradient[i];
     }
   }
-
   /* One Newton step, S y of the free inputs' gradient y: what it would still change is the error. */
   for (int i = 0; i < LINE; ++i) {
     share[i] = i < SIZE && held[i] == 0.0 ? gradient[i] : 0.0;
@@ -266,7 +264,6 @@ while (sound) {
   if (error <= 10.0 * tolerance || ++rounds == ROUNDS) break;
   feasible = 0;
 }
-
 __builtin_free(memory);
 checks[0] = sound && error <= loose;
 checks[1] = exchanges;

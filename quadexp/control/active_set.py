@@ -33,7 +33,7 @@ class Status(IntEnum):
 
     RICCATI = 0  # no bound active
     ACTIVE_SET = 1
-    LAST_RESORT = 2
+    LAST_RESORT = 2  # in flights recorded while there was one; no step ends so any more
     FAILED = 3
 
 
