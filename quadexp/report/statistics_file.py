@@ -94,7 +94,7 @@ def write_statistics(root: str | Path, statistics: Statistics) -> dict[str, str]
 def write_comparison(root: str | Path, statistics: Statistics, metric: str) -> tuple[ErrorTable, dict[str, str]]:
     """Write the statistics and the tables of one metric; returns the error table and name -> path."""
     root = Path(root)
-    table = table_of(statistics.of(metric), statistics.pooled(metric))
+    table = table_of(statistics.of(metric), statistics.pooled(metric), statistics.of("attitude_rmse"))
     compared = statistics.of(metric)
     text = f"{to_markdown(table)}\n{comparison_markdown(compared)}".rstrip() + "\n"
     files = {

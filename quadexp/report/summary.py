@@ -14,6 +14,7 @@ from quadexp.errors import DataError, UsageError
 from quadexp.flight.schema import describe
 from quadexp.flight.store import check_finite, read_metadata, read_table
 from quadexp.report.metrics import METRICS
+from quadexp.report.wording import LARGE_ATTITUDE
 
 MODEL_FILE = "model.json"
 RESULTS_FILE = "results.parquet"
@@ -57,6 +58,8 @@ def flight_lines(metadata: Mapping[str, Any]) -> list[str]:
         f"error       mean {1e3 * row['mean_error']:.4g} mm, RMSE {1e3 * row['rmse']:.4g} mm,"
         f" max {1e3 * row['max_error']:.4g} mm, attitude {np.degrees(row['attitude_rmse']):.3g} deg"
     )
+    if row["attitude_rmse"] > LARGE_ATTITUDE:
+        lines.append("            the attitude is far from the reference's: a heading that lags does not show in position")
     lines.append(
         f"step        median {1e6 * row['solve_time_median']:.0f} us, 99 % {1e6 * row['solve_time_p99']:.0f} us,"
         f" largest {1e6 * row['solve_time_max']:.0f} us ({row['backend']})"
@@ -148,7 +151,7 @@ def _result_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], 
     if rows:
         options = {name: record[name] for name in ("baseline", "confidence") if name in record}
         statistics, metric = results_statistics(folder, rows, **options), record.get("metric", "mean_error")
-        table = table_of(statistics.of(metric), statistics.pooled(metric))
+        table = table_of(statistics.of(metric), statistics.pooled(metric), statistics.of("attitude_rmse"))
         lines += ["", *to_markdown(table).splitlines(), ""]
     return lines
 

@@ -18,7 +18,7 @@ from quadexp.report.metrics import SHOWN
 from quadexp.report.overall import Overall, overall
 from quadexp.report.pairing import contestant_labels, contestant_of, split_variant, variant_parts
 from quadexp.report.statistics import BASELINE, CONFIDENCE, Statistic, compute_statistics
-from quadexp.report.wording import notes, with_interval
+from quadexp.report.wording import attitude_notes, notes, with_interval
 
 # Columns of a result row, in the order they are written.
 ROW_COLUMNS = (
@@ -135,11 +135,17 @@ def error_table(
     """The table of one metric from result rows; see `table_of`."""
     options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
     statistics = compute_statistics(rows, metrics=(metric,), **options)
-    return table_of(statistics, overall(rows, metric=metric, **options))
+    attitude = compute_statistics(rows, metrics=("attitude_rmse",), **options)
+    return table_of(statistics, overall(rows, metric=metric, **options), attitude)
 
 
-def table_of(statistics: Sequence[Statistic], pooled: Sequence[Overall] = ()) -> ErrorTable:
-    """The table of one metric's statistics; the best of a row is marked among the flights on one plant and vehicle."""
+def table_of(
+    statistics: Sequence[Statistic], pooled: Sequence[Overall] = (), attitude: Sequence[Statistic] = ()
+) -> ErrorTable:
+    """The table of one metric's statistics; the best of a row is marked among the flights on one plant and vehicle.
+
+    attitude: statistics of attitude_rmse, for a note where it is large.
+    """
     metric = statistics[0].metric
     factor, unit = SHOWN[metric]
     order: dict[tuple[str, float], tuple[str, str]] = {}
@@ -169,7 +175,8 @@ def table_of(statistics: Sequence[Statistic], pooled: Sequence[Overall] = ()) ->
             if len(rivals) > 1 and able:
                 best = min(able, key=lambda c: (-entries[line, c].success, entries[line, c].mean))
                 entries[line, best] = replace(entries[line, best], best=True)
-    return ErrorTable(metric, unit, lines, tuple(columns), entries, notes(statistics, pooled))
+    said = (*notes(statistics, pooled), *attitude_notes(attitude))
+    return ErrorTable(metric, unit, lines, tuple(columns), entries, said)
 
 
 def to_rich(table: ErrorTable, *, stacked: bool = False) -> Any:

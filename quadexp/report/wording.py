@@ -9,6 +9,7 @@ from quadexp.report.inference import least_p
 from quadexp.report.overall import Overall
 from quadexp.report.statistics import Statistic
 
+LARGE_ATTITUDE = math.radians(10.0)  # rms angle to the reference's attitude from which a table says so
 METHODS = {"BCa": "BCa bootstrap", "t": "Student's t"}  # of intervals, see inference.Interval
 
 
@@ -55,6 +56,24 @@ def notes(statistics: Sequence[Statistic], pooled: Sequence[Overall]) -> tuple[s
     elif not any(s.baseline for s in statistics) and len({s.contestant for s in statistics}) > 1:
         said.append("no comparison: the baseline (evaluate.baseline) is not among these controllers")
     return (*said, *(entry.text() for entry in pooled))
+
+
+def attitude_notes(statistics: Sequence[Statistic]) -> tuple[str, ...]:
+    """One line on contestants whose attitude is far from the reference's, each at its worst; nothing where none is.
+
+    statistics: of attitude_rmse (rad). A position error alone does not show a heading that lags behind.
+    """
+    worst: dict[str, Statistic] = {}
+    for s in statistics:
+        if s.mean > LARGE_ATTITUDE and s.mean > (worst[s.label].mean if s.label in worst else 0.0):
+            worst[s.label] = s
+    if not worst:
+        return ()
+    parts = [
+        f"{label} {math.degrees(s.mean):.1f} deg on {s.trajectory}" + ("" if math.isnan(s.speed) else f" {s.speed:g}")
+        for label, s in worst.items()
+    ]
+    return (f"attitude error (rms) above {math.degrees(LARGE_ATTITUDE):.0f} deg, at its largest: {', '.join(parts)}",)
 
 
 def number(value: float) -> str:

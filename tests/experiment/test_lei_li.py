@@ -16,7 +16,7 @@ from quadexp.errors import ModelDomainError, UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_sensor, build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.rollout import SampledReference, fly
-from quadexp.report.metrics import position_error
+from quadexp.report.metrics import attitude_error, position_error
 
 BENCH = ["vehicle=lei_li", "plant=blade_element", "sensor=lei_li"]
 EXPECTED = {  # m: time average of ||e_xi|| over 60 s
@@ -182,6 +182,29 @@ class TestCorners:
         controller.reset(x, window)
         u, record = controller.step(Measurement(0.0, x, None, None), window)
         assert u.min() >= vehicle.static_thrust * 50.0**2 * (1 - 1e-12) and record.status != 3
+
+
+class TestHeading:
+    """A steadily turning reference, which the paper's examples do not have, is followed without a lag."""
+
+    @pytest.mark.parametrize("variant", ["static", "oracle", "rls"])
+    @pytest.mark.parametrize("rate", [0.3, -0.7, 1.5])
+    def test_a_steady_turn_is_followed(self, tmp_path, variant, rate):
+        """Hover while turning; the rectangle's and the circle's own headings are constant."""
+        t = np.linspace(0.0, 20.0, 201)
+        track = np.column_stack([t, np.zeros((201, 2)), np.full(201, 5.0), rate * t])
+        path = tmp_path / "turn.csv"
+        np.savetxt(path, track, delimiter=",", header="t,p_x,p_y,p_z,yaw", comments="")
+        flight = flown("trajectory=file", f"trajectory.path={path}", f"controller={variant}_feedback")
+        assert flight.outcome == "ok"
+        late = flight.t > 10.0
+        assert np.degrees(attitude_error(flight)[late]).max() < 0.1
+        assert position_error(flight)[late].max() < (0.15 if variant == "rls" else 0.01)
+
+    @pytest.mark.parametrize("trajectory", ["rectangle", "lei_li_circle"])
+    def test_the_examples_do_not_turn(self, trajectory):
+        flat = build_trajectory(compose([*BENCH, f"trajectory={trajectory}"]).trajectory).flat_output(np.arange(60.0))
+        assert np.ptp(flat.yaw[:, 0]) == 0 and not flat.yaw[:, 1:].any()
 
 
 class TestIdentifyingMPC:

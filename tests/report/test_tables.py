@@ -173,3 +173,19 @@ class TestIntervals:
 
     def test_latex_escapes_everything(self):
         assert escape("a_b & 5 % < {x} \\") == r"a\_b \& 5 \% $<$ \{x\} \textbackslash{}"
+
+
+def test_an_attitude_far_from_the_reference_s_is_said_below_the_table():
+    """Each contestant at its worst condition, in degrees; nothing where all are close, and lost flights do not count."""
+    angle = math.radians
+    close = [row(attitude_rmse=angle(9.9)), row("gp_mpc", attitude_rmse=angle(2.0))]
+    assert not [note for note in error_table(close).notes if "attitude" in note]
+    far = [
+        row("static_feedback", speed=4.0, attitude_rmse=angle(40.0)),
+        row("static_feedback", speed=8.0, seed=0, attitude_rmse=angle(50.0)),
+        row("static_feedback", speed=8.0, seed=1, attitude_rmse=angle(52.0)),
+        row("gp_mpc", attitude_rmse=angle(90.0), outcome="lost"),
+    ]
+    table = error_table([*close, *far])
+    expected = "attitude error (rms) above 10 deg, at its largest: static_feedback 51.0 deg on circle 8"
+    assert table.notes[-1] == expected and expected in to_markdown(table) and expected in to_latex(table)

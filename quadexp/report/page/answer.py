@@ -21,6 +21,7 @@ from quadexp.report.page.numbers import (
 )
 from quadexp.report.page.source import Comparison
 from quadexp.report.tables import TITLES
+from quadexp.report.wording import attitude_notes
 
 QUESTION = (
     "How much does knowing the aerodynamics buy, which way of knowing it is best, and does it still run in real time?"
@@ -134,6 +135,7 @@ def _note(comparison: Comparison) -> str:
         parts.append(f"{comparison.confidence:.0%} interval over {one.pairs} paired flights{corrected}.")
     if len(comparison.worlds) > 1:
         parts.append("Other plants and vehicles stand in the tables.")
+    parts += [f"{_capital(line)}." for line in attitude_notes(comparison.select("attitude_rmse"))]
     bad = [row for row in comparison.main_rows if row["outcome"] != "ok"]
     total = len(comparison.main_rows)
     kinds = list(dict.fromkeys(row["outcome"].replace("_", " ") for row in bad))
