@@ -100,7 +100,8 @@ MEANINGS: dict[str, str] = {
     "controller.input_weight": "cost of the thrust error over thrust_max, squared",
     "controller.terminal_weight": "factor on the state's cost at the last node; 0: none, as in the paper's code",
     "controller.feedforward": "references carry what the controller knows of the air",
-    "controller.initial_iterations": "SQP iterations before the first input; one a step after that",
+    "controller.initial_iterations": "SQP iterations before the first input, at most: 20 full ones, then with a line"
+    " search until converged; one a step after that",
     "controller.max_sweeps": "sweeps of the active set, after which the last resort solves the QP",
     "controller.variant": "what is compensated and where its coefficients come from; see docs/lei_li.md",
     "controller.position_proportional": "gain on the position error",

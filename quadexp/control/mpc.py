@@ -11,6 +11,7 @@ import numpy as np
 
 from quadexp.backend import BufferedFunction, realise_together, resolve
 from quadexp.control.active_set import ActiveSet, Status
+from quadexp.control.first_solve import CONVERGED, Direction, FirstSolve, rollout_function
 from quadexp.control.settings import MPCSettings
 from quadexp.control.step import step_function
 from quadexp.control.subproblem import TOLERANCE, condensed_function, sweep_function
@@ -20,7 +21,8 @@ from quadexp.state import ATTITUDE, N_STATE
 from quadexp.vehicle import Vehicle
 
 MAX_TURN = 0.25  # largest change of a quaternion, its length, that one iteration may make
-CONVERGED = 1e-6  # optimality residual at which the first step stops iterating
+STATIONARY = 1e-4  # of the thrust range: input error that the residual of a converged first step may stand for
+PLAIN_ITERATIONS = 20  # of the first step, before it searches along each: enough from near the reference
 
 
 class StepRecord(NamedTuple):
@@ -28,6 +30,7 @@ class StepRecord(NamedTuple):
 
     solve_time: s, wall clock of the step as Python sees it. status: see Status. sweeps: active-set sweeps.
     active: inputs of the horizon at a bound. kkt: optimality residual of the shifted guess (m, N and mixed units).
+    converged: False for a first step that ended away from a stationary point; a later step iterates once by design.
     """
 
     solve_time: float
@@ -35,6 +38,7 @@ class StepRecord(NamedTuple):
     sweeps: int
     active: int
     kkt: float
+    converged: bool = True
 
 
 class ModelPredictiveController:
@@ -67,7 +71,12 @@ class ModelPredictiveController:
         self._X_new, self._U_new = (self._step.results[name] for name in ("X_new", "U_new"))
         self._checks, self._thrust = self._step.results["checks"], self._U[0]
         self._attitude, self._attitude_ref = self._x0[ATTITUDE], self._X_ref[0, ATTITUDE]
+        self._attitude_predicted = self._X[0, ATTITUDE]
         self._d_state = np.zeros((settings.nodes + 1, N_STATE))
+        # An error du of the inputs leaves a gradient of at least R du; what rounding leaves of it grows with R.
+        error = STATIONARY * (vehicle.thrust_max - vehicle.thrust_min)
+        self._stationary = max(CONVERGED, error * float(settings.thrust_weight(vehicle).min()))
+        self._first_solve: FirstSolve | None = None  # few flights need it
         self.set_parameters(residual.theta)
         self.node_times = settings.node_period * np.arange(settings.nodes + 1)  # s from now, for sampling references
 
@@ -111,21 +120,49 @@ class ModelPredictiveController:
             raise QuadexpError("the reference is not finite")
         if self._attitude_ref.dot(self._attitude) < 0:  # q and -q are one attitude: compare on the measured side
             self._X_ref[:, ATTITUDE] *= -1
-        status, sweeps, active, kkt = self._converge() if self._cold else self._iterate()
+        if self._attitude_predicted.dot(self._attitude) < 0:
+            self._X[:, ATTITUDE] *= -1
+        cold = self._cold
+        status, sweeps, active, kkt = self._converge() if cold else self._iterate()
         thrust = self._thrust.copy()
-        return thrust, StepRecord(time.perf_counter() - began, status, sweeps, active, kkt)
+        converged = not cold or kkt < self._stationary
+        return thrust, StepRecord(time.perf_counter() - began, status, sweeps, active, kkt, converged)
 
     def _converge(self) -> tuple[Status, int, int, float]:
-        """Iterate on the first measurement, without moving the guess forward."""
+        """Iterate on the first measurement, without moving the guess forward; full steps first, then searched ones."""
         shift = self._step.arguments["shift"]
         shift[...] = 0.0
-        for _ in range(self.settings.initial_iterations):
+        guess, iterations = self._U.copy(), self.settings.initial_iterations
+        for _ in range(min(iterations, PLAIN_ITERATIONS)):
             outcome = self._iterate()
             if outcome[0] == Status.FAILED or outcome[3] < CONVERGED:
                 break
+        if not outcome[3] < CONVERGED and iterations > PLAIN_ITERATIONS:
+            outcome = self._descend(guess, iterations - PLAIN_ITERATIONS)
         shift[...] = self.settings.control_period / self.settings.node_period
         self._cold = False
         return outcome
+
+    def _descend(self, guess: np.ndarray, iterations: int) -> tuple[Status, int, int, float]:
+        """Globalised iterations from where the full ones ended, or from the first guess, (N, n)."""
+        if self._first_solve is None:
+            error = self.settings.attitude_error
+            rollout = rollout_function(self.vehicle, self.residual, self.settings.nodes, attitude_error=error)
+            self._first_solve = FirstSolve(rollout, self._step, self._direction)
+        reached = np.clip(self._U, self.vehicle.thrust_min, self.vehicle.thrust_max)
+        return self._first_solve.solve([reached, guess], iterations)[1:]
+
+    def _direction(self) -> Direction:
+        """Linearise at the guess and solve the bounded subproblem, without a step."""
+        self._step()
+        excess, turn, kkt = self._checks.tolist()
+        d_input = self._U_new - self._step.results["U_lin"]
+        if not math.isfinite(excess + turn):
+            return Direction(d_input, Status.FAILED, 0, 0, kkt)
+        if excess <= TOLERANCE:
+            return Direction(d_input, Status.RICCATI, 0, 0, kkt)
+        _, d_input, status, sweeps, active = self._bounded()
+        return Direction(d_input, status, sweeps, active, kkt)
 
     def _iterate(self) -> tuple[Status, int, int, float]:
         """One SQP iteration: status, sweeps, active bounds, optimality residual. The guess moves unless it failed."""
@@ -141,15 +178,19 @@ class ModelPredictiveController:
                 x, u = self._step.results["X_lin"], self._step.results["U_lin"]
                 self._move(self._X_new - x, self._U_new - u, MAX_TURN / turn)
             return Status.RICCATI, 0, 0, kkt
-        arguments, results = self._step.arguments, self._step.results
-        u = results["U_lin"]
-        d_state, d_input, status = self._active_set.solve(arguments["u_min"] - u, arguments["u_max"] - u)
+        d_state, d_input, status, sweeps, active = self._bounded()
         if status == Status.FAILED:
-            return status, self._active_set.sweeps, 0, kkt
+            return status, sweeps, 0, kkt
         self._d_state[1:] = d_state
         turn = np.linalg.norm(d_state[:, ATTITUDE], axis=1).max()
         self._move(self._d_state, d_input, min(1.0, MAX_TURN / turn) if turn > 0 else 1.0)
-        return status, self._active_set.sweeps, int(np.count_nonzero(self._active_set.side)), kkt
+        return status, sweeps, active, kkt
+
+    def _bounded(self) -> tuple[np.ndarray, np.ndarray, Status, int, int]:
+        """The bounded subproblem that the last step left: dX (N, 13), dU (N, n), status, sweeps, active bounds."""
+        arguments, u = self._step.arguments, self._step.results["U_lin"]
+        d_state, d_input, status = self._active_set.solve(arguments["u_min"] - u, arguments["u_max"] - u)
+        return d_state, d_input, status, self._active_set.sweeps, int(np.count_nonzero(self._active_set.side))
 
     def _move(self, d_state: np.ndarray, d_input: np.ndarray, length: float) -> None:
         """Step from the linearisation point; short where an attitude would turn further than its model holds."""

@@ -21,7 +21,8 @@ class MPCSettings:
     difference or the error's rotation in the reference's body frame, as attitude_error says ("plain" or "body").
     input_weight: diagonal of R on thrusts normalised by the largest one.
     terminal_weight: factor on Q at the last node. feedforward: let the reference's attitude, rates and thrusts contain
-    the residual. initial_iterations: SQP iterations allowed on the first step (one on every later step).
+    the residual. initial_iterations: SQP iterations allowed on the first step (one on every later step): full ones
+    first, and where these do not converge, more with a line search (first_solve.py).
     max_sweeps: active-set sweeps before the last resort.
     """
 
@@ -36,7 +37,7 @@ class MPCSettings:
     input_weight: float = 0.1
     terminal_weight: float = 0.0
     feedforward: bool = True
-    initial_iterations: int = 20
+    initial_iterations: int = 400
     max_sweeps: int = 12
 
     def __post_init__(self) -> None:

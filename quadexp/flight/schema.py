@@ -43,6 +43,7 @@ FLIGHT_COLUMNS: dict[str, Column] = {
     "status": Column("1", "", "0 riccati, 1 active_set, 2 last_resort, 3 failed"),
     "sweeps": Column("1", "", "active-set sweeps of the control step"),
     "active": Column("1", "", "input bounds active over the horizon"),
+    "unconverged": Column("1", "", "1: the first step's iterations ended away from a stationary point"),
     "kkt": Column("1", "", "KKT residual of the control step"),
     "segment": Column("1", "", "number of the uninterrupted stretch the sample belongs to"),
     **{f"wind_{i}": Column("m/s", "world", "velocity of the air") for i in _AXES},
@@ -74,6 +75,8 @@ RESULT_COLUMNS: dict[str, Column] = {
     "saturated_share": Column("1", "", "share of samples with a rotor at its thrust limit"),
     "peak_speed": Column("m/s", "world", "largest speed flown"),
     "duration": Column("s", "", "length of the flight"),
+    "last_resort_count": Column("1", "", "control steps whose subproblem the last resort solved"),
+    "unconverged_count": Column("1", "", "1 where the first step ended away from a stationary point"),
 }
 
 # One row per metric, condition and contestant; `unit` names the unit of the columns that are in the metric's own.

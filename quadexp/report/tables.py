@@ -41,6 +41,7 @@ ROW_COLUMNS = (
     "peak_speed",
     "duration",
     "last_resort_count",
+    "unconverged_count",
     "outcome",
     "backend",
     "cause",
@@ -49,7 +50,7 @@ ROW_COLUMNS = (
 TEXT_COLUMNS = (
     "plant", "vehicle", "trajectory", "controller", "model", "variant", "outcome", "backend", "cause", "key",
 )  # fmt: skip
-INTEGER_COLUMNS = ("seed", "last_resort_count")
+INTEGER_COLUMNS = ("seed", "last_resort_count", "unconverged_count")
 
 _LATEX = str.maketrans({c: f"\\{c}" for c in "&%$#_{}"} | {"\\": r"\textbackslash{}", "<": "$<$"})
 

@@ -19,9 +19,12 @@ def error_rotation(q, q_ref):
 
 
 class ConvergedProblem:
-    """Solves the whole multiple-shooting problem to convergence for a measured state and a reference."""
+    """Solves the whole multiple-shooting problem to convergence for a measured state and a reference.
 
-    def __init__(self, vehicle: Vehicle, residual: Residual, settings: MPCSettings) -> None:
+    local: stay at the guess if it is stationary, for problems with several minima; bounds are not pushed away from.
+    """
+
+    def __init__(self, vehicle: Vehicle, residual: Residual, settings: MPCSettings, *, local: bool = False) -> None:
         N, n = settings.nodes, vehicle.n_rotors
         dynamics = corrected_function(vehicle, residual)
         x, u = ca.MX.sym("x", 13), ca.MX.sym("u", n)
@@ -46,6 +49,9 @@ class ConvergedProblem:
             "g": gaps,
         }
         options = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
+        if local:
+            options |= {"ipopt.mu_init": 1e-11, "ipopt.bound_push": 1e-10, "ipopt.bound_frac": 1e-10}
+            options |= {"ipopt.tol": 1e-8}
         self._solver = ca.nlpsol("converged", "ipopt", problem, options)
         self._split = 13 * (N + 1)
         free = np.full(self._split, np.inf)
