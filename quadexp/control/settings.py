@@ -24,6 +24,7 @@ class MPCSettings:
     the residual. initial_iterations: SQP iterations allowed on the first step (one on every later step): full ones
     first, and where these do not converge, more with a line search (first_solve.py).
     max_sweeps: active-set sweeps before the last resort.
+    distance_limit: m, largest position error that the controller acts on; see PredictiveController.
     """
 
     horizon: float = 1.0
@@ -39,6 +40,7 @@ class MPCSettings:
     feedforward: bool = True
     initial_iterations: int = 400
     max_sweeps: int = 12
+    distance_limit: float = 10.0
 
     def __post_init__(self) -> None:
         if self.nodes < 2:

@@ -248,6 +248,35 @@ class TestIdentifyingMPC:
             changed = found.t[1:][np.diff(found["reopened"]) > 0]
             assert len(changed) == 1 and 15.0 <= changed[0] <= 15.2
 
+    @pytest.mark.parametrize("controller", ["nominal_mpc", "perfect_mpc", "rls_mpc"])
+    def test_a_start_28_m_away_is_flown(self, controller):
+        """Example 2 begins at rest in the circle's centre; each reaches the circle and stays on it, whatever the seed."""
+        for seed in (0, 1, 2) if controller == "rls_mpc" else (0,):
+            flight = flown("trajectory=lei_li_circle", f"controller={controller}", f"seed={seed}")
+            assert flight.outcome == "ok"
+            assert position_error(flight)[flight.t > 10.0].max() < 0.5
+            assert np.linalg.norm(flight.stack(["v_x", "v_y", "v_z"]), axis=1).max() < 28.0
+
+    def test_the_distance_limit_moves_the_whole_reference(self):
+        """As if the path lay there: the same command as along a path moved by hand. Within the limit nothing moves."""
+        config = compose([*BENCH, "controller=nominal_mpc", "controller.distance_limit=4"])
+        vehicle = build_vehicle(config.vehicle)
+        controller = build_controller(config, vehicle, build_plant(vehicle, config.plant), None)
+        reference = SampledReference(build_trajectory(config.trajectory), controller)
+        x = reference.at(0)[0].copy()
+        commands = []
+        for away, moved in (([3.0, 0.0, 4.0], 0.2), ([2.4, 0.0, 3.2], 0.0)):  # 5 m and 4 m
+            state = x.copy()
+            state[:3] += away
+            window = reference.window(0)
+            by_hand = window.state.copy()
+            by_hand[:, :3] += moved * np.array(away)
+            for seen in (window, window._replace(state=by_hand)):
+                controller.reset(state, seen)
+                commands.append(controller.step(Measurement(0.0, state, None, None), seen)[0])
+        assert commands[0] == pytest.approx(commands[1], abs=1e-9)
+        assert commands[2] == pytest.approx(commands[3], abs=1e-12)
+
     def test_flights_do_not_depend_on_the_one_before(self):
         path = ("trajectory=circle", "trajectory.speed=4", "trajectory.acceleration=2")
         first = flown("controller=rls_mpc", *path)
