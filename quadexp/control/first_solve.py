@@ -49,12 +49,18 @@ def rollout_function(vehicle: Vehicle, residual: Residual, nodes: int, *, attitu
     """The trajectory of given inputs, and its cost.
 
     Inputs, named as the step's: x0 (13,), U (n, N), X_ref (13, N + 1), U_ref (n, N), theta (p,), Q, Q_end (13,),
-    R (n,), dt (s). Outputs: X (13, N + 1); cost, half of the weighted sum of squares in control.step.
+    R (n,), dt (s). Outputs: X (13, N + 1); cost, half of control.step's weighted sum of squares.
     """
     n = vehicle.n_rotors
     dynamics = corrected_function(vehicle, residual)
     names = {"x0": (N_STATE, 1), "U": (n, nodes), "X_ref": (N_STATE, nodes + 1), "U_ref": (n, nodes)}
-    names |= {"theta": residual.function.size_in(1), "Q": (N_STATE, 1), "Q_end": (N_STATE, 1), "R": (n, 1), "dt": (1, 1)}
+    names |= {
+        "theta": residual.function.size_in(1),
+        "Q": (N_STATE, 1),
+        "Q_end": (N_STATE, 1),
+        "R": (n, 1),
+        "dt": (1, 1),
+    }
     a = {name: ca.MX.sym(name, *shape) for name, shape in names.items()}
     x, u, theta, dt = ca.MX.sym("x", N_STATE), ca.MX.sym("u", n), ca.MX.sym("theta", *names["theta"]), ca.MX.sym("dt")
     node = ca.Function("node", [x, u, theta, dt], [rk4_step(lambda s: dynamics(s, u, theta), x, dt)])

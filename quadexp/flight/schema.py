@@ -217,6 +217,20 @@ class Flight:
         return self.stack(input_columns(self.n_rotors))
 
     @property
+    def wind(self) -> np.ndarray | None:
+        """Velocity of the air, (k, 3), world (m/s); None for a flight without wind columns."""
+        names = tuple(f"wind_{axis}" for axis in _AXES)
+        return self.stack(names) if any(name in self.columns for name in names) else None
+
+    @property
+    def air_velocity(self) -> np.ndarray:
+        """Velocity relative to the air, (k, 3), body (m/s); see rotation.air_velocity."""
+        from quadexp.rotation import air_velocity
+
+        attitude, velocity = (tuple(f"{name}_{axis}" for axis in axes) for name, axes in (("q", "wxyz"), ("v", _AXES)))
+        return np.asarray(air_velocity(self.stack(attitude), self.stack(velocity), self.wind))
+
+    @property
     def reference_state(self) -> np.ndarray:
         """Reference state, (k, 13)."""
         return self.stack([f"ref_{name}" for name in STATE_COLUMNS])

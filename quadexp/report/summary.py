@@ -59,13 +59,13 @@ def flight_lines(metadata: Mapping[str, Any]) -> list[str]:
         f" max {1e3 * row['max_error']:.4g} mm, attitude {np.degrees(row['attitude_rmse']):.3g} deg"
     )
     if row["attitude_rmse"] > LARGE_ATTITUDE:
-        lines.append("            the attitude is far from the reference's: a heading that lags does not show in position")
+        lines.append("            the attitude is far from the reference's, which an error of position does not show")
     lines.append(
         f"step        median {1e6 * row['solve_time_median']:.0f} us, 99 % {1e6 * row['solve_time_p99']:.0f} us,"
         f" largest {1e6 * row['solve_time_max']:.0f} us ({row['backend']})"
     )
     if row.get("unconverged_count"):
-        lines.append("            the first step did not converge: its input is not the optimum (controller.initial_iterations)")
+        lines.append("            the first step did not converge (controller.initial_iterations): not the optimum")
     lines.append(
         f"flight      {row['duration']:.2f} s, peak speed {row['peak_speed']:.2f} m/s,"
         f" {100 * row['saturated_share']:.1f} % of samples at a thrust limit"

@@ -250,7 +250,7 @@ class TestIdentifyingMPC:
 
     @pytest.mark.parametrize("controller", ["nominal_mpc", "perfect_mpc", "rls_mpc"])
     def test_a_start_28_m_away_is_flown(self, controller):
-        """Example 2 begins at rest in the circle's centre; each reaches the circle and stays on it, whatever the seed."""
+        """Example 2 begins at rest in the circle's centre; all reach the circle and stay, whatever the seed."""
         for seed in (0, 1, 2) if controller == "rls_mpc" else (0,):
             flight = flown("trajectory=lei_li_circle", f"controller={controller}", f"seed={seed}")
             assert flight.outcome == "ok"

@@ -176,7 +176,7 @@ class TestIntervals:
 
 
 def test_an_attitude_far_from_the_reference_s_is_said_below_the_table():
-    """Each contestant at its worst condition, in degrees; nothing where all are close, and lost flights do not count."""
+    """Each contestant at its worst condition, in degrees; nothing where all are close; lost flights do not count."""
     angle = math.radians
     close = [row(attitude_rmse=angle(9.9)), row("gp_mpc", attitude_rmse=angle(2.0))]
     assert not [note for note in error_table(close).notes if "attitude" in note]

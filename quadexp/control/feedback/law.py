@@ -15,7 +15,7 @@ from quadexp.control.feedback.observer import observer_matrices
 from quadexp.control.feedback.position import desired_tilt, in_cone, position_feedback, thrust_vector
 from quadexp.control.feedback.secondary import allocation_coefficients, drag_force, secondary_terms
 from quadexp.control.feedback.settings import FeedbackSettings, Variant
-from quadexp.rotation import rotation_matrix
+from quadexp.rotation import air_velocity, rotation_matrix
 from quadexp.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.vehicle import Vehicle
 
@@ -39,7 +39,7 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
     R = ca.mtimes([ca.DM(NED_ENU), rotation_matrix(x[ATTITUDE]), ca.DM(FRD_FLU)])
     eta, rate = euler_angles(R), ca.mtimes(ca.DM(FRD_FLU), x[RATE])
     velocity_ned = ca.mtimes(ca.DM(NED_ENU), x[VELOCITY])
-    velocity = ca.mtimes(R.T, velocity_ned)
+    velocity = ca.mtimes(ca.DM(FRD_FLU), air_velocity(x[ATTITUDE], x[VELOCITY]))
     goal = ca.mtimes(ca.DM(NED_ENU), reference)
     psi_d, psi_d_dot, psi_d_ddot = yaw_ned(yaw[0]), -yaw[1], -yaw[2]
 

@@ -99,7 +99,9 @@ def test_one_call_equals_the_paper(lei_li, name):
 def test_the_paper_s_hover_is_a_fixed_point_of_the_static_law(lei_li):
     """At rest on the reference every rotor carries a quarter of the weight, whatever the heading."""
     function = law_function(lei_li, PRINTED, VARIANTS["static"])
-    now = {name: np.zeros(3) for name in ("xi", "velocity", "eta", "rate", "xi_d", "v_d", "a_d")} | {"heading": np.array([0.7, 0.0, 0.0])}
+    now = {name: np.zeros(3) for name in ("xi", "velocity", "eta", "rate", "xi_d", "v_d", "a_d")} | {
+        "heading": np.array([0.7, 0.0, 0.0])
+    }
     now["eta"] = np.array([0.0, 0.0, 0.7])
     last = {"eta_d": np.zeros(3), "observer_phi": np.zeros(3), "observer_theta": np.zeros(3)}
     last |= {"v": np.zeros(3), "w": np.full(4, 500.0)}
@@ -200,7 +202,9 @@ class TestSafety:
             assert np.isfinite(got["thrust"]).all()
 
     def test_at_rest_with_V_exactly_zero(self, lei_li):
-        zero = {name: np.zeros(3) for name in ("xi", "velocity", "eta", "rate", "xi_d", "v_d", "a_d")} | {"heading": np.zeros(3)}
+        zero = {name: np.zeros(3) for name in ("xi", "velocity", "eta", "rate", "xi_d", "v_d", "a_d")} | {
+            "heading": np.zeros(3)
+        }
         last = {"eta_d": np.zeros(3), "observer_phi": np.zeros(3), "observer_theta": np.zeros(3)}
         last |= {"v": np.zeros(3), "w": np.full(4, 528.0)}
         got = call(law_function(lei_li, FeedbackSettings(), VARIANTS["rls"]), zero, last, TRUE)
