@@ -11,6 +11,7 @@ default  acados as it comes: SQP_RTI, PARTIAL_CONDENSING_HPIPM, ERK, -O2, the me
 best     its fastest documented settings: FULL_CONDENSING_DAQP, -O3 -march=native, scalar (SX) expression graph
 tuned    beyond that: RK4 as a discrete SX expression, fixed Hessian, -ffast-math, prepared calls of the C interface
 expert   as tuned, with the Jacobian of the RK4 step written by hand (see acados_model.chained_rk4)
+hpipm    as expert, with FULL_CONDENSING_HPIPM
 """
 
 from __future__ import annotations
@@ -56,12 +57,14 @@ class Options:
     direct_calls: bool = False
 
 
-TUNED = {"qp_solver": "FULL_CONDENSING_DAQP", "flags": "-O3 -march=native -ffast-math", "fixed_hessian": True}
+TUNED = {"flags": "-O3 -march=native -ffast-math", "fixed_hessian": True, "direct_calls": True}
+DAQP = {"qp_solver": "FULL_CONDENSING_DAQP"}
 OPTIONS = {
     "default": Options(),
-    "best": Options(qp_solver="FULL_CONDENSING_DAQP", flags="-O3 -march=native"),
-    "tuned": Options(**TUNED, model="DISCRETE", direct_calls=True),
-    "expert": Options(**TUNED, model="CHAINED", direct_calls=True),
+    "best": Options(**DAQP, flags="-O3 -march=native"),
+    "tuned": Options(**TUNED, **DAQP, model="DISCRETE"),
+    "expert": Options(**TUNED, **DAQP, model="CHAINED"),
+    "hpipm": Options(**TUNED, qp_solver="FULL_CONDENSING_HPIPM", model="CHAINED"),
 }
 
 
@@ -207,22 +210,31 @@ def direct_step(solver: Any, problem: Problem, acados_folder: Path) -> Step:
 
 
 def measure(solver: Any, step: Step, problem: Problem) -> dict[str, Any]:
-    """All control steps in turn, warmed up on the first: seconds of each, acados's own seconds, first inputs."""
+    """All control steps in turn, warmed up on the first: seconds of each, acados's own seconds, first inputs.
+
+    failed: steps that acados could not solve. The solver starts anew from the reference after each of them.
+    """
     path, last = references(problem)
     guess_reference(solver, problem, 0)
     for _ in range(WARM_UP_STEPS):
         step(problem.states[0], path[0], last[0], 1)
-    seconds, internal, inputs = [], [], []
+    seconds, internal, inputs, failed = [], [], [], []
     gc.collect()
     gc.disable()
-    for x, path_k, last_k in zip(problem.states, path, last, strict=True):
+    for k, (x, path_k, last_k) in enumerate(zip(problem.states, path, last, strict=True)):
         began = time.perf_counter()
-        u = step(x, path_k, last_k, 1)
+        try:
+            u = step(x, path_k, last_k, 1)
+        except RuntimeError:
+            u = np.full(NU, np.nan)
+            failed.append(k)
         seconds.append(time.perf_counter() - began)
+        if failed and failed[-1] == k:
+            guess_reference(solver, problem, k)
         internal.append(float(solver.get_stats("time_tot")))
         inputs.append(u.tolist())
     gc.enable()
-    return {"seconds": seconds, "internal": internal, "u0": inputs}
+    return {"seconds": seconds, "internal": internal, "u0": inputs, "failed": failed}
 
 
 def converge(solver: Any, step: Step, problem: Problem) -> dict[str, Any]:

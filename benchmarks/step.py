@@ -1,6 +1,7 @@
 """Time of one control step as Python sees it, against acados where it is importable.
 
     python -m benchmarks.step [--acados-python PYTHON] [--nodes 10 20] [--cases none gp20 ...]
+    python -m benchmarks.step --bounded [...]              # with bounds active, see bounded.py
 
 Both sides solve the same problem along the same states and references, taken from a closed loop of our controller on a
 circle at 8 m/s, whose air the model knows and where no bound is active: set the measured state and the references,
@@ -120,42 +121,51 @@ def make_plant(case: str, vehicle: Vehicle) -> Plant:
     return SimplifiedPlant(vehicle, effects, backend="auto")
 
 
-def fly_circle(plant: Plant, controller: ModelPredictiveController, steps: int) -> Log:
-    """What the controller was asked in each step of a closed loop on the circle, the quaternions on one hemisphere."""
+def fly_circle(
+    plant: Plant, controller: ModelPredictiveController, steps: int, *, jump: float = 0.0, every: int = 1
+) -> Log:
+    """What the controller was asked in each step of a closed loop on the circle, the quaternions on one hemisphere.
+
+    jump: standard deviation (m) of a displacement of the vehicle in every `every`-th step; without it, no bound may be
+    active.
+    """
     reference = SampledReference(Circle(speed=8.0, acceleration=1.0), controller)
     x, rng, log = reference.along()[0][0], np.random.default_rng(0), []
     plant.reset()
     controller.reset(x, *reference.horizon(0))
     for k in range(min(SKIPPED + steps, len(reference))):
         states, inputs = reference.horizon(k)
+        if jump and k >= SKIPPED and k % every == 0:
+            x = x + np.r_[jump * rng.normal(size=3), np.zeros(10)]
         if states[0, 3:7] @ x[3:7] < 0:
             states = states * np.r_[np.ones(3), -np.ones(4), np.ones(6)]
         u, record = controller.command(x, states, inputs)
         if k >= SKIPPED:
-            if record.status != Status.RICCATI:
+            if record.status != Status.RICCATI and not jump:
                 raise SystemExit(f"step {k}: a bound is active, the times would not compare")
             log.append((x, states, inputs))
         x, _ = plant.advance(x, u, controller.settings.control_period, rng)
     return log
 
 
-def measure(controller: ModelPredictiveController, log: Log) -> tuple[np.ndarray, np.ndarray]:
-    """Seconds of each step, and the first inputs, (K, n)."""
+def measure(controller: ModelPredictiveController, log: Log) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Seconds of each step, the first inputs, (K, n), and how many inputs of the horizon were at a bound, (K,)."""
     controller.reset(*log[0])
     for _ in range(100):
         controller.command(*log[0])
     controller.reset(*log[0])
     controller.command(*log[0])
-    seconds, inputs = [], []
+    seconds, inputs, active = [], [], []
     gc.collect()
     gc.disable()
     for x, states, thrusts in log:
         began = time.perf_counter()
-        u, _ = controller.command(x, states, thrusts)
+        u, record = controller.command(x, states, thrusts)
         seconds.append(time.perf_counter() - began)
         inputs.append(u)
+        active.append(record.active)
     gc.enable()
-    return np.array(seconds), np.array(inputs)
+    return np.array(seconds), np.array(inputs), np.array(active)
 
 
 def converge(controller: ModelPredictiveController, log: Log) -> np.ndarray:
@@ -267,10 +277,12 @@ def compare(vehicle: Vehicle, case: str, nodes: int, steps: int, rounds: int, ac
         pin(0, one)
         for _ in range(rounds):
             for name, controller in own.items():
-                times, inputs[name] = measure(controller, log)
+                times, inputs[name], _ = measure(controller, log)
                 seconds.setdefault(name, []).append(times)
             for name, other in others.items():
                 if answer := other.ask("measure"):
+                    if answer["failed"]:
+                        raise SystemExit(f"{name}: cannot solve steps {answer['failed']}")
                     seconds.setdefault(name, []).append(np.array(answer["seconds"]))
                     inputs[name] = np.array(answer["u0"])
         converged = {name: converge(controller, log) for name, controller in own.items()}
@@ -308,27 +320,30 @@ def table(rows: list[dict[str, Any]]) -> str:
     """The rows as Markdown: times, then ratios, then agreement."""
     contestants, every = [*BACKENDS, *(f"acados {options}" for options in ACADOS_OPTIONS)], rows
     parts = ["Microseconds a step, median [quartiles] (99th percentile):", ""]
-    parts += _markdown(contestants, rows, lambda row, name: _time(row["times_us"].get(name)))
+    parts += markdown(contestants, rows, lambda row, name: time_cell(row["times_us"].get(name)))
     if any(row["ratios"] for row in rows):
         limits = ["-" if limit is None else f"<= {limit:g}" for limit in RATIOS.values()]
         ratios = [f"{a} / {b}" for a, b in RATIOS]
         parts += ["", "Ratios, with the limit promised:", ""]
-        parts += _markdown(ratios, rows, lambda row, name: _number(row["ratios"].get(name), ".2f"), limits)
+        parts += markdown(ratios, rows, lambda row, name: number_cell(row["ratios"].get(name), ".2f"), limits)
     if any(row["case"] == PLAIN for row in rows):
         parts += ["", f"({PLAIN}: acados solves the plain model; compiled / acados best is to be <= 0.6)"]
     rows = [row for row in rows if row["case"] != PLAIN]  # not the same problem
     names = ["compiled", "acados default", "acados best"]
     parts += ["", "First input, same problem: largest difference of the converged ones (N):", ""]
-    parts += _markdown(names[1:], rows, lambda row, name: _number(row["same_problem_N"].get(name), ".0e"))
+    parts += markdown(names[1:], rows, lambda row, name: number_cell(row["same_problem_N"].get(name), ".0e"))
     parts += ["", "First input, left by one iteration: median distance to the converged one (N):", ""]
-    parts += _markdown(names, rows, lambda row, name: _number(row["left_by_one_iteration_N"].get(name), ".0e"))
-    versions = sorted({row["acados"] for row in every} - {""})
-    parts += ["", *(f"acados {version}" for version in versions)]
-    parts += [f"acados is missing: {why}" for why in sorted({why for row in every for why in row["missing"].values()})]
-    return "\n".join(parts)
+    parts += markdown(names, rows, lambda row, name: number_cell(row["left_by_one_iteration_N"].get(name), ".0e"))
+    return "\n".join([*parts, "", *acados_lines(every)])
 
 
-def _markdown(
+def acados_lines(rows: list[dict[str, Any]]) -> list[str]:
+    """Which acados it was, or why there was none."""
+    lines = [f"acados {version}" for version in sorted({row["acados"] for row in rows} - {""})]
+    return lines + [f"acados is missing: {why}" for why in sorted({w for row in rows for w in row["missing"].values()})]
+
+
+def markdown(
     columns: list[str], rows: list[dict[str, Any]], cell: Callable[[dict, str], str], limits: list[str] | None = None
 ) -> list[str]:
     cells = [[row["case"], str(row["nodes"]), *(cell(row, name) for name in columns)] for row in rows]
@@ -338,13 +353,13 @@ def _markdown(
     return ["| " + " | ".join(text.ljust(w) for text, w in zip(line, widths, strict=True)) + " |" for line in lines]
 
 
-def _time(figures: dict[str, float] | None) -> str:
+def time_cell(figures: dict[str, float] | None) -> str:
     if figures is None:
         return "missing"
     return f"{figures['median']:.1f} [{figures['q25']:.1f}, {figures['q75']:.1f}] ({figures['p99']:.0f})"
 
 
-def _number(value: float | None, form: str) -> str:
+def number_cell(value: float | None, form: str) -> str:
     return "missing" if value is None else format(value, form)
 
 
@@ -354,16 +369,22 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=500)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--nodes", type=int, nargs="+", default=[10, 20])
-    parser.add_argument("--cases", nargs="+", default=list(CASES), choices=CASES)
+    parser.add_argument("--cases", nargs="+", choices=CASES, help="default: all; with --bounded none and gp20")
+    parser.add_argument("--bounded", action="store_true", help="steps with bounds active")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the tables")
     arguments = parser.parse_args()
     vehicle = build_vehicle(compose([]).vehicle)
+    row, pages, cases = compare, table, CASES
+    if arguments.bounded:
+        from benchmarks import bounded
+
+        row, pages, cases = bounded.compare, bounded.table, bounded.CASES
     rows = []
     for nodes in arguments.nodes:
-        for case in arguments.cases:
+        for case in arguments.cases or cases:
             print(f"{case}, N = {nodes} ...", file=sys.stderr, flush=True)
-            rows.append(compare(vehicle, case, nodes, arguments.steps, arguments.rounds, arguments.acados_python))
-    print(json.dumps(rows) if arguments.json else f"{machine()}\n\n{table(rows)}")
+            rows.append(row(vehicle, case, nodes, arguments.steps, arguments.rounds, arguments.acados_python))
+    print(json.dumps(rows) if arguments.json else f"{machine()}\n\n{pages(rows)}")
 
 
 if __name__ == "__main__":

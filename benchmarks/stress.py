@@ -19,8 +19,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from benchmarks.machine import machine
-from quadexp.control.active_set import TOLERANCE, Status
+from quadexp.control.active_set import Status
 from quadexp.control.mpc import ModelPredictiveController
+from quadexp.control.subproblem import TOLERANCE
 from quadexp.dynamics.rotor_coefficients import static_coefficients
 from quadexp.errors import QuadexpError
 from quadexp.residual.base import Residual

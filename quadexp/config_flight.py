@@ -209,5 +209,4 @@ class MPCConfig(ControllerConfig):
     terminal_weight: float = number("[0, 1e6]", "")
     feedforward: bool = True
     initial_iterations: int = number("[1, 1000]", "")
-    max_sweeps: int = number("[1, 1000]", "")
     distance_limit: float = number("(0, 1e6]", "m", 10.0)

@@ -102,7 +102,6 @@ MEANINGS: dict[str, str] = {
     "controller.feedforward": "references carry what the controller knows of the air",
     "controller.initial_iterations": "SQP iterations before the first input, at most: 20 full ones, then with a line"
     " search until converged; one a step after that",
-    "controller.max_sweeps": "sweeps of the active set, after which the last resort solves the QP",
     "controller.distance_limit": "position error that the MPC acts on: from further away it comes as from there",
     "controller.variant": "what is compensated and where its coefficients come from; see docs/lei_li.md",
     "controller.position_proportional": "gain on the position error",

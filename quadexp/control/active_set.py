@@ -1,24 +1,31 @@
-"""Bounded linear-quadratic subproblem: primal-dual active set on the Riccati recursion, with a last resort.
+"""The bounded linear-quadratic subproblem of a control step, exactly, from the factorisation that the step leaves.
 
-Guess which inputs lie at a bound; solve with those held (one masked Riccati sweep); then hold every input that left its
-bounds and release every held one whose multiplier has the wrong sign; repeat until nothing changes (Hintermueller, Ito
-and Kunisch 2003). The end satisfies all optimality conditions, so the input is never a clipped one. The set of the last
-control step is the first guess. The method can cycle: when a set comes back, or after a fixed number of sweeps, the
-problem is condensed to the inputs alone and handed to DAQP, a dual active-set solver that ends in finitely many steps.
+The step has solved the subproblem without bounds. Its Riccati gains give the inverse Hessian M = H^-1 of the problem in
+the inputs alone, (n N, n N), in one backward pass: a unit gradient in input i of node j leaves h_k in the nodes k <= j
+(nothing in later ones), and M sums h_k' H_k^-1 h_k over the nodes,
+
+    h_k = e_i [k = j] + B_k' p_{k+1},     p_k = A_k' p_{k+1} - K_k' h_k,     M_(i,l) = sum_k h_k(i)' H_k^-1 h_k(l)
+
+Then a dual active set finds the inputs at a bound (control.dual_active_set), from those of the last control step on.
+The answer satisfies all optimality conditions, so an input is never a clipped one; they are checked in the subproblem
+itself, and where they do not hold to 1e-7 N the step fails by name.
+
+Compiled, all of it is one function (active_set.c); this file is the same in numpy, for the interpreted back end.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from enum import IntEnum
+from typing import Protocol
 
 import casadi as ca
 import numpy as np
 
 from quadexp.backend import BufferedFunction
-from quadexp.control.subproblem import TOLERANCE
-
-LAST_RESORT_TOLERANCE = 1e-6  # N, of a projected gradient step at DAQP's answer
+from quadexp.control.dual_active_set import bounded_minimum
+from quadexp.state import ATTITUDE, N_STATE
 
 
 class Status(IntEnum):
@@ -30,79 +37,140 @@ class Status(IntEnum):
     FAILED = 3
 
 
-class ActiveSet:
-    """Solver of the bounded subproblem that a control step leaves behind.
+class Solver(Protocol):
+    """subproblem.bounded_function on a back end."""
 
-    sweep, condensed: `control.subproblem`'s functions on a back end.
-    data: what both need of a step and its settings, by name: A, B, b, q, r, Q, Q_end, R, and frames where the step has
-    them; arrays that are read at every `solve`.
+    arguments: dict[str, np.ndarray]
+    results: dict[str, np.ndarray]
+
+    def __call__(self) -> None:
+        """Solve what the arguments say."""
+
+
+class ActiveSet:
+    """Solver of the bounded subproblem that a control step leaves behind, with the set of the last one as a guess.
+
+    After `solve`: X_new (13, N + 1), U_new (n, N) stored as numpy (N + 1, 13), (N, n), overwritten by the next; side
+    (N, n), -1 at the lower, 1 at the upper bound, 0 free; exchanges of the set; active, how many inputs are at a bound;
+    turn, the largest change of a quaternion (length).
     """
 
-    def __init__(
-        self, sweep: ca.Function, condensed: ca.Function, data: dict[str, np.ndarray], *, max_sweeps: int
-    ) -> None:
-        self._sweep, self._condensed = BufferedFunction(sweep, data), BufferedFunction(condensed, data)
-        self._max_sweeps = max_sweeps
-        self._low, self._high = (self._sweep.arguments[name] for name in ("low", "high"))
-        self._daqp: BufferedFunction | None = None
-        self.side = self._sweep.arguments["side"]  # (N, n): -1 at the lower, 1 at the upper bound, 0 free
-        self.sweeps = 0
+    def __init__(self, solver: Solver) -> None:
+        self._solver = solver
+        self.side = solver.arguments["guess"]
+        self.X_new, self.U_new, self._side, self._checks = (
+            solver.results[name] for name in ("X_new", "U_new", "side", "checks")
+        )
+        self.exchanges = self.active = 0
+        self.turn = self.error = 0.0
 
     def reset(self) -> None:
         """Forget the active set of the last step."""
         self.side.fill(0)
 
-    def solve(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray, Status]:
-        """dX (N, 13), dU (N, n) under low <= dU <= high (N), and how it was found. The arrays are overwritten later."""
-        d_state, d_input, after, checks = (self._sweep.results[name] for name in ("dX", "dU", "after", "checks"))
-        self._low[...], self._high[...] = low, high
-        seen = set()
-        self.sweeps = 0
-        while self.sweeps < self._max_sweeps:
-            self._sweep()
-            self.sweeps += 1
-            misplaced, size = checks.tolist()
-            if not math.isfinite(size):
-                return d_state, d_input, self._failed()
-            if misplaced == 0:
-                return d_state, d_input, Status.ACTIVE_SET
-            seen.add(self.side.astype(np.int8).tobytes())
-            self.side[...] = after
-            if self.side.astype(np.int8).tobytes() in seen:
-                break
-        return d_state, d_input, self._last_resort(low, high)
-
-    def _last_resort(self, low: np.ndarray, high: np.ndarray) -> Status:
-        """Condense to the inputs, solve with DAQP, check the optimality conditions; leave dX, dU and the active set."""
-        self._condensed()
-        hessian, gradient = self._condensed.results["H"], self._condensed.results["g"]
-        if not np.isfinite(hessian).all():
-            return self._failed()
-        solver = self._daqp = self._daqp or BufferedFunction(_dense_solver(low.size))
-        solver.arguments["h"][...], solver.arguments["g"][...] = hessian, gradient
-        solver.arguments["lbx"][...], solver.arguments["ubx"][...] = low.ravel(), high.ravel()
-        try:
-            solver()
-        except RuntimeError:
-            return self._failed()
-        d_input = np.clip(solver.results["x"].reshape(low.shape), low, high)  # rounding only
-        self._low[...] = self._high[...] = d_input
-        self.side.fill(1)
-        self._sweep()  # with every input held where DAQP wants it: the states that follow, and the gradient there
-        # DAQP's own word is not enough: the projected gradient step must leave its answer where it is.
-        step = self._sweep.results["gradient"] / np.diag(hessian).reshape(low.shape)
-        moved = np.clip(d_input - step, low, high) - d_input
-        if not np.abs(moved).max() < LAST_RESORT_TOLERANCE:
-            return self._failed()
-        self.side[...] = (d_input >= high - TOLERANCE).astype(int) - (d_input <= low + TOLERANCE)
-        return Status.LAST_RESORT
-
-    def _failed(self) -> Status:
-        self.reset()
-        return Status.FAILED
+    def solve(self) -> Status:
+        """Solve, and say how it went."""
+        self._solver()
+        solved, exchanges, active, self.error, self.turn = self._checks.tolist()
+        self.exchanges = int(exchanges)
+        if not (solved and math.isfinite(self.error + self.turn)):
+            self.reset()
+            self.active = 0
+            return Status.FAILED
+        self.active = int(active)
+        self.side[...] = self._side
+        return Status.ACTIVE_SET
 
 
-def _dense_solver(size: int) -> ca.Function:
-    """DAQP on a dense problem with simple bounds."""
-    shape = {"h": ca.Sparsity.dense(size, size), "a": ca.Sparsity(0, size)}
-    return ca.conic("last_resort", "daqp", shape, {"error_on_fail": False, "print_time": False})
+def make_active_set(bounded: ca.Function | None, step: BufferedFunction) -> ActiveSet:
+    """On what `step` reads and leaves. bounded: the compiled function, or None for numpy."""
+    shared = step.arguments | step.results | {"U_free": step.results["U_new"]}
+    return ActiveSet(InterpretedSolver(step.function, shared) if bounded is None else BufferedFunction(bounded, shared))
+
+
+class InterpretedSolver:
+    """`subproblem.bounded_function` in numpy, same arguments and results.
+
+    step: whose results the data are; data: its arguments and results by name, read at every call.
+    """
+
+    def __init__(self, step: ca.Function, data: Mapping[str, np.ndarray]) -> None:
+        self._data = data
+        self._places = {name: _places(step.sparsity_out(step.index_out(name))) for name in ("A", "B")}
+        nodes, n = data["U_lin"].shape
+        self.arguments = {"guess": np.zeros((nodes, n))}
+        self.results = {"X_new": np.zeros((nodes + 1, N_STATE)), "U_new": np.zeros((nodes, n))}
+        self.results |= {"side": np.zeros((nodes, n)), "checks": np.zeros(5)}
+
+    def __call__(self) -> None:
+        """Solve. Numbers that are not finite end as not solved."""
+        with np.errstate(all="ignore"):
+            self._solve()
+
+    def _solve(self) -> None:
+        data, (nodes, n) = self._data, self.arguments["guess"].shape
+        A, B = (self._transposed(name) for name in ("A", "B"))
+        U, weights = data["U_lin"], np.vstack([np.tile(data["Q"], (nodes - 1, 1)), data["Q_end"]])
+
+        d_state = np.zeros((nodes, N_STATE))
+
+        def gradient(flat: np.ndarray) -> np.ndarray:
+            """Of the cost in all inputs' changes, by the states that follow: they are in d_state then."""
+            d_input, d = flat.reshape(nodes, n), np.zeros(N_STATE)
+            pushed = np.einsum("ki,kij->kj", d_input, B) + data["b"]
+            for k in range(nodes):
+                d_state[k] = d = d @ A[k] + pushed[k]
+            slopes = data["q"][1:] + weights * d_state
+            result, p = data["r"] + data["R"] * d_input, np.zeros(N_STATE)
+            for k in range(nodes - 1, -1, -1):
+                p += slopes[k]
+                result[k] += B[k] @ p
+                p = A[k] @ p
+            return result.ravel()
+
+        found = bounded_minimum(
+            self._inverse_hessian(A, B),
+            (data["U_free"] - U).ravel(),
+            (data["u_min"] - U).ravel(),
+            (data["u_max"] - U).ravel(),
+            self.arguments["guess"].ravel(),
+            gradient,
+        )
+        d_input, results = found.u.reshape(nodes, n), self.results
+        turn = np.linalg.norm(d_state[:, ATTITUDE], axis=1).max()
+        if "frames" in data:  # from the cost's coordinates, see control.attitude_error: dq = L de
+            frames = data["frames"].reshape(nodes + 1, 4, 4)
+            d_state[:, ATTITUDE] = np.einsum("kcr,kc->kr", frames[1:], d_state[:, ATTITUDE])
+        results["X_new"][...] = data["X_lin"]
+        results["X_new"][1:] += d_state
+        results["U_new"][...] = np.clip(U + d_input, data["u_min"], data["u_max"])  # rounding only
+        results["side"][...] = found.side.reshape(nodes, n)
+        results["checks"][...] = found.solved, found.exchanges, np.count_nonzero(found.side), found.error, turn
+
+    def _transposed(self, name: str) -> np.ndarray:
+        """A' or B' of every node, dense: (N, 13, 13) or (N, n, 13)."""
+        nodes = len(self._data["U_lin"])
+        dense = np.zeros((self._places[name][1], N_STATE))
+        dense.ravel()[self._places[name][0]] = self._data[name].ravel()
+        return dense.reshape(nodes, -1, N_STATE)
+
+    def _inverse_hessian(self, A: np.ndarray, B: np.ndarray) -> np.ndarray:
+        """M, (n N, n N), from A', B' and the step's factorisation."""
+        nodes, n = self.arguments["guess"].shape
+        K = self._data["K"].reshape(nodes, N_STATE, n)  # transposed, as it is stored
+        factors = self._data["factor"].reshape(nodes, n, n).transpose(0, 2, 1)
+        from_L = np.linalg.inv(np.tril(factors, -1) + np.eye(n))
+        from_D = np.diagonal(factors, axis1=1, axis2=2)
+        at_nodes = from_L.transpose(0, 2, 1) @ (from_D[:, :, None] * from_L)  # H_k^-1
+        inverse, p = np.zeros((nodes * n, nodes * n)), np.zeros((N_STATE, 0))
+        for k in range(nodes - 1, -1, -1):
+            h = np.hstack([np.eye(n), B[k] @ p])
+            inverse[k * n :, k * n :] += h.T @ (at_nodes[k] @ h)
+            p = np.hstack([np.zeros((N_STATE, n)), A[k] @ p]) - K[k] @ h
+        return inverse
+
+
+def _places(pattern: ca.Sparsity) -> tuple[np.ndarray, int]:
+    """Where the non-zeros of a matrix with 13 rows stand in it, stored by columns; and how many columns it has."""
+    rows, columns = pattern.get_triplet()
+    return np.array(columns) * N_STATE + np.array(rows), pattern.size2()

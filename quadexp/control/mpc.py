@@ -10,14 +10,14 @@ import casadi as ca
 import numpy as np
 
 from quadexp.backend import BufferedFunction, realise_together, resolve
-from quadexp.control.active_set import ActiveSet, Status
+from quadexp.control.active_set import Status, make_active_set
 from quadexp.control.first_solve import CONVERGED, Direction, FirstSolve, rollout_function
 from quadexp.control.settings import MPCSettings
 from quadexp.control.step import step_function
-from quadexp.control.subproblem import TOLERANCE, condensed_function, sweep_function
+from quadexp.control.subproblem import TOLERANCE, bounded_function
 from quadexp.errors import QuadexpError
 from quadexp.residual.base import Residual
-from quadexp.state import ATTITUDE, N_STATE
+from quadexp.state import ATTITUDE
 from quadexp.vehicle import Vehicle
 
 MAX_TURN = 0.25  # largest change of a quaternion, its length, that one iteration may make
@@ -28,7 +28,7 @@ PLAIN_ITERATIONS = 20  # of the first step, before it searches along each: enoug
 class StepRecord(NamedTuple):
     """How one control step went.
 
-    solve_time: s, wall clock of the step as Python sees it. status: see Status. sweeps: active-set sweeps.
+    solve_time: s, wall clock of the step as Python sees it. status: see Status. sweeps: exchanges of the active set.
     active: inputs of the horizon at a bound. kkt: optimality residual of the shifted guess (m, N and mixed units).
     converged: False for a first step that ended away from a stationary point; a later step iterates once by design.
     """
@@ -54,11 +54,10 @@ class ModelPredictiveController:
         self.vehicle, self.residual = vehicle, residual
         self.settings = settings = settings or MPCSettings()
         self.backend = resolve(backend)
-        step, sweep, condensed = _functions(vehicle, residual, settings, self.backend)
+        step, bounded = _functions(vehicle, residual, settings, self.backend)
         self._step = BufferedFunction(step)
         arguments = self._step.arguments
-        left_behind = arguments | self._step.results
-        self._active_set = ActiveSet(sweep, condensed, left_behind, max_sweeps=settings.max_sweeps)
+        self._active_set = make_active_set(bounded, self._step)
 
         arguments["Q"][...] = settings.state_weight()
         arguments["Q_end"][...] = settings.terminal_weight * settings.state_weight()
@@ -72,7 +71,6 @@ class ModelPredictiveController:
         self._checks, self._thrust = self._step.results["checks"], self._U[0]
         self._attitude, self._attitude_ref = self._x0[ATTITUDE], self._X_ref[0, ATTITUDE]
         self._attitude_predicted = self._X[0, ATTITUDE]
-        self._d_state = np.zeros((settings.nodes + 1, N_STATE))
         # An error du of the inputs leaves a gradient of at least R du; what rounding leaves of it grows with R.
         error = STATIONARY * (vehicle.thrust_max - vehicle.thrust_min)
         self._stationary = max(CONVERGED, error * float(settings.thrust_weight(vehicle).min()))
@@ -161,8 +159,9 @@ class ModelPredictiveController:
             return Direction(d_input, Status.FAILED, 0, 0, kkt)
         if excess <= TOLERANCE:
             return Direction(d_input, Status.RICCATI, 0, 0, kkt)
-        _, d_input, status, sweeps, active = self._bounded()
-        return Direction(d_input, status, sweeps, active, kkt)
+        found = self._active_set
+        status = found.solve()
+        return Direction(found.U_new - self._step.results["U_lin"], status, found.exchanges, found.active, kkt)
 
     def _iterate(self) -> tuple[Status, int, int, float]:
         """One SQP iteration: status, sweeps, active bounds, optimality residual. The guess moves unless it failed."""
@@ -172,42 +171,40 @@ class ModelPredictiveController:
             return Status.FAILED, 0, 0, kkt
         if excess <= TOLERANCE:  # then the unbounded solution solves the bounded problem too
             self._active_set.reset()
-            if turn <= MAX_TURN:
-                self._X[...], self._U[...] = self._X_new, self._U_new
-            else:
-                x, u = self._step.results["X_lin"], self._step.results["U_lin"]
-                self._move(self._X_new - x, self._U_new - u, MAX_TURN / turn)
+            self._move(self._X_new, self._U_new, turn)
             return Status.RICCATI, 0, 0, kkt
-        d_state, d_input, status, sweeps, active = self._bounded()
+        found = self._active_set
+        status = found.solve()
         if status == Status.FAILED:
-            return status, sweeps, 0, kkt
-        self._d_state[1:] = d_state
-        turn = np.linalg.norm(d_state[:, ATTITUDE], axis=1).max()
-        self._move(self._d_state, d_input, min(1.0, MAX_TURN / turn) if turn > 0 else 1.0)
-        return status, sweeps, active, kkt
+            return status, found.exchanges, 0, kkt
+        self._move(found.X_new, found.U_new, found.turn)
+        return status, found.exchanges, found.active, kkt
 
-    def _bounded(self) -> tuple[np.ndarray, np.ndarray, Status, int, int]:
-        """The bounded subproblem that the last step left: dX (N, 13), dU (N, n), status, sweeps, active bounds."""
-        arguments, u = self._step.arguments, self._step.results["U_lin"]
-        d_state, d_input, status = self._active_set.solve(arguments["u_min"] - u, arguments["u_max"] - u)
-        return d_state, d_input, status, self._active_set.sweeps, int(np.count_nonzero(self._active_set.side))
-
-    def _move(self, d_state: np.ndarray, d_input: np.ndarray, length: float) -> None:
-        """Step from the linearisation point; short where an attitude would turn further than its model holds."""
-        results = self._step.results
-        self._X[...] = results["X_lin"] + length * d_state
-        self._U[...] = results["U_lin"] + length * d_input
+    def _move(self, X_new: np.ndarray, U_new: np.ndarray, turn: float) -> None:
+        """The guess moves to a solution; less far where an attitude would turn further than its model holds."""
+        if turn <= MAX_TURN:
+            self._X[...], self._U[...] = X_new, U_new
+            return
+        x, u = self._step.results["X_lin"], self._step.results["U_lin"]
+        length = MAX_TURN / turn
+        self._X[...] = x + length * (X_new - x)
+        self._U[...] = u + length * (U_new - u)
 
 
-_built: dict[tuple[Any, ...], tuple[ca.Function, ...]] = {}
+_built: dict[tuple[Any, ...], tuple[ca.Function, ca.Function | None]] = {}
 
 
-def _functions(vehicle: Vehicle, residual: Residual, settings: MPCSettings, backend: str) -> tuple[ca.Function, ...]:
-    """Step, sweep and condensing on the resolved back end; built once per process and structure."""
+def _functions(
+    vehicle: Vehicle, residual: Residual, settings: MPCSettings, backend: str
+) -> tuple[ca.Function, ca.Function | None]:
+    """Step and bounded subproblem on the resolved back end (None: numpy); built once per process and structure."""
     nodes, error = settings.nodes, settings.attitude_error
     key = (vehicle.fingerprint, residual.function.serialize(), nodes, error, backend)
     if key not in _built:
         step = step_function(vehicle, residual, nodes, attitude_error=error, scalar=backend == "compiled")
-        functions = [step, sweep_function(step, nodes), condensed_function(step, nodes)]
-        _built[key] = tuple(realise_together(functions, backend))
+        if backend == "compiled":
+            step, bounded = realise_together([step, bounded_function(step, nodes)], backend)
+            _built[key] = step, bounded
+        else:
+            _built[key] = step, None
     return _built[key]

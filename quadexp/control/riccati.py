@@ -8,7 +8,7 @@ and the cost to go 1/2 dx'P dx + p'dx follows, with H = R + B'PB, G = B'PA, h = 
 
     K = H^-1 G,   k = H^-1 h,   P <- Q + A'PA - G'K,   p <- q + A'(Pb + p) - G'k,   du = -k - K dx
 
-Inputs held at a bound drop out: their column of B is zero, b gains B v, and H keeps R on the diagonal.
+With H = L D L', each node leaves the gains K, k and the factor: L below the diagonal and D^-1 on it.
 
 There are two forms. `MatrixPasses`, for the virtual machine, are dense products. `CompiledPasses` are for code that
 will be compiled: the backward pass, the largest part of a control step, is C in vector registers
@@ -27,6 +27,7 @@ from quadexp.expression import Expression
 from quadexp.state import N_STATE
 
 N_PLACE = 3  # of the state, which comes first and on which nothing depends: A's first columns are [I; 0]
+Node = tuple[list[Expression], Expression, Expression, Expression]  # cost to go, K, k, factor
 KERNEL = Path(__file__).with_name("riccati_backward.c")
 
 
@@ -48,14 +49,15 @@ class MatrixPasses:
         """Cost to go at the last node."""
         return [ca.densify(ca.diag(Q_end)), p]
 
-    def backward(self, cost: list[Expression], *node: Expression) -> tuple[list[Expression], Expression, Expression]:
-        """Cost to go of a node from the next one's, and its gains K, k. node: A, B, b, q, r, Q, R."""
-        *before, K, k = self._backward(*cost, *node)
-        return before, K, k
+    def backward(self, cost: list[Expression], *node: Expression) -> Node:
+        """Cost to go of a node from the next one's, and its K, k and factor. node: A, B, b, q, r, Q, R."""
+        *before, K, k, factor = self._backward(*cost, *node)
+        return before, K, k, factor
 
-    def first_node(self, cost: list[Expression], *node: Expression) -> Expression:
-        """k of node 0: its state is measured, so no gain and no cost to go are needed."""
-        return self._first_node(*cost, *node)
+    def first_node(self, cost: list[Expression], *node: Expression) -> tuple[Expression, Expression]:
+        """k and factor of node 0: its state is measured, so no gain and no cost to go are needed."""
+        k, factor = self._first_node(*cost, *node)
+        return k, factor
 
 
 class CompiledPasses:
@@ -76,31 +78,30 @@ class CompiledPasses:
         """See MatrixPasses."""
         return [self._terminal(Q_end, p)]
 
-    def backward(self, cost: list[Expression], *node: Expression) -> tuple[list[Expression], Expression, Expression]:
-        """See MatrixPasses."""
-        before, K, k = self._kernel(*cost, self._rows(*node[:3]), *node[3:])
-        return [before], K, k
+    def rows(self, *node: Expression) -> Expression:
+        """The kernel's rows of a node. node: A, B, b."""
+        return self._rows(*node)
 
-    def first_node(self, cost: list[Expression], *node: Expression) -> Expression:
+    def backward(self, cost: list[Expression], *node: Expression) -> Node:
         """See MatrixPasses."""
-        return self.backward(cost, *node)[2]
+        before, K, k, factor = self._kernel(*cost, self.rows(*node[:3]), *node[3:])
+        return [before], K, k, factor
+
+    def first_node(self, cost: list[Expression], *node: Expression) -> tuple[Expression, Expression]:
+        """See MatrixPasses."""
+        return self.backward(cost, *node)[2:]
 
 
 Passes = MatrixPasses | CompiledPasses
 
 
-def passes_of(function: ca.Function) -> Passes:
-    """The very passes that a function built from some contains, so that compiled together they are compiled once."""
-    kind = CompiledPasses if "riccati_kernel" in function.get_function() else MatrixPasses
-    return kind(function.get_function)
-
-
 def solve_function(n_inputs: int) -> ca.Function:
-    """(H, G, h) -> K = H^-1 G, k = H^-1 h by an unrolled LDL' factorisation; H symmetric, its upper triangle read."""
+    """(H, G, h) -> K = H^-1 G, k = H^-1 h, factor by an unrolled LDL' factorisation; H's upper triangle is read."""
     H, G, h = ca.SX.sym("H", n_inputs, n_inputs), ca.SX.sym("G", n_inputs, N_STATE), ca.SX.sym("h", n_inputs)
     D, LT, order = ca.ldl(ca.triu2symm(ca.triu(H)), False)
     gains = ca.ldl_solve(ca.horzcat(G, h), D, LT, order)
-    return ca.Function("solve", [H, G, h], ca.cse([gains[:, :N_STATE], gains[:, N_STATE]]))
+    factor = ca.densify(LT.T + ca.diag(1 / D))
+    return ca.Function("solve", [H, G, h], ca.cse([gains[:, :N_STATE], gains[:, N_STATE], factor]))
 
 
 def _node_symbols(n: int) -> list[ca.MX]:
@@ -110,24 +111,24 @@ def _node_symbols(n: int) -> list[ca.MX]:
 
 
 def _backward_function(n: int) -> ca.Function:
-    """(P, p, A, B, b, q, r, Q, R) of a node -> P, p, K, k; Q and R as diagonals."""
+    """(P, p, A, B, b, q, r, Q, R) of a node -> P, p, K, k, factor; Q and R as diagonals."""
     P, p, A, B, b, q, r, Q, R = symbols = _node_symbols(n)
     products = ca.mtimes(P, ca.horzcat(A, B, b))
     PA, PB, Pb = ca.horzsplit(products, [0, N_STATE, N_STATE + n, N_STATE + n + 1])
     H, G, h = ca.mtimes(PB.T, B) + ca.diag(R), ca.mtimes(PB.T, A), r + ca.mtimes(B.T, Pb + p)
-    K, k = solve_function(n)(H, G, h)
+    K, k, factor = solve_function(n)(H, G, h)
     P_next = ca.mtimes(A.T, PA) - ca.mtimes(G.T, K) + ca.diag(Q)
     p_next = q + ca.mtimes(A.T, Pb + p) - ca.mtimes(G.T, k)
-    return _function("backward", symbols, [P_next, p_next, K, k])
+    return _function("backward", symbols, [P_next, p_next, K, k, factor])
 
 
 def _first_node_function(n: int) -> ca.Function:
-    """(P, p, A, B, b, q, r, Q, R) of node 0 -> k."""
+    """(P, p, A, B, b, q, r, Q, R) of node 0 -> k, factor."""
     P, p, _, B, b, _, r, _, R = symbols = _node_symbols(n)
     H = ca.mtimes(B.T, ca.mtimes(P, B)) + ca.diag(R)
     h = r + ca.mtimes(B.T, ca.mtimes(P, b) + p)
-    _, k = solve_function(n)(H, ca.MX(n, N_STATE), h)
-    return _function("first_node", symbols, [k])
+    _, k, factor = solve_function(n)(H, ca.MX(n, N_STATE), h)
+    return _function("first_node", symbols, [k, factor])
 
 
 def _vector_passes(kind: type[Expression], a: ca.Sparsity, b: ca.Sparsity) -> tuple[ca.Function, ca.Function]:
@@ -147,7 +148,7 @@ def _function(name: str, arguments: list[Expression], results: list[Expression])
     return ca.Function(name, arguments, ca.cse([ca.densify(result) for result in results]))
 
 
-def _line(n: int) -> int:
+def line_length(n: int) -> int:
     """Length of a row in riccati_backward.c: motion, inputs, the affine column, padding to whole vectors."""
     return 8 * ((N_STATE - N_PLACE + n) // 8 + 1)
 
@@ -156,23 +157,23 @@ def _rows_function(a: ca.Sparsity, b: ca.Sparsity) -> ca.Function:
     """(A, B, b) -> the kernel's rows, one in each column."""
     n = b.size2()
     A, B, gap = ca.SX.sym("A", a), ca.SX.sym("B", b), ca.SX.sym("b", N_STATE)
-    padding = ca.SX(_line(n) - (N_STATE - N_PLACE + n + 1), N_STATE)
+    padding = ca.SX(line_length(n) - (N_STATE - N_PLACE + n + 1), N_STATE)
     return _function("riccati_rows", [A, B, gap], [ca.vertcat(A[:, N_PLACE:].T, B.T, gap.T, padding)])
 
 
 def _terminal_function(n: int) -> ca.Function:
     """(Q_end, p) -> the kernel's cost at the last node."""
     Q_end, p = ca.SX.sym("Q_end", N_STATE), ca.SX.sym("p", N_STATE)
-    rows, affine = ca.SX(_line(n), N_STATE), N_STATE - N_PLACE + n
+    rows, affine = ca.SX(line_length(n), N_STATE), N_STATE - N_PLACE + n
     rows[: N_STATE - N_PLACE, N_PLACE:] = ca.diag(Q_end[N_PLACE:])
     rows[affine, :] = p.T
     return _function("riccati_terminal", [Q_end, p], [ca.vertcat(ca.vec(rows), ca.vec(ca.diag(Q_end[:N_PLACE])))])
 
 
 def kernel_function(n: int) -> ca.Function:
-    """riccati_backward.c for n inputs: (cost, rows, q, r, Q, R) -> cost of this node, K, k. It can only be compiled."""
+    """riccati_backward.c for n inputs: (cost, rows, q, r, Q, R) -> cost of this node, K, k, factor; compiled only."""
     dense = ca.Sparsity.dense
-    cost, state, inputs = dense(_line(n) * N_STATE + N_PLACE**2, 1), dense(N_STATE, 1), dense(n, 1)
-    arguments = {"cost": cost, "rows": dense(_line(n), N_STATE), "q": state, "r": inputs, "Q": state, "R": inputs}
-    results = {"cost_next": cost, "K": dense(n, N_STATE), "k": inputs}
+    cost, state, inputs = dense(line_length(n) * N_STATE + N_PLACE**2, 1), dense(N_STATE, 1), dense(n, 1)
+    arguments = {"cost": cost, "rows": dense(line_length(n), N_STATE), "q": state, "r": inputs, "Q": state, "R": inputs}
+    results = {"cost_next": cost, "K": dense(n, N_STATE), "k": inputs, "factor": dense(n, n)}
     return handwritten("riccati_kernel", KERNEL, {"N_INPUTS": n}, arguments, results)

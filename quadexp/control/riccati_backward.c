@@ -1,7 +1,8 @@
 /* One node of the backward Riccati recursion, as the body of a compiled function (see riccati.py for the equations).
 
-   Declared before: N_INPUTS = n; in: cost, rows, q (13), r (n), Q (13), R (n); out: cost_next, K, k (n), each null where
-   it is not asked for. K (n, 13) is stored by columns, all else by rows. A row is a few vector registers wide:
+   Declared before: N_INPUTS = n; in: cost, rows, q (13), r (n), Q (13), R (n); out: cost_next, K, k (n), factor, each
+   null where it is not asked for. K (n, 13) and factor (n, n: L below the diagonal, D^-1 on it) are stored by columns,
+   all else by rows. A row is a few vector registers wide:
 
        LINE          motion s = [q, v, w] (10) | inputs u (n) | affine (1) | padding
        rows          (13, LINE)              M, x_next = p + M [s, u, 1]: [A, B, b] less A's first columns, [I; 0]
@@ -54,9 +55,9 @@ for (int a = 0; a < N_INPUTS; ++a) {
   Y[a][AFFINE] += r[a];
   for (int i = 0; i < PLACE; ++i) place[a][i] = W[i][MOTION + a];
   for (int b = 0; b < a; ++b) {
-    const double factor = L[a][b] = inverse[b] * Y[b][MOTION + a];
-    for (int j = 0; j < LINE; j += LANES) *(vector *)(Y[a] + j) -= factor * *(vector *)(Y[b] + j);
-    for (int i = 0; i < PLACE; ++i) place[a][i] -= factor * place[b][i];
+    const double share = L[a][b] = inverse[b] * Y[b][MOTION + a];
+    for (int j = 0; j < LINE; j += LANES) *(vector *)(Y[a] + j) -= share * *(vector *)(Y[b] + j);
+    for (int i = 0; i < PLACE; ++i) place[a][i] -= share * place[b][i];
   }
   inverse[a] = 1.0 / Y[a][MOTION + a];
 }
@@ -77,22 +78,23 @@ for (int a = N_INPUTS - 1; a >= 0; --a) {
 for (int a = 0; a < N_INPUTS; ++a) {
   if (k) k[a] = G[a][AFFINE];
   for (int i = 0; K && i < STATES; ++i) K[i * N_INPUTS + a] = i < PLACE ? G_place[a][i] : G[a][i - PLACE];
+  for (int b = 0; factor && b < N_INPUTS; ++b) factor[b * N_INPUTS + a] = b < a ? L[a][b] : b > a ? 0.0 : inverse[a];
 }
 if (!cost_next) return 0;
 
 /* S - Y' D^-1 Y = S - S_xu K. */
 double(*P_next)[LINE] = (double(*)[LINE])cost_next, (*P_place_next)[PLACE] = (double(*)[PLACE])(cost_next + STATES * LINE);
 for (int i = 0; i < STATES; ++i) {
-  double factor[N_INPUTS];
-  for (int a = 0; a < N_INPUTS; ++a) factor[a] = inverse[a] * (i < PLACE ? place[a][i] : Y[a][i - PLACE]);
+  double share[N_INPUTS];
+  for (int a = 0; a < N_INPUTS; ++a) share[a] = inverse[a] * (i < PLACE ? place[a][i] : Y[a][i - PLACE]);
   for (int j = 0; j < LINE; j += LANES) {
     vector sum = *(const vector *)((i < PLACE ? W[i] : S[i - PLACE]) + j);
-    for (int a = 0; a < N_INPUTS; ++a) sum -= factor[a] * *(vector *)(Y[a] + j);
+    for (int a = 0; a < N_INPUTS; ++a) sum -= share[a] * *(vector *)(Y[a] + j);
     *(vector *)(P_next[i] + j) = sum;
   }
   for (int j = 0; i < PLACE && j < PLACE; ++j) {
     double sum = P_place[i][j] + (i == j ? Q[i] : 0.0);
-    for (int a = 0; a < N_INPUTS; ++a) sum -= factor[a] * place[a][j];
+    for (int a = 0; a < N_INPUTS; ++a) sum -= share[a] * place[a][j];
     P_place_next[i][j] = sum;
   }
 }

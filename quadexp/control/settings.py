@@ -23,7 +23,6 @@ class MPCSettings:
     terminal_weight: factor on Q at the last node. feedforward: let the reference's attitude, rates and thrusts contain
     the residual. initial_iterations: SQP iterations allowed on the first step (one on every later step): full ones
     first, and where these do not converge, more with a line search (first_solve.py).
-    max_sweeps: active-set sweeps before the last resort.
     distance_limit: m, largest position error that the controller acts on; see PredictiveController.
     """
 
@@ -39,7 +38,6 @@ class MPCSettings:
     terminal_weight: float = 0.0
     feedforward: bool = True
     initial_iterations: int = 400
-    max_sweeps: int = 12
     distance_limit: float = 10.0
 
     def __post_init__(self) -> None:

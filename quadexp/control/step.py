@@ -36,8 +36,9 @@ def step_function(
     solution forward.
     Outputs: X_new, U_new; checks (3,): the largest bound violation (N), the largest change of a quaternion (length),
     and the optimality residual of the shifted guess (the largest of the gaps of the dynamics and of the projected
-    gradient step in u); then the subproblem: A (13, 13 N), B (13, n N), b (13, N), q (13, N + 1), r (n, N), the
-    linearisation point X_lin, U_lin, and frames, (4, 4 (N + 1)), where the subproblem is in the coordinates of "body".
+    gradient step in u); then the subproblem: A (13, 13 N), B (13, n N), b (13, N), q (13, N + 1), r (n, N), its
+    factorisation K (n, 13 N), factor (n, n N), the linearisation point X_lin, U_lin, and frames, (4, 4 (N + 1)), where
+    the subproblem is in the coordinates of "body".
     """
     n = vehicle.n_rotors
     if scalar and residual.to_compile is not None:
@@ -71,7 +72,7 @@ def step_function(
     r = [R * e for e in effort]
 
     passes = (CompiledPasses if scalar else MatrixPasses).build(A[0].sparsity(), B[0].sparsity())
-    dX, dU = solution(passes, A, B, b, q, r, Q, Q_end, R)
+    dX, dU, K, factor = solution(passes, A, B, b, q, r, Q, Q_end, R)
     X_new = ca.horzcat(x0, *(x[k + 1] + error.change(k + 1, dX[k]) for k in range(nodes)))
     U_new = ca.horzcat(*(u[k] + dU[k] for k in range(nodes)))
     high, low = ca.repmat(u_max, 1, nodes), ca.repmat(u_min, 1, nodes)
@@ -83,6 +84,7 @@ def step_function(
     kkt = ca.fmax(ca.norm_inf(ca.vertcat(*b)), ca.norm_inf(ca.vertcat(*projected)))
     results = {"X_new": X_new, "U_new": U_new, "checks": ca.vertcat(excess, turn, kkt)}
     results |= {name: ca.horzcat(*m) for name, m in {"A": A, "B": B, "b": b, "q": q, "r": r}.items()}
+    results |= {"K": ca.horzcat(*K), "factor": ca.horzcat(*factor)}
     results |= {"X_lin": X_lin, "U_lin": U_lin} | ({} if frames is None else {"frames": frames})
     arguments = [X, U, x0, X_ref, U_ref, theta, Q, Q_end, R, u_min, u_max, dt, shift]
     names = ["X", "U", "x0", "X_ref", "U_ref", "theta", "Q", "Q_end", "R", "u_min", "u_max", "dt", "shift"]

@@ -2,24 +2,26 @@
 
     min  sum_k 1/2 dx'Q dx + q'dx + 1/2 du'R du + r'du      dx_{k+1} = A_k dx_k + B_k du_k + b_k,   dx_0 = 0
 
-`solution` and `input_gradient` chain the passes of control.riccati. `sweep_function` solves it with chosen inputs held
-at a bound, and says which inputs should be held instead; `condensed_function` eliminates the states, for solvers that
-want a dense problem.
+`solution` and `input_gradient` chain the passes of control.riccati: the subproblem without bounds. `bounded_function`
+solves it under low <= du <= high from the factorisation that `solution` leaves (control.active_set).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
 
+from quadexp.backend import handwritten
 from quadexp.control.attitude_error import attitude_error_in
-from quadexp.control.riccati import Passes, passes_of
+from quadexp.control.riccati import CompiledPasses, Passes, line_length
 from quadexp.expression import Expression
-from quadexp.state import N_STATE
+from quadexp.state import ATTITUDE, N_STATE
 
-TOLERANCE = 1e-9  # N, and gradient units: how far beyond a bound is still on it
+KERNEL = Path(__file__).with_name("active_set.c")
+TOLERANCE = 1e-9  # N: how far beyond a bound is still on it
 
 
 def solution(
@@ -32,22 +34,27 @@ def solution(
     Q: Expression,
     Q_end: Expression,
     R: Expression,
-) -> tuple[list[Expression], list[Expression]]:
-    """Deviations dX_1..dX_N and dU_0..dU_{N-1} of the unbounded subproblem (Riccati recursion)."""
+) -> tuple[list[Expression], list[Expression], list[Expression], list[Expression]]:
+    """Deviations dX_1..dX_N and dU_0..dU_{N-1} of the unbounded subproblem (Riccati recursion).
+
+    Then the gains K_0..K_{N-1} and the factors of every node (see control.riccati); K_0 is zero, nothing needs it.
+    """
     nodes = len(A)
     K: list[Any] = [None] * nodes
     k: list[Any] = [None] * nodes
+    factor: list[Any] = [None] * nodes
     cost = passes.terminal(Q_end, q[nodes])
     for i in range(nodes - 1, 0, -1):
-        cost, K[i], k[i] = passes.backward(cost, A[i], B[i], b[i], q[i], r[i], Q, R)
-    k[0] = passes.first_node(cost, A[0], B[0], b[0], q[0], r[0], Q, R)
+        cost, K[i], k[i], factor[i] = passes.backward(cost, A[i], B[i], b[i], q[i], r[i], Q, R)
+    k[0], factor[0] = passes.first_node(cost, A[0], B[0], b[0], q[0], r[0], Q, R)
     dU = [-k[0]]
     dX = [ca.mtimes(B[0], dU[0]) + b[0]]
     for i in range(1, nodes):
         du, dx = passes.forward(dX[-1], A[i], B[i], b[i], K[i], k[i])
         dU.append(du)
         dX.append(dx)
-    return dX, dU
+    K[0] = ca.MX.zeros(*K[1].shape)
+    return dX, dU, K, factor
 
 
 def input_gradient(
@@ -65,95 +72,46 @@ def input_gradient(
     return gradient
 
 
-class _Symbols:
-    """The subproblem's data as symbols, named and shaped as `step` returns them."""
+def bounded_function(step: ca.Function, nodes: int) -> ca.Function:
+    """The subproblem of the compiled `step` under the bounds of its inputs, by active_set.c: it can only be compiled.
 
-    def __init__(self, step: ca.Function, nodes: int) -> None:
-        A, B = (ca.MX.sym(name, step.sparsity_out(step.index_out(name))) for name in ("A", "B"))
-        self.n = n = B.size2() // nodes
-        b, q, r = ca.MX.sym("b", N_STATE, nodes), ca.MX.sym("q", N_STATE, nodes + 1), ca.MX.sym("r", n, nodes)
-        self.Q, self.Q_end, self.R = ca.MX.sym("Q", N_STATE), ca.MX.sym("Q_end", N_STATE), ca.MX.sym("R", n)
-        self.arguments = {"A": A, "B": B, "b": b, "q": q, "r": r, "Q": self.Q, "Q_end": self.Q_end, "R": self.R}
-        self.A, self.B = ca.horzsplit(A, N_STATE), ca.horzsplit(B, n)
-        self.b, self.q, self.r = ca.horzsplit(b), ca.horzsplit(q), ca.horzsplit(r)
-
-
-def sweep_function(step: ca.Function, nodes: int) -> ca.Function:
-    """The subproblem of `step` with some inputs held at a bound, and what should be held next.
-
-    Inputs: A (13, 13 N), B (13, n N), b (13, N), q (13, N + 1), r (n, N), Q, Q_end (13,), R (n,); low, high (n, N), the
-    bounds of the inputs' change (N); side (n, N): -1 held at low, 1 held at high, 0 free; frames where the step has
-    them. Outputs: dX (13, N), the states' change; dU (n, N); gradient (n, N), the Lagrangian's derivative with respect
-    to every input: the multiplier where held, else zero; after (n, N), the side on which each input should be: free
-    ones that left their bounds are to be held, held ones whose multiplier has the wrong sign are to be free; checks
-    (2,): how many differ from `side`, and the sum of |dU|, which is not finite where there is no solution.
+    Inputs, as `step` has or returns them: A, B, b, q, r, K, factor, X_lin, U_lin, Q, Q_end, R, u_min, u_max, frames
+    where the step has them; U_free (n, N), the inputs without bounds (N); guess (n, N), the side on which inputs are
+    expected: -1 at the lower, 1 at the upper bound, 0 free. Outputs: X_new (13, N + 1), U_new (n, N); side (n, N), on
+    which the inputs are; checks (5,): whether it is solved, exchanges of the active set, inputs at a bound, the error
+    left in the inputs (N), the largest change of a quaternion (length).
     """
-    data = _Symbols(step, nodes)
-    A, B, n, Q, R = data.A, data.B, data.n, data.Q, data.R
-    low, high, side = (ca.MX.sym(name, n, nodes) for name in ("low", "high", "side"))
-    arguments = data.arguments | {"low": low, "high": high, "side": side}
-    if "frames" in step.name_out():
-        arguments["frames"] = ca.MX.sym("frames", 4, 4 * (nodes + 1))
-    error = attitude_error_in(arguments.get("frames"))
+    names = ["A", "B", "b", "q", "r", "K", "factor", "X_lin", "U_lin"]
+    names += ["frames"] if "frames" in step.name_out() else []
+    given = {name: ca.MX.sym(name, step.sparsity_out(step.index_out(name))) for name in names}
+    given |= {name: ca.MX.sym(name, *step.size_in(name)) for name in ("Q", "Q_end", "R", "u_min", "u_max")}
+    n = step.size1_in("R")
+    given |= {name: ca.MX.sym(name, n, nodes) for name in ("U_free", "guess")}
+    passes = CompiledPasses(step.get_function)
+    blocks = zip(ca.horzsplit(given["A"], N_STATE), ca.horzsplit(given["B"], n), ca.horzsplit(given["b"]), strict=True)
+    rows = ca.horzcat(*(passes.rows(*node) for node in blocks))
+    weights = ca.horzcat(ca.repmat(given["Q"], 1, nodes - 1), given["Q_end"])
+    efforts = ca.repmat(given["R"], 1, nodes)
+    U, low, high = given["U_lin"], ca.repmat(given["u_min"], 1, nodes), ca.repmat(given["u_max"], 1, nodes)
+    arguments = [rows, *(given[name] for name in ("K", "factor", "q", "r")), weights, efforts]
+    arguments += [given["U_free"] - U, low - U, high - U, given["guess"]]
+    dX, dU, side, checks = kernel_function(n, nodes)(*arguments)
 
-    free = ca.horzsplit(side == 0)
-    held = ca.horzsplit((side > 0) * high + (side < 0) * low)
-    B_free = [ca.mtimes(B_k, ca.diag(f)) for B_k, f in zip(B, free, strict=True)]
-    b_held = [b_k + ca.mtimes(B_k, v) for b_k, B_k, v in zip(data.b, B, held, strict=True)]
-    r_free = [f * r_k for f, r_k in zip(free, data.r, strict=True)]
-    passes = passes_of(step)
-    dX, dU = solution(passes, A, B_free, b_held, data.q, r_free, Q, data.Q_end, R)
-    dU = [du + v for du, v in zip(dU, held, strict=True)]
-
-    weights = [*[Q] * (nodes - 1), data.Q_end]
-    q_at = [q_k + W * dx for q_k, W, dx in zip(data.q[1:], weights, dX, strict=True)]
-    r_at = [r_k + R * du for r_k, du in zip(data.r, dU, strict=True)]
-    gradient = ca.horzcat(*input_gradient(passes, A, B, [data.q[0], *q_at], r_at))
-    change = ca.horzcat(*dU)
-    leaving = (change > high + TOLERANCE) - (change < low - TOLERANCE)
-    after = (side == 0) * leaving + side * (side * gradient < TOLERANCE)
-    checks = ca.vertcat(ca.sum1(ca.vec(after != side)), ca.sum1(ca.vec(ca.fabs(change))))
-    states = ca.horzcat(*(error.change(k + 1, dx) for k, dx in enumerate(dX)))
-    return ca.Function(
-        "mpc_sweep",
-        [*arguments.values()],
-        [states, change, gradient, after, checks],
-        [*arguments],
-        ["dX", "dU", "gradient", "after", "checks"],
-    )
+    error = attitude_error_in(given.get("frames"))
+    x = ca.horzsplit(given["X_lin"])
+    X_new = ca.horzcat(x[0], *(x[k + 1] + error.change(k + 1, d) for k, d in enumerate(ca.horzsplit(dX))))
+    U_new = ca.fmin(ca.fmax(U + dU, low), high)  # rounding only
+    turn = ca.sqrt(ca.mmax(ca.sum1(dX[ATTITUDE, :] ** 2)))
+    results = {"X_new": X_new, "U_new": U_new, "side": side, "checks": ca.vertcat(checks, turn)}
+    return ca.Function("mpc_bounded", [*given.values()], [*results.values()], [*given], [*results])
 
 
-def condensed_function(step: ca.Function, nodes: int) -> ca.Function:
-    """The subproblem of `step` in its inputs alone: min 1/2 d'H d + g'd over d = (du_0 .. du_{N-1}).
-
-    Inputs as `sweep_function`'s first: A, B, b, q, r, Q, Q_end, R. Outputs: H (Nn, Nn), g (Nn,).
-    """
-    data = _Symbols(step, nodes)
-    n, size = data.n, data.n * nodes
-    ahead, add = _condensing_passes(data.A[0].sparsity(), size)
-    maps, offset = ca.MX.zeros(N_STATE, size), ca.MX.zeros(N_STATE)  # dx_k = maps d + offset
-    H, g = ca.densify(ca.diag(ca.repmat(data.R, nodes, 1))), ca.vertcat(*data.r)
-    for k in range(nodes):
-        maps, offset = ahead(maps, offset, data.A[k], data.b[k])
-        maps[:, k * n : (k + 1) * n] = ca.densify(data.B[k])
-        weight = data.Q if k < nodes - 1 else data.Q_end
-        H, g = add(H, g, maps, weight, weight * offset + data.q[k + 1])
-    return ca.Function("mpc_condensed", [*data.arguments.values()], [H, g], [*data.arguments], ["H", "g"])
-
-
-def _condensing_passes(a: ca.Sparsity, size: int) -> tuple[ca.Function, ca.Function]:
-    """ahead: (maps, offset, A, b) -> those of the next node, before its own inputs; A with the pattern a.
-
-    add: (H, g, maps, weight, slope) -> H, g with a node's cost. Functions of their own, so that they are compiled once.
-    """
-    maps, A = ca.MX.sym("maps", N_STATE, size), ca.MX.sym("A", a)
-    offset, b = ca.MX.sym("offset", N_STATE), ca.MX.sym("b", N_STATE)
-    H, g = ca.MX.sym("H", size, size), ca.MX.sym("g", size)
-    weight, slope = ca.MX.sym("weight", N_STATE), ca.MX.sym("slope", N_STATE)
-    alone = {"never_inline": True}
-    ahead = [ca.mtimes(A, maps), ca.mtimes(A, offset) + b]
-    add = [H + ca.mtimes(maps.T, ca.repmat(weight, 1, size) * maps), g + ca.mtimes(maps.T, slope)]
-    return (
-        ca.Function("condense_ahead", [maps, offset, A, b], ahead, alone),
-        ca.Function("condense_add", [H, g, maps, weight, slope], add, alone),
-    )
+def kernel_function(n: int, nodes: int) -> ca.Function:
+    """active_set.c for n inputs and N nodes, its arguments named there. It can only be compiled."""
+    dense = ca.Sparsity.dense
+    states, inputs = dense(N_STATE, nodes), dense(n, nodes)
+    arguments = {"rows": dense(line_length(n), N_STATE * nodes), "K": dense(n, N_STATE * nodes)}
+    arguments |= {"factor": dense(n, n * nodes), "q": dense(N_STATE, nodes + 1), "r": inputs}
+    arguments |= {"Q": states, "R": inputs, "start": inputs, "low": inputs, "high": inputs, "guess": inputs}
+    results = {"dX": states, "dU": inputs, "side": inputs, "checks": dense(4, 1)}
+    return handwritten("active_set", KERNEL, {"N_INPUTS": n, "NODES": nodes}, arguments, results)

@@ -41,7 +41,7 @@ FLIGHT_COLUMNS: dict[str, Column] = {
     **{f"acc_{i}": Column("m/s^2", "body", "specific force an accelerometer reads") for i in _AXES},
     "solve_time": Column("s", "", "wall time of the control step; the only column that two runs may differ in"),
     "status": Column("1", "", "0 riccati, 1 active_set, 2 last_resort, 3 failed"),
-    "sweeps": Column("1", "", "active-set sweeps of the control step"),
+    "sweeps": Column("1", "", "exchanges of the active set in the control step (sweeps, where last_resort occurs)"),
     "active": Column("1", "", "input bounds active over the horizon"),
     "unconverged": Column("1", "", "1: the first step's iterations ended away from a stationary point"),
     "kkt": Column("1", "", "KKT residual of the control step"),

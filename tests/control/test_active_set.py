@@ -1,39 +1,49 @@
-"""The subproblem's solution against an independent QP solver, with and without active bounds."""
+"""The subproblem's solution against an independent QP solver, with and without active bounds, on both back ends."""
 
 from __future__ import annotations
 
-import functools
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 
+from benchmarks.step import make_residual as benchmark_residual
+from benchmarks.stress import SITUATIONS, pinched, stress_vehicle
 from quadexp.backend import BufferedFunction, compiler, realise_together
-from quadexp.control.active_set import ActiveSet, Status
+from quadexp.control.active_set import ActiveSet, Status, make_active_set
+from quadexp.control.mpc import ModelPredictiveController
 from quadexp.control.settings import MPCSettings
 from quadexp.control.step import step_function
-from quadexp.control.subproblem import condensed_function, sweep_function
+from quadexp.control.subproblem import bounded_function
 from tests.residual.models import make_residual
 from tests.states import random_state
 
 NODES = 8
+EXACT = 1e-8  # N, from qpOASES
 
 
 @pytest.fixture(scope="module", params=["compiled", "interpreted"])
 def solvers(request, vehicle):
-    """The step, and what makes an ActiveSet that reads what it leaves behind."""
+    """The step, and the solver that reads what it leaves behind."""
     return make_solvers(vehicle, request.param, "plain")
 
 
-def make_solvers(vehicle, backend: str, attitude_error: str):
+def make_solvers(vehicle, backend: str, attitude_error: str) -> tuple[BufferedFunction, ActiveSet]:
     if backend == "compiled" and compiler() is None:
         pytest.skip("no C compiler")
     residual = make_residual("linear_drag", vehicle)
     step = step_function(vehicle, residual, NODES, attitude_error=attitude_error, scalar=backend == "compiled")
-    functions = [step, sweep_function(step, NODES), condensed_function(step, NODES)]
-    step, *bounded = realise_together(functions, backend)
+    bounded = None
+    if backend == "compiled":
+        step, bounded = realise_together([step, bounded_function(step, NODES)], backend)
     step = BufferedFunction(step)
-    return step, functools.partial(ActiveSet, *bounded, step.arguments | step.results)
+    return step, make_active_set(bounded, step)
+
+
+def change(step: BufferedFunction, active_set: ActiveSet) -> tuple[np.ndarray, np.ndarray]:
+    """dX (N, 13), dU (N, n) of the last solve."""
+    return active_set.X_new[1:] - step.results["X_lin"][1:], active_set.U_new - step.results["U_lin"]
 
 
 def pose(step: BufferedFunction, vehicle, rng, *, spread: float, terminal: float) -> None:
@@ -57,7 +67,7 @@ def pose(step: BufferedFunction, vehicle, rng, *, spread: float, terminal: float
 def blocks(step: BufferedFunction, name: str) -> np.ndarray:
     """A or B as (N, 13, columns) from the horizontally stacked, perhaps sparse, result."""
     stacked = ca.DM(step.function.sparsity_out(name), step.results[name].reshape(-1)).full()
-    return np.stack(np.split(stacked, NODES, axis=1))
+    return np.stack(np.split(stacked, len(step.results["U_lin"]), axis=1))
 
 
 def independent_solution(step: BufferedFunction, low: np.ndarray, high: np.ndarray, turns=None) -> np.ndarray:
@@ -108,13 +118,38 @@ def error_turns(reference: np.ndarray) -> np.ndarray:
     return turns
 
 
+def condensed(step: BufferedFunction) -> tuple[np.ndarray, np.ndarray]:
+    """H, g of min 1/2 d'H d + g'd over all inputs' changes, by a forward simulation of each."""
+    data, A, B = step.arguments | step.results, blocks(step, "A"), blocks(step, "B")
+    nodes, n = data["U_lin"].shape
+    maps, offset = np.zeros((13, nodes * n)), np.zeros(13)
+    H, g = np.diag(np.tile(data["R"], nodes)), data["r"].ravel().copy()
+    for k in range(nodes):
+        maps, offset = A[k] @ maps, A[k] @ offset + data["b"][k]
+        maps[:, k * n : (k + 1) * n] = B[k]
+        weight = data["Q_end" if k == nodes - 1 else "Q"]
+        H += maps.T @ (weight[:, None] * maps)
+        g += maps.T @ (weight * offset + data["q"][k + 1])
+    return H, g
+
+
+class Dense:
+    """qpOASES on a dense problem with simple bounds."""
+
+    def __init__(self, size: int) -> None:
+        shape = {"h": ca.Sparsity.dense(size, size), "a": ca.Sparsity(0, size)}
+        self._solver = ca.conic("dense", "qpoases", shape, {"printLevel": "none", "error_on_fail": True, "nWSR": 5000})
+
+    def __call__(self, H: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        return self._solver(h=H, g=g, lbx=low.ravel(), ubx=high.ravel())["x"].full().reshape(low.shape)
+
+
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
 @pytest.mark.parametrize("wide", [True, False], ids=["no bounds active", "bounds active"])
 def test_attitude_error_in_the_body_frame(vehicle, rng, backend, wide):
     """The QP in plain coordinates with the cost turned, by qpOASES; and the states move as the plain model says."""
-    step, make_active_set = make_solvers(vehicle, backend, "body")
+    step, active_set = make_solvers(vehicle, backend, "body")
     plain, _ = make_solvers(vehicle, backend, "plain")
-    active_set = make_active_set(max_sweeps=60)
     for _ in range(4):
         pose(step, vehicle, rng, spread=1.0 if wide else 3.0, terminal=1.5)
         step.arguments["X_ref"][:, 3:7] += 0.2 * rng.normal(size=(NODES + 1, 4))  # another attitude at every node
@@ -127,15 +162,15 @@ def test_attitude_error_in_the_body_frame(vehicle, rng, backend, wide):
         plain()
         turns, (low, high) = error_turns(plain.arguments["X_ref"]), bounds(plain)
         expected = independent_solution(plain, low, high, turns)
-        d_state, d_input, status = active_set.solve(low, high)
-        assert status == Status.ACTIVE_SET
-        answers = [(d_state, d_input)]
+        assert active_set.solve() == Status.ACTIVE_SET
+        answers = [change(step, active_set)]
+        assert active_set.turn == pytest.approx(np.linalg.norm(answers[0][0][:, 3:7], axis=1).max())
         if wide:
-            change = (step.results[f"{name}_new"] - step.results[f"{name}_lin"] for name in "XU")
-            answers.append((next(change)[1:], next(change)))
+            alone = (step.results[f"{name}_new"] - step.results[f"{name}_lin"] for name in "XU")
+            answers.append((next(alone)[1:], next(alone)))
         A, B, b = blocks(plain, "A"), blocks(plain, "B"), plain.results["b"]
         for d_x, d_u in answers:
-            assert np.abs(d_u - expected).max() < 1e-6
+            assert np.abs(d_u - expected).max() < EXACT
             moved = np.einsum("kij,kj->ki", A[1:], d_x[:-1])
             forward = np.concatenate([np.zeros((1, 13)), moved]) + np.einsum("kij,kj->ki", B, d_u) + b
             assert np.allclose(d_x, forward, atol=1e-9)
@@ -143,105 +178,185 @@ def test_attitude_error_in_the_body_frame(vehicle, rng, backend, wide):
 
 @pytest.mark.parametrize("terminal", [0.0, 1.0])
 def test_without_active_bounds(solvers, vehicle, rng, terminal):
-    step, _ = solvers
+    step, active_set = solvers
     for _ in range(5):
         pose(step, vehicle, rng, spread=0.3, terminal=terminal)
         step.arguments["u_min"][...], step.arguments["u_max"][...] = -100, 100
         step()
         assert step.results["checks"][0] < 0
-        low, high = bounds(step)
-        change = step.results["U_new"] - step.results["U_lin"]
-        assert np.abs(change - independent_solution(step, low, high)).max() < 1e-6
+        expected = independent_solution(step, *bounds(step))
+        active_set.reset()
+        assert active_set.solve() == Status.ACTIVE_SET and active_set.active == active_set.exchanges == 0
+        for d_input in (step.results["U_new"] - step.results["U_lin"], change(step, active_set)[1]):
+            assert np.abs(d_input - expected).max() < EXACT
 
 
 @pytest.mark.parametrize("spread", [1.0, 4.0])
-def test_with_active_bounds(solvers, vehicle, rng, spread):
-    step, make_active_set = solvers
-    active_set, active = make_active_set(max_sweeps=60), 0
-    for _ in range(12):
-        pose(step, vehicle, rng, spread=spread, terminal=0.0)
+@pytest.mark.parametrize("terminal", [0.0, 2.0])
+def test_with_active_bounds(solvers, vehicle, rng, spread, terminal):
+    step, active_set = solvers
+    active = 0
+    for i in range(12):
+        pose(step, vehicle, rng, spread=spread, terminal=terminal)
         step()
         low, high = bounds(step)
-        active_set.reset()
-        d_state, d_input, status = active_set.solve(low, high)
-        assert status in (Status.ACTIVE_SET, Status.LAST_RESORT)
-        assert (d_input >= low - 1e-9).all() and (d_input <= high + 1e-9).all()
-        assert np.abs(d_input - independent_solution(step, low, high)).max() < 1e-6
-        active += np.count_nonzero(active_set.side)
+        if i % 2:
+            active_set.reset()
+        assert active_set.solve() == Status.ACTIVE_SET
+        d_state, d_input = change(step, active_set)
+        u_min, u_max = step.arguments["u_min"], step.arguments["u_max"]
+        assert (active_set.U_new >= u_min).all() and (active_set.U_new <= u_max).all()
+        assert np.abs(d_input - independent_solution(step, low, high)).max() < EXACT
+        assert np.array_equal(active_set.side, (d_input >= high - 1e-9).astype(int) - (d_input <= low + 1e-9))
+        assert active_set.active == np.count_nonzero(active_set.side)
+        A, B, d = blocks(step, "A"), blocks(step, "B"), np.zeros(13)
+        for k in range(NODES):
+            d = A[k] @ d + B[k] @ d_input[k] + step.results["b"][k]
+            assert np.allclose(d_state[k], d, atol=1e-8)
+        active += active_set.active
     assert active > 20
 
 
-def test_last_resort_gives_the_same_answer(solvers, vehicle, rng):
-    step, make_active_set = solvers
-    patient, hasty = make_active_set(max_sweeps=60), make_active_set(max_sweeps=0)
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+@pytest.mark.parametrize("rotors", [5, 6, 8])
+def test_any_number_of_rotors(vehicle, rng, backend, rotors):
+    """Bounds of their own for every rotor, one of them with no room at all and one without an upper bound."""
+    angle = 2 * np.pi * (np.arange(rotors) + 0.3) / rotors
+    place = np.stack([0.2 * np.cos(angle), 0.17 * np.sin(angle), 0 * angle], axis=1)
+    spin = tuple(1 - 2 * (i % 2) for i in range(rotors))
+    vehicle = replace(vehicle, rotor_position=tuple(map(tuple, place)), rotor_spin=spin)
+    step, active_set = make_solvers(vehicle, backend, "plain")
+    dense, active = Dense(NODES * rotors), 0
     for _ in range(8):
-        pose(step, vehicle, rng, spread=3.0, terminal=0.0)
+        pose(step, vehicle, rng, spread=3.0, terminal=1.0)
+        step.arguments["U"][:, 0] = step.arguments["u_min"][0] = step.arguments["u_max"][0] = 2.0
+        step.arguments["u_min"][1], step.arguments["u_max"][1] = 1.0, np.inf
         step()
         low, high = bounds(step)
-        patient.reset()
-        d_state, d_input, status = (
-            part if isinstance(part, Status) else part.copy() for part in patient.solve(low, high)
-        )
-        assert status == Status.ACTIVE_SET
-        last_state, last_input, status = hasty.solve(low, high)
-        assert status == Status.LAST_RESORT
-        assert np.allclose(last_input, d_input, atol=1e-6)
-        assert np.allclose(last_state, d_state, atol=1e-6)
-        assert np.array_equal(hasty.side, patient.side)
+        assert active_set.solve() == Status.ACTIVE_SET
+        d_input = change(step, active_set)[1]
+        assert np.abs(d_input - dense(*condensed(step), low, np.minimum(high, 1e4))).max() < EXACT
+        assert np.all(active_set.U_new[:, 0] == 2.0) and np.all(active_set.side[:, 0] != 0)
+        active += active_set.active
+    assert active > 8 * NODES
 
 
-def test_a_solver_that_errs_is_not_believed(solvers, vehicle, rng):
-    """DAQP's answer with one thrust moved by a millinewton: within its bounds, but not where the gradient leads."""
-    step, make_active_set = solvers
-    hasty = make_active_set(max_sweeps=0)
+def test_a_box_of_zero_width_is_flown(solvers, vehicle, rng):
+    step, active_set = solvers
+    pose(step, vehicle, rng, spread=3.0, terminal=0.0)
+    step.arguments["U"][...] = step.arguments["u_min"][...] = step.arguments["u_max"][...] = 3.0
+    step()
+    assert active_set.solve() == Status.ACTIVE_SET
+    assert np.all(active_set.U_new == 3.0) and active_set.active == active_set.side.size
+
+
+def test_bounds_that_only_just_touch(solvers, vehicle, rng):
+    """Degenerate: every second input's bound lies exactly where the minimum without bounds is."""
+    step, active_set = solvers
+    for _ in range(4):
+        pose(step, vehicle, rng, spread=3.0, terminal=0.0)
+        step.arguments["u_min"][...], step.arguments["u_max"][...] = -1e3, 1e3
+        step()
+        best = step.results["U_new"].copy()
+        step.arguments["u_max"][...] = best.max(axis=0)
+        step.arguments["u_min"][...] = best.min(axis=0)
+        assert active_set.solve() == Status.ACTIVE_SET
+        assert np.abs(active_set.U_new - best).max() < EXACT
+
+
+def test_warm_start_exchanges_nothing_else(solvers, vehicle, rng):
+    """Started from the answer, only what is at a bound is put there; started from the opposite, the answer is found."""
+    step, active_set = solvers
     pose(step, vehicle, rng, spread=3.0, terminal=0.0)
     step()
-    low, high = bounds(step)
-    assert hasty.solve(low, high)[2] == Status.LAST_RESORT
-    solver, inside = hasty._daqp, int(np.argmin(np.abs(hasty.side.ravel())))
-
-    class Erring:
-        arguments, results = solver.arguments, solver.results
-
-        def __call__(self):
-            solver()
-            self.results["x"][inside] += 1e-3
-
-    hasty._daqp = Erring()
-    assert hasty.solve(low, high)[2] == Status.FAILED
-    assert np.all(hasty.side == 0)
+    active_set.reset()
+    assert active_set.solve() == Status.ACTIVE_SET
+    U, side, cold = active_set.U_new.copy(), active_set.side.copy(), active_set.exchanges
+    assert active_set.solve() == Status.ACTIVE_SET
+    assert active_set.exchanges == active_set.active == np.count_nonzero(side) <= cold
+    assert np.abs(active_set.U_new - U).max() < EXACT
+    for guess in (-side, np.ones_like(side), -np.ones_like(side), rng.integers(-1, 2, side.shape)):
+        active_set.side[...] = guess
+        assert active_set.solve() == Status.ACTIVE_SET
+        assert np.array_equal(active_set.side, side) and np.abs(active_set.U_new - U).max() < EXACT
 
 
-def test_warm_start_needs_one_sweep(solvers, vehicle, rng):
-    step, make_active_set = solvers
-    active_set = make_active_set(max_sweeps=60)
-    pose(step, vehicle, rng, spread=3.0, terminal=0.0)
+@pytest.mark.parametrize("name", ["A", "B", "b", "q", "r", "K", "factor", "U_new"])
+def test_a_number_that_is_none_fails_by_name(solvers, vehicle, rng, name):
+    """And leaves no trace: the next step is solved as if it had not been."""
+    step, active_set = solvers
+    pose(step, vehicle, rng, spread=3.0, terminal=1.0)
     step()
-    low, high = bounds(step)
-    active_set.solve(low, high)
-    active_set.solve(low, high)
-    assert active_set.sweeps == 1
+    active_set.reset()
+    assert active_set.solve() == Status.ACTIVE_SET
+    U = active_set.U_new.copy()
+    for value in (np.nan, np.inf):
+        step()
+        last = step.results[name].reshape(-1)
+        last[rng.integers(last.size // 2, last.size) if name != "factor" else -1] = value  # its upper half is not read
+        assert active_set.solve() == Status.FAILED
+        assert np.all(active_set.side == 0)
+        step()
+        assert active_set.solve() == Status.ACTIVE_SET
+        assert np.array_equal(active_set.U_new, U)
 
 
-def test_condensing_is_the_recursion(solvers, vehicle, rng):
-    """H and g are the derivatives of the cost of a forward simulation, here in plain numpy."""
-    step, _ = solvers
-    pose(step, vehicle, rng, spread=3.0, terminal=1.5)
-    step()
-    data = step.arguments | step.results
-    condensed = BufferedFunction(condensed_function(step.function, NODES), data)
-    condensed()
-    H, g = condensed.results["H"], condensed.results["g"]
-    A, B = (blocks(step, name) for name in ("A", "B"))
+def test_a_wrong_factorisation_is_not_believed(solvers, vehicle, rng):
+    """Gains that are wrong by a little are mended by the true gradient; by much, they end in a failure by name."""
+    step, active_set = solvers
+    ends = set()
+    for size in (1e-6, 1e-4, 1e-2, 1.0, 100.0):
+        for _ in range(4):
+            pose(step, vehicle, rng, spread=3.0, terminal=1.0)
+            step()
+            expected = independent_solution(step, *bounds(step))
+            step.results["K"] *= 1 + size * rng.normal(size=step.results["K"].shape)
+            status = active_set.solve()
+            ends.add((size, status))
+            if status != Status.FAILED:
+                assert np.abs(change(step, active_set)[1] - expected).max() < 1e-6
+    assert (1e-6, Status.ACTIVE_SET) in ends and (100.0, Status.FAILED) in ends
 
-    def cost(d):
-        d, x, value = d.reshape(NODES, -1), np.zeros(13), 0.0
-        for k in range(NODES):
-            value += d[k] @ (data["R"] * d[k]) / 2 + data["r"][k] @ d[k]
-            x = A[k] @ x + B[k] @ d[k] + data["b"][k]
-            value += x @ (data["Q_end" if k == NODES - 1 else "Q"] * x) / 2 + data["q"][k + 1] @ x
-        return value
 
-    zero, d = np.zeros(len(g)), rng.normal(size=len(g))
-    assert np.allclose(H, H.T, rtol=1e-12, atol=1e-12)
-    assert cost(d) - cost(zero) == pytest.approx(d @ H @ d / 2 + g @ d, rel=1e-9)
+def hostile(model: str, nodes: int, backend: str, trials: int, seed: int) -> tuple[int, float]:
+    """Steps through the situations of benchmarks.stress against qpOASES: how many were compared, and the worst (N)."""
+    controllers = [
+        ModelPredictiveController(v, benchmark_residual(model, v)[0], MPCSettings(nodes=nodes), backend=backend)
+        for v in (stress_vehicle(), pinched(stress_vehicle()))
+    ]
+    names = [name for name in SITUATIONS if not name.startswith("broken")]
+    rng, dense, compared, worst = np.random.default_rng(seed), Dense(4 * nodes), 0, 0.0
+    for trial in range(trials):
+        controller = controllers[trial % 2]
+        make, step = SITUATIONS[names[rng.integers(len(names))]], controller._step
+        window = make(rng, controller.vehicle, nodes)
+        controller.reset(*window)
+        controller._cold = False
+        for _ in range(4):  # the later ones with the active set of another situation
+            u, record = controller.command(*window)
+            if record.status == Status.FAILED:
+                break
+            if record.status == Status.ACTIVE_SET:
+                expected = dense(*condensed(step), *bounds(step))
+                worst = max(worst, np.abs(change(step, controller._active_set)[1] - expected).max())
+                compared += 1
+            window = make(rng, controller.vehicle, nodes)
+    return compared, worst
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+@pytest.mark.parametrize("nodes", [10, 20])
+def test_hostile_subproblems(backend, nodes):
+    if backend == "compiled" and compiler() is None:
+        pytest.skip("no C compiler")
+    compared, worst = hostile("none", nodes, backend, trials=12, seed=nodes)
+    assert compared > 20 and worst < EXACT
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(compiler() is None, reason="no C compiler")
+@pytest.mark.parametrize("model", ["none", "gp20"])
+@pytest.mark.parametrize("nodes", [10, 20])
+def test_thousands_of_hostile_subproblems(model, nodes):
+    compared, worst = hostile(model, nodes, "compiled", trials=400, seed=1)
+    assert compared > 1000 and worst < EXACT

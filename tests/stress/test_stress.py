@@ -17,7 +17,7 @@ LONGEST = 5.0  # s, for one step on a busy machine; what it takes on a quiet one
 def check(outcome, steps: int) -> None:
     assert outcome.wrong == []
     assert sum(outcome.counts.values()) == steps
-    assert outcome.sweeps <= 12  # the settings' limit: work is bounded, whatever the machine
+    assert outcome.sweeps <= 10 * 40  # exchanges for every input: work is bounded, whatever the machine
     assert max(outcome.times) < LONGEST and max(outcome.cold) < LONGEST
     for name, counts in outcome.by_situation.items():
         if name.startswith("broken"):
@@ -35,7 +35,7 @@ def test_hundreds_of_steps(model):
     outcome = stress(make_controllers(model, "interpreted"), steps, seed=2)
     check(outcome, steps)
     assert set(outcome.by_situation) == set(SITUATIONS)
-    assert outcome.counts[Status.ACTIVE_SET.name] > 20 and outcome.counts[Status.LAST_RESORT.name] > 5
+    assert outcome.counts[Status.ACTIVE_SET.name] > 20
 
 
 @pytest.mark.slow
@@ -75,5 +75,5 @@ def test_a_pinched_vehicle_has_only_its_bounds_to_choose_from():
         states = np.tile(np.r_[0, 0, height, 1, np.zeros(9)], (nodes + 1, 1))
         controller.reset(x, states, np.full((nodes, 4), vehicle.hover_thrust))
         u, record = controller.command(x, states, np.full((nodes, 4), vehicle.hover_thrust))
-        assert record.status in (Status.ACTIVE_SET, Status.LAST_RESORT)
+        assert record.status == Status.ACTIVE_SET
         assert u == pytest.approx(np.full(4, bound), abs=1e-9)
