@@ -48,32 +48,32 @@ class Direction(NamedTuple):
 def rollout_function(vehicle: Vehicle, residual: Residual, nodes: int, *, attitude_error: str = "plain") -> ca.Function:
     """The trajectory of given inputs, and its cost.
 
-    Inputs, named as the step's: x0 (13,), U (n, N), X_ref (13, N + 1), U_ref (n, N), theta (p,), Q, Q_end (13,),
-    R (n,), dt (s). Outputs: X (13, N + 1); cost, half of control.step's weighted sum of squares.
+    Inputs, named as the step's: x0 (13,), U (n, N), X_ref (13, N + 1), U_ref (n, N), theta (p,), Q (13, N),
+    Q_end (13,), R (n, N), dt (N,) (s). Outputs: X (13, N + 1); cost, half of control.step's weighted sum of squares.
     """
     n = vehicle.n_rotors
     dynamics = corrected_function(vehicle, residual)
     names = {"x0": (N_STATE, 1), "U": (n, nodes), "X_ref": (N_STATE, nodes + 1), "U_ref": (n, nodes)}
     names |= {
         "theta": residual.function.size_in(1),
-        "Q": (N_STATE, 1),
+        "Q": (N_STATE, nodes),
         "Q_end": (N_STATE, 1),
-        "R": (n, 1),
-        "dt": (1, 1),
+        "R": (n, nodes),
+        "dt": (nodes, 1),
     }
     a = {name: ca.MX.sym(name, *shape) for name, shape in names.items()}
     x, u, theta, dt = ca.MX.sym("x", N_STATE), ca.MX.sym("u", n), ca.MX.sym("theta", *names["theta"]), ca.MX.sym("dt")
     node = ca.Function("node", [x, u, theta, dt], [rk4_step(lambda s: dynamics(s, u, theta), x, dt)])
 
     states = [a["x0"]]
-    for u_k in ca.horzsplit(a["U"]):
-        states.append(node(states[-1], u_k, a["theta"], a["dt"]))
+    for u_k, dt_k in zip(ca.horzsplit(a["U"]), ca.vertsplit(a["dt"]), strict=True):
+        states.append(node(states[-1], u_k, a["theta"], dt_k))
     X = ca.horzcat(*states)
     error = attitude_error_in(reference_frames(a["X_ref"]) if attitude_error == "body" else None)
     deviation = [error.deviation(k, d) for k, d in enumerate(ca.horzsplit(X - a["X_ref"]))]
-    weights = [a["Q"]] * nodes + [a["Q_end"]]
+    weights = [*ca.horzsplit(a["Q"]), a["Q_end"]]
     cost = sum((ca.dot(w * d, d) for w, d in zip(weights, deviation, strict=True)), ca.MX(0))
-    cost += sum((ca.dot(a["R"] * e, e) for e in ca.horzsplit(a["U"] - a["U_ref"])), ca.MX(0))
+    cost += ca.sum2(ca.sum1(a["R"] * (a["U"] - a["U_ref"]) ** 2))
     return ca.Function("mpc_rollout", [*a.values()], [X, cost / 2], [*names], ["X", "cost"])
 
 

@@ -59,11 +59,12 @@ class ModelPredictiveController:
         arguments = self._step.arguments
         self._active_set = make_active_set(bounded, self._step)
 
-        arguments["Q"][...] = settings.state_weight()
+        share = settings.node_share[:, None]
+        arguments["Q"][...] = share * settings.state_weight()
         arguments["Q_end"][...] = settings.terminal_weight * settings.state_weight()
-        arguments["R"][...] = settings.thrust_weight(vehicle)
+        arguments["R"][...] = share * settings.thrust_weight(vehicle)
         arguments["u_min"][...], arguments["u_max"][...] = vehicle.thrust_min, vehicle.thrust_max
-        arguments["dt"][...] = settings.node_period
+        arguments["dt"][...] = settings.node_periods
         self._x0, self._X_ref, self._U_ref = (arguments[name] for name in ("x0", "X_ref", "U_ref"))
         self._X_ref_flat, self._U_ref_flat = self._X_ref.ravel(), self._U_ref.ravel()
         self._X, self._U = arguments["X"], arguments["U"]
@@ -73,10 +74,10 @@ class ModelPredictiveController:
         self._attitude_predicted = self._X[0, ATTITUDE]
         # An error du of the inputs leaves a gradient of at least R du; what rounding leaves of it grows with R.
         error = STATIONARY * (vehicle.thrust_max - vehicle.thrust_min)
-        self._stationary = max(CONVERGED, error * float(settings.thrust_weight(vehicle).min()))
+        self._stationary = max(CONVERGED, error * float(arguments["R"].min()))
         self._first_solve: FirstSolve | None = None  # few flights need it
         self.set_parameters(residual.theta)
-        self.node_times = settings.node_period * np.arange(settings.nodes + 1)  # s from now, for sampling references
+        self.node_times = settings.node_times  # s from now, for sampling references
 
     def set_parameters(self, theta: np.ndarray) -> None:
         """New residual parameters, (p,), from the next step on; nothing is rebuilt."""
@@ -137,7 +138,7 @@ class ModelPredictiveController:
                 break
         if not outcome[3] < CONVERGED and iterations > PLAIN_ITERATIONS:
             outcome = self._descend(guess, iterations - PLAIN_ITERATIONS)
-        shift[...] = self.settings.control_period / self.settings.node_period
+        shift[...] = self.settings.control_period / self.settings.node_periods
         self._cold = False
         return outcome
 

@@ -88,8 +88,9 @@ def test_the_cost_of_a_rollout_is_the_problem_s(vehicle, rng, error):
     rollout = rollout_function(vehicle, residual, settings.nodes, attitude_error=error)
     q = rng.normal(size=(11, 4))
     X_ref = np.hstack([rng.normal(size=(11, 3)), q / np.linalg.norm(q, axis=1)[:, None], rng.normal(size=(11, 6))])
-    U, U_ref, Q, R = rng.uniform(1, 4, (10, 4)), rng.uniform(1, 4, (10, 4)), *(rng.uniform(0, 2, n) for n in (13, 4))
-    X, cost = rollout(X_ref[0], U.T, X_ref.T, U_ref.T, residual.theta, Q, 1.7 * Q, R, 0.1)
+    U, U_ref, Q, R = (rng.uniform(1, 4, (10, n)) for n in (4, 4, 13, 4))
+    dt = rng.uniform(0.02, 0.15, 10)
+    X, cost = rollout(X_ref[0], U.T, X_ref.T, U_ref.T, residual.theta, Q.T, 1.7 * Q[0], R.T, dt)
     deviation = X.full().T - X_ref
     if error == "body":
         wanted, flown = (Rotation.from_quat(x[:, ATTITUDE], scalar_first=True) for x in (X_ref, X.full().T))
@@ -97,7 +98,7 @@ def test_the_cost_of_a_rollout_is_the_problem_s(vehicle, rng, error):
         length = np.linalg.norm(X.full().T[:, ATTITUDE], axis=1)
         turn = (wanted.inv() * flown).as_quat(scalar_first=True, canonical=True)
         deviation[:, ATTITUDE] = (sign * length)[:, None] * turn - [1, 0, 0, 0]
-    weights = np.vstack([np.tile(Q, (10, 1)), 1.7 * Q])
+    weights = np.vstack([Q, 1.7 * Q[0]])
     expected = (weights * deviation**2).sum() + (R * (U - U_ref) ** 2).sum()
     assert float(cost) == pytest.approx(expected / 2, rel=1e-9)
 
