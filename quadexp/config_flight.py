@@ -203,6 +203,7 @@ class MPCConfig(ControllerConfig):
     backend: str = choice("auto", "compiled", "interpreted")
     horizon: float = number("(0, 10]", "s")
     nodes: int = number("[2, 200]", "nodes")
+    first_node: float = number("[0, 10]", "s", 0.0)
     rate: float = number("[1, 1000]", "Hz")
     position_weight: list[float] = number("[0, 1e6]", "", length=3)
     attitude_weight: list[float] = number("[0, 1e6]", "", length=4)
@@ -213,3 +214,4 @@ class MPCConfig(ControllerConfig):
     terminal_weight: float = number("[0, 1e6]", "")
     feedforward: bool = True
     initial_iterations: int = number("[1, 1000]", "")
+    distance_limit: float = number("(0, 1e6]", "m", 10.0)

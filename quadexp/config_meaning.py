@@ -96,6 +96,7 @@ MEANINGS: dict[str, str] = {
     "controller.backend": "see plant.backend",
     "controller.horizon": "length of the prediction",
     "controller.nodes": "intervals of the prediction",
+    "controller.first_node": "first interval, from which the others grow; 0: all alike, as published",
     "controller.rate": "control steps a second",
     "controller.position_weight": "cost of the position error squared, world, m^-2",
     "controller.attitude_weight": "cost of the attitude error squared, a quaternion, w first: see attitude_error",
@@ -106,7 +107,9 @@ MEANINGS: dict[str, str] = {
     "controller.input_weight": "cost of the thrust error over thrust_max, squared",
     "controller.terminal_weight": "factor on the state's cost at the last node; 0: none, as in the paper's code",
     "controller.feedforward": "references carry what the controller knows of the air",
-    "controller.initial_iterations": "SQP iterations before the first input; one a step after that",
+    "controller.initial_iterations": "SQP iterations before the first input, at most: 20 full ones, then with a line"
+    " search until converged; one a step after that",
+    "controller.distance_limit": "position error that the MPC acts on: from further away it comes as from there",
     "controller.variant": "what is compensated and where its coefficients come from; see docs/lei_li.md",
     "controller.position_proportional": "gain on the position error",
     "controller.position_derivative": "gain on the velocity error",

@@ -110,7 +110,7 @@ class InterpretedSolver:
     def _solve(self) -> None:
         data, (nodes, n) = self._data, self.arguments["guess"].shape
         A, B = (self._transposed(name) for name in ("A", "B"))
-        U, weights = data["U_lin"], np.vstack([np.tile(data["Q"], (nodes - 1, 1)), data["Q_end"]])
+        U, weights = data["U_lin"], np.vstack([data["Q"][1:], data["Q_end"]])
 
         d_state = np.zeros((nodes, N_STATE))
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from quadexp.backend import BufferedFunction, realise_together, resolve
 from quadexp.control.active_set import Status, make_active_set
+from quadexp.control.first_solve import CONVERGED, Direction, FirstSolve, rollout_function
 from quadexp.control.settings import MPCSettings
 from quadexp.control.step import step_function
 from quadexp.control.subproblem import TOLERANCE, bounded_function
@@ -20,7 +21,8 @@ from quadexp.state import ATTITUDE
 from quadexp.vehicle import Vehicle
 
 MAX_TURN = 0.25  # largest change of a quaternion, its length, that one iteration may make
-CONVERGED = 1e-6  # optimality residual at which the first step stops iterating
+STATIONARY = 1e-4  # of the thrust range: input error that the residual of a converged first step may stand for
+PLAIN_ITERATIONS = 20  # of the first step, before it searches along each: enough from near the reference
 
 
 class StepRecord(NamedTuple):
@@ -28,6 +30,7 @@ class StepRecord(NamedTuple):
 
     solve_time: s, wall clock of the step as Python sees it. status: see Status. sweeps: exchanges of the active set.
     active: inputs of the horizon at a bound. kkt: optimality residual of the shifted guess (m, N and mixed units).
+    converged: False for a first step that ended away from a stationary point; a later step iterates once by design.
     """
 
     solve_time: float
@@ -35,6 +38,7 @@ class StepRecord(NamedTuple):
     sweeps: int
     active: int
     kkt: float
+    converged: bool = True
 
 
 class ModelPredictiveController:
@@ -55,19 +59,25 @@ class ModelPredictiveController:
         arguments = self._step.arguments
         self._active_set = make_active_set(bounded, self._step)
 
-        arguments["Q"][...] = settings.state_weight()
+        share = settings.node_share[:, None]
+        arguments["Q"][...] = share * settings.state_weight()
         arguments["Q_end"][...] = settings.terminal_weight * settings.state_weight()
-        arguments["R"][...] = settings.thrust_weight(vehicle)
+        arguments["R"][...] = share * settings.thrust_weight(vehicle)
         arguments["u_min"][...], arguments["u_max"][...] = vehicle.thrust_min, vehicle.thrust_max
-        arguments["dt"][...] = settings.node_period
+        arguments["dt"][...] = settings.node_periods
         self._x0, self._X_ref, self._U_ref = (arguments[name] for name in ("x0", "X_ref", "U_ref"))
         self._X_ref_flat, self._U_ref_flat = self._X_ref.ravel(), self._U_ref.ravel()
         self._X, self._U = arguments["X"], arguments["U"]
         self._X_new, self._U_new = (self._step.results[name] for name in ("X_new", "U_new"))
         self._checks, self._thrust = self._step.results["checks"], self._U[0]
         self._attitude, self._attitude_ref = self._x0[ATTITUDE], self._X_ref[0, ATTITUDE]
+        self._attitude_predicted = self._X[0, ATTITUDE]
+        # An error du of the inputs leaves a gradient of at least R du; what rounding leaves of it grows with R.
+        error = STATIONARY * (vehicle.thrust_max - vehicle.thrust_min)
+        self._stationary = max(CONVERGED, error * float(arguments["R"].min()))
+        self._first_solve: FirstSolve | None = None  # few flights need it
         self.set_parameters(residual.theta)
-        self.node_times = settings.node_period * np.arange(settings.nodes + 1)  # s from now, for sampling references
+        self.node_times = settings.node_times  # s from now, for sampling references
 
     def set_parameters(self, theta: np.ndarray) -> None:
         """New residual parameters, (p,), from the next step on; nothing is rebuilt."""
@@ -109,21 +119,50 @@ class ModelPredictiveController:
             raise QuadexpError("the reference is not finite")
         if self._attitude_ref.dot(self._attitude) < 0:  # q and -q are one attitude: compare on the measured side
             self._X_ref[:, ATTITUDE] *= -1
-        status, sweeps, active, kkt = self._converge() if self._cold else self._iterate()
+        if self._attitude_predicted.dot(self._attitude) < 0:
+            self._X[:, ATTITUDE] *= -1
+        cold = self._cold
+        status, sweeps, active, kkt = self._converge() if cold else self._iterate()
         thrust = self._thrust.copy()
-        return thrust, StepRecord(time.perf_counter() - began, status, sweeps, active, kkt)
+        converged = not cold or kkt < self._stationary
+        return thrust, StepRecord(time.perf_counter() - began, status, sweeps, active, kkt, converged)
 
     def _converge(self) -> tuple[Status, int, int, float]:
-        """Iterate on the first measurement, without moving the guess forward."""
+        """Iterate on the first measurement, without moving the guess forward; full steps first, then searched ones."""
         shift = self._step.arguments["shift"]
         shift[...] = 0.0
-        for _ in range(self.settings.initial_iterations):
+        guess, iterations = self._U.copy(), self.settings.initial_iterations
+        for _ in range(min(iterations, PLAIN_ITERATIONS)):
             outcome = self._iterate()
             if outcome[0] == Status.FAILED or outcome[3] < CONVERGED:
                 break
-        shift[...] = self.settings.control_period / self.settings.node_period
+        if not outcome[3] < CONVERGED and iterations > PLAIN_ITERATIONS:
+            outcome = self._descend(guess, iterations - PLAIN_ITERATIONS)
+        shift[...] = self.settings.control_period / self.settings.node_periods
         self._cold = False
         return outcome
+
+    def _descend(self, guess: np.ndarray, iterations: int) -> tuple[Status, int, int, float]:
+        """Globalised iterations from where the full ones ended, or from the first guess, (N, n)."""
+        if self._first_solve is None:
+            error = self.settings.attitude_error
+            rollout = rollout_function(self.vehicle, self.residual, self.settings.nodes, attitude_error=error)
+            self._first_solve = FirstSolve(rollout, self._step, self._direction)
+        reached = np.clip(self._U, self.vehicle.thrust_min, self.vehicle.thrust_max)
+        return self._first_solve.solve([reached, guess], iterations)[1:]
+
+    def _direction(self) -> Direction:
+        """Linearise at the guess and solve the bounded subproblem, without a step."""
+        self._step()
+        excess, turn, kkt = self._checks.tolist()
+        d_input = self._U_new - self._step.results["U_lin"]
+        if not math.isfinite(excess + turn):
+            return Direction(d_input, Status.FAILED, 0, 0, kkt)
+        if excess <= TOLERANCE:
+            return Direction(d_input, Status.RICCATI, 0, 0, kkt)
+        found = self._active_set
+        status = found.solve()
+        return Direction(found.U_new - self._step.results["U_lin"], status, found.exchanges, found.active, kkt)
 
     def _iterate(self) -> tuple[Status, int, int, float]:
         """One SQP iteration: status, sweeps, active bounds, optimality residual. The guess moves unless it failed."""

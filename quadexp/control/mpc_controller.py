@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.mpc import ModelPredictiveController, StepRecord
 from quadexp.residual.base import Residual
+from quadexp.state import POSITION
 
 
 class PredictiveController:
@@ -31,11 +34,27 @@ class PredictiveController:
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
-        self.mpc.reset(x, window.state, window.input)
+        self.mpc.reset(x, self._within_reach(x, window.state), window.input)
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
-        return self.mpc.command(measurement.state, window.state, window.input)
+        reference = self._within_reach(measurement.state, window.state)
+        return self.mpc.command(measurement.state, reference, window.input)
+
+    def _within_reach(self, x: np.ndarray, reference: np.ndarray) -> np.ndarray:
+        """The reference (N + 1, 13), brought towards the vehicle where it is further away than distance_limit.
+
+        With e = p - p*_0 and |e| > L every position is moved by e (1 - L / |e|), as flight stacks limit the position
+        error. A quadratic cost without end asks for any speed: from 28 m away the vehicle comes at 30 m/s, and one
+        iteration a step does not stop it there.
+        """
+        error = x[POSITION] - reference[0, POSITION]
+        distance, limit = math.sqrt(error.dot(error)), self.settings.distance_limit
+        if not distance > limit:
+            return reference
+        near = reference.copy()
+        near[:, POSITION] += error * (1 - limit / distance)
+        return near
 
     def log(self) -> dict[str, float]:
         """See Controller.log; an MPC's record says all."""

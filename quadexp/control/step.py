@@ -1,7 +1,7 @@
 """The control step as a CasADi function: shift, linearise, solve, update (real-time iteration, Gauss-Newton SQP).
 
-    min  sum_{k<N} |x_k - x*_k|_Q^2 + |u_k - u*_k|_R^2  +  c |x_N - x*_N|_Q^2
-    s.t. x_{k+1} = F(x_k, u_k, theta, dt),   x_0 measured,   u_min <= u <= u_max
+    min  sum_{k<N} |x_k - x*_k|_{Q_k}^2 + |u_k - u*_k|_{R_k}^2  +  |x_N - x*_N|_{Q_end}^2
+    s.t. x_{k+1} = F(x_k, u_k, theta, dt_k),   x_0 measured,   u_min <= u <= u_max
 
 This is one iteration as if no bound were there. Where none is violated its answer is the subproblem's solution;
 otherwise control.active_set solves the subproblem that it leaves behind.
@@ -32,8 +32,8 @@ def step_function(
     attitude_error: what Q weighs of the attitude, see control.attitude_error.
 
     Inputs: X (13, N + 1), U (n, N) last solution; x0 (13,) measured; X_ref, U_ref; theta (p,) residual parameters;
-    Q, Q_end (13,), R (n,) weights; u_min, u_max (n,) N; dt node period (s); shift, share of a node to move the last
-    solution forward.
+    Q (13, N), Q_end (13,), R (n, N) weights; u_min, u_max (n,) N; dt (N,) node periods (s); shift (N,), the share of
+    each node by which to move the last solution forward.
     Outputs: X_new, U_new; checks (3,): the largest bound violation (N), the largest change of a quaternion (length),
     and the optimality residual of the shifted guess (the largest of the gaps of the dynamics and of the projected
     gradient step in u); then the subproblem: A (13, 13 N), B (13, n N), b (13, N), q (13, N + 1), r (n, N), its
@@ -47,32 +47,33 @@ def step_function(
     X, U = ca.MX.sym("X", N_STATE, nodes + 1), ca.MX.sym("U", n, nodes)
     x0, theta = ca.MX.sym("x0", N_STATE), ca.MX.sym("theta", residual.function.size1_in(1))
     X_ref, U_ref = ca.MX.sym("X_ref", N_STATE, nodes + 1), ca.MX.sym("U_ref", n, nodes)
-    Q, Q_end, R = ca.MX.sym("Q", N_STATE), ca.MX.sym("Q_end", N_STATE), ca.MX.sym("R", n)
+    Q, Q_end, R = ca.MX.sym("Q", N_STATE, nodes), ca.MX.sym("Q_end", N_STATE), ca.MX.sym("R", n, nodes)
     u_min, u_max = ca.MX.sym("u_min", n), ca.MX.sym("u_max", n)
-    dt, shift = ca.MX.sym("dt"), ca.MX.sym("shift")
+    dt, shift = ca.MX.sym("dt", nodes), ca.MX.sym("shift", nodes)
+    Q_at, R_at, dt_at, along = ca.horzsplit(Q), ca.horzsplit(R), ca.vertsplit(dt), shift.T
 
-    moved = X[:, :nodes] + shift * (X[:, 1:] - X[:, :nodes])
+    moved = X[:, :nodes] + ca.repmat(along, N_STATE, 1) * (X[:, 1:] - X[:, :nodes])
     guard = _attitude_guard()
     X_lin = ca.horzcat(x0, *(guard(x_k) for x_k in ca.horzsplit(ca.horzcat(moved[:, 1:], X[:, nodes]))))
-    U_lin = ca.horzcat(U[:, :-1] + shift * (U[:, 1:] - U[:, :-1]), U[:, -1])
+    U_lin = ca.horzcat(U[:, :-1] + ca.repmat(along[:-1], n, 1) * (U[:, 1:] - U[:, :-1]), U[:, -1])
     x, u = ca.horzsplit(X_lin), ca.horzsplit(U_lin)
 
     frames = reference_frames(X_ref) if attitude_error == "body" else None
     error = attitude_error_in(frames)
     A, B, b = [], [], []
     for k in range(nodes):
-        x_next, A_k, B_k = node(x[k], u[k], theta, dt)
+        x_next, A_k, B_k = node(x[k], u[k], theta, dt_at[k])
         A_k, B_k, b_k = error.linearisation(k, A_k, B_k, x_next - x[k + 1])
         A.append(A_k)
         B.append(B_k)
         b.append(b_k)
     deviation = [error.deviation(k, d) for k, d in enumerate(ca.horzsplit(X_lin - X_ref))]
     effort = ca.horzsplit(U_lin - U_ref)
-    q = [Q * d for d in deviation[:nodes]] + [Q_end * deviation[nodes]]
-    r = [R * e for e in effort]
+    q = [Q_k * d for Q_k, d in zip(Q_at, deviation, strict=False)] + [Q_end * deviation[nodes]]
+    r = [R_k * e for R_k, e in zip(R_at, effort, strict=True)]
 
     passes = (CompiledPasses if scalar else MatrixPasses).build(A[0].sparsity(), B[0].sparsity())
-    dX, dU, K, factor = solution(passes, A, B, b, q, r, Q, Q_end, R)
+    dX, dU, K, factor = solution(passes, A, B, b, q, r, Q_at, Q_end, R_at)
     X_new = ca.horzcat(x0, *(x[k + 1] + error.change(k + 1, dX[k]) for k in range(nodes)))
     U_new = ca.horzcat(*(u[k] + dU[k] for k in range(nodes)))
     high, low = ca.repmat(u_max, 1, nodes), ca.repmat(u_min, 1, nodes)

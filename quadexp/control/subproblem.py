@@ -1,6 +1,6 @@
 """The linear-quadratic subproblem that a control step leaves behind, over the whole horizon.
 
-    min  sum_k 1/2 dx'Q dx + q'dx + 1/2 du'R du + r'du      dx_{k+1} = A_k dx_k + B_k du_k + b_k,   dx_0 = 0
+    min  sum_k 1/2 dx'Q_k dx + q'dx + 1/2 du'R_k du + r'du    dx_{k+1} = A_k dx_k + B_k du_k + b_k,   dx_0 = 0
 
 `solution` and `input_gradient` chain the passes of control.riccati: the subproblem without bounds. `bounded_function`
 solves it under low <= du <= high from the factorisation that `solution` leaves (control.active_set).
@@ -31,9 +31,9 @@ def solution(
     b: Sequence[Expression],
     q: Sequence[Expression],
     r: Sequence[Expression],
-    Q: Expression,
+    Q: Sequence[Expression],
     Q_end: Expression,
-    R: Expression,
+    R: Sequence[Expression],
 ) -> tuple[list[Expression], list[Expression], list[Expression], list[Expression]]:
     """Deviations dX_1..dX_N and dU_0..dU_{N-1} of the unbounded subproblem (Riccati recursion).
 
@@ -45,8 +45,8 @@ def solution(
     factor: list[Any] = [None] * nodes
     cost = passes.terminal(Q_end, q[nodes])
     for i in range(nodes - 1, 0, -1):
-        cost, K[i], k[i], factor[i] = passes.backward(cost, A[i], B[i], b[i], q[i], r[i], Q, R)
-    k[0], factor[0] = passes.first_node(cost, A[0], B[0], b[0], q[0], r[0], Q, R)
+        cost, K[i], k[i], factor[i] = passes.backward(cost, A[i], B[i], b[i], q[i], r[i], Q[i], R[i])
+    k[0], factor[0] = passes.first_node(cost, A[0], B[0], b[0], q[0], r[0], Q[0], R[0])
     dU = [-k[0]]
     dX = [ca.mtimes(B[0], dU[0]) + b[0]]
     for i in range(1, nodes):
@@ -90,10 +90,9 @@ def bounded_function(step: ca.Function, nodes: int) -> ca.Function:
     passes = CompiledPasses(step.get_function)
     blocks = zip(ca.horzsplit(given["A"], N_STATE), ca.horzsplit(given["B"], n), ca.horzsplit(given["b"]), strict=True)
     rows = ca.horzcat(*(passes.rows(*node) for node in blocks))
-    weights = ca.horzcat(ca.repmat(given["Q"], 1, nodes - 1), given["Q_end"])
-    efforts = ca.repmat(given["R"], 1, nodes)
+    weights = ca.horzcat(given["Q"][:, 1:], given["Q_end"])
     U, low, high = given["U_lin"], ca.repmat(given["u_min"], 1, nodes), ca.repmat(given["u_max"], 1, nodes)
-    arguments = [rows, *(given[name] for name in ("K", "factor", "q", "r")), weights, efforts]
+    arguments = [rows, *(given[name] for name in ("K", "factor", "q", "r")), weights, given["R"]]
     arguments += [given["U_free"] - U, low - U, high - U, given["guess"]]
     dX, dU, side, checks = kernel_function(n, nodes)(*arguments)
 

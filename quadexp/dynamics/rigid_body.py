@@ -14,7 +14,7 @@ import casadi as ca
 
 from quadexp.dynamics.correction import N_OUTPUTS, Correction
 from quadexp.expression import Expression
-from quadexp.rotation import quaternion_rate, rotation_matrix
+from quadexp.rotation import air_velocity, quaternion_rate, rotation_matrix
 from quadexp.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.vehicle import Vehicle
 
@@ -48,8 +48,8 @@ def state_derivative(
 
 
 def body_features(x: Expression, u: Expression) -> Expression:
-    """z = [v_body, w, u], (6 + n,): all a residual may depend on."""
-    return ca.vertcat(ca.mtimes(rotation_matrix(x[ATTITUDE]).T, x[VELOCITY]), x[RATE], u)
+    """z = [v_body, w, u], (6 + n,): all a residual may depend on, in still air."""
+    return ca.vertcat(air_velocity(x[ATTITUDE], x[VELOCITY]), x[RATE], u)
 
 
 def rigid_body_function(vehicle: Vehicle) -> ca.Function:

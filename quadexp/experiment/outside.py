@@ -25,11 +25,10 @@ def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> di
     if not ranges or not len(flight):
         return record | ({"note": "no sample was flown"} if ranges else {})
     from quadexp.identify.predictors import rows
-    from quadexp.identify.samples import body_velocity
     from quadexp.identify.support import outside_shares
 
     rate = flight.stack(["w_x", "w_y", "w_z"])
     finite = np.isfinite(flight.state).all(axis=1)
-    seen = rows(body_velocity(flight)[finite], rate[finite], flight.input[finite])
+    seen = rows(flight.air_velocity[finite], rate[finite], flight.input[finite])
     shares = outside_shares(ranges, seen)
     return record | {"share": shares.pop("any"), "shares": shares, "note": ""}

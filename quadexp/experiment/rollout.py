@@ -237,6 +237,7 @@ class _Log:
             "sweeps": np.array([record.sweeps for record in self.records], np.int16),
             "active": np.array([record.active for record in self.records], np.int16),
             "kkt": np.array([record.kkt for record in self.records]),
+            "unconverged": np.array([not record.converged for record in self.records], np.int8),
         }
         inner = np.array(self.inner)
         for i, name in enumerate(inner_names):

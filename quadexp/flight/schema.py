@@ -43,6 +43,7 @@ FLIGHT_COLUMNS: dict[str, Column] = {
     "status": Column("1", "", "0 riccati, 1 active_set, 2 last_resort, 3 failed"),
     "sweeps": Column("1", "", "exchanges of the active set in the control step (sweeps, where last_resort occurs)"),
     "active": Column("1", "", "input bounds active over the horizon"),
+    "unconverged": Column("1", "", "1: the first step's iterations ended away from a stationary point"),
     "kkt": Column("1", "", "KKT residual of the control step"),
     "segment": Column("1", "", "number of the uninterrupted stretch the sample belongs to"),
     **{f"wind_{i}": Column("m/s", "world", "velocity of the air") for i in _AXES},
@@ -74,6 +75,8 @@ RESULT_COLUMNS: dict[str, Column] = {
     "saturated_share": Column("1", "", "share of samples with a rotor at its thrust limit"),
     "peak_speed": Column("m/s", "world", "largest speed flown"),
     "duration": Column("s", "", "length of the flight"),
+    "last_resort_count": Column("1", "", "control steps whose subproblem the last resort solved"),
+    "unconverged_count": Column("1", "", "1 where the first step ended away from a stationary point"),
     "reference_residual": Column(
         "1",
         "",
@@ -228,6 +231,20 @@ class Flight:
     def input(self) -> np.ndarray:
         """Commanded rotor thrusts, (k, n) (N)."""
         return self.stack(input_columns(self.n_rotors))
+
+    @property
+    def wind(self) -> np.ndarray | None:
+        """Velocity of the air, (k, 3), world (m/s); None for a flight without wind columns."""
+        names = tuple(f"wind_{axis}" for axis in _AXES)
+        return self.stack(names) if any(name in self.columns for name in names) else None
+
+    @property
+    def air_velocity(self) -> np.ndarray:
+        """Velocity relative to the air, (k, 3), body (m/s); see rotation.air_velocity."""
+        from quadexp.rotation import air_velocity
+
+        attitude, velocity = (tuple(f"{name}_{axis}" for axis in axes) for name, axes in (("q", "wxyz"), ("v", _AXES)))
+        return np.asarray(air_velocity(self.stack(attitude), self.stack(velocity), self.wind))
 
     @property
     def reference_state(self) -> np.ndarray:

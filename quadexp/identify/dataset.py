@@ -8,6 +8,9 @@ A transition is two consecutive samples of a flight, x_k -> x_{k+1} under the co
 with (v_pred, w_pred) the nominal rigid body's RK4 over the true dt from x_k. One frame R for both velocities (the
 difference of two body velocities, each in its own frame, mixes the frames' rotation into the target).
 
+The velocity among the features is relative to the air, where the flight has wind columns; the target is the same in
+every frame that moves steadily (Galilei).
+
 frame="midpoint": R and the features (body velocity, body rate) belong to the middle of the transition, averages of
 x_k and x_{k+1}; the target then is the residual at that point to second order in dt (for the torque, after the gap's
 own gyroscopic moment, dt/2 (dw x J w + w x J dw) with dw = (w_{k+1} - w_pred) / dt, is added). frame="start": both at
@@ -34,6 +37,7 @@ FRAMES = ("midpoint", "start")
 DT_RANGE = (0.5, 1.5)  # of the flight's median dt; outside it two samples are not consecutive
 TARGETS = ("a_x", "a_y", "a_z", "tau_x", "tau_y", "tau_z")
 THRUST = "thrust"
+WIND = ("wind_x", "wind_y", "wind_z")
 
 
 class ResidualDataset(NamedTuple):
@@ -111,12 +115,15 @@ class ResidualDataset(NamedTuple):
 def transitions(flight: Flight, vehicle: Vehicle, *, frame: str = "midpoint") -> dict[str, np.ndarray]:
     """Features and targets of every pair of consecutive samples of one flight, without its provenance columns.
 
-    flight: columns t (s, increasing), the state, u_i (N); an optional column `segment` marks resets by its changes.
+    flight: columns t (s, increasing), the state, u_i (N); an optional column `segment` marks resets by its changes,
+    optional columns wind_x, wind_y, wind_z (world, m/s) are the velocity of the air.
     frame: "midpoint" or "start", see the module.
 
     Samples whose dt lies outside 0.5 .. 1.5 of the median, or whose segment differs, are not consecutive.
     Raises DataError for a missing column or a value that is not finite (column and row), UsageError for the frame.
     """
+    from quadexp.rotation import air_velocity  # CasADi: reading a model does without it
+
     if frame not in FRAMES:
         raise UsageError(f"collect.frame: '{frame}' is none of {', '.join(FRAMES)}")
     inputs = input_columns(vehicle.n_rotors)
@@ -133,7 +140,9 @@ def transitions(flight: Flight, vehicle: Vehicle, *, frame: str = "midpoint") ->
     predicted = _predict(vehicle, before, u, dt)
     point = before if frame == "start" else (before + after) / 2
     to_body = _rotation(point[:, ATTITUDE] / np.linalg.norm(point[:, ATTITUDE], axis=1, keepdims=True))
-    velocity = np.einsum("kij,ki->kj", to_body, point[:, VELOCITY])
+    air = np.zeros((len(t), 3)) if flight.wind is None else _read(flight, WIND)
+    wind = air[k] if frame == "start" else (air[k] + air[k + 1]) / 2
+    velocity = air_velocity(point[:, ATTITUDE], point[:, VELOCITY], wind)
     gap = (after - predicted) / dt[:, None]
     acceleration = np.einsum("kij,ki->kj", to_body, gap[:, VELOCITY])
     torque = gap[:, RATE] @ vehicle.inertia_matrix

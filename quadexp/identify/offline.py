@@ -12,14 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
 from quadexp.flight.schema import Flight
 from quadexp.identify.blade_fit import BladeFit, fit_blade_element
 from quadexp.identify.rls import SLOWEST, BladeElementRLS, RLSSettings
 from quadexp.rotor import THETA, BladeCoefficients
-from quadexp.state import ATTITUDE, VELOCITY
 from quadexp.vehicle import Vehicle
 
 FIRST_VALUES = BladeCoefficients(lift_slope=1.66, profile_drag=0.11, body_drag=(0.005, 0.005, 0.01))  # half of Table 1
@@ -120,7 +118,7 @@ def identify_flight(
         bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
         if len(bad):
             raise DataError(f"{name}: {column} is not finite at row {bad[0] + 1}")
-    velocity = Rotation.from_quat(state[:, ATTITUDE], scalar_first=True).inv().apply(state[:, VELOCITY])
+    velocity = flight.air_velocity[1:]
 
     estimator = BladeElementRLS(vehicle, initial, settings or OFFLINE)
     theta, raw, standard_error = np.empty((3, len(state), len(THETA)))

@@ -27,6 +27,7 @@ from quadexp.identify.predictors import Predictor
 from quadexp.identify.torque import geometric_acceleration, gyroscopic
 from quadexp.identify.tracking import tracked_scale
 from quadexp.identify.validation import FlightRows
+from quadexp.rotation import air_velocity
 from quadexp.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.vehicle import GRAVITY, Vehicle
 
@@ -36,7 +37,6 @@ Turning = Callable[[np.ndarray, np.ndarray], np.ndarray]
 STARTS = 120  # a flight at the most, spread evenly
 QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 POINT, WORLD_VELOCITY, RATES = ("p_x", "p_y", "p_z"), ("v_x", "v_y", "v_z"), ("w_x", "w_y", "w_z")
-WIND = ("wind_x", "wind_y", "wind_z")
 
 
 class Track:
@@ -46,10 +46,11 @@ class Track:
         flight, at = one.flight, slice(one.first, None)
         self.name, self.dt, self.speed = one.name, one.dt, one.speed
         self.position, self.velocity = flight.stack(POINT)[at], flight.stack(WORLD_VELOCITY)[at]
-        self.rotation = Rotation.from_quat(flight.stack(QUATERNION)[at], scalar_first=True)
+        self.quaternion = flight.stack(QUATERNION)[at]
+        self.rotation = Rotation.from_quat(self.quaternion, scalar_first=True)
         self.matrix = self.rotation.as_matrix()
         self.rate, self.time, self.segment = one.rate, one.samples.time, one.samples.segment
-        self.wind = flight.stack(WIND)[at] if "wind_x" in flight.columns else np.zeros_like(self.velocity)
+        self.wind = np.zeros_like(self.velocity) if flight.wind is None else flight.wind[at]
         self.rotors = predictor.curve.of_signal(one.samples.signal, one.samples.voltage)
         beyond = predictor.beyond(one.samples.velocity, self.rate, self.rotors)
         wanted = one.samples.force[:, 2] - beyond[:, 2]
@@ -86,7 +87,7 @@ def attitude_rollout(
     scale = track.scale[starts] if tracked else np.ones(len(starts))
 
     def acceleration(k: np.ndarray, v: np.ndarray) -> np.ndarray:
-        body = np.einsum("kji,kj->ki", track.matrix[k], v - track.wind[k])
+        body = air_velocity(track.quaternion[k], v, track.wind[k])
         force = predictor.beyond(body, track.rate[k], track.rotors[k]) - track.bias
         force[:, 2] += scale * track.rotors[k].sum(axis=1)
         return np.einsum("kij,kj->ki", track.matrix[k], force) + down
@@ -153,8 +154,7 @@ def full_rollout(
         lost = (np.abs(state[:, VELOCITY]).max(axis=1) > LOST_SPEED) | (np.abs(state[:, RATE]).max(axis=1) > LOST_RATE)
         state = np.where(lost[:, None], states[0], state)  # goes on from somewhere harmless, and is marked at the end
         gone |= lost
-        matrix = Rotation.from_quat(state[:, ATTITUDE], scalar_first=True).as_matrix()
-        body = np.einsum("kji,kj->ki", matrix, state[:, VELOCITY] - track.wind[k])
+        body = air_velocity(state[:, ATTITUDE], state[:, VELOCITY], track.wind[k])
         correction = predictor.beyond(body, state[:, RATE], track.rotors[k]) - track.bias
         thrust = vehicle.mass * scale[:, None] * track.rotors[k]
         torque = np.zeros_like(correction)

@@ -20,7 +20,7 @@ from quadexp.errors import DataError, UsageError
 from quadexp.flight.schema import Flight
 from quadexp.identify.dataset import THRUST, ResidualDataset, transitions
 from quadexp.identify.linear_drag import fit_linear_drag
-from quadexp.identify.samples import body_velocity, choose_signal, gather
+from quadexp.identify.samples import choose_signal, gather
 from quadexp.identify.thrust_curve import ThrustCurve
 from quadexp.vehicle import Vehicle
 
@@ -92,20 +92,10 @@ def _steps(time: np.ndarray, segment: np.ndarray) -> np.ndarray:
 
 
 def velocity_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, *, frame: str) -> dict[str, np.ndarray]:
-    """The same from the velocity's change over each step: the transitions under the curve's thrusts.
-
-    In wind the target is that of the velocity over ground, the feature that of the velocity relative to the air.
-    """
+    """The same from the velocity's change over each step: the transitions under the curve's thrusts."""
     thrust = vehicle.mass * curve.rotor_acceleration(flight)
     commanded = {f"u_{i}": thrust[:, i] for i in range(thrust.shape[1])}
-    columns = transitions(replace(flight, columns=dict(flight.columns) | commanded), vehicle, frame=frame)
-    if "wind_x" in flight.columns:
-        air = body_velocity(flight)
-        start = columns["t"] - (columns["dt"] / 2 if frame == "midpoint" else 0.0)
-        at = np.searchsorted(flight.t, start - columns["dt"] / 4)
-        middle = (air[at] + air[at + 1]) / 2 if frame == "midpoint" else air[at]
-        columns |= {f"v_{axis}": middle[:, i] for i, axis in enumerate(AXES)}
-    return columns
+    return transitions(replace(flight, columns=dict(flight.columns) | commanded), vehicle, frame=frame)
 
 
 def recorded_dataset(

@@ -94,16 +94,6 @@ def name_of(flight: Flight, index: int) -> str:
     return str(flight.metadata.get("name") or f"flight_{index}")
 
 
-def body_velocity(flight: Flight) -> np.ndarray:
-    """Velocity relative to the air in body axes, (k, 3) (m/s)."""
-    from scipy.spatial.transform import Rotation
-
-    velocity = flight.stack(["v_x", "v_y", "v_z"])
-    if "wind_x" in flight.columns:
-        velocity = velocity - flight.stack(["wind_x", "wind_y", "wind_z"])
-    return Rotation.from_quat(flight.stack(QUATERNION), scalar_first=True).inv().apply(velocity)
-
-
 def gather(flights: Sequence[Flight], kind: str, names: Sequence[str] | None = None) -> Samples:
     """All samples of the flights. kind: a name in SIGNALS. names: one a flight, for messages.
 
@@ -137,7 +127,7 @@ def gather(flights: Sequence[Flight], kind: str, names: Sequence[str] | None = N
         force = flight.stack(["acc_x", "acc_y", "acc_z"])[k]
         if with_rate:
             rates.append(flight.stack(RATES)[k].astype(float))
-        parts.append((flight.t[k], np.full(len(k), index), segment, force, body_velocity(flight)[k], signal, voltage))
+        parts.append((flight.t[k], np.full(len(k), index), segment, force, flight.air_velocity[k], signal, voltage))
     time, flight_index, segment, force, velocity, signal, voltage = map(np.concatenate, zip(*parts, strict=True))
     rate = np.concatenate(rates) if with_rate else None
     return Samples(

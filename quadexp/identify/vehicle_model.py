@@ -16,7 +16,6 @@ import numpy as np
 from quadexp.errors import UsageError
 from quadexp.flight.schema import Flight
 from quadexp.identify.linear_drag import LinearDrag
-from quadexp.identify.samples import body_velocity
 from quadexp.identify.terms import TermModel
 from quadexp.identify.thrust_curve import ThrustCurve
 from quadexp.identify.torque import TorqueModel
@@ -83,7 +82,7 @@ class VehicleModel:
         rotors = self.thrust.rotor_acceleration(flight)
         force = np.zeros((len(rotors), 3))
         if kind != "nominal":
-            force = self.model(kind).acceleration(body_velocity(flight), rotors)
+            force = self.model(kind).acceleration(flight.air_velocity, rotors)
         force[:, 2] += rotors.sum(axis=1)
         return force
 

@@ -48,7 +48,7 @@ def saturated_share(flight: Flight, thrust_min: float, thrust_max: float) -> flo
 def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float) -> dict[str, Any]:
     """The numbers of a result row that come from the flight itself; NaN for a flight without samples."""
     if len(flight) == 0:
-        return dict.fromkeys(METRICS, float("nan")) | {"last_resort_count": 0, "duration": 0.0}
+        return dict.fromkeys(METRICS, float("nan")) | {"last_resort_count": 0, "unconverged_count": 0, "duration": 0.0}
     error, angle, solve_time = position_error(flight), attitude_error(flight), flight["solve_time"]
     t = flight.t
     return {
@@ -60,6 +60,7 @@ def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float) -> dict
         "peak_speed": float(np.linalg.norm(flight.state[:, VELOCITY], axis=1).max()),
         "duration": float(t[-1] - t[0]),
         "last_resort_count": int(np.sum(flight["status"] == LAST_RESORT)),
+        "unconverged_count": int(np.sum(flight.columns.get("unconverged", 0))),
         "solve_time_median": float(np.median(solve_time)),
         "solve_time_p99": float(np.percentile(solve_time, 99)),
         "solve_time_max": float(np.max(solve_time)),
@@ -75,6 +76,7 @@ METRICS = (
     "peak_speed",
     "duration",
     "last_resort_count",
+    "unconverged_count",
     "solve_time_median",
     "solve_time_p99",
     "solve_time_max",

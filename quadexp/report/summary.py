@@ -16,6 +16,7 @@ from quadexp.flight.schema import describe
 from quadexp.flight.store import check_finite, has_content_hash, read_metadata, read_table
 from quadexp.report.flown_by import flown_by, flown_by_lines, versions_of
 from quadexp.report.metrics import METRICS
+from quadexp.report.notes import LARGE_ATTITUDE_ERROR
 from quadexp.report.tables import from_columns
 
 MODEL_FILE = "model.json"
@@ -62,10 +63,14 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
         f"error       mean {1e3 * row['mean_error']:.4g} mm, RMSE {1e3 * row['rmse']:.4g} mm,"
         f" max {1e3 * row['max_error']:.4g} mm, attitude {np.degrees(row['attitude_rmse']):.3g} deg"
     )
+    if row["attitude_rmse"] > LARGE_ATTITUDE_ERROR:
+        lines.append("            the attitude is far from the reference's, which an error of position does not show")
     lines.append(
         f"step        median {1e6 * row['solve_time_median']:.0f} us, 99 % {1e6 * row['solve_time_p99']:.0f} us,"
         f" largest {1e6 * row['solve_time_max']:.0f} us ({row['backend']})"
     )
+    if row.get("unconverged_count"):
+        lines.append("            the first step did not converge (controller.initial_iterations): not the optimum")
     lines.append(
         f"flight      {row['duration']:.2f} s, peak speed {row['peak_speed']:.2f} m/s,"
         f" {100 * row['saturated_share']:.1f} % of samples at a thrust limit"

@@ -46,6 +46,7 @@ ROW_COLUMNS = (
     "peak_speed",
     "duration",
     "last_resort_count",
+    "unconverged_count",
     "reference_residual",
     "outside_data",
     "outcome",
@@ -60,7 +61,7 @@ TEXT_COLUMNS = (
     "plant", "vehicle", "trajectory", "controller", "model", "variant", "outcome", "backend", "cause",
     "program", "sources", "libraries", "key",
 )  # fmt: skip
-INTEGER_COLUMNS = ("seed", "last_resort_count")
+INTEGER_COLUMNS = ("seed", "last_resort_count", "unconverged_count")
 
 _LATEX = str.maketrans({c: f"\\{c}" for c in "&%$#_{}"} | {"\\": r"\textbackslash{}", "<": "$<$"})
 

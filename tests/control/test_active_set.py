@@ -58,7 +58,8 @@ def pose(step: BufferedFunction, vehicle, rng, *, spread: float, terminal: float
     a["X_ref"][:, :3] += spread * rng.normal(size=3)
     a["U_ref"][...] = vehicle.hover_thrust
     a["theta"][...] = make_residual("linear_drag", vehicle).theta
-    a["Q"][...], a["R"][...] = settings.state_weight(), settings.thrust_weight(vehicle)
+    share = rng.uniform(0.2, 2.0, (NODES, 1))
+    a["Q"][...], a["R"][...] = share * settings.state_weight(), share * settings.thrust_weight(vehicle)
     a["Q_end"][...] = terminal * settings.state_weight()
     a["u_min"][...], a["u_max"][...] = 0.0, 6.0
     a["dt"][...], a["shift"][...] = 0.1, 0.2
@@ -83,8 +84,8 @@ def independent_solution(step: BufferedFunction, low: np.ndarray, high: np.ndarr
     for k in range(NODES):
         at = k * (13 + n)
         u, x = slice(at, at + n), slice(at + n, at + n + 13)
-        H[u, u], g[u] = np.diag(a["R"]), r["r"][k]
-        H[x, x], g[x] = np.diag(a["Q_end"] if k == NODES - 1 else a["Q"]), r["q"][k + 1]
+        H[u, u], g[u] = np.diag(a["R"][k]), r["r"][k]
+        H[x, x], g[x] = np.diag(a["Q_end"] if k == NODES - 1 else a["Q"][k + 1]), r["q"][k + 1]
         if turns is not None:
             H[x, x] = turns[k + 1] @ H[x, x] @ turns[k + 1].T
             g[x] = H[x, x] @ (r["X_lin"][k + 1] - a["X_ref"][k + 1])
@@ -123,11 +124,11 @@ def condensed(step: BufferedFunction) -> tuple[np.ndarray, np.ndarray]:
     data, A, B = step.arguments | step.results, blocks(step, "A"), blocks(step, "B")
     nodes, n = data["U_lin"].shape
     maps, offset = np.zeros((13, nodes * n)), np.zeros(13)
-    H, g = np.diag(np.tile(data["R"], nodes)), data["r"].ravel().copy()
+    H, g = np.diag(data["R"].ravel()), data["r"].ravel().copy()
     for k in range(nodes):
         maps, offset = A[k] @ maps, A[k] @ offset + data["b"][k]
         maps[:, k * n : (k + 1) * n] = B[k]
-        weight = data["Q_end" if k == nodes - 1 else "Q"]
+        weight = data["Q_end"] if k == nodes - 1 else data["Q"][k + 1]
         H += maps.T @ (weight[:, None] * maps)
         g += maps.T @ (weight * offset + data["q"][k + 1])
     return H, g
@@ -153,7 +154,7 @@ def test_attitude_error_in_the_body_frame(vehicle, rng, backend, wide):
     for _ in range(4):
         pose(step, vehicle, rng, spread=1.0 if wide else 3.0, terminal=1.5)
         step.arguments["X_ref"][:, 3:7] += 0.2 * rng.normal(size=(NODES + 1, 4))  # another attitude at every node
-        step.arguments["Q"][3:7] = rng.uniform(0.0, 3.0, 4)
+        step.arguments["Q"][:, 3:7] = rng.uniform(0.0, 3.0, 4)
         if wide:
             step.arguments["u_min"][...], step.arguments["u_max"][...] = -100, 100
         for name, array in plain.arguments.items():

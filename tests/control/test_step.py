@@ -29,9 +29,10 @@ def test_both_errors_of_attitude_step_along_the_same_dynamics(vehicle, rng):
     residual, settings = make_residual("linear_drag", vehicle), MPCSettings()
     arguments = {"X": trajectory(rng), "X_ref": trajectory(rng), "x0": random_state(rng), "theta": residual.theta}
     arguments |= {name: rng.uniform(1, 9, (4, NODES)) for name in ("U", "U_ref")}
-    arguments |= {"Q": settings.state_weight(), "Q_end": 2 * settings.state_weight()}
-    arguments |= {"R": settings.thrust_weight(vehicle), "u_min": np.zeros(4), "u_max": np.full(4, 20), "dt": 0.1}
-    arguments["shift"] = 0.3
+    share, dt = rng.uniform(0.2, 2.0, NODES), rng.uniform(0.02, 0.3, NODES)
+    arguments |= {"Q": np.outer(settings.state_weight(), share), "Q_end": 2 * settings.state_weight()}
+    arguments |= {"R": np.outer(settings.thrust_weight(vehicle), share), "dt": dt, "shift": 0.02 / dt}
+    arguments |= {"u_min": np.zeros(4), "u_max": np.full(4, 20)}
     plain, body = (
         {name: value.full() for name, value in step(**arguments).items()}
         for step in (

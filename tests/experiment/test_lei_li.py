@@ -14,7 +14,7 @@ from quadexp.errors import ModelDomainError, UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_sensor, build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.rollout import SampledReference, fly
-from quadexp.report.metrics import position_error
+from quadexp.report.metrics import attitude_error, position_error
 
 BENCH = ["vehicle=lei_li", "plant=blade_element", "sensor=lei_li"]
 EXPECTED = {  # m: time average of ||e_xi|| over 60 s
@@ -179,6 +179,29 @@ class TestCorners:
         assert u.min() >= vehicle.static_thrust * 50.0**2 * (1 - 1e-12) and record.status != 3
 
 
+class TestHeading:
+    """A steadily turning reference, which the paper's examples do not have, is followed without a lag."""
+
+    @pytest.mark.parametrize("variant", ["static", "oracle", "rls"])
+    @pytest.mark.parametrize("rate", [0.3, -0.7, 1.5])
+    def test_a_steady_turn_is_followed(self, tmp_path, variant, rate):
+        """Hover while turning; the rectangle's and the circle's own headings are constant."""
+        t = np.linspace(0.0, 20.0, 201)
+        track = np.column_stack([t, np.zeros((201, 2)), np.full(201, 5.0), rate * t])
+        path = tmp_path / "turn.csv"
+        np.savetxt(path, track, delimiter=",", header="t,p_x,p_y,p_z,yaw", comments="")
+        flight = flown("trajectory=file", f"trajectory.path={path}", f"controller={variant}_feedback")
+        assert flight.outcome == "ok"
+        late = flight.t > 10.0
+        assert np.degrees(attitude_error(flight)[late]).max() < 0.1
+        assert position_error(flight)[late].max() < (0.15 if variant == "rls" else 0.01)
+
+    @pytest.mark.parametrize("trajectory", ["rectangle", "lei_li_circle"])
+    def test_the_examples_do_not_turn(self, trajectory):
+        flat = build_trajectory(compose([*BENCH, f"trajectory={trajectory}"]).trajectory).flat_output(np.arange(60.0))
+        assert np.ptp(flat.yaw[:, 0]) == 0 and not flat.yaw[:, 1:].any()
+
+
 class TestIdentifyingMPC:
     def late_rmse(self, controller, *overrides, after=10.0):
         flight = flown(f"controller={controller}", *overrides)
@@ -219,6 +242,35 @@ class TestIdentifyingMPC:
             assert np.mean(position_error(found)[late]) < 0.1 * np.mean(position_error(nominal)[late])
             changed = found.t[1:][np.diff(found["reopened"]) > 0]
             assert len(changed) == 1 and 15.0 <= changed[0] <= 15.2
+
+    @pytest.mark.parametrize("controller", ["nominal_mpc", "perfect_mpc", "rls_mpc"])
+    def test_a_start_28_m_away_is_flown(self, controller):
+        """Example 2 begins at rest in the circle's centre; all reach the circle and stay, whatever the seed."""
+        for seed in (0, 1, 2) if controller == "rls_mpc" else (0,):
+            flight = flown("trajectory=lei_li_circle", f"controller={controller}", f"seed={seed}")
+            assert flight.outcome == "ok"
+            assert position_error(flight)[flight.t > 10.0].max() < 0.5
+            assert np.linalg.norm(flight.stack(["v_x", "v_y", "v_z"]), axis=1).max() < 28.0
+
+    def test_the_distance_limit_moves_the_whole_reference(self):
+        """As if the path lay there: the same command as along a path moved by hand. Within the limit nothing moves."""
+        config = compose([*BENCH, "controller=nominal_mpc", "controller.distance_limit=4"])
+        vehicle = build_vehicle(config.vehicle)
+        controller = build_controller(config, vehicle, build_plant(vehicle, config.plant), None)
+        reference = SampledReference(build_trajectory(config.trajectory), controller)
+        x = reference.at(0)[0].copy()
+        commands = []
+        for away, moved in (([3.0, 0.0, 4.0], 0.2), ([2.4, 0.0, 3.2], 0.0)):  # 5 m and 4 m
+            state = x.copy()
+            state[:3] += away
+            window = reference.window(0)
+            by_hand = window.state.copy()
+            by_hand[:, :3] += moved * np.array(away)
+            for seen in (window, window._replace(state=by_hand)):
+                controller.reset(state, seen)
+                commands.append(controller.step(Measurement(0.0, state, None, None), seen)[0])
+        assert commands[0] == pytest.approx(commands[1], abs=1e-9)
+        assert commands[2] == pytest.approx(commands[3], abs=1e-12)
 
     def test_flights_do_not_depend_on_the_one_before(self):
         path = ("trajectory=circle", "trajectory.speed=4", "trajectory.acceleration=2")

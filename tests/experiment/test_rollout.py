@@ -14,17 +14,19 @@ from quadexp.trajectory.flatness import flat_reference
 
 
 @pytest.mark.parametrize(
-    ("rate", "nodes"), [(50.0, 10), (100.0, 10), (50.0, 20), (30.0, 8)], ids=["5", "10", "2.5", "3.75"]
+    ("rate", "nodes", "first_node"),
+    [(50.0, 10, 0.0), (100.0, 10, 0.0), (50.0, 20, 0.0), (30.0, 8, 0.0), (50.0, 10, 0.02)],
+    ids=["5", "10", "2.5", "3.75", "growing"],
 )
-def test_horizons_are_the_trajectory_at_the_nodes(vehicle, rate, nodes):
+def test_horizons_are_the_trajectory_at_the_nodes(vehicle, rate, nodes, first_node):
     """Whether or not the node period is a whole number of control periods (the id says how many)."""
-    settings, path = MPCSettings(rate=rate, nodes=nodes), Circle(speed=3.0)
+    settings, path = MPCSettings(rate=rate, nodes=nodes, first_node=first_node), Circle(speed=3.0)
     controller = ModelPredictiveController(vehicle, no_residual(vehicle), settings, backend="interpreted")
     reference = SampledReference(path, controller)
-    whole = (settings.node_period / settings.control_period) % 1 < 1e-9
+    whole = not first_node and (settings.node_period / settings.control_period) % 1 < 1e-9
     for k in (0, 1, len(reference) // 2, len(reference) - 1):
         states, inputs = reference.horizon(k)
-        times = k * settings.control_period + np.arange(nodes + 1) * settings.node_period
+        times = k * settings.control_period + np.r_[0.0, np.cumsum(settings.node_periods)]
         exact = flat_reference(path, times, vehicle)
         turned = np.sign((states[0, 3:7] * exact.state[0, 3:7]).sum())  # the sign of q is free at the start
         exact.state[:, 3:7] *= turned

@@ -9,7 +9,7 @@ from quadexp.errors import DataError, UsageError
 from quadexp.flight.schema import Flight
 from quadexp.identify.checkpoint import load_model, save_model
 from quadexp.identify.regression import half_width
-from quadexp.identify.samples import body_velocity, gather
+from quadexp.identify.samples import gather
 from quadexp.identify.selection import best_level, left_out, selection
 from quadexp.identify.vehicle_fit import FitSettings, curve_beside_quadratic, fit_level, fit_vehicle_model
 from tests.identify.logged_flights import CURVE, DRAG, OFFSET, logged_flight
@@ -151,7 +151,7 @@ def climbing(seed: int) -> Flight:
     rng = np.random.default_rng(seed)
     flight = logged_flight(900 + seed, quadratic=(0.0, 0.0, 0.4))
     columns = dict(flight.columns)
-    up = body_velocity(flight)[:, 2]
+    up = flight.air_velocity[:, 2]
     command = 0.7 + 0.03 * up * np.abs(up) + 0.02 * rng.normal(size=len(up))
     ratio = columns["battery_voltage"] / 4
     for i in range(4):

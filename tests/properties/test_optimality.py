@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from quadexp.control.active_set import Status
@@ -31,7 +31,6 @@ def test_stationary_point_is_ipopts(air, terminal, error, vehicle, distance, rng
     settings = MPCSettings(
         nodes=4,
         horizon=0.4,
-        initial_iterations=80,
         terminal_weight=terminal,
         attitude_error=error,
         position_weight=tuple(rng.uniform(3, 12, 3)),
@@ -47,9 +46,7 @@ def test_stationary_point_is_ipopts(air, terminal, error, vehicle, distance, rng
     x = near(states[0], rng, distance)
     controller.reset(x, states, inputs)
     u, record = controller.command(x, states, inputs)
-    if distance > 0.1:
-        assume(record.kkt < 1e-5)  # from far away full Gauss-Newton steps may go round in circles
-    assert record.kkt < 1e-5
+    assert record.converged
     assert record.status in (Status.RICCATI, Status.ACTIVE_SET)  # near a solution the sweeps find the set by themselves
     if states[0, 3:7] @ x[3:7] < 0:
         states = states * np.r_[np.ones(3), -np.ones(4), np.ones(6)]

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from quadexp.control.base import Measurement
+from quadexp.rotation import air_velocity
 from quadexp.rotor import THETA
 from quadexp.state import ATTITUDE, VELOCITY
 
@@ -15,16 +16,8 @@ FIRST_WAIT, NEXT_WAIT = 100, 50  # samples before a change is looked for: at the
 
 
 def body_velocity(x: np.ndarray) -> np.ndarray:
-    """Velocity in the body frame, (3,), FLU (m/s), of a state (13,)."""
-    w, a, b, c = x[ATTITUDE].tolist()
-    vx, vy, vz = x[VELOCITY].tolist()
-    return np.array(
-        [
-            (1 - 2 * (b * b + c * c)) * vx + 2 * (a * b + w * c) * vy + 2 * (a * c - w * b) * vz,
-            2 * (a * b - w * c) * vx + (1 - 2 * (a * a + c * c)) * vy + 2 * (b * c + w * a) * vz,
-            2 * (a * c + w * b) * vx + 2 * (b * c - w * a) * vy + (1 - 2 * (a * a + b * b)) * vz,
-        ]
-    )
+    """Velocity in the body frame, (3,), FLU (m/s), of a state (13,): a controller does not measure the wind."""
+    return np.asarray(air_velocity(x[ATTITUDE], x[VELOCITY]))
 
 
 class Estimator(Protocol):

@@ -94,7 +94,7 @@ class FeedbackController:
             self.aerodynamics.update(measurement, arguments["rotor_speed_last"])
         arguments["x"][...] = measurement.state
         arguments["reference"][...] = window.position[:3]
-        arguments["yaw"][...] = window.yaw[0]
+        arguments["yaw"][...] = window.yaw
         arguments["theta"][...] = self.aerodynamics.theta
         self._law()
         if not self.variant.delayed:

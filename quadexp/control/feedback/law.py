@@ -15,7 +15,7 @@ from quadexp.control.feedback.observer import observer_matrices
 from quadexp.control.feedback.position import desired_tilt, in_cone, position_feedback, thrust_vector
 from quadexp.control.feedback.secondary import allocation_coefficients, drag_force, secondary_terms
 from quadexp.control.feedback.settings import FeedbackSettings, Variant
-from quadexp.rotation import rotation_matrix
+from quadexp.rotation import air_velocity, rotation_matrix
 from quadexp.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.vehicle import Vehicle
 
@@ -23,7 +23,8 @@ from quadexp.vehicle import Vehicle
 def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant) -> ca.Function:
     """One sample.
 
-    Inputs: x (13,) and reference (3, 3) [p, v, a] (columns) and yaw, ENU/FLU; theta (5,); of the sample before:
+    Inputs: x (13,), reference (3, 3) [p, v, a] (columns) and yaw (3,), heading, rate and acceleration (rad, s),
+    ENU/FLU; theta (5,); of the sample before:
     velocity_last (3,) FRD, rotor_speed_last (n,), eta_d_last (3,), observer_last (3, 2).
     Outputs: thrust (n,), commanded static thrusts (N); rotor_speed (n,); eta_d (3,); observer (3, 2);
     velocity (3,) FRD;
@@ -31,16 +32,16 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
     the least speed; limited: rotors held at the largest thrust; u_T (3,), NED.
     """
     n = vehicle.n_rotors
-    x, reference, yaw = ca.SX.sym("x", N_STATE), ca.SX.sym("reference", 3, 3), ca.SX.sym("yaw")
+    x, reference, yaw = ca.SX.sym("x", N_STATE), ca.SX.sym("reference", 3, 3), ca.SX.sym("yaw", 3)
     theta, velocity_last, rotor_speed_last = ca.SX.sym("theta", 5), ca.SX.sym("v", 3), ca.SX.sym("w", n)
     eta_d_last, observer_last = ca.SX.sym("eta_d", 3), ca.SX.sym("observer", 3, 2)
 
     R = ca.mtimes([ca.DM(NED_ENU), rotation_matrix(x[ATTITUDE]), ca.DM(FRD_FLU)])
     eta, rate = euler_angles(R), ca.mtimes(ca.DM(FRD_FLU), x[RATE])
     velocity_ned = ca.mtimes(ca.DM(NED_ENU), x[VELOCITY])
-    velocity = ca.mtimes(R.T, velocity_ned)
+    velocity = ca.mtimes(ca.DM(FRD_FLU), air_velocity(x[ATTITUDE], x[VELOCITY]))
     goal = ca.mtimes(ca.DM(NED_ENU), reference)
-    psi_d = yaw_ned(yaw)
+    psi_d, psi_d_dot, psi_d_ddot = yaw_ned(yaw[0]), -yaw[1], -yaw[2]
 
     known = secondary_terms(vehicle, theta, velocity_last, rotor_speed_last)
     drag = drag_force(vehicle, theta, velocity) * variant.drag
@@ -71,8 +72,8 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
         eta,
         rate,
         error,
-        ca.vertcat(observer[1, :].T, 0),
-        ca.vertcat(observer[2, :].T, 0),
+        ca.vertcat(observer[1, :].T, psi_d_dot),
+        ca.vertcat(observer[2, :].T, psi_d_ddot),
         ca.DM(settings.attitude_proportional),
         ca.DM(settings.attitude_derivative),
         ca.DM(FRD_FLU @ vehicle.inertia_matrix @ FRD_FLU),

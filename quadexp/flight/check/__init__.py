@@ -280,8 +280,10 @@ def _motor_offset(flight: Flight, t: np.ndarray, streams: Mapping[str, np.ndarra
         thrust = np.sum(values if kind == "u" else values**2, axis=1)
         velocity = None
         if "q" in streams and "v" in streams:
-            R = rotation_matrices(streams["q"][rows])
-            velocity = np.einsum("kji,kj->ki", R, streams["v"][rows])
+            from quadexp.rotation import air_velocity  # CasADi takes a while
+
+            wind = None if flight.wind is None else flight.wind[rows]
+            velocity = air_velocity(streams["q"][rows], streams["v"][rows], wind)
         return timing.motor_offset(t[rows], thrust, streams["f"][rows, 2], velocity)
     return None
 

@@ -15,7 +15,7 @@ from quadexp.flight.importers.table import Table, open_table
 from quadexp.flight.schema import FLIGHT_COLUMNS, Flight, describe
 from quadexp.flight.store import first_line, read_table
 
-INTEGERS = {"status": np.int8, "sweeps": np.int16, "active": np.int16, "segment": np.int32}
+INTEGERS = {"status": np.int8, "sweeps": np.int16, "active": np.int16, "unconverged": np.int8, "segment": np.int32}
 TUM_HEADERS = ("t x y z qx qy qz qw", "timestamp tx ty tz qx qy qz qw", "timestamp x y z qx qy qz qw")
 
 

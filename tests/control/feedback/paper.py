@@ -79,14 +79,17 @@ def wrap(angle):
 
 
 def control(
-    xi, velocity, eta, rate, xi_d, v_d, a_d, psi_d, last, coefficients, *, terms=(1, 1, 1, 1), coefficient_pair=None
+    xi, velocity, eta, rate, xi_d, v_d, a_d, heading, last, coefficients, *, terms=(1, 1, 1, 1), coefficient_pair=None
 ):
     """One sample of (28)-(40), (27).
+
+    heading: psi_d and its first and second derivative; the paper's own examples have psi_d' = psi_d'' = 0.
 
     last: eta_d, observer_phi, observer_theta, v (body), w of the sample before.
     terms: hub force, body drag, secondary thrust, secondary torque, each 0 or 1. coefficient_pair: of the allocation.
     Returns w^2 (4,), eta_d (3,), both observers, u_T.
     """
+    psi_d, psi_d_dot, psi_d_ddot = heading
     v = rotation(eta).T @ velocity
     hub, delta_T, delta_Gamma = secondary(last["v"], last["w"], coefficients)
     D = drag(v, coefficients) * terms[1]
@@ -112,8 +115,8 @@ def control(
         ]
     )
     error = np.array([eta[0] - phi_d, eta[1] - theta_d, wrap(eta[2] - psi_d)])
-    error_dot = eta_dot - np.array([x_phi[1], x_theta[1], 0.0])
-    wanted = -(0.8 * error + 2.4 * error_dot) + np.array([x_phi[2], x_theta[2], 0.0])
+    error_dot = eta_dot - np.array([x_phi[1], x_theta[1], psi_d_dot])
+    wanted = -(0.8 * error + 2.4 * error_dot) + np.array([x_phi[2], x_theta[2], psi_d_ddot])
     Gamma = J @ (W @ wanted + W_dot @ eta_dot) + np.cross(rate, J @ rate) - delta_Gamma * terms[3]
     k, q = coefficient_pair or motor(coefficients)
     w2 = np.array(

@@ -39,7 +39,7 @@ def random_sample(rng):
         "xi_d": rng.normal(0, 3, 3),
         "v_d": rng.normal(0, 4, 3),
         "a_d": rng.normal(0, 1, 3),
-        "psi_d": rng.uniform(-3, 3),
+        "heading": np.array([rng.uniform(-3, 3), rng.normal(), rng.normal()]),
     }
     last = {
         "eta_d": rng.normal(0, 0.3, 3),
@@ -59,7 +59,7 @@ def call(function, now, last, coefficients):
         {
             "x": state_from_ned(now["xi"], now["eta"], now["velocity"], now["rate"]),
             "reference": reference,
-            "yaw": yaw_ned(now["psi_d"]),
+            "yaw": [yaw_ned(now["heading"][0]), *-now["heading"][1:]],
             "theta": [coefficients["C_d0"], coefficients["C_la"], *coefficients["C_D"]],
             "velocity_last": last["v"],
             "rotor_speed_last": last["w"],
@@ -99,7 +99,9 @@ def test_one_call_equals_the_paper(lei_li, name):
 def test_the_paper_s_hover_is_a_fixed_point_of_the_static_law(lei_li):
     """At rest on the reference every rotor carries a quarter of the weight, whatever the heading."""
     function = law_function(lei_li, PRINTED, VARIANTS["static"])
-    now = {name: np.zeros(3) for name in ("xi", "velocity", "eta", "rate", "xi_d", "v_d", "a_d")} | {"psi_d": 0.7}
+    now = {name: np.zeros(3) for name in ("xi", "velocity", "eta", "rate", "xi_d", "v_d", "a_d")} | {
+        "heading": np.array([0.7, 0.0, 0.0])
+    }
     now["eta"] = np.array([0.0, 0.0, 0.7])
     last = {"eta_d": np.zeros(3), "observer_phi": np.zeros(3), "observer_theta": np.zeros(3)}
     last |= {"v": np.zeros(3), "w": np.full(4, 500.0)}
@@ -154,9 +156,9 @@ class TestObserver:
 class TestSafety:
     def test_the_cone_keeps_the_quadrant_far_above_the_reference(self, lei_li):
         """34 m above it, the printed law asks for thrust downwards, and (35) answers with the wrong quadrant."""
-        now = {name: np.zeros(3) for name in ("eta", "rate", "xi_d", "v_d", "a_d")} | {"psi_d": 0.0}
+        now = {name: np.zeros(3) for name in ("eta", "rate", "xi_d", "v_d", "a_d")} | {"heading": np.zeros(3)}
         now |= {"xi": np.array([0.0, 0.0, -34.0]), "velocity": np.array([2.0, 0.0, 0.0])}
-        now = {name: now[name] for name in ("xi", "velocity", "eta", "rate", "xi_d", "v_d", "a_d", "psi_d")}
+        now = {name: now[name] for name in ("xi", "velocity", "eta", "rate", "xi_d", "v_d", "a_d", "heading")}
         last = {"eta_d": np.zeros(3), "observer_phi": np.zeros(3), "observer_theta": np.zeros(3)}
         last |= {"v": np.array([2.0, 0.0, 0.0]), "w": np.full(4, 500.0)}
         printed = call(law_function(lei_li, PRINTED, VARIANTS["oracle"]), now, last, TRUE)
@@ -200,7 +202,9 @@ class TestSafety:
             assert np.isfinite(got["thrust"]).all()
 
     def test_at_rest_with_V_exactly_zero(self, lei_li):
-        zero = {name: np.zeros(3) for name in ("xi", "velocity", "eta", "rate", "xi_d", "v_d", "a_d")} | {"psi_d": 0.0}
+        zero = {name: np.zeros(3) for name in ("xi", "velocity", "eta", "rate", "xi_d", "v_d", "a_d")} | {
+            "heading": np.zeros(3)
+        }
         last = {"eta_d": np.zeros(3), "observer_phi": np.zeros(3), "observer_theta": np.zeros(3)}
         last |= {"v": np.zeros(3), "w": np.full(4, 528.0)}
         got = call(law_function(lei_li, FeedbackSettings(), VARIANTS["rls"]), zero, last, TRUE)
