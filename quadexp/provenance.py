@@ -32,11 +32,12 @@ DECIDING = (
     "control", "dynamics", "plant", "residual", "sensor", "trajectory",
     "backend.py", "compiler.py", "expression.py", "rotation.py", "rotor.py", "state.py", "vehicle.py",
     "experiment/build.py", "experiment/build_custom.py", "experiment/build_identified.py",
-    "experiment/build_lei_li.py", "experiment/evaluate.py", "experiment/identity.py", "experiment/rollout.py",
+    "experiment/build_lei_li.py", "experiment/evaluate.py", "experiment/identity.py", "experiment/outside.py",
+    "experiment/rollout.py",
     "identify/body_drag.py", "identify/checkpoint.py", "identify/dataset.py", "identify/linear_drag.py",
     "identify/lumped.py", "identify/model.py", "identify/regression.py", "identify/rls.py", "identify/rls_step.py",
-    "identify/samples.py", "identify/term_mean.py", "identify/terms.py", "identify/thrust_curve.py",
-    "identify/thrust_design.py", "identify/vehicle_model.py",
+    "identify/samples.py", "identify/support.py", "identify/term_mean.py", "identify/terms.py",
+    "identify/thrust_curve.py", "identify/thrust_design.py", "identify/vehicle_model.py",
     "report/metrics.py",
 )  # fmt: skip
 SUFFIXES = (".py", ".c")

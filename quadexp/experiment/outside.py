@@ -24,11 +24,11 @@ def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> di
     record: dict[str, Any] = {"model": model.path, "share": None, "shares": {}, "ranges": ranges, "note": UNKNOWN}
     if not ranges or not len(flight):
         return record | ({"note": "no sample was flown"} if ranges else {})
-    from quadexp.identify.predictors import rows
+    from quadexp.identify.dataset import feature_rows
     from quadexp.identify.support import outside_shares
 
     rate = flight.stack(["w_x", "w_y", "w_z"])
     finite = np.isfinite(flight.state).all(axis=1)
-    seen = rows(flight.air_velocity[finite], rate[finite], flight.input[finite])
+    seen = feature_rows(flight.air_velocity[finite], rate[finite], flight.input[finite])
     shares = outside_shares(ranges, seen)
     return record | {"share": shares.pop("any"), "shares": shares, "note": ""}

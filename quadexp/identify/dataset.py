@@ -262,3 +262,11 @@ def read_dataset(path: str | Path) -> ResidualDataset:
     if not len(columns["flight"]):
         raise DataError(f"{path}: the data set has no rows; collect again")
     return ResidualDataset(columns, record)
+
+
+def feature_rows(velocity: np.ndarray, rate: np.ndarray, thrust: np.ndarray) -> ResidualDataset:
+    """Features as a data set: velocity, rate (k, 3), rotor thrusts (k, n) in N."""
+    columns = {f"v_{axis}": velocity[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"w_{axis}": rate[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"u_{i}": thrust[:, i] for i in range(thrust.shape[1])}
+    return ResidualDataset(columns | {"thrust": thrust.sum(axis=1), "flight": np.zeros(len(velocity), int)}, {})

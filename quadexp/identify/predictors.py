@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.identify.dataset import ResidualDataset
+from quadexp.identify.dataset import feature_rows
 from quadexp.identify.linear_drag import LinearDrag
 from quadexp.identify.model import GPModel
 from quadexp.identify.predict import predict
@@ -85,8 +85,9 @@ def _of_terms(terms: Any) -> Acceleration:
 
 def _of_gp(model: GPModel, vehicle: Vehicle) -> Acceleration:
     def beyond(v: np.ndarray, w: np.ndarray, a: np.ndarray) -> np.ndarray:
-        found = predict(model, rows(v, w, vehicle.mass * a))
-        mean = np.zeros((len(v), 3)) if model.mean is None else model.mean.acceleration(rows(v, w, vehicle.mass * a))
+        seen = feature_rows(v, w, vehicle.mass * a)
+        found = predict(model, seen)
+        mean = np.zeros((len(v), 3)) if model.mean is None else model.mean.acceleration(seen)
         for i, axis in enumerate("xyz"):
             if f"a_{axis}" in found:
                 mean[:, i] = found[f"a_{axis}"].mean
@@ -96,12 +97,4 @@ def _of_gp(model: GPModel, vehicle: Vehicle) -> Acceleration:
 
 
 def _of_drag(drag: LinearDrag, vehicle: Vehicle) -> Acceleration:
-    return lambda v, w, a: drag.acceleration(rows(v, w, vehicle.mass * a))
-
-
-def rows(velocity: np.ndarray, rate: np.ndarray, thrust: np.ndarray) -> ResidualDataset:
-    """Features as a data set: velocity, rate (k, 3), rotor thrusts (k, n) in N."""
-    columns = {f"v_{axis}": velocity[:, i] for i, axis in enumerate("xyz")}
-    columns |= {f"w_{axis}": rate[:, i] for i, axis in enumerate("xyz")}
-    columns |= {f"u_{i}": thrust[:, i] for i in range(thrust.shape[1])}
-    return ResidualDataset(columns | {"thrust": thrust.sum(axis=1), "flight": np.zeros(len(velocity), int)}, {})
+    return lambda v, w, a: drag.acceleration(feature_rows(v, w, vehicle.mass * a))

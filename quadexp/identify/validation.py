@@ -17,8 +17,8 @@ import numpy as np
 
 from quadexp.errors import DataError
 from quadexp.flight.schema import Flight
+from quadexp.identify.dataset import feature_rows
 from quadexp.identify.predictors import Predictor
-from quadexp.identify.predictors import rows as feature_rows
 from quadexp.identify.regression import FLIGHT_CLUSTERS
 from quadexp.identify.samples import Samples, gather
 from quadexp.identify.support import outside_shares
