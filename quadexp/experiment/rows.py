@@ -9,6 +9,8 @@ import numpy as np
 
 from quadexp.report.tables import ROW_COLUMNS, to_columns
 
+NOT_ALWAYS = ("speed", "outside_data")  # not every trajectory has a speed, not every controller a learned model
+
 
 class Rows(Sequence[dict[str, Any]]):
     """Result rows in settled places; each is a dictionary made when it is asked for.
@@ -35,7 +37,7 @@ class Rows(Sequence[dict[str, Any]]):
         if not -len(self) <= index < len(self):
             raise IndexError(index)
         row = {name: _plain(values[index]) for name, values in self._columns.items()}
-        return row if row["speed"] == row["speed"] else {**row, "speed": None}  # not every trajectory has a speed
+        return row | {name: None for name in NOT_ALWAYS if row[name] != row[name]}
 
     def __setitem__(self, index: int, row: Mapping[str, Any]) -> None:
         for name, values in to_columns([row]).items():

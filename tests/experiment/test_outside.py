@@ -96,4 +96,4 @@ def test_what_an_older_table_lacks_is_unknown_after_it_is_recalled():
 
     old = to_columns([{"controller": "gp_mpc", "model": "models/gp", "outcome": "ok"}] * 50)
     del old["outside_data"]
-    assert all(math.isnan(row["outside_data"]) for row in Rows.of(old))
+    assert all(row["outside_data"] is None for row in Rows.of(old))
