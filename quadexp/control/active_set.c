@@ -216,7 +216,7 @@ while (sound) {
     }
     for (int i = 0; i < STATES; ++i) {
       state[i] = dX[k * STATES + i];
-      size += state[i] > 0.0 ? state[i] : -state[i];
+      size += state[i] * state[i];
     }
   }
   for (int i = 0; i < STATES; ++i) state[i] = 0.0; /* from here the multipliers of the dynamics */
@@ -232,7 +232,7 @@ while (sound) {
     for (int i = 0; i < MOTION; ++i) state[PLACE + i] = both[i];
     for (int a = 0, i = k * N_INPUTS; a < N_INPUTS; ++a, ++i) {
       gradient[i] = r[i] + R[i] * dU[i] + both[MOTION + a];
-      size += gradient[i] > 0.0 ? gradient[i] : -gradient[i];
+      size += gradient[i] * gradient[i];
     }
   }
   /* One Newton step, S y of the free inputs' gradient y: what it would still change is the error. */
@@ -258,7 +258,7 @@ while (sound) {
       left = low[i] == high[i] ? 0.0 : held[i] * z[i] / AT(i, i);
     }
     if (left > error) error = left;
-    size += left > 0.0 ? left : -left;
+    size += left * left;
   }
   sound = FINITE(size);
   if (error <= 10.0 * tolerance || ++rounds == ROUNDS) break;

@@ -122,7 +122,7 @@ class _Tableau:
             wrong = (self.side != 0) & ~self.fixed & (self.side * self.z < -TOLERANCE * size)
             if not wrong.any():
                 return
-            self.release(_only(np.argmax(np.where(wrong, self.z**2 / size, -1.0))))
+            self.release(_only(np.argmax(np.where(wrong, self.z**2 / size, 0.0))))
 
     def hold_leaving(self) -> None:
         """Hold free inputs that leave their bounds, the steepest ascent of the dual cost first."""
@@ -132,7 +132,7 @@ class _Tableau:
             if not leaving.any():
                 return
             size = np.abs(np.diag(self.S))
-            i = int(np.argmax(np.where(leaving, excess**2 / size, -1.0)))
+            i = int(np.argmax(np.where(leaving, excess**2 / size, 0.0)))
             self._raise(i, 1.0 if self.z[i] > self.high[i] else -1.0)
 
     def _raise(self, i: int, side: float) -> None:

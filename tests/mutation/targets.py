@@ -63,7 +63,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/control/subproblem.py": STEP,
     "quadexp/control/riccati*": ("tests/control/test_riccati.py", "tests/control/test_active_set.py"),
     "quadexp/residual/gp_sums.c": ("tests/residual/test_compiled_sums.py",),
-    "quadexp/control/active_set.*": ("tests/control/test_active_set.py",),
+    "quadexp/control/active_set.*": ("tests/control/test_active_set.py", "tests/control/test_step.py"),
     "quadexp/control/dual_active_set.py": ("tests/control/test_dual_active_set.py", "tests/control/test_active_set.py"),
     "quadexp/control/mpc.py": STEP[1:] + STEP[:1],
     "quadexp/trajectory/flat*.py": (
