@@ -242,6 +242,32 @@ def test_any_number_of_rotors_and_nodes(vehicle, rng, backend, rotors, nodes):
     assert active > 8 * nodes
 
 
+@pytest.mark.skipif(compiler() is None, reason="no C compiler")
+def test_back_ends_go_the_same_way(vehicle, rng):
+    """The same exchanges, from cold and from the last set, to the same sides and inputs."""
+    (step, active_set), (other_step, other) = (
+        make_solvers(vehicle, backend, "plain") for backend in ("compiled", "interpreted")
+    )
+    exchanges = 0
+    for i in range(30):
+        pose(step, vehicle, rng, spread=4.0, terminal=float(i % 2))
+        for name, array in other_step.arguments.items():
+            array[...] = step.arguments[name]
+        step()
+        other_step()
+        if i % 3 == 0:
+            active_set.reset()
+            other.reset()
+        assert active_set.solve() == other.solve() == Status.ACTIVE_SET
+        assert active_set.exchanges == other.exchanges and active_set.active == other.active
+        assert np.array_equal(active_set.side, other.side)
+        assert active_set.U_new == pytest.approx(other.U_new, abs=1e-9)
+        assert active_set.X_new == pytest.approx(other.X_new, abs=1e-8)
+        assert active_set.turn == pytest.approx(other.turn, rel=1e-6)
+        exchanges += active_set.exchanges
+    assert exchanges > 500
+
+
 def test_a_box_of_zero_width_is_flown(solvers, vehicle, rng):
     step, active_set = solvers
     pose(step, vehicle, rng, spread=3.0, terminal=0.0)
