@@ -6,6 +6,7 @@ What is costly is made once per process and kept: a worker flies many cells with
 from __future__ import annotations
 
 import hashlib
+import importlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -22,6 +23,17 @@ from quadexp.rotor import RotorGeometry
 from quadexp.vehicle import Vehicle
 
 T = TypeVar("T")
+# Kind -> module of quadexp.trajectory and class: only the one that is flown is imported, some need half of SciPy.
+TRAJECTORIES = {
+    "circle": ("circle", "Circle"),
+    "lemniscate": ("lemniscate", "Lemniscate"),
+    "random": ("random_polynomial", "RandomPolynomial"),
+    "hover": ("hover", "Hover"),
+    "step": ("step", "Step"),
+    "file": ("from_file", "FileTrajectory"),
+    "rectangle": ("rectangle", "Rectangle"),
+    "lei_li_circle": ("lei_li_circle", "LeiLiCircle"),
+}
 MODEL_FILE = "model.json"
 KEPT = 64  # things kept at most, the one not used for longest goes: a sweep over plants makes a plant a cell
 _kept: dict[str, Any] = {}
@@ -96,25 +108,6 @@ def build_trajectory(config: TrajectoryConfig, vehicle: Vehicle | None = None) -
     """
     if config.kind == "custom":
         return build_custom.custom_trajectory(config)
-    from quadexp.trajectory.circle import Circle
-    from quadexp.trajectory.from_file import FileTrajectory
-    from quadexp.trajectory.hover import Hover
-    from quadexp.trajectory.lei_li_circle import LeiLiCircle
-    from quadexp.trajectory.lemniscate import Lemniscate
-    from quadexp.trajectory.random_polynomial import RandomPolynomial
-    from quadexp.trajectory.rectangle import Rectangle
-    from quadexp.trajectory.step import Step
-
-    kinds = {
-        "circle": Circle,
-        "lemniscate": Lemniscate,
-        "random": RandomPolynomial,
-        "hover": Hover,
-        "step": Step,
-        "file": FileTrajectory,
-        "rectangle": Rectangle,
-        "lei_li_circle": LeiLiCircle,
-    }
     aside = ("name", "kind", "allow_infeasible", "lost_distance")
     arguments = {k: _tuples(v) for k, v in asdict(config).items() if k not in aside}
     if "path" in arguments:
@@ -123,7 +116,8 @@ def build_trajectory(config: TrajectoryConfig, vehicle: Vehicle | None = None) -
         if vehicle is None:
             raise UsageError(f"trajectory={config.name}: is timed by the limits of a vehicle, and none was given")
         arguments["vehicle"] = None if config.allow_infeasible else vehicle
-    return kinds[config.kind](**arguments)
+    module, name = TRAJECTORIES[config.kind]
+    return getattr(importlib.import_module(f"quadexp.trajectory.{module}"), name)(**arguments)
 
 
 def find_model(config: Config) -> ModelFile | None:

@@ -30,12 +30,16 @@ def position_error(flight: Flight) -> np.ndarray:
 
 
 def attitude_error(flight: Flight) -> np.ndarray:
-    """Angle of the rotation between attitude and reference, (k,) (rad), in [0, pi]."""
-    from scipy.spatial.transform import Rotation  # half of the start of a command that only shows results
+    """Angle of the rotation between attitude and reference, (k,) (rad), in [0, pi].
 
-    flown = Rotation.from_quat(flight.state[:, ATTITUDE], scalar_first=True)
-    wanted = Rotation.from_quat(flight.reference_state[:, ATTITUDE], scalar_first=True)
-    return (wanted.inv() * flown).magnitude()
+    4 atan2(|a - b|, |a + b|) of the unit quaternions a and b, the sign of b such that |a - b| is the smaller one.
+    """
+    a, b = (
+        q / np.linalg.norm(q, axis=1, keepdims=True)
+        for q in (flight.state[:, ATTITUDE], flight.reference_state[:, ATTITUDE])
+    )
+    apart, together = np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1)
+    return 4 * np.arctan2(np.minimum(apart, together), np.maximum(apart, together))
 
 
 def saturated_share(flight: Flight, thrust_min: float, thrust_max: float) -> float:

@@ -17,7 +17,6 @@ from quadexp.flight.store import check_finite, has_content_hash, read_metadata, 
 from quadexp.report.flown_by import flown_by, flown_by_lines, versions_of
 from quadexp.report.metrics import METRICS
 from quadexp.report.notes import LARGE_ATTITUDE_ERROR
-from quadexp.report.tables import from_columns
 
 MODEL_FILE = "model.json"
 RESULTS_FILE = "results.parquet"
@@ -124,6 +123,8 @@ def _table(path: Path) -> dict[str, Any]:
         summary["flights"] = record.get("flights", [])
         lines += _residual_lines(record, columns)
     elif kind == "results":
+        from quadexp.report.tables import from_columns
+
         rows_of = from_columns(columns)
         summary |= {"versions": versions_of(rows_of), "flown_by": flown_by(rows_of)}
         lines += _result_lines(record, rows_of, path.parent)

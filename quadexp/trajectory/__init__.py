@@ -1,14 +1,14 @@
 """Trajectories (flat outputs in time) and the state and input references that follow from them."""
 
+import importlib
+from typing import Any
+
 from quadexp.trajectory.base import FlatOutput, Trajectory
 from quadexp.trajectory.circle import Circle
 from quadexp.trajectory.feasibility import Infeasibility, check_feasible
 from quadexp.trajectory.flatness import Reference, flat_reference
-from quadexp.trajectory.from_file import FileTrajectory
 from quadexp.trajectory.hover import Hover
 from quadexp.trajectory.lemniscate import Lemniscate
-from quadexp.trajectory.random_polynomial import RandomPolynomial
-from quadexp.trajectory.rotor_drag import rotor_drag_reference
 from quadexp.trajectory.step import Step
 
 __all__ = [
@@ -26,3 +26,12 @@ __all__ = [
     "flat_reference",
     "rotor_drag_reference",
 ]
+
+# Imported when they are asked for: scipy.interpolate and scipy.spatial take a quarter of a second.
+_LATER = {"FileTrajectory": "from_file", "RandomPolynomial": "random_polynomial", "rotor_drag_reference": "rotor_drag"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_LATER[name]}"), name)

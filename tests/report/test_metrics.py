@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from quadexp.flight.schema import Flight
 from quadexp.report.metrics import METRICS, attitude_error, flight_metrics, position_error, saturated_share
@@ -75,3 +77,12 @@ def test_a_flight_that_did_not_happen_has_no_errors_but_every_column():
     metrics = flight_metrics(Flight({}, {}), 0.0, 20.0)
     assert set(metrics) == set(METRICS)
     assert math.isnan(metrics["rmse"]) and metrics["duration"] == 0.0
+
+
+def test_attitude_error_against_scipy(rng):
+    a, b = rng.normal(size=(2, 1000, 4))
+    b[:10] = a[:10] * rng.uniform(-3, 3, (10, 1))  # no angle, quaternions of any length and sign
+    b[10:20] = a[10:20] + 1e-9 * rng.normal(size=(10, 4))
+    expected = (Rotation.from_quat(b, scalar_first=True).inv() * Rotation.from_quat(a, scalar_first=True)).magnitude()
+    flight = SimpleNamespace(state=np.pad(a, ((0, 0), (3, 6))), reference_state=np.pad(b, ((0, 0), (3, 6))))
+    np.testing.assert_allclose(attitude_error(flight), expected, rtol=0, atol=1e-9)
