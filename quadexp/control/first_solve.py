@@ -98,12 +98,15 @@ class FirstSolve:
         cost = float(self._rollout.results["cost"].item())
         return cost if np.isfinite(cost) else np.inf
 
-    def solve(self, guesses: list[np.ndarray], iterations: int) -> Direction:
+    def solve(self, guesses: list[np.ndarray], iterations: int) -> Direction | None:
         """Descend from the guess (N, n) of the least cost; leaves the trajectory in the step's X and U.
 
-        Returns the last linearisation: its kkt says whether the point is stationary.
+        Returns the last linearisation: its kkt says whether the point is stationary. None, and X and U as they were,
+        where the trajectory of no guess is finite.
         """
         cost, U = min(((self.cost(guess), guess) for guess in guesses), key=lambda pair: pair[0])
+        if not np.isfinite(cost):
+            return None
         found = self._linearise(U)
         points: list[np.ndarray] = []
         steps: list[np.ndarray] = []

@@ -137,19 +137,23 @@ class ModelPredictiveController:
             if outcome[0] == Status.FAILED or outcome[3] < CONVERGED:
                 break
         if not outcome[3] < CONVERGED and iterations > PLAIN_ITERATIONS:
-            outcome = self._descend(guess, iterations - PLAIN_ITERATIONS)
+            outcome = self._descend(guess, iterations - PLAIN_ITERATIONS) or outcome
         shift[...] = self.settings.control_period / self.settings.node_periods
         self._cold = False
         return outcome
 
-    def _descend(self, guess: np.ndarray, iterations: int) -> tuple[Status, int, int, float]:
-        """Globalised iterations from where the full ones ended, or from the first guess, (N, n)."""
+    def _descend(self, guess: np.ndarray, iterations: int) -> tuple[Status, int, int, float] | None:
+        """Globalised iterations from where the full ones ended, or from the first guess, (N, n).
+
+        None where neither has a finite trajectory.
+        """
         if self._first_solve is None:
             error = self.settings.attitude_error
             rollout = rollout_function(self.vehicle, self.residual, self.settings.nodes, attitude_error=error)
             self._first_solve = FirstSolve(rollout, self._step, self._direction)
         reached = np.clip(self._U, self.vehicle.thrust_min, self.vehicle.thrust_max)
-        return self._first_solve.solve([reached, guess], iterations)[1:]
+        found = self._first_solve.solve([reached, guess], iterations)
+        return None if found is None else found[1:]
 
     def _direction(self) -> Direction:
         """Linearise at the guess and solve the bounded subproblem, without a step."""

@@ -58,7 +58,7 @@ def pose(step: BufferedFunction, vehicle, rng, *, spread: float, terminal: float
     a["X_ref"][:, :3] += spread * rng.normal(size=3)
     a["U_ref"][...] = vehicle.hover_thrust
     a["theta"][...] = make_residual("linear_drag", vehicle).theta
-    share = rng.uniform(0.2, 2.0, (NODES, 1))
+    share = rng.uniform(0.2, 2.0, (len(a["U"]), 1))
     a["Q"][...], a["R"][...] = share * settings.state_weight(), share * settings.thrust_weight(vehicle)
     a["Q_end"][...] = terminal * settings.state_weight()
     a["u_min"][...], a["u_max"][...] = 0.0, 6.0
