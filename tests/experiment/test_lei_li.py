@@ -269,7 +269,7 @@ class TestIdentifyingMPC:
             for seen in (window, window._replace(state=by_hand)):
                 controller.reset(state, seen)
                 commands.append(controller.step(Measurement(0.0, state, None, None), seen)[0])
-        assert commands[0] == pytest.approx(commands[1], abs=1e-9)
+        assert commands[0] == pytest.approx(commands[1], abs=1e-6)  # both end at an optimality residual of 1e-6
         assert commands[2] == pytest.approx(commands[3], abs=1e-12)
 
     def test_flights_do_not_depend_on_the_one_before(self):
