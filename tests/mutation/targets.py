@@ -65,6 +65,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/residual/gp_sums.c": ("tests/residual/test_compiled_sums.py",),
     "quadexp/control/active_set.*": ("tests/control/test_active_set.py", "tests/control/test_step.py"),
     "quadexp/control/dual_active_set.py": ("tests/control/test_dual_active_set.py", "tests/control/test_active_set.py"),
+    "quadexp/control/first_solve.py": ("tests/control/test_first_solve.py", *STEP),
     "quadexp/control/mpc.py": STEP[1:] + STEP[:1],
     "quadexp/trajectory/flat*.py": (
         "tests/trajectory/test_flat_map.py",
