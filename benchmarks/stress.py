@@ -245,7 +245,7 @@ def main() -> None:
     ends = [*(status.name for status in Status), "refused"]
     heads = ["model", *(end.lower() for end in ends), "median", "p99", "p99.9", "max", "cold max", "wrong"]
     print(f"{machine()}\n{options.steps} steps each, seed {options.seed}, back end {options.backend}")
-    print("times in us, of steps that iterate once (cold: up to 20 times)\n")
+    print("times in us, of steps that iterate once (cold: the first of a flight)\n")
     print("| " + " | ".join(heads) + " |\n" + "|---" * len(heads) + "|")
     wrong, situations = [], {}
     for name in stress_residuals(stress_vehicle()):

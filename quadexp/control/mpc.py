@@ -137,7 +137,12 @@ class ModelPredictiveController:
             if outcome[0] == Status.FAILED or outcome[3] < CONVERGED:
                 break
         if not outcome[3] < CONVERGED and iterations > PLAIN_ITERATIONS:
-            outcome = self._descend(guess, iterations - PLAIN_ITERATIONS) or outcome
+            reached = self._X.copy(), self._U.copy()
+            found = self._descend(guess, iterations - PLAIN_ITERATIONS)
+            if found is None or found[0] == Status.FAILED:  # then what the full steps reached stands, unconverged
+                self._X[...], self._U[...] = reached
+            else:
+                outcome = found
         shift[...] = self.settings.control_period / self.settings.node_periods
         self._cold = False
         return outcome

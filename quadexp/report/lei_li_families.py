@@ -107,7 +107,7 @@ def families_figure(rows: Sequence[Row]) -> Figure:
             line[0].set_ylabel("mean position error (mm)")
         plain_log(panels[0, 0].yaxis, minor=True)
         for panel in panels[-1]:
-            panel.set_xlabel("nominal speed (m/s)")
+            panel.set_xlabel("trajectory.speed (m/s)")
         found: dict[str, Any] = {}
         for panel in panels.flat:
             for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):

@@ -118,7 +118,7 @@ def speed_panel(panel: Any, comparison: Comparison, course: Course, palette: Pal
     panel.set_xlim(speeds[0] - room, speeds[-1] + room)
     panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     plain_log(panel.yaxis)
-    panel.set_xlabel("nominal speed (m/s)")
+    panel.set_xlabel("trajectory.speed (m/s)")
     panel.set_ylabel(f"{TITLES[comparison.metric]} ({unit})")
     panel.set_title(course_title(comparison, course), color=palette.ink)
     dress(panel, palette)
