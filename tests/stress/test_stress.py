@@ -11,21 +11,18 @@ from quadexp.control.active_set import Status
 from quadexp.errors import QuadexpError
 
 MODELS = tuple(stress_residuals(stress_vehicle()))
-LONGEST = 5.0  # s, for one step on a busy machine; what it takes on a quiet one is printed by benchmarks.stress
 
 
 def check(outcome, steps: int) -> None:
     assert outcome.wrong == []
     assert sum(outcome.counts.values()) == steps
     assert outcome.sweeps <= 10 * 40  # exchanges for every input: work is bounded, whatever the machine
-    assert max(outcome.times) < LONGEST and max(outcome.cold) < LONGEST
     for name, counts in outcome.by_situation.items():
         if name.startswith("broken"):
             assert set(counts) == {"refused"}
         else:
             assert "refused" not in counts
-    ordinary = outcome.by_situation["flight"]
-    assert not ordinary[Status.FAILED.name]
+            assert name == "extreme" or not counts[Status.FAILED.name], name
 
 
 @pytest.mark.parametrize("model", MODELS)
