@@ -33,7 +33,7 @@ class Cluster:
         self._tls = [word for name, path in (certificate or {}).items() for word in (names[name], str(path))]
         scheduler = ["dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", *self._tls]
         self.scheduler = self._start(*scheduler, "--scheduler-file", str(self._file))
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + 300
         while not self._file.exists():
             assert time.monotonic() < deadline and self.scheduler.poll() is None, "the scheduler does not start"
             time.sleep(0.05)

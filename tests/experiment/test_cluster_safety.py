@@ -114,7 +114,7 @@ def test_who_runs_code_on_a_cluster_of_this_machine(tls, tmp_path, capfd):
         ports = [str(port) for _, port in addresses]
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         command = [sys.executable, str(tmp_path / "intruder.py"), str(mark), *ports]
-        said.append(subprocess.run(command, env=environment, capture_output=True, text=True, timeout=100, cwd=tmp_path))
+        said.append(subprocess.run(command, env=environment, capture_output=True, text=True, timeout=900, cwd=tmp_path))
 
     engine = build_engine(compose(["engine=dask", "evaluate.workers=1", *([tls] if tls else [])]))
     result = run_sweep(expand([GRID]), tmp_path / "r", function=cells.slow_cell, engine=engine, progress=intrude)

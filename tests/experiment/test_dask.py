@@ -83,12 +83,12 @@ class TestSameEverywhere:
 
 class TestPoison:
     def test_each_poisoned_cell_is_a_failed_row_and_the_rest_flies(self, cluster, tmp_path):
-        engine = on(cluster, timeout=4.0, memory=0.6)
+        engine = on(cluster, timeout=15.0, memory=0.6)
         result = run_sweep(expand(["seed=range(8)"]), tmp_path / "r", function=cells.poisoned_cell, engine=engine)
         causes = {row["seed"]: row["cause"] for row in result.rows if row["outcome"] == "failed"}
         assert set(causes) == {1, 2, 3, 4, 5}
         assert "died (exit code -9)" in causes[1] and "died (exit code -11)" in causes[5]
-        assert causes[2] == "ValueError: this seed does not work" and causes[3] == "took longer than 4 s"
+        assert causes[2] == "ValueError: this seed does not work" and causes[3] == "took longer than 15 s"
         assert "memory" in causes[4]
         assert len([name for name in files(tmp_path) if "cells/" in name]) == 3
 
@@ -191,7 +191,7 @@ def test_two_sweeps_on_one_cluster(cluster, tmp_path):
     process = start_driver(cluster, tmp_path, "seed=range(20)")
     assert int(process.stdout.readline()) == 0
     brief = run_sweep(expand(["seed=range(4)"]), tmp_path / "brief", function=cells.slow_cell, engine=on(cluster))
-    rest = process.communicate(timeout=60)[0].split()
+    rest = process.communicate(timeout=600)[0].split()
     assert process.returncode == 0 and rest[-1] == "20"
     assert not brief.not_flown
     other = run_sweep(expand(["seed=range(20)"]), tmp_path / "r")

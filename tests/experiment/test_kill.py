@@ -59,7 +59,7 @@ def wait_for(process, count):
 
 
 def gone(pids):
-    deadline = time.time() + 10
+    deadline = time.time() + 300
     while time.time() < deadline:
         alive = [pid for pid in pids if Path(f"/proc/{pid}").exists() and _state(pid) != "Z"]
         if not alive:

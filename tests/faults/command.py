@@ -33,7 +33,7 @@ def run(
         env={name: value for name, value in known.items() if value is not None},
         preexec_fn=limit,
         cwd=cwd,
-        timeout=300,
+        timeout=1800,
     )
 
 

@@ -49,7 +49,7 @@ def process(folder, wrapper=None, before="", **changes):
 
 
 def answer(started):
-    out, err = started.communicate(timeout=120)
+    out, err = started.communicate(timeout=900)
     assert started.returncode == 0, err
     return float(out)
 
@@ -111,7 +111,7 @@ def test_a_new_folder_is_private(folder):
 
 def refused(started):
     """The one error that ends the process, without what led to it."""
-    error = started.communicate(timeout=120)[1].strip().splitlines()[-1]
+    error = started.communicate(timeout=900)[1].strip().splitlines()[-1]
     assert started.returncode == 1 and error.startswith("quadexp.errors.QuadexpError: "), error
     return error.removeprefix("quadexp.errors.QuadexpError: ")
 

@@ -36,7 +36,7 @@ def test_a_reader_that_has_left(words):
     os.close(reading)
     started = start(*words, stdout=writing)
     os.close(writing)
-    assert started.communicate(timeout=60)[1] == "" and started.returncode == 1
+    assert started.communicate(timeout=600)[1] == "" and started.returncode == 1
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="no /dev/full here")
@@ -44,7 +44,7 @@ def test_a_reader_that_has_left(words):
 def test_output_that_cannot_be_written(words):
     with FULL.open("w") as full:
         started = start(*words, stdout=full)
-    (line,) = started.communicate(timeout=60)[1].splitlines()
+    (line,) = started.communicate(timeout=600)[1].splitlines()
     assert line.startswith("error: ") and "No space left on device" in line and started.returncode == 1
 
 
@@ -69,7 +69,7 @@ def test_a_flight_that_is_asked_to_end(tmp_path, number):
     maps = Path(f"/proc/{started.pid}/maps")
     wait_for(lambda: "libcasadi" in maps.read_text(), started)
     started.send_signal(number)
-    error = started.communicate(timeout=60)[1]
+    error = started.communicate(timeout=600)[1]
     assert error.splitlines()[-1] == "error: interrupted" and "Traceback" not in error
     assert started.returncode == 1 and not list(tmp_path.iterdir())
 
@@ -85,7 +85,7 @@ def test_a_sweep_that_is_interrupted_while_its_processes_start(tmp_path):
     wait_for((tmp_path / "r" / "cells" / ".lock").exists, started)
     time.sleep(0.1)
     os.killpg(started.pid, signal.SIGINT)
-    error = started.communicate(timeout=60)[1]
+    error = started.communicate(timeout=600)[1]
     assert "Traceback" not in error and started.returncode == 1, error
     assert "run the same command to continue" in error or "interrupted" in error
     again = run(*words)

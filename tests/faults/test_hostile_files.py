@@ -317,7 +317,7 @@ def on_a_terminal(*words):
         if not part:
             break
         out += part
-    process.wait(timeout=60)
+    process.wait(timeout=600)
     os.close(ours)
     return out.decode(errors="surrogateescape")
 

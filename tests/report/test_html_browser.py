@@ -63,7 +63,7 @@ def show(browser, page, width=1280, height=900, replay=True, **media):
     return browser
 
 
-def wait(browser, condition, seconds=10.0):
+def wait(browser, condition, seconds=180.0):
     until = time.monotonic() + seconds
     while not browser.execute_script(f"return Boolean({condition})"):
         assert time.monotonic() < until, f"waited in vain for {condition}"
