@@ -96,8 +96,8 @@ MEANINGS: dict[str, str] = {
     "controller.backend": "see plant.backend",
     "controller.horizon": "length of the prediction",
     "controller.nodes": "intervals of the prediction",
-    "controller.first_node": "first interval, from which the others grow; 0: all alike, as published. A short one tracks"
-    " closer and leaves less room for a delay that nobody predicts",
+    "controller.first_node": "first interval, from which the others grow; 0: all alike, as published. A short one"
+    " tracks closer and leaves less room for a delay that nobody predicts",
     "controller.rate": "control steps a second",
     "controller.position_weight": "cost of the position error squared, world, m^-2",
     "controller.attitude_weight": "cost of the attitude error squared, a quaternion, w first: see attitude_error",
