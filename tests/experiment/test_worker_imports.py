@@ -18,6 +18,7 @@ from quadexp.errors import QuadexpError
 from quadexp.experiment.evaluate import program_record
 from quadexp.experiment.sweep import run_sweep
 from quadexp.flight.cell_store import CellStore
+from quadexp.plugins import own_folders
 from tests.experiment import cells
 from tests.experiment.test_sweep import files
 
@@ -139,7 +140,8 @@ def test_children_have_the_path_and_the_environment_of_their_parent(monkeypatch,
     from quadexp.experiment.engine import run_cells
 
     (found,) = dict(run_cells(cells.surroundings, {"a": ()}, workers=1, preload=())).values()
-    assert found["path"] == sys.path and found["PYTHONPATH"] == "mine"
+    given = [folder for folder in own_folders() if folder not in sys.path]  # with --conf, by tests before this one
+    assert found["path"] == [*sys.path, *given] and found["PYTHONPATH"] == "mine"
     assert os.environ["PYTHONPATH"] == "mine" and os.environ.get("PYTHONSAFEPATH") is None
 
 
