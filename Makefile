@@ -35,9 +35,9 @@ lint: $(STAMP)
 	$(BIN)/mypy
 
 # How much of the core the default tests reach; they assert physics, so a line that is reached is a line that is checked.
-CORE := dynamics residual control plant trajectory sensor identify
+CORE := physics air control world reference learn
 coverage: $(STAMP)
-	$(BIN)/python -m pytest -n auto -m 'not slow' tests/properties tests/experiment/test_lei_li.py tests/test_backend.py \
+	$(BIN)/python -m pytest -n auto -m 'not slow' tests/properties tests/experiment/test_lei_li.py tests/compile/test_backend.py \
 		$(CORE:%=tests/%) $(CORE:%=--cov=quadexp.%) --cov-report=term-missing:skip-covered --cov-fail-under=95
 
 # The two papers at full size, with figures.

@@ -31,19 +31,19 @@ import numpy as np
 from benchmarks import pipeline, step
 from benchmarks.machine import machine
 from quadexp import __version__
-from quadexp.backend import compiler
-from quadexp.compose import compose, session
-from quadexp.control.mpc import ModelPredictiveController
-from quadexp.control.settings import MPCSettings
-from quadexp.dynamics.rotor_coefficients import static_coefficients
+from quadexp.compile.backend import compiler
+from quadexp.config.compose import compose, session
+from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
-from quadexp.experiment.engine import run_cells
 from quadexp.experiment.rollout import SampledReference, fly
-from quadexp.experiment.sweep import run_sweep
-from quadexp.plant import SimplifiedPlant
-from quadexp.plant.blade_element import BladeElementPlant
-from quadexp.trajectory import Circle, RandomPolynomial
-from quadexp.vehicle import Vehicle
+from quadexp.physics.rotor_coefficients import static_coefficients
+from quadexp.physics.vehicle import Vehicle
+from quadexp.reference import Circle, RandomPolynomial
+from quadexp.sweep.engine import run_cells
+from quadexp.sweep.sweep import run_sweep
+from quadexp.world import SimplifiedPlant
+from quadexp.world.blade_element import BladeElementPlant
 
 PARTS = ("step", "plant", "flight", "waiting", "commands")
 CASES = ("none", "gp20", step.PLAIN)

@@ -22,9 +22,9 @@ import numpy as np
 
 from benchmarks import step
 from benchmarks.machine import cores, pin
-from quadexp.control.mpc import ModelPredictiveController
-from quadexp.control.settings import MPCSettings
-from quadexp.vehicle import Vehicle
+from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.settings import MPCSettings
+from quadexp.physics.vehicle import Vehicle
 
 CASES = ("none", "gp20")
 LIMIT = 2.0  # of the hover thrust

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.machine import machine
-from quadexp.compose import compose
+from quadexp.config.compose import compose
 from quadexp.experiment.evaluate import fly_one
+from quadexp.physics.rotor import THETA
 from quadexp.report.metrics import position_error
-from quadexp.rotor import THETA
 
 CASES = {"Example 1": "rectangle", "Example 2": "lei_li_circle"}
 TIMES = (10.0, 60.0)  # s

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from quadexp.backend import compiler
+from quadexp.compile.backend import compiler
 
 
 def cores() -> set[int]:

@@ -55,7 +55,7 @@ def run(command: Sequence[str], folder: Path) -> Measured:
     with open(folder / "stdout", "w+") as stdout, open(folder / "stderr", "w+") as stderr:
         began = time.perf_counter()
         process = subprocess.Popen(
-            [sys.executable, "-m", "quadexp.cli", *command, "--json"],
+            [sys.executable, "-m", "quadexp", *command, "--json"],
             cwd=folder,
             env=environment,
             stdout=stdout,

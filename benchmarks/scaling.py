@@ -32,14 +32,14 @@ from typing import Any
 import numpy as np
 
 from benchmarks.scaling_cells import processor_seconds, resident, timed_cell, trivial_cell
-from quadexp.compose import compose, expand
-from quadexp.experiment.engine import Engine, LocalEngine, Task
-from quadexp.experiment.plan import Plan
-from quadexp.experiment.rows import Rows
-from quadexp.experiment.sweep import run_sweep
-from quadexp.experiment.sweep_table import RESULTS
-from quadexp.flight.cell_store import CellStore
-from quadexp.flight.store import read_table, write_table
+from quadexp.config.compose import compose, expand
+from quadexp.log.cell_store import CellStore
+from quadexp.log.store import read_table, write_table
+from quadexp.sweep.engine import Engine, LocalEngine, Task
+from quadexp.sweep.plan import Plan
+from quadexp.sweep.rows import Rows
+from quadexp.sweep.sweep import run_sweep
+from quadexp.sweep.sweep_table import RESULTS
 
 SHORT = ["trajectory=step", "trajectory.duration=0.4", "trajectory.step_time=0.2"]
 CONTROLLERS = "controller=nominal_mpc,perfect_mpc"
@@ -166,7 +166,7 @@ def rerun(cells: int) -> Record:
     overrides = [*SHORT, CONTROLLERS, f"seed=range({cells // 2})"]
     with folder() as out:
         run_sweep(expand(overrides), out / "r", engine=LocalEngine(2))
-        command = [sys.executable, "-m", "quadexp.cli", "evaluate", "--sweep", *overrides, "--out", str(out / "r")]
+        command = [sys.executable, "-m", "quadexp", "evaluate", "--sweep", *overrides, "--out", str(out / "r")]
         seconds, used = [], []
         for _ in range(3):
             began, before = time.perf_counter(), os.times()
@@ -244,7 +244,7 @@ def store(sizes: list[int]) -> Record:
 
 
 def dask_engine(workers: int) -> Engine:
-    from quadexp.cluster.engines import build_engine
+    from quadexp.sweep.cluster.engines import build_engine
 
     return build_engine(compose(["engine=dask", f"evaluate.workers={workers}"]))
 

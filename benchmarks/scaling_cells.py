@@ -9,7 +9,7 @@ from typing import Any
 
 from quadexp.experiment import build
 from quadexp.experiment.evaluate import fly_one, program_record
-from quadexp.flight.store import write_flight
+from quadexp.log.store import write_flight
 
 
 def timed_cell(config: Any, model: Any, path: str, key: str) -> dict[str, Any]:

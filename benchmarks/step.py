@@ -36,24 +36,24 @@ from typing import Any
 import numpy as np
 
 from benchmarks.machine import cores, machine, pin
-from quadexp.compose import compose
-from quadexp.control.active_set import Status
-from quadexp.control.mpc import ModelPredictiveController
-from quadexp.control.settings import MPCSettings
-from quadexp.dynamics.rotor_coefficients import static_coefficients
+from quadexp.air.base import Residual
+from quadexp.air.blade_element import blade_element_residual
+from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
+from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.air.none import no_residual
+from quadexp.config.compose import compose
+from quadexp.control.mpc.active_set import Status
+from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference
-from quadexp.plant import PlantEffects, SimplifiedPlant
-from quadexp.plant.base import Plant
-from quadexp.plant.blade_element import BladeElementPlant
-from quadexp.residual.base import Residual
-from quadexp.residual.blade_element import blade_element_residual
-from quadexp.residual.gaussian_process import GPOutput, gaussian_process_residual
-from quadexp.residual.linear_drag import linear_drag_residual
-from quadexp.residual.none import no_residual
-from quadexp.rotor import BladeCoefficients, RotorGeometry
-from quadexp.trajectory import Circle
-from quadexp.vehicle import Vehicle
+from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
+from quadexp.physics.rotor_coefficients import static_coefficients
+from quadexp.physics.vehicle import Vehicle
+from quadexp.reference import Circle
+from quadexp.world import PlantEffects, SimplifiedPlant
+from quadexp.world.base import Plant
+from quadexp.world.blade_element import BladeElementPlant
 
 CASES = ("none", "drag", "gp20", "gp100", "blade_element")
 PLAIN = "blade_element"  # acados gets the plain model here: what does knowing the rotors cost?

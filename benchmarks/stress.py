@@ -19,18 +19,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from benchmarks.machine import machine
-from quadexp.control.active_set import Status
-from quadexp.control.mpc import ModelPredictiveController
-from quadexp.control.subproblem import TOLERANCE
-from quadexp.dynamics.rotor_coefficients import static_coefficients
+from quadexp.air.base import Residual
+from quadexp.air.blade_element import blade_element_residual
+from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
+from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.air.none import no_residual
+from quadexp.control.mpc.active_set import Status
+from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.subproblem import TOLERANCE
 from quadexp.errors import QuadexpError
-from quadexp.residual.base import Residual
-from quadexp.residual.blade_element import blade_element_residual
-from quadexp.residual.gaussian_process import GPOutput, gaussian_process_residual
-from quadexp.residual.linear_drag import linear_drag_residual
-from quadexp.residual.none import no_residual
-from quadexp.rotor import BladeCoefficients, RotorGeometry
-from quadexp.vehicle import Vehicle
+from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
+from quadexp.physics.rotor_coefficients import static_coefficients
+from quadexp.physics.vehicle import Vehicle
 
 STEPS_EACH = 4
 BLADE = BladeCoefficients(lift_slope=3.32, profile_drag=0.22, body_drag=(0.01, 0.01, 0.02))  # Lei & Li 2017, Table 1

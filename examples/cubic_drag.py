@@ -7,7 +7,7 @@ Written as CasADi expressions it enters the MPC's prediction, and the reference'
 
 import casadi as ca
 
-from quadexp.residual.base import feature_names, symbolic_residual
+from quadexp.air.base import feature_names, symbolic_residual
 
 
 def cubic_drag(vehicle, *, coefficient):

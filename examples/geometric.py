@@ -9,9 +9,9 @@ import time
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadexp.control.active_set import Status
-from quadexp.control.mpc import StepRecord
-from quadexp.state import ATTITUDE, POSITION, RATE, VELOCITY
+from quadexp.control.mpc.active_set import Status
+from quadexp.control.mpc.mpc import StepRecord
+from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 
 
 class GeometricController:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from quadexp.trajectory.base import FlatOutput, check_positive, flat_output_held, hold_outside
-from quadexp.trajectory.phasor import phasor
+from quadexp.reference.base import FlatOutput, check_positive, flat_output_held, hold_outside
+from quadexp.reference.phasor import phasor
 
 SMOOTH = Polynomial([0, 0, 0, 0, 0, 126, -420, 540, -315, 70])
 

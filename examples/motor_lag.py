@@ -8,11 +8,11 @@ The rotors' thrust is a state of the plant, beside the 13 numbers that a control
 import casadi as ca
 import numpy as np
 
-from quadexp.dynamics.drag import linear_drag_force
-from quadexp.dynamics.integrator import rk4_step
-from quadexp.dynamics.rigid_body import body_features, state_derivative
-from quadexp.residual.linear_drag import linear_drag_residual
-from quadexp.state import ATTITUDE, N_STATE
+from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.physics.drag import linear_drag_force
+from quadexp.physics.integrator import rk4_step
+from quadexp.physics.rigid_body import body_features, state_derivative
+from quadexp.physics.state import ATTITUDE, N_STATE
 
 
 class MotorLagPlant:

@@ -4,19 +4,19 @@
 
 `Stack` stands for the flight stack, with a simulated plant behind it: put your estimator into `measure` and your
 commands into `send`, and call the body of the loop from a timer of `controller.control_period`. World ENU, body FLU,
-quaternion body to world with w first, SI units: quadexp/state.py.
+quaternion body to world with w first, SI units: quadexp/physics/state.py.
 """
 
 import sys
 
 import numpy as np
 
-from quadexp.compose import compose
-from quadexp.control.active_set import Status
+from quadexp.config.compose import compose
 from quadexp.control.base import Measurement
+from quadexp.control.mpc.active_set import Status
 from quadexp.experiment.build import build_controller, build_plant, build_trajectory, build_vehicle, find_model
 from quadexp.experiment.rollout import SampledReference
-from quadexp.state import POSITION, RATE
+from quadexp.physics.state import POSITION, RATE
 
 
 class Stack:

@@ -2,7 +2,7 @@
 without anything that a terminal would obey.
 
 Names come from files that others made. A control character in one could move the cursor, hide or forge lines, or set
-the terminal's title; so standard output and the error stream are wrapped once (quadexp/terminal.py), and whatever is
+the terminal's title; so standard output and the error stream are wrapped once (quadexp/cli/terminal.py), and what is
 printed shows such characters instead of sending them.
 """
 

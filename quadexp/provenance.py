@@ -29,15 +29,14 @@ MODULES = {"hydra-core": "hydra", "minsnap-trajectories": "minsnap_trajectories"
 
 # Below the package: folders, whole, and files whose content decides what a flight is and the figures of its row.
 DECIDING = (
-    "control", "dynamics", "plant", "residual", "sensor", "trajectory",
-    "backend.py", "compiler.py", "expression.py", "rotation.py", "rotor.py", "state.py", "vehicle.py",
+    "air", "compile", "control", "physics", "reference", "world",
     "experiment/build.py", "experiment/build_custom.py", "experiment/build_identified.py",
     "experiment/build_lei_li.py", "experiment/evaluate.py", "experiment/identity.py", "experiment/outside.py",
     "experiment/rollout.py",
-    "identify/body_drag.py", "identify/checkpoint.py", "identify/dataset.py", "identify/linear_drag.py",
-    "identify/lumped.py", "identify/model.py", "identify/regression.py", "identify/rls.py", "identify/rls_step.py",
-    "identify/samples.py", "identify/support.py", "identify/term_mean.py", "identify/terms.py",
-    "identify/thrust_curve.py", "identify/thrust_design.py", "identify/vehicle_model.py",
+    "learn/body_drag.py", "learn/checkpoint.py", "learn/dataset.py", "learn/linear_drag.py",
+    "learn/lumped.py", "learn/model.py", "learn/regression.py", "learn/rls.py", "learn/rls_step.py",
+    "learn/samples.py", "learn/support.py", "learn/term_mean.py", "learn/terms.py",
+    "learn/thrust_curve.py", "learn/thrust_design.py", "learn/vehicle_model.py",
     "report/metrics.py",
 )  # fmt: skip
 SUFFIXES = (".py", ".c")

@@ -12,9 +12,9 @@ import pytest
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ["QUADEXP_CACHE"] = os.path.join(tempfile.gettempdir(), f"quadexp-tests-{os.getuid()}")
 
-from quadexp.dynamics.rotor_coefficients import static_coefficients
-from quadexp.rotor import BladeCoefficients, RotorGeometry
-from quadexp.vehicle import Vehicle
+from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
+from quadexp.physics.rotor_coefficients import static_coefficients
+from quadexp.physics.vehicle import Vehicle
 
 
 def pytest_terminal_summary(terminalreporter) -> None:

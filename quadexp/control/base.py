@@ -9,9 +9,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from quadexp.control.mpc import StepRecord
-from quadexp.residual.base import Residual
-from quadexp.vehicle import Vehicle
+from quadexp.air.base import Residual
+from quadexp.control.mpc.mpc import StepRecord
+from quadexp.physics.vehicle import Vehicle
 
 
 class Measurement(NamedTuple):

@@ -12,18 +12,18 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from quadexp.config import Config
-from quadexp.config_flight import ControllerConfig, MPCConfig, PlantConfig, TrajectoryConfig, VehicleConfig
-from quadexp.config_lei_li import FeedbackConfig, RLSMPCConfig, SensorConfig
+from quadexp.config.flight import ControllerConfig, MPCConfig, PlantConfig, TrajectoryConfig, VehicleConfig
+from quadexp.config.lei_li import FeedbackConfig, RLSMPCConfig, SensorConfig
+from quadexp.config.schema import Config
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment import build_custom, build_identified, build_lei_li
 from quadexp.experiment.identity import digest
 from quadexp.experiment.inputs import located
-from quadexp.rotor import RotorGeometry
-from quadexp.vehicle import Vehicle
+from quadexp.physics.rotor import RotorGeometry
+from quadexp.physics.vehicle import Vehicle
 
 T = TypeVar("T")
-# Kind -> module of quadexp.trajectory and class: only the one that is flown is imported, some need half of SciPy.
+# Kind -> module of quadexp.reference and class: only the one that is flown is imported, some need half of SciPy.
 TRAJECTORIES = {
     "circle": ("circle", "Circle"),
     "lemniscate": ("lemniscate", "Lemniscate"),
@@ -84,7 +84,7 @@ def build_plant(vehicle: Vehicle, config: PlantConfig) -> Any:
 
 
 def _simplified_plant(vehicle: Vehicle, config: Any) -> Any:
-    from quadexp.plant.simplified import PlantEffects, SimplifiedPlant
+    from quadexp.world.simplified import PlantEffects, SimplifiedPlant
 
     values = {f.name: _tuples(getattr(config, f.name)) for f in fields(PlantEffects)}
     return SimplifiedPlant(vehicle, PlantEffects(**values), step=config.step, backend=config.backend)
@@ -95,7 +95,7 @@ def build_sensor(config: SensorConfig) -> Any:
     bias, noise = config.accelerometer_bias, config.accelerometer_noise
     if not any(bias) and not any(noise):
         return None
-    from quadexp.sensor.accelerometer import Accelerometer
+    from quadexp.world.accelerometer import Accelerometer
 
     return Accelerometer(_tuples(bias), _tuples(noise))
 
@@ -117,7 +117,7 @@ def build_trajectory(config: TrajectoryConfig, vehicle: Vehicle | None = None) -
             raise UsageError(f"trajectory={config.name}: is timed by the limits of a vehicle, and none was given")
         arguments["vehicle"] = None if config.allow_infeasible else vehicle
     module, name = TRAJECTORIES[config.kind]
-    return getattr(importlib.import_module(f"quadexp.trajectory.{module}"), name)(**arguments)
+    return getattr(importlib.import_module(f"quadexp.reference.{module}"), name)(**arguments)
 
 
 def find_model(config: Config) -> ModelFile | None:
@@ -157,7 +157,7 @@ def input_hashes(config: Config, model: ModelFile | None) -> dict[str, str]:
 
 def build_residual(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
     """What the controller believes of the air: nothing, the plant's own equations, or a checkpoint."""
-    from quadexp.residual.none import no_residual
+    from quadexp.air.none import no_residual
 
     kind = cast(MPCConfig, config.controller).residual
     if kind == "none":
@@ -172,10 +172,10 @@ def build_residual(config: Config, vehicle: Vehicle, plant: Any, model: ModelFil
 
 
 def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
-    from quadexp.identify.checkpoint import load_model
-    from quadexp.identify.model import GPModel
-    from quadexp.residual.gaussian_process import gaussian_process_residual
-    from quadexp.residual.linear_drag import linear_drag_residual
+    from quadexp.air.gaussian_process import gaussian_process_residual
+    from quadexp.air.linear_drag import linear_drag_residual
+    from quadexp.learn.checkpoint import load_model
+    from quadexp.learn.model import GPModel
 
     folder = located(model.path)
     if hashlib.sha256((folder / MODEL_FILE).read_bytes()).hexdigest() != model.sha256:
@@ -207,8 +207,8 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
             return build_lei_li.feedback_controller(cast(FeedbackConfig, controller), settings, vehicle, plant)
         if controller.kind == "rls_mpc":
             return build_lei_li.identifying_mpc(cast(RLSMPCConfig, controller), settings, vehicle)
-        from quadexp.control.mpc import ModelPredictiveController
-        from quadexp.control.mpc_controller import PredictiveController
+        from quadexp.control.mpc.controller import PredictiveController
+        from quadexp.control.mpc.mpc import ModelPredictiveController
 
         residual, backend = build_residual(config, vehicle, plant, model), cast(MPCConfig, controller).backend
         return PredictiveController(ModelPredictiveController(vehicle, residual, settings, backend=backend))
@@ -227,7 +227,7 @@ def controller_settings(config: ControllerConfig) -> Any:
     """The controller's settings, None for one's own; raises UsageError where they contradict each other."""
     if config.kind == "custom":
         return None
-    from quadexp.control.settings import MPCSettings
+    from quadexp.control.mpc.settings import MPCSettings
 
     kind = build_lei_li.feedback_settings() if config.kind == "feedback" else MPCSettings
     return kind(**{f.name: _tuples(getattr(config, f.name)) for f in fields(kind)})

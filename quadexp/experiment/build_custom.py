@@ -13,10 +13,10 @@ import inspect
 from collections.abc import Callable
 from typing import Any
 
-from quadexp.config import Config
+from quadexp.config.plugins import lies_outside
+from quadexp.config.schema import Config
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.plugins import lies_outside
-from quadexp.vehicle import Vehicle
+from quadexp.physics.vehicle import Vehicle
 
 # What of a seam is looked for, so that something else is refused before the flight and not in it.
 SEAMS = {

@@ -8,7 +8,7 @@ from typing import Any
 
 from quadexp.errors import UsageError
 from quadexp.experiment.inputs import located
-from quadexp.vehicle import Vehicle
+from quadexp.physics.vehicle import Vehicle
 
 MODEL_FILE = "model.json"
 MAKER = "quadexp identify FLIGHT... --out models/NAME"
@@ -27,7 +27,7 @@ def load_identified(path: str | Path, vehicle: Vehicle) -> Any:
 
     Raises UsageError where it was fitted for another vehicle.
     """
-    from quadexp.identify.checkpoint import load_model
+    from quadexp.learn.checkpoint import load_model
 
     model = load_model(located(path))
     if model.vehicle.get("fingerprint") not in (None, vehicle.fingerprint):
@@ -40,7 +40,7 @@ def load_identified(path: str | Path, vehicle: Vehicle) -> Any:
 
 def identified_plant(vehicle: Vehicle, config: Any) -> Any:
     """The plant of plant=from_model."""
-    from quadexp.plant.from_model import FromModelPlant
+    from quadexp.world.from_model import FromModelPlant
 
     model_hash(config.model)
     return FromModelPlant(
@@ -58,10 +58,10 @@ def model_residual(vehicle: Vehicle, path: Path, kind: str = "best") -> Any:
 
     Raises UsageError where the checkpoint has none of that kind.
     """
-    from quadexp.identify.term_mean import TermMean
-    from quadexp.residual.gaussian_process import gaussian_process_residual
-    from quadexp.residual.linear_drag import linear_drag_residual
-    from quadexp.residual.terms import term_residual
+    from quadexp.air.gaussian_process import gaussian_process_residual
+    from quadexp.air.linear_drag import linear_drag_residual
+    from quadexp.air.terms import term_residual
+    from quadexp.learn.term_mean import TermMean
 
     model, source = load_identified(path, vehicle), str(path)
     if hasattr(model, "models"):  # an identified vehicle

@@ -6,15 +6,15 @@ from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
 
-from quadexp.config_lei_li import BladeElementPlantConfig, FeedbackConfig, RLSConfig, RLSMPCConfig
+from quadexp.config.lei_li import BladeElementPlantConfig, FeedbackConfig, RLSConfig, RLSMPCConfig
 from quadexp.errors import UsageError
-from quadexp.vehicle import Vehicle
+from quadexp.physics.vehicle import Vehicle
 
 
 def blade_element_plant(vehicle: Vehicle, config: BladeElementPlantConfig) -> Any:
     """The blade-element plant; UsageError where the vehicle has no rotors of known shape."""
-    from quadexp.plant.blade_element import BladeElementEffects, BladeElementPlant, PlantChange
-    from quadexp.rotor import BladeCoefficients
+    from quadexp.physics.rotor import BladeCoefficients
+    from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant, PlantChange
 
     if vehicle.rotor is None:
         raise UsageError(
@@ -78,9 +78,9 @@ def feedback_controller(config: FeedbackConfig, settings: Any, vehicle: Vehicle,
 
 def identifying_mpc(config: RLSMPCConfig, settings: Any, vehicle: Vehicle) -> Any:
     """The MPC with an identified blade-element model."""
-    from quadexp.control.mpc import ModelPredictiveController
-    from quadexp.control.rls_mpc import IdentifyingController
-    from quadexp.residual.blade_element import blade_element_residual
+    from quadexp.air.blade_element import blade_element_residual
+    from quadexp.control.mpc.mpc import ModelPredictiveController
+    from quadexp.control.mpc.rls_mpc import IdentifyingController
 
     identified = identification(config.rls, vehicle, config.backend)
     residual = blade_element_residual(vehicle, identified.estimator.initial, identified.source)
@@ -91,8 +91,8 @@ def identifying_mpc(config: RLSMPCConfig, settings: Any, vehicle: Vehicle) -> An
 def identification(config: RLSConfig, vehicle: Vehicle, backend: str) -> Any:
     """Coefficients identified in flight, as configured."""
     from quadexp.control.feedback.aerodynamics import IdentifiedCoefficients
-    from quadexp.identify.rls import BladeElementRLS, RLSSettings
-    from quadexp.rotor import BladeCoefficients
+    from quadexp.learn.rls import BladeElementRLS, RLSSettings
+    from quadexp.physics.rotor import BladeCoefficients
 
     first = BladeCoefficients(config.lift_slope, config.profile_drag, _three(config.body_drag))
     values = {f.name: getattr(config, f.name) for f in fields(RLSSettings) if hasattr(config, f.name)}

@@ -20,22 +20,22 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.config import Config
+from quadexp.config.schema import Config
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_vehicle, find_model
 from quadexp.experiment.build_identified import load_identified
 from quadexp.experiment.evaluate import describe, thrust_excess
 from quadexp.experiment.identity import digest, flight_record
 from quadexp.experiment.rollout import SampledReference, fly
-from quadexp.flight.schema import Flight
-from quadexp.flight.store import read_flight, write_flight, write_table
-from quadexp.identify.dataset import ResidualDataset, residual_dataset
-from quadexp.identify.recorded import is_recorded, logged_thrust, recorded_dataset, target_cost
-from quadexp.identify.thrust_curve import ThrustCurve
+from quadexp.learn.dataset import ResidualDataset, residual_dataset
+from quadexp.learn.recorded import is_recorded, logged_thrust, recorded_dataset, target_cost
+from quadexp.learn.thrust_curve import ThrustCurve
+from quadexp.log.schema import Flight
+from quadexp.log.store import read_flight, write_flight, write_table
+from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
-from quadexp.trajectory.base import FlatOutput
-from quadexp.trajectory.random_polynomial import RandomPolynomial
-from quadexp.vehicle import Vehicle
+from quadexp.reference.base import FlatOutput
+from quadexp.reference.random_polynomial import RandomPolynomial
 
 PEAK_OVER_MEAN = 35 / 16  # speed of the minimum-snap move from rest to rest, 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7
 DRAWS = 50  # paths drawn before giving up on one that can be flown

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import quadexp
-from quadexp.config import Config
+from quadexp.config.schema import Config
 from quadexp.errors import UsageError
 from quadexp.experiment.build import (
     ModelFile,
@@ -23,11 +23,11 @@ from quadexp.experiment.build import (
 )
 from quadexp.experiment.identity import digest, flight_entropy, flight_record
 from quadexp.experiment.outside import outside_data
-from quadexp.flight.schema import Flight
-from quadexp.flight.store import write_flight
+from quadexp.log.schema import Flight
+from quadexp.log.store import write_flight
+from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import libraries, provenance, sources, versions
 from quadexp.report.metrics import flight_metrics
-from quadexp.vehicle import Vehicle
 
 LONGEST = 4 * 3600.0  # s of a flight
 CHECK_STEP = 0.02  # s between the points at which a reference is compared with the vehicle's limits
@@ -43,7 +43,7 @@ def generator(config: Config) -> np.random.Generator:
 
 
 def _coarse_reference(trajectory: Any, vehicle: Vehicle) -> Any:
-    from quadexp.trajectory.flatness import flat_reference
+    from quadexp.reference.flatness import flat_reference
 
     if not trajectory.duration <= LONGEST:
         raise UsageError(
@@ -78,7 +78,7 @@ def check_feasible(config: Config, trajectory: Any, vehicle: Vehicle) -> str:
     configuration allows it. A single rotor or a rate beyond its limit, mostly for the yaw that the reference
     prescribes, costs attitude error and leaves the path flyable: that is only said.
     """
-    from quadexp.trajectory.feasibility import check_feasible as compare
+    from quadexp.reference.feasibility import check_feasible as compare
 
     reference = _coarse_reference(trajectory, vehicle)
     excess = thrust_excess(trajectory, vehicle, reference)

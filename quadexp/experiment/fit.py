@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.config import Config
+from quadexp.config.schema import Config
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
-from quadexp.identify.checkpoint import save_model
-from quadexp.identify.dataset import ResidualDataset, read_dataset
+from quadexp.learn.checkpoint import save_model
+from quadexp.learn.dataset import ResidualDataset, read_dataset
 from quadexp.provenance import provenance, versions
 
 ProgressCallback = Callable[[float, float], None]
@@ -47,7 +47,7 @@ def fit_checkpoint(
     lines = [f"{report['summary']} from {data.n_rows} rows of {len(data.flights)} flights"]
     lines += _split_lines(report)
     if "verdict" in report:
-        from quadexp.identify.verdict import verdict_lines
+        from quadexp.learn.verdict import verdict_lines
 
         lines += verdict_lines(report["verdict"])
     elif kind == "gp":
@@ -68,8 +68,8 @@ def _check_vehicle(data: ResidualDataset, config: Config, path: Path) -> None:
 
 
 def _fit_gp(data: ResidualDataset, config: Config, *, compare: bool, progress: ProgressCallback) -> tuple[Any, ...]:
-    from quadexp.identify.evaluation import fit_with_report
-    from quadexp.identify.model import GPSettings
+    from quadexp.learn.evaluation import fit_with_report
+    from quadexp.learn.model import GPSettings
 
     values = asdict(config.gp)
     values["features"] = {output: tuple(names) for output, names in values["features"].items() if names}
@@ -81,11 +81,11 @@ def _fit_gp(data: ResidualDataset, config: Config, *, compare: bool, progress: P
     chosen = "; ".join(f"{o.output} <- {', '.join(o.features)}" for o in fit.model.outputs)
     report["summary"] = f"Gaussian processes {chosen} ({settings.inducing} points, {settings.method})"
     if fit.test is not None and settings.split == "flight":
-        from quadexp.identify.verdict import verdict
+        from quadexp.learn.verdict import verdict
 
         report["verdict"] = verdict(fit.held_out_model, fit.train, fit.test, settings)
     if compare:
-        from quadexp.identify.comparison import compare as compare_sizes
+        from quadexp.learn.comparison import compare as compare_sizes
 
         report["comparison"] = compare_sizes(data, settings, callback=lambda message, done: progress(round(done, 2), 1))
 
@@ -105,8 +105,8 @@ def _fit_gp(data: ResidualDataset, config: Config, *, compare: bool, progress: P
 
 
 def _fit_drag(data: ResidualDataset, config: Config) -> tuple[Any, ...]:
-    from quadexp.identify.evaluation import evaluate_drag, split_by_flight
-    from quadexp.identify.linear_drag import fit_linear_drag
+    from quadexp.learn.evaluation import evaluate_drag, split_by_flight
+    from quadexp.learn.linear_drag import fit_linear_drag
 
     options = {name: getattr(config.drag, name) for name in ("intercept", "thrust", "loss", "errors")}
     rows: list[dict[str, Any]] = []

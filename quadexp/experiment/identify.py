@@ -13,11 +13,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from quadexp.config_flight import RotorConfig, VehicleConfig
+from quadexp.config.flight import RotorConfig, VehicleConfig
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
-from quadexp.flight.schema import Flight
-from quadexp.flight.store import (
+from quadexp.learn.offline import Identification, identify_flight
+from quadexp.learn.rls import RLSSettings
+from quadexp.learn.samples import QUATERNION, rotor_columns
+from quadexp.log.schema import Flight
+from quadexp.log.store import (
     check_attitude,
     check_finite,
     check_order,
@@ -26,11 +29,8 @@ from quadexp.flight.store import (
     read_table,
     write_table,
 )
-from quadexp.identify.offline import Identification, identify_flight
-from quadexp.identify.rls import RLSSettings
-from quadexp.identify.samples import QUATERNION, rotor_columns
+from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
-from quadexp.vehicle import Vehicle
 
 METHODS = ("rls", "regression")
 
@@ -124,7 +124,7 @@ def identify_files(
 
 def configured_vehicle(name: str, conf: Path | None) -> Vehicle:
     """A vehicle of the configuration, or of the folder `conf`; raises UsageError where it has none of that name."""
-    from quadexp.compose import compose
+    from quadexp.config.compose import compose
 
     return build_vehicle(compose([f"vehicle={name}"], conf).vehicle)
 

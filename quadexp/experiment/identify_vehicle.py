@@ -12,15 +12,13 @@ import numpy as np
 
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identify import own_vehicle, read_recorded
-from quadexp.flight.schema import Flight
-from quadexp.flight.store import check_output, write_table
-from quadexp.identify.checkpoint import save_model
-from quadexp.identify.lumped import momentum_of
-from quadexp.identify.recursion import Recursion, recurse
-from quadexp.identify.samples import Samples, choose_signal, gather
-from quadexp.identify.selection import STILL, best_level, compare_curves, flight_by_flight, selection
-from quadexp.identify.thrust_curve import ThrustCurve
-from quadexp.identify.vehicle_fit import (
+from quadexp.learn.checkpoint import save_model
+from quadexp.learn.lumped import momentum_of
+from quadexp.learn.recursion import Recursion, recurse
+from quadexp.learn.samples import Samples, choose_signal, gather
+from quadexp.learn.selection import STILL, best_level, compare_curves, flight_by_flight, selection
+from quadexp.learn.thrust_curve import ThrustCurve
+from quadexp.learn.vehicle_fit import (
     AxisFit,
     FitSettings,
     LevelFit,
@@ -28,9 +26,11 @@ from quadexp.identify.vehicle_fit import (
     fit_level,
     fit_vehicle_model,
 )
-from quadexp.identify.vehicle_identification import VehicleIdentification
+from quadexp.learn.vehicle_identification import VehicleIdentification
+from quadexp.log.schema import Flight
+from quadexp.log.store import check_output, write_table
+from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
-from quadexp.vehicle import Vehicle
 
 ESTIMATES_FILE = "estimates.parquet"
 LEAST_IMPROVEMENT = 0.02  # of the held-out error along z, below which the thrust curve c_1, c_2 stays

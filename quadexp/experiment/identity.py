@@ -7,7 +7,7 @@ import json
 from dataclasses import asdict
 from typing import Any
 
-from quadexp.config import Config
+from quadexp.config.schema import Config
 
 FLIGHT_GROUPS = (
     "vehicle",

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.errors import UsageError
-from quadexp.flight.importers.importing import Imported, Options, import_logs
-from quadexp.flight.store import check_output, write_flight
-from quadexp.vehicle import Vehicle
+from quadexp.log.importers.importing import Imported, Options, import_logs
+from quadexp.log.store import check_output, write_flight
+from quadexp.physics.vehicle import Vehicle
 
 
 @dataclass
@@ -94,7 +94,7 @@ def _finish(one: Imported, path: Path, seen: dict[str, str], keep: bool) -> Outc
 
 
 def _duplicate(twin: str) -> Any:
-    from quadexp.flight.check import Finding
+    from quadexp.log.check import Finding
 
     return Finding("duplicate", "blocking", "the whole file", f"the same bytes as {twin}", "every flight once")
 
@@ -113,7 +113,7 @@ def _summary(one: Imported) -> str:
 
 
 def _vehicle(name: str, conf: Path | None) -> Vehicle:
-    from quadexp.compose import compose
+    from quadexp.config.compose import compose
     from quadexp.experiment.build import build_vehicle
 
     return build_vehicle(compose([f"vehicle={name}"], conf).vehicle)

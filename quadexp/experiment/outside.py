@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.experiment.build import ModelFile
-from quadexp.flight.schema import Flight
+from quadexp.log.schema import Flight
 
 UNKNOWN = "the checkpoint does not say what its data cover: fitted by an older version, fit it again"
 
@@ -15,7 +15,7 @@ UNKNOWN = "the checkpoint does not say what its data cover: fitted by an older v
 def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> dict[str, Any] | None:
     """{model, share, shares, ranges, note} of a flight, None where the controller flies without a learned model.
 
-    share: of the samples, 0..1, None where it is unknown. shares: of every feature. See quadexp.identify.support.
+    share: of the samples, 0..1, None where it is unknown. shares: of every feature. See quadexp.learn.support.
     """
     if model is None:
         return None
@@ -24,8 +24,8 @@ def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> di
     record: dict[str, Any] = {"model": model.path, "share": None, "shares": {}, "ranges": ranges, "note": UNKNOWN}
     if not ranges or not len(flight):
         return record | ({"note": "no sample was flown"} if ranges else {})
-    from quadexp.identify.dataset import feature_rows
-    from quadexp.identify.support import outside_shares
+    from quadexp.learn.dataset import feature_rows
+    from quadexp.learn.support import outside_shares
 
     rate = flight.stack(["w_x", "w_y", "w_z"])
     finite = np.isfinite(flight.state).all(axis=1)

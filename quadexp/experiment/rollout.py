@@ -7,17 +7,17 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from quadexp.control.active_set import Status
+from quadexp.air.base import Residual
 from quadexp.control.base import Controller, Measurement, Window
-from quadexp.control.mpc import ModelPredictiveController
-from quadexp.control.mpc_controller import as_controller
+from quadexp.control.mpc.active_set import Status
+from quadexp.control.mpc.controller import as_controller
+from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.errors import ModelDomainError, QuadexpError, UsageError
-from quadexp.flight.schema import Flight
-from quadexp.plant.base import Plant
-from quadexp.residual.base import Residual
-from quadexp.state import POSITION, STATE_COLUMNS, input_columns
-from quadexp.trajectory.base import Trajectory
-from quadexp.trajectory.flatness import Reference, flat_reference
+from quadexp.log.schema import Flight
+from quadexp.physics.state import POSITION, STATE_COLUMNS, input_columns
+from quadexp.reference.base import Trajectory
+from quadexp.reference.flatness import Reference, flat_reference
+from quadexp.world.base import Plant
 
 LOST_DISTANCE = 10.0  # m from the reference: further away nobody calls it tracking
 TIME_RESOLUTION = 1e-9  # s, two sampling times closer than this are one
@@ -25,7 +25,7 @@ INNER_STATES = ("rotor_speed", "induced_velocity")  # (n,) of a plant that has t
 
 
 class Sensor(Protocol):
-    """What stands between the plant's specific force and the controller; see quadexp.sensor."""
+    """What stands between the plant's specific force and the controller; see quadexp.world."""
 
     def read(self, specific_force: np.ndarray, rng: np.random.Generator) -> np.ndarray: ...
 

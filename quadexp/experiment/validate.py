@@ -9,25 +9,25 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.config import Config
+from quadexp.config.schema import Config
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.build_identified import load_identified
-from quadexp.flight.schema import Flight
-from quadexp.flight.store import check_output, read_flight, write_text
-from quadexp.identify.gp_fit import fit_gp
-from quadexp.identify.model import GPModel, GPSettings
-from quadexp.identify.open_loop import TURNING, Track, rollout_errors
-from quadexp.identify.predictors import NOMINAL, Predictor, nominal, predictors
-from quadexp.identify.recorded import recorded_dataset
-from quadexp.identify.samples import gather
-from quadexp.identify.thrust_curve import ThrustCurve
-from quadexp.identify.torque import TorqueModel, explained, torque_lines
-from quadexp.identify.validation import FlightRows, Residuals, band_rows, read_rows, residuals, score_rows
-from quadexp.identify.vehicle_fit import FitSettings, fit_vehicle_model
-from quadexp.identify.vehicle_model import VehicleModel
+from quadexp.learn.gp_fit import fit_gp
+from quadexp.learn.model import GPModel, GPSettings
+from quadexp.learn.open_loop import TURNING, Track, rollout_errors
+from quadexp.learn.predictors import NOMINAL, Predictor, nominal, predictors
+from quadexp.learn.recorded import recorded_dataset
+from quadexp.learn.samples import gather
+from quadexp.learn.thrust_curve import ThrustCurve
+from quadexp.learn.torque import TorqueModel, explained, torque_lines
+from quadexp.learn.validation import FlightRows, Residuals, band_rows, read_rows, residuals, score_rows
+from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
+from quadexp.learn.vehicle_model import VehicleModel
+from quadexp.log.schema import Flight
+from quadexp.log.store import check_output, read_flight, write_text
+from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
-from quadexp.vehicle import Vehicle
 
 HORIZONS = (0.1, 0.5, 1.0)
 REPORT_FILE = "validation.json"
@@ -195,8 +195,8 @@ def refitted(
                 values = {key: value for key, value in model.settings.items() if key in known}
                 fresh = fit_gp(rows, GPSettings(**values))
             else:
-                from quadexp.identify.linear_drag import fit_linear_drag
-                from quadexp.identify.trim import trim
+                from quadexp.learn.linear_drag import fit_linear_drag
+                from quadexp.learn.trim import trim
 
                 fresh = fit_linear_drag(trim(rows).dataset, thrust=False, loss=model.loss, intervals=False)
         made.append((label, fresh))

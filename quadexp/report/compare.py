@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.flight.schema import Flight
-from quadexp.flight.store import read_flight, read_metadata
-from quadexp.identify.checkpoint import load_report
+from quadexp.learn.checkpoint import load_report
+from quadexp.log.schema import Flight
+from quadexp.log.store import read_flight, read_metadata
+from quadexp.physics.state import POSITION
 from quadexp.report.differences import change, differing, figure_lines, record_of, setting_lines
 from quadexp.report.summary import MODEL_FILE, RESULTS_FILE, summarise
-from quadexp.state import POSITION
 
 MEASURED = ("solve_time",)  # columns that two runs of one flight may differ in
 

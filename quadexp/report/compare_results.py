@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import QuadexpError
-from quadexp.flight.cell_store import CellStore
-from quadexp.flight.store import read_metadata, read_table
+from quadexp.log.cell_store import CellStore
+from quadexp.log.store import read_metadata, read_table
 from quadexp.report.common import common
 from quadexp.report.differences import ABSENT, change, differing, record_of, said_relative, setting_lines
 from quadexp.report.inference import holm

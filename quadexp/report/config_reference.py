@@ -2,7 +2,7 @@
 
     python -m quadexp.report.config_reference > docs/configuration.md
 
-Type, range and unit are the schemas' own, the meaning is that of quadexp/config_meaning.py, and the value is what the
+Type, range and unit are the schemas' own, the meaning is that of quadexp/config/meaning.py, and the value is what the
 option sets that is taken by default, or else the one of the schema's own name, or the first that extends it.
 """
 
@@ -15,8 +15,8 @@ from typing import Any, get_type_hints
 
 import yaml
 
-from quadexp.config import SCHEMAS, Config, EvaluateConfig, conf_folder
-from quadexp.config_meaning import MEANINGS
+from quadexp.config.meaning import MEANINGS
+from quadexp.config.schema import SCHEMAS, Config, EvaluateConfig, conf_folder
 
 ASIDE = {"name", "kind", "sweep"}  # set by the option, not by its user
 WORDS = {"float": "number", "int": "whole number", "bool": "true, false", "str": "text", "None": "null", "Any": "rows"}

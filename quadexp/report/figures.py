@@ -19,9 +19,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 
-from quadexp.flight.cell_store import CellStore
-from quadexp.flight.schema import Flight
-from quadexp.flight.store import read_flight, write_bytes, write_text
+from quadexp.log.cell_store import CellStore
+from quadexp.log.schema import Flight
+from quadexp.log.store import read_flight, write_bytes, write_text
 from quadexp.report.common import Flights
 from quadexp.report.metrics import SHOWN, position_error
 from quadexp.report.pairing import condition_of

@@ -15,9 +15,9 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator, PercentFormatter, ScalarFormatter
 
-from quadexp.identify.dataset import ResidualDataset
-from quadexp.identify.model import GPModel, OutputPosterior
-from quadexp.identify.predict import AXIS, Prediction, predict
+from quadexp.learn.dataset import ResidualDataset
+from quadexp.learn.model import GPModel, OutputPosterior
+from quadexp.learn.predict import AXIS, Prediction, predict
 from quadexp.report.style import COLOURS, KNOWN, MARKERS, STYLE, plain_log
 
 ORANGE, BLUE, GREY = KNOWN["linear drag"][0], KNOWN["gp_mpc"][0], "#777777"

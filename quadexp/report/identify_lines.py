@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from quadexp.identify.regression import FLIGHT_CLUSTERS
-from quadexp.identify.terms import TermModel
-from quadexp.identify.torque import torque_lines
-from quadexp.identify.vehicle_model import VehicleModel
+from quadexp.learn.regression import FLIGHT_CLUSTERS
+from quadexp.learn.terms import TermModel
+from quadexp.learn.torque import torque_lines
+from quadexp.learn.vehicle_model import VehicleModel
 
 
 def identification_lines(model: VehicleModel, report: Mapping[str, Any]) -> list[str]:
@@ -49,7 +49,7 @@ def model_lines(model: VehicleModel) -> list[str]:
 
 
 def interval_of(flights: int) -> str:
-    """What the intervals of a fit to so many flights cover (quadexp.identify.regression)."""
+    """What the intervals of a fit to so many flights cover (quadexp.learn.regression)."""
     if flights >= FLIGHT_CLUSTERS:
         return f"over {flights} flights"
     return (

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.flight.schema import Flight
-from quadexp.state import ATTITUDE, POSITION, VELOCITY
+from quadexp.log.schema import Flight
+from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
 
 SATURATION_MARGIN = 1e-6  # share of the thrust range within which a rotor counts as at its limit
 LAST_RESORT = 2  # value of the `status` column

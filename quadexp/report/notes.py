@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from quadexp.identify.support import WORTH_SAYING
+from quadexp.learn.support import WORTH_SAYING
 from quadexp.report.flown_by import mixed_programs
 from quadexp.report.pairing import condition_of, contestant_labels, contestant_of
 

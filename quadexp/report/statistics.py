@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.flight.schema import describe
+from quadexp.log.schema import describe
 from quadexp.report.common import Flights
 from quadexp.report.inference import (
     cohen_d,

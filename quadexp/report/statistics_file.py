@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import QuadexpError
-from quadexp.flight.store import read_table, read_text, write_table, write_text
+from quadexp.log.store import read_table, read_text, write_table, write_text
 from quadexp.report.comparison_table import comparison_latex, comparison_markdown
 from quadexp.report.notes import notes
 from quadexp.report.overall import Overall, overall

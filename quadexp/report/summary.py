@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
-from quadexp.flight.schema import describe
-from quadexp.flight.store import check_finite, has_content_hash, read_metadata, read_table
+from quadexp.log.schema import describe
+from quadexp.log.store import check_finite, has_content_hash, read_metadata, read_table
 from quadexp.report.flown_by import flown_by, flown_by_lines, versions_of
 from quadexp.report.metrics import METRICS
 from quadexp.report.notes import LARGE_ATTITUDE_ERROR
@@ -186,8 +186,8 @@ def _result_lines(record: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], 
 
 
 def _checkpoint(path: Path) -> dict[str, Any]:
-    from quadexp.identify.checkpoint import KINDS, load_model, load_report
-    from quadexp.identify.vehicle_model import VehicleModel
+    from quadexp.learn.checkpoint import KINDS, load_model, load_report
+    from quadexp.learn.vehicle_model import VehicleModel
     from quadexp.report.outside import range_lines
 
     model = load_model(path)

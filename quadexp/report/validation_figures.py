@@ -12,7 +12,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from quadexp.identify.validation import Residuals
+from quadexp.learn.validation import Residuals
 from quadexp.report.style import COLOURS, STYLE, looks
 
 UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}

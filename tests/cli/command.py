@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typer.testing import CliRunner
 
-from quadexp.cli import app
+from quadexp.cli.app import app
 
 
 def run(*arguments):

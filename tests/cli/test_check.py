@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadexp.flight.schema import Flight
-from quadexp.flight.store import read_flight, write_flight
+from quadexp.log.schema import Flight
+from quadexp.log.store import read_flight, write_flight
 from tests.cli.command import run
 
 FLY = (

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadexp.flight.store import read_flight, read_metadata, read_table, write_flight, write_table
+from quadexp.log.store import read_flight, read_metadata, read_table, write_flight, write_table
 from tests.cli.command import run
-from tests.flight.flights import straight_flight
+from tests.log.flights import straight_flight
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = ("simulate", "collect", "fit-gp", "fit-drag", "evaluate", "show", "compare", "report", "export")
@@ -23,7 +23,7 @@ QUICK = ("trajectory=hover", "trajectory.duration=0.5", "controller.backend=inte
 def quadexp(*arguments, cwd, **environment):
     """In a process of its own."""
     return subprocess.run(
-        [sys.executable, "-m", "quadexp.cli", *map(str, arguments)],
+        [sys.executable, "-m", "quadexp", *map(str, arguments)],
         cwd=cwd,
         env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
         capture_output=True,
@@ -44,7 +44,7 @@ class TestHelp:
 
     def test_nothing_heavy_is_imported_for_it(self, tmp_path):
         code = (
-            "import sys; sys.argv = ['quadexp', '--help']\nfrom quadexp.cli import main\n"
+            "import sys; sys.argv = ['quadexp', '--help']\nfrom quadexp.cli.app import main\n"
             "try:\n    main()\nexcept SystemExit: pass\n"
             "heavy = ('torch', 'casadi', 'pandas', 'hydra', 'numpy', 'pyarrow', 'matplotlib', 'scipy', 'rich')\n"
             "print([name for name in heavy if name in sys.modules], file=sys.stderr)"
@@ -56,7 +56,7 @@ class TestHelp:
         code = (
             "import sys; sys.argv = ['quadexp', 'simulate', 'trajectory=circle', 'controller.backend=interpreted',"
             f" 'plant.backend=interpreted', '--out', {str(tmp_path / 'a.parquet')!r}]\n"
-            "from quadexp.cli import main\n"
+            "from quadexp.cli.app import main\n"
             "try:\n    main()\nexcept SystemExit: pass\n"
             "heavy = ('torch', 'pandas', 'matplotlib', 'scipy.interpolate', 'scipy.spatial', 'scipy.special')\n"
             "print([name for name in heavy if name in sys.modules], file=sys.stderr)"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from quadexp.flight.store import read_table
+from quadexp.log.store import read_table
 from tests.cli.test_cli import QUICK, quadexp, run
 
 SWEEP = ("--sweep", *QUICK, "controller=nominal_mpc,perfect_mpc", "seed=range(3)", "--no-figures")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 
-from quadexp.flight.store import write_flight
+from quadexp.log.store import write_flight
 from tests.cli.command import run
-from tests.flight.flights import straight_flight
+from tests.log.flights import straight_flight
 
 QUICK = ("trajectory=hover", "trajectory.duration=0.3", "controller.backend=interpreted", "plant.backend=interpreted")
 

@@ -7,11 +7,11 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from quadexp.cli import app
-from quadexp.flight.store import write_flight
-from quadexp.identify.checkpoint import save_model
-from quadexp.identify.vehicle_fit import FitSettings, fit_vehicle_model
-from tests.identify.recorded_flights import crazyflie, recorded_flight
+from quadexp.cli.app import app
+from quadexp.learn.checkpoint import save_model
+from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
+from quadexp.log.store import write_flight
+from tests.learn.recorded_flights import crazyflie, recorded_flight
 
 VEHICLE = crazyflie()
 

@@ -14,8 +14,8 @@ import pytest
 import typer.main
 from typer.testing import CliRunner
 
-from quadexp.cli import app
-from quadexp.compose import session
+from quadexp.cli.app import app
+from quadexp.config.compose import session
 from tests.docs.commands import ROOT, commands, inline, steps
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "benchmarks").glob("*.md")])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from quadexp.config_meaning import MEANINGS
+from quadexp.config.meaning import MEANINGS
 from quadexp.report.config_reference import keys, reference
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "configuration.md"

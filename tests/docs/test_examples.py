@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadexp.compose import compose
+from quadexp.config.compose import compose
 from quadexp.experiment.build import build_plant, build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import fly_one
-from quadexp.experiment.sweep import run_sweep
+from quadexp.physics.state import VELOCITY
 from quadexp.report.metrics import position_error
-from quadexp.state import VELOCITY
+from quadexp.sweep.sweep import run_sweep
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 INTERPRETED = ("plant.backend=interpreted", "controller.backend=interpreted")
@@ -113,7 +113,7 @@ def test_an_edited_class_is_flown_anew(tmp_path, monkeypatch):
     conf = tmp_path / "conf"
     shutil.copytree(EXAMPLES, conf)
     module = conf / "circle_of_mine.py"
-    text = "from quadexp.trajectory.hover import Hover\n\ndef make(duration):\n    return Hover(duration=duration)\n"
+    text = "from quadexp.reference.hover import Hover\n\ndef make(duration):\n    return Hover(duration=duration)\n"
     module.write_text(text)
     (conf / "trajectory" / "mine.yaml").write_text(
         "defaults: [/schema/trajectory/custom@_here_, _self_]\nname: mine\n_target_: circle_of_mine.make\n"
@@ -122,7 +122,7 @@ def test_an_edited_class_is_flown_anew(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(conf))
 
     def sweep():
-        from quadexp.compose import expand
+        from quadexp.config.compose import expand
 
         cells = expand(["trajectory=mine", "seed=0,1", *INTERPRETED], conf)
         return run_sweep(cells, tmp_path / "results", isolate=False)

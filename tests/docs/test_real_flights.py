@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from quadexp.cli import app
+from quadexp.cli.app import app
 from tests.docs.commands import ROOT, commands
-from tests.flight.importers import logs
+from tests.log.importers import logs
 
 PAGE = ROOT / "docs" / "real_flights.md"
 DATA = ROOT.parent / "shared" / "data" / "nanobench"

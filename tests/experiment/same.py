@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from quadexp.flight.cell_store import CellStore
-from quadexp.flight.store import read_flight
+from quadexp.log.cell_store import CellStore
+from quadexp.log.store import read_flight
 
 
 def same_results(first, second):

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadexp.compose import compose, expand
+from quadexp.config.compose import compose, expand
 from quadexp.errors import UsageError
 from quadexp.experiment.collect import Setpoints, collect_flights, setpoints
 from quadexp.experiment.evaluate import InfeasibleError, fly_one, generator
-from quadexp.experiment.sweep import run_sweep
-from quadexp.flight.cell_store import CellStore
-from quadexp.flight.store import read_flight
-from quadexp.state import STATE_COLUMNS
-from quadexp.trajectory.base import Trajectory
+from quadexp.log.cell_store import CellStore
+from quadexp.log.store import read_flight
+from quadexp.physics.state import STATE_COLUMNS
+from quadexp.reference.base import Trajectory
+from quadexp.sweep.sweep import run_sweep
 
 INTERPRETED = ["controller.backend=interpreted", "plant.backend=interpreted"]
 SHORT = ["trajectory=step", "trajectory.duration=1", "trajectory.step_time=0.2", *INTERPRETED]

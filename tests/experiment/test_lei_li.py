@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.compose import compose
+from quadexp.config.compose import compose
 from quadexp.control.base import Measurement, Window
 from quadexp.errors import ModelDomainError, UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_sensor, build_trajectory, build_vehicle
@@ -161,7 +161,7 @@ class TestCorners:
 
     def test_a_rotor_that_stands_still(self, lei_li, blade):
         """Allowed at rest only: in moving air its advance ratio does not exist."""
-        from quadexp.plant.blade_element import BladeElementEffects, BladeElementPlant
+        from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant
 
         plant = BladeElementPlant(lei_li, blade, BladeElementEffects(rotor_speed_min=0.0), backend="interpreted")
         x, u = self.start(velocity=[5.0, 0.0, 0.0]), np.array([0.0, 2.0, 2.0, 2.0])

@@ -8,10 +8,10 @@ import math
 import numpy as np
 import pytest
 
-from quadexp.flight.store import read_flight, read_metadata, read_table
-from quadexp.identify.checkpoint import load_model, save_model
-from quadexp.identify.dataset import read_dataset
-from quadexp.identify.linear_drag import fit_linear_drag
+from quadexp.learn.checkpoint import load_model, save_model
+from quadexp.learn.dataset import read_dataset
+from quadexp.learn.linear_drag import fit_linear_drag
+from quadexp.log.store import read_flight, read_metadata, read_table
 from quadexp.report.notes import notes
 from tests.cli.command import run
 
@@ -92,8 +92,8 @@ def test_rows_of_an_older_table_are_unknown_not_inside():
 
 
 def test_what_an_older_table_lacks_is_unknown_after_it_is_recalled():
-    from quadexp.experiment.rows import Rows
     from quadexp.report.tables import to_columns
+    from quadexp.sweep.rows import Rows
 
     old = to_columns([{"controller": "gp_mpc", "model": "models/gp", "outcome": "ok"}] * 50)
     del old["outside_data"]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from quadexp.compose import compose
+from quadexp.config.compose import compose
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.report.summary import flight_lines
@@ -120,9 +120,9 @@ class TestFlownByAll:
         assert flight.metadata["reference_residual"] is None
 
     def test_the_share_is_a_column_of_results(self, tmp_path):
-        from quadexp.compose import expand
-        from quadexp.experiment.sweep import run_sweep
-        from quadexp.flight.store import read_table
+        from quadexp.config.compose import expand
+        from quadexp.log.store import read_table
+        from quadexp.sweep.sweep import run_sweep
 
         grid = ["trajectory=random", "trajectory.extent=20", "trajectory.speed=60", "seed=2"]
         result = run_sweep(expand([*grid, "controller=nominal_mpc,perfect_mpc"]), tmp_path / "r", workers=1)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.control.mpc import ModelPredictiveController
-from quadexp.control.settings import MPCSettings
+from quadexp.air.none import no_residual
+from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.rollout import SampledReference
-from quadexp.residual.none import no_residual
-from quadexp.trajectory import Circle
-from quadexp.trajectory.flatness import flat_reference
+from quadexp.reference import Circle
+from quadexp.reference.flatness import flat_reference
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-START = "import sys; from quadexp.cli import main; sys.exit(main())"
+START = "import sys; from quadexp.cli.app import main; sys.exit(main())"
 FLY = (
     "simulate", "trajectory=hover", "trajectory.duration=0.4", "controller=nominal_mpc", "plant=ideal",
     "controller.backend=interpreted", "plant.backend=interpreted",

@@ -12,7 +12,7 @@ import time
 import casadi as ca
 import pytest
 
-from quadexp.backend import cache_folder, compiler, realise
+from quadexp.compile.backend import cache_folder, compiler, realise
 from quadexp.errors import QuadexpError
 from tests.faults.command import ROOT
 
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 
 CODE = """
 import casadi as ca
-from quadexp.backend import realise
+from quadexp.compile.backend import realise
 x = ca.SX.sym("x")
 function = realise(ca.Function("cube", [x], [x**3 + 0.1]), "compiled")
 print(repr(float(function(1.5))))
@@ -137,7 +137,7 @@ def test_a_compiler_of_several_words(folder):
     ],
 )
 def test_a_compiler_that_does_not_end_well(folder, tmp_path, body, said):
-    impatient = "import quadexp.compiler; quadexp.compiler.PATIENCE = 1\n"
+    impatient = "import quadexp.compile.compiler; quadexp.compile.compiler.PATIENCE = 1\n"
     started = process(folder, script(tmp_path / "cc", body), before=impatient)
     assert said in refused(started)
     assert not list(folder.glob("*.so"))

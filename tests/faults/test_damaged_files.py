@@ -8,15 +8,15 @@ import shutil
 import numpy as np
 import pytest
 
-from quadexp.compose import compose
+from quadexp.config.compose import compose
 from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.identify import identify_files, read_recorded
-from quadexp.flight.schema import Flight
-from quadexp.flight.store import read_flight, write_flight
-from quadexp.identify.checkpoint import MODEL_FILE, load_model, load_report, save_model
-from quadexp.identify.linear_drag import LinearDrag
-from quadexp.state import STATE_COLUMNS, input_columns
+from quadexp.learn.checkpoint import MODEL_FILE, load_model, load_report, save_model
+from quadexp.learn.linear_drag import LinearDrag
+from quadexp.log.schema import Flight
+from quadexp.log.store import read_flight, write_flight
+from quadexp.physics.state import STATE_COLUMNS, input_columns
 
 TRIES = 300
 

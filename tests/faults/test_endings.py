@@ -50,7 +50,7 @@ def test_output_that_cannot_be_written(words):
 
 def test_a_terminal_of_few_letters():
     """A page of results is not lost for a thin blank, and a path that is no text comes out as it went in."""
-    code = "from quadexp.terminal import prepare; prepare(); print('14.1 µs, 5\\u202f%, ± 1, 飛', '/a/\\udcfc')"
+    code = "from quadexp.cli.terminal import prepare; prepare(); print('14.1 µs, 5\\u202f%, ± 1, 飛', '/a/\\udcfc')"
     known = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "ascii"}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, env=known)
     assert done.stdout == b"14.1 us, 5 %, +- 1, ? /a/\xfc\n", done.stderr

@@ -10,7 +10,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from quadexp.flight.store import read_flight
+from quadexp.log.store import read_flight
 from tests.faults.command import FLY, one_line, run
 
 COMPILED = tuple(word.replace("interpreted", "auto") for word in FLY)

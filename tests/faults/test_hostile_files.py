@@ -18,17 +18,17 @@ import pyarrow.parquet as pq
 import pytest
 
 from quadexp.errors import DataError
-from quadexp.flight.importers.table import open_table
-from quadexp.flight.schema import Flight
-from quadexp.flight.store import read_flight, read_table, write_flight, write_table
-from quadexp.identify.checkpoint import MODEL_FILE, load_model, load_report, save_model
-from quadexp.identify.gp_fit import fit_gp
-from quadexp.identify.model import GPSettings
+from quadexp.learn.checkpoint import MODEL_FILE, load_model, load_report, save_model
+from quadexp.learn.gp_fit import fit_gp
+from quadexp.learn.model import GPSettings
+from quadexp.log.importers.table import open_table
+from quadexp.log.schema import Flight
+from quadexp.log.store import read_flight, read_table, write_flight, write_table
 from quadexp.messages import clean
-from quadexp.state import STATE_COLUMNS, input_columns
-from tests.experiment.test_dask import make_checkpoint
+from quadexp.physics.state import STATE_COLUMNS, input_columns
 from tests.faults.command import ROOT, START, one_line, run
-from tests.identify.synthetic import synthetic_dataset
+from tests.learn.synthetic import synthetic_dataset
+from tests.sweep.test_dask import make_checkpoint
 
 MEMORY = """
 import atexit

@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 
-from quadexp.compose import session
+from quadexp.config.compose import session
 from quadexp.errors import UsageError
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.evaluate import fly_one

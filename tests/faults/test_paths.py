@@ -7,9 +7,9 @@ import stat
 
 import pytest
 
-from quadexp.compose import compose, expand, session
+from quadexp.config.compose import compose, expand, session
 from quadexp.errors import UsageError
-from quadexp.flight.store import check_output
+from quadexp.log.store import check_output
 
 NAMES = (
     "a=b", "jürgen", "飛行", "a#b", "q'uo", "back\\slash", "end\\", "mix\\'x", "(copy)", "~t", "run [2]", "{x}",

@@ -8,12 +8,12 @@ import shutil
 
 import pytest
 
-from quadexp.compose import expand
+from quadexp.config.compose import expand
 from quadexp.errors import DataError, UsageError
-from quadexp.experiment.sweep import run_sweep
-from quadexp.flight.cell_store import CellStore
+from quadexp.log.cell_store import CellStore
 from quadexp.report.figures import draw_results
-from tests.experiment.cells import quick_cell
+from quadexp.sweep.sweep import run_sweep
+from tests.sweep.cells import quick_cell
 
 
 def fly(out, seeds=2, **options):

@@ -10,14 +10,14 @@ import subprocess
 
 import pytest
 
-from quadexp.cluster.engines import build_engine
-from quadexp.compose import compose, expand
+from quadexp.config.compose import compose, expand
 from quadexp.errors import QuadexpError
-from quadexp.experiment.sweep import run_sweep
-from quadexp.flight.cell_store import CellStore
-from quadexp.flight.store import read_flight
-from tests.experiment.cells import CountedCell
+from quadexp.log.cell_store import CellStore
+from quadexp.log.store import read_flight
+from quadexp.sweep.cluster.engines import build_engine
+from quadexp.sweep.sweep import run_sweep
 from tests.faults.command import FLY, one_line, run
+from tests.sweep.cells import CountedCell
 
 
 def files(folder):

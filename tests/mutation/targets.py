@@ -7,80 +7,83 @@ from pathlib import Path
 
 MECHANICS = (
     "tests/properties/test_mechanics.py",
-    "tests/dynamics/test_rigid_body.py",
+    "tests/physics/test_rigid_body.py",
     "tests/properties/test_frames.py",
     "tests/properties/test_integrators.py",
     "tests/properties/test_symmetry.py",
 )
-AIR = ("tests/dynamics/test_blade_element.py", "tests/properties/test_blade_limits.py")
+AIR = ("tests/physics/test_blade_element.py", "tests/properties/test_blade_limits.py")
 STEP = (
-    "tests/control/test_riccati.py",
-    "tests/control/test_attitude_guard.py",
-    "tests/control/test_step.py",
-    "tests/control/test_active_set.py",
-    "tests/control/test_dual_active_set.py",
+    "tests/control/mpc/test_riccati.py",
+    "tests/control/mpc/test_attitude_guard.py",
+    "tests/control/mpc/test_step.py",
+    "tests/control/mpc/test_active_set.py",
+    "tests/control/mpc/test_dual_active_set.py",
     "tests/properties/test_optimality.py",
-    "tests/control/test_mpc.py",
+    "tests/control/mpc/test_mpc.py",
     "tests/stress",
     "tests/properties/test_closed_loop.py",
 )
-JACOBIANS = ("tests/dynamics/test_sensitivity.py", "tests/properties/test_jacobians.py")
-RESIDUAL = ("tests/residual", "tests/properties/test_jacobians.py", "tests/plant/test_blade_element.py")
+JACOBIANS = ("tests/physics/test_sensitivity.py", "tests/properties/test_jacobians.py")
+RESIDUAL = ("tests/air", "tests/properties/test_jacobians.py", "tests/world/test_blade_element.py")
 
 TARGETS: dict[str, tuple[str, ...]] = {
-    "quadexp/rotation.py": MECHANICS,
-    "quadexp/rotor.py": (*AIR, "tests/residual"),
-    "quadexp/dynamics/rigid_body.py": MECHANICS,
-    "quadexp/dynamics/integrator.py": MECHANICS,
-    "quadexp/dynamics/scalars.py": JACOBIANS,
-    "quadexp/dynamics/sensitivity.py": JACOBIANS,
-    "quadexp/dynamics/drag.py": (*RESIDUAL, "tests/plant/test_simplified.py"),
-    "quadexp/dynamics/motor.py": (*RESIDUAL, "tests/plant/test_simplified.py"),
-    "quadexp/dynamics/blade_element.py": AIR,
-    "quadexp/dynamics/aerodynamic_point.py": AIR,
-    "quadexp/dynamics/induced_velocity.py": ("tests/dynamics/test_induced_velocity.py", *AIR),
-    "quadexp/plant/simplified.py": (
-        "tests/residual/test_contract.py",
-        "tests/plant/test_simplified.py",
+    "quadexp/physics/rotation.py": MECHANICS,
+    "quadexp/physics/rotor.py": (*AIR, "tests/air"),
+    "quadexp/physics/rigid_body.py": MECHANICS,
+    "quadexp/physics/integrator.py": MECHANICS,
+    "quadexp/physics/scalars.py": JACOBIANS,
+    "quadexp/physics/sensitivity.py": JACOBIANS,
+    "quadexp/physics/drag.py": (*RESIDUAL, "tests/world/test_simplified.py"),
+    "quadexp/physics/motor.py": (*RESIDUAL, "tests/world/test_simplified.py"),
+    "quadexp/physics/blade_element.py": AIR,
+    "quadexp/physics/aerodynamic_point.py": AIR,
+    "quadexp/physics/induced_velocity.py": ("tests/physics/test_induced_velocity.py", *AIR),
+    "quadexp/world/simplified.py": (
+        "tests/air/test_contract.py",
+        "tests/world/test_simplified.py",
         "tests/properties/test_mechanics.py",
         "tests/properties/test_symmetry.py",
     ),
-    "quadexp/plant/period.py": (
-        "tests/plant/test_simplified.py",
-        "tests/plant/test_blade_element.py",
+    "quadexp/world/period.py": (
+        "tests/world/test_simplified.py",
+        "tests/world/test_blade_element.py",
         "tests/properties/test_mechanics.py",
     ),
-    "quadexp/plant/blade_element*.py": (
-        "tests/plant/test_blade_element_flight.py",
-        "tests/plant/test_blade_element.py",
+    "quadexp/world/blade_element*.py": (
+        "tests/world/test_blade_element_flight.py",
+        "tests/world/test_blade_element.py",
         "tests/properties/test_mechanics.py",
         "tests/properties/test_symmetry.py",
         "tests/properties/test_blade_limits.py",
     ),
-    "quadexp/residual/*.py": (*RESIDUAL, "tests/dynamics/test_sensitivity.py"),
-    "quadexp/control/step.py": STEP,
-    "quadexp/control/attitude_error.py": STEP,
-    "quadexp/control/subproblem.py": STEP,
-    "quadexp/control/riccati*": ("tests/control/test_riccati.py", "tests/control/test_active_set.py"),
-    "quadexp/residual/gp_sums.c": ("tests/residual/test_compiled_sums.py",),
-    "quadexp/control/active_set.*": ("tests/control/test_active_set.py", "tests/control/test_step.py"),
-    "quadexp/control/dual_active_set.py": ("tests/control/test_dual_active_set.py", "tests/control/test_active_set.py"),
-    "quadexp/control/first_solve.py": ("tests/control/test_first_solve.py", *STEP),
-    "quadexp/control/mpc.py": STEP[1:] + STEP[:1],
-    "quadexp/trajectory/flat*.py": (
-        "tests/trajectory/test_flat_map.py",
-        "tests/trajectory/test_flatness.py",
+    "quadexp/air/*.py": (*RESIDUAL, "tests/physics/test_sensitivity.py"),
+    "quadexp/control/mpc/step.py": STEP,
+    "quadexp/control/mpc/attitude_error.py": STEP,
+    "quadexp/control/mpc/subproblem.py": STEP,
+    "quadexp/control/mpc/riccati*": ("tests/control/mpc/test_riccati.py", "tests/control/mpc/test_active_set.py"),
+    "quadexp/air/gp_sums.c": ("tests/air/test_compiled_sums.py",),
+    "quadexp/control/mpc/active_set.*": ("tests/control/mpc/test_active_set.py", "tests/control/mpc/test_step.py"),
+    "quadexp/control/mpc/dual_active_set.py": (
+        "tests/control/mpc/test_dual_active_set.py",
+        "tests/control/mpc/test_active_set.py",
+    ),
+    "quadexp/control/mpc/first_solve.py": ("tests/control/mpc/test_first_solve.py", *STEP),
+    "quadexp/control/mpc/mpc.py": STEP[1:] + STEP[:1],
+    "quadexp/reference/flat*.py": (
+        "tests/reference/test_flat_map.py",
+        "tests/reference/test_flatness.py",
         "tests/properties/test_flatness.py",
     ),
-    "quadexp/trajectory/motion.py": (
-        "tests/trajectory/test_motion.py",
-        "tests/trajectory/test_flatness.py",
+    "quadexp/reference/motion.py": (
+        "tests/reference/test_motion.py",
+        "tests/reference/test_flatness.py",
         "tests/properties/test_flatness.py",
     ),
-    "quadexp/trajectory/air_step.py": ("tests/trajectory/test_air_step.py", "tests/trajectory/test_fixed_point.py"),
-    "quadexp/identify/rls_step.py": ("tests/identify/test_rls.py", "tests/properties/test_identification.py"),
+    "quadexp/reference/air_step.py": ("tests/reference/test_air_step.py", "tests/reference/test_fixed_point.py"),
+    "quadexp/learn/rls_step.py": ("tests/learn/test_rls.py", "tests/properties/test_identification.py"),
 }
-COMPILED = ("*.c", "quadexp/control/riccati.py")
+COMPILED = ("*.c", "quadexp/control/mpc/riccati.py")
 
 
 def runs_compiled(file: str) -> bool:

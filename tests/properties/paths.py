@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadexp.trajectory.base import FlatOutput
+from quadexp.reference.base import FlatOutput
 from tests.properties.strategies import make_state
 
 DURATION = 1.5  # s

@@ -13,16 +13,16 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from quadexp.dynamics.rotor_coefficients import static_coefficients
-from quadexp.plant import PlantEffects
-from quadexp.plant.blade_element import BladeElementEffects
-from quadexp.residual.base import Residual
-from quadexp.residual.blade_element import blade_element_residual
-from quadexp.residual.gaussian_process import GPOutput, gaussian_process_residual
-from quadexp.residual.linear_drag import linear_drag_residual
-from quadexp.residual.none import no_residual
-from quadexp.rotor import BladeCoefficients, RotorGeometry
-from quadexp.vehicle import Vehicle
+from quadexp.air.base import Residual
+from quadexp.air.blade_element import blade_element_residual
+from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
+from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.air.none import no_residual
+from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
+from quadexp.physics.rotor_coefficients import static_coefficients
+from quadexp.physics.vehicle import Vehicle
+from quadexp.world import PlantEffects
+from quadexp.world.blade_element import BladeElementEffects
 
 
 def few(test):

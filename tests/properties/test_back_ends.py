@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from quadexp.backend import BufferedFunction, compiler, realise
-from quadexp.control.mpc import ModelPredictiveController
-from quadexp.control.settings import MPCSettings
-from quadexp.dynamics.sensitivity import rk4_sensitivity_function
-from quadexp.plant import SimplifiedPlant
-from quadexp.plant.blade_element import BladeElementPlant
-from quadexp.trajectory import flat_reference
+from quadexp.compile.backend import BufferedFunction, compiler, realise
+from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.settings import MPCSettings
+from quadexp.physics.sensitivity import rk4_sensitivity_function
+from quadexp.reference import flat_reference
+from quadexp.world import SimplifiedPlant
+from quadexp.world.blade_element import BladeElementPlant
 from tests.properties.paths import Wander, near
 from tests.properties.strategies import (
     generators,

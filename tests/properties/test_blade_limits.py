@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadexp.dynamics.aerodynamic_point import aerodynamic_point
-from quadexp.dynamics.blade_element import blade_forces, body_drag
-from quadexp.dynamics.drag import linear_drag_force, quadratic_drag_force
-from quadexp.dynamics.induced_velocity import balance, starting_point
-from quadexp.dynamics.motor import thrust_loss
-from quadexp.dynamics.rotor_coefficients import motor_coefficients, static_coefficients
+from quadexp.air.blade_element import blade_element_residual
 from quadexp.errors import ModelDomainError
-from quadexp.plant.blade_element import BladeElementPlant
-from quadexp.residual.blade_element import blade_element_residual
+from quadexp.physics.aerodynamic_point import aerodynamic_point
+from quadexp.physics.blade_element import blade_forces, body_drag
+from quadexp.physics.drag import linear_drag_force, quadratic_drag_force
+from quadexp.physics.induced_velocity import balance, starting_point
+from quadexp.physics.motor import thrust_loss
+from quadexp.physics.rotor_coefficients import motor_coefficients, static_coefficients
+from quadexp.world.blade_element import BladeElementPlant
 from tests.properties.strategies import few, generators, make_blade, make_thrusts, vehicles
 
 flat_vehicles = vehicles(flat=True)

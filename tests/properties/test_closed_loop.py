@@ -13,17 +13,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.air.none import no_residual
 from quadexp.control.feedback.aerodynamics import KnownCoefficients
 from quadexp.control.feedback.controller import FeedbackController
 from quadexp.control.feedback.settings import VARIANTS, FeedbackSettings
-from quadexp.control.mpc import ModelPredictiveController
-from quadexp.control.settings import MPCSettings
+from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.rollout import SampledReference, fly
-from quadexp.plant import PlantEffects, SimplifiedPlant
-from quadexp.plant.blade_element import BladeElementPlant
-from quadexp.residual.linear_drag import linear_drag_residual
-from quadexp.residual.none import no_residual
-from quadexp.state import STATE_COLUMNS
+from quadexp.physics.state import STATE_COLUMNS
+from quadexp.world import PlantEffects, SimplifiedPlant
+from quadexp.world.blade_element import BladeElementPlant
 from tests.properties.paths import Transformed, Wander, near
 from tests.properties.strategies import few, generators, make_effects
 from tests.properties.test_symmetry import MIRROR, mirrored, mirrored_vehicle, turned_world, z_turn

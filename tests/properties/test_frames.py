@@ -17,8 +17,8 @@ from quadexp.control.feedback.frames import (
     state_from_ned,
     yaw_ned,
 )
-from quadexp.rotation import rotation_matrix
-from quadexp.state import ATTITUDE, POSITION, RATE, VELOCITY
+from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from tests.properties.strategies import generators, make_state
 
 angles = st.floats(-3.1, 3.1)

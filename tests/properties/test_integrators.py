@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from quadexp.dynamics import integrator
-from quadexp.dynamics.rigid_body import corrected_function
-from quadexp.dynamics.sensitivity import rk4_sensitivity_function
-from quadexp.plant import SimplifiedPlant
-from quadexp.plant.blade_element import BladeElementPlant
-from quadexp.plant.blade_element_period import METHODS
+from quadexp.physics import integrator
+from quadexp.physics.rigid_body import corrected_function
+from quadexp.physics.sensitivity import rk4_sensitivity_function
+from quadexp.world import SimplifiedPlant
+from quadexp.world.blade_element import BladeElementPlant
+from quadexp.world.blade_element_period import METHODS
 from tests.properties.strategies import (
     few,
     generators,

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from quadexp.dynamics.sensitivity import rk4_sensitivity_function
-from quadexp.plant import SimplifiedPlant
-from quadexp.residual.blade_element import blade_element_residual
-from quadexp.residual.gaussian_process import gaussian_process_residual
-from quadexp.residual.linear_drag import linear_drag_residual
-from quadexp.residual.none import no_residual
+from quadexp.air.blade_element import blade_element_residual
+from quadexp.air.gaussian_process import gaussian_process_residual
+from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.air.none import no_residual
+from quadexp.physics.sensitivity import rk4_sensitivity_function
+from quadexp.world import SimplifiedPlant
 from tests.properties import complex_model
 from tests.properties.strategies import (
     few,

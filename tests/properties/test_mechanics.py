@@ -7,12 +7,12 @@ import numpy as np
 from hypothesis import given
 from scipy.spatial.transform import Rotation
 
-from quadexp.dynamics.integrator import rk4_step
-from quadexp.dynamics.rigid_body import corrected_function, rigid_body_function, state_derivative
-from quadexp.plant import SimplifiedPlant
-from quadexp.plant.blade_element import BladeElementPlant
-from quadexp.rotation import quaternion_rate, rotation_matrix
-from quadexp.state import ATTITUDE, POSITION, RATE, VELOCITY
+from quadexp.physics.integrator import rk4_step
+from quadexp.physics.rigid_body import corrected_function, rigid_body_function, state_derivative
+from quadexp.physics.rotation import quaternion_rate, rotation_matrix
+from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
+from quadexp.world import SimplifiedPlant
+from quadexp.world.blade_element import BladeElementPlant
 from tests.properties.strategies import (
     generators,
     make_blade,

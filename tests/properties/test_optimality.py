@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadexp.control.active_set import Status
-from quadexp.control.mpc import MAX_TURN, ModelPredictiveController
-from quadexp.control.settings import MPCSettings
-from quadexp.trajectory import flat_reference
-from tests.control.converged import ConvergedProblem
+from quadexp.control.mpc.active_set import Status
+from quadexp.control.mpc.mpc import MAX_TURN, ModelPredictiveController
+from quadexp.control.mpc.settings import MPCSettings
+from quadexp.reference import flat_reference
+from tests.control.mpc.converged import ConvergedProblem
 from tests.properties.paths import Wander, near
 from tests.properties.strategies import few, generators, make_residual, rotor_counts, vehicles
 

@@ -14,12 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from quadexp.dynamics.rigid_body import corrected_function
-from quadexp.plant import SimplifiedPlant
-from quadexp.plant.blade_element import BladeElementPlant
-from quadexp.residual.gaussian_process import gaussian_process_residual
-from quadexp.residual.linear_drag import linear_drag_residual
-from quadexp.state import ATTITUDE, POSITION, RATE, VELOCITY
+from quadexp.air.gaussian_process import gaussian_process_residual
+from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.physics.rigid_body import corrected_function
+from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
+from quadexp.world import SimplifiedPlant
+from quadexp.world.blade_element import BladeElementPlant
 from tests.properties.strategies import (
     few,
     generators,

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.flight.cell_store import CellStore
-from quadexp.flight.schema import Flight
-from quadexp.flight.store import write_flight, write_table
+from quadexp.log.cell_store import CellStore
+from quadexp.log.schema import Flight
+from quadexp.log.store import write_flight, write_table
 from quadexp.report.metrics import flight_metrics
 from quadexp.report.tables import to_columns
-from tests.flight.flights import straight_flight
+from tests.log.flights import straight_flight
 
 ROTORS = [[0.17, -0.17, 0.0], [-0.17, -0.17, 0.0], [-0.17, 0.17, 0.0], [0.17, 0.17, 0.0]]
 ERRORS = {"nominal_mpc": 0.04, "linear_drag_mpc": 0.012, "gp_mpc": 0.002, "perfect_mpc": 0.0015}  # m per m/s

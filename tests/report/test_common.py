@@ -7,9 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from quadexp.compose import expand
-from quadexp.experiment.sweep import run_sweep
-from quadexp.flight.store import write_table
+from quadexp.config.compose import expand
+from quadexp.log.store import write_table
 from quadexp.report.common import Flights, common, flew_least
 from quadexp.report.compare import compare
 from quadexp.report.figures import draw_results, error_against_speed
@@ -21,6 +20,7 @@ from quadexp.report.page.source import read_comparison
 from quadexp.report.statistics import compute_statistics
 from quadexp.report.tables import error_table, to_columns, to_latex, to_markdown
 from quadexp.report.winner import verdicts
+from quadexp.sweep.sweep import run_sweep
 from tests.report.test_tables import row
 
 TIMES = {"solve_time_median": 3e-5, "solve_time_p99": 6e-5, "backend": "compiled"}

@@ -8,19 +8,19 @@ import math
 import numpy as np
 import pytest
 
-from quadexp.compose import compose, expand
+from quadexp.config.compose import compose, expand
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import describe, result_row
-from quadexp.experiment.sweep import run_sweep
-from quadexp.flight.store import write_flight, write_table
-from quadexp.identify.checkpoint import save_model
-from quadexp.identify.linear_drag import LinearDrag
+from quadexp.learn.checkpoint import save_model
+from quadexp.learn.linear_drag import LinearDrag
+from quadexp.log.store import write_flight, write_table
 from quadexp.report.compare import compare
 from quadexp.report.differences import change, differing
 from quadexp.report.tables import to_columns
+from quadexp.sweep.sweep import run_sweep
 from tests.experiment import cells
-from tests.flight.flights import straight_flight
+from tests.log.flights import straight_flight
 from tests.report.test_tables import row
 
 
@@ -114,7 +114,7 @@ class TestKinds:
 class TestResults:
     @staticmethod
     def sweep(folder, *overrides):
-        """Flights whose error is 10 mm times the seed (tests/experiment/cells.py)."""
+        """Flights whose error is 10 mm times the seed (tests/sweep/cells.py)."""
         run_sweep(expand(list(overrides)), folder, function=cells.quick_cell, isolate=False)
         return folder
 

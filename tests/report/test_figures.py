@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quadexp.report.figures import error_against_speed, save, solve_times, tracked_paths
-from tests.flight.flights import straight_flight
+from tests.log.flights import straight_flight
 from tests.report.test_tables import row
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.flight.store import read_table
+from quadexp.log.store import read_table
 from quadexp.report.page import make_report
 from quadexp.report.page.figures import pareto_front
 from quadexp.report.page.provenance import sweep_command

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from quadexp.flight.store import write_table
+from quadexp.log.store import write_table
 from quadexp.report.page import make_report
 from quadexp.report.tables import to_columns
 from tests.report.results import make_results

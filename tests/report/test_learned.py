@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from quadexp.flight.schema import Flight
-from quadexp.flight.store import read_flight, read_table, write_flight, write_table
-from quadexp.identify.checkpoint import save_model
-from quadexp.identify.gp_fit import fit_gp
-from quadexp.identify.model import GPSettings
+from quadexp.learn.checkpoint import save_model
+from quadexp.learn.gp_fit import fit_gp
+from quadexp.learn.model import GPSettings
+from quadexp.log.schema import Flight
+from quadexp.log.store import read_flight, read_table, write_flight, write_table
 from quadexp.report.page import make_report
 from quadexp.report.page.fits import estimate_panel, fit_panel, identified, read_checkpoint
 from quadexp.report.page.palette import PAPER
 from quadexp.report.style import looks
-from tests.flight.flights import straight_flight
-from tests.identify.synthetic import synthetic_dataset
+from tests.learn.synthetic import synthetic_dataset
+from tests.log.flights import straight_flight
 from tests.report.results import make_results
 
 CONSTANT = {"plant": {"profile_drag": 0.22, "lift_slope": 3.32, "body_drag": [0.01, 0.01, 0.02]}}

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.flight.schema import Flight
+from quadexp.log.schema import Flight
 from quadexp.report.metrics import METRICS, attitude_error, flight_metrics, position_error, saturated_share
-from tests.flight.flights import straight_flight
+from tests.log.flights import straight_flight
 
 
 def test_a_constant_offset_is_every_error_at_once():

@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 
-from quadexp.flight.store import read_metadata
+from quadexp.log.store import read_metadata
 from quadexp.report import inference, statistics_file
 from quadexp.report.overall import overall
 from quadexp.report.pairing import contestant_labels, split_variant, variant_parts

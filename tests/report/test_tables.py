@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 
-from quadexp.flight.store import read_table, write_table
+from quadexp.log.store import read_table, write_table
 from quadexp.report.tables import (
     ROW_COLUMNS,
     error_table,

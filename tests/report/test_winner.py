@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from quadexp.flight.store import write_table
+from quadexp.log.store import write_table
 from quadexp.report.inference import log_ratio
 from quadexp.report.page.answer import answer
 from quadexp.report.page.sections import scoreboard, tables

@@ -32,7 +32,7 @@ AT_MOST = {
 
 
 def quadexp(folder: Path, *arguments: str) -> None:
-    command = [sys.executable, "-m", "quadexp.cli", *arguments]
+    command = [sys.executable, "-m", "quadexp", *arguments]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, f"{' '.join(arguments)}\n{done.stderr}"
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.stress import SITUATIONS, STEPS_EACH, make_controllers, stress, stress_residuals, stress_vehicle
-from quadexp.backend import compiler
-from quadexp.control.active_set import Status
+from quadexp.compile.backend import compiler
+from quadexp.control.mpc.active_set import Status
 from quadexp.errors import QuadexpError
 
 MODELS = tuple(stress_residuals(stress_vehicle()))

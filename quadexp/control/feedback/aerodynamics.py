@@ -7,9 +7,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from quadexp.control.base import Measurement
-from quadexp.rotation import air_velocity
-from quadexp.rotor import THETA
-from quadexp.state import ATTITUDE, VELOCITY
+from quadexp.physics.rotation import air_velocity
+from quadexp.physics.rotor import THETA
+from quadexp.physics.state import ATTITUDE, VELOCITY
 
 SURPRISE_SAMPLES = 10  # samples over which prediction errors are averaged
 FIRST_WAIT, NEXT_WAIT = 100, 50  # samples before a change is looked for: at the start, and after one was found
@@ -21,7 +21,7 @@ def body_velocity(x: np.ndarray) -> np.ndarray:
 
 
 class Estimator(Protocol):
-    """What identifies the coefficients from sample to sample; quadexp.identify.rls.BladeElementRLS is one.
+    """What identifies the coefficients from sample to sample; quadexp.learn.rls.BladeElementRLS is one.
 
     theta: values to use, (5,). error: of the last prediction, (3,) (m/s^2). samples: updates so far. clips: samples on
     which each entry was clipped, (5,). settings.noise: assumed standard deviation of a reading (m/s^2).

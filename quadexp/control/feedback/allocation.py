@@ -18,8 +18,8 @@ import numpy as np
 
 from quadexp.control.feedback.frames import FRD_FLU
 from quadexp.errors import UsageError
-from quadexp.expression import Expression
-from quadexp.vehicle import Vehicle
+from quadexp.physics.expression import Expression
+from quadexp.physics.vehicle import Vehicle
 
 
 def unit_allocation(vehicle: Vehicle) -> np.ndarray:

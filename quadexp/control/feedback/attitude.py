@@ -15,7 +15,7 @@ import math
 
 import casadi as ca
 
-from quadexp.expression import Expression
+from quadexp.physics.expression import Expression
 
 COSINE_MIN = 1e-6  # of theta: closer to 90 deg W^-1 is taken as there
 

@@ -9,17 +9,17 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
-from quadexp.backend import BufferedFunction, realise, resolve
-from quadexp.control.active_set import Status
+from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.control.base import Measurement, Window
 from quadexp.control.feedback.aerodynamics import body_velocity
 from quadexp.control.feedback.frames import FRD_FLU
 from quadexp.control.feedback.law import law_function
 from quadexp.control.feedback.secondary import hover_rotor_speed
 from quadexp.control.feedback.settings import FeedbackSettings, Variant
-from quadexp.control.mpc import StepRecord
+from quadexp.control.mpc.active_set import Status
+from quadexp.control.mpc.mpc import StepRecord
 from quadexp.errors import UsageError
-from quadexp.vehicle import Vehicle
+from quadexp.physics.vehicle import Vehicle
 
 INNER_TOLERANCE = 1e-10  # rad/s and rad, at which the fixed point without delay has settled
 

@@ -16,8 +16,8 @@ import casadi as ca
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadexp.expression import Expression
-from quadexp.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
+from quadexp.physics.expression import Expression
+from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 
 NED_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FRD_FLU = np.diag([1.0, -1.0, -1.0])

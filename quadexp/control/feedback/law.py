@@ -15,9 +15,9 @@ from quadexp.control.feedback.observer import observer_matrices
 from quadexp.control.feedback.position import desired_tilt, in_cone, position_feedback, thrust_vector
 from quadexp.control.feedback.secondary import allocation_coefficients, drag_force, secondary_terms
 from quadexp.control.feedback.settings import FeedbackSettings, Variant
-from quadexp.rotation import air_velocity, rotation_matrix
-from quadexp.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
-from quadexp.vehicle import Vehicle
+from quadexp.physics.rotation import air_velocity, rotation_matrix
+from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
+from quadexp.physics.vehicle import Vehicle
 
 
 def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant) -> ca.Function:

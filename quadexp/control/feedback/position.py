@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from quadexp.expression import Expression
+from quadexp.physics.expression import Expression
 
 
 def position_feedback(

@@ -2,7 +2,7 @@
 
     delta_T = sum T_i - k_Tm sum w_i^2,    delta_Gamma = Gamma(T_i, Q_i) - Gamma(T_im, Q_im)
 
-Body frame FRD. The rotors' equations are those of quadexp.dynamics.blade_element.
+Body frame FRD. The rotors' equations are those of quadexp.physics.blade_element.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import casadi as ca
 import numpy as np
 
 from quadexp.control.feedback.frames import FRD_FLU
-from quadexp.dynamics.blade_element import aerodynamic_wrench, blade_forces, body_drag, static_inflow
-from quadexp.dynamics.induced_velocity import balance, safe_newton
-from quadexp.expression import Expression
-from quadexp.rotor import C_D0, C_DX, C_DZ, C_LA
-from quadexp.vehicle import Vehicle
+from quadexp.physics.blade_element import aerodynamic_wrench, blade_forces, body_drag, static_inflow
+from quadexp.physics.expression import Expression
+from quadexp.physics.induced_velocity import balance, safe_newton
+from quadexp.physics.rotor import C_D0, C_DX, C_DZ, C_LA
+from quadexp.physics.vehicle import Vehicle
 
 NEWTON_ITERATIONS = 20  # safeguarded, from an upper bound: 1e-12 m/s but in the steepest descents
 

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from quadexp import __version__
 from quadexp.errors import QuadexpError
-from quadexp.flight.store import check_output, write_bytes, write_text
+from quadexp.log.store import check_output, write_bytes, write_text
 from quadexp.report.page import palette
 from quadexp.report.page.answer import answer
 from quadexp.report.page.drawing import MAX_COURSES, PageFigures, draw_page, draw_paper

@@ -12,7 +12,7 @@ import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from quadexp.flight.schema import Flight, describe
+from quadexp.log.schema import Flight, describe
 from quadexp.report.page.figures import (
     course_title,
     courses,

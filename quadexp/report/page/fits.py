@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
-from quadexp.flight.schema import ESTIMATE_COLUMNS, Flight, describe
-from quadexp.identify.checkpoint import MODEL_FILE, load_model, load_report
-from quadexp.identify.dataset import ResidualDataset, read_dataset
-from quadexp.identify.model import GPModel, OutputPosterior
-from quadexp.identify.predict import AXIS, predict
+from quadexp.learn.checkpoint import MODEL_FILE, load_model, load_report
+from quadexp.learn.dataset import ResidualDataset, read_dataset
+from quadexp.learn.model import GPModel, OutputPosterior
+from quadexp.learn.predict import AXIS, predict
+from quadexp.log.schema import ESTIMATE_COLUMNS, Flight, describe
 from quadexp.report.fit_figures import axis_label, symbol, unit
 from quadexp.report.page.figures import dress
 from quadexp.report.page.palette import Palette

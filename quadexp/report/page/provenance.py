@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from quadexp.cells import Grid
+from quadexp.config.cells import Grid
 from quadexp.report.flown_by import versions_of
 from quadexp.report.page.source import Comparison
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.flight.schema import Flight
+from quadexp.log.schema import Flight
 from quadexp.report.page.figures import course_title
 from quadexp.report.page.names import spoken
 from quadexp.report.page.palette import SHAPES

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.cells import Combinations, Grid
+from quadexp.config.cells import Combinations, Grid
 from quadexp.errors import DataError, UsageError
-from quadexp.flight.cell_store import CellStore
-from quadexp.flight.schema import Flight
-from quadexp.flight.store import read_flight, read_metadata, read_table
+from quadexp.log.cell_store import CellStore
+from quadexp.log.schema import Flight
+from quadexp.log.store import read_flight, read_metadata, read_table
 from quadexp.report.common import Flights
 from quadexp.report.inference import Ratio
 from quadexp.report.overall import Overall, overall

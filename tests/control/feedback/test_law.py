@@ -13,7 +13,7 @@ from quadexp.control.feedback.law import law_function
 from quadexp.control.feedback.observer import observer_matrices
 from quadexp.control.feedback.settings import VARIANTS, FeedbackSettings
 from quadexp.errors import UsageError
-from quadexp.trajectory.rectangle import Rectangle
+from quadexp.reference.rectangle import Rectangle
 from tests.control.feedback import paper
 
 PRINTED = FeedbackSettings(cone=False, rotor_speed_min=1e-3)

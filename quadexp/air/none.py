@@ -1,0 +1,14 @@
+"""No residual: the nominal rigid body is believed."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from quadexp.air.base import N_OUTPUTS, Residual, feature_names, symbolic_residual
+from quadexp.physics.vehicle import Vehicle
+
+
+def no_residual(vehicle: Vehicle) -> Residual:
+    """y = 0, structurally."""
+    features = ca.SX.sym("z", len(feature_names(vehicle.n_rotors)))
+    return symbolic_residual("none", ca.SX(N_OUTPUTS, 1), features, ca.SX.sym("theta", 0), [])

@@ -1,0 +1,114 @@
+"""The command line: every command parses, composes the configuration, calls one function, prints where the result lies.
+
+Each command stands in a module of this room. Those import only typer and light modules at the top; the rest inside the
+commands, so that --help is there at once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from quadexp import __version__
+from quadexp.cli.check import check
+from quadexp.cli.files import compare_two, export, report, show
+from quadexp.cli.fit import fit_drag, fit_gp
+from quadexp.cli.fly import collect, evaluate, simulate
+from quadexp.cli.identify import identify
+from quadexp.cli.importing import import_flights
+from quadexp.cli.results import results
+from quadexp.cli.terminal import fail, prepare, settled, unwritten
+from quadexp.cli.validate import validate
+
+app = typer.Typer(
+    name="quadexp",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"quadexp {__version__}")
+        raise typer.Exit()
+
+
+def _debug(wanted: bool) -> None:
+    if wanted:
+        os.environ["QUADEXP_DEBUG"] = "1"
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", callback=_debug, help="Show where an error came from.")] = False,
+) -> None:
+    """Fly, learn, compare: aerodynamics-aware quadrotor control, side by side on one simulation.
+
+    \b
+    quadexp simulate    one flight                          -> runs/*.parquet
+    quadexp import      logs of real flights                -> flights/*.parquet
+    quadexp check       what is wrong with flights, by name
+    quadexp collect     flights for learning                -> data/residuals.parquet
+    quadexp fit-gp      Gaussian processes from a data set  -> models/gp
+    quadexp identify    thrust, drag and air from flights   -> models/*
+    quadexp validate    models against flights not seen
+    quadexp evaluate    controllers compared                -> results/*
+    quadexp report      results as one page                 -> report.html
+    """
+
+
+INTERRUPTED = 130  # what typer returns for Ctrl-C
+COMMANDS = {
+    "simulate": simulate,
+    "collect": collect,
+    "fit-gp": fit_gp,
+    "fit-drag": fit_drag,
+    "evaluate": evaluate,
+    "show": show,
+    "check": check,
+    "identify": identify,
+    "import": import_flights,
+    "results": results,
+    "validate": validate,
+    "compare": compare_two,
+    "report": report,
+    "export": export,
+}
+for name, command in COMMANDS.items():
+    app.command(name)(command)
+
+
+def main() -> None:
+    """Entry point: wrong options too are one line and exit code 2."""
+    prepare()
+    sys.exit(settled(_run()))
+
+
+def _run() -> int:
+    code: object
+    try:
+        code = app(standalone_mode=False, prog_name="quadexp")
+        if code == INTERRUPTED:  # before the command itself began
+            code = fail("interrupted", 1).exit_code
+    except typer.Abort:
+        code = 1
+    except OSError as error:
+        code = unwritten(error).exit_code  # help or version: what a command does is guarded
+    except Exception as error:
+        if not hasattr(error, "format_message"):
+            raise
+        if type(error).__name__ == "NoArgsIsHelpError":
+            error.show()  # type: ignore[attr-defined]
+            code = 2
+        else:
+            fail(error.format_message(), 2)
+            code = getattr(error, "exit_code", 2)
+    return code if isinstance(code, int) else 0

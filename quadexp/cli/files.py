@@ -1,0 +1,106 @@
+"""Commands that read what was written: `quadexp show`, `compare`, `report`, `export`.
+
+Only light modules are imported here; see cli/app.py.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from quadexp.cli.options import Force, Json, OptionalOut, Out
+from quadexp.cli.terminal import emit, guarded
+
+
+@guarded
+def show(
+    path: Annotated[Path, typer.Argument(help="A flight, data set, checkpoint folder, or results.")],
+    json: Json = False,
+) -> None:
+    """Say what is in a file: its kind, configuration, units, seed, versions, size.
+
+    \b
+    quadexp show runs/a.parquet
+    quadexp show models/gp
+    """
+    from quadexp.report.summary import summarise
+
+    summary = summarise(path)
+    if json:
+        emit({key: value for key, value in summary.items() if key != "lines"})
+    else:
+        print("\n".join(summary["lines"]))
+
+
+@guarded
+def compare_two(
+    a: Annotated[Path, typer.Argument(help="A flight, results folder, or checkpoint folder.")],
+    b: Annotated[Path, typer.Argument(help="Another one of the same kind.")],
+    json: Json = False,
+) -> None:
+    """Say what differs between two flights, results or checkpoints: configuration, outcome, figures.
+
+    \b
+    quadexp compare runs/a.parquet runs/b.parquet
+    quadexp compare results/table1 results/table1_again
+    """
+    from quadexp.report.compare import compare
+
+    report = compare(a, b)
+    if json:
+        emit({key: value for key, value in report.items() if key != "lines"})
+    else:
+        print("\n".join(report["lines"]))
+
+
+@guarded
+def report(
+    results: Annotated[Path, typer.Argument(help="Results folder of `quadexp evaluate --sweep`.")],
+    out: Out = Path("report.html"),
+    figures: Annotated[
+        Path | None, typer.Option("--figures", metavar="DIR", help="Write the figures as PDF too, for a paper.")
+    ] = None,
+    baseline: Annotated[
+        str | None, typer.Option("--baseline", metavar="CONTROLLER", help="Whom the others are compared with.")
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Write a comparison as one page that opens without a network: answer, tables, figures, replay, provenance.
+
+    \b
+    quadexp report results/table1 --out report.html
+    quadexp report results/table1 --out report.html --figures paper/figures
+    """
+    from quadexp.report.page import make_report
+
+    made = make_report(results, out, figures=figures, baseline=baseline, force=force)
+    if json:
+        emit(made)
+        return
+    print("\n".join([*made["answer"], made["note"], *map(str, made["figures"].values()), str(made["path"])]))
+
+
+@guarded
+def export(
+    flight: Annotated[Path, typer.Argument(help="A flight of `quadexp simulate`, or of a sweep.")],
+    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="csv, tum, px4csv, mcap or rerun.")],
+    out: OptionalOut = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Write a flight for other programs; mcap and rerun need the extra [viz].
+
+    \b
+    quadexp export runs/a.parquet --to rerun --out a.rrd
+    quadexp export runs/a.parquet --to px4csv --out a_px4
+    """
+    from quadexp.log.exporters import export_flight
+
+    files = export_flight(flight, to, out, force=force)
+    if json:
+        emit({"format": to, "files": files})
+        return
+    print("\n".join(map(str, files.values())))

@@ -1,0 +1,75 @@
+"""Commands that fit a data set: `quadexp fit-gp` and `fit-drag`. Only light modules are imported here; see cli/app.py."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from quadexp.cli.options import Conf, Force, Json, Out, Overrides
+from quadexp.cli.terminal import emit, guarded
+
+
+@guarded
+def fit_gp(
+    dataset: Annotated[Path, typer.Argument(help="Data set of `quadexp collect`.")],
+    overrides: Overrides = None,
+    out: Out = Path("models/gp"),
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the fit.")] = True,
+    compare: Annotated[
+        bool, typer.Option("--compare", help="Also compare numbers of inducing points and methods (minutes).")
+    ] = False,
+    conf: Conf = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Fit Gaussian processes to a data set and write the checkpoint.
+
+    \b
+    quadexp fit-gp data/residuals.parquet --out models/gp
+    quadexp fit-gp data/residuals.parquet gp=per_axis gp.inducing=40 --out models/gp40
+    """
+    _fit("gp", dataset, overrides, out, conf, force, json, figures=figures, compare=compare)
+
+
+@guarded
+def fit_drag(
+    dataset: Annotated[Path, typer.Argument(help="Data set of `quadexp collect`.")],
+    overrides: Overrides = None,
+    out: Out = Path("models/drag"),
+    conf: Conf = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Fit linear rotor drag to a data set and write the checkpoint.
+
+    \b
+    quadexp fit-drag data/residuals.parquet --out models/drag
+    """
+    _fit("drag", dataset, overrides, out, conf, force, json)
+
+
+def _fit(
+    kind: str,
+    dataset: Path,
+    overrides: list[str] | None,
+    out: Path,
+    conf: Path | None,
+    force: bool,
+    json: bool,
+    **options: bool,
+) -> None:
+    from quadexp.config.compose import compose
+    from quadexp.experiment.fit import fit_checkpoint
+    from quadexp.log.store import check_output
+    from quadexp.progress import Progress
+
+    config = compose(overrides or [], conf)
+    path = check_output(out, force=force, folder=True)
+    with Progress("fit") as progress:
+        report = fit_checkpoint(kind, config, dataset, path, force=force, progress=progress, **options)
+    if json:
+        emit(report)
+        return
+    print("\n".join([*report["lines"], str(path)]))

@@ -1,0 +1,180 @@
+"""Commands that fly: `quadexp simulate`, `collect` and `evaluate`. Only light modules are imported here; see cli/app.py."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from quadexp.cli.options import Conf, Force, Json, OptionalOut, Out, Overrides
+from quadexp.cli.terminal import emit, guarded, print_table, say
+from quadexp.errors import QuadexpError
+
+
+@guarded
+def simulate(
+    overrides: Overrides = None, out: OptionalOut = None, conf: Conf = None, force: Force = False, json: Json = False
+) -> None:
+    """Fly one configuration and write the flight.
+
+    \b
+    quadexp simulate controller=gp_mpc trajectory=circle trajectory.speed=8 model=models/gp seed=0 --out runs/a.parquet
+    """
+    from quadexp.config.compose import compose
+    from quadexp.experiment.evaluate import fly_one
+    from quadexp.log.store import check_output, write_flight
+    from quadexp.report.summary import flight_lines
+
+    config = compose(overrides or [], conf)
+    path = check_output(out or Path("runs") / f"{_flight_name(config)}.parquet", force=force)
+    flight = fly_one(config)
+    write_flight(path, flight)
+    if json:
+        emit({"path": path, **flight.metadata["row"], "residual": flight.metadata["residual"]})
+        return
+    if flight.metadata["reference_note"]:
+        say(f"note: {flight.metadata['reference_note']}")
+    print("\n".join([*flight_lines(flight.metadata), str(path)]))
+
+
+@guarded
+def collect(
+    overrides: Overrides = None,
+    out: Out = Path("data/residuals.parquet"),
+    flight: Annotated[
+        list[Path] | None, typer.Option("--flight", metavar="PATH", help="Use this recorded flight; repeatable.")
+    ] = None,
+    save_flights: Annotated[
+        Path | None, typer.Option("--save-flights", metavar="DIR", help="Write the flights too.")
+    ] = None,
+    conf: Conf = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Fly for data, or take recorded flights, and write what the rigid body does not explain.
+
+    \b
+    quadexp collect plant=simplified collect.duration=300 --out data/residuals.parquet
+    quadexp collect --flight runs/a.parquet --flight runs/b.parquet --out data/mine.parquet
+    """
+    from quadexp.config.compose import compose
+    from quadexp.experiment.collect import collect_dataset
+    from quadexp.log.store import check_output
+    from quadexp.progress import Progress
+
+    config = compose(overrides or [], conf)
+    path = check_output(out, force=force)
+    if save_flights is not None:
+        check_output(save_flights, force=force, folder=True)
+    with Progress("seconds of flight") as progress:
+        report = collect_dataset(config, path, flights=flight or [], save_flights=save_flights, progress=progress)
+    if json:
+        emit(report)
+        return
+    print("\n".join([*report["lines"], str(path)]))
+
+
+@guarded
+def evaluate(
+    overrides: Overrides = None,
+    sweep: Annotated[bool, typer.Option("--sweep", help="Fly every combination of the values given.")] = False,
+    out: OptionalOut = None,
+    figures: Annotated[
+        bool | None, typer.Option("--figures/--no-figures", help="Draw figures (a sweep does unless told).")
+    ] = None,
+    conf: Conf = None,
+    refly: Annotated[
+        bool, typer.Option("--refly", help="Fly cells again that another version of the sources has flown.")
+    ] = False,
+    keep_old: Annotated[bool, typer.Option("--keep-old", help="Keep them in the table, beside new ones.")] = False,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Fly one cell, or every cell of a sweep, and write the table of results.
+
+    A sweep that was interrupted goes on where it stopped; one that is done only prints its table. Cells that were
+    flown by other sources of this program are neither kept nor flown again unless --keep-old or --refly says so.
+
+    \b
+    quadexp evaluate --sweep trajectory=circle,lemniscate trajectory.speed=4,8,12 \\
+        controller=nominal_mpc,linear_drag_mpc,gp_mpc,perfect_mpc seed='range(3)' --out results/table1
+    quadexp evaluate --sweep experiment=torrente_table1
+    """
+    from quadexp.config.compose import Cell, session
+    from quadexp.errors import UsageError
+    from quadexp.progress import Progress
+    from quadexp.sweep.cluster.engines import build_engine
+    from quadexp.sweep.sweep import run_sweep
+
+    if refly and keep_old:
+        raise UsageError("--refly and --keep-old: give one of them")
+    given = list(overrides or [])
+    with session(conf) as composer:
+        cells = composer.expand(given, check=False) if sweep else [Cell(composer.compose(given), tuple(given))]
+    first = cells[0].config
+    if not sweep and first.sweep:
+        raise UsageError("this experiment is a sweep: add --sweep")
+    out = out or Path("results") / _results_name(given, first, sweep)
+    with Progress("flights") as progress:
+        result = run_sweep(
+            cells,
+            out,
+            metric=first.evaluate.metric,
+            baseline=first.evaluate.baseline,
+            confidence=first.evaluate.confidence,
+            engine=build_engine(first),
+            force=force,
+            old="refly" if refly else "keep" if keep_old else "ask",
+            isolate=sweep,
+            progress=progress,
+        )
+    for note in result.notes:
+        say(f"note: {note}")
+    files = dict(result.files)
+    if sweep if figures is None else figures:
+        from quadexp.report.figures import draw_results
+
+        files |= draw_results(
+            result.rows,
+            out,
+            metric=first.evaluate.metric,
+            confidence=first.evaluate.confidence,
+            fingerprint=result.statistics.fingerprint,
+        )
+        if first.evaluate.figures != "standard":
+            from quadexp.papers.lei_li import report as lei_li
+
+            files |= lei_li.draw(first.evaluate.figures, result.rows, out)
+    if json:
+        emit(
+            {
+                "out": out,
+                "files": files,
+                "flown": result.flown,
+                "notes": result.notes,
+                "not_flown": len(result.not_flown),
+                "rows": list(result.rows),
+                "statistics": result.statistics.record(first.evaluate.metric),
+            }
+        )
+    else:
+        print_table(result.table)
+        print(out)
+    if result.not_flown:
+        worst = result.not_flown[0]
+        raise QuadexpError(
+            f"{len(result.not_flown)} of {len(result.rows)} cells were not flown; the first: {worst['cause']}"
+        )
+
+
+def _flight_name(config: Any) -> str:
+    speed = getattr(config.trajectory, "speed", None)
+    parts = [config.controller.name, config.trajectory.name, "" if speed is None else f"{speed:g}"]
+    parts.append(f"seed{config.seed}" if config.seed else "")
+    return "_".join(part for part in parts if part)
+
+
+def _results_name(given: list[str], config: Any, sweep: bool) -> str:
+    experiments = [text.partition("=")[2] for text in given if text.startswith("experiment=")]
+    return experiments[-1] if experiments else "sweep" if sweep else _flight_name(config)

@@ -1,0 +1,72 @@
+"""`quadexp validate`: models against flights that they have not seen. Only light modules are imported here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from quadexp.cli.options import Conf, Force, Json
+from quadexp.cli.terminal import emit, guarded
+from quadexp.errors import UsageError
+
+
+@guarded
+def validate(
+    arguments: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="MODEL... [KEY=VALUE...]", help="Folders of `quadexp identify`, `fit-gp` or `fit-drag`."
+        ),
+    ],
+    flights: Annotated[
+        list[Path] | None,
+        typer.Option("--flights", metavar="FLIGHT...", help="Flights to predict; several may follow."),
+    ] = None,
+    horizons: Annotated[
+        str, typer.Option("--horizons", metavar="S,S,...", help="Of the open-loop predictions.")
+    ] = "0.1,0.5,1",
+    leave_one_out: Annotated[
+        bool, typer.Option("--leave-one-out", help="Predict each flight by models refitted to all the others.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Write report and figures there.")
+    ] = None,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw them (with --out).")] = True,
+    conf: Conf = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Compare what models predict with what flights did: sample by sample, and open loop from many start points.
+
+    The vehicle is the flights' own unless vehicle=NAME is given.
+
+    \b
+    quadexp validate models/crazyflie models/gp --flights flights/c.parquet --out results/validation
+    quadexp validate models/crazyflie --flights flights/a.parquet flights/b.parquet flights/c.parquet --leave-one-out
+    """
+    from quadexp.experiment.validate import validate as compare
+    from quadexp.experiment.vehicle_of import config_for
+    from quadexp.progress import Progress
+
+    overrides = [text for text in arguments if "=" in text]
+    paths = [Path(text) for text in arguments if "=" not in text]
+    tested = [*(flights or []), *(path for path in paths if path.suffix == ".parquet")]
+    models = [path for path in paths if path.suffix != ".parquet"]
+    if not tested:
+        raise UsageError("validate: no flight given; add --flights FLIGHT...")
+    try:
+        seconds = [float(text) for text in horizons.split(",")]
+    except ValueError:
+        raise UsageError(f"--horizons: '{horizons}' must be numbers of seconds with commas between") from None
+    config = config_for(tested, overrides, conf)
+    with Progress("validate") as progress:
+        report = compare(
+            models, tested, config, horizons=seconds, leave_one_out=leave_one_out, out=out, figures=figures,
+            force=force, progress=progress,
+        )  # fmt: skip
+    if json:
+        emit({key: value for key, value in report.items() if key != "lines"})
+        return
+    print("\n".join([*report["lines"], *([str(out)] if out else [])]))

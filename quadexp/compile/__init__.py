@@ -1,0 +1,1 @@
+"""Back ends: CasADi functions interpreted, or compiled as C and cached."""

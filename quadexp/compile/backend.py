@@ -1,0 +1,231 @@
+"""Two back ends for one CasADi function: the virtual machine, or generated C compiled once and cached.
+
+A compiled function lies in the user's cache folder under the hash of its source, the flags, the compiler and the
+processor's features, with the hash of its own content beside it: one that does not match is never loaded but made
+anew. It is written to a temporary name and renamed, under a lock, so that any number of processes may ask for the same
+one. Without a compiler "auto" says so once and uses the virtual machine.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import fcntl
+import hashlib
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from quadexp.compile.compiler import compile_flags, compiler, not_found, required_compiler, run_compiler, toolchain
+from quadexp.errors import DEVICE, QuadexpError, UsageError, WriteError
+
+BACKENDS = ("auto", "compiled", "interpreted")
+LONG_AGO = 86400.0  # s
+
+
+def cache_folder() -> Path:
+    """Folder of the compiled functions: $QUADEXP_CACHE, else the user's cache folder; created private (0700)."""
+    chosen = os.environ.get("QUADEXP_CACHE")
+    folder = Path(chosen).absolute() if chosen else _usual_folder()
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as error:
+        raise _unusable(folder, error) from None
+    found = folder.stat()
+    if found.st_uid != os.getuid():
+        raise QuadexpError(f"{folder}: belongs to another user, set QUADEXP_CACHE to a folder of your own")
+    if found.st_mode & 0o022:
+        raise QuadexpError(
+            f"{folder}: others may write there, and what lies there is executed; chmod go-w it, or set QUADEXP_CACHE"
+        )
+    return folder
+
+
+def _usual_folder() -> Path:
+    """The user's cache folder; below the system's temporary one where there is no home, or none that takes files."""
+    away = Path(tempfile.gettempdir()) / f"quadexp-{os.getuid()}"
+    base = os.environ.get("XDG_CACHE_HOME")
+    try:
+        folder = (Path(base).absolute() if base else Path.home() / ".cache") / "quadexp"
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except (RuntimeError, OSError):
+        return away
+    return folder if os.access(folder, os.W_OK | os.X_OK) else away
+
+
+def _unusable(folder: Path, error: OSError) -> QuadexpError:
+    reason = error.strerror or error
+    kind = WriteError if error.errno in DEVICE else QuadexpError
+    return kind(
+        f"{folder}: compiled functions cannot be kept there ({reason}); set QUADEXP_CACHE to one that takes files"
+    )
+
+
+@cache
+def _say_once(message: str) -> None:
+    print(message, file=sys.stderr)
+
+
+def resolve(backend: str) -> str:
+    """The back end that a request gets on this machine: "compiled" or "interpreted".
+
+    Raises UsageError for an unknown back end, or for "compiled" without a compiler.
+    """
+    if backend not in BACKENDS:
+        raise UsageError(f"backend={backend}: allowed are {', '.join(BACKENDS)}")
+    if backend == "interpreted":
+        return "interpreted"
+    if backend == "compiled" or compiler() is not None:
+        required_compiler()
+        return "compiled"
+    _say_once(f"note: {not_found()}, control steps run interpreted (several times slower)")
+    return "interpreted"
+
+
+def realise(function: ca.Function, backend: str) -> ca.Function:
+    """The function on a resolved back end. Raises QuadexpError where compiling fails."""
+    return realise_together([function], backend)[0]
+
+
+def realise_together(functions: Sequence[ca.Function], backend: str) -> list[ca.Function]:
+    """Functions on a resolved back end, compiled into one library: what they have in common is compiled once."""
+    if backend != "compiled":
+        return list(functions)
+    library = _compile(functions)
+    try:
+        return [ca.external(function.name(), str(library)) for function in functions]
+    except RuntimeError:  # a file system that executes nothing, for one
+        raise QuadexpError(f"{_refusal(library)}; set QUADEXP_CACHE to another folder") from None
+
+
+def _refusal(library: Path) -> str:
+    """Why a library cannot be loaded; CasADi only names the last of the places where it looked."""
+    try:
+        ctypes.CDLL(str(library))
+    except OSError as error:
+        return str(error)
+    return f"{library}: has not the functions that it should have"
+
+
+def handwritten(
+    name: str, body: Path, constants: dict[str, int], inputs: dict[str, ca.Sparsity], outputs: dict[str, ca.Sparsity]
+) -> ca.Function:
+    """A function whose body is C of our own: for use inside functions that get compiled, it has no interpreted form.
+
+    body: file with statements; they find the inputs and outputs by name, as pointers to CasADi's storage (null where
+    an output is not asked for), and the constants as enumeration constants.
+    """
+    named = ", ".join(f"{constant} = {value}" for constant, value in constants.items())
+    source = f"enum {{ {named} }};\n{body.read_text()}"
+    options = {"jit": False, "buffered": False}
+    return ca.Function.jit(name, source, [*inputs], [*outputs], [*inputs.values()], [*outputs.values()], options)
+
+
+def _compile(functions: Sequence[ca.Function]) -> Path:
+    """Path of the shared library with the functions, compiled unless the cache has it."""
+    name = functions[0].name()
+    generator = ca.CodeGenerator(name, {"with_header": False})
+    for function in functions:
+        generator.add(function)
+    source = generator.dump()
+    key = hashlib.sha256(f"{toolchain()}\n{source}".encode()).hexdigest()[:24]
+    folder = cache_folder()
+    library = folder / f"{name}_{key}.so"
+    if _intact(library):
+        return library
+    try:
+        with _lock(folder / f"{key}.lock"):
+            if not _intact(library):
+                _sweep_up(folder)
+                _build(name, source, library)
+    except OSError as error:
+        raise _unusable(folder, error) from None
+    return library
+
+
+@contextlib.contextmanager
+def _lock(path: Path) -> Iterator[None]:
+    """Only one process at a time; on a file system without locks all of them build, and the last one stays."""
+    with open(path, "w") as file:
+        with contextlib.suppress(OSError):
+            fcntl.flock(file, fcntl.LOCK_EX)
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+
+
+def _build(name: str, source: str, library: Path) -> None:
+    with tempfile.TemporaryDirectory(dir=library.parent, prefix=".build-", ignore_cleanup_errors=True) as scratch:
+        code, unlinked, built = (str(Path(scratch) / f"built{suffix}") for suffix in (".c", ".o", ".so"))
+        Path(code).write_text(source, encoding="utf-8")
+        run_compiler([*compile_flags(), "-c", code, "-o", unlinked], f"compile {name}")
+        run_compiler(["-shared", unlinked, "-o", built, "-lm"], f"compile {name}")
+        digest = Path(scratch) / "sha256"
+        digest.write_text(_sha256(Path(built)))
+        os.replace(built, library)
+        os.replace(digest, library.with_suffix(".sha256"))
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _intact(library: Path) -> bool:
+    """Whether a cached library is there and is, byte for byte, what was compiled."""
+    try:
+        return library.with_suffix(".sha256").read_text() == _sha256(library)
+    except (OSError, UnicodeError):
+        return False
+
+
+def _sweep_up(folder: Path) -> None:
+    """Remove what compilations left that were killed long ago."""
+    for left in folder.glob(".build-*"):
+        with contextlib.suppress(OSError):
+            if time.time() - left.stat().st_mtime > LONG_AGO:
+                shutil.rmtree(left, ignore_errors=True)
+
+
+class BufferedFunction:
+    """A CasADi function called through preallocated arrays, without any allocation per call.
+
+    arguments, results: dictionaries from the function's names to float arrays; a matrix (r, c) is stored as numpy
+    (c, r), which is CasADi's column-major order. Fill the arguments, call, read the results.
+    shared: arrays to be read as arguments of those names, such as another function's results, instead of own ones.
+    """
+
+    def __init__(self, function: ca.Function, shared: Mapping[str, np.ndarray] | None = None) -> None:
+        self.function = function
+        self._buffer, self._trigger = function.buffer()
+        self.arguments = {}
+        self.results = {}
+        for i, name in enumerate(function.name_in()):
+            own = self._array(function.sparsity_in(i))
+            self.arguments[name] = given = (shared or {}).get(name, own)
+            if given.shape != own.shape or given.dtype != own.dtype or not given.flags.c_contiguous:
+                raise ValueError(f"{function.name()}: the array shared as {name} must be like {own.shape} floats")
+            if self.arguments[name].size:
+                self._buffer.set_arg(i, self.arguments[name].reshape(-1).data)
+        for i, name in enumerate(function.name_out()):
+            self.results[name] = self._array(function.sparsity_out(i))
+            if self.results[name].size:
+                self._buffer.set_res(i, self.results[name].reshape(-1).data)
+
+    @staticmethod
+    def _array(sparsity: ca.Sparsity) -> np.ndarray:
+        if sparsity.is_dense():
+            rows, columns = sparsity.shape
+            return np.zeros(rows) if columns == 1 else np.zeros((columns, rows))
+        return np.zeros(sparsity.nnz())
+
+    def __call__(self) -> None:
+        self._trigger()

@@ -1,0 +1,1 @@
+"""The model predictive controller: real-time SQP on Riccati factors, with exact bounds."""

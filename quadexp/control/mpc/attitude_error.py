@@ -1,0 +1,112 @@
+"""What the cost calls an error of attitude: the plain difference q - q*, or the error's own rotation e = q*^-1 o q.
+
+    plain    W-weighted q - q*, as Torrente et al. 2021. Its weights on x, y, z have no direction in the vehicle: they
+             weigh another mixture of roll, pitch and yaw at every heading, so the controller is another one there.
+    body     W-weighted e - (1, 0, 0, 0), with e = (cos a/2, sin(a/2) axis) about an axis in the reference's body frame:
+             the weights are those of roll, pitch and yaw errors, and every heading is flown alike.
+
+With L(q*), L(q) p = q o p, of a unit q*, e = L(q*)' q is linear in q, and L is orthogonal. So "body" is the same
+subproblem in other coordinates of the quaternion at each node, dq = L de, and the solver need not know: the cost stays
+diagonal, and A, B and b are turned at both of their ends.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import casadi as ca
+
+from quadexp.physics.expression import Expression
+from quadexp.physics.rotation import left_matrix
+from quadexp.physics.scalars import as_scalars
+from quadexp.physics.state import ATTITUDE, N_STATE
+
+ATTITUDE_ERRORS = ("plain", "body")
+N_BEFORE, N_AFTER = ATTITUDE.start, N_STATE - ATTITUDE.stop  # of the state, around the quaternion
+
+
+class AttitudeError(Protocol):
+    """Coordinates of the quaternion's deviation at the nodes 0..N of a horizon."""
+
+    def deviation(self, k: int, dx: Expression) -> Expression:
+        """State deviation (13,) at node k in the cost's coordinates."""
+
+    def change(self, k: int, dx: Expression) -> Expression:
+        """The way back: from the cost's coordinates to a change of the state, (13,)."""
+
+    def linearisation(
+        self, k: int, A: Expression, B: Expression, b: Expression
+    ) -> tuple[Expression, Expression, Expression]:
+        """dx_{k+1} = A dx_k + B du_k + b in the cost's coordinates."""
+
+
+class PlainDifference:
+    """q - q*: the coordinates are the quaternion's own."""
+
+    def deviation(self, k: int, dx: Expression) -> Expression:
+        """See AttitudeError."""
+        return dx
+
+    def change(self, k: int, dx: Expression) -> Expression:
+        """See AttitudeError."""
+        return dx
+
+    def linearisation(
+        self, k: int, A: Expression, B: Expression, b: Expression
+    ) -> tuple[Expression, Expression, Expression]:
+        """See AttitudeError."""
+        return A, B, b
+
+
+class BodyRotation:
+    """q*^-1 o q.
+
+    frames: L(q*_k) side by side, (4, 4 (N + 1)); see `reference_frames`.
+    """
+
+    def __init__(self, frames: Expression) -> None:
+        self._frames = ca.horzsplit(frames, 4)
+
+    def deviation(self, k: int, dx: Expression) -> Expression:
+        """See AttitudeError."""
+        return as_scalars(_into)(self._frames[k], dx)
+
+    def change(self, k: int, dx: Expression) -> Expression:
+        """See AttitudeError."""
+        return as_scalars(_out_of)(self._frames[k], dx)
+
+    def linearisation(
+        self, k: int, A: Expression, B: Expression, b: Expression
+    ) -> tuple[Expression, Expression, Expression]:
+        """See AttitudeError."""
+        A, B, b = as_scalars(_turned)(self._frames[k], self._frames[k + 1], A, B, b)
+        return A, B, b
+
+
+def attitude_error_in(frames: Expression | None) -> AttitudeError:
+    """The error in a horizon's frames; None: the plain difference."""
+    return PlainDifference() if frames is None else BodyRotation(frames)
+
+
+def reference_frames(X_ref: Expression) -> Expression:
+    """L(q* / |q*|) of every reference state, (13, N + 1), side by side: (4, 4 (N + 1))."""
+    return ca.horzcat(*(as_scalars(_frame)(x[ATTITUDE]) for x in ca.horzsplit(X_ref)))
+
+
+def _frame(q: Expression) -> Expression:
+    return left_matrix(q / ca.norm_2(q))
+
+
+def _into(L: Expression, rows: Expression) -> Expression:
+    """Rows of a state-sized matrix, (13, m), from the quaternion's coordinates into the error's."""
+    before, attitude, after = ca.vertsplit(rows, [0, N_BEFORE, N_STATE - N_AFTER, N_STATE])
+    return ca.vertcat(before, ca.mtimes(L.T, attitude), after)
+
+
+def _out_of(L: Expression, rows: Expression) -> Expression:
+    return _into(L.T, rows)
+
+
+def _turned(L: Expression, L_next: Expression, A: Expression, B: Expression, b: Expression) -> list[Expression]:
+    """A, B, b of one node between the coordinates of its two ends."""
+    return [_into(L_next, _into(L, A.T).T), _into(L_next, B), _into(L_next, b)]

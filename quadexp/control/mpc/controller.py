@@ -1,0 +1,66 @@
+"""The model predictive controller behind the controller seam."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from quadexp.air.base import Residual
+from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
+from quadexp.physics.state import POSITION
+
+
+class PredictiveController:
+    """A ModelPredictiveController as a Controller (see control.base)."""
+
+    reference_period = 0.0
+
+    def __init__(self, mpc: ModelPredictiveController) -> None:
+        self.mpc = mpc
+        self.vehicle, self.settings, self.backend = mpc.vehicle, mpc.settings, mpc.backend
+        self.control_period, self.node_times = mpc.settings.control_period, mpc.node_times
+        self.name, self.source = mpc.residual.name, mpc.residual.source
+
+    @property
+    def residual(self) -> Residual | None:
+        """What references contain of the air: the model where it feeds forward."""
+        known = self.mpc.residual
+        return known if self.settings.feedforward and not known.is_zero else None
+
+    def forget(self) -> None:
+        """See Controller.forget; nothing is learned in flight."""
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset."""
+        self.mpc.reset(x, self._within_reach(x, window.state), window.input)
+
+    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
+        """See Controller.step."""
+        reference = self._within_reach(measurement.state, window.state)
+        return self.mpc.command(measurement.state, reference, window.input)
+
+    def _within_reach(self, x: np.ndarray, reference: np.ndarray) -> np.ndarray:
+        """The reference (N + 1, 13), brought towards the vehicle where it is further away than distance_limit.
+
+        With e = p - p*_0 and |e| > L every position is moved by e (1 - L / |e|), as flight stacks limit the position
+        error. A quadratic cost without end asks for any speed: from 28 m away the vehicle comes at 30 m/s, and one
+        iteration a step does not stop it there.
+        """
+        error = x[POSITION] - reference[0, POSITION]
+        distance, limit = math.sqrt(error.dot(error)), self.settings.distance_limit
+        if not distance > limit:
+            return reference
+        near = reference.copy()
+        near[:, POSITION] += error * (1 - limit / distance)
+        return near
+
+    def log(self) -> dict[str, float]:
+        """See Controller.log; an MPC's record says all."""
+        return {}
+
+
+def as_controller(controller: Controller | ModelPredictiveController) -> Controller:
+    """The controller, an MPC put behind the seam."""
+    return PredictiveController(controller) if isinstance(controller, ModelPredictiveController) else controller

@@ -1,0 +1,166 @@
+"""The first control step from far away: Gauss-Newton directions with a line search on the true cost.
+
+The states follow from the inputs by the discrete dynamics from the measured state, so the cost is one of the inputs
+alone, J(U), and its bounds are simple. With d the bounded subproblem's solution at such a trajectory, d is a direction
+of descent, J'(U) d <= -|d|_R^2, and U + a d keeps the bounds for 0 < a <= 1. The step halves until
+
+    J(U + a d) < J(U) - ARMIJO a |d|_R^2                                           (Armijo 1966)
+
+so every limit is a stationary point. Gauss-Newton converges slowly where the residual is large; Anderson acceleration
+of the full steps (Walker and Ni 2011) is tried after each and kept where its cost is lower. Near the end differences of
+J vanish in rounding: there a step is judged by the optimality residual instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from quadexp.air.base import Residual
+from quadexp.compile.backend import BufferedFunction
+from quadexp.control.mpc.active_set import Status
+from quadexp.control.mpc.attitude_error import attitude_error_in, reference_frames
+from quadexp.physics.integrator import rk4_step
+from quadexp.physics.rigid_body import corrected_function
+from quadexp.physics.state import N_STATE
+from quadexp.physics.vehicle import Vehicle
+
+CONVERGED = 1e-6  # optimality residual of a stationary point
+ARMIJO = 1e-4  # share of the decrease promised by the quadratic model that a step must keep
+HALVINGS = 20  # of a step, before none is found
+MEMORY = 6  # full steps that Anderson acceleration combines
+REDUCED = 0.1  # share of its length by which a step below the cost's rounding must reduce the optimality residual
+
+
+class Direction(NamedTuple):
+    """Step of the inputs, (N, n) (N), from the linearisation point, how it was found, and the residual there."""
+
+    d_input: np.ndarray
+    status: Status
+    sweeps: int
+    active: int
+    kkt: float
+
+
+def rollout_function(vehicle: Vehicle, residual: Residual, nodes: int, *, attitude_error: str = "plain") -> ca.Function:
+    """The trajectory of given inputs, and its cost.
+
+    Inputs, named as the step's: x0 (13,), U (n, N), X_ref (13, N + 1), U_ref (n, N), theta (p,), Q (13, N),
+    Q_end (13,), R (n, N), dt (N,) (s). Outputs: X (13, N + 1); cost, half of control.step's weighted sum of squares.
+    """
+    n = vehicle.n_rotors
+    dynamics = corrected_function(vehicle, residual)
+    names = {"x0": (N_STATE, 1), "U": (n, nodes), "X_ref": (N_STATE, nodes + 1), "U_ref": (n, nodes)}
+    names |= {
+        "theta": residual.function.size_in(1),
+        "Q": (N_STATE, nodes),
+        "Q_end": (N_STATE, 1),
+        "R": (n, nodes),
+        "dt": (nodes, 1),
+    }
+    a = {name: ca.MX.sym(name, *shape) for name, shape in names.items()}
+    x, u, theta, dt = ca.MX.sym("x", N_STATE), ca.MX.sym("u", n), ca.MX.sym("theta", *names["theta"]), ca.MX.sym("dt")
+    node = ca.Function("node", [x, u, theta, dt], [rk4_step(lambda s: dynamics(s, u, theta), x, dt)])
+
+    states = [a["x0"]]
+    for u_k, dt_k in zip(ca.horzsplit(a["U"]), ca.vertsplit(a["dt"]), strict=True):
+        states.append(node(states[-1], u_k, a["theta"], dt_k))
+    X = ca.horzcat(*states)
+    error = attitude_error_in(reference_frames(a["X_ref"]) if attitude_error == "body" else None)
+    deviation = [error.deviation(k, d) for k, d in enumerate(ca.horzsplit(X - a["X_ref"]))]
+    weights = [*ca.horzsplit(a["Q"]), a["Q_end"]]
+    cost = sum((ca.dot(w * d, d) for w, d in zip(weights, deviation, strict=True)), ca.MX(0))
+    cost += ca.sum2(ca.sum1(a["R"] * (a["U"] - a["U_ref"]) ** 2))
+    return ca.Function("mpc_rollout", [*a.values()], [X, cost / 2], [*names], ["X", "cost"])
+
+
+class FirstSolve:
+    """Descends from a guess of the inputs to a stationary point.
+
+    rollout: see `rollout_function`. step: its arguments are read, and X, U are where the linearisation is wanted.
+    direction: linearises at the step's X, U and solves the bounded subproblem there.
+    """
+
+    def __init__(self, rollout: ca.Function, step: BufferedFunction, direction: Callable[[], Direction]) -> None:
+        arguments = step.arguments
+        given = {name: arguments[name] for name in rollout.name_in() if name != "U"}
+        self._rollout, self._direction = BufferedFunction(rollout, given), direction
+        self._X, self._U, self._R = arguments["X"], arguments["U"], arguments["R"]
+        self._low, self._high = arguments["u_min"], arguments["u_max"]
+
+    def cost(self, inputs: np.ndarray) -> float:
+        """J of inputs (N, n) (N); infinite where it is no number."""
+        self._rollout.arguments["U"][...] = inputs
+        self._rollout()
+        cost = float(self._rollout.results["cost"].item())
+        return cost if np.isfinite(cost) else np.inf
+
+    def solve(self, guesses: list[np.ndarray], iterations: int) -> Direction | None:
+        """Descend from the guess (N, n) of the least cost; leaves the trajectory in the step's X and U.
+
+        Returns the last linearisation: its kkt says whether the point is stationary. None, and X and U as they were,
+        where the trajectory of no guess is finite.
+        """
+        cost, U = min(((self.cost(guess), guess) for guess in guesses), key=lambda pair: pair[0])
+        if not np.isfinite(cost):
+            return None
+        found = self._linearise(U)
+        points: list[np.ndarray] = []
+        steps: list[np.ndarray] = []
+        for _ in range(iterations):
+            if found.status == Status.FAILED or found.kkt < CONVERGED:
+                break
+            d = found.d_input.copy()
+            length, lower = self._search(U, d, cost)
+            if not length:
+                better = self._by_residual(U, d, found.kkt)
+                if better is None:
+                    found = self._linearise(U)
+                    break
+                U, found = better
+                cost = self.cost(U)
+                points, steps = [], []
+                continue
+            points, steps = ([*points, U.ravel()][-MEMORY:], [*steps, d.ravel()][-MEMORY:]) if length == 1 else ([], [])
+            U, cost = U + length * d, lower
+            combined = self._accelerated(points, steps)
+            if combined is not None and (lower := self.cost(combined)) < cost:
+                U, cost = combined, lower
+            found = self._linearise(U)
+        return found
+
+    def _linearise(self, U: np.ndarray) -> Direction:
+        self.cost(U)
+        self._X[...], self._U[...] = self._rollout.results["X"], U
+        return self._direction()
+
+    def _search(self, U: np.ndarray, d: np.ndarray, cost: float) -> tuple[float, float]:
+        """Length of the step that is short enough, and the cost there; (0, cost) where there is none."""
+        length, slope = 1.0, float((self._R * d * d).sum())
+        for _ in range(HALVINGS):
+            lower = self.cost(U + length * d)
+            if lower < cost - ARMIJO * length * slope:
+                return length, lower
+            length /= 2
+        return 0.0, cost
+
+    def _by_residual(self, U: np.ndarray, d: np.ndarray, kkt: float) -> tuple[np.ndarray, Direction] | None:
+        """The first of ever shorter steps that is nearer to a stationary point."""
+        for length in 0.5 ** np.arange(8):
+            candidate = U + length * d
+            found = self._linearise(candidate)
+            if found.status != Status.FAILED and found.kkt < (1 - REDUCED * length) * kkt:
+                return candidate, found
+        return None
+
+    def _accelerated(self, points: list[np.ndarray], steps: list[np.ndarray]) -> np.ndarray | None:
+        """Anderson's combination of the last full steps, within the bounds; None where there are too few."""
+        if len(points) < 2:
+            return None
+        d_points, d_steps = np.diff(points, axis=0).T, np.diff(steps, axis=0).T
+        share = np.linalg.lstsq(d_steps, steps[-1], rcond=1e-10)[0]
+        combined = points[-1] + steps[-1] - (d_points + d_steps) @ share
+        return np.clip(combined.reshape(self._U.shape), self._low, self._high)

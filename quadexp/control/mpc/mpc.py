@@ -1,0 +1,220 @@
+"""Model predictive controller: one real-time SQP iteration per control step, any residual model, exact bounds."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from quadexp.air.base import Residual
+from quadexp.compile.backend import BufferedFunction, realise_together, resolve
+from quadexp.control.mpc.active_set import Status, make_active_set
+from quadexp.control.mpc.first_solve import CONVERGED, Direction, FirstSolve, rollout_function
+from quadexp.control.mpc.settings import MPCSettings
+from quadexp.control.mpc.step import step_function
+from quadexp.control.mpc.subproblem import TOLERANCE, bounded_function
+from quadexp.errors import QuadexpError
+from quadexp.physics.state import ATTITUDE
+from quadexp.physics.vehicle import Vehicle
+
+MAX_TURN = 0.25  # largest change of a quaternion, its length, that one iteration may make
+STATIONARY = 1e-4  # of the thrust range: input error that the residual of a converged first step may stand for
+PLAIN_ITERATIONS = 20  # of the first step, before it searches along each: enough from near the reference
+
+
+class StepRecord(NamedTuple):
+    """How one control step went.
+
+    solve_time: s, wall clock of the step as Python sees it. status: see Status. sweeps: exchanges of the active set.
+    active: inputs of the horizon at a bound. kkt: optimality residual of the shifted guess (m, N and mixed units).
+    converged: False for a first step that ended away from a stationary point; a later step iterates once by design.
+    """
+
+    solve_time: float
+    status: Status
+    sweeps: int
+    active: int
+    kkt: float
+    converged: bool = True
+
+
+class ModelPredictiveController:
+    """Tracks a sampled reference; call `reset` once, then `command` every control period.
+
+    vehicle: what the controller believes it flies. residual: what it believes of the air.
+    backend: "auto", "compiled" or "interpreted" (see compile/backend.py); `backend` afterwards says which one it got.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, residual: Residual, settings: MPCSettings | None = None, *, backend: str = "auto"
+    ) -> None:
+        self.vehicle, self.residual = vehicle, residual
+        self.settings = settings = settings or MPCSettings()
+        self.backend = resolve(backend)
+        step, bounded = _functions(vehicle, residual, settings, self.backend)
+        self._step = BufferedFunction(step)
+        arguments = self._step.arguments
+        self._active_set = make_active_set(bounded, self._step)
+
+        share = settings.node_share[:, None]
+        arguments["Q"][...] = share * settings.state_weight()
+        arguments["Q_end"][...] = settings.terminal_weight * settings.state_weight()
+        arguments["R"][...] = share * settings.thrust_weight(vehicle)
+        arguments["u_min"][...], arguments["u_max"][...] = vehicle.thrust_min, vehicle.thrust_max
+        arguments["dt"][...] = settings.node_periods
+        self._x0, self._X_ref, self._U_ref = (arguments[name] for name in ("x0", "X_ref", "U_ref"))
+        self._X_ref_flat, self._U_ref_flat = self._X_ref.ravel(), self._U_ref.ravel()
+        self._X, self._U = arguments["X"], arguments["U"]
+        self._X_new, self._U_new = (self._step.results[name] for name in ("X_new", "U_new"))
+        self._checks, self._thrust = self._step.results["checks"], self._U[0]
+        self._attitude, self._attitude_ref = self._x0[ATTITUDE], self._X_ref[0, ATTITUDE]
+        self._attitude_predicted = self._X[0, ATTITUDE]
+        # An error du of the inputs leaves a gradient of at least R du; what rounding leaves of it grows with R.
+        error = STATIONARY * (vehicle.thrust_max - vehicle.thrust_min)
+        self._stationary = max(CONVERGED, error * float(arguments["R"].min()))
+        self._first_solve: FirstSolve | None = None  # few flights need it
+        self.set_parameters(residual.theta)
+        self.node_times = settings.node_times  # s from now, for sampling references
+
+    def set_parameters(self, theta: np.ndarray) -> None:
+        """New residual parameters, (p,), from the next step on; nothing is rebuilt."""
+        self._step.arguments["theta"].ravel()[:] = theta
+
+    @property
+    def prediction(self) -> tuple[np.ndarray, np.ndarray]:
+        """Predicted states (N + 1, 13) and inputs (N, n) of the last step; overwritten by the next."""
+        return self._X, self._U
+
+    def reset(self, x0: np.ndarray, state_reference: np.ndarray, input_reference: np.ndarray) -> None:
+        """Start anew from a guess on the reference; the next `command` iterates to convergence.
+
+        x0: (13,). state_reference: (N + 1, 13). input_reference: (N, n), N.
+        """
+        self._X[...] = state_reference
+        if state_reference[0, ATTITUDE] @ x0[ATTITUDE] < 0:
+            self._X[:, ATTITUDE] *= -1
+        self._U[...] = np.clip(input_reference, self.vehicle.thrust_min, self.vehicle.thrust_max)
+        self._active_set.reset()
+        self._cold = True
+
+    def command(
+        self, x0: np.ndarray, state_reference: np.ndarray, input_reference: np.ndarray
+    ) -> tuple[np.ndarray, StepRecord]:
+        """Rotor thrusts (n,) (N) for the measured state, and how the step went.
+
+        x0: (13,), unit quaternion. state_reference: (N + 1, 13) at `node_times` from now; input_reference: (N, n).
+        Raises QuadexpError for a measurement or a reference that is not finite. A step that fails returns the last
+        prediction's input with status FAILED; whoever flies decides what to do.
+        """
+        began = time.perf_counter()
+        if not math.isfinite(sum(x0.tolist())):
+            raise QuadexpError("the measured state is not finite")
+        self._x0[...] = x0
+        self._X_ref[...] = state_reference
+        self._U_ref[...] = input_reference
+        if not math.isfinite(self._X_ref_flat.dot(self._X_ref_flat) + self._U_ref_flat.dot(self._U_ref_flat)):
+            raise QuadexpError("the reference is not finite")
+        if self._attitude_ref.dot(self._attitude) < 0:  # q and -q are one attitude: compare on the measured side
+            self._X_ref[:, ATTITUDE] *= -1
+        if self._attitude_predicted.dot(self._attitude) < 0:
+            self._X[:, ATTITUDE] *= -1
+        cold = self._cold
+        status, sweeps, active, kkt = self._converge() if cold else self._iterate()
+        thrust = self._thrust.copy()
+        converged = not cold or kkt < self._stationary
+        return thrust, StepRecord(time.perf_counter() - began, status, sweeps, active, kkt, converged)
+
+    def _converge(self) -> tuple[Status, int, int, float]:
+        """Iterate on the first measurement, without moving the guess forward; full steps first, then searched ones."""
+        shift = self._step.arguments["shift"]
+        shift[...] = 0.0
+        guess, iterations = self._U.copy(), self.settings.initial_iterations
+        for _ in range(min(iterations, PLAIN_ITERATIONS)):
+            outcome = self._iterate()
+            if outcome[0] == Status.FAILED or outcome[3] < CONVERGED:
+                break
+        if not outcome[3] < CONVERGED and iterations > PLAIN_ITERATIONS:
+            reached = self._X.copy(), self._U.copy()
+            found = self._descend(guess, iterations - PLAIN_ITERATIONS)
+            if found is None or found[0] == Status.FAILED:  # then what the full steps reached stands, unconverged
+                self._X[...], self._U[...] = reached
+            else:
+                outcome = found
+        shift[...] = self.settings.control_period / self.settings.node_periods
+        self._cold = False
+        return outcome
+
+    def _descend(self, guess: np.ndarray, iterations: int) -> tuple[Status, int, int, float] | None:
+        """Globalised iterations from where the full ones ended, or from the first guess, (N, n).
+
+        None where neither has a finite trajectory.
+        """
+        if self._first_solve is None:
+            error = self.settings.attitude_error
+            rollout = rollout_function(self.vehicle, self.residual, self.settings.nodes, attitude_error=error)
+            self._first_solve = FirstSolve(rollout, self._step, self._direction)
+        reached = np.clip(self._U, self.vehicle.thrust_min, self.vehicle.thrust_max)
+        found = self._first_solve.solve([reached, guess], iterations)
+        return None if found is None else found[1:]
+
+    def _direction(self) -> Direction:
+        """Linearise at the guess and solve the bounded subproblem, without a step."""
+        self._step()
+        excess, turn, kkt = self._checks.tolist()
+        d_input = self._U_new - self._step.results["U_lin"]
+        if not math.isfinite(excess + turn):
+            return Direction(d_input, Status.FAILED, 0, 0, kkt)
+        if excess <= TOLERANCE:
+            return Direction(d_input, Status.RICCATI, 0, 0, kkt)
+        found = self._active_set
+        status = found.solve()
+        return Direction(found.U_new - self._step.results["U_lin"], status, found.exchanges, found.active, kkt)
+
+    def _iterate(self) -> tuple[Status, int, int, float]:
+        """One SQP iteration: status, sweeps, active bounds, optimality residual. The guess moves unless it failed."""
+        self._step()
+        excess, turn, kkt = self._checks.tolist()
+        if not math.isfinite(excess + turn):
+            return Status.FAILED, 0, 0, kkt
+        if excess <= TOLERANCE:  # then the unbounded solution solves the bounded problem too
+            self._active_set.reset()
+            self._move(self._X_new, self._U_new, turn)
+            return Status.RICCATI, 0, 0, kkt
+        found = self._active_set
+        status = found.solve()
+        if status == Status.FAILED:
+            return status, found.exchanges, 0, kkt
+        self._move(found.X_new, found.U_new, found.turn)
+        return status, found.exchanges, found.active, kkt
+
+    def _move(self, X_new: np.ndarray, U_new: np.ndarray, turn: float) -> None:
+        """The guess moves to a solution; less far where an attitude would turn further than its model holds."""
+        if turn <= MAX_TURN:
+            self._X[...], self._U[...] = X_new, U_new
+            return
+        x, u = self._step.results["X_lin"], self._step.results["U_lin"]
+        length = MAX_TURN / turn
+        self._X[...] = x + length * (X_new - x)
+        self._U[...] = u + length * (U_new - u)
+
+
+_built: dict[tuple[Any, ...], tuple[ca.Function, ca.Function | None]] = {}
+
+
+def _functions(
+    vehicle: Vehicle, residual: Residual, settings: MPCSettings, backend: str
+) -> tuple[ca.Function, ca.Function | None]:
+    """Step and bounded subproblem on the resolved back end (None: numpy); built once per process and structure."""
+    nodes, error = settings.nodes, settings.attitude_error
+    key = (vehicle.fingerprint, residual.function.serialize(), nodes, error, backend)
+    if key not in _built:
+        step = step_function(vehicle, residual, nodes, attitude_error=error, scalar=backend == "compiled")
+        if backend == "compiled":
+            step, bounded = realise_together([step, bounded_function(step, nodes)], backend)
+            _built[key] = step, bounded
+        else:
+            _built[key] = step, None
+    return _built[key]

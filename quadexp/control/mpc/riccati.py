@@ -1,0 +1,179 @@
+"""Backward and forward passes of the linear-quadratic subproblem, one node at a time, as CasADi functions.
+
+The Gauss-Newton subproblem in deviations (dx, du) from the linearisation point is
+
+    min sum_k 1/2 dx'Q dx + q'dx + 1/2 du'R du + r'du,     dx_{k+1} = A_k dx_k + B_k du_k + b_k,     dx_0 = 0
+
+and the cost to go 1/2 dx'P dx + p'dx follows, with H = R + B'PB, G = B'PA, h = r + B'(Pb + p):
+
+    K = H^-1 G,   k = H^-1 h,   P <- Q + A'PA - G'K,   p <- q + A'(Pb + p) - G'k,   du = -k - K dx
+
+With H = L D L', each node leaves the gains K, k and the factor: L below the diagonal and D^-1 on it.
+
+There are two forms. `MatrixPasses`, for the virtual machine, are dense products. `CompiledPasses` are for code that
+will be compiled: the backward pass, the largest part of a control step, is C in vector registers
+(riccati_backward.c); the others are scalar operations without the structural zeros of A and B.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import casadi as ca
+
+from quadexp.compile.backend import handwritten
+from quadexp.physics.expression import Expression
+from quadexp.physics.state import N_STATE
+
+N_PLACE = 3  # of the state, which comes first and on which nothing depends: A's first columns are [I; 0]
+Node = tuple[list[Expression], Expression, Expression, Expression]  # cost to go, K, k, factor
+KERNEL = Path(__file__).with_name("riccati_backward.c")
+
+
+class MatrixPasses:
+    """The passes in dense matrix operations; a cost to go is [P, p]."""
+
+    def __init__(self, find: Callable[[str], ca.Function]) -> None:
+        self._backward, self._first_node = find("backward"), find("first_node")
+        self.forward, self.adjoint = find("forward"), find("adjoint")
+
+    @classmethod
+    def build(cls, a: ca.Sparsity, b: ca.Sparsity) -> MatrixPasses:
+        """The passes where A and B have the patterns a and b."""
+        n = b.size2()
+        functions = (_backward_function(n), _first_node_function(n), *_vector_passes(ca.MX, a, b))
+        return cls({function.name(): function for function in functions}.__getitem__)
+
+    def terminal(self, Q_end: Expression, p: Expression) -> list[Expression]:
+        """Cost to go at the last node."""
+        return [ca.densify(ca.diag(Q_end)), p]
+
+    def backward(self, cost: list[Expression], *node: Expression) -> Node:
+        """Cost to go of a node from the next one's, and its K, k and factor. node: A, B, b, q, r, Q, R."""
+        *before, K, k, factor = self._backward(*cost, *node)
+        return before, K, k, factor
+
+    def first_node(self, cost: list[Expression], *node: Expression) -> tuple[Expression, Expression]:
+        """k and factor of node 0: its state is measured, so no gain and no cost to go are needed."""
+        k, factor = self._first_node(*cost, *node)
+        return k, factor
+
+
+class CompiledPasses:
+    """The passes for compiled code; a cost to go is riccati_backward.c's array."""
+
+    def __init__(self, find: Callable[[str], ca.Function]) -> None:
+        self._rows, self._terminal, self._kernel = (find(f"riccati_{name}") for name in ("rows", "terminal", "kernel"))
+        self.forward, self.adjoint = find("forward"), find("adjoint")
+
+    @classmethod
+    def build(cls, a: ca.Sparsity, b: ca.Sparsity) -> CompiledPasses:
+        """The passes where A and B have the patterns a and b."""
+        n = b.size2()
+        functions = (_rows_function(a, b), _terminal_function(n), kernel_function(n), *_vector_passes(ca.SX, a, b))
+        return cls({function.name(): function for function in functions}.__getitem__)
+
+    def terminal(self, Q_end: Expression, p: Expression) -> list[Expression]:
+        """See MatrixPasses."""
+        return [self._terminal(Q_end, p)]
+
+    def rows(self, *node: Expression) -> Expression:
+        """The kernel's rows of a node. node: A, B, b."""
+        return self._rows(*node)
+
+    def backward(self, cost: list[Expression], *node: Expression) -> Node:
+        """See MatrixPasses."""
+        before, K, k, factor = self._kernel(*cost, self.rows(*node[:3]), *node[3:])
+        return [before], K, k, factor
+
+    def first_node(self, cost: list[Expression], *node: Expression) -> tuple[Expression, Expression]:
+        """See MatrixPasses."""
+        return self.backward(cost, *node)[2:]
+
+
+Passes = MatrixPasses | CompiledPasses
+
+
+def solve_function(n_inputs: int) -> ca.Function:
+    """(H, G, h) -> K = H^-1 G, k = H^-1 h, factor by an unrolled LDL' factorisation; H's upper triangle is read."""
+    H, G, h = ca.SX.sym("H", n_inputs, n_inputs), ca.SX.sym("G", n_inputs, N_STATE), ca.SX.sym("h", n_inputs)
+    D, LT, order = ca.ldl(ca.triu2symm(ca.triu(H)), False)
+    gains = ca.ldl_solve(ca.horzcat(G, h), D, LT, order)
+    factor = ca.densify(LT.T + ca.diag(1 / D))
+    return ca.Function("solve", [H, G, h], ca.cse([gains[:, :N_STATE], gains[:, N_STATE], factor]))
+
+
+def _node_symbols(n: int) -> list[ca.MX]:
+    shapes = {"P": (N_STATE, N_STATE), "p": (N_STATE, 1), "A": (N_STATE, N_STATE), "B": (N_STATE, n)}
+    shapes |= {"b": (N_STATE, 1), "q": (N_STATE, 1), "r": (n, 1), "Q": (N_STATE, 1), "R": (n, 1)}
+    return [ca.MX.sym(name, *shape) for name, shape in shapes.items()]
+
+
+def _backward_function(n: int) -> ca.Function:
+    """(P, p, A, B, b, q, r, Q, R) of a node -> P, p, K, k, factor; Q and R as diagonals."""
+    P, p, A, B, b, q, r, Q, R = symbols = _node_symbols(n)
+    products = ca.mtimes(P, ca.horzcat(A, B, b))
+    PA, PB, Pb = ca.horzsplit(products, [0, N_STATE, N_STATE + n, N_STATE + n + 1])
+    H, G, h = ca.mtimes(PB.T, B) + ca.diag(R), ca.mtimes(PB.T, A), r + ca.mtimes(B.T, Pb + p)
+    K, k, factor = solve_function(n)(H, G, h)
+    P_next = ca.mtimes(A.T, PA) - ca.mtimes(G.T, K) + ca.diag(Q)
+    p_next = q + ca.mtimes(A.T, Pb + p) - ca.mtimes(G.T, k)
+    return _function("backward", symbols, [P_next, p_next, K, k, factor])
+
+
+def _first_node_function(n: int) -> ca.Function:
+    """(P, p, A, B, b, q, r, Q, R) of node 0 -> k, factor."""
+    P, p, _, B, b, _, r, _, R = symbols = _node_symbols(n)
+    H = ca.mtimes(B.T, ca.mtimes(P, B)) + ca.diag(R)
+    h = r + ca.mtimes(B.T, ca.mtimes(P, b) + p)
+    _, k, factor = solve_function(n)(H, ca.MX(n, N_STATE), h)
+    return _function("first_node", symbols, [k, factor])
+
+
+def _vector_passes(kind: type[Expression], a: ca.Sparsity, b: ca.Sparsity) -> tuple[ca.Function, ca.Function]:
+    """forward: (dx, A, B, b, K, k) -> du, dx of the next node.
+
+    adjoint: (lambda of the next node, A, B, q, r) -> lambda = q + A'lambda, gradient by u = r + B'lambda.
+    """
+    n = b.size2()
+    x, A, B, gap = kind.sym("x", N_STATE), kind.sym("A", a), kind.sym("B", b), kind.sym("b", N_STATE)
+    K, k, q, r = kind.sym("K", n, N_STATE), kind.sym("k", n), kind.sym("q", N_STATE), kind.sym("r", n)
+    du = -k - ca.mtimes(K, x)
+    forward = _function("forward", [x, A, B, gap, K, k], [du, ca.mtimes(A, x) + ca.mtimes(B, du) + gap])
+    return forward, _function("adjoint", [x, A, B, q, r], [q + ca.mtimes(A.T, x), r + ca.mtimes(B.T, x)])
+
+
+def _function(name: str, arguments: list[Expression], results: list[Expression]) -> ca.Function:
+    return ca.Function(name, arguments, ca.cse([ca.densify(result) for result in results]))
+
+
+def line_length(n: int) -> int:
+    """Length of a row in riccati_backward.c: motion, inputs, the affine column, padding to whole vectors."""
+    return 8 * ((N_STATE - N_PLACE + n) // 8 + 1)
+
+
+def _rows_function(a: ca.Sparsity, b: ca.Sparsity) -> ca.Function:
+    """(A, B, b) -> the kernel's rows, one in each column."""
+    n = b.size2()
+    A, B, gap = ca.SX.sym("A", a), ca.SX.sym("B", b), ca.SX.sym("b", N_STATE)
+    padding = ca.SX(line_length(n) - (N_STATE - N_PLACE + n + 1), N_STATE)
+    return _function("riccati_rows", [A, B, gap], [ca.vertcat(A[:, N_PLACE:].T, B.T, gap.T, padding)])
+
+
+def _terminal_function(n: int) -> ca.Function:
+    """(Q_end, p) -> the kernel's cost at the last node."""
+    Q_end, p = ca.SX.sym("Q_end", N_STATE), ca.SX.sym("p", N_STATE)
+    rows, affine = ca.SX(line_length(n), N_STATE), N_STATE - N_PLACE + n
+    rows[: N_STATE - N_PLACE, N_PLACE:] = ca.diag(Q_end[N_PLACE:])
+    rows[affine, :] = p.T
+    return _function("riccati_terminal", [Q_end, p], [ca.vertcat(ca.vec(rows), ca.vec(ca.diag(Q_end[:N_PLACE])))])
+
+
+def kernel_function(n: int) -> ca.Function:
+    """riccati_backward.c for n inputs: (cost, rows, q, r, Q, R) -> cost of this node, K, k, factor; compiled only."""
+    dense = ca.Sparsity.dense
+    cost, state, inputs = dense(line_length(n) * N_STATE + N_PLACE**2, 1), dense(N_STATE, 1), dense(n, 1)
+    arguments = {"cost": cost, "rows": dense(line_length(n), N_STATE), "q": state, "r": inputs, "Q": state, "R": inputs}
+    results = {"cost_next": cost, "K": dense(n, N_STATE), "k": inputs, "factor": dense(n, n)}
+    return handwritten("riccati_kernel", KERNEL, {"N_INPUTS": n}, arguments, results)

@@ -1,0 +1,72 @@
+"""The model predictive controller whose model of the air is identified in flight.
+
+The blade-element residual has its coefficients as runtime parameters: recursive least squares renews them before every
+step, and nothing is rebuilt. Attitude and thrusts of the reference contain the air too; they are made anew from the
+newest coefficients every reference_period, a slower task beside the control loop.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from quadexp.air.base import Residual
+from quadexp.control.base import Measurement, Window
+from quadexp.control.feedback.aerodynamics import IdentifiedCoefficients
+from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
+
+# Changes of (C_d0, C_la, C_D) that are worth a new reference: each moves the force by about 0.05 m/s^2 at 10 m/s.
+NOTABLE = np.array([0.004, 0.015, 0.004, 0.004, 0.004])
+
+
+class IdentifyingController(PredictiveController):
+    """See Controller.
+
+    mpc: with a blade-element residual. identified: its coefficients. reference_period: s, 0 keeps the first reference.
+    """
+
+    def __init__(
+        self, mpc: ModelPredictiveController, identified: IdentifiedCoefficients, reference_period: float
+    ) -> None:
+        super().__init__(mpc)
+        self.identified, self.reference_period = identified, reference_period
+        self._believed = mpc.residual
+
+    @property
+    def residual(self) -> Residual | None:
+        """The model with the newest coefficients; the same object as before where they have hardly changed."""
+        theta = self.identified.theta
+        if np.any(np.abs(theta - self._believed.theta) > NOTABLE):
+            self._believed = replace(self._believed, theta=theta.copy())
+        return self._believed if self.settings.feedforward else None
+
+    def forget(self) -> None:
+        """See Controller.forget."""
+        self.identified.reset()
+        self._believed = self.mpc.residual
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset."""
+        super().reset(x, window)
+        self.forget()
+        self._commanded = np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust)
+
+    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
+        """See Controller.step; where rotor speeds are not measured, the commanded ones are taken for them."""
+        began = time.perf_counter()
+        if measurement.specific_force is not None:
+            speed = measurement.rotor_speed
+            if speed is None:
+                speed = np.sqrt(np.maximum(self._commanded, 0.0) / self.vehicle.static_thrust_coefficient)
+            self.identified.update(measurement, speed)
+        self.mpc.set_parameters(self.identified.theta)
+        thrust, record = super().step(measurement, window)
+        self._commanded = thrust
+        return thrust, record._replace(solve_time=time.perf_counter() - began)
+
+    def log(self) -> dict[str, float]:
+        """See Controller.log: the coefficients in use."""
+        return self.identified.log()

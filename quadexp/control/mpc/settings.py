@@ -1,0 +1,123 @@
+"""Settings of the model predictive controller, with the values of Torrente et al. 2021's simulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from quadexp.control.mpc.attitude_error import ATTITUDE_ERRORS
+from quadexp.errors import UsageError
+from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
+from quadexp.physics.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class MPCSettings:
+    """Horizon, weights and iteration limits.
+
+    horizon: s. nodes: shooting intervals N. rate: control steps per second (Hz).
+    first_node: length of the first interval, from which the others grow (s; see `node_periods`); 0: all are alike, as
+    published. Every node weighs as much as its share of the horizon.
+    *_weight: diagonal of Q on deviations in SI units; attitude on a quaternion (w, x, y, z), which is the plain
+    difference or the error's rotation in the reference's body frame, as attitude_error says ("plain" or "body").
+    input_weight: diagonal of R on thrusts normalised by the largest one.
+    terminal_weight: factor on Q at the last node. feedforward: let the reference's attitude, rates and thrusts contain
+    the residual. initial_iterations: SQP iterations allowed on the first step (one on every later step): full ones
+    first, and where these do not converge, more with a line search (first_solve.py).
+    distance_limit: m, largest position error that the controller acts on; see PredictiveController.
+    """
+
+    horizon: float = 1.0
+    nodes: int = 10
+    first_node: float = 0.0
+    rate: float = 50.0
+    position_weight: tuple[float, ...] = (10.0, 10.0, 10.0)
+    attitude_weight: tuple[float, ...] = (0.0, 0.1, 0.1, 0.1)
+    attitude_error: str = "plain"
+    velocity_weight: tuple[float, ...] = (0.05, 0.05, 0.05)
+    rate_weight: tuple[float, ...] = (0.05, 0.05, 0.05)
+    input_weight: float = 0.1
+    terminal_weight: float = 0.0
+    feedforward: bool = True
+    initial_iterations: int = 400
+    distance_limit: float = 10.0
+
+    def __post_init__(self) -> None:
+        if self.nodes < 2:
+            raise UsageError(f"controller.nodes={self.nodes}: must be at least 2")
+        if self.attitude_error not in ATTITUDE_ERRORS:
+            allowed = ", ".join(ATTITUDE_ERRORS)
+            raise UsageError(f"controller.attitude_error={self.attitude_error}: allowed are {allowed}")
+        if self.control_period > self.node_period + 1e-12:
+            raise UsageError(
+                f"controller.rate={self.rate:g}: a control period of {self.control_period:g} s must not exceed the node"
+                f" period of {self.node_period:g} s (horizon / nodes)"
+            )
+
+        if self.first_node and not self.control_period - 1e-12 <= self.first_node <= self.node_period + 1e-12:
+            raise UsageError(
+                f"controller.first_node={self.first_node:g}: must be 0 or between the control period of"
+                f" {self.control_period:g} s and the mean node period of {self.node_period:g} s (horizon / nodes)"
+            )
+
+    @property
+    def control_period(self) -> float:
+        """Time between control steps (s)."""
+        return 1.0 / self.rate
+
+    @property
+    def node_period(self) -> float:
+        """Mean time between shooting nodes (s)."""
+        return self.horizon / self.nodes
+
+    @property
+    def node_periods(self) -> np.ndarray:
+        """Time between shooting nodes, (N,) (s).
+
+        With a first_node: a geometric series that begins with it, its nodes rounded to control instants, so that a
+        reference is sampled at no other times. The first input is predicted to be held for first_node and is held for
+        a control period T: with an unpredicted dead time d between command and thrust, first_node = T + 2 d centres the
+        one on the other. A shorter one makes the controller stiffer and leaves less margin of dead time.
+        """
+        if not self.first_node:
+            return np.full(self.nodes, self.node_period)
+        longest = np.floor(self.node_period * self.rate + 1e-9)
+        first = min(max(1.0, np.floor(self.first_node * self.rate + 0.5)), longest)
+        total = self.horizon * self.rate
+        ends = np.floor(first * _geometric_sums(self.nodes, total / first) + 0.5)
+        ends[-1] = total
+        return np.diff(ends, prepend=0.0) * self.control_period
+
+    @property
+    def node_times(self) -> np.ndarray:
+        """Shooting nodes from now, (N + 1,) (s)."""
+        if not self.first_node:
+            return self.node_period * np.arange(self.nodes + 1)
+        return np.concatenate([[0.0], np.cumsum(self.node_periods)])
+
+    @property
+    def node_share(self) -> np.ndarray:
+        """Weight of each node, (N,): its length over the mean one; 1 where all are alike."""
+        return self.node_periods / self.node_period
+
+    def state_weight(self) -> np.ndarray:
+        """Diagonal of Q, (13,)."""
+        q = np.zeros(N_STATE)
+        q[POSITION], q[ATTITUDE] = self.position_weight, self.attitude_weight
+        q[VELOCITY], q[RATE] = self.velocity_weight, self.rate_weight
+        return q
+
+    def thrust_weight(self, vehicle: Vehicle) -> np.ndarray:
+        """Diagonal of R on thrusts in N, (n,)."""
+        return np.full(vehicle.n_rotors, self.input_weight / vehicle.thrust_max**2)
+
+
+def _geometric_sums(terms: int, total: float) -> np.ndarray:
+    """Partial sums, (terms,), of the geometric series 1 + g + g^2 + .. with that total; g >= 1, by bisection."""
+    low, high, sums = 1.0, max(total, 1.0), np.arange(1.0, terms + 1)
+    for _ in range(100):
+        ratio = (low + high) / 2
+        sums = np.cumsum(ratio ** np.arange(terms))
+        low, high = (low, ratio) if sums[-1] > total else (ratio, high)
+    return sums

@@ -1,0 +1,104 @@
+"""The control step as a CasADi function: shift, linearise, solve, update (real-time iteration, Gauss-Newton SQP).
+
+    min  sum_{k<N} |x_k - x*_k|_{Q_k}^2 + |u_k - u*_k|_{R_k}^2  +  |x_N - x*_N|_{Q_end}^2
+    s.t. x_{k+1} = F(x_k, u_k, theta, dt_k),   x_0 measured,   u_min <= u <= u_max
+
+This is one iteration as if no bound were there. Where none is violated its answer is the subproblem's solution;
+otherwise control.active_set solves the subproblem that it leaves behind.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+
+from quadexp.air.base import Residual
+from quadexp.control.mpc.attitude_error import attitude_error_in, reference_frames
+from quadexp.control.mpc.riccati import CompiledPasses, MatrixPasses
+from quadexp.control.mpc.subproblem import input_gradient, solution
+from quadexp.physics.sensitivity import rk4_sensitivity_function
+from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.physics.vehicle import Vehicle
+
+LENGTH_MIN, LENGTH_MAX = 0.5, 2.0  # of a quaternion at a shooting node
+
+
+def step_function(
+    vehicle: Vehicle, residual: Residual, nodes: int, *, attitude_error: str = "plain", scalar: bool = True
+) -> ca.Function:
+    """One iteration for N = nodes; scalar: the form to compile, otherwise the form that the virtual machine runs.
+
+    attitude_error: what Q weighs of the attitude, see control.attitude_error.
+
+    Inputs: X (13, N + 1), U (n, N) last solution; x0 (13,) measured; X_ref, U_ref; theta (p,) residual parameters;
+    Q (13, N), Q_end (13,), R (n, N) weights; u_min, u_max (n,) N; dt (N,) node periods (s); shift (N,), the share of
+    each node by which to move the last solution forward.
+    Outputs: X_new, U_new; checks (3,): the largest bound violation (N), the largest change of a quaternion (length),
+    and the optimality residual of the shifted guess (the largest of the gaps of the dynamics and of the projected
+    gradient step in u); then the subproblem: A (13, 13 N), B (13, n N), b (13, N), q (13, N + 1), r (n, N), its
+    factorisation K (n, 13 N), factor (n, n N), the linearisation point X_lin, U_lin, and frames, (4, 4 (N + 1)), where
+    the subproblem is in the coordinates of "body".
+    """
+    n = vehicle.n_rotors
+    if scalar and residual.to_compile is not None:
+        residual = replace(residual, function=residual.to_compile)
+    node = rk4_sensitivity_function(vehicle, residual, scalar=scalar)
+    X, U = ca.MX.sym("X", N_STATE, nodes + 1), ca.MX.sym("U", n, nodes)
+    x0, theta = ca.MX.sym("x0", N_STATE), ca.MX.sym("theta", residual.function.size1_in(1))
+    X_ref, U_ref = ca.MX.sym("X_ref", N_STATE, nodes + 1), ca.MX.sym("U_ref", n, nodes)
+    Q, Q_end, R = ca.MX.sym("Q", N_STATE, nodes), ca.MX.sym("Q_end", N_STATE), ca.MX.sym("R", n, nodes)
+    u_min, u_max = ca.MX.sym("u_min", n), ca.MX.sym("u_max", n)
+    dt, shift = ca.MX.sym("dt", nodes), ca.MX.sym("shift", nodes)
+    Q_at, R_at, dt_at, along = ca.horzsplit(Q), ca.horzsplit(R), ca.vertsplit(dt), shift.T
+
+    moved = X[:, :nodes] + ca.repmat(along, N_STATE, 1) * (X[:, 1:] - X[:, :nodes])
+    guard = _attitude_guard()
+    X_lin = ca.horzcat(x0, *(guard(x_k) for x_k in ca.horzsplit(ca.horzcat(moved[:, 1:], X[:, nodes]))))
+    U_lin = ca.horzcat(U[:, :-1] + ca.repmat(along[:-1], n, 1) * (U[:, 1:] - U[:, :-1]), U[:, -1])
+    x, u = ca.horzsplit(X_lin), ca.horzsplit(U_lin)
+
+    frames = reference_frames(X_ref) if attitude_error == "body" else None
+    error = attitude_error_in(frames)
+    A, B, b = [], [], []
+    for k in range(nodes):
+        x_next, A_k, B_k = node(x[k], u[k], theta, dt_at[k])
+        A_k, B_k, b_k = error.linearisation(k, A_k, B_k, x_next - x[k + 1])
+        A.append(A_k)
+        B.append(B_k)
+        b.append(b_k)
+    deviation = [error.deviation(k, d) for k, d in enumerate(ca.horzsplit(X_lin - X_ref))]
+    effort = ca.horzsplit(U_lin - U_ref)
+    q = [Q_k * d for Q_k, d in zip(Q_at, deviation, strict=False)] + [Q_end * deviation[nodes]]
+    r = [R_k * e for R_k, e in zip(R_at, effort, strict=True)]
+
+    passes = (CompiledPasses if scalar else MatrixPasses).build(A[0].sparsity(), B[0].sparsity())
+    dX, dU, K, factor = solution(passes, A, B, b, q, r, Q_at, Q_end, R_at)
+    X_new = ca.horzcat(x0, *(x[k + 1] + error.change(k + 1, dX[k]) for k in range(nodes)))
+    U_new = ca.horzcat(*(u[k] + dU[k] for k in range(nodes)))
+    high, low = ca.repmat(u_max, 1, nodes), ca.repmat(u_min, 1, nodes)
+    turn = ca.sqrt(ca.mmax(ca.sum1(ca.horzcat(*dX)[ATTITUDE, :] ** 2)))
+    excess = ca.mmax(ca.fmax(U_new - high, low - U_new))
+
+    gradient = input_gradient(passes, A, B, q, r)
+    projected = [u[k] - ca.fmin(ca.fmax(u[k] - gradient[k], u_min), u_max) for k in range(nodes)]
+    kkt = ca.fmax(ca.norm_inf(ca.vertcat(*b)), ca.norm_inf(ca.vertcat(*projected)))
+    results = {"X_new": X_new, "U_new": U_new, "checks": ca.vertcat(excess, turn, kkt)}
+    results |= {name: ca.horzcat(*m) for name, m in {"A": A, "B": B, "b": b, "q": q, "r": r}.items()}
+    results |= {"K": ca.horzcat(*K), "factor": ca.horzcat(*factor)}
+    results |= {"X_lin": X_lin, "U_lin": U_lin} | ({} if frames is None else {"frames": frames})
+    arguments = [X, U, x0, X_ref, U_ref, theta, Q, Q_end, R, u_min, u_max, dt, shift]
+    names = ["X", "U", "x0", "X_ref", "U_ref", "theta", "Q", "Q_end", "R", "u_min", "u_max", "dt", "shift"]
+    return ca.Function("mpc_step", arguments, [*results.values()], names, [*results])
+
+
+def _attitude_guard() -> ca.Function:
+    """State with its quaternion's length brought back between LENGTH_MIN and LENGTH_MAX.
+
+    Integration alone leaves the length within half a percent of one; Newton steps far from the solution do not, and at
+    a length of zero a quaternion is no attitude.
+    """
+    x = ca.SX.sym("x", N_STATE)
+    length = ca.norm_2(x[ATTITUDE])
+    scale = ca.fmin(ca.fmax(length, LENGTH_MIN), LENGTH_MAX) / length
+    return ca.Function("attitude_guard", [x], [ca.vertcat(x[:3], x[ATTITUDE] * scale, x[7:])])

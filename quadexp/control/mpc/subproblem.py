@@ -1,0 +1,116 @@
+"""The linear-quadratic subproblem that a control step leaves behind, over the whole horizon.
+
+    min  sum_k 1/2 dx'Q_k dx + q'dx + 1/2 du'R_k du + r'du    dx_{k+1} = A_k dx_k + B_k du_k + b_k,   dx_0 = 0
+
+`solution` and `input_gradient` chain the passes of control.riccati: the subproblem without bounds. `bounded_function`
+solves it under low <= du <= high from the factorisation that `solution` leaves (control.active_set).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+
+from quadexp.compile.backend import handwritten
+from quadexp.control.mpc.attitude_error import attitude_error_in
+from quadexp.control.mpc.riccati import CompiledPasses, Passes, line_length
+from quadexp.physics.expression import Expression
+from quadexp.physics.state import ATTITUDE, N_STATE
+
+KERNEL = Path(__file__).with_name("active_set.c")
+TOLERANCE = 1e-9  # N: how far beyond a bound is still on it
+
+
+def solution(
+    passes: Passes,
+    A: Sequence[Expression],
+    B: Sequence[Expression],
+    b: Sequence[Expression],
+    q: Sequence[Expression],
+    r: Sequence[Expression],
+    Q: Sequence[Expression],
+    Q_end: Expression,
+    R: Sequence[Expression],
+) -> tuple[list[Expression], list[Expression], list[Expression], list[Expression]]:
+    """Deviations dX_1..dX_N and dU_0..dU_{N-1} of the unbounded subproblem (Riccati recursion).
+
+    Then the gains K_0..K_{N-1} and the factors of every node (see control.riccati); K_0 is zero, nothing needs it.
+    """
+    nodes = len(A)
+    K: list[Any] = [None] * nodes
+    k: list[Any] = [None] * nodes
+    factor: list[Any] = [None] * nodes
+    cost = passes.terminal(Q_end, q[nodes])
+    for i in range(nodes - 1, 0, -1):
+        cost, K[i], k[i], factor[i] = passes.backward(cost, A[i], B[i], b[i], q[i], r[i], Q[i], R[i])
+    k[0], factor[0] = passes.first_node(cost, A[0], B[0], b[0], q[0], r[0], Q[0], R[0])
+    dU = [-k[0]]
+    dX = [ca.mtimes(B[0], dU[0]) + b[0]]
+    for i in range(1, nodes):
+        du, dx = passes.forward(dX[-1], A[i], B[i], b[i], K[i], k[i])
+        dU.append(du)
+        dX.append(dx)
+    K[0] = ca.MX.zeros(*K[1].shape)
+    return dX, dU, K, factor
+
+
+def input_gradient(
+    passes: Passes,
+    A: Sequence[Expression],
+    B: Sequence[Expression],
+    q: Sequence[Expression],
+    r: Sequence[Expression],
+) -> list[Expression]:
+    """Derivative of the Lagrangian with respect to each input, the adjoint run backwards from the last node."""
+    multiplier = q[len(A)]
+    gradient: list[Any] = [None] * len(A)
+    for k in range(len(A) - 1, -1, -1):
+        multiplier, gradient[k] = passes.adjoint(multiplier, A[k], B[k], q[k], r[k])
+    return gradient
+
+
+def bounded_function(step: ca.Function, nodes: int) -> ca.Function:
+    """The subproblem of the compiled `step` under the bounds of its inputs, by active_set.c: it can only be compiled.
+
+    Inputs, as `step` has or returns them: A, B, b, q, r, K, factor, X_lin, U_lin, Q, Q_end, R, u_min, u_max, frames
+    where the step has them; U_free (n, N), the inputs without bounds (N); guess (n, N), the side on which inputs are
+    expected: -1 at the lower, 1 at the upper bound, 0 free. Outputs: X_new (13, N + 1), U_new (n, N); side (n, N), on
+    which the inputs are; checks (5,): whether it is solved, exchanges of the active set, inputs at a bound, the error
+    left in the inputs (N), the largest change of a quaternion (length).
+    """
+    names = ["A", "B", "b", "q", "r", "K", "factor", "X_lin", "U_lin"]
+    names += ["frames"] if "frames" in step.name_out() else []
+    given = {name: ca.MX.sym(name, step.sparsity_out(step.index_out(name))) for name in names}
+    given |= {name: ca.MX.sym(name, *step.size_in(name)) for name in ("Q", "Q_end", "R", "u_min", "u_max")}
+    n = step.size1_in("R")
+    given |= {name: ca.MX.sym(name, n, nodes) for name in ("U_free", "guess")}
+    passes = CompiledPasses(step.get_function)
+    blocks = zip(ca.horzsplit(given["A"], N_STATE), ca.horzsplit(given["B"], n), ca.horzsplit(given["b"]), strict=True)
+    rows = ca.horzcat(*(passes.rows(*node) for node in blocks))
+    weights = ca.horzcat(given["Q"][:, 1:], given["Q_end"])
+    U, low, high = given["U_lin"], ca.repmat(given["u_min"], 1, nodes), ca.repmat(given["u_max"], 1, nodes)
+    arguments = [rows, *(given[name] for name in ("K", "factor", "q", "r")), weights, given["R"]]
+    arguments += [given["U_free"] - U, low - U, high - U, given["guess"]]
+    dX, dU, side, checks = kernel_function(n, nodes)(*arguments)
+
+    error = attitude_error_in(given.get("frames"))
+    x = ca.horzsplit(given["X_lin"])
+    X_new = ca.horzcat(x[0], *(x[k + 1] + error.change(k + 1, d) for k, d in enumerate(ca.horzsplit(dX))))
+    U_new = ca.fmin(ca.fmax(U + dU, low), high)  # rounding only
+    turn = ca.sqrt(ca.mmax(ca.sum1(dX[ATTITUDE, :] ** 2)))
+    results = {"X_new": X_new, "U_new": U_new, "side": side, "checks": ca.vertcat(checks, turn)}
+    return ca.Function("mpc_bounded", [*given.values()], [*results.values()], [*given], [*results])
+
+
+def kernel_function(n: int, nodes: int) -> ca.Function:
+    """active_set.c for n inputs and N nodes, its arguments named there. It can only be compiled."""
+    dense = ca.Sparsity.dense
+    states, inputs = dense(N_STATE, nodes), dense(n, nodes)
+    arguments = {"rows": dense(line_length(n), N_STATE * nodes), "K": dense(n, N_STATE * nodes)}
+    arguments |= {"factor": dense(n, n * nodes), "q": dense(N_STATE, nodes + 1), "r": inputs}
+    arguments |= {"Q": states, "R": inputs, "start": inputs, "low": inputs, "high": inputs, "guess": inputs}
+    results = {"dX": states, "dU": inputs, "side": inputs, "checks": dense(4, 1)}
+    return handwritten("active_set", KERNEL, {"N_INPUTS": n, "NODES": nodes}, arguments, results)

@@ -1,6 +1,0 @@
-"""Recorded flights and the files they live in."""
-
-from quadexp.flight.schema import Flight
-from quadexp.flight.store import read_flight, read_table, write_flight, write_table
-
-__all__ = ["Flight", "read_flight", "read_table", "write_flight", "write_table"]

@@ -1,0 +1,60 @@
+"""How many points, and which method: held-out error over the number of inducing points and the ways to fit.
+
+sgpr    inducing points and hyperparameters by the variational bound, all rows
+subset  exact GP on M rows chosen to cover the features (hyperparameters from the pilot rows)
+exact   exact GP on as many rows as it takes in reasonable time, whatever M is
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+from quadexp.learn.dataset import ResidualDataset
+from quadexp.learn.evaluation import Row, score, split_by_flight
+from quadexp.learn.gp_fit import Callback, fit_gp
+from quadexp.learn.model import METHODS, GPSettings
+from quadexp.learn.predict import predict
+
+SIZES = (5, 10, 20, 50, 100)
+MAX_ROWS = 8000  # keeps the whole table at a minute or two
+
+
+def compare(
+    dataset: ResidualDataset,
+    settings: GPSettings | None = None,
+    *,
+    sizes: Sequence[int] = SIZES,
+    methods: Sequence[str] = METHODS,
+    max_rows: int | None = MAX_ROWS,
+    callback: Callback | None = None,
+) -> list[Row]:
+    """One row a method, number of points and output: rmse, nlpd, inside_1, inside_2, fit_seconds, largest_weight.
+
+    settings: the rest of the fit; its holdout (or .2) of the flights is what the error is measured on.
+    max_rows: rows the fits see at most; the row says how many it were.
+    """
+    settings = settings or GPSettings()
+    train, test = split_by_flight(dataset, settings.holdout or 0.2, settings.seed)
+    cells = [(method, m) for method in methods for m in (sizes if method != "exact" else (None,))]
+    rows: list[Row] = []
+    for i, (method, m) in enumerate(cells):
+        if callback is not None:
+            callback(f"compare {method}" + (f" M={m}" if m else ""), i / len(cells))
+        limit = settings.max_exact_rows if method == "exact" else max_rows
+        chosen = replace(settings, method=method, inducing=m or settings.inducing, max_rows=limit)
+        start = time.perf_counter()
+        model = fit_gp(train, chosen, drag_intervals=False)
+        seconds = time.perf_counter() - start
+        for posterior in model.outputs:
+            prediction = predict(model, test)[posterior.output]
+            target = test.matrix([posterior.output])[:, 0]
+            rows.append(
+                {"method": method, "inducing": len(posterior.alpha), "rows": posterior.rows}
+                | {"output": posterior.output, **score(target, prediction.mean, prediction.std)}
+                | {"fit_seconds": seconds, "largest_weight": float(abs(posterior.alpha).max())}
+            )
+    if callback is not None:
+        callback("compare done", 1.0)
+    return rows

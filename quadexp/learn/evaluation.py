@@ -1,0 +1,176 @@
+"""How good a model is on flights it has not seen: error, predictive density, calibration.
+
+    rmse     sqrt(mean (a - mean)^2)                                                    unit of the output
+    nlpd     mean [ (a - mean)^2 / (2 s^2) + log s + log(2 pi)/2 ], s^2 = variance + noise      nats a row
+    inside_k share of the rows with |a - mean| < k s; a Gaussian has .683 for k = 1 and .954 for k = 2
+
+Rows of one flight resemble each other, so the split is by flight: a split by row would report an error too small.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from quadexp.errors import DataError
+from quadexp.learn.dataset import ResidualDataset
+from quadexp.learn.gp_fit import Callback, fit_gp
+from quadexp.learn.linear_drag import LinearDrag, fit_linear_drag
+from quadexp.learn.model import GPModel, GPSettings
+from quadexp.learn.predict import AXIS, predict
+from quadexp.learn.support import feature_ranges, outside_shares
+from quadexp.learn.trim import is_trimmable, trim
+
+Row = dict[str, Any]
+SAMPLE_SPLIT = (
+    "gp.split=sample: a held-out sample lies 10 ms from one that was fitted, in the same gust, with the same battery;"
+    " what a flexible model then shows is how well it remembers these flights, not what it knows of the next one"
+)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fit and the report on it.
+
+    model: what to keep. held_out_model: fitted without the flights of `test`; report rows are about this one.
+    train, test: the split (test None: nothing was held out, the rows are empty).
+    report: JSON-able: rows (one an output and predictor), held_out_flights, refitted.
+    """
+
+    model: GPModel
+    held_out_model: GPModel
+    train: ResidualDataset
+    test: ResidualDataset | None
+    report: dict[str, Any]
+
+
+def fit_with_report(
+    dataset: ResidualDataset, settings: GPSettings | None = None, *, callback: Callback | None = None
+) -> Fit:
+    """Fit without the held-out flights, report on these, then refit on all rows from there (settings.refit).
+
+    Raises DataError as `fit_gp` does, and if one flight alone cannot be split.
+    """
+    settings = settings or GPSettings()
+    if settings.holdout == 0:
+        model = fit_gp(dataset, settings, callback=callback)
+        return Fit(model, model, dataset, None, {"rows": [], "held_out_flights": [], "refitted": False})
+    train, test = split(dataset, settings)
+    refit = settings.refit and settings.method != "exact"
+    share = 0.8 if refit else 1.0
+    held_out_model = fit_gp(train, settings, callback=_scaled(callback, 0.0, share), drag_intervals=not refit)
+    model = held_out_model
+    if refit:
+        short = replace(settings, max_iterations=max(settings.max_iterations // 4, 1))
+        model = fit_gp(dataset, short, start=held_out_model, callback=_scaled(callback, share, 1.0))
+        model = replace(model, settings=settings.as_dict())
+    report = {
+        "rows": evaluate(held_out_model, train, test),
+        "held_out_flights": sorted(set(map(str, test.columns["flight_name"]))),
+        "refitted": refit,
+        "out_of_range": out_of_range(train, test, held_out_model),
+    }
+    if settings.split == "sample":
+        by_flight = fit_with_report(dataset, replace(settings, split="flight", refit=False))
+        report |= {"rows_by_flight": by_flight.report["rows"], "misleading": SAMPLE_SPLIT}
+    return Fit(model, held_out_model, train, test, report)
+
+
+def split(dataset: ResidualDataset, settings: GPSettings) -> tuple[ResidualDataset, ResidualDataset]:
+    """Train and test rows as settings.split says: whole flights, or rows drawn from all flights."""
+    if settings.split == "flight":
+        return split_by_flight(dataset, settings.holdout, settings.seed)
+    count = int(np.clip(round(settings.holdout * dataset.n_rows), 1, dataset.n_rows - 1))
+    test = np.zeros(dataset.n_rows, bool)
+    test[np.random.default_rng(settings.seed).permutation(dataset.n_rows)[:count]] = True
+    return dataset.rows(~test), dataset.rows(test)
+
+
+def out_of_range(train: ResidualDataset, test: ResidualDataset, model: GPModel) -> dict[str, float]:
+    """Share of the test rows outside the train rows' range, see quadexp.learn.support."""
+    names = [name for output in model.outputs for name in output.features]
+    return outside_shares(feature_ranges(train, names), test)
+
+
+def split_by_flight(dataset: ResidualDataset, share: float, seed: int = 0) -> tuple[ResidualDataset, ResidualDataset]:
+    """Train and test rows; whole flights, drawn by the seed, at least one on either side.
+
+    Raises DataError with fewer than two flights.
+    """
+    if not dataset.n_rows:
+        raise DataError("dataset: it has no rows")
+    flights = dataset.flights
+    if len(flights) < 2:
+        raise DataError(
+            "dataset: it holds one flight, which cannot be split into fit and held-out flights;"
+            " collect more flights, or pass holdout=0"
+        )
+    count = int(np.clip(round(share * len(flights)), 1, len(flights) - 1))
+    held_out = np.random.default_rng(seed).permutation(flights)[:count]
+    test = np.isin(dataset.columns["flight"], held_out)
+    return dataset.rows(~test), dataset.rows(test)
+
+
+def evaluate(model: GPModel, train: ResidualDataset, test: ResidualDataset) -> list[Row]:
+    """One row an output and predictor (gp, linear_drag, zero) with rmse, nlpd, inside_1, inside_2, n.
+
+    train: rows that linear drag and the spread of the two baselines are fitted to.
+    """
+    baselines = evaluate_drag(train, test)
+    rows = []
+    for output, prediction in predict(model, test).items():
+        target = test.matrix([output])[:, 0]
+        rows.append({"output": output, "predictor": "gp"} | score(target, prediction.mean, prediction.std))
+        if output in AXIS:
+            rows += [row for row in baselines if row["output"] == output]
+        else:
+            rows.append(_zero(output, train, test))
+    return rows
+
+
+def evaluate_drag(train: ResidualDataset, test: ResidualDataset, **options: Any) -> list[Row]:
+    """The rows of `evaluate` for linear drag and zero alone; options go to `fit_linear_drag`."""
+    drag = drag_baseline(train, **options)
+    mean = drag.acceleration(test)
+    rows = []
+    for output, axis in AXIS.items():
+        target = test.matrix([output])[:, 0]
+        std = np.full(len(target), drag.residual_std[axis])
+        rows.append({"output": output, "predictor": "linear_drag"} | score(target, mean[:, axis], std))
+        rows.append(_zero(output, train, test))
+    return rows
+
+
+def drag_baseline(train: ResidualDataset, **options: Any) -> LinearDrag:
+    """Linear drag of the train rows, as every comparison takes it; options go to `fit_linear_drag`."""
+    recorded = is_trimmable(train)
+    fitted = trim(train).dataset if recorded else train
+    return fit_linear_drag(fitted, **({"thrust": not recorded, "intervals": False} | options))
+
+
+def _zero(output: str, train: ResidualDataset, test: ResidualDataset) -> Row:
+    """The row of whoever predicts nothing, with the spread that the train rows have."""
+    target = test.matrix([output])[:, 0]
+    std = np.full(len(target), np.sqrt(np.mean(train.matrix([output]) ** 2)))
+    return {"output": output, "predictor": "zero"} | score(target, np.zeros(len(target)), std)
+
+
+def score(target: np.ndarray, mean: np.ndarray, std: np.ndarray) -> Row:
+    """rmse, nlpd, inside_1, inside_2, n of predictions (k,) with standard deviation (k,) against targets (k,)."""
+    error, std = target - mean, np.maximum(std, 1e-12)
+    scaled = error / std
+    return {
+        "rmse": float(np.sqrt(np.mean(error**2))),
+        "nlpd": float(np.mean(0.5 * scaled**2 + np.log(std) + 0.5 * np.log(2 * np.pi))),
+        "inside_1": float(np.mean(np.abs(scaled) < 1)),
+        "inside_2": float(np.mean(np.abs(scaled) < 2)),
+        "n": len(target),
+    }
+
+
+def _scaled(callback: Callback | None, low: float, high: float) -> Callback | None:
+    if callback is None:
+        return None
+    return lambda message, done: callback(message, low + (high - low) * done)

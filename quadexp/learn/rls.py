@@ -1,0 +1,191 @@
+"""Identification of the blade-element coefficients in flight by recursive least squares (Lei & Li 2017, section 3).
+
+The equations stand in quadexp.learn.rls_step. This object carries the three estimators from sample to sample and
+keeps what a controller may use within bounds: with the paper's P_0 = 50 I and unit noise C_d0 crosses zero while the
+rotors spin up in nearly half of all flights, and an allocation divides by it. Only the USED values are clipped, and
+every clip is counted; the estimators themselves go on as they are. A P_0 scaled to the coefficients and to the
+accelerometer's noise (`RLSSettings.scaled`) hardly ever needs it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from quadexp.air.blade_element import require_rotor
+from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.errors import QuadexpError, UsageError
+from quadexp.learn.rls_step import AXES, rls_step_function
+from quadexp.physics.rotor import C_LA, THETA, BladeCoefficients
+from quadexp.physics.vehicle import Vehicle
+
+SLOWEST = 1.0  # rad/s; samples with a rotor slower than this tell nothing (the model has no advance ratio there)
+
+
+@dataclass(frozen=True)
+class RLSSettings:
+    """How the estimators are started and weighted; the defaults are the paper's, with clipping.
+
+    covariance: P_0 = covariance * I. relative_std: if given, P_0 = diag((relative_std theta_0)^2) instead.
+    noise: assumed standard deviation sigma of a reading, m/s^2. forgetting: lambda, 1 forgets nothing.
+    lift_weight: beta_la,z, share of the z axis in C_la (26). gauss_newton: see quadexp.learn.rls_step.
+    rotor_range: bounds of the C_d0 and C_la in use, in units of their first values. drag_range: bounds of the C_D.
+    clip: False uses the estimates as they are. printed_coefficients: the misprinted cross terms.
+    """
+
+    covariance: float = 50.0
+    relative_std: float | None = None
+    noise: float = 1.0
+    forgetting: float = 1.0
+    lift_weight: float = 1.0
+    gauss_newton: bool = False
+    rotor_range: tuple[float, float] = (0.5, 4.0)
+    drag_range: tuple[float, float] = (0.0, 0.2)
+    clip: bool = True
+    printed_coefficients: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0.5 <= self.forgetting <= 1:
+            raise UsageError(f"rls.forgetting={self.forgetting:g}: must be in [0.5, 1]")
+        if not (self.covariance > 0 and self.noise > 0 and (self.relative_std is None or self.relative_std > 0)):
+            raise UsageError("rls.covariance, rls.noise and rls.relative_std must be positive")
+        if not 0 <= self.lift_weight <= 1:
+            raise UsageError(f"rls.lift_weight={self.lift_weight:g}: must be in [0, 1]")
+
+    @classmethod
+    def scaled(cls, noise: float = 0.05, relative_std: float = 0.5, **others: Any) -> RLSSettings:
+        """P_0 and sigma in the units of the problem: first values good to relative_std, readings to noise (m/s^2)."""
+        return cls(noise=noise, relative_std=relative_std, **others)
+
+
+class BladeElementRLS:
+    """Estimator of theta = (C_d0, C_la, C_Dx, C_Dy, C_Dz); `update` once a sample, `reset` begins a flight.
+
+    vehicle: with rotor and static_thrust. initial: first values theta_0 (the paper starts from half of the true ones).
+    theta: values to use, within the bounds, (5,). raw: the same as estimated. clips: samples on which each was clipped,
+    (5,). axis_theta, axis_covariance: the estimators of x, y, z. induced_velocity (n,) (m/s), error (3,) (m/s^2, before
+    the update), regressors (3, 5): of the last sample. samples: updates so far; skipped: samples with a standing rotor.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        initial: BladeCoefficients,
+        settings: RLSSettings | None = None,
+        *,
+        backend: str = "interpreted",
+    ) -> None:
+        require_rotor(vehicle)
+        self.vehicle, self.initial, self.settings = vehicle, initial, settings or RLSSettings()
+        theta_0, s = initial.parameters(), self.settings
+        if not (np.isfinite(theta_0).all() and min(theta_0[:2]) > 0):
+            raise UsageError("rls: the first values of C_d0 and C_la must be positive")
+        function = rls_step_function(vehicle, gauss_newton=s.gauss_newton, printed_coefficients=s.printed_coefficients)
+        self._step = BufferedFunction(realise(function, resolve(backend)))
+        rotor = theta_0[: C_LA + 1]
+        self.lower = np.r_[s.rotor_range[0] * rotor, [s.drag_range[0]] * 3]
+        self.upper = np.r_[s.rotor_range[1] * rotor, [s.drag_range[1]] * 3]
+        arguments = self._step.arguments
+        arguments["sigma"][...], arguments["forgetting"][...] = s.noise, s.forgetting
+        arguments["lift_weight"][...] = s.lift_weight
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew from the first values."""
+        theta_0, arguments = self.initial.parameters(), self._step.arguments
+        for axis, at in zip("xyz", AXES, strict=True):
+            arguments[f"theta_{axis}"][...] = theta_0[list(at)]
+        self.reopen()
+        self.weight, self.samples, self.skipped = 0.5, 0, 0
+        self.clips = np.zeros(len(THETA), int)
+        self.raw = theta_0.copy()
+        self.theta = self._within_bounds(theta_0)
+        self.error, self.regressors = np.full(3, np.nan), np.full((3, len(THETA)), np.nan)
+        self.induced_velocity = np.full(self.vehicle.n_rotors, np.nan)
+
+    def reopen(self) -> None:
+        """Doubt the estimates as much as the first values, P = P_0, and keep them: after a change of the vehicle."""
+        theta_0, s = self.initial.parameters(), self.settings
+        for axis, at in zip("xyz", AXES, strict=True):
+            spread = np.full(len(at), s.covariance)
+            if s.relative_std is not None:
+                spread = (s.relative_std * np.maximum(np.abs(theta_0[list(at)]), 1e-3)) ** 2
+            self._step.arguments[f"P_{axis}"][...] = np.diag(spread)
+
+    def update(self, body_velocity: np.ndarray, rotor_speed: np.ndarray, specific_force: np.ndarray) -> np.ndarray:
+        """Take in one sample and return the values to use, (5,).
+
+        body_velocity: (3,) FLU (m/s). rotor_speed: (n,) (rad/s). specific_force: reading (3,) FLU (m/s^2). All of the
+        same instant. Raises QuadexpError where they are not finite.
+        """
+        arguments, results = self._step.arguments, self._step.results
+        v, w, y = (arguments[name] for name in ("v", "w", "y"))
+        v[...], w[...], y[...] = body_velocity, rotor_speed, specific_force
+        if not math.isfinite(v @ v + w @ w + y @ y):
+            raise QuadexpError("identification: the measured velocity, rotor speeds or specific force are not finite")
+        if min(w.tolist()) < SLOWEST:
+            self.skipped += 1
+            return self.theta
+        arguments["used"][...] = self.theta
+        self._step()
+        for axis in "xyz":
+            arguments[f"theta_{axis}"][...] = results[f"new_theta_{axis}"]
+            arguments[f"P_{axis}"][...] = results[f"new_P_{axis}"]
+        self.samples += 1
+        self.weight = float(results["weight"][0])
+        self.raw, self.error = results["raw"].copy(), results["error"].copy()
+        self.induced_velocity, self.regressors = results["induced"].copy(), results["regressors"].T.copy()
+        self.theta = self._within_bounds(self.raw)
+        return self.theta
+
+    @property
+    def coefficients(self) -> BladeCoefficients:
+        """The values to use."""
+        return BladeCoefficients.from_parameters(self.theta)
+
+    @property
+    def axis_theta(self) -> tuple[np.ndarray, ...]:
+        """Estimates of the axes: x (C_d0, C_la, C_Dx), y (C_d0, C_la, C_Dy), z (C_la, C_Dz)."""
+        return tuple(self._step.arguments[f"theta_{axis}"].copy() for axis in "xyz")
+
+    @property
+    def covariance(self) -> tuple[np.ndarray, ...]:
+        """P of the axes, in the order of `axis_theta`: the estimates' covariance where sigma is the true noise."""
+        return tuple(self._step.arguments[f"P_{axis}"].copy() for axis in "xyz")
+
+    def standard_error(self, noise: float | None = None) -> np.ndarray:
+        """Standard errors of `raw`, (5,); noise: the readings' true deviation (m/s^2), None for the assumed one."""
+        P_x, P_y, P_z = self.covariance
+        b, c = self.weight, self.settings.lift_weight
+        horizontal = b**2 * P_x + (1 - b) ** 2 * P_y
+        variance = [
+            horizontal[0, 0],
+            c**2 * P_z[0, 0] + (1 - c) ** 2 * horizontal[1, 1],
+            P_x[2, 2],
+            P_y[2, 2],
+            P_z[1, 1],
+        ]
+        scale = 1.0 if noise is None else noise / self.settings.noise
+        return scale * np.sqrt(np.maximum(variance, 0.0))
+
+    def _within_bounds(self, theta: np.ndarray) -> np.ndarray:
+        if not self.settings.clip:
+            return theta.copy()
+        used = np.minimum(np.maximum(theta, self.lower), self.upper)
+        self.clips += used != theta
+        return used
+
+
+def batch_least_squares(
+    regressors: np.ndarray, target: np.ndarray, *, prior: np.ndarray, covariance: np.ndarray, noise: float = 1.0
+) -> np.ndarray:
+    """Minimum of |y - Phi theta|^2 / noise^2 + (theta - prior)^T covariance^-1 (theta - prior), (p,).
+
+    regressors Phi: (k, p). target y: (k,). prior: (p,). covariance: (p, p). What RLS finds sample by sample.
+    """
+    root = np.linalg.cholesky(np.linalg.inv(covariance)).T
+    system = np.vstack([regressors / noise, root])
+    return np.linalg.lstsq(system, np.concatenate([target / noise, root @ prior]), rcond=None)[0]

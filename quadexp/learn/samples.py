@@ -1,0 +1,150 @@
+"""What identification looks at: specific force, velocity relative to the air and the rotors' signal, sample by sample.
+
+    f = R^T (dv/dt + g)     specific force, body FLU (m/s^2), as the accelerometer reads it
+    v = R^T (v_world - wind)        air-relative body velocity (m/s); wind is zero where the flight has no wind columns
+
+In a simulated flight the reading of row k belongs to the end of the interval over which row k - 1's command was held,
+so there the commanded thrusts are taken one row earlier and the first row, which has no reading yet, is left out. A
+recorded flight has been brought to one clock on import and is taken row by row.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from quadexp.errors import DataError, UsageError
+from quadexp.log.schema import Flight
+
+# Best first: what says most about the thrust.
+SIGNALS = {"rotor_speed": "rad/s", "motor_command": "1", "thrust_acceleration": "m/s^2", "u": "N"}
+HELD = ("u", "motor_command")  # commands, held over an interval
+RATES = ("w_x", "w_y", "w_z")
+QUATERNION = ("q_w", "q_x", "q_y", "q_z")
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Rows of one or more flights. time: (k,) s. flight: (k,) index into names. segment: (k,), runs over all flights.
+
+    force: specific force, (k, 3) body FLU (m/s^2). velocity: air-relative, (k, 3) body FLU (m/s).
+    signal: rotors' signal, (k, n) ((k, 1) for thrust_acceleration). voltage: (k,) V, or None where a flight lacks it.
+    rate: body rates, (k, 3) FLU (rad/s), or None where a flight lacks them.
+    """
+
+    time: np.ndarray
+    flight: np.ndarray
+    segment: np.ndarray
+    force: np.ndarray
+    velocity: np.ndarray
+    signal: np.ndarray
+    voltage: np.ndarray | None
+    kind: str
+    names: tuple[str, ...]
+    rate: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def thinned(self, most: int) -> Samples:
+        """Every k-th row, at the most so many: neighbouring rows say nearly the same."""
+        step = -(-len(self) // most)
+        return self if step == 1 else self.rows(np.arange(0, len(self), step))
+
+    def rows(self, selection: np.ndarray) -> Samples:
+        """The rows of a mask or index array; the flights keep their numbers."""
+        names = ("time", "flight", "segment", "force", "velocity", "signal")
+        chosen: dict[str, Any] = {name: getattr(self, name)[selection] for name in names}
+        for name in ("voltage", "rate"):
+            values = getattr(self, name)
+            chosen[name] = None if values is None else values[selection]
+        return replace(self, **chosen)
+
+
+def rotor_columns(flight: Flight, kind: str) -> list[str]:
+    """Names of a signal's columns in the rotors' order, [] where the flight has none."""
+    if kind == "thrust_acceleration":
+        return [kind] if kind in flight.columns else []
+    found = [name for name in flight.columns if re.fullmatch(rf"{kind}_\d+", name)]
+    return sorted(found, key=lambda name: int(name.rsplit("_", 1)[1]))
+
+
+def choose_signal(flights: Sequence[Flight], asked: str | None = None) -> str:
+    """The signal that the thrust is taken from: the one asked for, or the best that every flight has.
+
+    Raises UsageError for an unknown one, DataError where the flights have none in common.
+    """
+    if asked is not None and asked not in SIGNALS:
+        raise UsageError(f"thrust signal '{asked}' is none of {', '.join(SIGNALS)}")
+    for kind in [asked] if asked else SIGNALS:
+        if all(rotor_columns(flight, kind) for flight in flights):
+            return kind
+    lacking = next(name_of(f, i) for i, f in enumerate(flights) if not asked or not rotor_columns(f, asked))
+    columns = ", ".join(f"{kind}_0 .." if kind != "thrust_acceleration" else kind for kind in SIGNALS)
+    wanted = f"columns {asked}_0 .. are missing" if asked else "no column tells the thrust in every flight"
+    raise DataError(f"{lacking}: {wanted}; identification needs one of {columns}")
+
+
+def name_of(flight: Flight, index: int) -> str:
+    """What messages call a flight: the name in its record, or its place in a list."""
+    return str(flight.metadata.get("name") or f"flight_{index}")
+
+
+def gather(flights: Sequence[Flight], kind: str, names: Sequence[str] | None = None) -> Samples:
+    """All samples of the flights. kind: a name in SIGNALS. names: one a flight, for messages.
+
+    Raises DataError for a missing column or a value that is not finite (flight, column, row), and for flights whose
+    rotors are not the same in number.
+    """
+    names = tuple(names or [name_of(flight, i) for i, flight in enumerate(flights)])
+    parts: list[tuple[np.ndarray, ...]] = []
+    with_voltage = all("battery_voltage" in flight.columns for flight in flights)
+    with_rate = all(_has_rates(flight) for flight in flights)
+    rates: list[np.ndarray] = []
+    segments = 0
+    for index, (flight, name) in enumerate(zip(flights, names, strict=True)):
+        columns = ["t", *QUATERNION, "v_x", "v_y", "v_z", "acc_x", "acc_y", "acc_z", *rotor_columns(flight, kind)]
+        columns += [f"wind_{a}" for a in "xyz"] if "wind_x" in flight.columns else []
+        columns += ["battery_voltage"] if with_voltage else []
+        simulated = not flight.metadata.get("recorded", False)
+        _check(flight, name, columns, first=int(simulated))
+        k = np.arange(int(simulated), len(flight))
+        signal = flight.stack(rotor_columns(flight, kind)).astype(float)
+        signal = signal[k - 1] if simulated and kind in HELD else signal[k]
+        if parts and signal.shape[1] != parts[0][5].shape[1]:
+            raise DataError(f"{name}: {signal.shape[1]} rotors, {names[0]} has {parts[0][5].shape[1]}")
+        stretch = np.asarray(flight.columns.get("segment", np.zeros(len(flight))))[k]
+        segment = segments + np.concatenate([[0], np.cumsum(stretch[1:] != stretch[:-1])]).astype(int)
+        segments = segment[-1] + 1
+        voltage = flight["battery_voltage"][k] if with_voltage else np.empty(len(k))
+        if with_voltage and not voltage.min() > 0:
+            row = int(k[np.argmin(voltage)])
+            raise DataError(f"{name}: battery_voltage is {voltage.min():g} V in row {row}, it must be positive")
+        force = flight.stack(["acc_x", "acc_y", "acc_z"])[k]
+        if with_rate:
+            rates.append(flight.stack(RATES)[k].astype(float))
+        parts.append((flight.t[k], np.full(len(k), index), segment, force, flight.air_velocity[k], signal, voltage))
+    time, flight_index, segment, force, velocity, signal, voltage = map(np.concatenate, zip(*parts, strict=True))
+    rate = np.concatenate(rates) if with_rate else None
+    return Samples(
+        time, flight_index, segment, force, velocity, signal, voltage if with_voltage else None, kind, names, rate
+    )  # fmt: skip
+
+
+def _has_rates(flight: Flight) -> bool:
+    return all(name in flight.columns and np.isfinite(flight[name]).all() for name in RATES)
+
+
+def _check(flight: Flight, name: str, columns: Sequence[str], first: int) -> None:
+    for column in columns:
+        if column not in flight.columns:
+            raise DataError(f"{name}: column {column!r} is missing; identification needs {', '.join(columns)}")
+        bad = np.flatnonzero(~np.isfinite(np.asarray(flight[column], float)[first:]))
+        if len(bad):
+            raise DataError(f"{name}: column {column!r} is not finite in row {bad[0] + first} ({len(bad)} such rows)")
+    if len(flight) < first + 3:
+        raise DataError(f"{name}: {len(flight)} samples, identification needs at least {first + 3}")

@@ -1,0 +1,196 @@
+"""How good a model is on flights it has not seen: what it leaves of the specific force, sample by sample.
+
+    e = f - f_model        body FLU, m/s^2;   RMS of the vector, sqrt(mean ||e||^2), and of each axis
+
+Every model is scored as it stands and with the scale of its thrust tracked in flight (quadexp.learn.tracking), from
+samples before each one only. Intervals: percentile bootstrap over flights where there are FLIGHT_CLUSTERS or more, over
+stretches of BLOCK seconds otherwise: neighbouring samples err alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from quadexp.errors import DataError
+from quadexp.learn.dataset import feature_rows
+from quadexp.learn.predictors import Predictor
+from quadexp.learn.regression import FLIGHT_CLUSTERS
+from quadexp.learn.samples import Samples, gather
+from quadexp.learn.support import outside_shares
+from quadexp.learn.tracking import tracked_scale
+from quadexp.log.schema import Flight
+
+BLOCK = 2.0  # s, of the bootstrap
+DRAWS = 1000
+CONFIDENCE = 0.95
+BANDS = 4
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class FlightRows:
+    """One flight as a predictor's curve reads it: samples, body rate (k, 3), index of each sample in the flight."""
+
+    name: str
+    flight: Flight
+    samples: Samples
+    rate: np.ndarray
+    first: int
+
+    @property
+    def dt(self) -> float:
+        return float(np.median(np.diff(self.samples.time)))
+
+    @property
+    def speed(self) -> np.ndarray:
+        return np.linalg.norm(self.samples.velocity, axis=1)
+
+
+def read_rows(flight: Flight, name: str, signal: str) -> FlightRows:
+    """Raises DataError where the flight lacks what the signal or the residual needs."""
+    samples = gather([flight], signal, [name])
+    first = len(flight) - len(samples)
+    missing = [column for column in ("w_x", "w_y", "w_z") if column not in flight.columns]
+    if missing:
+        raise DataError(f"{name}: column '{missing[0]}' is missing in the flight")
+    return FlightRows(name, flight, samples, flight.stack(["w_x", "w_y", "w_z"])[first:], first)
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """What one predictor leaves of some flights: error and tracked, (k, 3) m/s^2; flight, block (k,); speed (k,)."""
+
+    predictor: str
+    error: np.ndarray
+    tracked: np.ndarray
+    scale: np.ndarray
+    flight: np.ndarray
+    block: np.ndarray
+    speed: np.ndarray
+    outside: float | None
+
+
+def residuals(predictor: Predictor, flights: Sequence[FlightRows]) -> Residuals:
+    """One-step residuals of a predictor on flights."""
+    parts: list[tuple[np.ndarray, ...]] = []
+    blocks, outside, rows = 0, 0, 0
+    for index, one in enumerate(flights):
+        samples = one.samples
+        rotors = predictor.curve.of_signal(samples.signal, samples.voltage)
+        collective = rotors.sum(axis=1)
+        beyond = predictor.beyond(samples.velocity, one.rate, rotors)
+        error = samples.force - beyond
+        scale = tracked_scale(collective, error[:, 2], one.dt)
+        tracked = error.copy()
+        error[:, 2] -= collective
+        tracked[:, 2] -= scale * collective
+        block = blocks + (np.arange(len(samples)) * one.dt // BLOCK).astype(int)
+        blocks = int(block[-1]) + 1
+        parts.append((error, tracked, scale, np.full(len(samples), index), block, one.speed))
+        if predictor.ranges:
+            seen = feature_rows(samples.velocity, one.rate, predictor.mass * rotors)
+            outside += round(outside_shares(predictor.ranges, seen)["any"] * len(samples))
+        rows += len(samples)
+    share = outside / rows if predictor.ranges else None
+    error, tracked, scale, flight, block, speed = map(np.concatenate, zip(*parts, strict=True))
+    return Residuals(predictor.name, error, tracked, scale, flight, block, speed, share)
+
+
+def score_rows(found: Sequence[Residuals], baseline: str = "nominal") -> list[Row]:
+    """One row a predictor, as it stands and tracked: RMS per axis and of the vector, its interval, share of nominal's.
+
+    share: of the baseline's RMS as it stands; share_alike: tracked, of the baseline's RMS with its scale tracked too.
+    Each with the interval of the ratio on the same resamples.
+    """
+    base = next((one for one in found if one.predictor == baseline), None)
+    rows = []
+    for one in found:
+        for tracked in (False, True):
+            error = one.tracked if tracked else one.error
+            draws = _draws(one)
+            own = _resampled(error, draws)
+            row: Row = {"predictor": one.predictor, "thrust_tracked": tracked, "rows": len(error)}
+            row |= {
+                f"rms_{axis}": float(value)
+                for axis, value in zip("xyz", np.sqrt(np.mean(error**2, axis=0)), strict=True)
+            }
+            row |= {"rms": rms(error), "rms_low": own[0], "rms_high": own[1], "outside": one.outside}
+            row["rms_about_mean"] = rms(error - _flight_means(error, one.flight))
+            if base is not None and len(base.error) == len(error):
+                row["share"] = rms(error) / rms(base.error)
+                row["share_low"], row["share_high"] = _ratio(error, base.error, draws)
+                alike = base.tracked if tracked else base.error
+                row["share_alike"] = rms(error) / rms(alike)
+                row["share_alike_low"], row["share_alike_high"] = _ratio(error, alike, draws)
+            rows.append(row)
+    return rows
+
+
+def _flight_means(error: np.ndarray, flight: np.ndarray) -> np.ndarray:
+    """Mean of the rows of each flight, at every row, (k, 3)."""
+    numbers, group = np.unique(flight, return_inverse=True)
+    sums = np.stack([np.bincount(group, column, len(numbers)) for column in error.T], axis=1)
+    return (sums / np.bincount(group)[:, None])[group]
+
+
+def rms(error: np.ndarray) -> float:
+    """Root mean square of vectors (k, 3)."""
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+
+
+class Draws(NamedTuple):
+    """group: block of every sample, (k,). counts: of every block in each resample, (DRAWS, blocks)."""
+
+    group: np.ndarray
+    counts: np.ndarray
+
+
+def _draws(one: Residuals) -> Draws:
+    groups = one.flight if len(np.unique(one.flight)) >= FLIGHT_CLUSTERS else one.block
+    _, group = np.unique(groups, return_inverse=True)
+    count = int(group.max()) + 1
+    return Draws(group, np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), DRAWS))
+
+
+def _sums(error: np.ndarray, draws: Draws) -> tuple[np.ndarray, np.ndarray]:
+    count = draws.counts.shape[1]
+    square = np.bincount(draws.group, np.sum(error**2, axis=1), count)
+    return draws.counts @ square, draws.counts @ np.bincount(draws.group, minlength=count)
+
+
+def _resampled(error: np.ndarray, draws: Draws) -> list[float]:
+    square, number = _sums(error, draws)
+    return _limits(np.sqrt(square / number))
+
+
+def _ratio(error: np.ndarray, base: np.ndarray, draws: Draws) -> list[float]:
+    return _limits(np.sqrt(_sums(error, draws)[0] / _sums(base, draws)[0]))
+
+
+def _limits(values: np.ndarray) -> list[float]:
+    tail = 50 * (1 - CONFIDENCE)
+    return np.percentile(values, [tail, 100 - tail]).tolist()
+
+
+def speed_bands(speed: np.ndarray, count: int = BANDS) -> np.ndarray:
+    """Edges of bands of equal width from standstill to the largest speed, rounded to 0.1 m/s, (count + 1,)."""
+    return np.round(np.linspace(0.0, float(speed.max()) + 0.05, count + 1), 1)
+
+
+def band_rows(found: Sequence[Residuals]) -> list[Row]:
+    """RMS of the vector by speed band: one row a predictor and band, {predictor, low, high, rows, rms, rms_tracked}."""
+    edges = speed_bands(np.concatenate([one.speed for one in found]))
+    rows = []
+    for one in found:
+        for low, high in zip(edges[:-1], edges[1:], strict=True):
+            inside = (one.speed >= low) & (one.speed < high if high < edges[-1] else one.speed <= high + 0.1)
+            if inside.sum() >= 20:
+                rows.append(
+                    {"predictor": one.predictor, "low": float(low), "high": float(high), "rows": int(inside.sum())}
+                    | {"rms": rms(one.error[inside]), "rms_tracked": rms(one.tracked[inside])}
+                )
+    return rows

@@ -1,0 +1,56 @@
+"""Flights in other programs' formats: one module a format, each takes a flight and a path and says what it wrote."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+from quadexp.errors import UsageError
+from quadexp.log.schema import Flight
+from quadexp.log.store import check_output, read_flight
+
+
+@dataclass(frozen=True)
+class Format:
+    """module: where `write(flight, path) -> files` stands. suffix: of the file; "" for a folder. about: for help."""
+
+    module: str
+    suffix: str
+    about: str
+
+
+FORMATS = {
+    "csv": Format("table_csv", ".csv", "every column, with units and the record beside it as JSON"),
+    "tum": Format("tum", ".tum", "poses flown and wanted, for evo and other trajectory tools"),
+    "px4csv": Format("px4_csv", "", "a CSV a topic, as ulog2csv writes them: NED, FRD, microseconds"),
+    "mcap": Format("mcap_file", ".mcap", "poses, transforms and every column, for Foxglove; needs [viz]"),
+    "rerun": Format("rerun_file", ".rrd", "a recording for the Rerun viewer; needs [viz]"),
+}
+
+
+def export_flight(
+    flight: str | Path, form: str, out: str | Path | None = None, *, force: bool = False
+) -> dict[str, Path]:
+    """Write a flight file in another format; returns name -> file.
+
+    out: file, or folder for px4csv; beside the flight unless given.
+    Raises UsageError for an unknown format, an extra that is not installed, or a path that cannot be written.
+    """
+    if form not in FORMATS:
+        raise UsageError(f"--to {form}: no such format; there are {', '.join(FORMATS)}")
+    chosen = FORMATS[form]
+    source = Path(flight)
+    target = Path(out) if out is not None else source.with_suffix(chosen.suffix or f".{form}")
+    loaded = read_flight(source)
+    if not len(loaded):
+        raise UsageError(f"{source}: holds no samples ({loaded.outcome}), there is nothing to export")
+    check_output(target, force=force, folder=not chosen.suffix)
+    write: Callable[[Flight, Path], dict[str, Path]] = import_module(f"{__name__}.{chosen.module}").write
+    return write(loaded, target)
+
+
+def missing_extra(package: str, form: str) -> UsageError:
+    """What to say where an optional package is not there."""
+    return UsageError(f"--to {form}: needs the package {package}; install it with: pip install 'quadexp[viz]'")

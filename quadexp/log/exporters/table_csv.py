@@ -1,0 +1,36 @@
+"""A flight as one CSV of all its columns, and a JSON beside it with their units, frames and the flight's record.
+
+Numbers stand in the shortest digits that give the same double back, so nothing is lost.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.log.schema import Flight, describe
+from quadexp.log.store import write_text
+
+
+def write(flight: Flight, path: Path) -> dict[str, Path]:
+    """Write `path` and `<path>.json`; returns name -> file."""
+    about = {"columns": {name: describe(name)._asdict() for name in flight.columns}, "record": flight.metadata}
+    return {
+        "csv": write_columns(path, flight.columns),
+        "about": write_text(path.with_name(f"{path.name}.json"), json.dumps(about, indent=1, sort_keys=True) + "\n"),
+    }
+
+
+def write_columns(path: Path, columns: Mapping[str, Any]) -> Path:
+    """Columns (each (k,)) as a CSV with one line of names; NaN is an empty cell."""
+    texts = [_texts(np.asarray(values)) for values in columns.values()]
+    lines = [",".join(columns), *(",".join(row) for row in zip(*texts, strict=True))]
+    return write_text(path, "\n".join(lines) + "\n")
+
+
+def _texts(values: np.ndarray) -> list[str]:
+    return ["" if value != value else repr(value) for value in values.tolist()]

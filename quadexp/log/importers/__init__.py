@@ -1,0 +1,10 @@
+"""Flights from other programs' logs. One module a format reads a log into streams; assemble.py makes a flight of them.
+
+read(path) -> RawLog (streams in SI, ENU, FLU, each on its own clock) -> assemble -> Flight -> quality check
+"""
+
+from __future__ import annotations
+
+from quadexp.log.importers.importing import FORMATS, Imported, Options, import_log, import_logs
+
+__all__ = ["FORMATS", "Imported", "Options", "import_log", "import_logs"]

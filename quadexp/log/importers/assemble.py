@@ -1,0 +1,295 @@
+"""From streams to a flight: one clock, gaps as segments, velocity where there is none, ground phases cut off.
+
+A log whose streams share one uniform clock keeps its numbers to the last bit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.errors import DataError, UsageError
+from quadexp.log.importers.raw import ROTORS, Crop, RawLog, columns_of
+from quadexp.log.signal import Stream, continuous, crop, derivative, resample
+from quadexp.log.signal.stream import GAP_PERIODS
+from quadexp.physics.vehicle import Vehicle
+
+HELD = ("motor_command", "rotor_thrust", "battery_voltage", "wind")
+SLOW = ("battery_voltage", "wind")  # known before their first sample and after their last
+LEAST_SHARE = {"reference": 0.95, "core": 0.1}  # of the flight that a stream must cover to have a say in its length
+CORE = ("acceleration", "rate", "attitude", "velocity", "position")
+QUATERNIONS = ("attitude", "reference_attitude")
+UNIFORM = 1e-3  # of a period: how far the steps of a clock may differ for it to be taken as uniform
+LEAST_ROWS = 10
+REST_HEIGHT, REST_DISTANCE, REST_TIME = 0.05, 0.1, 0.5  # m, m, s: what counts as standing on the ground
+CLEARANCE, AUTO_MARGIN = 0.5, 1.5  # m above the ground; s cut off after take-off and before landing
+MOST_ROWS = 8_000_000
+MOST_EMPTY = 20.0  # times as long as what has data: more is no gap, but a clock that jumps
+LONGEST = 7 * 86400.0  # s
+# Where the places of a rotor are, as signs of x and y in FLU.
+SIGNS = {
+    "front_right": (1, -1), "back_right": (-1, -1), "back_left": (-1, 1), "front_left": (1, 1),
+    "front": (1, 0), "right": (0, -1), "back": (-1, 0), "left": (0, 1),
+}  # fmt: skip
+
+
+@dataclass
+class Assembled:
+    """columns: of the flight. start, end: cut out of the log (s, from its start). rates: of every stream (Hz).
+
+    derived: whether the velocity is the derivative of the position.
+    """
+
+    columns: dict[str, np.ndarray]
+    rate: float
+    cropped: tuple[float, float]
+    rates: dict[str, float]
+    notes: list[str] = field(default_factory=list)
+    resampled: bool = False
+    derived: bool = False
+
+
+def assemble(path: Path, log: RawLog, vehicle: Vehicle | None, *, rate: float | None, cropping: bool) -> Assembled:
+    """Bring a log to one clock of `rate` (Hz; None: its own), in the vehicle's order of rotors.
+
+    cropping: whether to cut ground phases off as the log's mapping says. Raises DataError where too little is left.
+    """
+    notes = list(log.notes)
+    streams = {name: Stream(s.t, s.values) for name, s in log.streams.items() if len(s.t) >= 2}
+    notes += [f"{name}: one row only: left out" for name in log.streams if name not in streams]
+    _short_ones_out(streams, notes)
+    core = [name for name in CORE if name in streams]
+    if not core:
+        raise DataError(f"{path}: has neither {', '.join(CORE[:-1])} nor {CORE[-1]} in two rows or more")
+    streams = _rotors(path, streams, log.layout, vehicle, notes)
+    rates = {name: float(1 / np.median(np.diff(s.t))) for name, s in streams.items()}
+    start = min(streams[name].t[0] for name in core)
+    _check_clock(path, {name: streams[name] for name in core})
+    given = rate is not None
+    own = _own_clock(streams)
+    if own is not None and (rate is None or abs(rate * own - 1) < UNIFORM):
+        t = streams[core[0]].t
+        values = {name: s.values for name, s in streams.items()}
+        segment = np.zeros(len(t), np.int32)
+        rate = 1 / own
+    else:
+        rate = rate or _common_rate({name: rates[name] for name in core})
+        t, values, segment = _one_clock(path, streams, core, rate, notes)
+    if len(t) < LEAST_ROWS:
+        raise DataError(f"{path}: {len(t)} rows, {LEAST_ROWS} at least are needed")
+    columns = {"t": t}
+    for name in [*CORE[::-1], *(n for n in values if n not in CORE)]:
+        if name in values:
+            made = values[name]
+            columns |= {c: made[:, i] for i, c in enumerate(columns_of(name, made.shape[1]))}
+    derived = "velocity" not in streams and "position" in streams
+    if derived:
+        found = derivative(t, values["position"], segment=segment, window=max(0.1, 5 / rate))
+        columns |= dict(zip(("v_x", "v_y", "v_z"), found.values.T, strict=True))
+        notes.append(f"velocity: derivative of the position, to {found.bandwidth:.3g} Hz")
+    columns["segment"] = segment
+    kept = _cropped(t, values, log.crop if cropping else Crop("none"), notes)
+    t0, t1 = float(t[kept][0] - start), float(t[kept][-1] - start)
+    if not kept.all():
+        columns = {name: column[kept] for name, column in columns.items()}
+    columns["t"] = columns["t"] - columns["t"][0]
+    _, columns["segment"] = np.unique(columns["segment"] + _breaks(kept), return_inverse=True)
+    columns["segment"] = columns["segment"].astype(np.int32)
+    return Assembled(columns, float(rate), (t0, t1), rates, notes, own is None or given, derived)
+
+
+def _short_ones_out(streams: dict[str, Stream], notes: list[str]) -> None:
+    """Leave out what was logged for a small part of the flight: all streams are cut to the time they share."""
+    spans = {name: (streams[name].t[0], streams[name].t[-1]) for name in CORE if name in streams}
+    longest = max((end - start for start, end in spans.values()), default=0.0)
+    for name, (start, end) in spans.items():
+        if end - start < LEAST_SHARE["core"] * longest:
+            notes.append(f"{name}: {end - start:.3g} s of {longest:.3g} s: left out")
+            del streams[name]
+    begin = max((streams[name].t[0] for name in CORE if name in streams), default=0.0)
+    finish = min((streams[name].t[-1] for name in CORE if name in streams), default=0.0)
+    for name in [name for name in streams if name.startswith("reference")]:
+        t = streams[name].t[(streams[name].t >= begin) & (streams[name].t <= finish)]
+        step = np.diff(t)
+        covered = float(step[step <= GAP_PERIODS * np.median(step)].sum()) if len(step) else 0.0
+        if covered < LEAST_SHARE["reference"] * (finish - begin):
+            notes.append(f"{name}: {covered:.3g} s of {finish - begin:.3g} s: left out")
+            del streams[name]
+
+
+def _breaks(kept: np.ndarray) -> np.ndarray:
+    """Number of the kept run every kept row belongs to."""
+    rows = np.flatnonzero(kept)
+    return np.concatenate([[0], np.cumsum(np.diff(rows) > 1)]) * 1_000_000
+
+
+def _check_clock(path: Path, streams: dict[str, Stream]) -> None:
+    for name, stream in streams.items():
+        length = stream.t[-1] - stream.t[0]
+        step = np.diff(stream.t)
+        covered = float(np.minimum(step, 10 * np.median(step)).sum())
+        if length > MOST_EMPTY * covered:
+            row = int(np.argmax(step))
+            raise DataError(
+                f"{path}: {name}: its clock jumps by {step[row]:.6g} s after row {row}; all else spans {covered:.4g} s"
+            )
+        if length > LONGEST:
+            raise DataError(
+                f"{path}: {name} spans {length:.4g} s, {LONGEST:.0f} s (a week) is the most: the unit of its time is"
+                " wrong, or its clock jumps"
+            )
+
+
+def _own_clock(streams: dict[str, Stream]) -> float | None:
+    """The period, where all streams share one uniform clock."""
+    first, *rest = streams.values()
+    if any(len(s.t) != len(first.t) or not (s.t is first.t or (s.t == first.t).all()) for s in rest):
+        return None
+    step = np.diff(first.t)
+    period = float(first.t[-1] - first.t[0]) / len(step)
+    return period if np.abs(step - period).max() < UNIFORM * period else None
+
+
+def _common_rate(rates: dict[str, float]) -> float:
+    """Rate of the accelerometer or gyro, but at most twice that of pose and velocity; a round number near it (Hz)."""
+    slow = [rates[name] for name in ("attitude", "velocity", "position") if name in rates]
+    fast = next((rates[name] for name in ("acceleration", "rate") if name in rates), None)
+    wanted = min(fast, 2 * min(slow)) if fast and slow else fast or min(slow)
+    for digits in (1, 2, 3):
+        near = float(f"{wanted:.{digits}g}")
+        if abs(near - wanted) < 0.005 * wanted:
+            return near
+    return wanted
+
+
+def _one_clock(
+    path: Path, streams: dict[str, Stream], core: list[str], rate: float, notes: list[str]
+) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
+    """Times, (k,) (s), values and segments, (k,), of all streams at the rate (Hz), over the time the core has data."""
+    begin = max(streams[name].t[0] for name in core)
+    end = min(streams[name].t[-1] for name in core)
+    if (end - begin) * rate > MOST_ROWS:
+        raise DataError(f"{path}: {end - begin:.4g} s at {rate:.4g} Hz are more than {MOST_ROWS} rows: lower --rate")
+    for name in [n for n in streams if n not in core]:
+        s = streams[name]
+        if name in SLOW:
+            streams[name] = _extended(s, begin, end)
+        elif s.t[0] > end or s.t[-1] < begin:
+            notes.append(f"{name}: has no time in common with {core[0]}: left out")
+            del streams[name]
+    for name in QUATERNIONS:
+        if name in streams:
+            norm = np.linalg.norm(streams[name].values, axis=1)
+            if not (np.abs(norm - 1) < 0.1).all():
+                row = int(np.argmax(np.abs(norm - 1)))
+                raise DataError(f"{path}: {name}: quaternion norm {norm[row]:.4g} at row {row}, 1 is needed")
+            streams[name] = Stream(streams[name].t, continuous(streams[name].values))
+    gaps = {name: np.inf for name in SLOW if name in streams}
+    try:
+        made = resample(streams, rate, quaternions=QUATERNIONS, held=HELD, gaps=gaps)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from None
+    lost = int(np.round((end - begin) * rate)) + 1 - len(made.t)
+    if made.segment[-1] or lost > 1:
+        notes.append(f"gaps: {made.segment[-1] + 1} segments, {max(lost, 0) / rate:.3g} s without data")
+    return made.t, made.values, made.segment
+
+
+def _extended(stream: Stream, begin: float, end: float) -> Stream:
+    """A slow stream, its first and last value held to both ends."""
+    t, values = stream
+    head, tail = t[0] > begin, t[-1] < end
+    t = np.concatenate([[begin] if head else [], t, [end] if tail else []])
+    return Stream(t, np.concatenate([values[:1] if head else values[:0], values, values[-1:] if tail else values[:0]]))
+
+
+def _cropped(t: np.ndarray, values: dict[str, np.ndarray], how: Crop, notes: list[str]) -> np.ndarray:
+    """Mask of the rows kept; all where there is no flight (the quality check says that)."""
+    every = np.ones(len(t), bool)
+    if how.mode == "none":
+        return every
+    height = values["position"][:, 2] if "position" in values else None
+    options: dict[str, Any] = {"margin": how.margin}
+    if how.mode == "height":
+        options |= {"clearance": how.height, "ground": 0.0}
+    elif height is not None:
+        return _without_rest(t, values["position"], notes)
+    else:
+        options |= {"ground": None}
+        thrust = next((values[n] for n in (*ROTORS, "thrust_acceleration") if n in values), None)
+        options["thrust"] = None if thrust is None else thrust.sum(axis=1)
+    kept = crop(t, height, **options)
+    if kept.sum() < LEAST_ROWS:
+        notes.append("never in the air: nothing is cropped")
+        return every
+    return kept
+
+
+def _without_rest(t: np.ndarray, position: np.ndarray, notes: list[str]) -> np.ndarray:
+    """Mask of the rows left where the vehicle stands still on its lowest height at an end of the log for a while.
+
+    Take-off and landing go with what is cut off; a log that begins and ends in motion is left whole.
+    """
+    height = position[:, 2]
+    ground = height < height.min() + REST_HEIGHT
+    slow = np.linalg.norm(position - position[0], axis=1) < REST_DISTANCE
+    slow_end = np.linalg.norm(position - position[-1], axis=1) < REST_DISTANCE
+    head = int(np.argmin(ground & slow)) if not (ground & slow).all() else len(t)
+    tail = int(np.argmin((ground & slow_end)[::-1])) if not (ground & slow_end).all() else len(t)
+    kept = np.ones(len(t), bool)
+    if head == len(t) or tail == len(t):
+        notes.append("never moves: nothing is cropped")
+        return kept
+    margin = {}
+    for name, count in (("start", head), ("end", tail)):
+        seconds = t[min(count, len(t) - 1)] - t[0] if name == "start" else t[-1] - t[-1 - min(count, len(t) - 1)]
+        margin[name] = seconds > REST_TIME
+    flying = height > height.min() + CLEARANCE
+    if not any(margin.values()) or flying.sum() < LEAST_ROWS:
+        return kept
+    rows = np.flatnonzero(flying)
+    if margin["start"]:
+        kept &= t >= t[rows[0]] + AUTO_MARGIN
+    if margin["end"]:
+        kept &= t <= t[rows[-1]] - AUTO_MARGIN
+    return kept if kept.sum() >= LEAST_ROWS else np.ones(len(t), bool)
+
+
+def _rotors(
+    path: Path, streams: dict[str, Stream], layout: tuple[str, ...] | None, vehicle: Vehicle | None, notes: list[str]
+) -> dict[str, Stream]:
+    """The streams of the rotors in the vehicle's order."""
+    made = dict(streams)
+    for name in ROTORS:
+        if name not in streams or vehicle is None:
+            continue
+        count = streams[name].values.shape[1]
+        if count != vehicle.n_rotors:
+            raise DataError(f"{path}: {name} of {count} rotors, but {vehicle.name} has {vehicle.n_rotors}")
+        if layout:
+            order = rotor_order(layout, vehicle)
+            made[name] = Stream(streams[name].t, streams[name].values[:, order])
+    if vehicle is None and any(name in streams for name in ROTORS):
+        notes.append("rotors stand in the log's order: no --vehicle says which is where")
+    return made
+
+
+def rotor_order(layout: tuple[str, ...], vehicle: Vehicle) -> list[int]:
+    """For every rotor of the vehicle, which of the log's motors it is.
+
+    Raises UsageError where a place has no rotor.
+    """
+    order = []
+    for i, (x, y, _) in enumerate(vehicle.rotor_position):
+        reach = 0.2 * max(abs(x), abs(y))
+        sign = (0 if abs(x) < reach else int(np.sign(x)), 0 if abs(y) < reach else int(np.sign(y)))
+        places = [k for k, place in enumerate(layout) if SIGNS[place] == sign]
+        if len(places) != 1:
+            raise UsageError(
+                f"the log's motors are {', '.join(layout)}, but rotor {i} of {vehicle.name} is at x={x:g}, y={y:g} m"
+            )
+        order.append(places[0])
+    return order

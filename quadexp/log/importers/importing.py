@@ -1,0 +1,290 @@
+"""One log to one flight: which reader takes it, what it becomes, what is wrong with it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.errors import DataError, QuadexpError, UsageError
+from quadexp.log.importers.assemble import Assembled, assemble
+from quadexp.log.importers.bad_rows import MODES, without_bad_rows
+from quadexp.log.importers.detect import detect
+from quadexp.log.importers.mapping import Mapping
+from quadexp.log.importers.mapping_reader import load_mapping
+from quadexp.log.importers.raw import RawLog
+from quadexp.log.importers.units import mounting_matrix
+from quadexp.log.schema import Flight
+from quadexp.log.signal import Stream
+from quadexp.physics.vehicle import Vehicle
+
+FORMATS = {
+    "auto": "by content",
+    "nanobench": "CSV of the NanoBench set",
+    "blackbird": "HDF5 of the Blackbird set",
+    "ulog": "PX4",
+    "px4csv": "folder of CSVs, one a topic, as ulog2csv and `quadexp export` write them",
+    "csv": "delimited text, or HDF5, by --mapping",
+    "rosbag": "ROS 1 and ROS 2; needs [logs]",
+    "quadexp": "what this program wrote: Parquet, csv, tum, mcap",
+}
+_KINDS = {  # what a file's content may be for a --format
+    "nanobench": ("text",), "blackbird": ("hdf5",), "ulog": ("ulog",), "px4csv": ("px4csv",),
+    "csv": ("text", "hdf5"), "rosbag": ("rosbag", "mcap"), "quadexp": ("parquet", "text", "mcap", "rerun"),
+}  # fmt: skip
+
+
+@dataclass
+class Options:
+    """How to import. rate: Hz, None for the log's own. crop: whether to cut ground phases. align: whether to move the
+    streams by the time offsets found. mounting, gyro_mounting: roll, pitch, yaw of the sensor in the body (deg).
+    bad_rows: what becomes of rows that cannot be, a name of bad_rows.MODES."""
+
+    format: str = "auto"
+    mapping: Path | None = None
+    rate: float | None = None
+    crop: bool = True
+    align: bool = False
+    mounting: tuple[float, float, float] | None = None
+    gyro_mounting: tuple[float, float, float] | None = None
+    bad_rows: str = "refuse"
+
+
+@dataclass
+class Imported:
+    """path: of the log. flight, or the error that kept it from being one. findings: of import and quality check."""
+
+    path: Path
+    flight: Flight | None = None
+    error: str = ""
+    findings: list[Any] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def blocked(self) -> bool:
+        return any(finding.severity == "blocking" for finding in self.findings)
+
+
+def import_logs(paths: Sequence[Path], vehicle: Vehicle | None, options: Options) -> Iterator[Imported]:
+    """Import logs one after the other; one that cannot be read is said and the others go on.
+
+    Raises UsageError where the request itself is wrong (unknown format, mapping that says nothing of use).
+    """
+    if options.format not in FORMATS:
+        raise UsageError(f"--format {options.format}: no such format; there are {', '.join(FORMATS)}")
+    mapping = None if options.mapping is None else load_mapping(options.mapping)
+    if mapping is None and options.format == "csv":
+        raise UsageError("--format csv: needs --mapping FILE; `quadexp import --describe LOG` proposes one")
+    if options.rate is not None and not 0.1 <= options.rate <= 10_000:
+        raise UsageError(f"--rate {options.rate:g}: must be in [0.1, 10000] Hz")
+    if options.bad_rows not in MODES:
+        raise UsageError(f"--bad-rows {options.bad_rows}: no such way; there are {', '.join(MODES)}")
+    for path in paths:
+        try:
+            flight, notes = import_log(path, vehicle, options, mapping)
+        except QuadexpError as error:
+            yield Imported(path, error=str(error))
+        except (MemoryError, RecursionError) as error:
+            yield Imported(path, error=f"{path}: too large or too deeply nested to read ({type(error).__name__})")
+        else:
+            yield Imported(path, flight, findings=quality(flight, vehicle), notes=notes)
+
+
+def quality(flight: Flight, vehicle: Vehicle | None) -> list[Any]:
+    """Findings of the quality check."""
+    from quadexp.log.check import check_flight
+
+    return check_flight(flight, vehicle)
+
+
+def import_log(
+    path: Path, vehicle: Vehicle | None, options: Options, mapping: Mapping | None = None
+) -> tuple[Flight, list[str]]:
+    """One log as a flight, and what there is to say of it. Raises UsageError or DataError with one line."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # absurd numbers are the checks' business
+        return _import(path, vehicle, options, mapping)
+
+
+def _import(path: Path, vehicle: Vehicle | None, options: Options, mapping: Mapping | None) -> tuple[Flight, list[str]]:
+    kind = detect(path)
+    if options.format != "auto" and kind not in _KINDS[options.format]:
+        raise DataError(f"{path}: its content is {kind}, not --format {options.format}")
+    log = read_log(path, kind, options.format, mapping)
+    if isinstance(log, Flight):
+        if options.mounting or options.gyro_mounting:
+            raise DataError(f"{path}: --mounting is for logs; this file holds a flight as it is")
+        return _mended(log, vehicle, options)
+    _unmount(path, log, options)
+    offsets, said = _offsets(path, log, options.align)
+    made = assemble(path, log, vehicle, rate=options.rate, cropping=options.crop)
+    log.streams.clear()  # a long log is held once
+    metadata = _metadata(path, log, made, vehicle, offsets)
+    flight, left_out = _mended(Flight(made.columns, metadata), vehicle, options, made.derived)
+    return flight, [*made.notes, *said, *left_out]
+
+
+def _mended(
+    flight: Flight, vehicle: Vehicle | None, options: Options, derived: bool = False
+) -> tuple[Flight, list[str]]:
+    """The flight as it is, or without its bad rows where the options say so; and what there is to say of it."""
+    if options.bad_rows == "refuse":
+        return flight, []
+    mended, counts, said = without_bad_rows(flight, vehicle, options.bad_rows, derived=derived)
+    if not counts:
+        return mended, said
+    record = {"mode": options.bad_rows, "rows": counts}
+    source = {**mended.metadata.get("source", {}), "left_out": record}
+    return Flight(mended.columns, {**mended.metadata, "source": source}), said
+
+
+def _unmount(path: Path, log: RawLog, options: Options) -> None:
+    """Turn accelerometer and gyro into the body's axes, where the options say how they sit."""
+    for name, angles in (("acceleration", options.mounting), ("rate", options.gyro_mounting)):
+        if angles is None:
+            continue
+        if name not in log.streams:
+            raise DataError(f"{path}: has no {name} that a mounting could turn")
+        stream = log.streams[name]
+        log.streams[name] = Stream(stream.t, stream.values @ mounting_matrix(angles).T)
+        log.about.setdefault("mounting", {})[name] = list(angles)
+
+
+def read_log(path: Path, kind: str, form: str, mapping: Mapping | None) -> RawLog | Flight:
+    """Streams of one log by the reader of its kind; a Flight where the file holds one as it is."""
+    if mapping is not None:
+        return _mapped(path, kind, mapping)
+    if kind in ("parquet", "rerun") or form == "quadexp":
+        from quadexp.log.importers.own import read_own
+
+        return read_own(path, kind)
+    if kind == "ulog":
+        from quadexp.log.importers.ulog import read_ulog
+
+        return read_ulog(path)
+    if kind == "px4csv":
+        from quadexp.log.importers.px4_csv import read_px4_csv
+
+        return read_px4_csv(path)
+    if kind == "rosbag":
+        from quadexp.log.importers.rosbag import read_rosbag
+
+        return read_rosbag(path)
+    if kind == "mcap":
+        from quadexp.log.importers.own import is_own_mcap, read_own
+
+        if is_own_mcap(path):
+            return read_own(path, kind)
+        from quadexp.log.importers.rosbag import read_rosbag
+
+        return read_rosbag(path)
+    return _table(path, kind, form)
+
+
+def _mapped(path: Path, kind: str, mapping: Mapping) -> RawLog:
+    from quadexp.log.importers.mapped import read_mapped
+    from quadexp.log.importers.table import open_table
+
+    if kind != mapping.format:
+        raise DataError(f"{path}: its content is {kind}, the mapping {mapping.name} is for {mapping.format}")
+    return read_mapped(open_table(path, kind), mapping)
+
+
+def _table(path: Path, kind: str, form: str) -> RawLog | Flight:
+    """A table by the ready mapping whose columns it has."""
+    from quadexp.log.importers.mapped import read_mapped
+    from quadexp.log.importers.own import is_own_table, read_own
+    from quadexp.log.importers.table import open_table
+
+    table = open_table(path, kind)
+    if form == "auto" and kind == "text" and is_own_table(table):
+        return read_own(path, kind)
+    known = ready_mappings()
+    chosen = [m for m in known if m.name == form] if form in ("nanobench", "blackbird") else known
+    for mapping in chosen:
+        if mapping.format == kind and set(mapping.signature) <= set(table.columns):
+            log = read_mapped(table, mapping)
+            log.format = mapping.name
+            return log
+    if form in ("nanobench", "blackbird"):
+        missing = [name for name in chosen[0].signature if name not in table.columns]
+        raise DataError(f"{path}: not of {form}: no column {missing[0]!r} (it has {', '.join(table.columns[:8])}, ...)")
+    raise DataError(
+        f"{path}: a table of unknown origin ({', '.join(table.columns[:6])}, ...): pass --mapping FILE;"
+        f" `quadexp import --describe {path.name}` proposes one"
+    )
+
+
+def ready_mappings() -> list[Mapping]:
+    """The mappings of conf/import/, most particular first."""
+    from quadexp.config.schema import conf_folder
+
+    found = [load_mapping(file) for file in sorted((conf_folder() / "import").glob("*.yaml"))]
+    return sorted((m for m in found if m.signature), key=lambda m: -len(m.signature))
+
+
+def _offsets(path: Path, log: RawLog, align: bool) -> tuple[dict[str, Any], list[str]]:
+    from quadexp.log.importers.offsets import REFERENCES, align_streams, find_offsets
+
+    found = find_offsets(log)
+    said = [
+        f"time offset: {name} {1e3 * o.seconds:+.1f} ms behind {behind} (standard error {1e3 * o.error:.2g} ms,"
+        f" correlation {o.correlation:.2f})" + (", removed" if align and behind in REFERENCES else "")
+        for (name, behind), o in found.items()
+        if o.certain
+    ]
+    if align:
+        align_streams(log, found)
+    record = {
+        name: {"seconds": o.seconds, "error": o.error if np.isfinite(o.error) else None,
+               "correlation": o.correlation, "certain": o.certain, "behind": behind,
+               "removed": align and o.certain and behind in REFERENCES}
+        for (name, behind), o in found.items()
+    }  # fmt: skip
+    return record, said
+
+
+def _metadata(
+    path: Path, log: RawLog, made: Assembled, vehicle: Vehicle | None, offsets: dict[str, Any]
+) -> dict[str, Any]:
+    from quadexp.provenance import provenance, versions
+
+    metadata: dict[str, Any] = {
+        "name": path.stem,
+        "outcome": "ok",
+        "recorded": True,
+        "source": {
+            "file": path.name,
+            "sha256": digest(path),
+            "format": log.format,
+            "mapping": log.mapping,
+            "rate": made.rate,
+            "rates": made.rates,
+            "resampled": made.resampled,
+            "offsets": offsets,
+            "cropped": list(made.cropped),
+            **log.about,
+        },
+        "versions": versions(),
+        "provenance": provenance(),
+    }
+    if vehicle is not None:
+        metadata["vehicle"] = {"name": vehicle.name, "fingerprint": vehicle.fingerprint}
+        metadata["config"] = {"vehicle": asdict(vehicle)}
+    return metadata
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file, or of the names and contents of a folder's files."""
+    total = hashlib.sha256()
+    files = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
+    for file in files:
+        if path.is_dir():
+            total.update(file.name.encode())
+        with open(file, "rb") as stream:
+            while block := stream.read(1 << 20):
+                total.update(block)
+    return total.hexdigest()

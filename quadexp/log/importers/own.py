@@ -1,0 +1,129 @@
+"""What this program wrote, back as a flight: Parquet, csv, tum, mcap. Nothing is resampled or cropped."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.errors import DataError
+from quadexp.log.importers.extras import missing_package
+from quadexp.log.importers.raw import Crop, RawLog, clean_stream
+from quadexp.log.importers.table import Table, open_table
+from quadexp.log.schema import FLIGHT_COLUMNS, Flight, describe
+from quadexp.log.store import first_line, read_table
+
+INTEGERS = {"status": np.int8, "sweeps": np.int16, "active": np.int16, "unconverged": np.int8, "segment": np.int32}
+TUM_HEADERS = ("t x y z qx qy qz qw", "timestamp tx ty tz qx qy qz qw", "timestamp x y z qx qy qz qw")
+
+
+def is_own_table(table: Table) -> bool:
+    """Whether text is a csv or tum export: only columns of a flight, or the eight of a pose."""
+    return _is_csv(table) or is_tum(table)
+
+
+def _is_csv(table: Table) -> bool:
+    columns = table.columns
+    return {"t", "p_x", "q_w"} <= set(columns) and all(c in FLIGHT_COLUMNS or describe(c).unit for c in columns)
+
+
+def is_tum(table: Table) -> bool:
+    """Whether a table is a trajectory in the TUM format: eight columns, by their names or by none."""
+    names = " ".join(table.columns)
+    return len(table.columns) == 8 and table.delimiter == " " and (names in TUM_HEADERS or names == "0 1 2 3 4 5 6 7")
+
+
+def read_own(path: Path, kind: str) -> Flight | RawLog:
+    """A flight as it was written; a RawLog of poses from tum. Raises DataError."""
+    if kind == "parquet":
+        columns, record = read_table(path, "flight", required=("t",))
+        return Flight(columns, record)
+    if kind == "mcap":
+        return _mcap(path)
+    if kind == "rerun":
+        raise DataError(
+            f"{path}: a Rerun recording is for looking at and cannot be read back: import the flight's Parquet"
+        )
+    table = open_table(path, "text")
+    if is_tum(table):
+        return _tum(table)
+    if not _is_csv(table):
+        raise DataError(f"{path}: not written by quadexp: columns {', '.join(table.columns[:6])}, ...")
+    columns = table.read(table.columns, [])
+    return Flight(_typed(columns), _record(path))
+
+
+def _typed(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    for name, dtype in INTEGERS.items():
+        if name in columns and np.isfinite(columns[name]).all():
+            columns[name] = columns[name].astype(dtype)
+    return columns
+
+
+def _record(path: Path) -> dict[str, Any]:
+    """The record beside a csv, where it still lies there."""
+    file = path.with_name(f"{path.name}.json")
+    if not file.is_file():
+        return {"name": path.stem, "outcome": "ok"}
+    try:
+        record = json.loads(file.read_text(encoding="utf-8"))["record"]
+        return dict(record)
+    except (ValueError, KeyError, TypeError, OSError, RecursionError) as error:
+        raise DataError(f"{file}: damaged ({first_line(error)}); remove it to import the table alone") from None
+
+
+def _tum(table: Table) -> RawLog:
+    notes: list[str] = []
+    columns = list(table.read(table.columns, notes).values())
+    pose = np.stack(columns[1:], axis=1)
+    log = RawLog("tum", {}, "tum", notes=notes)
+    log.streams["position"] = clean_stream(table.path, "position", columns[0], pose[:, :3], notes)
+    log.streams["attitude"] = clean_stream(table.path, "attitude", columns[0], pose[:, [6, 3, 4, 5]], notes)
+    if " ".join(table.columns) == TUM_HEADERS[0]:
+        log.crop = Crop("none")
+    return log
+
+
+def is_own_mcap(path: Path) -> bool:
+    """Whether an MCAP file is one that this program wrote."""
+    with open(path, "rb") as file:
+        return b"quadexp " in file.read(256)
+
+
+def _mcap(path: Path) -> Flight:
+    try:
+        from mcap.exceptions import McapError
+        from mcap.reader import make_reader
+    except ImportError:
+        raise missing_package(path, "mcap", "viz") from None
+    rows, record = [], {}
+    try:
+        with open(path, "rb") as file:
+            reader = make_reader(file)
+            for _, _, message in reader.iter_messages(topics="/flight"):
+                rows.append(json.loads(message.data))
+            for item in reader.iter_metadata():
+                if item.name == "quadexp":
+                    record = json.loads(item.metadata["record"])
+    except (
+        McapError,
+        ValueError,
+        KeyError,
+        EOFError,
+        OSError,
+        IndexError,
+        TypeError,
+        MemoryError,
+        OverflowError,
+    ) as error:
+        raise DataError(f"{path}: damaged or truncated ({first_line(error)})") from None
+    except Exception as error:  # struct.error and those of the decompressors have no common ancestor
+        raise DataError(f"{path}: damaged ({type(error).__name__}: {first_line(error)})") from None
+    if not rows or not isinstance(rows[0], dict) or "t" not in rows[0]:
+        raise DataError(f"{path}: has no samples on /flight")
+    if any(not isinstance(row, dict) or row.keys() != rows[0].keys() for row in rows):
+        raise DataError(f"{path}: samples with different columns on /flight")
+    columns = {name: np.array([row[name] for row in rows], float) for name in rows[0]}
+    return Flight(_typed(columns), record)

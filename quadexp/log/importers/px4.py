@@ -1,0 +1,282 @@
+"""PX4's topics, of older and newer versions, as streams: NED and FRD to ENU and FLU, microseconds to seconds.
+
+quantity        topics, best first; what they were called before
+position        vehicle_local_position x y z; vehicle_odometry position (before 1.14: x y z); ..._groundtruth
+attitude        vehicle_attitude q; vehicle_odometry q; vehicle_attitude_groundtruth q
+rate            vehicle_angular_velocity xyz (from 1.9); vehicle_attitude rollspeed ...; sensor_combined gyro_rad
+acceleration    sensor_combined accelerometer_m_s2; vehicle_acceleration xyz (from 1.9)
+motor_command   actuator_motors control (from 1.13); actuator_outputs output (PWM in us, DShot, or normalised)
+rotor_speed     esc_status esc[i].esc_rpm
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from quadexp.errors import DataError
+from quadexp.log.importers.mapped import turn_attitude
+from quadexp.log.importers.px4_motors import motor_layout
+from quadexp.log.importers.raw import RawLog, clean_stream
+from quadexp.log.importers.units import axes_matrix
+from quadexp.log.signal import Stream, increasing
+
+Topic = Mapping[str, np.ndarray]  # field -> (k,); arrays are "q[0]", ...
+Topics = Mapping[str, Sequence[Topic]]  # name -> instances
+
+NED = axes_matrix("world", "NED", "")
+FRD = axes_matrix("body", "FRD", "")
+RPM = 2 * np.pi / 60
+MOST_ROTORS = 12
+_XYZ = tuple(f"xyz[{i}]" for i in range(3))
+_Q = tuple(f"q[{i}]" for i in range(4))
+# quantity -> [(topic, fields)], best first.
+SOURCES: dict[str, list[tuple[str, tuple[str, ...]]]] = {
+    "position": [
+        ("vehicle_local_position", ("x", "y", "z")),
+        ("vehicle_odometry", ("position[0]", "position[1]", "position[2]")),
+        ("vehicle_odometry", ("x", "y", "z")),
+        ("vehicle_local_position_groundtruth", ("x", "y", "z")),
+    ],
+    "velocity": [
+        ("vehicle_local_position", ("vx", "vy", "vz")),
+        ("vehicle_odometry", ("velocity[0]", "velocity[1]", "velocity[2]")),
+        ("vehicle_odometry", ("vx", "vy", "vz")),
+        ("vehicle_local_position_groundtruth", ("vx", "vy", "vz")),
+    ],
+    "attitude": [("vehicle_attitude", _Q), ("vehicle_odometry", _Q), ("vehicle_attitude_groundtruth", _Q)],
+    "rate": [
+        ("vehicle_angular_velocity", _XYZ),
+        ("vehicle_attitude", ("rollspeed", "pitchspeed", "yawspeed")),
+        ("sensor_combined", ("gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]")),
+        ("vehicle_odometry", ("angular_velocity[0]", "angular_velocity[1]", "angular_velocity[2]")),
+        ("vehicle_odometry", ("rollspeed", "pitchspeed", "yawspeed")),
+        ("vehicle_angular_velocity_groundtruth", _XYZ),
+    ],
+    "acceleration": [
+        ("sensor_combined", tuple(f"accelerometer_m_s2[{i}]" for i in range(3))),
+        ("vehicle_acceleration", _XYZ),
+    ],
+    "battery_voltage": [("battery_status", ("voltage_v",)), ("battery_status", ("voltage_filtered_v",))],
+    "wind": [
+        ("wind", ("windspeed_north", "windspeed_east")),
+        ("wind_estimate", ("windspeed_north", "windspeed_east")),
+    ],
+    "reference_position": [("vehicle_local_position_setpoint", ("x", "y", "z"))],
+    "reference_velocity": [("vehicle_local_position_setpoint", ("vx", "vy", "vz"))],
+}
+# What the estimator itself says of its horizontal and its vertical part.
+VALID = {"position": ("xy_valid", "z_valid"), "velocity": ("v_xy_valid", "v_z_valid")}
+RESETS = {"position": ("xy_reset_counter", "z_reset_counter"), "velocity": ("vxy_reset_counter", "vz_reset_counter")}
+ROTORS_OF_TYPE = {2: 4, 13: 6, 14: 8, 15: 3}  # MAV_TYPE
+OTHERS = ("actuator_motors", "actuator_outputs", "esc_status")
+TOPICS = sorted({topic for sources in SOURCES.values() for topic, _ in sources} | set(OTHERS))
+_WORLD = ("position", "velocity", "wind", "reference_position", "reference_velocity")
+_BODY_VELOCITY = 3  # vehicle_odometry.velocity_frame: body, FRD
+
+
+def read_topics(path: Path, topics: Topics, parameters: Mapping[str, float], *, exported: bool = False) -> RawLog:
+    """Streams of one log.
+
+    parameters: of the vehicle, as logged. exported: whether this program wrote the topics, so that actuator_outputs are
+    thrusts (N) in the vehicle's own order. Raises DataError where there is neither attitude nor motion.
+    """
+    log = RawLog("ulog", {}, "px4")
+    used: dict[str, str] = {}
+    refused: set[str] = set()
+    for name, sources in SOURCES.items():
+        for topic, fields in sources:
+            found = _instance(topics, topic, fields)
+            if found is None or (name in refused and not topic.endswith("groundtruth")):
+                continue
+            found = _valid(name, topic, found, log.notes)
+            if found is None:  # then the estimator's other topics have nothing better
+                refused.add(name)
+                continue
+            stream = _stream(path, f"{name} ({topic})", found, fields, log.notes)
+            if stream is not None:
+                log.streams[name] = _turned(name, stream, found)
+                used[name] = topic
+                break
+    _motors(path, log, topics, parameters, exported, used)
+    if not {"position", "attitude", "velocity", "rate", "acceleration"} & set(log.streams):
+        there = ", ".join(sorted(topics)[:10]) or "none"
+        raise DataError(
+            f"{path}: neither vehicle_attitude, vehicle_local_position nor sensor_combined; topics: {there}"
+        )
+    missing = [
+        f"{name} ({SOURCES[name][0][0]})"
+        for name in ("position", "attitude", "rate", "acceleration")
+        if name not in used and name not in refused
+    ]
+    if missing:
+        log.notes.append(f"topics missing: {', '.join(missing)}")
+    if _body_velocity(topics, used):
+        _velocity_to_world(log)
+    log.about["topics"] = used
+    return log
+
+
+def _instance(topics: Topics, name: str, fields: tuple[str, ...]) -> Topic | None:
+    """The first instance that has the fields, unless another has more than twice its rows."""
+    instances = [one for one in topics.get(name, []) if all(field in one for field in fields)]
+    if not instances:
+        return None
+    most = max(instances, key=lambda one: len(one["timestamp"]))
+    return most if len(most["timestamp"]) > 2 * len(instances[0]["timestamp"]) else instances[0]
+
+
+def _valid(name: str, source: str, topic: Topic, notes: list[str]) -> Topic | None:
+    """The rows that the estimator holds to be valid, horizontally and vertically; None where there are none."""
+    flags = [np.asarray(topic[flag]) > 0 for flag in VALID.get(name, ()) if flag in topic]
+    if flags:
+        good = np.logical_and.reduce(flags)
+        if not good.any():
+            where = " and ".join(flag for flag in VALID[name] if flag in topic and not np.any(topic[flag]))
+            notes.append(f"{name} ({source}): the estimator never had a valid one ({where or 'flags'}): left out")
+            return None
+        if not good.all():
+            notes.append(f"{name} ({source}): not valid in {int((~good).sum())} of {len(good)} rows: left out")
+            topic = {field: np.asarray(values)[good] for field, values in topic.items()}
+    count = sum(int(np.count_nonzero(np.diff(topic[field]))) for field in RESETS.get(name, ()) if field in topic)
+    if count:
+        notes.append(f"{name} ({source}): reset by the estimator {count} times: it may jump there")
+    return topic
+
+
+def times(topic: Topic) -> np.ndarray:
+    """When the values were taken (s): the sample's own time, where there is one."""
+    sample = topic.get("timestamp_sample")
+    stamp = sample if sample is not None and (np.asarray(sample) > 0).all() else topic["timestamp"]
+    return np.asarray(stamp).astype(np.int64) * 1e-6
+
+
+def _stream(path: Path, name: str, topic: Topic, fields: tuple[str, ...], notes: list[str]) -> Stream | None:
+    """The fields of a topic as one stream; None where they hold no number."""
+    t, values = times(topic), np.stack([np.asarray(topic[field], float) for field in fields], axis=1)
+    if not np.isfinite(values).all(axis=1).any():
+        return None
+    order = np.argsort(t, kind="stable")  # the sample's times of one topic may lie a little out of order
+    if (np.diff(order) < 0).mean() > 0.01 if len(order) > 1 else False:
+        raise DataError(f"{path}: {name}: its times jump back ({int((np.diff(t) < 0).sum())} times in {len(t)} rows)")
+    t, values = t[order], values[order]
+    later = increasing(t)
+    return clean_stream(path, name, t[later], values[later], notes)
+
+
+def _turned(name: str, stream: Stream, topic: Topic) -> Stream:
+    """NED to ENU, FRD to FLU."""
+    t, values = stream
+    if name == "attitude":
+        return Stream(t, turn_attitude(values, NED, FRD))
+    if name == "wind":
+        return Stream(t, np.column_stack([values[:, 1], values[:, 0], np.zeros(len(t))]))
+    if name in _WORLD:
+        return Stream(t, values @ NED.T)
+    return Stream(t, values @ FRD.T if values.shape[1] == 3 else values)
+
+
+def _body_velocity(topics: Topics, used: dict[str, str]) -> bool:
+    if used.get("velocity") != "vehicle_odometry" or "attitude" not in used:
+        return False
+    frames = topics["vehicle_odometry"][0].get("velocity_frame")
+    return frames is not None and len(frames) > 0 and int(np.median(frames)) == _BODY_VELOCITY
+
+
+def _velocity_to_world(log: RawLog) -> None:
+    """A velocity in FRD was turned as if it were NED: turn it back, into FLU, and by the attitude into the world."""
+    from quadexp.log.importers.mapped import with_attitude
+
+    stream = log.streams["velocity"]
+    body = Stream(stream.t, stream.values @ NED @ FRD.T)
+    body, R = with_attitude(log, "velocity", body)
+    log.streams["velocity"] = Stream(body.t, R.apply(body.values))
+
+
+def _motors(
+    path: Path, log: RawLog, topics: Topics, parameters: Mapping[str, float], exported: bool, used: dict[str, str]
+) -> None:
+    if exported:
+        topic = next(iter(topics.get("actuator_outputs", [])), None)
+        if topic is not None:
+            fields = tuple(sorted((f for f in topic if f.startswith("output[")), key=lambda f: int(f[7:-1])))
+            stream = _stream(path, "actuator_outputs", topic, fields, log.notes)
+            if stream is not None:
+                log.streams["rotor_thrust"] = stream
+                used["rotor_thrust"] = "actuator_outputs"
+        commands = _rotor_stream(path, log, topics, "actuator_motors", "control")
+        if commands is not None:
+            log.streams["motor_command"], used["motor_command"] = commands, "actuator_motors"
+        return
+    most = _rotor_count(parameters)
+    for name, field in (("actuator_motors", "control"), ("actuator_outputs", "output")):
+        found = _rotor_stream(path, log, topics, name, field, most)
+        if found is not None:
+            log.streams["motor_command"] = found if name == "actuator_motors" else _pwm(found, parameters, log.notes)
+            used["motor_command"] = name
+            break
+    speeds = _esc(path, log, topics)
+    if speeds is not None:
+        log.streams["rotor_speed"], used["rotor_speed"] = speeds, "esc_status"
+    count = max(
+        (log.streams[n].values.shape[1] for n in ("motor_command", "rotor_speed") if n in log.streams), default=0
+    )
+    log.layout = motor_layout(count, parameters, log.notes)
+
+
+def _rotor_count(parameters: Mapping[str, float]) -> int:
+    """How many rotors the vehicle says it has; what may be there at most where it does not."""
+    count = int(parameters.get("CA_ROTOR_COUNT", 0))
+    return count if 3 <= count <= MOST_ROTORS else ROTORS_OF_TYPE.get(int(parameters.get("MAV_TYPE", 0)), MOST_ROTORS)
+
+
+def _rotor_stream(
+    path: Path, log: RawLog, topics: Topics, name: str, field: str, most: int = MOST_ROTORS
+) -> Stream | None:
+    """The motors of a topic: the leading outputs that move, at most so many, of the instance where most do."""
+    best: tuple[int, Topic] = (0, {})
+    for topic in topics.get(name, []):
+        count = 0
+        while count < most and f"{field}[{count}]" in topic:
+            values = np.asarray(topic[f"{field}[{count}]"], float)
+            values = values[np.isfinite(values)]
+            if len(values) < 2 or np.ptp(values) == 0:
+                break
+            count += 1
+        if count > best[0]:
+            best = (count, topic)
+    if best[0] < 3:
+        return None
+    return _stream(path, f"motor_command ({name})", best[1], tuple(f"{field}[{i}]" for i in range(best[0])), log.notes)
+
+
+def _pwm(stream: Stream, parameters: Mapping[str, float], notes: list[str]) -> Stream:
+    """actuator_outputs from 0 to 1: pulse widths (us) between PWM_MIN and PWM_MAX, DShot, or as they are."""
+    t, values = stream
+    largest = float(np.percentile(values, 99.9))
+    if largest <= 1.5:
+        return stream
+    low = parameters.get("PWM_MAIN_MIN", parameters.get("PWM_MIN", 1000.0))
+    high = parameters.get("PWM_MAIN_MAX", parameters.get("PWM_MAX", 2000.0))
+    flying = values[values > 0.2 * largest]
+    if len(flying) and np.median(flying) < 850:
+        low, high = 0.0, 1999.0
+        notes.append("actuator_outputs taken as DShot (0 to 1999)")
+    elif low >= high:
+        low, high = 1000.0, 2000.0
+    return Stream(t, np.where(values < low, 0.0, (values - low) / (high - low)))
+
+
+def _esc(path: Path, log: RawLog, topics: Topics) -> Stream | None:
+    topic = _instance(topics, "esc_status", ("esc[0].esc_rpm",))
+    if topic is None:
+        return None
+    fields: list[str] = []
+    while f"esc[{len(fields)}].esc_rpm" in topic and np.any(topic[f"esc[{len(fields)}].esc_rpm"]):
+        fields.append(f"esc[{len(fields)}].esc_rpm")
+    if len(fields) < 3:
+        return None
+    stream = _stream(path, "rotor_speed (esc_status)", topic, tuple(fields), log.notes)
+    return None if stream is None else Stream(stream.t, RPM * np.abs(stream.values))

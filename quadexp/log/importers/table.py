@@ -1,0 +1,273 @@
+"""Tables with named columns: delimited text and HDF5, of which only what is asked for is read.
+
+Text may begin with lines of other content; the header is the last line without numbers above the rows. Units in
+brackets stay part of the column's name. A file without a header has the names "0", "1", ...
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.errors import DataError
+from quadexp.log.declared import allowed_bytes
+from quadexp.log.store import first_line
+
+HEAD = 1 << 18  # bytes looked at for header and delimiter
+LONGEST_LINE = 1 << 16
+MOST_VALUES = 1 << 30  # numbers read from one file at most: 8 GB would not fit beside what is made of them
+EMPTY = ["", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "null", "None", "#N/A"]
+
+
+@dataclass(frozen=True)
+class Table:
+    """path, and the names of its columns. delimiter, skip, encoding: of text; lines before the rows."""
+
+    path: Path
+    columns: tuple[str, ...]
+    delimiter: str = ","
+    skip: int = 0
+    hdf5: bool = False
+    encoding: str = "utf-8"
+
+    def read(self, names: Sequence[str], notes: list[str], rows: int | None = None) -> dict[str, np.ndarray]:
+        """Columns by name, each (k,), NaN where a cell is empty. rows: the first so many only.
+
+        Raises DataError naming the column, where one is not there or holds no numbers.
+        """
+        missing = [name for name in names if name not in self.columns]
+        if missing:
+            close = ", ".join(self.columns[:16]) + (", ..." if len(self.columns) > 16 else "")
+            raise DataError(f"{self.path}: no column {missing[0]!r} (it has {close})")
+        wanted = list(dict.fromkeys(names))
+        return _read_hdf5(self, wanted, rows) if self.hdf5 else _read_text(self, wanted, notes, rows)
+
+
+def open_table(path: Path, kind: str) -> Table:
+    """The table in a file. kind: "text" or "hdf5". Raises DataError."""
+    return _open_hdf5(path) if kind == "hdf5" else _open_text(path)
+
+
+# ------------------------------------------------------------------------------------------------------------ text
+def _open_text(path: Path) -> Table:
+    with open(path, "rb") as file:
+        head = file.read(HEAD)
+    encoding = _encoding(path)
+    whole = len(head) < HEAD
+    text = head.decode(encoding, errors="replace").removeprefix("\ufeff")
+    lines = text.splitlines()
+    if not whole:
+        lines = lines[:-1]
+    if not lines or max(map(len, lines)) > LONGEST_LINE:
+        raise DataError(f"{path}: not a table: no line ends within {LONGEST_LINE} characters")
+    first = _first_row(lines)
+    if first is None:
+        raise DataError(f"{path}: not a table: no line of numbers in its first {len(lines)} lines")
+    row, delimiter = first
+    width = len(split(lines[row], delimiter))
+    header = None
+    for above in range(row - 1, -1, -1):
+        if not lines[above].strip():
+            continue
+        names = split(lines[above].lstrip("#% "), delimiter)
+        if len(names) != width and delimiter == " ":
+            names = lines[above].lstrip("#% ").replace(",", " ").split()
+        if len(names) == width:
+            header = names
+        elif above == row - 1 and not lines[above].lstrip().startswith(("#", "%")):
+            raise DataError(
+                f"{path}: line {above + 1} names {len(names)} columns, but line {row + 1} has {width} values"
+            )
+        break
+    return Table(path, _unique(header or [str(i) for i in range(width)]), delimiter, row, encoding=encoding)
+
+
+def _encoding(path: Path) -> str:
+    """UTF-8, or Latin-1 where it is not that throughout (a degree sign in a name, say)."""
+    import codecs
+
+    decoder = codecs.getincrementaldecoder("utf-8")()
+    with open(path, "rb") as file:
+        while block := file.read(1 << 22):
+            try:
+                decoder.decode(block)
+            except UnicodeDecodeError:
+                return "latin-1"
+    return "utf-8"
+
+
+def split(line: str, delimiter: str) -> list[str]:
+    """The cells of a row, without quotes and blanks around them."""
+    parts = line.split() if delimiter == " " else line.split(delimiter)
+    return [part.strip().strip('"').strip() for part in parts]
+
+
+def _first_row(lines: list[str]) -> tuple[int, str] | None:
+    """The first line that is a row of numbers (two at least, and most of the cells), and its delimiter."""
+    for row, line in enumerate(lines):
+        if line.lstrip().startswith(("#", "%")):
+            continue
+        for delimiter in (",", ";", "\t", " "):
+            cells = split(line, delimiter)
+            numbers = sum(_is_number(cell) for cell in cells)
+            filled = sum(cell != "" for cell in cells)
+            if len(cells) >= (3 if delimiter == " " else 2) and numbers >= 2 and numbers >= 0.5 * filled:
+                return row, delimiter
+    return None
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _unique(names: Iterable[str]) -> tuple[str, ...]:
+    seen: dict[str, int] = {}
+    made = []
+    for i, name in enumerate(names):
+        name = name or f"column {i}"
+        seen[name] = seen.get(name, 0) + 1
+        made.append(name if seen[name] == 1 else f"{name}.{seen[name] - 1}")
+    return tuple(made)
+
+
+def _read_text(table: Table, names: list[str], notes: list[str], rows: int | None) -> dict[str, np.ndarray]:
+    import pyarrow as pa
+    from pyarrow import csv
+
+    places = {name: f"c{table.columns.index(name)}" for name in names}
+    malformed: list[int] = []
+
+    def bad_row(row: Any) -> str:
+        malformed.append(row.number or 0)
+        return "skip"
+
+    read = csv.ReadOptions(
+        column_names=[f"c{i}" for i in range(len(table.columns))],
+        skip_rows=table.skip,
+        block_size=1 << 22,
+        encoding="utf8" if table.encoding == "utf-8" else table.encoding,
+    )
+    parse = csv.ParseOptions(delimiter=table.delimiter, invalid_row_handler=bad_row)
+    convert = csv.ConvertOptions(
+        include_columns=list(places.values()), column_types=dict.fromkeys(places.values(), pa.float64()),
+        null_values=EMPTY, strings_can_be_null=True,
+    )  # fmt: skip
+    chunks: dict[str, list[np.ndarray]] = {name: [] for name in names}
+    count = 0
+    try:
+        with csv.open_csv(_source(table), read, parse, convert) as reader:
+            for batch in reader:
+                for name, place in places.items():
+                    chunks[name].append(_floats(batch.column(place)))
+                count += batch.num_rows
+                if count * len(names) > MOST_VALUES:
+                    raise DataError(f"{table.path}: more than {MOST_VALUES} numbers: cut the log into pieces")
+                if rows is not None and count >= rows:
+                    break
+    except (pa.ArrowInvalid, OSError) as error:
+        raise DataError(f"{table.path}: {_where(first_line(error), table)}") from None
+    if len(malformed) > max(2, 0.01 * count):
+        raise DataError(
+            f"{table.path}: {len(malformed)} of {count + len(malformed)} lines have another number of values than"
+            f" the header's {len(table.columns)}: truncated, or not one table"
+        )
+    if malformed:
+        notes.append(f"{len(malformed)} lines with another number of values than {len(table.columns)}: left out")
+    made = {}
+    pa.default_memory_pool().release_unused()
+    for name in names:  # one column after the other, so that the parts of the last one are free again
+        parts = chunks.pop(name)
+        made[name] = np.concatenate(parts)[:rows] if parts else np.empty(0)
+    return made
+
+
+def _source(table: Table) -> Any:
+    """The file; with runs of spaces made one comma where spaces separate the values."""
+    if table.delimiter != " ":
+        return table.path
+    lines = table.path.read_text(encoding=table.encoding, errors="replace").splitlines()
+    return io.BytesIO("\n".join(" ".join(line.split()) for line in lines).encode())
+
+
+def _floats(column: Any) -> np.ndarray:
+    """An Arrow array of doubles as numbers, NaN for null."""
+    import pyarrow.compute as pc
+
+    if column.null_count:
+        column = pc.fill_null(column, float("nan"))
+    return np.frombuffer(column.buffers()[1], np.float64, count=column.offset + len(column))[column.offset :].copy()
+
+
+def _where(text: str, table: Table) -> str:
+    """Arrow's message with the column's name for its number."""
+    import re
+
+    found = re.search(r"CSV column #c?(\d+)", text)
+    if found and int(found[1]) < len(table.columns):
+        value = re.search(r"invalid value '([^']*)'", text)
+        row = re.search(r"Row #(\d+)", text)
+        at = f" at line {int(row[1]) + table.skip}" if row else ""
+        return (
+            f"column {table.columns[int(found[1])]!r} holds {value[1][:40]!r}{at}, a number is needed"
+            if value
+            else text
+        )
+    return text
+
+
+# ------------------------------------------------------------------------------------------------------------ HDF5
+def _open_hdf5(path: Path) -> Table:
+    h5py = _h5py(path)
+    names: list[str] = []
+
+    def visit(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu" and item.ndim in (1, 2):
+            width = 1 if item.ndim == 1 else item.shape[1]
+            if width <= 64:
+                names.extend([name] if item.ndim == 1 else [f"{name}[{i}]" for i in range(width)])
+
+    try:
+        with h5py.File(path, "r") as file:
+            file.visititems(visit)
+    except (OSError, RuntimeError, ValueError, KeyError) as error:
+        raise DataError(f"{path}: an HDF5 file, but damaged or truncated ({first_line(error)})") from None
+    if not names:
+        raise DataError(f"{path}: an HDF5 file without one data set of numbers")
+    return Table(path, tuple(names), hdf5=True)
+
+
+def _read_hdf5(table: Table, names: list[str], rows: int | None) -> dict[str, np.ndarray]:
+    h5py = _h5py(table.path)
+    made: dict[str, np.ndarray] = {}
+    try:
+        with h5py.File(table.path, "r") as file:
+            for name in names:
+                key, _, index = name.partition("[")
+                data = file[key]
+                part = slice(None, rows)
+                declared = min(len(data), rows or len(data)) * len(names)
+                if declared > MOST_VALUES or 8 * declared > allowed_bytes(table.path):
+                    raise DataError(f"{table.path}: {key} declares {len(data)} rows: too many to be a log, or damaged")
+                made[name] = np.asarray(data[part, int(index[:-1])] if index else data[part], float)
+    except (OSError, RuntimeError, ValueError, KeyError, MemoryError) as error:
+        raise DataError(f"{table.path}: damaged ({first_line(error)})") from None
+    return made
+
+
+def _h5py(path: Path) -> Any:
+    try:
+        import h5py
+    except ImportError:
+        from quadexp.log.importers.extras import missing_package
+
+        raise missing_package(path, "h5py", "logs") from None
+    return h5py

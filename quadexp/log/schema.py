@@ -1,0 +1,256 @@
+"""What a flight is: named columns over time, each with one unit and one frame, and the record of where it came from.
+
+The unit and frame of every column this program writes are stated here once and travel with the file (Arrow field
+metadata), so that a reader in another language needs nothing else.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from quadexp.errors import DataError
+from quadexp.physics.state import STATE_COLUMNS, input_columns
+
+
+class Column(NamedTuple):
+    """unit: SI. frame: "world" (ENU), "body" (FLU) or "". description: one phrase."""
+
+    unit: str
+    frame: str
+    description: str
+
+
+_AXES = "xyz"
+_STATE = {
+    **{f"p_{i}": Column("m", "world", "position") for i in _AXES},
+    **{f"q_{i}": Column("1", "body to world", "attitude quaternion, Hamilton, w first") for i in "wxyz"},
+    **{f"v_{i}": Column("m/s", "world", "velocity") for i in _AXES},
+    **{f"w_{i}": Column("rad/s", "body", "angular velocity") for i in _AXES},
+}
+
+FLIGHT_COLUMNS: dict[str, Column] = {
+    "t": Column("s", "", "time since the start of the flight"),
+    **_STATE,
+    **{
+        f"ref_{name}": column._replace(description=f"reference {column.description}") for name, column in _STATE.items()
+    },
+    **{f"acc_{i}": Column("m/s^2", "body", "specific force an accelerometer reads") for i in _AXES},
+    "solve_time": Column("s", "", "wall time of the control step; the only column that two runs may differ in"),
+    "status": Column("1", "", "0 riccati, 1 active_set, 2 last_resort, 3 failed"),
+    "sweeps": Column("1", "", "exchanges of the active set in the control step (sweeps, where last_resort occurs)"),
+    "active": Column("1", "", "input bounds active over the horizon"),
+    "unconverged": Column("1", "", "1: the first step's iterations ended away from a stationary point"),
+    "kkt": Column("1", "", "KKT residual of the control step"),
+    "segment": Column("1", "", "number of the uninterrupted stretch the sample belongs to"),
+    **{f"wind_{i}": Column("m/s", "world", "velocity of the air") for i in _AXES},
+    "thrust_acceleration": Column("m/s^2", "body", "collective thrust over mass, as the log has it"),
+    "battery_voltage": Column("V", "", "voltage of the battery"),
+}
+
+RESIDUAL_COLUMNS: dict[str, Column] = {
+    "flight": Column("1", "", "number of the flight the row comes from"),
+    "flight_name": Column("", "", "name of the flight the row comes from"),
+    "t": Column("s", "", "time since the start of the flight"),
+    "dt": Column("s", "", "duration of the transition"),
+    **{f"v_{i}": Column("m/s", "body", "velocity") for i in _AXES},
+    **{f"w_{i}": Column("rad/s", "body", "angular velocity") for i in _AXES},
+    "thrust": Column("N", "body", "collective thrust commanded"),
+    **{f"a_{i}": Column("m/s^2", "body", "acceleration the rigid body does not explain") for i in _AXES},
+    **{f"tau_{i}": Column("N m", "body", "torque the rigid body does not explain") for i in _AXES},
+}
+
+RESULT_COLUMNS: dict[str, Column] = {
+    "speed": Column("m/s", "", "nominal speed of the trajectory; asked peak speed of a random path or of waypoints"),
+    "rmse": Column("m", "world", "sqrt(mean ||e||^2) of the position error e"),
+    "mean_error": Column("m", "world", "mean ||e||; Torrente et al. 2021 print this one as RMSE"),
+    "max_error": Column("m", "world", "max ||e||"),
+    "attitude_rmse": Column("rad", "", "sqrt(mean angle^2) of the rotation between attitude and reference"),
+    "solve_time_median": Column("s", "", "wall time of the control step"),
+    "solve_time_p99": Column("s", "", "wall time of the control step"),
+    "solve_time_max": Column("s", "", "wall time of the control step"),
+    "saturated_share": Column("1", "", "share of samples with a rotor at its thrust limit"),
+    "peak_speed": Column("m/s", "world", "largest speed flown"),
+    "duration": Column("s", "", "length of the flight"),
+    "last_resort_count": Column("1", "", "control steps whose subproblem the last resort solved"),
+    "unconverged_count": Column("1", "", "1 where the first step ended away from a stationary point"),
+    "reference_residual": Column(
+        "1",
+        "",
+        "share of the controller's residual that the reference contains, mean over the flight; empty: none by design",
+    ),
+    "outside_data": Column(
+        "1", "", "share of samples outside the data of the controller's learned model; NaN without one, or unknown"
+    ),
+}
+
+# One row per metric, condition and contestant; `unit` names the unit of the columns that are in the metric's own.
+_OWN = "see `unit`"
+STATISTIC_COLUMNS: dict[str, Column] = {
+    "speed": RESULT_COLUMNS["speed"],
+    "setting": Column("", "", "what else varies between the conditions"),
+    "variant": Column("", "", "settings of the controller that vary"),
+    "label": Column("", "", "controller, and what tells it from the others"),
+    "confidence": Column("1", "", "of every interval"),
+    "seeds": Column("1", "", "cells asked for"),
+    "trials": Column("1", "", "cells asked for that somebody could fly"),
+    "n": Column("1", "", "flights that ended well, which the mean is over"),
+    "mean": Column(_OWN, "", "mean over its own flights that ended well"),
+    **{f: Column(_OWN, "", f"{end} limit of the mean") for f, end in (("low", "lower"), ("high", "upper"))},
+    "std": Column(_OWN, "", "standard deviation over the seeds"),
+    "interval": Column("", "", "BCa bootstrap, t, constant, or none"),
+    "common": Column("1", "", "flights that all who are compared ended well; 0 for who is not compared"),
+    "common_mean": Column(_OWN, "", "mean over the common flights"),
+    "common_std": Column(_OWN, "", "standard deviation over the common flights"),
+    "common_interval": Column("", "", "as interval, of the common mean"),
+    "best_p": Column("1", "", "p that it is not the best of its line, for who may be marked so; see report/winner.py"),
+    "success": Column("1", "", "share of the trials that ended well; limits by Wilson"),
+    "baseline": Column("", "", "label of whom it is compared with"),
+    "pairs": Column("1", "", "seeds that both ended well, as did all who are compared"),
+    "left_out": Column("", "", "seeds that make no pair, by cause"),
+    "baseline_mean": Column(_OWN, "", "mean of the baseline over the pairs"),
+    "difference": Column(_OWN, "", "mean of contestant - baseline over the pairs"),
+    "reduction": Column("%", "", "100 (1 - mean / baseline mean) over the pairs"),
+    "effect": Column("1", "", "matched-pairs rank-biserial correlation, positive where smaller than the baseline"),
+    "cohen_d": Column("1", "", "mean over standard deviation of the differences, positive where smaller"),
+    "p": Column("1", "", "paired permutation test of the mean difference, two-sided"),
+    "p_holm": Column("1", "", "p corrected for the number of comparisons"),
+    "p_least": Column("1", "", "the least p that so many pairs can give"),
+    "comparisons": Column("1", "", "over how many p_holm is corrected"),
+}
+for _name in ("success", "difference", "reduction", "common"):
+    for _end in ("low", "high"):
+        STATISTIC_COLUMNS[f"{_name}_{_end}"] = STATISTIC_COLUMNS[_name]._replace(description=f"{_end} limit of {_name}")
+
+_COEFFICIENTS = {
+    "C_d0": Column("1", "", "profile drag coefficient of the blades"),
+    "C_la": Column("1/rad", "", "lift slope of the blades"),
+    **{f"C_D{i}": Column("1", "body", "drag coefficient of the airframe") for i in _AXES},
+}
+# What a controller or plant of Lei & Li's system logs besides.
+FLIGHT_COLUMNS |= {
+    **{name: column._replace(description=f"{column.description}, in use") for name, column in _COEFFICIENTS.items()},
+    "clips": Column("1", "", "entries of the estimate clipped so far"),
+    "reopened": Column("1", "", "times the estimator found a change so far"),
+    "phi_d": Column("rad", "FRD in NED", "desired roll angle"),
+    "theta_d": Column("rad", "FRD in NED", "desired pitch angle"),
+    "error_eta": Column("rad", "", "norm of the Euler angles' distance to the desired ones"),
+    "cone": Column("1", "", "1 where the desired thrust was moved into the cone"),
+    "floored": Column("1", "", "rotors commanded at the least speed"),
+    "limited": Column("1", "", "rotors commanded at the largest thrust"),
+}
+ESTIMATE_COLUMNS: dict[str, Column] = {
+    "t": Column("s", "", "time since the start of the flight"),
+    **{name: column._replace(description=f"{column.description}, in use") for name, column in _COEFFICIENTS.items()},
+    **{f"raw_{name}": column for name, column in _COEFFICIENTS.items()},
+    **{
+        f"std_{name}": column._replace(
+            description=f"the recursion's own deviation of the {column.description}; no interval"
+        )
+        for name, column in _COEFFICIENTS.items()
+    },
+    **{f"error_{i}": Column("m/s^2", "body", "specific force less its prediction") for i in _AXES},
+}
+
+_BY_KIND = {
+    "flight": FLIGHT_COLUMNS,
+    "residuals": RESIDUAL_COLUMNS,
+    "results": RESULT_COLUMNS,
+    "estimates": ESTIMATE_COLUMNS,
+    "statistics": STATISTIC_COLUMNS,
+}
+_INPUT = re.compile(r"(ref_)?u_\d+")
+_INDUCED_VELOCITY = re.compile(r"induced_velocity_\d+")
+_ROTOR_SPEED = re.compile(r"rotor_speed_\d+")
+_MOTOR_COMMAND = re.compile(r"motor_command_\d+")
+
+
+def describe(name: str, kind: str = "flight") -> Column:
+    """Unit, frame and meaning of a column; an unknown name has none (a user's own column is kept, not refused)."""
+    known = _BY_KIND.get(kind, {}).get(name)
+    if known is not None:
+        return known
+    if match := _INPUT.fullmatch(name):
+        return Column("N", "body", f"{'reference' if match[1] else 'commanded'} static rotor thrust")
+    if _ROTOR_SPEED.fullmatch(name):
+        return Column("rad/s", "", "rotor speed")
+    if _MOTOR_COMMAND.fullmatch(name):
+        return Column("1", "", "normalised command of the motor, 0 to 1")
+    if _INDUCED_VELOCITY.fullmatch(name):
+        return Column("m/s", "body", "induced velocity through the rotor, downwards")
+    return Column("", "", "")
+
+
+def n_inputs(columns: Any) -> int:
+    """Number of rotors a table's columns speak of."""
+    return sum(1 for name in columns if re.fullmatch(r"u_\d+", name))
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One flight: columns over time (each (k,)), and metadata that can be written as JSON.
+
+    Columns carry the names, units and frames of `FLIGHT_COLUMNS`. Metadata: config, seed, vehicle, plant, trajectory,
+    controller, model, outcome ("ok", "lost", "solver_failed", "infeasible"), versions, provenance.
+    """
+
+    columns: dict[str, np.ndarray]
+    metadata: dict[str, Any]
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values()))) if self.columns else 0
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        try:
+            return self.columns[name]
+        except KeyError:
+            raise DataError(f"the flight has no column {name!r}") from None
+
+    def stack(self, names: tuple[str, ...] | list[str]) -> np.ndarray:
+        """Several columns side by side, (k, len(names))."""
+        return np.stack([self[name] for name in names], axis=-1)
+
+    @property
+    def n_rotors(self) -> int:
+        return n_inputs(self.columns)
+
+    @property
+    def t(self) -> np.ndarray:
+        """Time, (k,) (s)."""
+        return self["t"]
+
+    @property
+    def state(self) -> np.ndarray:
+        """State, (k, 13), in the order of quadexp/physics/state.py."""
+        return self.stack(STATE_COLUMNS)
+
+    @property
+    def input(self) -> np.ndarray:
+        """Commanded rotor thrusts, (k, n) (N)."""
+        return self.stack(input_columns(self.n_rotors))
+
+    @property
+    def wind(self) -> np.ndarray | None:
+        """Velocity of the air, (k, 3), world (m/s); None for a flight without wind columns."""
+        names = tuple(f"wind_{axis}" for axis in _AXES)
+        return self.stack(names) if any(name in self.columns for name in names) else None
+
+    @property
+    def air_velocity(self) -> np.ndarray:
+        """Velocity relative to the air, (k, 3), body (m/s); see rotation.air_velocity."""
+        from quadexp.physics.rotation import air_velocity
+
+        attitude, velocity = (tuple(f"{name}_{axis}" for axis in axes) for name, axes in (("q", "wxyz"), ("v", _AXES)))
+        return np.asarray(air_velocity(self.stack(attitude), self.stack(velocity), self.wind))
+
+    @property
+    def reference_state(self) -> np.ndarray:
+        """Reference state, (k, 13)."""
+        return self.stack([f"ref_{name}" for name in STATE_COLUMNS])
+
+    @property
+    def outcome(self) -> str:
+        return str(self.metadata.get("outcome", "ok"))

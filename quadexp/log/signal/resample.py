@@ -1,0 +1,206 @@
+"""Streams on clocks of their own, brought to one uniform clock without aliasing and without bridging gaps.
+
+    x(t_k) = sum_n h(t_k - n / f) x_i(n / f),      t_k = t_0 + k / rate
+
+x_i interpolates the stream (shape-preserving cubic; the last value where a signal is held; slerp for quaternions) on a
+uniform grid at least as fine as the stream, an integer multiple f of the new rate; h is a symmetric (zero-phase)
+low-pass, flat to 0.4 rate and 60 dB down from rate / 2 on. It is left out where the stream is no faster than the new
+clock: there is nothing to alias. (A tone above a quarter of a stream's own rate meets the cubic with up to 5 % error,
+and that much of it may alias.) Samples that already lie on the new clock are taken as they are, to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from quadexp.errors import DataError
+from quadexp.log.signal.stream import GAP_PERIODS, Stream, as_stream, period, stretches
+
+STOPBAND = 60.0  # dB
+PASSBAND = 0.4  # of the new rate
+ON_CLOCK = 1e-4  # of a period: how far a sample may lie from the new clock and be taken as it is
+SAME_RATE = 1.02  # a stream faster than the new clock by less than this is not filtered
+
+
+class Resampled(NamedTuple):
+    """t: (n,) s, uniform within a segment. values: (n, m) a stream. segment: (n,), a gap starts a new number."""
+
+    t: np.ndarray
+    values: dict[str, np.ndarray]
+    segment: np.ndarray
+
+
+def resample(
+    streams: Mapping[str, Stream | tuple[np.ndarray, np.ndarray]],
+    rate: float,
+    *,
+    quaternions: Collection[str] = ("q",),
+    held: Collection[str] = (),
+    gap_periods: float = GAP_PERIODS,
+    gaps: Mapping[str, float] | None = None,
+    least: float = 0.1,
+) -> Resampled:
+    """Bring streams to one uniform clock of `rate` (Hz) over the times that all of them cover.
+
+    quaternions: streams of unit quaternions, (k, 4), any order of components: interpolated on the sphere with signs
+    made continuous. held: streams whose value stays until the next one comes (commands, states).
+    gap_periods: a step longer than that many of a stream's own periods is a gap. gaps: that limit in seconds, by
+    stream, where it is known better. least: shortest segment kept (s).
+    Raises DataError where a stream is unusable or where they have no time in common.
+    """
+    if not streams:
+        raise DataError("no stream to resample")
+    if not (np.isfinite(rate) and rate > 0):
+        raise DataError(f"rate={rate}: must be positive (Hz)")
+    clean = {name: as_stream(stream, name) for name, stream in streams.items()}
+    limit = {name: gap_periods * max(period(s.t), 1 / rate) for name, s in clean.items()} | dict(gaps or {})
+    start = max(s.t[0] for s in clean.values())
+    end = min(s.t[-1] for s in clean.values())
+    slack = ON_CLOCK / rate
+    count = int(np.floor((end - start) * rate + 1e-3)) + 1 if end >= start else 0
+    if count < 2:
+        latest = max(clean, key=lambda name: clean[name].t[0])
+        earliest = min(clean, key=lambda name: clean[name].t[-1])
+        raise DataError(
+            f"{latest} starts at {start:.3f} s and {earliest} ends at {end:.3f} s: they have no time in common"
+        )
+    t = start + np.arange(count) / rate
+    kept = np.ones(count, bool)
+    pieces = {}
+    for name, stream in clean.items():
+        pieces[name] = stretches(stream.t, limit[name])
+        covered = np.zeros(count, bool)
+        for piece in pieces[name]:
+            low, high = np.searchsorted(t, [stream.t[piece.start] - slack, stream.t[piece.stop - 1] + slack])
+            covered[low:high] = True
+        kept &= covered
+    segment = np.cumsum(np.concatenate([[True], kept[1:] & ~kept[:-1]])) - 1
+    segment -= segment[np.argmax(kept)]
+    short = np.bincount(segment[kept], minlength=1) < max(2, least * rate)
+    kept[kept] = ~short[segment[kept]]
+    if not kept.any():
+        raise DataError(f"the streams {', '.join(clean)} have no {least:g} s in common without a gap")
+    _, number = np.unique(segment[kept], return_inverse=True)
+    values = {
+        name: _on_clock(stream, pieces[name], t, rate, slack, name in quaternions, name in held)[kept]
+        for name, stream in clean.items()
+    }
+    return Resampled(t[kept], values, number.astype(np.int32))
+
+
+def _on_clock(
+    stream: Stream, pieces: list[slice], t: np.ndarray, rate: float, slack: float, sphere: bool, held: bool
+) -> np.ndarray:
+    """One stream at the times t; NaN in its gaps."""
+    values = continuous(stream.values) if sphere else stream.values
+    out = np.full((len(t), values.shape[1]), np.nan)
+    for piece in pieces:
+        own, data = stream.t[piece], values[piece]
+        low, high = np.searchsorted(t, [own[0] - slack, own[-1] + slack])
+        at = t[low:high]
+        if not len(at):
+            continue
+        out[low:high] = _stretch(own, data, at, rate, slack, sphere, held)
+    return out
+
+
+def _stretch(
+    own: np.ndarray, data: np.ndarray, at: np.ndarray, rate: float, slack: float, sphere: bool, held: bool
+) -> np.ndarray:
+    """Values, (k, d), at the times `at`, (k,), of one piece without gaps: taken over, low-passed or interpolated."""
+    near = np.clip(np.searchsorted(own, at + slack, side="right") - 1, 0, len(own) - 1)
+    if np.abs(own[near] - at).max() <= slack and 1 / period(own) < SAME_RATE * rate:
+        return data[near]
+    factor = int(np.ceil(1 / (period(own) * rate) / SAME_RATE))
+    if factor < 2:
+        return interpolate(own, data, at, sphere=sphere, held=held)
+    half = len(low_pass(factor)) // 2
+    grid = at[0] + np.arange((len(at) - 1) * factor + 1) / (rate * factor)
+    fine = interpolate(own, data, grid, sphere=sphere, held=held)
+    smooth = np.stack([_filter(column, factor, half) for column in fine.T], axis=-1)
+    return smooth / np.linalg.norm(smooth, axis=1, keepdims=True) if sphere else smooth
+
+
+def _filter(x: np.ndarray, factor: int, half: int) -> np.ndarray:
+    """Low-pass x and take every factor-th sample; the ends are continued by point reflection, which keeps lines."""
+    from scipy.signal import upfirdn
+
+    reach = min(half, len(x) - 1)
+    padded = np.concatenate([2 * x[0] - x[reach:0:-1], x, 2 * x[-1] - x[-2 : -reach - 2 : -1]])
+    lead = -2 * half % factor  # so that one in every `factor` outputs lies on a sample that is kept
+    padded = np.pad(padded, (half - reach + lead, half - reach), mode="edge")
+    first = (2 * half + lead) // factor
+    return upfirdn(low_pass(factor), padded, down=factor)[first : first + (len(x) - 1) // factor + 1]
+
+
+@lru_cache(maxsize=64)
+def low_pass(factor: int) -> np.ndarray:
+    """Taps (odd number, symmetric, gain 1) of the filter before decimation by `factor`."""
+    from scipy.signal import firwin, kaiserord
+
+    width = (0.5 - PASSBAND) / factor * 2  # of the fine grid's Nyquist frequency
+    taps, beta = kaiserord(STOPBAND, width)
+    return firwin(taps | 1, (0.5 + PASSBAND) / factor, window=("kaiser", beta))
+
+
+def interpolate(
+    t: np.ndarray, values: np.ndarray, at: np.ndarray, *, sphere: bool = False, held: bool = False
+) -> np.ndarray:
+    """values (k, m) given at t, at the times `at`: shape-preserving cubic, slerp (sphere) or the last value (held)."""
+    at = np.clip(at, t[0], t[-1])
+    if held:
+        return values[np.clip(np.searchsorted(t, at + 1e-9, side="right") - 1, 0, len(t) - 1)]
+    if sphere:
+        return slerp(t, values, at)
+    left = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+    step = np.diff(t)
+    width = step[left]
+    share = (at - t[left]) / width
+    return np.stack([_hermite(column, _slopes(column, step), left, width, share) for column in values.T], axis=-1)
+
+
+def _slopes(x: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Slopes at the samples, (k,), that make no overshoot: weighted harmonic means (Fritsch & Butland 1984)."""
+    secant = np.diff(x) / step
+    slopes = np.empty_like(x)
+    slopes[0], slopes[-1] = secant[0], secant[-1]
+    before, after = secant[:-1], secant[1:]
+    product = before * after
+    rising = product > 0
+    first, second = 2 * step[1:] + step[:-1], step[1:] + 2 * step[:-1]
+    denominator = np.where(rising, first * after + second * before, 1.0)
+    slopes[1:-1] = np.where(rising, (first + second) * product / denominator, 0.0)
+    return slopes
+
+
+def _hermite(x: np.ndarray, slopes: np.ndarray, left: np.ndarray, width: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Cubic with given ends and slopes in every interval."""
+    low, rise = x[left], x[left + 1] - x[left]
+    a, b = slopes[left] * width, slopes[left + 1] * width
+    return low + share * (a + share * (3 * rise - 2 * a - b + share * (a + b - 2 * rise)))
+
+
+def slerp(t: np.ndarray, q: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Spherical linear interpolation of unit quaternions q (k, 4), signs continuous, at the times `at`, (n, 4)."""
+    q = q / np.linalg.norm(q, axis=1, keepdims=True)
+    left = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+    share = ((at - t[left]) / (t[left + 1] - t[left]))[:, None]
+    a, b = q[left], q[left + 1]
+    angle = np.arccos(np.clip(np.sum(a * b, axis=1, keepdims=True), -1, 1))
+    small = angle < 1e-6  # there the arc is its chord
+    sine = np.where(small, 1, np.sin(angle))
+    first = np.where(small, 1 - share, np.sin((1 - share) * angle) / sine)
+    second = np.where(small, share, np.sin(share * angle) / sine)
+    out = first * a + second * b
+    return out / np.linalg.norm(out, axis=1, keepdims=True)
+
+
+def continuous(q: np.ndarray) -> np.ndarray:
+    """Quaternions (k, 4) with the sign of each chosen to lie on the side of the one before."""
+    flips = np.sum(q[1:] * q[:-1], axis=1) < 0
+    sign = np.concatenate([[1.0], np.where(np.cumsum(flips) % 2, -1.0, 1.0)])
+    return q * sign[:, None]

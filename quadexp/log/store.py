@@ -1,0 +1,373 @@
+"""Tables on disk: Parquet, with the record in the schema metadata, appearing whole or not at all.
+
+Under the key `quadexp` the file carries JSON: {"kind": "flight" | "residuals" | "results", "schema": 2, ...}, and
+under `quadexp_sha256` the hash of that text and of the columns' names; every page of data carries a checksum. The hash
+of the columns' types and values stands beside it and is checked where the file is read in full, that of the file's
+bytes behind it (see hashes.py). So a changed bit, an edited number and a file that another program wrote anew are
+noticed. A file is written to a temporary name in its own folder, flushed to the disk, then renamed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.errors import DataError, UsageError, write_error
+from quadexp.log.declared import check_declared, check_numbers
+from quadexp.log.hashes import CONTENT_KEY, content_hash, sealed_bytes, sealed_value, write_sealed
+from quadexp.log.schema import Flight, describe
+from quadexp.physics.state import STATE_COLUMNS
+
+SCHEMA = 2
+METADATA_KEY = b"quadexp"
+HASH_KEY = b"quadexp_sha256"
+COMMANDS = {
+    "flight": "simulate",
+    "residuals": "collect",
+    "results": "evaluate",
+    "estimates": "identify",
+    "statistics": "evaluate",
+}
+
+# What stands in the record of a file, where it does.
+RECORD: dict[str, type] = {
+    "kind": str, "config": dict, "row": dict, "vehicle": dict, "versions": dict, "provenance": dict, "outcome": str,
+}  # fmt: skip
+
+
+def check_output(path: str | Path, *, force: bool = False, folder: bool = False) -> Path:
+    """Make sure that `path` can be written, before hours of work: the folder it will lie in takes files, and nothing is
+    in the way unless `force`. Nothing is made.
+
+    folder: whether `path` is to be a directory (an existing empty one is nothing in the way).
+    Raises UsageError.
+    """
+    path = Path(path)
+    try:
+        str(path).encode()
+        if folder and path.is_file():
+            raise UsageError(f"{path}: is a file, a folder is needed here: choose another --out")
+        if not folder and path.is_dir():
+            raise UsageError(f"{path}: is a folder, a file name is needed here: choose another --out")
+        if path.exists() and not path.is_dir() and not path.is_file():
+            raise UsageError(f"{path}: is a device or a pipe, not a file: choose another --out")
+        occupied = any(path.iterdir()) if folder and path.is_dir() else os.path.lexists(path)
+        if occupied and not force:
+            raise UsageError(f"{path}: exists already; pass --force to replace it, or choose another --out")
+        above = [path, *path.absolute().parents] if folder else list(path.absolute().parents)
+        nearest = next(parent for parent in above if parent.exists())
+        probe = nearest / f".{path.name}.{os.getpid()}.probe"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written there ({error.strerror}): choose another --out") from None
+    except UnicodeEncodeError:
+        name = os.fsencode(path).decode(errors="backslashreplace")
+        raise UsageError(f"{name}: the name is not UTF-8: choose another --out") from None
+    return path
+
+
+@contextlib.contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """A temporary name beside `path`; on leaving without an error, the file found there becomes `path`."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        with open(temporary, "rb") as file:
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        raise write_error(path, error) from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def write_text(path: str | Path, text: str) -> Path:
+    """Write a text file, whole or not at all."""
+    path = Path(path)
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return path
+
+
+def read_text(path: Path) -> str | None:
+    """What a text file holds; None where there is none, or no text."""
+    try:
+        return path.read_bytes().decode("utf-8")
+    except (OSError, UnicodeError):
+        return None
+
+
+def write_bytes(path: str | Path, write: Callable[[Path], Any]) -> Path:
+    """Let `write(temporary path)` make a file, then move it to `path`."""
+    path = Path(path)
+    with atomic_path(path) as temporary:
+        write(temporary)
+    return path
+
+
+def _field(name: str, array: Any, kind: str) -> Any:
+    import pyarrow as pa
+
+    column = describe(name, kind)
+    metadata = {"unit": column.unit, "frame": column.frame, "description": column.description}
+    return pa.field(name, array.type, metadata={key: value for key, value in metadata.items() if value} or None)
+
+
+def write_table(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, Any], kind: str) -> Path:
+    """Write columns (each (k,)) and JSON-able metadata as one Parquet file."""
+    import pyarrow as pa
+
+    arrays = {name: _arrow(values) for name, values in columns.items()}
+    record = json.dumps({**metadata, "kind": kind, "schema": SCHEMA}, sort_keys=True, default=_plain)
+    fields = [_field(name, array, kind) for name, array in arrays.items()]
+    content = content_hash(arrays, arrays.values())
+    digest = _digest(record.encode(), list(arrays), content)
+    schema = pa.schema(fields, metadata={METADATA_KEY: record, HASH_KEY: digest, CONTENT_KEY: content})
+    table = pa.Table.from_arrays(list(arrays.values()), schema=schema)
+    text = [name for name, array in arrays.items() if pa.types.is_string(array.type)]
+    options = {"compression": "zstd", "use_dictionary": text, "write_page_checksum": True}
+    return write_bytes(path, lambda temporary: write_sealed(table, temporary, **options))
+
+
+def _digest(record: bytes, names: list[str], content: bytes | None) -> bytes:
+    """Hash of a table's record, of its columns' names, and of the hash of its columns where it has one."""
+    parts = [record, *(name.encode() for name in names), *([] if content is None else [content])]
+    return hashlib.sha256(b"\0".join(parts)).hexdigest().encode()
+
+
+def _plain(value: Any) -> Any:
+    """NumPy scalars and arrays, and paths, as JSON."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
+
+
+def read_metadata(path: str | Path, kind: str | None = None) -> dict[str, Any]:
+    """The record of a table, without its rows.
+
+    Raises UsageError where there is no such file, DataError where it is none of ours or of another kind or schema.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = Path(path)
+    if not path.is_file():
+        maker = f" (made by `quadexp {COMMANDS[kind]}`)" if kind in COMMANDS else ""
+        raise UsageError(f"{path}: no such file{maker}")
+    try:
+        schema = pq.read_schema(path)
+    except (pa.ArrowException, OSError, MemoryError) as error:
+        raise DataError(f"{path}: not a Parquet file, or damaged ({first_line(error)}){_remade(kind)}") from None
+    except (UnicodeError, ValueError, OverflowError) as error:
+        raise DataError(f"{path}: damaged ({first_line(error)}){_remade(kind)}") from None
+    raw = (schema.metadata or {}).get(METADATA_KEY, b"")
+    try:
+        record = json.loads(raw)
+        found, version = record["kind"], record["schema"]
+    except (TypeError, ValueError, KeyError, RecursionError):
+        raise DataError(f"{path}: a Parquet file, but not one that quadexp wrote") from None
+    if version != SCHEMA:
+        raise DataError(f"{path}: written with schema {version}, this program reads schema {SCHEMA}: make it again")
+    if schema.metadata.get(HASH_KEY) != _digest(raw, schema.names, schema.metadata.get(CONTENT_KEY)):
+        raise DataError(f"{path}: damaged, its record does not match its hash: make it again")
+    wrong = [name for name, type_ in RECORD.items() if not isinstance(record.get(name), type_ | None)]
+    if wrong:
+        raise DataError(f"{path}: damaged, {wrong[0]!r} of its record is {str(record[wrong[0]])[:40]!r}")
+    if kind is not None and found != kind:
+        raise DataError(f"{path}: holds {found}, {kind} are needed here (made by `quadexp {COMMANDS[kind]}`)")
+    return record
+
+
+def _remade(kind: str | None) -> str:
+    return "; the sweep, run again, makes it anew from its flights" if kind == "results" else ""
+
+
+def read_table(
+    path: str | Path, kind: str, *, required: Iterable[str] = (), finite: bool | Iterable[str] = False
+) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Columns and record of a table.
+
+    required: columns that must be there. finite: True, or the columns, that may hold neither NaN nor infinity.
+    Raises UsageError or DataError with one line.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    record = read_metadata(path, kind)
+    try:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:  # pq.read_table imports pandas for it
+            check_declared(path, file)
+            table = file.read()
+        columns = {name: _numpy(table.column(name)) for name in table.column_names}
+        _check_content(path, table, kind)
+    except (pa.ArrowException, OSError, MemoryError, ValueError, OverflowError) as error:
+        raise DataError(f"{path}: damaged ({first_line(error)}){_remade(kind)}") from None
+    missing = [name for name in required if name not in columns]
+    if missing:
+        raise DataError(f"{path}: column {missing[0]!r} is missing (it has {', '.join(list(columns)[:12])}, ...)")
+    check_numbers(columns, [name for name in columns if describe(name, kind).unit], str(path))
+    names = list(columns) if finite is True else [name for name in finite or () if name in columns]
+    check_finite(columns, names, str(path))
+    return columns, record
+
+
+def _check_content(path: str | Path, table: Any, kind: str) -> None:
+    """Raise DataError where the columns are not those that were written; a file of before there was a hash is said."""
+    stored = (table.schema.metadata or {}).get(CONTENT_KEY)
+    if stored is None:
+        _say_unhashed(path)
+    elif stored != content_hash(table.column_names, table.columns):
+        raise DataError(
+            f"{path}: its columns do not match their hash: it was edited or damaged after it was written;"
+            f" make it again{_remade(kind)}"
+        )
+
+
+_unhashed: list[str] = []  # files without a hash of their columns that were read
+
+
+def _say_unhashed(path: str | Path) -> None:
+    """Once a process, so that a hundred files are not a hundred lines."""
+    if not _unhashed:
+        print(
+            f"note: {path}: written before columns were hashed, so an edited number would not be noticed"
+            " (`quadexp show FILE` says it of each file)",
+            file=sys.stderr,
+        )
+    _unhashed.append(str(path))
+
+
+def has_content_hash(path: str | Path) -> bool:
+    """Whether a table carries the hash of its columns; files of earlier versions do not."""
+    import pyarrow.parquet as pq
+
+    return CONTENT_KEY in (pq.read_schema(path).metadata or {})
+
+
+def read_record(path: str | Path, kind: str) -> dict[str, Any]:
+    """The record of a table that holds, byte for byte, what was written: by the hash of its bytes, or (a file of an
+    earlier version) by reading all of it.
+
+    Raises UsageError where there is no such file, DataError where it has changed or is of another kind.
+    """
+    path = Path(path)
+    try:
+        content, sealed = sealed_bytes(path)
+    except OSError:
+        return read_metadata(path, kind)  # says what is wrong with it
+    if sealed is False:
+        read_metadata(path, kind)
+        raise DataError(f"{path}: its bytes do not match their hash: it was edited or damaged after it was written")
+    raw = sealed_value(content, METADATA_KEY) if sealed else None
+    try:
+        record = json.loads(raw or b"")
+        if record["kind"] == kind and record["schema"] == SCHEMA:
+            return dict(record)
+    except (TypeError, ValueError, KeyError):
+        pass
+    _, record = read_table(path, kind)
+    if sealed is None and has_content_hash(path):
+        raise DataError(f"{path}: was written anew by another program")
+    return record
+
+
+def check_finite(columns: Mapping[str, np.ndarray], names: Iterable[str], where: str) -> None:
+    """Raise DataError naming the first column and row that are not finite."""
+    for name in names:
+        values = columns[name]
+        if values.dtype.kind != "f":
+            continue
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise DataError(
+                f"{where}: column {name!r} is {values[bad[0]]} at row {bad[0]} ({len(bad)} such rows of {len(values)})"
+            )
+
+
+def check_order(t: np.ndarray, where: str) -> None:
+    """Raise DataError naming the first row whose time is not later than that of the row before."""
+    late = np.flatnonzero(~(np.diff(t) > 0))
+    if len(late):
+        k = int(late[0])
+        raise DataError(
+            f"{where}: time does not go on from row {k} ({t[k]:.6g} s) to row {k + 1} ({t[k + 1]:.6g} s): sort the"
+            " rows, keep one of each time, or import the log again"
+        )
+
+
+def check_attitude(columns: Mapping[str, np.ndarray], where: str) -> None:
+    """Raise DataError naming the first row whose quaternion is no attitude."""
+    none = np.flatnonzero(~np.any([columns[f"q_{axis}"] for axis in "wxyz"], axis=0))
+    if len(none):
+        raise DataError(f"{where}: the quaternion is zero at row {none[0]} ({len(none)} such rows): remove them")
+
+
+# pyarrow's own conversions from and to numpy import pandas, a third of a second in every process; the buffers do not.
+_FLOATS = {"double": "float64", "float": "float32", "halffloat": "float16"}
+
+
+def _arrow(values: Any) -> Any:
+    """A column of numbers or of text as an Arrow array."""
+    import pyarrow as pa
+
+    values = np.asarray(values)
+    if values.dtype.kind not in "fiu":
+        encoded = [str(value).encode() for value in values.tolist()]
+        offsets = np.concatenate([[0], np.cumsum([len(text) for text in encoded])]).astype(np.int32)
+        return pa.StringArray.from_buffers(len(encoded), pa.py_buffer(offsets), pa.py_buffer(b"".join(encoded)))
+    data = pa.py_buffer(np.ascontiguousarray(values))
+    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [None, data])
+
+
+def _numpy(column: Any) -> np.ndarray:
+    """A column as an array of its own."""
+    import pyarrow as pa
+
+    chunks = []
+    for chunk in column.chunks:
+        if chunk.null_count or not (pa.types.is_floating(chunk.type) or pa.types.is_integer(chunk.type)):
+            chunks.append(np.array(chunk.to_pylist(), dtype=object))
+            continue
+        dtype = np.dtype(_FLOATS.get(str(chunk.type), str(chunk.type)))
+        chunks.append(np.frombuffer(chunk.buffers()[1], dtype, count=chunk.offset + len(chunk))[chunk.offset :])
+    return np.concatenate(chunks) if chunks else np.empty(0)
+
+
+def first_line(error: BaseException) -> str:
+    """The first line of an error's text, shortened."""
+    text = str(error).strip().splitlines()
+    return text[0][:200] if text else type(error).__name__
+
+
+def write_flight(path: str | Path, flight: Flight, **extra: Any) -> Path:
+    """Write a flight; `extra` joins its metadata."""
+    return write_table(path, flight.columns, {**flight.metadata, **extra}, "flight")
+
+
+def read_flight(path: str | Path, *, check: bool = True, ordered: bool = False) -> Flight:
+    """Read a flight. check: refuse NaN in time, state or input (naming column and row). ordered: refuse time that does
+    not go on, as what is learned from differences must."""
+    thrust = () if read_metadata(path).get("recorded") else ("u_0",)  # a log seldom says the rotors' thrust
+    columns, record = read_table(path, "flight", required=("t", *STATE_COLUMNS, *thrust))
+    if check:
+        names = ["t", *STATE_COLUMNS, *(name for name in columns if name.startswith("u_"))]
+        check_finite(columns, names, str(path))
+        check_attitude(columns, str(path))
+    if ordered:
+        check_order(columns["t"], str(path))
+    return Flight(columns, record)

@@ -1,0 +1,193 @@
+"""What belongs to the experiments on Lei & Li's system: their figures, and tables against what a faithful build shows.
+
+`expected` stands for an independent implementation of the paper's equations (Euler 1e-4 s, control at 100 Hz, means
+over five seeds where there is noise); the paper prints no table of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.log.cell_store import CellStore
+from quadexp.log.schema import Flight
+from quadexp.log.store import read_flight, write_text
+from quadexp.papers.lei_li import figures
+from quadexp.papers.lei_li.families import families_figure, families_table
+from quadexp.physics.rotor import THETA
+from quadexp.report.figures import save
+from quadexp.report.metrics import position_error
+
+EXPECTED = {  # time average of ||e_xi|| over 60 s, m, by trajectory, speed and controller
+    ("rectangle", 5.0, "rls_feedback"): 1.65,
+    ("rectangle", 5.0, "static_feedback"): 4.15,
+    ("rectangle", 5.0, "oracle_feedback"): 1.66,
+    ("rectangle", 5.0, "literal_feedback"): 16.5,
+    ("rectangle", 2.0, "rls_feedback"): 0.77,
+    ("rectangle", 2.0, "static_feedback"): 1.41,
+    ("rectangle", 10.0, "rls_feedback"): 3.41,
+    ("rectangle", 10.0, "static_feedback"): 7.93,
+    ("rectangle", 15.0, "rls_feedback"): 5.46,
+    ("lei_li_circle", None, "rls_feedback"): 2.31,
+    ("lei_li_circle", None, "static_feedback"): 5.14,
+    ("lei_li_circle", None, "oracle_feedback"): 2.32,
+    ("lei_li_circle", None, "literal_feedback"): 17.4,
+}
+SHOWN = ("rls_feedback", "static_feedback", "oracle_feedback", "literal_feedback")
+PAPER_SPEED = 5.0  # of the rectangle, m/s
+WINDOWS = ((-5.0, 0.0), (0.0, 1.0), (1.0, 3.0), (3.0, 7.0), (7.0, 15.0), (15.0, 25.0))  # s from the change
+IDENTIFIED_AT = (10.0, 60.0)  # s
+TITLES = {
+    "blade_element_payload": "payload of 0.3 kg taken up",
+    "blade_element_propeller": "front propeller loses 20 % lift",
+    "blade_element_drag": "rotor profile drag doubled",
+}
+
+
+def draw(kind: str, rows: Sequence[Mapping[str, Any]], out: str | Path) -> dict[str, str]:
+    """Figures and tables of a sweep into <out>; returns name -> path. kind: "lei_li", "families" or "adaptation"."""
+    return {"lei_li": _examples, "families": _families, "adaptation": _adaptation}[kind](rows, Path(out))
+
+
+def _flown(rows: Iterable[Mapping[str, Any]], store: CellStore) -> list[tuple[Mapping[str, Any], Flight]]:
+    return [(row, read_flight(store.path(row["key"]))) for row in rows if row["outcome"] in ("ok", "lost")]
+
+
+def _examples(rows: Sequence[Mapping[str, Any]], out: Path) -> dict[str, str]:
+    """Figures 2-4 of the paper, at its speed and as printed (without the cone), and the table of all."""
+    printed = [row for row in rows if "cone=true" not in row["variant"].lower()]
+    chosen = [row for row in printed if row["trajectory"] == "lei_li_circle" or row["speed"] == PAPER_SPEED]
+    all_flown = _flown(rows, CellStore(out))
+    heights = {row["key"]: float(flight["p_z"].max()) for row, flight in all_flown}
+    files = {"table_expected": str(write_text(out / "expected.md", expected_table(rows, heights)))}
+    keys = {row["key"] for row in chosen}
+    flown = [(row, flight) for row, flight in all_flown if row["key"] in keys and row["controller"] in SHOWN]
+    by_controller: dict[str, Flight] = {}
+    for row, flight in sorted(flown, key=lambda item: SHOWN.index(item[0]["controller"])):
+        by_controller.setdefault(row["controller"], flight)
+    if not by_controller:
+        return files
+    first = flown[0][0]
+    title = "Example 1, rectangle at 5 m/s" if first["trajectory"] == "rectangle" else "Example 2, circle"
+    made = {
+        "example_path": figures.path_figure(by_controller, title),
+        "example_errors": figures.running_mean_figure(by_controller, title),
+    }
+    identified = [flight for row, flight in flown if row["controller"] == "rls_feedback"]
+    if identified:
+        files["table_identified"] = str(write_text(out / "identified.md", identified_table(identified)))
+        made["example_induced_velocity"] = figures.induced_velocity_figure(identified[0], f"{title}: rls_feedback")
+        made["example_parameters"] = figures.parameter_figure(identified, f"{title}: identified coefficients")
+    return files | {f"figure_{name}": str(save(figure, out / "figures" / name)) for name, figure in made.items()}
+
+
+def expected_table(rows: Sequence[Mapping[str, Any]], heights: Mapping[str, float] | None = None) -> str:
+    """Markdown: time average of ||e_xi|| measured and expected, the highest point, and outcomes, by case.
+
+    heights: key of a row -> highest altitude of its flight (m). What is expected holds for the law as printed, without
+    the cone.
+    """
+    heights = heights or {}
+    groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        speed = None if row["trajectory"] == "lei_li_circle" else row["speed"]
+        groups.setdefault((row["trajectory"], speed, row["controller"], row["variant"]), []).append(row)
+    lines = [
+        "Time average of the position error over the flight (m), mean and half range over seeds; highest point (m)",
+        "",
+        "| trajectory | m/s | controller | options | seeds | error | expected | difference | highest | outcome |",
+        "|---|---:|---|---|---:|---:|---:|---:|---:|---|",
+    ]
+    for (trajectory, speed, controller, variant), group in groups.items():
+        good = np.array([row["mean_error"] for row in group if row["outcome"] == "ok"])
+        printed = "cone=true" not in variant.lower()
+        expected = EXPECTED.get((trajectory, speed, controller)) if printed else None
+        shown = f"{good.mean():.3f}" if len(good) else "-"
+        shown += f" +- {np.ptp(good) / 2:.3f}" if len(good) > 1 else ""
+        against = f"{100 * (good.mean() / expected - 1):+.1f} %" if len(good) and expected else ""
+        lost = [row["cause"] for row in group if row["outcome"] != "ok"]
+        ended = "ok" if not lost else f"{len(lost)} lost: {lost[0]}"
+        options = " ".join(part.rpartition(".")[2] for part in variant.split(" "))
+        reached = [heights[row["key"]] for row in group if row["outcome"] == "ok" and row.get("key") in heights]
+        highest = f"{np.mean(reached):.2f}" if reached else ""
+        lines.append(
+            f"| {trajectory} | {'' if speed is None else f'{speed:g}'} | {controller} | {options}"
+            f" | {len(group)} | {shown} |"
+            f" {'' if expected is None else expected} | {against} | {highest} | {ended} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def identified_table(flights: Sequence[Flight]) -> str:
+    """Markdown: every coefficient's estimate at 10 s and at the end, mean and deviation over seeds, and the clips.
+
+    flights: of one case, with identification; a clip is a sample on which a value in use was held at its bound.
+    """
+    plant = flights[0].metadata["config"]["plant"]
+    truth = dict(zip(THETA, [plant["profile_drag"], plant["lift_slope"], *plant["body_drag"]], strict=True))
+    times = [t for t in IDENTIFIED_AT if t <= min(flight.t[-1] for flight in flights) + 1e-9]
+    lines = [
+        f"Coefficients in use, mean +- standard deviation over {len(flights)} seeds",
+        "",
+        "| | truth | " + " | ".join(f"at {t:g} s" for t in times) + " |",
+        "|---|---:|" + "---:|" * len(times),
+    ]
+    for name in THETA:
+        cells = []
+        for t in times:
+            values = np.array([flight[name][np.searchsorted(flight.t, t - 1e-9)] for flight in flights])
+            cells.append(f"{values.mean():.4f} +- {values.std(ddof=1) if len(values) > 1 else 0.0:.4f}")
+        lines.append(f"| {name} | {truth[name]:g} | " + " | ".join(cells) + " |")
+    clips = np.array([flight["clips"][-1] for flight in flights])
+    samples = max(len(flight) for flight in flights)
+    lines += [
+        "",
+        f"Clips in a flight of {samples} samples: {clips.mean():.0f} ({clips.min():.0f} to {clips.max():.0f})",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _families(rows: Sequence[Mapping[str, Any]], out: Path) -> dict[str, str]:
+    """Both families on both plants, as a table and as a figure."""
+    return {
+        "table_families": str(write_text(out / "families.md", families_table(rows))),
+        "figure_families": str(save(families_figure(rows), out / "figures" / "families")),
+    }
+
+
+def _adaptation(rows: Sequence[Mapping[str, Any]], out: Path) -> dict[str, str]:
+    """Error over time around each change, as a figure and as a table of RMSE in windows."""
+    flights: dict[str, dict[str, Flight]] = {}
+    for row, flight in _flown(rows, CellStore(out)):
+        if flight.metadata["config"]["plant"].get("schedule"):
+            flights.setdefault(row["plant"], {}).setdefault(row["controller"], flight)
+    if not flights:
+        return {}
+    figure = figures.adaptation_figure(flights, TITLES)
+    return {
+        "table_adaptation": str(write_text(out / "adaptation.md", adaptation_table(flights))),
+        "figure_adaptation": str(save(figure, out / "figures" / "adaptation")),
+    }
+
+
+def adaptation_table(flights: Mapping[str, Mapping[str, Flight]]) -> str:
+    """Markdown: RMSE (mm) in windows of time around the change, by change and controller."""
+    heads = [f"{low:g}..{high:g} s" for low, high in WINDOWS]
+    lines = [
+        "RMSE (mm) in windows of time from the change",
+        "",
+        "| change | controller | " + " | ".join(heads) + " | outcome |",
+        "|---|---|" + "---:|" * len(heads) + "---|",
+    ]
+    for plant, by_controller in flights.items():
+        for name, flight in by_controller.items():
+            t, error = flight.t - figures.change_time(flight), 1e3 * position_error(flight)
+            cells = []
+            for low, high in WINDOWS:
+                inside = error[(t >= low) & (t < high)]
+                cells.append(f"{np.sqrt(np.mean(inside**2)):.2f}" if len(inside) else "-")
+            lines.append(f"| {TITLES.get(plant, plant)} | {name} | " + " | ".join(cells) + f" | {flight.outcome} |")
+    return "\n".join(lines) + "\n"

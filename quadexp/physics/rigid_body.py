@@ -1,0 +1,70 @@
+"""Rigid body driven by its rotors and by whatever a residual adds (Torrente et al. 2021, eqs 1-4).
+
+    p' = v
+    q' = 1/2 q o [0, w]
+    v' = R(q) (T e_z / m + a_body) + g                                      world, m/s^2
+    w' = J^-1 (tau + tau_body - w x J w)                                    body, rad/s^2
+
+[T, tau] = G u is the vehicle's allocation; [a_body, tau_body] = y is the residual's output, zero for the nominal body.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from quadexp.physics.correction import N_OUTPUTS, Correction
+from quadexp.physics.expression import Expression
+from quadexp.physics.rotation import air_velocity, quaternion_rate, rotation_matrix
+from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
+from quadexp.physics.vehicle import Vehicle
+
+
+def state_derivative(
+    x: Expression, u: Expression, vehicle: Vehicle, correction: Expression | None = None
+) -> Expression:
+    """x' of the rigid body, (13,).
+
+    x: state (13,). u: rotor thrusts (n,) (N).
+    correction: [a_body (m/s^2), tau_body (N m)], (6,), or None for the nominal body.
+    """
+    q, v, w = x[ATTITUDE], x[VELOCITY], x[RATE]
+    wrench = ca.mtimes(ca.sparsify(ca.DM(vehicle.allocation)), u)
+    acceleration = ca.vertcat(0, 0, wrench[0] / vehicle.mass)
+    torque = wrench[1:]
+    if correction is not None:
+        acceleration += correction[:3]
+        torque += correction[3:]
+    inertia = ca.sparsify(ca.DM(vehicle.inertia_matrix))
+    angular_acceleration = ca.mtimes(
+        ca.sparsify(ca.inv(ca.DM(vehicle.inertia_matrix)), 1e-14), torque - ca.cross(w, ca.mtimes(inertia, w))
+    )
+    gravity = ca.vertcat(0, 0, -vehicle.gravity)
+    return ca.vertcat(
+        v,
+        quaternion_rate(q, w),
+        ca.mtimes(rotation_matrix(q), acceleration) + gravity,
+        angular_acceleration,
+    )
+
+
+def body_features(x: Expression, u: Expression) -> Expression:
+    """z = [v_body, w, u], (6 + n,): all a residual may depend on, in still air."""
+    return ca.vertcat(air_velocity(x[ATTITUDE], x[VELOCITY]), x[RATE], u)
+
+
+def rigid_body_function(vehicle: Vehicle) -> ca.Function:
+    """Nominal dynamics as a CasADi function (x (13,), u (n,)) -> x' (13,)."""
+    x, u = ca.SX.sym("x", N_STATE), ca.SX.sym("u", vehicle.n_rotors)
+    return ca.Function("rigid_body", [x, u], [state_derivative(x, u, vehicle)], ["x", "u"], ["x_dot"])
+
+
+def corrected_function(vehicle: Vehicle, residual: Correction) -> ca.Function:
+    """Dynamics with a residual, (x (13,), u (n,), theta (p,)) -> x' (13,): f_cor = f_dyn + B_d r(z)."""
+    x, u = ca.SX.sym("x", N_STATE), ca.SX.sym("u", vehicle.n_rotors)
+    y = ca.SX.sym("y", N_OUTPUTS)
+    features = ca.Function("features", [x, u], [body_features(x, u)])
+    derivative = ca.Function("derivative", [x, u, y], [state_derivative(x, u, vehicle, y)])
+    x, u = ca.MX.sym("x", N_STATE), ca.MX.sym("u", vehicle.n_rotors)
+    theta = ca.MX.sym("theta", residual.function.size1_in(1))
+    output, _ = residual.function(features(x, u), theta)
+    return ca.Function("corrected", [x, u, theta], [derivative(x, u, output)], ["x", "u", "theta"], ["x_dot"])

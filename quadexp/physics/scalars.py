@@ -1,0 +1,21 @@
+"""A part of a matrix graph evaluated as one function of scalar operations: no temporaries, no structural zeros."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import casadi as ca
+
+from quadexp.physics.expression import Expression
+
+
+def as_scalars(f: Callable[..., Expression]) -> Callable[..., Expression]:
+    """f, which maps CasADi expressions to one or several, wrapped so that it enters a graph as one SX function."""
+
+    def call(*arguments: Expression) -> Expression:
+        symbols = [ca.SX.sym(f"a{i}", argument.sparsity()) for i, argument in enumerate(arguments)]
+        results = f(*symbols)
+        results = ca.cse(list(results) if isinstance(results, (list, tuple)) else [results])
+        return ca.Function(f.__name__.strip("_"), symbols, results)(*arguments)
+
+    return call

@@ -1,0 +1,108 @@
+"""One RK4 step with its exact sensitivities, chained stage by stage.
+
+Nothing in the air depends on where the vehicle is, so with s = [q, v, w] the motion is s' = f(s, u), p' = v, and only
+S_i = d k_i / d(s, u), (10, 10 + n), of the four slopes k_i = f(s + c_i k_{i-1}, u), c = (0, dt/2, dt/2, dt), is needed:
+
+    S_i = [f_s, f_u] + c_i f_s S_{i-1}
+    d s_next = [I, 0] + dt/6 (S_1 + 2 S_2 + 2 S_3 + S_4),        d p_next = [0, I, 0] dt + dt^2/6 (S_1 + S_2 + S_3)|_v
+
+Differentiating the whole step at once gives the same numbers from an expression three to ten times larger. The
+residual's Jacobian enters by the chain rule through z(x, u), so that a learned model keeps its own derivative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import casadi as ca
+
+from quadexp.physics.correction import N_OUTPUTS, Correction
+from quadexp.physics.expression import Expression
+from quadexp.physics.rigid_body import body_features, state_derivative
+from quadexp.physics.scalars import as_scalars
+from quadexp.physics.state import N_STATE
+from quadexp.physics.vehicle import Vehicle
+
+N_MOTION = N_STATE - 3  # s = [q, v, w]
+MOTION_VELOCITY = slice(4, 7)  # v within s
+FLAT_LIMIT = 100  # scalar operations of a residual, beyond which one function called four times beats four copies
+
+
+def rk4_sensitivity_function(vehicle: Vehicle, residual: Correction, *, scalar: bool = True) -> ca.Function:
+    """(x (13,), u (n,), theta (p,), dt (s)) -> x_next (13,), A (13, 13), B (13, n).
+
+    scalar: scalar operations with all structural zeros left out, which compile to the fastest code; otherwise dense
+    matrix products, which the virtual machine runs fastest. A residual that is large or in matrix operations stays a
+    call.
+    """
+    flat = scalar and residual.function.is_a("SXFunction") and residual.function.n_instructions() < FLAT_LIMIT
+    kind = ca.SX if flat else ca.MX
+    x, u = kind.sym("x", N_STATE), kind.sym("u", vehicle.n_rotors)
+    theta, dt = kind.sym("theta", residual.function.size1_in(1)), kind.sym("dt")
+    slope = _slope_function(vehicle, residual, dense=not scalar)
+
+    def chained_stage(
+        x_stage: Expression, u: Expression, y: Expression, dy_dz: Expression, S: Expression, c: Expression
+    ) -> tuple[Expression, Expression]:
+        k, G = slope(x_stage, u, y, dy_dz)
+        return k, G + c * ca.mtimes(G[:, :N_MOTION], S)
+
+    parts: tuple[Callable[..., Expression], ...] = (chained_stage, _combine)
+    stage, combine = (as_scalars(f) if scalar else f for f in parts)
+    k, S = slope(x, u, *residual.function(as_scalars(body_features)(x, u), theta))
+    slopes, sensitivities = [k], [S]
+    for c in (dt / 2, dt / 2, dt):
+        x_stage, z = as_scalars(_stage_point)(x, u, slopes[-1], c)
+        k, S = stage(x_stage, u, *residual.function(z, theta), sensitivities[-1], c)
+        slopes.append(k)
+        sensitivities.append(S)
+    outputs = combine(x, dt, *slopes, *sensitivities)
+    outputs = ca.cse(outputs) if flat else outputs if scalar else [ca.densify(output) for output in outputs]
+    return ca.Function("node", [x, u, theta, dt], outputs, ["x", "u", "theta", "dt"], ["x_next", "A", "B"])
+
+
+def _stage_point(x: Expression, u: Expression, k: Expression, c: Expression) -> tuple[Expression, Expression]:
+    """State of the stage after slope k, and the features there."""
+    x_stage = x + c * k
+    return x_stage, body_features(x_stage, u)
+
+
+def _combine(
+    x: Expression,
+    dt: Expression,
+    k1: Expression,
+    k2: Expression,
+    k3: Expression,
+    k4: Expression,
+    S1: Expression,
+    S2: Expression,
+    S3: Expression,
+    S4: Expression,
+) -> list[Expression]:
+    """x_next, A, B from the slopes and sensitivities of the four stages."""
+    kind, n = type(x), S1.size2() - N_MOTION
+    start = ca.horzcat(kind.eye(N_MOTION), kind(N_MOTION, n))
+    middle = S2 + S3
+    three = S1 + middle
+    d_motion = start + dt / 6 * (three + middle + S4)
+    d_position = dt * start[MOTION_VELOCITY, :] + dt * dt / 6 * three[MOTION_VELOCITY, :]
+    d_state = ca.vertcat(d_position, d_motion)
+    A = ca.horzcat(ca.vertcat(kind.eye(3), kind(N_MOTION, 3)), d_state[:, :N_MOTION])
+    return [x + dt / 6 * (k1 + 2 * (k2 + k3) + k4), A, d_state[:, N_MOTION:]]
+
+
+def _slope_function(vehicle: Vehicle, residual: Correction, *, dense: bool) -> ca.Function:
+    """(x, u, y, dy/dz) -> x' (13,), G = [f_s, f_u] (10, 10 + n) of the corrected dynamics."""
+    x, u = ca.SX.sym("x", N_STATE), ca.SX.sym("u", vehicle.n_rotors)
+    y = ca.SX.sym("y", residual.function.sparsity_out(0))
+    dy_dz = ca.SX.sym("dy_dz", residual.function.sparsity_out(1))
+    correction = ca.SX.sym("correction", N_OUTPUTS)
+    derivative = state_derivative(x, u, vehicle, correction)
+    motion, features = ca.vertcat(x[3:], u), body_features(x, u)
+    partial, by_correction, derivative = (
+        ca.substitute(expression, correction, ca.densify(y))
+        for expression in (ca.jacobian(derivative[3:], motion), ca.jacobian(derivative[3:], correction), derivative)
+    )
+    G = partial + ca.mtimes(by_correction, ca.mtimes(dy_dz, ca.jacobian(features, motion)))
+    G = ca.densify(G) if dense else ca.sparsify(G)
+    return ca.Function("slope", [x, u, y, dy_dz], ca.cse([derivative, G]))

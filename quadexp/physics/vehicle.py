@@ -1,0 +1,124 @@
+"""A multirotor as a rigid body with rotors: mass, inertia, rotor layout, thrust limits.
+
+Wrench of the rotors, body frame (any layout, from positions r_i and reaction-torque signs s_i):
+
+    T   = sum_i u_i
+    tau = sum_i (r_i x u_i e_z + c_tau s_i u_i e_z)                         N m
+
+Source: Torrente et al. 2021, section III-A (there for the x layout).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from functools import cached_property
+
+import numpy as np
+
+from quadexp.errors import UsageError
+from quadexp.physics.rotor import RotorGeometry
+
+GRAVITY = 9.81  # m/s^2
+# A rigid body's largest principal moment is at most the sum of the others; measured ones may miss that by a little
+# (those of Lei & Li 2017 do by 1.2 %).
+INERTIA_TOLERANCE = 0.02
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """Physical parameters of a multirotor.
+
+    mass: kg. inertia: (3, 3), body frame, kg m^2. rotor_position: (n, 3), body frame, m.
+    rotor_spin: (n,), sign of the reaction torque about +z_body per unit thrust (+1 or -1).
+    torque_coefficient: reaction torque per thrust, m. thrust_min, thrust_max: per rotor, N.
+    rate_max: largest body rate a reference may ask for, rad/s.
+    rotor: shape of the rotors, for blade-element models; None where nobody needs it.
+    static_thrust: k_T,static of the thrust map u = k_T,static w^2 between a thrust and a rotor speed, N s^2.
+
+    Raises UsageError where the numbers describe no rigid body or cannot be controlled.
+    """
+
+    name: str
+    mass: float
+    inertia: tuple[tuple[float, float, float], ...]
+    rotor_position: tuple[tuple[float, float, float], ...]
+    rotor_spin: tuple[float, ...]
+    torque_coefficient: float
+    thrust_min: float
+    thrust_max: float
+    rate_max: float
+    gravity: float = GRAVITY
+    rotor: RotorGeometry | None = None
+    static_thrust: float | None = None
+
+    def __post_init__(self) -> None:
+        eigenvalues = np.linalg.eigvalsh(self.inertia_matrix)
+        if not np.allclose(self.inertia_matrix, self.inertia_matrix.T):
+            raise UsageError("vehicle.inertia: the matrix must be symmetric")
+        if eigenvalues[0] <= 0 or eigenvalues[2] > (1 + INERTIA_TOLERANCE) * (eigenvalues[0] + eigenvalues[1]):
+            raise UsageError(
+                f"vehicle.inertia: principal moments {eigenvalues.round(6).tolist()} kg m^2 belong to no rigid body"
+                " (all must be positive, and none larger than the sum of the other two, give or take"
+                f" {INERTIA_TOLERANCE:.0%})"
+            )
+        if len(self.rotor_spin) != self.n_rotors:
+            raise UsageError(
+                f"vehicle.rotor_spin: {len(self.rotor_spin)} signs for {self.n_rotors} rotors, one each is needed"
+            )
+        if np.linalg.matrix_rank(self.allocation, tol=1e-9) < 4:
+            raise UsageError("vehicle.rotor_position: thrust and the three torques cannot be set independently")
+        if not self.thrust_min < self.hover_thrust < self.thrust_max:
+            raise UsageError(
+                f"vehicle.thrust_max: hovering takes {self.hover_thrust:.3g} N per rotor,"
+                f" outside ({self.thrust_min:g}, {self.thrust_max:g}) N"
+            )
+        if self.static_thrust is not None and not self.static_thrust > 0:
+            raise UsageError(f"vehicle.static_thrust={self.static_thrust:g}: must be positive (N s^2)")
+
+    @property
+    def n_rotors(self) -> int:
+        return len(self.rotor_position)
+
+    @property
+    def inertia_matrix(self) -> np.ndarray:
+        """Inertia, (3, 3), body frame (kg m^2)."""
+        return np.array(self.inertia, float)
+
+    @cached_property
+    def allocation(self) -> np.ndarray:
+        """Matrix G of [T, tau_x, tau_y, tau_z] = G u, (4, n)."""
+        x, y, _ = np.array(self.rotor_position, float).T
+        return np.stack([np.ones(self.n_rotors), y, -x, self.torque_coefficient * np.array(self.rotor_spin, float)])
+
+    @property
+    def rotor_geometry(self) -> RotorGeometry:
+        """`rotor`, for a model that needs it. Raises UsageError where there is none."""
+        if self.rotor is None:
+            raise self._without_rotor()
+        return self.rotor
+
+    @property
+    def static_thrust_coefficient(self) -> float:
+        """`static_thrust` (N s^2), for a model that needs it. Raises UsageError where there is none."""
+        if self.static_thrust is None:
+            raise self._without_rotor()
+        return self.static_thrust
+
+    def _without_rotor(self) -> UsageError:
+        return UsageError(
+            f"vehicle={self.name}: a blade-element model needs vehicle.rotor and vehicle.static_thrust"
+            " (vehicle=lei_li has them)"
+        )
+
+    @property
+    def hover_thrust(self) -> float:
+        """Thrust of one rotor in hover (N)."""
+        return self.mass * self.gravity / self.n_rotors
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Short hash of the physical numbers (not of the name): two vehicles with one fingerprint fly alike."""
+        physics = {key: value for key, value in asdict(self).items() if key != "name" and value is not None}
+        return hashlib.sha256(json.dumps(physics, sort_keys=True).encode()).hexdigest()[:12]

@@ -1,0 +1,101 @@
+"""One Newton step towards the air that agrees with the motion it causes, at every time by itself.
+
+Unknown is Y = [l, a_air,z, tau_air], asked for is r(z(Y)). With s = r(z(Y)) - Y and A = dr/dY, blocks l and "rest":
+
+    [1 - A_ll   -A_lr ] [dl   ]   [s_l   ]         (1 - A_ll - A_lr X) dl = s_l + A_lr x        X = (1 - A_rr)^-1 A_rl
+    [-A_rl   1 - A_rr ] [drest] = [s_rest]    ->   drest = x + X dl                             x = (1 - A_rr)^-1 s_rest
+
+A follows Y through the body velocity and the rotor thrusts:
+
+    dr/dY = dr/dv_body dv_body/dl + dr/du du/dY,     du/dY = G^+ [m (dc/dl dl - da_air,z), -dtau_air],    dc/dl = -l / c
+
+dv_body/dl: dl turns the tilt frame by d theta, (d theta x f)_xy = -dl, which changes the velocity seen in it by
+v x d theta. What l does to the rates, and l', l'' to the torques, is left to the iteration. The step is taken as a turn
+of f, at most MAX_TURN, since |f| is given and l near |f| is where l itself would be a bad coordinate.
+
+Arrays are component first, (d, k) at k times; SI.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from quadexp.physics.vehicle import Vehicle
+from quadexp.reference.air_model import AirResponse
+from quadexp.reference.flat_map import cross, twisted, untwisted
+from quadexp.reference.motion import Motion, allocation_inverse
+
+MAX_TURN = 0.3  # rad, by which one step may turn the specific force in the tilt frame
+MIN_SHARE = 0.02  # share of the specific force that a step leaves to the rotors' axis
+MIN_DETERMINANT = 0.3  # of the system in dl: below it the step is the plain one, l <- r_l
+
+
+def newton_step(
+    used: np.ndarray, asked: np.ndarray, motion: Motion, velocity: np.ndarray, response: AirResponse, vehicle: Vehicle
+) -> np.ndarray:
+    """The next Y, (6, k).
+
+    used: Y, the air that `motion` was made with; asked: r(z(Y)), both (6, k), l in the tilt frame (m/s^2, N m).
+    velocity: (3, k), tilt frame (m/s). response: derivatives of r in body axes; by thrusts zero where a rotor is held
+    at its limit.
+    """
+    by_lateral, by_rest = _gradients(motion, velocity, response, vehicle)
+    difference = asked - used
+    right = np.concatenate([by_lateral[2:], difference[2:, None]], axis=1)  # A_rl, s_rest: (4, 3, k)
+    solved = right
+    if by_rest.any():
+        system = np.eye(4) - by_rest[2:].transpose(2, 0, 1)
+        solved = np.linalg.solve(system, right.transpose(2, 0, 1)).transpose(1, 2, 0)
+    through_rest = np.einsum("irk,rjk->ijk", by_rest[:2], solved)  # A_lr [X, x]
+    system = np.eye(2)[..., None] - by_lateral[:2] - through_rest[:, :2]
+    step = _lateral_step(system, difference[:2] + through_rest[:, 2], difference[:2])
+    lateral = turned(motion.frame.force, step)
+    rest = solved[:, 2] + np.einsum("rjk,jk->rk", solved[:, :2], lateral - used[:2])
+    return np.concatenate([lateral, used[2:] + rest])
+
+
+def _gradients(
+    motion: Motion, velocity: np.ndarray, response: AirResponse, vehicle: Vehicle
+) -> tuple[np.ndarray, np.ndarray]:
+    """dr/dl, (6, 2, k), and dr/d[a_air,z, tau_air], (6, 4, k); r's lateral part in the tilt frame."""
+    by_velocity, by_thrust = (_rows_untwisted(d, motion.chi) for d in (response.by_velocity, response.by_thrust))
+    by_wrench = -np.einsum("onk,nw->owk", by_thrust, allocation_inverse(vehicle))
+    by_wrench[:, 0] *= vehicle.mass
+    force = motion.frame.force
+    columns = []
+    for axis, d_l in enumerate(((1.0, 0.0), (0.0, 1.0))):
+        turn = motion.frame.solve(-d_l[0], -d_l[1])
+        moved = twisted(cross(velocity, turn), motion.chi)
+        columns.append((by_velocity * moved).sum(axis=1) + by_wrench[:, 0] * (force[axis] / force[2]))
+    return np.stack(columns, axis=1), by_wrench
+
+
+def _rows_untwisted(derivative: np.ndarray, chi: np.ndarray) -> np.ndarray:
+    """Derivatives of r, (6, d, k), their first two rows seen in the tilt frame."""
+    return np.concatenate([untwisted(derivative[:2], chi), derivative[2:]])
+
+
+def _lateral_step(system: np.ndarray, right: np.ndarray, plain: np.ndarray) -> np.ndarray:
+    """The solution, (2, k), of system (2, 2, k) dl = right (2, k); `plain` where the system is near a singular one."""
+    (a, b), (c, d) = system
+    determinant = a * d - b * c
+    regular = (determinant > MIN_DETERMINANT) & (a + d > 0)
+    x, y = right
+    newton = np.stack([d * x - b * y, a * y - c * x]) / np.where(regular, determinant, 1.0)
+    return np.where(regular, newton, plain)
+
+
+def turned(force: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """l, (2, k), of the specific force f (3, k) in the tilt frame, turned along its sphere by the step (2, k) in l."""
+    across = np.stack([*step, -(force[:2] * step).sum(axis=0) / force[2]])
+    size, length = np.linalg.norm(force, axis=0), np.linalg.norm(across, axis=0)
+    angle = np.minimum(length / size, MAX_TURN)
+    after = force * np.cos(angle) + across * (size * np.sin(angle) / np.maximum(length, 1e-300))
+    over = after[2] < 0  # past the equator: out to its edge
+    return reachable(np.where(over, 1e3, 1.0) * after[:2], size)
+
+
+def reachable(lateral: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """l, (2, k), shortened where need be so that MIN_SHARE of the specific force `size`, (k,) (m/s^2), is left to c."""
+    largest = size * np.sqrt(1 - MIN_SHARE**2)
+    return lateral * np.minimum(1.0, largest / np.maximum(np.linalg.norm(lateral, axis=0), 1e-300))

@@ -1,0 +1,36 @@
+"""Horizontal circle from rest to rest (Torrente et al. 2021).
+
+p = (r cos th, r sin th, height),  world (m),  th(t) from the speed profile,  heading free or fixed
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from quadexp.reference.base import N_DERIVATIVES, FlatOutput, flat_output_held, hold_outside
+from quadexp.reference.phasor import phasor
+from quadexp.reference.profile import ProfiledPath
+
+
+@dataclass(frozen=True, kw_only=True)
+class Circle(ProfiledPath):
+    """Circle about the world's z axis, started at (radius, 0, height), counter-clockwise seen from above.
+
+    The peak speed is v + .273 a. Arguments: see ProfiledPath.
+    """
+
+    @property
+    def peak_speed(self) -> float:
+        return self.profile.peak_speed
+
+    def flat_output(self, t: np.ndarray) -> FlatOutput:
+        """See Trajectory.flat_output."""
+        t, inside = hold_outside(t, self.duration)
+        point = self.radius * phasor(self.profile.angle(t))
+        position = np.zeros((len(t), N_DERIVATIVES, 3))
+        position[:, :, 0] = point.real
+        position[:, :, 1] = point.imag
+        position[:, 0, 2] = self.height
+        return flat_output_held(position, self.yaw, inside)

@@ -1,0 +1,56 @@
+"""What a trajectory demands of the vehicle at many times: path, specific force a - g, and heading.
+
+A trajectory gives a yaw, or leaves the heading free: the body then does not turn about its thrust axis, w_z = 0, from
+heading 0 at the start (the "yaw rate zero" of Torrente et al. 2021). A fixed yaw asks for far larger body rates and
+torques at high tilt: the 12 m/s circle of the paper can be flown with a free heading only.
+
+World ENU, SI. Arrays are component first, (d, k) at k times.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from quadexp.errors import UsageError
+from quadexp.reference.base import Trajectory
+from quadexp.reference.flat_map import Tilt, tilt
+
+NO_ATTITUDE = 1e-3  # share of the specific force along z_body, and q_w of the tilt, below which there is no attitude
+
+
+@dataclass(frozen=True)
+class Demand:
+    """A flat output at the times t, (k,), s.
+
+    path: position .. snap, (5, 3, k), world. specific_force: a - g, (3, k), world (m/s^2).
+    yaw: yaw, yaw', yaw'', (3, k) (rad, s), or None for a free heading.
+    """
+
+    t: np.ndarray
+    path: np.ndarray
+    specific_force: np.ndarray
+    yaw: np.ndarray | None
+
+    @classmethod
+    def of(cls, trajectory: Trajectory, t: np.ndarray, gravity: float) -> Demand:
+        """The demand of a trajectory at the times t, (k,) (s); gravity in m/s^2."""
+        flat = trajectory.flat_output(t)
+        path = np.ascontiguousarray(flat.position.transpose(1, 2, 0))
+        yaw = None if flat.yaw is None else np.ascontiguousarray(flat.yaw.T)
+        return cls(t, path, path[2] + [[0.0], [0.0], [gravity]], yaw)
+
+    def tilt(self, lateral: np.ndarray) -> Tilt:
+        """Tilt frames under the lateral accelerations l, (2, k) (m/s^2); UsageError where there are none."""
+        frame = tilt(self.specific_force, lateral)
+        size = np.maximum(np.linalg.norm(self.specific_force, axis=0), NO_ATTITUDE)
+        none = ~((frame.force[2] > NO_ATTITUDE * size) & (frame.quaternion[0] > NO_ATTITUDE))
+        if none.any():
+            i = int(np.argmax(none))
+            raise UsageError(
+                f"the trajectory asks for free fall or inverted flight at t = {self.t[i]:.2f} s (specific force"
+                f" {self.specific_force[:, i].round(2).tolist()} m/s^2), where no attitude follows from it: lower"
+                " trajectory.speed"
+            )
+        return frame

@@ -1,0 +1,152 @@
+"""Trajectory from a file: a sampled track, or a few waypoints; track_file.py says how the two are told apart.
+
+A sampled track is interpolated by a degree-7 spline through every row (continuous up to the sixth derivative,
+not-a-knot ends), so it wants to be smooth: noise in the rows grows by dt^-4 in the snap. Time starts at the first row;
+without a yaw the heading is 0.
+
+Waypoints are joined by minimum-snap polynomials, at rest at both ends (minimum_snap.py); without a yaw the heading is
+free. Their times are kept where they are given. Otherwise segments last in proportion to the p-th power of their
+length, with the p of POWERS that leads to the shortest flight within the vehicle's limits and the asked peak speed
+(time_scale.py). World ENU, SI.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+
+from quadexp.errors import UsageError
+from quadexp.physics.vehicle import Vehicle
+from quadexp.reference.base import (
+    N_DERIVATIVES,
+    FlatOutput,
+    Trajectory,
+    check_positive,
+    flat_output_held,
+    hold_outside,
+    sampled_peak_speed,
+)
+from quadexp.reference.minimum_snap import minimum_snap
+from quadexp.reference.time_scale import MARGIN, ScaledPath, time_scale
+from quadexp.reference.track_file import Positions, read_positions
+
+DEGREE = 7
+POWERS = (0.5, 0.75, 1.0)  # sqrt: what a limited acceleration asks for; 1: what a limited speed asks for
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileTrajectory:
+    """The track or the waypoints in a CSV or TUM file; it is read when first used.
+
+    path: file. speed: largest speed of waypoints, m/s; None: whatever the vehicle can do. vehicle: whose limits
+    waypoints without times keep; None: none. margin: share of the room to the limits that is left, [0, 1).
+    Raises UsageError where there is no such file, where times in the file and the speed contradict each other, or where
+    the limits leave no flight; DataError (with the line number) where the file holds no positions.
+    """
+
+    path: str
+    speed: float | None = None
+    vehicle: Vehicle | None = None
+    margin: float = MARGIN
+
+    def __post_init__(self) -> None:
+        if self.speed is not None:
+            check_positive(speed=self.speed)
+        if not Path(self.path).is_file():
+            raise UsageError(f"trajectory.path: there is no file {str(self.path)!r}")
+
+    @property
+    def duration(self) -> float:
+        return self._flown.duration
+
+    @property
+    def peak_speed(self) -> float:
+        return self._flown.peak_speed
+
+    @property
+    def note(self) -> str:
+        """What keeps the waypoints below the asked speed, in one line; "" where nothing does."""
+        return self._made[1]
+
+    def flat_output(self, t: np.ndarray) -> FlatOutput:
+        """See Trajectory.flat_output."""
+        return self._flown.flat_output(t)
+
+    @property
+    def _flown(self) -> Trajectory:
+        return self._made[0]
+
+    @cached_property
+    def _made(self) -> tuple[Trajectory, str]:
+        """The trajectory and its note."""
+        positions = read_positions(Path(self.path))
+        if positions.sampled:
+            if self.speed is not None:
+                raise UsageError(
+                    f"trajectory.speed={self.speed:g}: {self.path} is a sampled track, which has its own times;"
+                    " leave the speed out, or name the columns x, y, z for waypoints"
+                )
+            return SampledTrack(positions), ""
+        try:
+            return self._through(positions)
+        except ValueError as error:
+            raise UsageError(f"{self.path}: no polynomials through these waypoints ({error})") from None
+
+    def _through(self, positions: Positions) -> tuple[ScaledPath, str]:
+        """The path through waypoints, and its note."""
+        columns = [positions.points] + ([] if positions.yaw is None else [positions.yaw[:, None]])
+        points = np.concatenate(columns, axis=1)
+        if positions.times is not None:
+            timed = ScaledPath(minimum_snap(positions.times, points), 1.0)
+            if self.speed is not None and self.vehicle is not None and timed.peak_speed > self.speed:
+                raise UsageError(
+                    f"trajectory.speed={self.speed:g}: the times in {self.path} take a peak speed of"
+                    f" {timed.peak_speed:.4g} m/s; leave out the column t, raise the speed, or pass"
+                    " trajectory.allow_infeasible=true"
+                )
+            return timed, ""
+        lengths = np.linalg.norm(np.diff(positions.points, axis=0), axis=1) / np.ptp(positions.points, axis=0).max()
+        found = []
+        for power in POWERS:
+            path = minimum_snap(np.concatenate([[0.0], np.cumsum(lengths**power)]), points)
+            scale = time_scale(path, self.vehicle, speed=self.speed, margin=self.margin)
+            found.append((ScaledPath(path, scale.factor), scale))
+        path, scale = min(found, key=lambda one: one[0].duration)
+        return path, scale.note(self.speed, path.peak_speed, self.vehicle)
+
+
+@dataclass(frozen=True)
+class SampledTrack:
+    """A spline through the rows of a track."""
+
+    positions: Positions
+
+    @cached_property
+    def duration(self) -> float:
+        return float(self._times[-1])
+
+    @cached_property
+    def peak_speed(self) -> float:
+        return sampled_peak_speed(self)
+
+    def flat_output(self, t: np.ndarray) -> FlatOutput:
+        """See Trajectory.flat_output."""
+        t, inside = hold_outside(t, self.duration)
+        values = np.stack([derivative(t) for derivative in self._derivatives], axis=1)
+        return flat_output_held(values[:, :, :3].copy(), values[:, :3, 3].copy(), inside)
+
+    @property
+    def _times(self) -> np.ndarray:
+        assert self.positions.times is not None
+        return self.positions.times - self.positions.times[0]
+
+    @cached_property
+    def _derivatives(self) -> tuple[BSpline, ...]:
+        """The splines of [x, y, z, yaw] with their derivatives up to the fourth."""
+        yaw = np.zeros(len(self._times)) if self.positions.yaw is None else self.positions.yaw
+        spline = make_interp_spline(self._times, np.column_stack([self.positions.points, yaw]), k=DEGREE)
+        return tuple(spline.derivative(order) if order else spline for order in range(N_DERIVATIVES))

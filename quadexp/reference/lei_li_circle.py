@@ -1,0 +1,64 @@
+"""The circle of Lei & Li 2017, Example 2: one half of every lap at one speed, the other at twice that, jumping between.
+
+In the paper's NED, (-r cos a, r sin a), height 5 m, r = 28 m, with a = pi t / 20 on 0 .. 20 s, then a twice as quick on
+20 .. 30 s, then again with a period of 30 s: 4.398 and 8.796 m/s. Here in ENU, x east and y north. Heading north. The
+acceleration is the path's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from quadexp.reference.base import N_DERIVATIVES, FlatOutput, check_positive, flat_output_held, hold_outside
+from quadexp.reference.rectangle import NORTH, check_start, resting
+
+START_POSITION = (0.0, 0.0, 0.0)  # ENU, m: the centre of the circle, on the ground
+START_EULER = (0.0, 0.0, 90.0)  # roll, pitch, yaw of FLU in ENU, deg
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeiLiCircle:
+    """A circle with two speeds, clockwise seen from above, started at its southernmost point.
+
+    radius: m. slow_half: duration of the slow half of a lap, s (the fast one takes half of that).
+    duration, height: s, m.
+    start: "printed", the paper's initial state (at rest in the middle of the circle, on the ground), or "reference".
+    Raises UsageError where a number is out of range.
+    """
+
+    radius: float = 28.0
+    slow_half: float = 20.0
+    duration: float = 60.0
+    height: float = 5.0
+    start: str = "printed"
+
+    def __post_init__(self) -> None:
+        check_positive(radius=self.radius, slow_half=self.slow_half, duration=self.duration, height=self.height)
+        check_start(self.start)
+
+    @property
+    def peak_speed(self) -> float:
+        return 2 * np.pi * self.radius / self.slow_half
+
+    @property
+    def start_state(self) -> np.ndarray | None:
+        """State (13,) that the flight begins in, None for the reference's own."""
+        return resting(START_POSITION, START_EULER) if self.start == "printed" else None
+
+    def flat_output(self, t: np.ndarray) -> FlatOutput:
+        """See Trajectory.flat_output."""
+        t, inside = hold_outside(t, self.duration)
+        lap = 1.5 * self.slow_half
+        into = t - lap * np.maximum(np.ceil(t / lap - 1e-9) - 1, 0)
+        slow = into <= self.slow_half + 1e-9
+        rate = np.where(slow, 1.0, 2.0) * np.pi / self.slow_half
+        angle = np.where(slow, rate * into, np.pi + rate * (into - self.slow_half))
+        # north = -r cos a, east = r sin a: east + i north = -i r exp(i a)
+        powers = np.arange(N_DERIVATIVES)
+        point = -1j * self.radius * np.exp(1j * angle)[:, None] * (1j * rate[:, None]) ** powers
+        position = np.zeros((len(t), N_DERIVATIVES, 3))
+        position[:, :, 0], position[:, :, 1] = point.real, point.imag
+        position[:, 0, 2] = self.height
+        return flat_output_held(position, NORTH, inside)

@@ -1,0 +1,46 @@
+"""Horizontal lemniscate (figure eight) from rest to rest (Torrente et al. 2021).
+
+    p = (r cos th, r sin th cos th, height),  world (m),  th(t) from the speed profile,  heading free or fixed
+
+With sin th cos th = sin(2 th) / 2 both axes are parts of a phasor. |p'| = r th' sqrt(sin^2 th + cos^2 2 th), at most
+sqrt(2) r th' (in the crossing).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from quadexp.reference.base import (
+    N_DERIVATIVES,
+    FlatOutput,
+    flat_output_held,
+    hold_outside,
+    sampled_peak_speed,
+)
+from quadexp.reference.phasor import phasor
+from quadexp.reference.profile import ProfiledPath
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lemniscate(ProfiledPath):
+    """Figure eight along the world's x axis, started at (radius, 0, height).
+
+    The peak speed is up to sqrt(2) (v + .273 a), see peak_speed. Arguments: see ProfiledPath.
+    """
+
+    @cached_property
+    def peak_speed(self) -> float:
+        return sampled_peak_speed(self)
+
+    def flat_output(self, t: np.ndarray) -> FlatOutput:
+        """See Trajectory.flat_output."""
+        t, inside = hold_outside(t, self.duration)
+        angle = self.profile.angle(t)
+        position = np.zeros((len(t), N_DERIVATIVES, 3))
+        position[:, :, 0] = self.radius * phasor(angle).real
+        position[:, :, 1] = self.radius / 2 * phasor(2 * angle).imag
+        position[:, 0, 2] = self.height
+        return flat_output_held(position, self.yaw, inside)

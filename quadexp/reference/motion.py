@@ -1,0 +1,125 @@
+"""The motion that meets a demand under a given air: attitude, body rate and rotor thrusts.
+
+The flatness map (flat_map.py) gives the tilt frame and its rates; with G the vehicle's allocation, rotor thrusts are
+
+    u = G^+ [T, tau],    T = m (c - a_air,z),    tau = J w' + w x J w - tau_air
+
+World ENU, body FLU, SI. Arrays are component first, (d, k) at k times.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+
+from quadexp.air.base import N_OUTPUTS
+from quadexp.physics.vehicle import Vehicle
+from quadexp.reference.demand import Demand
+from quadexp.reference.flat_map import Tilt, cross, free_body_rates, heading_body_rates
+
+
+class Calculus(Protocol):
+    """Derivatives and integrals in time of values (d, k) or (k,) at k times; see TimeGrid."""
+
+    def differentiate(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]: ...
+
+    def integrate(self, values: np.ndarray, derivative: np.ndarray) -> np.ndarray: ...
+
+
+@dataclass(frozen=True)
+class Held:
+    """The calculus of what does not change, at a known twist chi, (k,) rad."""
+
+    chi: np.ndarray
+
+    def differentiate(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.zeros_like(values), np.zeros_like(values)
+
+    def integrate(self, values: np.ndarray, derivative: np.ndarray) -> np.ndarray:
+        return self.chi
+
+
+@dataclass(frozen=True)
+class Air:
+    """What the air does to a motion.
+
+    outputs: l (tilt frame), a_air,z (m/s^2), tau_air (body, N m), (6, k). lateral_1, lateral_2: l', l'', (2, k).
+    """
+
+    outputs: np.ndarray
+    lateral_1: np.ndarray
+    lateral_2: np.ndarray
+
+    @classmethod
+    def still(cls, k: int) -> Air:
+        """No air at k times."""
+        return cls.of_outputs(np.zeros((N_OUTPUTS, k)))
+
+    @classmethod
+    def of_outputs(cls, outputs: np.ndarray) -> Air:
+        """Air with the outputs (6, k) whose lateral part is taken as constant in time."""
+        return cls(outputs, *np.zeros((2, 2, outputs.shape[1])))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A demand met. chi: twist, (k,), rad. rate: w, (3, k), body (rad/s). thrusts: (n, k), N."""
+
+    frame: Tilt
+    chi: np.ndarray
+    rate: np.ndarray
+    thrusts: np.ndarray
+
+
+def flat_motion(demand: Demand, vehicle: Vehicle, air: Air, calculus: Calculus) -> Motion:
+    """The flatness map under given air; `calculus` integrates the twist of a free heading.
+
+    Raises UsageError where the demand leaves no attitude (Demand.tilt).
+    """
+    frame = demand.tilt(air.outputs[:2])
+    o, o_dot = frame.rates(demand.path[3], demand.path[4], air.lateral_1, air.lateral_2)
+    if demand.yaw is None:
+        chi = calculus.integrate(-o[2], -o_dot[2])
+        w, w_dot = free_body_rates(o, o_dot, chi)
+    else:
+        chi = frame.heading_twist(demand.yaw[0])
+        w, w_dot = heading_body_rates(frame, o, o_dot, chi, demand.yaw)
+    thrust = vehicle.mass * (frame.force[2] - air.outputs[2])
+    return Motion(frame, chi, w, rotor_thrusts(vehicle, thrust, w, w_dot, air.outputs[3:]))
+
+
+def rotor_thrusts(
+    vehicle: Vehicle, thrust: np.ndarray, rate: np.ndarray, rate_derivative: np.ndarray, air_torque: np.ndarray
+) -> np.ndarray:
+    """u = G^+ [T, J w' + w x J w - tau_air], (n, k) (N); the least-norm thrusts for more than four rotors.
+
+    thrust: T, (k,), N. rate: w, (3, k), body (rad/s). rate_derivative: w', (3, k) (rad/s^2).
+    air_torque: (3, k), body (N m).
+    """
+    inertia = vehicle.inertia_matrix
+    torque = inertia @ rate_derivative + cross(rate, inertia @ rate) - air_torque
+    return allocation_inverse(vehicle) @ np.concatenate([thrust[None], torque])
+
+
+@lru_cache(maxsize=64)
+def allocation_inverse(vehicle: Vehicle) -> np.ndarray:
+    """G^+, (n, 4)."""
+    return np.linalg.pinv(vehicle.allocation)
+
+
+def within_limits(thrusts: np.ndarray, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
+    """Rotor thrusts, (n, k) (N), with the torque reduced until they are within the limits, the collective kept.
+
+    A residual model knows nothing of thrusts beyond them, which a reference that cannot be flown may ask for.
+    Returns the thrusts, and at which times they are those asked for, (k,) bool.
+    """
+    collective = allocation_inverse(vehicle)[:, :1] * thrusts.sum(axis=0)
+    torque = thrusts - collective
+    room = np.where(torque > 0, vehicle.thrust_max, vehicle.thrust_min) - collective
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(torque == 0, 1.0, room / torque).min(axis=0)
+    free = share >= 1.0
+    return np.where(free, thrusts, collective + np.clip(share, 0.0, 1.0) * torque), free

@@ -1,0 +1,144 @@
+"""Smooth random closed path, flown as minimum-snap polynomials from rest to rest.
+
+Each axis is a draw from a Gaussian process with periodic kernel over the path phase s (one loop is s = 0 .. 1),
+
+    k(s, s') = exp(-2 sin^2(pi c (s - s')) / l^2),      c cycles per loop, l length scale
+
+drawn exactly through the kernel's Fourier series, with I_n the modified Bessel function,
+
+    k = e^(-1/l^2) [ I_0(1/l^2) + 2 sum_n I_n(1/l^2) cos(2 pi n c (s - s')) ]
+
+(its covariance matrix is singular to working precision, so that a Cholesky factor would give other numbers on other
+machines). The path is scaled so that the mean of its three axis ranges is `extent`; keypoints are taken at equal phase,
+the last one equal to the first, every segment lasting equally long. Through them run minimum-snap polynomials from rest
+to rest (minimum_snap.py). The whole is moved up so that its lowest point clears the ground.
+
+The seed alone decides the path; how fast it is flown follows from the asked peak speed and, where a vehicle is given,
+from its limits (time_scale.py). World frame, m.
+Source: Torrente et al. 2021, public code (kernels, extent). There, `speed` is the mean keypoint distance over
+the segment time, and the peak about 2.4 times that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import PPoly
+from scipy.special import ive
+
+from quadexp.errors import UsageError
+from quadexp.physics.vehicle import Vehicle
+from quadexp.reference.base import FlatOutput, check_finite, check_positive
+from quadexp.reference.minimum_snap import minimum_snap
+from quadexp.reference.time_scale import MARGIN, ScaledPath, TimeScale, time_scale
+
+KERNELS = (  # per axis: (length scale, cycles per loop), summed
+    ((4.5, 2), (4.5, 1)),
+    ((4.5, 1), (4.0, 2)),
+    ((5.5, 1),),
+)
+N_HARMONICS = 8  # I_8(1/l^2) is below 1e-17 of I_1 for every kernel above
+N_PATH = 100  # points that measure the path's extent
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomPolynomial:
+    """A random closed path; the same seed gives the same path whatever the speed and the vehicle.
+
+    speed: largest speed, m/s; less where the vehicle's limits come first. vehicle: whose limits are kept; None: none.
+    margin: share of the room between hover and the limits that is left, [0, 1).
+    keypoints: number of keypoints, the closing one included. extent: mean range of the three axes, m.
+    clearance: height of the lowest point, m. yaw: heading held, rad; None: free, body yaw rate zero.
+    Raises UsageError where a number is out of range, or where the vehicle can fly the path at no speed.
+    """
+
+    speed: float
+    seed: int = 0
+    keypoints: int = 10
+    extent: float = 6.0
+    clearance: float = 1.0
+    yaw: float | None = None
+    vehicle: Vehicle | None = None
+    margin: float = MARGIN
+
+    def __post_init__(self) -> None:
+        check_positive(speed=self.speed, extent=self.extent)
+        check_finite(clearance=self.clearance, yaw=self.yaw)
+        if int(self.keypoints) != self.keypoints or self.keypoints < 4:
+            raise UsageError(f"trajectory.keypoints: {self.keypoints!r} is not allowed, 4 or more are needed")
+        if int(self.seed) != self.seed or self.seed < 0:
+            raise UsageError(f"trajectory.seed: {self.seed!r} is not allowed, it must be a whole number of 0 or more")
+
+    @property
+    def duration(self) -> float:
+        return self._flown.duration
+
+    @property
+    def peak_speed(self) -> float:
+        return self._flown.peak_speed
+
+    @property
+    def note(self) -> str:
+        """What keeps the path below the asked speed, in one line; "" where nothing does."""
+        return self._scale.note(self.speed, self.peak_speed, self.vehicle)
+
+    @cached_property
+    def times(self) -> np.ndarray:
+        """Times of the keypoints, (keypoints,) (s)."""
+        return self._scale.factor * np.arange(self.keypoints)
+
+    @cached_property
+    def waypoints(self) -> np.ndarray:
+        """The keypoints, (keypoints, 3), world (m)."""
+        return self._keypoints + [0.0, 0.0, self._lift]
+
+    def flat_output(self, t: np.ndarray) -> FlatOutput:
+        """See Trajectory.flat_output."""
+        flat = self._flown.flat_output(t)
+        flat.position[:, 0, 2] += self._lift
+        return flat
+
+    @cached_property
+    def _keypoints(self) -> np.ndarray:
+        """The keypoints about the middle of the path, (keypoints, 3) (m)."""
+        rng = np.random.default_rng(self.seed)
+        phases = np.concatenate([np.linspace(0, 1, N_PATH + 1), np.linspace(0, 1, self.keypoints)])
+        points = np.stack([sum(_periodic_draw(phases, *kernel, rng) for kernel in axis) for axis in KERNELS], axis=1)
+        path, keypoints = points[: N_PATH + 1], points[N_PATH + 1 :]
+        low, high = path.min(axis=0), path.max(axis=0)
+        keypoints[-1] = keypoints[0]  # closed to the last bit
+        return (keypoints - (low + high) / 2) * (self.extent / (high - low).mean())
+
+    @cached_property
+    def _path(self) -> PPoly:
+        """The polynomials through the keypoints about the middle of the path, m, a segment a unit of time."""
+        try:
+            return minimum_snap(np.arange(self.keypoints), self._keypoints)
+        except ValueError as error:
+            span = f"trajectory.extent={self.extent:g}"
+            raise UsageError(f"{span}: no polynomials through these keypoints ({error})") from None
+
+    @cached_property
+    def _scale(self) -> TimeScale:
+        return time_scale(self._path, self.vehicle, speed=self.speed, margin=self.margin)
+
+    @cached_property
+    def _flown(self) -> ScaledPath:
+        return ScaledPath(self._path, self._scale.factor, self.yaw)
+
+    @cached_property
+    def _lift(self) -> float:
+        """Height of the middle of the path that gives its lowest point the clearance, m."""
+        instants = np.linspace(0, self.keypoints - 1, 200 * self.keypoints)
+        return self.clearance - self._path(instants)[:, 2].min()
+
+
+def _periodic_draw(phase: np.ndarray, length_scale: float, cycles: int, rng: np.random.Generator) -> np.ndarray:
+    """Zero-mean part of a draw from the periodic kernel at the phases (k,): (k,)."""
+    n = np.arange(1, N_HARMONICS + 1)
+    amplitude = np.sqrt(2 * ive(n, 1 / length_scale**2))
+    cosine, sine = rng.standard_normal((2, N_HARMONICS)) * amplitude
+    angle = 2 * np.pi * cycles * phase[:, None] * n
+    return np.cos(angle) @ cosine + np.sin(angle) @ sine

@@ -1,0 +1,180 @@
+"""The shortest time in which a path can be flown within a vehicle's limits.
+
+A path p(s) flown as p(t / c) keeps its shape; its n-th derivative is divided by c^n, and a heading's likewise. The
+factor c is the least for which
+
+    |p'| / c <= speed,        |w| <= (1 - margin) rate_max,
+    u_0 - (1 - margin) (u_0 - thrust_min) <= u <= u_0 + (1 - margin) (thrust_max - u_0)       for every rotor,
+
+u_0 its thrust in hover: `margin` is the share of the room between hover and a limit that is left to the controller and
+to the air. Thrusts u and body rates w are those of the reference without air (motion.py), so that the path is the same
+whatever a controller knows. The speed bound is exact; the others hold at instants close to each other, and the
+boundary of the feasible factors is found by a bracketing root search. World ENU, body FLU, SI.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import PPoly
+from scipy.optimize import brentq
+
+from quadexp.errors import UsageError
+from quadexp.physics.vehicle import Vehicle
+from quadexp.reference.base import N_DERIVATIVES, FlatOutput, flat_output_held, hold_outside
+from quadexp.reference.demand import Demand
+from quadexp.reference.minimum_snap import largest_speed
+from quadexp.reference.motion import Air, allocation_inverse, flat_motion
+from quadexp.reference.time_grid import TimeGrid
+
+MARGIN = 0.25
+SPEED = "speed"  # what decides where the asked speed comes first
+STEPS, FEWEST, MOST = 64, 16, 30_000  # instants of a mean piece, of the shortest at least, of all at most
+DOUBLINGS = 60  # of the factor, before the limits are called out of reach
+NEAR_LIMIT = 0.1  # share of the hover thrust: with less room to a limit, hovering is what holds a path up
+TOLERANCE = 1e-9  # of the logarithm of the factor
+BEYOND = 10.0  # excess where there is no attitude, and the largest that the search sees
+
+
+@dataclass(frozen=True)
+class TimeScale:
+    """factor: real time over the path's own. limited_by: what decides it, "speed" or such as "rotor 2 thrust"."""
+
+    factor: float
+    limited_by: str
+
+    def note(self, asked: float | None, peak: float, vehicle: Vehicle | None) -> str:
+        """In one line what keeps the peak speed (m/s) below the asked one (m/s), "" where nothing does."""
+        if vehicle is None or self.limited_by == SPEED:
+            return ""
+        parts, hover = [], vehicle.hover_thrust
+        if asked is not None:
+            parts.append(
+                f"peak speed {peak:.3g} m/s of the {asked:g} m/s asked: more would take {self.limited_by} nearer to its"
+                " limit than trajectory.margin allows"
+            )
+        if vehicle.thrust_max - hover < NEAR_LIMIT * hover:
+            parts.append(f"hovering alone takes {hover / vehicle.thrust_max:.0%} of vehicle.thrust_max")
+        elif hover - vehicle.thrust_min < NEAR_LIMIT * hover:
+            parts.append(f"vehicle.thrust_min is {vehicle.thrust_min / hover:.0%} of the hover thrust")
+        return "; ".join(parts)
+
+
+def time_scale(path: PPoly, vehicle: Vehicle | None, *, speed: float | None, margin: float) -> TimeScale:
+    """The least factor from the path's own time to real time within the limits.
+
+    path: components x, y, z (m) and, if there is a fourth, the yaw (rad); without one the heading is free.
+    vehicle: None leaves the speed as the only limit. speed: largest speed, m/s; None: whatever the vehicle can do.
+    Raises UsageError where the path does not move, or where no factor keeps the limits.
+    """
+    peak = largest_speed(path)
+    if speed is None and vehicle is None:
+        raise UsageError("trajectory.speed: must be given where no vehicle limits the path")
+    if not (np.isfinite(peak) and peak > 0):
+        raise UsageError("the path does not move: its points (trajectory.extent, trajectory.path) are all the same")
+    demands = None if vehicle is None else _Demands(path, vehicle, margin)
+    fast = 1e-3 * peak if speed is None else peak / speed  # 1 km/s is beyond every vehicle
+    if demands is None or demands.worst(fast)[0] <= 0:
+        return TimeScale(fast, SPEED)
+    slow = fast
+    for _ in range(DOUBLINGS):
+        fast, slow = slow, 2 * slow
+        if demands.worst(slow)[0] <= 0:
+            break
+    else:
+        raise UsageError("no time however long keeps this path within the limits of the vehicle")
+    logarithm = brentq(lambda c: demands.worst(np.exp(c))[0], np.log(fast), np.log(slow), xtol=TOLERANCE)
+    factor = float(np.exp(logarithm + 2 * TOLERANCE))
+    return TimeScale(factor, demands.worst(factor)[1])
+
+
+@dataclass(frozen=True)
+class _Demands:
+    """What a path asks of a vehicle at instants of its own time."""
+
+    path: PPoly
+    vehicle: Vehicle
+    margin: float
+
+    def worst(self, factor: float) -> tuple[float, str]:
+        """By how much the worst limit is exceeded, as a share of its range (below 0: kept), and which one it is."""
+        grid, derivatives = self._sampled
+        values = derivatives / factor ** np.arange(N_DERIVATIVES)[:, None, None]
+        demand = Demand(
+            factor * grid.times,
+            np.ascontiguousarray(values[:, :3]),
+            values[2, :3] + [[0.0], [0.0], [self.vehicle.gravity]],
+            np.ascontiguousarray(values[:3, 3]) if values.shape[1] > 3 else None,
+        )
+        calculus = TimeGrid(demand.t, factor * grid.spacing)
+        try:
+            motion = flat_motion(demand, self.vehicle, Air.still(len(demand.t)), calculus)
+        except UsageError:
+            return BEYOND, "free fall"
+        hover, below, above = self._room
+        over = motion.thrusts - hover[:, None]
+        used = np.max(over / np.where(over > 0, above[:, None], below[:, None]) * np.sign(over), axis=1)
+        shares = {f"rotor {i} thrust": share for i, share in enumerate(used)}
+        shares["body rate"] = np.sqrt((motion.rate**2).sum(axis=0)).max() / self.vehicle.rate_max
+        what = max(shares, key=lambda name: shares[name])
+        return min(float(shares[what]) - (1 - self.margin), BEYOND), what
+
+    @cached_property
+    def _sampled(self) -> tuple[TimeGrid, np.ndarray]:
+        """Instants, and the derivatives 0 .. 4 of the path there, (5, d, k)."""
+        x, pieces = self.path.x, np.diff(self.path.x)
+        spacing = max(min(pieces.mean() / STEPS, pieces.min() / FEWEST), (x[-1] - x[0]) / MOST)
+        grid = TimeGrid.over(x[0], x[-1], spacing)
+        values = [self.path.derivative(n)(grid.times) if n else self.path(grid.times) for n in range(N_DERIVATIVES)]
+        return grid, np.stack([value.T for value in values])
+
+    @cached_property
+    def _room(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Thrust of every rotor in hover, and its distance to the lower and to the upper limit, (n,) each (N)."""
+        vehicle = self.vehicle
+        hover = allocation_inverse(vehicle)[:, 0] * vehicle.mass * vehicle.gravity
+        below, above = hover - vehicle.thrust_min, vehicle.thrust_max - hover
+        if min(below.min(), above.min()) <= 0:
+            at = int(np.argmin(np.minimum(below, above)))
+            raise UsageError(
+                f"vehicle={vehicle.name}: in hover rotor {at} gives {hover[at]:.4g} N, outside"
+                f" ({vehicle.thrust_min:g}, {vehicle.thrust_max:g}) N: no path keeps its limits"
+            )
+        return hover, below, above
+
+
+@dataclass(frozen=True)
+class ScaledPath:
+    """A path flown `factor` times as long as its own time says.
+
+    path: components x, y, z (m) and, if there is a fourth, the yaw (rad). yaw: heading held where there is none, rad;
+    None: free.
+    """
+
+    path: PPoly
+    factor: float
+    yaw: float | None = None
+
+    @property
+    def duration(self) -> float:
+        """s."""
+        return float(self.factor * (self.path.x[-1] - self.path.x[0]))
+
+    @cached_property
+    def peak_speed(self) -> float:
+        """Largest speed, m/s."""
+        return largest_speed(self.path) / self.factor
+
+    def flat_output(self, t: np.ndarray) -> FlatOutput:
+        """See Trajectory.flat_output."""
+        t, inside = hold_outside(t, self.duration)
+        own = np.clip(self.path.x[0] + t / self.factor, self.path.x[0], self.path.x[-1])
+        values = np.stack([d(own) / self.factor**n for n, d in enumerate(self._derivatives)], axis=1)
+        yaw = values[:, :3, 3].copy() if values.shape[2] > 3 else self.yaw
+        return flat_output_held(np.ascontiguousarray(values[:, :, :3]), yaw, inside)
+
+    @cached_property
+    def _derivatives(self) -> tuple[PPoly, ...]:
+        return tuple(self.path.derivative(order) if order else self.path for order in range(N_DERIVATIVES))

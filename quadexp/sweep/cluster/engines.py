@@ -1,0 +1,38 @@
+"""From a configuration to the engine it names."""
+
+from __future__ import annotations
+
+import importlib
+
+from quadexp.config.engine import ClusterConfig, DaskConfig, SlurmConfig
+from quadexp.config.schema import Config
+from quadexp.errors import UsageError
+from quadexp.sweep.engine import Engine, LocalEngine, default_workers
+
+EXTRA = "pip install 'quadexp[cluster]'"
+
+
+def build_engine(config: Config) -> Engine:
+    """The engine; nothing is started before the first cell is flown.
+
+    Raises UsageError where what it needs is not installed.
+    """
+    settings = config.evaluate
+    memory = settings.memory or None
+    engine = config.engine
+    if not isinstance(engine, ClusterConfig):
+        return LocalEngine(settings.workers, settings.timeout, memory)
+    needed = ["distributed"]
+    needed += ["cryptography"] if engine.tls else []
+    needed += ["dask_jobqueue"] if isinstance(engine, SlurmConfig) else []
+    needed += ["asyncssh"] if isinstance(engine, DaskConfig) and engine.hosts else []
+    for name in needed:
+        try:
+            importlib.import_module(name)
+        except ImportError:
+            raise UsageError(f"engine={engine.name} needs {name}, which is not (wholly) installed: {EXTRA}") from None
+    from quadexp.sweep.cluster.driver import DaskEngine
+    from quadexp.sweep.cluster.start import open_cluster
+
+    workers = settings.workers or default_workers()
+    return DaskEngine(lambda: open_cluster(engine, workers), settings.timeout, memory, engine.wait)

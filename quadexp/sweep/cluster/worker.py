@@ -1,0 +1,138 @@
+"""What runs inside a Dask worker: every cell in a child process, so that a crash or an endless loop stays one cell."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import shutil
+import tempfile
+import threading
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+from distributed import WorkerPlugin, get_worker
+
+from quadexp.config.plugins import own_folders
+from quadexp.errors import QuadexpError, stops_all
+from quadexp.experiment.build_custom import source_hashes
+from quadexp.experiment.inputs import use_copies
+from quadexp.provenance import identity
+from quadexp.sweep.child import GONE, PRELOAD, cause, one_thread, start_pool
+from quadexp.sweep.engine import ATTEMPTS, CellFailed, Task
+
+FOLDER = "quadexp-"  # beginning of the names of a worker's own folders
+
+
+class CellRunner(WorkerPlugin):
+    """The child processes of a worker, as many as it has threads, and a folder for the files of their cells.
+
+    timeout: s a cell may take. memory: GB a child may take. expected: versions and hash of the sources
+    that a worker must have, because results must not depend on where they were made.
+    """
+
+    def __init__(self, name: str, timeout: float | None, memory: float | None, expected: Mapping[str, str]) -> None:
+        self.name, self._timeout, self._memory, self._expected = name, timeout, memory, dict(expected)
+        self._folders = own_folders()  # of the driver; a worker calls nothing else under `_target_` either
+
+    def setup(self, worker: Any) -> None:
+        other = {name: there for name, there in identity().items() if self._expected.get(name, there) != there}
+        if other:
+            name, there = next(iter(other.items()))
+            raise RuntimeError(f"this worker has {name} {there}, the driver {self._expected[name]}")
+        if multiprocessing.current_process().daemon:
+            raise RuntimeError(
+                "this worker may not have children: start it with DASK_DISTRIBUTED__WORKER__DAEMON=False in its"
+                " environment, or with --no-nanny"
+            )
+        self._workers = worker.state.nthreads
+        self._folder = tempfile.mkdtemp(prefix=FOLDER, dir=worker.local_directory)
+        self._pool: Any = None
+        self._lock = threading.Lock()
+
+    def teardown(self, worker: Any) -> None:
+        if self._pool is not None:
+            self._pool.stop()
+            self._pool.join()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def fly(self, function: Callable[..., Any], task: Task, copies: Mapping[str, str], parts: Mapping[str, str]) -> Any:
+        """(row, content of the cell's file), or CellFailed."""
+        arguments = (function, task.config, task.model, task.key, self._folder, copies, parts)
+        for attempt in range(ATTEMPTS):
+            try:
+                return self._schedule(function, arguments).result()
+            except GONE as error:
+                if attempt == ATTEMPTS - 1:
+                    return CellFailed(cause(error, self._timeout))
+            except Exception as error:
+                return CellFailed(cause(error, self._timeout), stops_all(error))
+        raise AssertionError
+
+    def _schedule(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Future[Any]:
+        with self._lock:
+            if self._pool is None:
+                with one_thread():
+                    preload = [*PRELOAD, function.__module__]
+                    self._pool = start_pool(self._workers, self._memory, preload, self._folders)
+            return self._pool.schedule(child_cell, args=arguments, timeout=self._timeout)
+
+
+class InputFile(WorkerPlugin):
+    """A file that flights read, on every worker, also on those that join later. name: of the plugin, by its content.
+
+    file: its name there. content: of it.
+    """
+
+    def __init__(self, name: str, file: str, content: bytes) -> None:
+        self.name, self._file, self._content = name, file, content
+
+    def setup(self, worker: Any) -> None:
+        self.folder = tempfile.mkdtemp(prefix=FOLDER, dir=worker.local_directory)
+        self.path = str(Path(self.folder) / self._file)
+        Path(self.path).write_bytes(self._content)
+
+    def teardown(self, worker: Any) -> None:
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def run_cell(
+    runner: str,
+    function: Callable[..., Any],
+    task: Task,
+    inputs: Mapping[str, tuple[str, bool]],
+    parts: Mapping[str, str],
+) -> Any:
+    """A Dask task: fly one cell in a child of this worker.
+
+    inputs: path as configured -> name of the InputFile, and whether the path means its folder. parts: hashes of the
+    driver's sources of what the user wrote, see build_custom.source_hashes.
+    """
+    plugins: Any = get_worker().plugins
+    copies = {
+        path: plugins[name].folder if is_folder else plugins[name].path for path, (name, is_folder) in inputs.items()
+    }
+    return plugins[runner].fly(function, task, copies, parts)
+
+
+def child_cell(
+    function: Callable[..., Any],
+    config: Any,
+    model: Any,
+    key: str,
+    folder: str,
+    copies: Mapping[str, str],
+    parts: Mapping[str, str],
+) -> Any:
+    """In the child: fly, and give back the row with the file's content (None if there is no file)."""
+    use_copies(copies)
+    for name, found in source_hashes(config).items():
+        if found != parts.get(name):
+            raise QuadexpError(f"{name}: this worker has another one than the driver")
+    path = Path(folder) / f"{key}.{os.getpid()}.parquet"
+    try:
+        row = function(config, model, str(path), key)
+        return row, path.read_bytes() if path.is_file() else None
+    finally:
+        path.unlink(missing_ok=True)

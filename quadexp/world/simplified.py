@@ -1,0 +1,136 @@
+"""The simplified simulation of Torrente et al. 2021: rigid body, drag, motor loss, process noise, payload.
+
+    delivered thrust   t_i = clip(u_i - k u_i^2 / u_max - noise_i, 0, u_max)
+    body force         F   = [0, 0, sum t_i] - d v_b - c v_b |v_b| + noise          N, per axis
+    v'                     = R F / M + g,   M = m + payload (a point mass at the centre)
+    w'                     = J^-1 (G t + noise - w x J w)
+
+Every noise is white and given by its spectral density, drawn once per integration step h with standard deviation
+density / sqrt(h), so that trajectories have the same statistics for every h. The published code draws force and torque
+with 0.005 N and N m at h = 0.5 ms: densities 1.118e-4. The motor noise's deviation grows with the root of the
+normalised thrust, 0.02 sqrt(u / u_max) u_max at h = 0.5 ms: density 4.472e-4.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple, dataclass
+
+import casadi as ca
+import numpy as np
+
+from quadexp.air.base import Residual, feature_names, symbolic_residual
+from quadexp.physics.drag import linear_drag_force, quadratic_drag_force
+from quadexp.physics.expression import Expression
+from quadexp.physics.integrator import rk4_step
+from quadexp.physics.motor import thrust_loss
+from quadexp.physics.rigid_body import body_features, state_derivative
+from quadexp.physics.state import N_STATE
+from quadexp.physics.vehicle import Vehicle
+from quadexp.world.period import NoisyPeriod, unit_attitude
+
+
+@dataclass(frozen=True)
+class PlantEffects:
+    """What acts on the vehicle besides its rotors and gravity; all zero is the ideal plant.
+
+    linear_drag: (3,) N s/m. quadratic_drag: (3,) N s^2/m^2. motor_loss: share k of the normalised thrust squared.
+    motor_noise_density: of the normalised thrust at full thrust, 1/sqrt(Hz). force_noise_density: N/sqrt(Hz).
+    torque_noise_density: N m/sqrt(Hz). payload: kg.
+    """
+
+    linear_drag: tuple[float, float, float] = (0.3, 0.3, 0.0)
+    quadratic_drag: tuple[float, float, float] = (0.08, 0.08, 0.08)
+    motor_loss: float = 0.1 / 1.3**2
+    motor_noise_density: float = 0.02 * math.sqrt(5e-4)
+    force_noise_density: float = 0.005 * math.sqrt(5e-4)
+    torque_noise_density: float = 0.005 * math.sqrt(5e-4)
+    payload: float = 0.0
+
+    @classmethod
+    def none(cls) -> PlantEffects:
+        """The ideal plant: what the nominal model says is what happens."""
+        return cls((0.0,) * 3, (0.0,) * 3, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def parameters(self) -> np.ndarray:
+        """The numbers in the order of the plant's symbolic parameter vector, (11,)."""
+        return np.hstack(astuple(self)).astype(float)
+
+
+N_EFFECTS = 11
+LINEAR_DRAG, QUADRATIC_DRAG, LOSS, MOTOR_NOISE, FORCE_NOISE, TORQUE_NOISE, PAYLOAD = (
+    slice(0, 3), slice(3, 6), 6, 7, 8, 9, 10,
+)  # fmt: skip
+
+
+class SimplifiedPlant:
+    """The simplified simulation as a Plant.
+
+    vehicle: true vehicle (without payload). step: largest integration step (s); a control period is divided evenly.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, effects: PlantEffects | None = None, *, step: float = 5e-4, backend: str = "auto"
+    ) -> None:
+        self.vehicle = vehicle
+        self.effects = effects or PlantEffects()
+        self.step = step
+        self._period = NoisyPeriod(_one_step(vehicle), self.effects.parameters(), step, backend)
+
+    def reset(self) -> None:
+        """See Plant.reset; this plant remembers nothing."""
+
+    def advance(
+        self, x: np.ndarray, u: np.ndarray, duration: float, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See Plant.advance; RK4 with the noise held over each step."""
+        return self._period.advance(x, u, duration, rng)
+
+    def residual(self) -> Residual:
+        """See Plant.residual: drag, mean motor loss and payload; noise and clipping left out."""
+        n = self.vehicle.n_rotors
+        z, theta = ca.SX.sym("z", len(feature_names(n))), ca.SX.sym("theta", N_EFFECTS)
+        command, delivered = z[6:], _delivered_thrust(z[6:], theta, self.vehicle)
+        nominal = ca.vertcat(0, 0, ca.sum1(command) / self.vehicle.mass)
+        torque = ca.mtimes(ca.DM(self.vehicle.allocation[1:]), delivered - command)
+        acceleration = _body_acceleration(z[:3], delivered, theta, self.vehicle) - nominal
+        outputs = ca.vertcat(acceleration, torque)
+        return symbolic_residual("plant", outputs, z, theta, self.effects.parameters(), source="plant equations")
+
+
+def _delivered_thrust(command: Expression, effects: Expression, vehicle: Vehicle) -> Expression:
+    """Mean thrust that arrives, (n,) (N)."""
+    return command - thrust_loss(command, effects[LOSS], vehicle.thrust_max)
+
+
+def _body_acceleration(
+    body_velocity: Expression, delivered: Expression, effects: Expression, vehicle: Vehicle
+) -> Expression:
+    """Acceleration by rotors and drag, body frame (m/s^2)."""
+    force = linear_drag_force(body_velocity, effects[LINEAR_DRAG])
+    force += quadratic_drag_force(body_velocity, effects[QUADRATIC_DRAG])
+    return (force + ca.vertcat(0, 0, ca.sum1(delivered))) / (vehicle.mass + effects[PAYLOAD])
+
+
+def _one_step(vehicle: Vehicle) -> ca.Function:
+    """(x, u, noise (n + 6,) standard normal, effects, step (s)) -> x_next, specific force then; see NoisyPeriod."""
+    n = vehicle.n_rotors
+    x, u, noise = ca.SX.sym("x", N_STATE), ca.SX.sym("u", n), ca.SX.sym("noise", n + 6)
+    effects, step = ca.SX.sym("effects", N_EFFECTS), ca.SX.sym("step")
+    scaled = noise / ca.sqrt(step)
+    motor = effects[MOTOR_NOISE] * ca.sqrt(u * vehicle.thrust_max) * scaled[:n]
+    delivered = ca.fmin(ca.fmax(_delivered_thrust(u, effects, vehicle) - motor, 0), vehicle.thrust_max)
+    force_noise = effects[FORCE_NOISE] * scaled[n : n + 3] / (vehicle.mass + effects[PAYLOAD])
+    torque_noise = effects[TORQUE_NOISE] * scaled[n + 3 :]
+
+    def correction(state: Expression) -> tuple[Expression, Expression]:
+        """What the rigid body must be told beyond the delivered thrust: drag, payload and noise."""
+        body_velocity = body_features(state, delivered)[:3]
+        nominal = ca.vertcat(0, 0, ca.sum1(delivered) / vehicle.mass)
+        specific_force = _body_acceleration(body_velocity, delivered, effects, vehicle) + force_noise
+        return specific_force, ca.vertcat(specific_force - nominal, torque_noise)
+
+    after = rk4_step(lambda state: state_derivative(state, delivered, vehicle, correction(state)[1]), x, step)
+    x_next = unit_attitude(after)
+    reading, _ = correction(x_next)
+    return ca.Function("plant_step", [x, u, noise, effects, step], ca.cse([x_next, reading]))

@@ -1,0 +1,56 @@
+"""One instance of every residual, for the contract and for everything that must work with any of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from quadexp.air.base import Residual
+from quadexp.air.blade_element import blade_element_residual
+from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
+from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.air.none import no_residual
+from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
+from quadexp.physics.rotor_coefficients import static_coefficients
+from quadexp.physics.vehicle import Vehicle
+from quadexp.world import PlantEffects, SimplifiedPlant
+from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant
+
+RESIDUALS = (
+    "none", "linear_drag", "gp_per_axis", "gp_thrust", "gp_with_mean", "plant", "blade_element", "blade_element_plant",
+)  # fmt: skip
+BLADE = BladeCoefficients(lift_slope=3.32, profile_drag=0.22, body_drag=(0.01, 0.01, 0.02))
+
+
+def with_rotors(vehicle: Vehicle) -> Vehicle:
+    """The vehicle, equipped with the rotors of Lei & Li 2017."""
+    rotor = RotorGeometry(0.12, 0.025, np.pi / 12, 1.205, np.pi * 0.225**2)
+    return replace(vehicle, rotor=rotor, static_thrust=static_coefficients(rotor, BLADE).thrust)
+
+
+def make_residual(name: str, vehicle: Vehicle) -> Residual:
+    """A residual with numbers of the size that fits give."""
+    if name == "none":
+        return no_residual(vehicle)
+    if name == "linear_drag":
+        return linear_drag_residual(vehicle, (0.5, 0.6, 0.1), (0.02, -0.01, 0.1), -0.015)
+    if name == "plant":
+        return SimplifiedPlant(vehicle, PlantEffects(payload=0.2), backend="interpreted").residual()
+    if name == "blade_element":
+        return blade_element_residual(with_rotors(vehicle), BLADE)
+    if name == "blade_element_plant":
+        effects = BladeElementEffects(rotor_local_velocity=True, payload=0.2)
+        return BladeElementPlant(with_rotors(vehicle), BLADE, effects, backend="interpreted").residual()
+    rng = np.random.default_rng(5)
+    features = {"a_x": ("v_x",), "a_y": ("v_y",), "a_z": ("v_z",)}
+    if name == "gp_thrust":
+        features = {"a_x": ("v_x", "w_y"), "a_z": ("v_z", "thrust"), "tau_y": ("v_x", "u_1", "w_y")}
+    outputs = [
+        GPOutput(
+            output, names, rng.uniform(-10, 10, (15, len(names))), rng.normal(size=15), rng.uniform(3, 8, len(names))
+        )
+        for output, names in features.items()
+    ]
+    mean = (0.4, 0.3, 0.1, 0.0, 0.01, 0.1, -0.02) if name == "gp_with_mean" else None
+    return gaussian_process_residual(vehicle, outputs, mean)

@@ -1,0 +1,112 @@
+"""What every residual promises, and what each one is."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from quadexp.air.base import symbolic_residual
+from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
+from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.air.none import no_residual
+from quadexp.errors import UsageError
+from quadexp.physics.rigid_body import corrected_function
+from quadexp.world import PlantEffects, SimplifiedPlant
+from tests.air.models import RESIDUALS, make_residual
+
+
+def features(rng: np.random.Generator, count: int) -> np.ndarray:
+    return np.hstack([rng.normal(0, 6, (count, 3)), rng.normal(0, 3, (count, 3)), rng.uniform(0.5, 12, (count, 4))])
+
+
+@pytest.mark.parametrize("name", RESIDUALS)
+class TestContract:
+    def test_shapes(self, vehicle, rng, name):
+        residual = make_residual(name, vehicle)
+        assert residual.function.size_in(0) == (10, 1)
+        assert residual.function.size_in(1) == (len(residual.theta), 1)
+        assert residual.function.size_out(0) == (6, 1)
+        assert residual.function.size_out(1) == (6, 10)
+        assert residual(features(rng, 7)).shape == (7, 6)
+
+    def test_jacobian_is_the_derivative(self, vehicle, rng, name):
+        residual, h = make_residual(name, vehicle), 1e-6
+        for z in features(rng, 5):
+            _, jacobian = residual.function(z, residual.theta)
+            steps = np.vstack([z + h * np.eye(10), z - h * np.eye(10)])
+            y = residual(steps)
+            assert np.allclose(np.array(jacobian.full()), ((y[:10] - y[10:]) / (2 * h)).T, atol=2e-7)
+
+    def test_batch_equals_single(self, vehicle, rng, name):
+        residual, z = make_residual(name, vehicle), features(rng, 4)
+        assert np.array_equal(residual(z), np.vstack([residual(one) for one in z]))
+
+    def test_parameters_are_inputs(self, vehicle, rng, name):
+        """New numbers go through the same function: nothing of theta is baked in."""
+        residual, z = make_residual(name, vehicle), features(rng, 1)[0]
+        if not len(residual.theta):
+            return
+        one = np.array(residual.function(z, residual.theta)[0].full())
+        other = np.array(residual.function(z, residual.theta * 1.01)[0].full())
+        assert not np.allclose(one, other)
+
+
+def test_what_knows_nothing_of_the_air(vehicle):
+    """Only a residual without outputs does; one that is the same everywhere still pushes."""
+    assert no_residual(vehicle).is_zero
+    assert not any(make_residual(name, vehicle).is_zero for name in RESIDUALS if name != "none")
+    z, theta = ca.SX.sym("z", 10), ca.SX.sym("theta", 1)
+    gust = symbolic_residual("gust", ca.vertcat(theta, ca.SX(5, 1)), z, theta, [0.0])
+    assert gust.function.nnz_out(1) == 0 and not gust.is_zero
+
+
+def test_linear_drag_is_its_equation(vehicle, rng):
+    residual = linear_drag_residual(vehicle, (0.5, 0.6, 0.1), (0.02, -0.01, 0.1), -0.015)
+    z = features(rng, 6)
+    expected = -z[:, :3] * [0.5, 0.6, 0.1] + [0.02, -0.01, 0.1]
+    expected[:, 2] -= 0.015 * z[:, 6:].sum(1)
+    assert np.allclose(residual(z), np.hstack([expected, np.zeros((6, 3))]))
+
+
+def test_gaussian_process_is_its_equation(vehicle, rng):
+    Z, alpha, length = rng.normal(0, 5, (9, 2)), rng.normal(size=9), np.array([3.0, 7.0])
+    output = GPOutput("a_z", ("v_z", "thrust"), Z, alpha, length)
+    z = features(rng, 8)
+    phi = np.stack([z[:, 2], z[:, 6:].sum(1)], axis=-1)
+    kernel = np.exp(-0.5 * (((phi[:, None] - Z) / length) ** 2).sum(-1))
+    expected = np.zeros((8, 6))
+    expected[:, 2] = kernel @ alpha
+    assert np.allclose(gaussian_process_residual(vehicle, [output])(z), expected, rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("output", "feature", "found"), [("a_q", "v_x", "a_q"), ("a_x", "speed", "speed")], ids=["output", "feature"]
+)
+def test_unknown_names_are_refused(vehicle, output, feature, found):
+    with pytest.raises(UsageError, match=f"{found!r}: allowed are"):
+        gaussian_process_residual(vehicle, [GPOutput(output, (feature,), np.zeros((3, 1)), np.zeros(3), np.ones(1))])
+
+
+def test_plant_residual_is_what_the_plant_does(vehicle, rng):
+    """Short noise-free step of the plant against the corrected rigid body, payload included."""
+    effects = PlantEffects(motor_noise_density=0, force_noise_density=0, torque_noise_density=0, payload=0.3)
+    plant = SimplifiedPlant(vehicle, effects, backend="interpreted")
+    residual = plant.residual()
+    corrected = corrected_function(vehicle, residual)
+    from tests.states import random_state
+
+    for _ in range(5):
+        x, u, h = random_state(rng), rng.uniform(1, 10, 4), 1e-6
+        x_next, _ = plant.advance(x, u, h, rng)
+        derivative = np.array(corrected(x, u, residual.theta)).reshape(-1)
+        assert np.allclose((x_next - x) / h, derivative, atol=2e-3, rtol=1e-5)
+
+
+def test_torrente_numbers(vehicle):
+    """a = -(0.3, 0.3, 0) v - 0.08 v |v| per axis; loss 0.1 (u/1.3)^2 of the normalised thrust."""
+    residual = SimplifiedPlant(vehicle, backend="interpreted").residual()
+    z = np.array([8.0, -3.0, 2.0, 0, 0, 0, 4.0, 4.0, 4.0, 4.0])
+    loss = 4 * 20 * 0.1 * (4 / 20 / 1.3) ** 2
+    expected = [-0.3 * 8 - 0.08 * 64, 0.3 * 3 + 0.08 * 9, -0.08 * 4 - loss, 0, 0, 0]
+    assert np.allclose(residual(z)[0], expected)

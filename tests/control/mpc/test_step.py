@@ -1,0 +1,58 @@
+"""The control step by itself: it predicts what its own linearisation says, in whatever coordinates it solves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadexp.control.mpc.active_set import Status
+from quadexp.control.mpc.settings import MPCSettings
+from quadexp.control.mpc.step import step_function
+from quadexp.log.schema import FLIGHT_COLUMNS
+from quadexp.physics.state import ATTITUDE
+from tests.air.models import make_residual
+from tests.states import random_state
+
+NODES = 5
+
+
+def trajectory(rng: np.random.Generator) -> np.ndarray:
+    """States (13, N + 1) of any attitudes, quaternions of about unit length."""
+    states = np.array([random_state(rng) for _ in range(NODES + 1)])
+    states[:, ATTITUDE] *= rng.uniform(0.9, 1.1, (NODES + 1, 1))
+    return states.T
+
+
+def test_both_errors_of_attitude_step_along_the_same_dynamics(vehicle, rng):
+    """x'_{k+1} - x_{k+1} = A (x'_k - x_k) + B (u'_k - u_k) + b: the plain step gives A, B and b, the other one too
+    must obey them, though it turns every node into the frame of that node's reference. No reference is near."""
+    residual, settings = make_residual("linear_drag", vehicle), MPCSettings()
+    arguments = {"X": trajectory(rng), "X_ref": trajectory(rng), "x0": random_state(rng), "theta": residual.theta}
+    arguments |= {name: rng.uniform(1, 9, (4, NODES)) for name in ("U", "U_ref")}
+    share, dt = rng.uniform(0.2, 2.0, NODES), rng.uniform(0.02, 0.3, NODES)
+    arguments |= {"Q": np.outer(settings.state_weight(), share), "Q_end": 2 * settings.state_weight()}
+    arguments |= {"R": np.outer(settings.thrust_weight(vehicle), share), "dt": dt, "shift": 0.02 / dt}
+    arguments |= {"u_min": np.zeros(4), "u_max": np.full(4, 20)}
+    plain, body = (
+        {name: value.full() for name, value in step(**arguments).items()}
+        for step in (
+            step_function(vehicle, residual, NODES, attitude_error=error, scalar=False) for error in ("plain", "body")
+        )
+    )
+    assert body["X_lin"] == pytest.approx(plain["X_lin"])
+    assert np.abs(body["U_new"] - plain["U_new"]).max() > 0.1  # another cost, another answer
+    for step in (plain, body):
+        change, effort = step["X_new"] - step["X_lin"], step["U_new"] - step["U_lin"]
+        assert np.all(change[:, 0] == 0)
+        for k in range(NODES):
+            A, B = plain["A"][:, 13 * k : 13 * (k + 1)], plain["B"][:, 4 * k : 4 * (k + 1)]
+            assert change[:, k + 1] == pytest.approx(
+                A @ change[:, k] + B @ effort[:, k] + plain["b"][:, k], rel=1e-8, abs=1e-8
+            )
+
+
+def test_the_log_says_what_its_numbers_mean():
+    """A flight's status column, as the schema of flights explains it."""
+    assert FLIGHT_COLUMNS["status"].description == ", ".join(
+        f"{status.value} {status.name.lower()}" for status in Status
+    )

@@ -1,0 +1,17 @@
+from __future__ import annotations
+
+import pytest
+
+from quadexp.learn.gp_fit import fit_gp
+from quadexp.learn.model import GPModel, GPSettings
+from tests.learn.synthetic import synthetic_dataset
+
+
+@pytest.fixture(scope="session")
+def dataset():
+    return synthetic_dataset(rows=6000)
+
+
+@pytest.fixture(scope="session")
+def model(dataset) -> GPModel:
+    return fit_gp(dataset, GPSettings(inducing=15, mean="linear_drag", max_iterations=40))

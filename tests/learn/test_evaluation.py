@@ -1,0 +1,85 @@
+"""Scores against their definitions, the split by flight, the comparison table and the figures of a fit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from quadexp.errors import DataError
+from quadexp.learn.comparison import compare
+from quadexp.learn.evaluation import evaluate_drag, fit_with_report, score, split_by_flight
+from quadexp.learn.model import GPSettings
+from quadexp.report.fit_figures import calibration_figure, fit_figure, size_figure
+from tests.learn.synthetic import synthetic_dataset
+
+QUICK = GPSettings(inducing=10, max_iterations=15)
+
+
+def test_scores_are_what_they_say():
+    rng = np.random.default_rng(0)
+    mean, std = rng.normal(size=20000), rng.uniform(0.5, 2, 20000)
+    target = mean + std * rng.normal(size=20000)
+    found = score(target, mean, std)
+    assert found["nlpd"] == pytest.approx(-np.mean(norm(mean, std).logpdf(target)))
+    assert found["rmse"] == pytest.approx(np.sqrt(np.mean((target - mean) ** 2)))
+    assert found["inside_1"] == pytest.approx(0.683, abs=0.01) and found["inside_2"] == pytest.approx(0.954, abs=0.005)
+
+
+def test_split_keeps_flights_whole(dataset):
+    train, test = split_by_flight(dataset, 0.25, seed=3)
+    assert len(test.flights) == 3 and len(train.flights) == 9
+    assert not set(train.flights) & set(test.flights)
+    assert train.n_rows + test.n_rows == dataset.n_rows
+    assert set(split_by_flight(dataset, 0.25, seed=3)[1].flights) == set(test.flights)
+    assert len(split_by_flight(dataset, 1e-6)[1].flights) == 1 and len(split_by_flight(dataset, 0.99)[0].flights) == 1
+
+
+def test_report_is_about_flights_the_model_has_not_seen(dataset):
+    fit = fit_with_report(dataset, QUICK)
+    rows = {(row["output"], row["predictor"]): row for row in fit.report["rows"]}
+    for output in ("a_x", "a_y", "a_z"):
+        gp, drag, zero = (rows[output, name] for name in ("gp", "linear_drag", "zero"))
+        assert gp["rmse"] < 0.5 * drag["rmse"] < 0.5 * zero["rmse"]
+        assert gp["nlpd"] < drag["nlpd"] < zero["nlpd"]
+        assert 0.6 < gp["inside_1"] < 0.78 and 0.9 < gp["inside_2"] < 0.99
+    assert fit.report["refitted"] and len(fit.report["held_out_flights"]) == 2
+    assert fit.model.dataset["rows"] == dataset.n_rows > fit.held_out_model.dataset["rows"] == fit.train.n_rows
+    assert fit.model.settings == QUICK.as_dict()
+
+
+def test_one_flight_is_fitted_without_a_report_only():
+    one = synthetic_dataset(rows=500, flights=1)
+    with pytest.raises(DataError, match="one flight, .*collect more flights, or pass holdout=0"):
+        fit_with_report(one, QUICK)
+    fit = fit_with_report(one, GPSettings(inducing=5, max_iterations=5, holdout=0))
+    assert fit.test is None and fit.report["rows"] == []
+
+
+def test_drag_alone_is_evaluated_too(dataset):
+    train, test = split_by_flight(dataset, 0.25)
+    full = evaluate_drag(train, test)
+    published = evaluate_drag(train, test, intercept=False, thrust=False)
+    assert [row["output"] for row in full] == ["a_x", "a_x", "a_y", "a_y", "a_z", "a_z"]
+    assert full[4]["rmse"] < published[4]["rmse"]  # on z the motors' loss needs more than the velocity
+
+
+def test_comparison_and_figures(dataset, tmp_path):
+    settings = GPSettings(inducing=10, max_iterations=10, max_exact_rows=200)
+    rows = compare(dataset, settings, sizes=(5, 10), methods=("sgpr", "subset", "exact"), max_rows=1500)
+    assert [(row["method"], row["inducing"]) for row in rows[::3]] == [
+        ("sgpr", 5), ("sgpr", 10), ("subset", 5), ("subset", 10), ("exact", 200),
+    ]  # fmt: skip
+    assert rows[3]["rmse"] < rows[0]["rmse"] < rows[6]["rmse"]  # sgpr 10, sgpr 5, subset 5
+    fit = fit_with_report(dataset, settings)
+    figures = {
+        "fit": fit_figure(fit.held_out_model, fit.test),
+        "calibration": calibration_figure(fit.held_out_model, fit.test),
+        "size": size_figure(rows, fit.report["rows"]),
+    }
+    for name, figure in figures.items():
+        for suffix in ("svg", "png", "pdf"):
+            figure.savefig(tmp_path / f"{name}.{suffix}")
+            assert (tmp_path / f"{name}.{suffix}").stat().st_size > 2000
+    labels = [axes.get_ylabel() for axes in figures["fit"].axes]
+    assert all("m/s²" in label for label in labels)

@@ -1,0 +1,161 @@
+"""Repeated rows, outliers and a dead logger's line: refused with what mends it, left out or cut on request."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadexp.errors import UsageError
+from quadexp.experiment.import_flights import import_files
+from quadexp.log.check import check_flight
+from quadexp.log.check.dead import check_dead
+from quadexp.log.importers.importing import Options
+from quadexp.log.schema import Flight
+from quadexp.log.store import read_table
+from tests.learn.recorded_data import blackbird, nanobench
+from tests.log.check.faults import P, Q, V
+from tests.log.imitated import VEHICLES, imitated
+from tests.log.importers.logs import write_csv
+
+MAPPING = """
+time: {column: t, unit: s}
+position: {columns: [p_x, p_y, p_z]}
+attitude: {columns: [q_w, q_x, q_y, q_z]}
+velocity: {columns: [v_x, v_y, v_z]}
+rate: {columns: [w_x, w_y, w_z]}
+acceleration: {columns: [acc_x, acc_y, acc_z]}
+motor_command: {columns: [motor_command_0, motor_command_1, motor_command_2, motor_command_3]}
+crop: none
+"""
+
+
+def taken(flight: Flight, share: float, seed: int) -> np.ndarray:
+    rows = np.arange(10, len(flight) - 10)
+    return np.random.default_rng(seed).choice(rows, int(share * len(flight)), replace=False)
+
+
+def with_repeats(flight: Flight, share: float, seed: int = 0) -> Flight:
+    """A logger that writes the row before again, with the time of now."""
+    rows = np.arange(len(flight))
+    for k in np.sort(taken(flight, share, seed)):
+        rows[k] = rows[k - 1]
+    return Flight({n: x if n == "t" else x[rows] for n, x in flight.columns.items()}, flight.metadata)
+
+
+def with_outliers(flight: Flight, share: float, name: str, size: float, seed: int = 0) -> Flight:
+    columns = {key: values.copy() for key, values in flight.columns.items()}
+    columns[name][taken(flight, share, seed)] += size
+    return Flight(columns, flight.metadata)
+
+
+def with_line(flight: Flight, start: float, end: float) -> Flight:
+    """The state between two times as the interpolation over a loss has it."""
+    columns = {key: values.copy() for key, values in flight.columns.items()}
+    i, j = np.searchsorted(flight.t, [start, end])
+    for name in (*P, *V, *Q):
+        columns[name][i : j + 1] = np.interp(flight.t[i : j + 1], flight.t[[i, j]], columns[name][[i, j]])
+    return Flight(columns, flight.metadata)
+
+
+def imported(folder, flight: Flight, how: str, vehicle: str = "torrente"):
+    """(outcome, flight) of a log written and imported."""
+    (folder / "mapping.yaml").write_text(MAPPING)
+    log = write_csv(folder / "log.csv", dict(flight.columns))
+    options = Options(mapping=folder / "mapping.yaml", bad_rows=how)
+    (outcome,) = import_files([log], folder / how, options, vehicle=vehicle)
+    return outcome, Flight(*read_table(outcome.path, "flight")) if outcome.path else None
+
+
+SPOILT = {
+    "1 % repeated": (lambda f: with_repeats(f, 0.01), "duplicated_rows"),
+    "4 % repeated": (lambda f: with_repeats(f, 0.04, 1), "duplicated_rows"),
+    "2 % of acceleration": (lambda f: with_outliers(f, 0.02, "acc_x", 150.0), "acceleration_outlier"),
+    "1 % of position": (lambda f: with_outliers(f, 0.01, "p_y", -1.0), "position_outlier"),
+    "3 % of velocity": (lambda f: with_outliers(f, 0.03, "v_x", 6.0, 2), "velocity_outlier"),
+    "a line of 2 s": (lambda f: with_line(f, 6.0, 8.0), "dead_logger"),
+}
+
+
+@pytest.mark.parametrize("case", SPOILT)
+def test_bad_rows_are_refused_dropped_or_gaps(tmp_path, case):
+    spoil, name = SPOILT[case]
+    truth = imitated(80, "torrente", duration=15)
+    bad = spoil(truth)
+    spoilt = np.zeros(len(truth), bool)
+    for column in (*P, *V, "acc_x"):
+        spoilt |= bad[column] != truth[column]
+    outcome, flight = imported(tmp_path, bad, "refuse")
+    assert flight is None and name in outcome.cause
+    assert any("--bad-rows" in one.advice for one in outcome.findings if one.blocks)
+    for how in ("drop", "gap"):
+        outcome, flight = imported(tmp_path, bad, how)
+        assert flight is not None, outcome.cause
+        assert not [one.message for one in outcome.findings if one.blocks]
+        assert flight.metadata["source"]["left_out"]["rows"][name] >= 0.9 * spoilt.sum()
+        assert any(note.startswith("left out:") and name in note for note in outcome.notes)
+        at = np.round(flight.t / 0.01).astype(int)
+        kept = ~spoilt[at]
+        for column in (*P, *V):
+            limit = 1e-9 if how == "gap" else 0.15
+            assert np.abs(flight[column] - truth[column][at])[kept].max() < 1e-7
+            assert np.abs(flight[column] - truth[column][at]).max() < limit or kept.all()
+        inside = np.diff(flight["segment"]) == 0
+        assert np.allclose(np.diff(flight.t)[inside], 0.01, atol=1e-6)
+        assert (flight["segment"][-1] > 0) == (how == "gap" or name == "dead_logger")
+
+
+def test_the_line_is_named_with_its_time():
+    for vehicle, seed, start, length in zip(
+        VEHICLES, range(81, 85), (3.0, 6.5, 9.0, 4.4), (0.8, 2.0, 4.0, 1.3), strict=True
+    ):
+        flight = with_line(imitated(seed, vehicle, duration=15), start, start + length)
+        (found,) = [one for one in check_flight(flight) if one.name == "dead_logger"]
+        assert found.blocks and found.span == pytest.approx((start, start + length), abs=0.03)
+        assert "straight line" in found.measured and "--bad-rows" in found.advice
+
+
+def test_a_frozen_state_is_named_too():
+    flight = imitated(85, "torrente", duration=15)
+    columns = {key: values.copy() for key, values in flight.columns.items()}
+    for name in (*P, *V, *Q):
+        columns[name][500:700] = columns[name][500]
+    found = {one.name: one for one in check_flight(Flight(columns, flight.metadata))}
+    assert "stands still" in found["dead_logger"].measured and found["dead_logger"].span == pytest.approx(
+        (5.0, 7.0), abs=0.03
+    )
+
+
+@pytest.mark.parametrize(
+    "name", ["B2_circle_fast_rep2", "B9_trefoil_slow_rep12", "B3_figure8_fast_rep1", "train", "test"]
+)
+def test_real_flights_hold_no_line_but_one_put_there(name):
+    flight = blackbird(name) if name in ("train", "test") else nanobench(name)
+    for one, expected in ((flight, 0.0), (with_line(flight, 4.0, 6.0), 2.0)):
+        streams = {"p": one.stack(P), "v": one.stack(V), "q": one.stack(Q)}
+        found, mask = check_dead(streams, one.t)
+        assert len(found) == (expected > 0) and mask.sum() * np.median(np.diff(one.t)) == pytest.approx(
+            expected, abs=0.05
+        )
+
+
+def test_smooth_simulated_flights_hold_no_line():
+    for vehicle in VEHICLES:
+        assert "dead_logger" not in {one.name for one in check_flight(imitated(86, vehicle, noise=0.0, busy=0.0))}
+
+
+def test_too_many_bad_rows_are_not_left_out(tmp_path):
+    outcome, flight = imported(tmp_path, with_repeats(imitated(87, "torrente", duration=10), 0.3), "drop")
+    assert flight is None and any("20% is the most" in note for note in outcome.notes)
+
+
+def test_copies_time_and_all_are_dropped(tmp_path):
+    """A block written twice, its times too: as an unfinished buffer leaves it."""
+    flight = imitated(88, "torrente", duration=10)
+    rows = np.concatenate([np.arange(300), np.arange(260, len(flight))])
+    outcome, made = imported(tmp_path, Flight({n: x[rows] for n, x in flight.columns.items()}, {}), "refuse")
+    assert made is not None and len(made) == len(flight) and any("copies of earlier ones" in n for n in outcome.notes)
+
+
+def test_an_unknown_way_is_one_line(tmp_path):
+    with pytest.raises(UsageError, match="--bad-rows often: no such way; there are refuse, drop, gap"):
+        imported(tmp_path, imitated(89, "torrente", duration=5), "often")

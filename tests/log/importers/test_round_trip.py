@@ -1,0 +1,109 @@
+"""A simulated flight, exported and imported again, equals itself: units, frames and signs survive."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quadexp.log.exporters import export_flight
+from quadexp.log.importers import Options, import_log
+from quadexp.log.schema import Flight
+from quadexp.log.store import write_flight
+from tests.log.importers import logs
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory) -> tuple[Flight, Path]:
+    f = logs.truth(6.0, 50.0)
+    columns = {"t": f.t}
+    for names, values in (("p_{}", f.p), ("v_{}", f.v), ("w_{}", f.w), ("acc_{}", f.acc)):
+        columns |= {names.format(axis): values[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"q_{axis}": f.q[:, i] for i, axis in enumerate("wxyz")}
+    columns |= {f"u_{i}": 6.0 * f.command[:, i] ** 2 for i in range(4)}
+    columns |= {f"ref_{name}": columns[name] + 0.01 for name in ("p_x", "p_y", "p_z", "v_x", "v_y", "v_z")}
+    columns |= {f"ref_q_{axis}": f.q[:, i] for i, axis in enumerate("wxyz")}
+    columns |= {f"ref_w_{axis}": f.w[:, i] for i, axis in enumerate("xyz")}
+    columns["status"] = np.zeros(len(f.t), np.int8)
+    flight = Flight(columns, {"outcome": "ok", "name": "made"})
+    return flight, write_flight(tmp_path_factory.mktemp("flown") / "made.parquet", flight)
+
+
+@pytest.mark.parametrize(
+    ("form", "lost"),
+    [("csv", set()), ("mcap", set()), ("tum", None), ("px4csv", {"ref_q", "ref_w", "status"})],
+)
+def test_export_and_import_again(flown, tmp_path, form, lost):
+    flight, path = flown
+    if form == "mcap":
+        pytest.importorskip("mcap", reason="the extra [viz] is not installed")
+    target = tmp_path / f"made.{form}"
+    export_flight(path, form, target)
+    again, _ = import_log(target, None, Options())
+    kept = {"t", "p_", "q_"} if lost is None else None
+    for name, values in flight.columns.items():
+        if kept is not None and not any(name == k or name.startswith(k) for k in kept):
+            continue
+        if lost and any(name.startswith(prefix) for prefix in lost):
+            continue
+        found = again[name]
+        if name.startswith("q_"):  # the sign of the whole quaternion is free
+            found = found * np.sign(
+                np.sum(again.stack([f"q_{a}" for a in "wxyz"]) * flight.stack([f"q_{a}" for a in "wxyz"]), axis=1)
+            )
+        np.testing.assert_allclose(found, values, atol=1e-9, rtol=0, err_msg=name)
+
+
+def test_parquet_is_taken_as_it_is(flown):
+    flight, path = flown
+    again, _ = import_log(path, None, Options())
+    assert again.columns.keys() == flight.columns.keys()
+    for name in flight.columns:
+        np.testing.assert_array_equal(again[name], flight[name])
+
+
+def test_a_changed_name_changes_nothing(flown, tmp_path):
+    """The content decides, not the name."""
+    flight, path = flown
+    (tmp_path / "made.log").write_bytes(path.read_bytes())
+    again, _ = import_log(tmp_path / "made.log", None, Options())
+    np.testing.assert_array_equal(again.t, flight.t)
+
+
+@pytest.mark.parametrize("version", ["new", "old"])
+def test_ulog_of_old_and_new_px4(tmp_path, version):
+    """NED and FRD to ENU and FLU, topics of both versions, PX4's motors in the vehicle's order; to float32."""
+    from tests.log.importers.vehicles import quad_x
+
+    f = logs.truth(10.0, 100.0)
+    flight, notes = import_log(logs.ulog(tmp_path / "a.ulg", f, version), quad_x(), Options())
+    k = np.round(flight.t * 100).astype(int)
+    names = lambda prefix, axes="xyz": flight.stack([f"{prefix}_{a}" for a in axes])  # noqa: E731
+    np.testing.assert_allclose(names("p")[::2], f.p[k][::2], atol=2e-6)
+    np.testing.assert_allclose(names("v")[::2], f.v[k][::2], atol=2e-6)
+    np.testing.assert_allclose(names("acc"), f.acc[k], atol=2e-6)
+    np.testing.assert_allclose(names("w"), f.w[k], atol=2e-6)
+    turned = f.R[k].inv() * Rotation.from_quat(names("q", "wxyz"), scalar_first=True)
+    assert turned.magnitude()[::2].max() < 1e-6
+    commands = flight.stack([f"motor_command_{i}" for i in range(4)])
+    np.testing.assert_allclose(commands, f.command[k], atol=1e-6 if version == "new" else 1e-4)
+    assert np.abs(flight["battery_voltage"] - f.voltage[k]).max() < 0.02 * 0.21
+    if version == "new":
+        np.testing.assert_allclose(
+            flight["rotor_speed_1"][::2], 20000 * np.pi / 30 * f.command[k, 1][::2], atol=np.pi / 30
+        )
+    assert not any("damaged" in note for note in notes)
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_rosbag(tmp_path, version):
+    """Velocity of an odometry is in the child's frame; what was wanted is not taken for what was flown."""
+    pytest.importorskip("rosbags", reason="the extra [logs] is not installed")
+    f = logs.truth(4.0, 50.0)
+    path = logs.rosbag(tmp_path / ("a.bag" if version == 1 else "bag"), f, version)
+    flight, _ = import_log(path, None, Options())
+    for prefix, values in (("p", f.p), ("v", f.v), ("w", f.w), ("acc", f.acc)):
+        np.testing.assert_allclose(flight.stack([f"{prefix}_{a}" for a in "xyz"]), values, atol=1e-5, err_msg=prefix)
+    assert flight.metadata["source"]["topics"]["position"] == "/drone/odometry"

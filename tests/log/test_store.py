@@ -1,0 +1,190 @@
+"""Files: whole or not at all, units inside, one line for every way they can be wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from quadexp.errors import DataError, UsageError
+from quadexp.log.schema import FLIGHT_COLUMNS, describe
+from quadexp.log.store import (
+    check_output,
+    read_flight,
+    read_metadata,
+    read_table,
+    write_bytes,
+    write_flight,
+    write_table,
+)
+from tests.log.flights import straight_flight
+
+
+def test_a_flight_comes_back_to_the_last_bit(tmp_path):
+    flight = straight_flight(seed=3, config={"controller": {"name": "x"}})
+    path = write_flight(tmp_path / "a.parquet", flight)
+    back = read_flight(path)
+    assert list(back.columns) == list(flight.columns)
+    for name, values in flight.columns.items():
+        assert back[name].dtype == values.dtype
+        np.testing.assert_array_equal(back[name], values)
+    assert back.metadata["seed"] == 3 and back.metadata["config"] == {"controller": {"name": "x"}}
+    np.testing.assert_array_equal(back.state, flight.state)
+
+
+def test_unit_and_frame_travel_with_every_column(tmp_path):
+    path = write_flight(tmp_path / "a.parquet", straight_flight())
+    schema = pq.read_schema(path)
+    assert schema.field("w_x").metadata == {
+        b"unit": b"rad/s",
+        b"frame": b"body",
+        b"description": b"angular velocity",
+    }
+    assert schema.field("v_x").metadata[b"frame"] == b"world"
+    for name in schema.names:
+        assert schema.field(name).metadata[b"unit"], name
+    # The same name means body velocity in a data set: features are body-frame quantities.
+    assert describe("v_x", "residuals").frame == "body"
+
+
+def test_columns_written_are_columns_known():
+    unknown = [name for name in straight_flight().columns if describe(name).unit == ""]
+    assert not unknown
+    assert all(column.unit for column in FLIGHT_COLUMNS.values())
+
+
+def test_nothing_is_left_behind_by_a_write_that_fails(tmp_path):
+    path = write_flight(tmp_path / "a.parquet", straight_flight())
+    before = path.read_bytes()
+
+    def fails(temporary):
+        temporary.write_bytes(b"half")
+        raise RuntimeError("disk on fire")
+
+    with pytest.raises(RuntimeError):
+        write_bytes(path, fails)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["a.parquet"]
+
+
+def test_numpy_values_are_plain_json_in_the_record(tmp_path):
+    metadata = {"a": np.float64(1.5), "b": np.arange(3), "path": tmp_path}
+    path = write_table(tmp_path / "a.parquet", {"t": np.zeros(2)}, metadata, "results")
+    assert read_metadata(path)["a"] == 1.5 and read_metadata(path)["b"] == [0, 1, 2]
+
+
+class TestBadFiles:
+    def test_missing(self, tmp_path):
+        with pytest.raises(UsageError, match=r"no such file \(made by `quadexp collect`\)"):
+            read_table(tmp_path / "x.parquet", "residuals")
+
+    def test_not_parquet(self, tmp_path):
+        (tmp_path / "x.parquet").write_text("a,b\n1,2\n")
+        with pytest.raises(DataError, match="not a Parquet file, or damaged"):
+            read_flight(tmp_path / "x.parquet")
+
+    def test_cut_short(self, tmp_path):
+        path = write_flight(tmp_path / "a.parquet", straight_flight(200))
+        path.write_bytes(path.read_bytes()[:-100])
+        with pytest.raises(DataError, match="damaged"):
+            read_flight(path)
+
+    def test_pages_damaged(self, tmp_path):
+        path = write_flight(tmp_path / "a.parquet", straight_flight(2000))
+        data = bytearray(path.read_bytes())
+        data[200:1200] = b"\xff" * 1000
+        path.write_bytes(data)
+        with pytest.raises(DataError, match="damaged"):
+            read_flight(path)
+
+    def test_somebody_elses(self, tmp_path):
+        pq.write_table(pa.table({"t": [1.0]}), tmp_path / "x.parquet")
+        with pytest.raises(DataError, match="not one that quadexp wrote"):
+            read_flight(tmp_path / "x.parquet")
+
+    def test_another_kind(self, tmp_path):
+        path = write_flight(tmp_path / "a.parquet", straight_flight())
+        with pytest.raises(DataError, match="holds flight, residuals are needed"):
+            read_table(path, "residuals")
+
+    def test_another_schema(self, tmp_path, monkeypatch):
+        monkeypatch.setattr("quadexp.log.store.SCHEMA", 7)
+        path = write_flight(tmp_path / "a.parquet", straight_flight())
+        monkeypatch.undo()
+        with pytest.raises(DataError, match="written with schema 7, this program reads schema 2"):
+            read_flight(path)
+
+    def test_missing_column(self, tmp_path):
+        flight = straight_flight()
+        del flight.columns["q_y"]
+        path = write_flight(tmp_path / "a.parquet", flight)
+        with pytest.raises(DataError, match="column 'q_y' is missing"):
+            read_flight(path)
+
+    def test_nan_is_named_by_column_and_row(self, tmp_path):
+        flight = straight_flight()
+        flight.columns["v_z"][3] = np.nan
+        path = write_flight(tmp_path / "a.parquet", flight)
+        with pytest.raises(DataError, match=r"column 'v_z' is nan at row 3 \(1 such rows of 5\)"):
+            read_flight(path)
+
+
+class TestOutputs:
+    def test_looking_leaves_nothing_and_writing_makes_the_folders(self, tmp_path):
+        path = check_output(tmp_path / "new" / "deep" / "a.parquet")
+        check_output(tmp_path / "other" / "folder", folder=True)
+        assert not any(tmp_path.iterdir())
+        assert write_flight(path, straight_flight()).exists()
+
+    def test_an_existing_file_is_refused_unless_forced(self, tmp_path):
+        path = tmp_path / "a.parquet"
+        path.touch()
+        with pytest.raises(UsageError, match="exists already; pass --force"):
+            check_output(path)
+        assert check_output(path, force=True) == path
+
+    def test_a_folder_where_a_file_is_needed(self, tmp_path):
+        with pytest.raises(UsageError, match="is a folder"):
+            check_output(tmp_path, force=True)
+
+    def test_an_empty_folder_is_nothing_in_the_way(self, tmp_path):
+        assert check_output(tmp_path, folder=True) == tmp_path
+
+    @pytest.mark.parametrize("blocked", ["/proc/quadexp/a.parquet", "/dev/null/a.parquet"])
+    def test_a_place_that_cannot_be_written(self, blocked):
+        # A read-only folder for whoever runs this, root included (root ignores permission bits).
+        with pytest.raises(UsageError, match="cannot be written there"):
+            check_output(blocked)
+
+    def test_below_a_regular_file(self, tmp_path):
+        (tmp_path / "file").touch()
+        with pytest.raises(UsageError, match="cannot be written there"):
+            check_output(tmp_path / "file" / "a.parquet")
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32", "int8", "int16", "int32", "int64", "uint8"])
+def test_types_are_kept(tmp_path, dtype):
+    values = np.arange(7).astype(dtype)[::2]  # not contiguous
+    path = write_table(tmp_path / "a.parquet", {"t": values, "word": np.array(list("abcd"), object)}, {}, "results")
+    columns, _ = read_table(path, "results")
+    assert columns["t"].dtype == dtype and columns["word"].tolist() == list("abcd")
+    np.testing.assert_array_equal(columns["t"], values)
+    assert columns["t"].flags.writeable
+
+
+def test_pandas_reads_our_files_and_is_not_needed_for_it(tmp_path):
+    import subprocess
+    import sys
+
+    path = write_flight(tmp_path / "a.parquet", straight_flight())
+    code = (
+        "import sys; from quadexp.log.store import *; f = read_flight(sys.argv[1]); write_flight(sys.argv[2], f);"
+        "print('pandas' in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(path), str(tmp_path / "b.parquet")], capture_output=True, text=True
+    )
+    assert done.stdout.strip() == "False", done.stderr
+    frame = pytest.importorskip("pandas").read_parquet(tmp_path / "b.parquet")
+    np.testing.assert_array_equal(frame["p_x"], straight_flight()["p_x"])

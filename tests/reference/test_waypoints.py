@@ -1,0 +1,147 @@
+"""Waypoints from files: minimum-snap paths at rest at both ends, through every point, within the vehicle's limits."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadexp.config.compose import compose
+from quadexp.errors import DataError, UsageError
+from quadexp.experiment.build import build_trajectory, build_vehicle
+from quadexp.experiment.evaluate import InfeasibleError, fly_one
+from quadexp.reference import FileTrajectory, Trajectory
+from tests.reference.test_time_scale import VEHICLES, shares
+
+ROOT = Path(__file__).parents[2]
+INTERPRETED = ["plant.backend=interpreted", "controller.backend=interpreted"]
+TWO = "x,y,z\n0,0,1\n3,0,2\n"
+LOOP = "x,y,z\n0,0,1\n6,0,1\n6,5,3\n-1,5,2\n0,0,1\n"
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text):
+        (tmp_path / "points.csv").write_text(text)
+        return str(tmp_path / "points.csv")
+
+    return write
+
+
+def built(path, *overrides):
+    config = compose(["trajectory=file", f"trajectory.path={path}", *overrides])
+    return build_trajectory(config.trajectory, build_vehicle(config.vehicle))
+
+
+@pytest.mark.parametrize("text", [TWO, LOOP])
+@pytest.mark.parametrize("vehicle", ["torrente", "lei_li", "crazyflie"])
+@pytest.mark.parametrize("speed", ["null", "2.5"])
+def test_without_times_as_fast_as_speed_and_limits_allow(written, text, vehicle, speed):
+    path = built(written(text), f"vehicle={vehicle}", f"trajectory.speed={speed}")
+    assert isinstance(path, Trajectory)
+    points = np.genfromtxt(text.splitlines(), delimiter=",", skip_header=1)
+    t = np.linspace(0.0, path.duration, 20_001)
+    position = path.flat_output(t).position
+    np.testing.assert_allclose(position[[0, -1], 0], points[[0, -1]], atol=1e-9)
+    assert max(np.linalg.norm(position[:, 0] - point, axis=1).min() for point in points) < 2e-3
+    assert np.abs(position[[0, -1], 1:4]).max() < 1e-5
+    thrust, rate = shares(path, VEHICLES[vehicle])
+    used = max(thrust / 0.75, rate / 0.75, 0 if speed == "null" else path.peak_speed / 2.5)
+    assert used == pytest.approx(1.0, abs=5e-3), "as fast as can be, and no faster"
+
+
+def test_two_points_fly_the_known_polynomial(written):
+    path = built(written(TWO), "trajectory.speed=1")
+    s = np.linspace(0, 1, 21)
+    share = 35 * s**4 - 84 * s**5 + 70 * s**6 - 20 * s**7
+    position = path.flat_output(s * path.duration).position[:, 0]
+    np.testing.assert_allclose(position, [0, 0, 1] + share[:, None] * [3, 0, 1], atol=1e-9)
+    assert path.duration == pytest.approx(35 / 16 * np.sqrt(10))
+    assert path.flat_output(np.array([1.0])).yaw is None, "the heading is free"
+
+
+def test_times_and_yaw_are_kept(written):
+    """Every point at its time, from the first row's on; the yaw goes the shorter way round, with its derivatives."""
+    path = built(written("yaw,t,x,y,z,note\n3.0,2,0,0,1,7\n-3.0,5,3,0,2,7\n-2.5,7.5,4,4,2,7\n"))
+    t = np.array([0.0, 3.0, 5.5])
+    flat = path.flat_output(t)
+    np.testing.assert_allclose(flat.position[:, 0], [[0, 0, 1], [3, 0, 2], [4, 4, 2]], atol=1e-9)
+    np.testing.assert_allclose(flat.yaw[:, 0], [3.0, 2 * np.pi - 3.0, 2 * np.pi - 2.5], atol=1e-9)
+    assert path.duration == pytest.approx(5.5)
+    inner, h = np.linspace(0.5, 5.0, 40), 1e-5
+    before, now, after = (path.flat_output(inner + d).yaw for d in (-h, 0, h))
+    np.testing.assert_allclose((after - before)[:, 0] / (2 * h), now[:, 1], atol=1e-6)
+    np.testing.assert_allclose((after - before)[:, 1] / (2 * h), now[:, 2], atol=1e-6)
+
+
+def test_times_that_break_a_limit_are_named_and_can_be_flown_all_the_same(written):
+    quick = written("t,x,y,z\n0,0,0,1\n1,30,0,1\n2,0,0,1\n")
+    file = ["trajectory=file", f"trajectory.path={quick}", *INTERPRETED]
+    with pytest.raises(InfeasibleError, match=r"file cannot be flown: it takes .* of collective thrust at t=\d\.\d+ s"):
+        fly_one(compose(file))
+    assert fly_one(compose([*file, "trajectory.allow_infeasible=true"])).outcome in ("ok", "lost", "solver_failed")
+    with pytest.raises(UsageError, match=r"trajectory.speed=4: the times in .* take a peak speed of \d+"):
+        fly_one(compose([*file, "trajectory.speed=4"]))
+    tight = written("t,x,y,z\n0,0,0,1\n1.1,2.5,0,1\n2.2,0,0,1\n")
+    assert re.search(r"rotor \d thrust would be", fly_one(compose(file)).metadata["reference_note"]), tight
+
+
+@pytest.mark.parametrize("name", ["torrente", "lei_li"])
+def test_two_points_are_flown_from_the_command_line_configuration(written, name):
+    flight = fly_one(
+        compose(["trajectory=file", f"trajectory.path={written(TWO)}", f"vehicle={name}", "plant=ideal", *INTERPRETED])
+    )
+    assert flight.outcome == "ok" and flight.metadata["row"]["max_error"] < 0.2
+    assert flight.metadata["row"]["saturated_share"] == 0 and flight.metadata["reference_note"] == ""
+
+
+GOOD = "\n".join(f"{0.1 * i:.1f},{i},0,1" for i in range(10))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x,y,z\n0,0,1\n", "1 waypoints, 2 to 200 are allowed; for a sampled track name the columns t, p_x, p_y, p_z"),
+        ("x,y,z\n" + "1,2,3\n2,3,4\n" * 150, "300 waypoints, 2 to 200 are allowed"),
+        ("x,y,z\n0,0,1\n0,0,1\n", "line 3: the same point as in the row before; give t to stay at a point"),
+        ("x,y\n0,0\n", r"line 1: no column z in the header \(found x, y; needed x, y, z, optional t and yaw"),
+        ("t,x,y,z\n0,0,0,1\n0,1,0,1\n", "line 3: t = 0 s does not come after 0 s"),
+        ("x,y,z\n0,0,1\n1,nan,1\n", "line 3: y is nan, not a finite number"),
+        ("t,p_x,p_y,p_z\n" + "\n".join(GOOD.splitlines()[:7]), "7 rows, .* for waypoints name the columns x, y, z"),
+    ],
+)
+def test_what_is_wrong_is_one_line(written, text, message):
+    with pytest.raises(DataError, match=message) as error:
+        _ = FileTrajectory(path=written(text), speed=1.0).duration
+    assert "\n" not in str(error.value)
+
+
+def test_a_sampled_track_has_no_other_speed(written):
+    with pytest.raises(UsageError, match=r"trajectory.speed=3: .* is a sampled track, which has its own times"):
+        _ = FileTrajectory(path=written("t,p_x,p_y,p_z\n" + GOOD), speed=3.0).duration
+
+
+def examples():
+    """Every block of docs/guide.md that is a CSV of positions, under the words before it."""
+    text = (ROOT / "docs/guide.md").read_text()
+    return re.findall(r"\n((?:    (?:t,p_x|x,y,z)[^\n]*\n)(?:    [^\n]+\n)+)", text)
+
+
+def test_the_documented_files_are_what_the_program_reads(written):
+    """The examples of the guide, and the columns that its table, the settings and the preset name."""
+    blocks = examples()
+    assert len(blocks) >= 2
+    kinds = set()
+    for block in blocks:
+        rows = [line.strip() for line in block.strip("\n").splitlines()]
+        kinds.add(rows[0].split(",")[0])
+        path = built(written("\n".join(rows)))
+        assert path.duration > 0 and path.peak_speed > 0
+        assert rows[0].split(",")[:3] in (["x", "y", "z"], ["t", "p_x", "p_y"])
+    assert kinds == {"x", "t"}
+    for name in ("docs/configuration.md", "conf/trajectory/file.yaml", "docs/guide.md"):
+        text = (ROOT / name).read_text().replace(" ", "")
+        assert "t,p_x,p_y,p_z" in text and "x,y,z" in text, name
+        assert "(t,x,y,z" not in text, name

@@ -1,0 +1,111 @@
+"""Cell functions for tests of the engine and of sweeps, importable by worker processes."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from quadexp.experiment.build import build_vehicle
+from quadexp.experiment.evaluate import describe, program_record, result_row
+from quadexp.log.store import write_flight, write_table
+from tests.log.flights import straight_flight
+
+
+def add(a, b):
+    return a + b
+
+
+def threads(_):
+    return os.environ.get("OMP_NUM_THREADS"), os.environ.get("OPENBLAS_NUM_THREADS")
+
+
+def misbehave(what, folder):
+    """What a poisoned cell can do; counts how often it was tried."""
+    with open(Path(folder) / what, "a") as file:
+        file.write("x")
+    if what == "raise":
+        raise ValueError("a bad\nday")
+    if what == "kill":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if what == "exit":
+        os._exit(3)
+    if what == "loop":
+        while True:
+            time.sleep(0.01)
+    if what == "nap":
+        time.sleep(1.0)
+    if what == "kill_once" and len((Path(folder) / what).read_text()) == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return what
+
+
+def quick_cell(config, model, path, key):
+    """A flight without flying: its error is 10 mm times the seed."""
+    flight = straight_flight(5, (0.01 * config.seed, 0.0, 0.0))
+    flight.metadata.update(describe(config, build_vehicle(config.vehicle), model))
+    flight.metadata["row"] = result_row(config, flight) | {"key": key}
+    write_flight(Path(path), flight, key=key)
+    count = Path(path).parents[2] / "counts" / key
+    if count.parent.is_dir():
+        with open(count, "a") as file:
+            file.write("x")
+    return flight.metadata["row"]
+
+
+@dataclass(frozen=True)
+class CountedCell:
+    """quick_cell, with a letter in a file for every try."""
+
+    file: str
+
+    def __call__(self, config, model, path, key):
+        with open(self.file, "a") as file:
+            file.write("x")
+        return quick_cell(config, model, path, key)
+
+
+def bare_cell(config, model, path, key):
+    """A file without samples for a flight, which holds its row."""
+    row = {"controller": config.controller.name, "seed": config.seed, "mean_error": 0.1, "outcome": "ok"}
+    row |= {**program_record(), "key": key}
+    write_table(path, {"t": []}, {"key": key, "row": row}, "flight")
+    return row
+
+
+def poisoned_cell(config, model, path, key):
+    """Seed 1 kills its process while it writes, 2 raises, 3 never ends, 4 eats all memory, 5 segfaults."""
+    if config.seed == 1:
+        Path(path).with_name(f".{Path(path).name}.{os.getpid()}.tmp").write_bytes(b"half")
+        os.kill(os.getpid(), signal.SIGKILL)
+    if config.seed == 2:
+        raise ValueError("this seed does not work")
+    if config.seed == 3:
+        time.sleep(1000)
+    if config.seed == 4:
+        eaten = []
+        while True:
+            eaten.append(bytes(100_000_000))  # asked for and not written to: quick, and counted all the same
+    if config.seed == 5:
+        ctypes.string_at(0)
+    return quick_cell(config, model, path, key)
+
+
+def slow_cell(config, model, path, key):
+    time.sleep(0.2)
+    return quick_cell(config, model, path, key)
+
+
+def foreign_cell(config, model, path, key):
+    """A cell whose second seed another program has flown."""
+    row = quick_cell(config, model, path, key)
+    return row | ({"program": "9.9.9", "sources": "abcdef123456"} if config.seed == 1 else {})
+
+
+def surroundings():
+    """What a child has to import from."""
+    return {"path": sys.path, "PYTHONPATH": os.environ.get("PYTHONPATH")}

@@ -1,0 +1,286 @@
+"""Sweeps on a real Dask cluster: the same files and rows as at home, whatever is killed in between."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+
+from distributed import Client
+
+from quadexp.config.compose import compose, expand
+from quadexp.errors import QuadexpError, UsageError
+from quadexp.log.cell_store import CellStore
+from quadexp.sweep.cluster.driver import DaskEngine
+from quadexp.sweep.cluster.engines import build_engine
+from quadexp.sweep.cluster.start import open_cluster
+from quadexp.sweep.engine import LocalEngine
+from quadexp.sweep.sweep import run_sweep
+from tests.experiment import cells
+from tests.experiment.same import same_results
+from tests.sweep.dask_cluster import ROOT, Cluster
+from tests.sweep.test_sweep import files
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+
+INTERPRETED = ["controller.backend=interpreted", "plant.backend=interpreted"]
+SHORT = ["trajectory=step", "trajectory.duration=0.4", "trajectory.step_time=0.2", *INTERPRETED]
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    cluster = Cluster(tmp_path_factory.mktemp("cluster"))
+    yield cluster
+    cluster.stop()
+
+
+@pytest.fixture
+def engine(cluster):
+    return on(cluster)
+
+
+def on(cluster, **options):
+    return at(cluster.address, **options)
+
+
+def at(address, **options):
+    config = compose(["engine=dask", f"engine.address={address}", "engine.tls=false"]).engine
+    return DaskEngine(lambda: open_cluster(config, 1), **options)
+
+
+class TestSameEverywhere:
+    def test_flights_equal_those_of_this_machine_bit_for_bit(self, engine, tmp_path):
+        grid = [*SHORT, "controller=nominal_mpc,perfect_mpc", "seed=range(3)"]
+        at_home = run_sweep(expand(grid), tmp_path / "home", workers=2)
+        away = run_sweep(expand(grid), tmp_path / "away", engine=engine)
+        assert away.flown == 6 and not away.not_flown
+        same_results(at_home, away)
+        assert not [name for name in files(tmp_path) if name.endswith((".tmp", ".lock"))]
+
+    def test_files_that_flights_read_travel_to_the_workers(self, engine, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)  # relative names, which mean nothing where the workers are
+        Path("track.csv").write_text("t,p_x,p_y,p_z\n" + "".join(f"{i / 10},{i / 50},0,1\n" for i in range(12)))
+        make_checkpoint(tmp_path / "models/drag")
+        grid = ["trajectory=file", "trajectory.path=track.csv", "controller=linear_drag_mpc", "model=models/drag"]
+        grid = [*grid, *INTERPRETED, "seed=0,1"]
+        away = run_sweep(expand(grid), "away", engine=engine)
+        assert not away.not_flown, away.not_flown[0]["cause"]
+        same_results(run_sweep(expand(grid), "home", workers=1), away)
+
+    def test_a_sweep_goes_on_with_another_engine(self, engine, tmp_path):
+        part = run_sweep(expand([*SHORT, "seed=range(2)"]), tmp_path / "r", workers=1)
+        whole = run_sweep(expand([*SHORT, "seed=range(4)"]), tmp_path / "r", engine=engine)
+        assert (part.flown, whole.flown) == (2, 2) and len(whole.rows) == 4
+        assert run_sweep(expand([*SHORT, "seed=range(4)"]), tmp_path / "r").flown == 0
+
+
+class TestPoison:
+    def test_each_poisoned_cell_is_a_failed_row_and_the_rest_flies(self, cluster, tmp_path):
+        engine = on(cluster, timeout=15.0, memory=0.6)
+        result = run_sweep(expand(["seed=range(8)"]), tmp_path / "r", function=cells.poisoned_cell, engine=engine)
+        causes = {row["seed"]: row["cause"] for row in result.rows if row["outcome"] == "failed"}
+        assert set(causes) == {1, 2, 3, 4, 5}
+        assert "died (exit code -9)" in causes[1] and "died (exit code -11)" in causes[5]
+        assert causes[2] == "ValueError: this seed does not work" and causes[3] == "took longer than 15 s"
+        assert "memory" in causes[4]
+        assert len([name for name in files(tmp_path) if "cells/" in name]) == 3
+
+
+class TestKill:
+    GRID = "seed=range(30)"
+
+    @pytest.fixture(scope="class")
+    def undisturbed(self, tmp_path_factory):
+        return run_sweep(expand([self.GRID]), tmp_path_factory.mktemp("r") / "r", function=cells.quick_cell, workers=2)
+
+    def test_workers_and_nannies_killed_under_way(self, tmp_path, undisturbed):
+        cluster = Cluster(tmp_path / "cluster", workers=3)
+        done = []
+
+        def disturb(count, total):
+            done.append(count)
+            if count in (5, 10):
+                nanny = cluster.workers[count // 10]
+                victims = cluster.workers_of(nanny)
+                assert victims
+                if count == 10:  # the nanny first, or it would start another worker
+                    victims.insert(0, nanny.pid)
+                threading.Timer(0.05, lambda: [os.kill(pid, signal.SIGKILL) for pid in victims]).start()
+
+        try:
+            result = run_sweep(
+                expand([self.GRID]), tmp_path / "r", function=cells.slow_cell, engine=on(cluster), progress=disturb
+            )
+        finally:
+            cluster.stop()
+        assert done == list(range(31)) and not result.not_flown
+        same_results(undisturbed, result)
+        assert not [name for name in files(tmp_path / "r") if name.endswith((".tmp", ".lock"))]
+
+    def test_no_worker_left_is_said_and_the_same_command_goes_on(self, tmp_path, undisturbed):
+        cluster = Cluster(tmp_path / "cluster", workers=1)
+
+        engine = on(cluster)
+
+        def kill(count, total):
+            if count == 4:
+                engine.wait = 1.0  # not before: workers take their time to start
+                os.killpg(cluster.workers[0].pid, signal.SIGKILL)
+
+        try:
+            with pytest.raises(QuadexpError, match="no worker for 1 s .*run the same command to continue"):
+                run_sweep(expand([self.GRID]), tmp_path / "r", function=cells.slow_cell, engine=engine, progress=kill)
+        finally:
+            cluster.stop()
+        left = len(CellStore(tmp_path / "r").done())
+        assert 4 <= left < 30
+        result = run_sweep(expand([self.GRID]), tmp_path / "r", function=cells.quick_cell, workers=2)
+        assert result.flown == 30 - left
+        same_results(undisturbed, result)
+
+    def test_the_scheduler_killed(self, tmp_path, monkeypatch):
+        monkeypatch.setattr("quadexp.sweep.cluster.start.CONNECT", 2.0)
+        cluster = Cluster(tmp_path / "cluster", workers=1)
+        engine = on(cluster)
+
+        def kill(count, total):
+            if count == 3:
+                engine.wait = 2.0
+                os.killpg(cluster.scheduler.pid, signal.SIGKILL)
+
+        try:
+            with pytest.raises(QuadexpError, match="scheduler is gone|no worker for"):
+                run_sweep(expand([self.GRID]), tmp_path / "r", function=cells.slow_cell, engine=engine, progress=kill)
+        finally:
+            cluster.stop()
+        assert len(CellStore(tmp_path / "r").done()) >= 3
+
+    def test_the_driver_killed(self, cluster, tmp_path, undisturbed):
+        process = start_driver(cluster, tmp_path, self.GRID)
+        for line in process.stdout:
+            if int(line) >= 5:
+                break
+        process.kill()
+        process.wait()
+        process.stdout.close()
+        before = CellStore(tmp_path / "r").done()
+        assert 5 <= len(before) < 30
+        done = []
+        result = run_sweep(
+            expand([self.GRID]),
+            tmp_path / "r",
+            function=cells.slow_cell,
+            engine=on(cluster),
+            progress=lambda count, total: done.append(count),
+        )
+        assert result.flown == 30 - len(before) and done == list(range(len(before), 31))
+        same_results(undisturbed, result)
+        assert not [name for name in files(tmp_path / "r") if name.endswith((".tmp", ".lock", "rows.parquet"))]
+        assert left_on(cluster) == [], "what the killed driver kept on the workers is gone too"
+
+
+def test_two_sweeps_on_one_cluster(cluster, tmp_path):
+    """Each with its own time limit and its own files; the one that ends first takes nothing from the other."""
+    process = start_driver(cluster, tmp_path, "seed=range(20)")
+    assert int(process.stdout.readline()) == 0
+    brief = run_sweep(expand(["seed=range(4)"]), tmp_path / "brief", function=cells.slow_cell, engine=on(cluster))
+    rest = process.communicate(timeout=600)[0].split()
+    assert process.returncode == 0 and rest[-1] == "20"
+    assert not brief.not_flown
+    other = run_sweep(expand(["seed=range(20)"]), tmp_path / "r")
+    assert other.flown == 0 and {row["outcome"] for row in other.rows} == {"ok"}
+    assert left_on(cluster) == []
+
+
+DRIVER = """
+import sys
+from quadexp.config.compose import expand
+from quadexp.sweep.sweep import run_sweep
+from tests.experiment import cells
+from tests.sweep.test_dask import at
+
+if __name__ == "__main__":
+    say = lambda done, total: print(done, flush=True)
+    run_sweep(expand(sys.argv[3:]), sys.argv[1], function=cells.slow_cell, engine=at(sys.argv[2]), progress=say)
+"""
+
+
+def start_driver(cluster, folder, *overrides):
+    """A sweep into folder/r by a process of its own, which prints how many cells are done."""
+    (folder / "driver.py").write_text(DRIVER)
+    return subprocess.Popen(
+        [sys.executable, str(folder / "driver.py"), str(folder / "r"), cluster.address, *overrides],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+def left_on(cluster):
+    """Names of what sweeps have left on the workers."""
+    with Client(cluster.address, set_as_default=False) as client:
+        return client.run_on_scheduler(
+            lambda dask_scheduler: [n for n in dask_scheduler.worker_plugins if n.startswith("quadexp")]
+        )
+
+
+class TestMistakes:
+    @pytest.mark.parametrize("engine", ["dask", "slurm"])
+    def test_the_extra_is_missing(self, monkeypatch, engine):
+        monkeypatch.setitem(sys.modules, "distributed", None)
+        with pytest.raises(UsageError, match=r"needs distributed, .* pip install 'quadexp\[cluster\]'"):
+            build_engine(compose([f"engine={engine}"]))
+
+    @pytest.mark.parametrize(
+        ("overrides", "says"),
+        [
+            (
+                ["engine.tls=false", "engine.address=tcp://127.0.0.1:1"],
+                "engine.address=tcp://127.0.0.1:1 cannot be had",
+            ),
+            (["engine.tls_ca=a", "engine.tls_cert=b", "engine.tls_key=c"], "tls_ca=a: no such file"),
+        ],
+    )
+    def test_one_line_says_what_is_wrong(self, overrides, says, tmp_path, monkeypatch):
+        monkeypatch.setattr("quadexp.sweep.cluster.start.CONNECT", 0.5)
+        engine = build_engine(compose(["engine=dask", *overrides]))
+        with pytest.raises(QuadexpError, match=says) as caught:
+            run_sweep(expand(SHORT), tmp_path / "r", engine=engine)
+        assert "\n" not in str(caught.value)
+
+    def test_a_worker_that_may_not_have_children_is_refused(self, tmp_path):
+        cluster = Cluster(tmp_path / "cluster", workers=0)
+        cluster.add_worker(DASK_DISTRIBUTED__WORKER__DAEMON="True")
+        try:
+            with pytest.raises(QuadexpError, match="start it with DASK_DISTRIBUTED__WORKER__DAEMON=False"):
+                run_sweep(expand(SHORT), tmp_path / "r", engine=on(cluster))
+        finally:
+            cluster.stop()
+
+    def test_nothing_is_started_for_a_finished_sweep(self, tmp_path):
+        run_sweep(expand(SHORT), tmp_path / "r", engine=LocalEngine(1))
+        engine = DaskEngine(lambda: pytest.fail("it started a cluster"))
+        assert run_sweep(expand(SHORT), tmp_path / "r", engine=engine).flown == 0
+
+
+def make_checkpoint(folder):
+    """A linear-drag checkpoint with numbers by hand."""
+    import numpy as np
+
+    from quadexp.experiment.build import build_vehicle
+    from quadexp.learn.checkpoint import save_model
+    from quadexp.learn.linear_drag import LinearDrag
+
+    vehicle = build_vehicle(compose([]).vehicle)
+    numbers = {"drag": np.array([0.3, 0.3, 0.1]), "intercept": np.zeros(3), "thrust_gain": 0.0}
+    errors = {"drag_error": np.zeros(3), "intercept_error": np.zeros(3), "thrust_gain_error": 0.0}
+    fit = {"residual_std": np.zeros(3), "r_squared": np.ones(3), "n": 10}
+    named = {"name": vehicle.name, "fingerprint": vehicle.fingerprint}
+    save_model(folder, LinearDrag(**numbers, **errors, **fit, vehicle=named))

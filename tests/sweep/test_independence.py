@@ -1,0 +1,61 @@
+"""Results do not depend on workers, order, interruption or process: nobody who flew before or beside is noticed."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from quadexp.compile.backend import compiler
+from quadexp.config.compose import expand
+from quadexp.sweep.engine import LocalEngine
+from quadexp.sweep.sweep import SweepInterrupted, run_sweep
+from tests.experiment.same import same_results
+
+# Controllers that learn in flight keep the most between two steps, and a worker flies many cells with one of each.
+LEARNING = ["vehicle=lei_li", "plant=blade_element", "controller=rls_feedback,rls_mpc"]
+KNOWING = ["controller=nominal_mpc,perfect_mpc"]
+SHORT = ["trajectory=step", "trajectory.duration=0.3", "trajectory.step_time=0.1", "seed=range(3)"]
+COMPILED = pytest.param("compiled", marks=pytest.mark.skipif(compiler() is None, reason="no C compiler"))
+
+
+@pytest.fixture(scope="module", params=["interpreted", COMPILED])
+def flown(request, tmp_path_factory):
+    """The cells, and what one worker made of them in the order of the plan."""
+    backend = [f"controller.backend={request.param}", f"plant.backend={request.param}"]
+    cells = expand([*SHORT, *KNOWING, *backend])
+    if request.param == "interpreted":  # compiling takes a while
+        cells = [*cells, *expand([*SHORT, *LEARNING, *backend])]
+    alone = run_sweep(cells, tmp_path_factory.mktemp("alone") / "r", engine=LocalEngine(1))
+    assert not alone.not_flown
+    # Noise differs by seed and knowledge by controller; the blade-element plant has no noise.
+    assert len({row["mean_error"] for row in alone.rows}) == (6 if request.param == "compiled" else 6 + 2)
+    return cells, alone
+
+
+def test_workers(flown, tmp_path):
+    cells, alone = flown
+    same_results(alone, run_sweep(cells, tmp_path / "r", engine=LocalEngine(3)))
+
+
+def test_order_and_this_process(flown, tmp_path):
+    cells, alone = flown
+    shuffled = random.Random(1).sample(cells, len(cells))
+    run_sweep(shuffled, tmp_path / "r", isolate=False)
+    again = run_sweep(cells, tmp_path / "r")
+    assert again.flown == 0
+    same_results(alone, again)
+
+
+def test_interruption(flown, tmp_path):
+    cells, alone = flown
+
+    def stop(done, total):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(SweepInterrupted, match=f"of {len(cells)} done; run the same command to continue"):
+        run_sweep(cells, tmp_path / "r", engine=LocalEngine(2), progress=stop)
+    rest = run_sweep(cells, tmp_path / "r", engine=LocalEngine(2))
+    assert 0 <= rest.flown <= len(cells) - 3
+    same_results(alone, rest)

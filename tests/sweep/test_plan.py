@@ -1,0 +1,196 @@
+"""Keys: whatever can change a flight changes its key, and nothing else does."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import pytest
+
+from quadexp.config.cells import Cells
+from quadexp.config.compose import compose, expand, session
+from quadexp.config.schema import Config
+from quadexp.experiment.build import find_model, input_hashes
+from quadexp.experiment.identity import FLIGHT_GROUPS
+from quadexp.log.store import read_table, write_table
+from quadexp.sweep import keys as cell_keys
+from quadexp.sweep.keys import cell_key
+from quadexp.sweep.plan import Plan
+from quadexp.sweep.results import list_results
+from tests.sweep.test_sweep import fly
+
+OPTIONS = [
+    [],
+    ["vehicle=lei_li", "plant=blade_element", "controller=rls_mpc", "trajectory=lei_li_circle", "sensor=lei_li"],
+    ["vehicle=lei_li", "plant=blade_element", "controller=rls_feedback", "trajectory=rectangle"],
+    ["trajectory=random", "plant=ideal", "controller=perfect_mpc"],
+    ["trajectory=step", "engine=dask"],
+    ["trajectory=hover", "engine=slurm"],
+]
+PLACES = {("controller", "models")}  # where a checkpoint is looked for: what is found decides
+
+
+def another(value):
+    """A value of the same type that is not the same."""
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, (int, float)):
+        return value + 1
+    if isinstance(value, str):
+        return value + "x"
+    if isinstance(value, list):
+        return [another(value[0]), *value[1:]] if value else [1.0]
+    return 0.123 if value is None else {}
+
+
+def leaves(node, path=()):
+    for f in fields(node):
+        value = getattr(node, f.name)
+        if is_dataclass(value):
+            yield from leaves(value, (*path, f.name))
+        else:
+            yield (*path, f.name)
+
+
+def changed(config, path):
+    config = copy.deepcopy(config)
+    node = config
+    for name in path[:-1]:
+        node = getattr(node, name)
+    setattr(node, path[-1], another(getattr(node, path[-1])))
+    return config
+
+
+@pytest.mark.parametrize("overrides", OPTIONS, ids=lambda o: o[0] if o else "defaults")
+def test_every_setting_of_a_flight_is_in_the_key_and_no_other(overrides):
+    config = compose(overrides)
+    key = cell_key(config, {})
+    relevant = {*FLIGHT_GROUPS, "model", "seed"}
+    seen = set()
+    for path in leaves(config):
+        differs = cell_key(changed(config, path), {}) != key
+        assert differs == (path[0] in relevant and path not in PLACES), path
+        seen.add(path[0])
+    assert seen == {f.name for f in fields(Config)}
+
+
+def test_the_plan_knows_the_same_keys(tmp_path, monkeypatch):
+    from tests.sweep.test_dask import make_checkpoint
+
+    monkeypatch.chdir(tmp_path)
+    make_checkpoint(tmp_path / "models/drag")
+    grid = expand(["controller=nominal_mpc,linear_drag_mpc", "trajectory=circle,random,hover", "seed=range(3)"])
+    for job in Plan(grid):
+        model = find_model(job.cell.config)
+        assert job.model == model
+        assert job.key == cell_key(job.cell.config, input_hashes(job.cell.config, model))
+
+
+def test_another_content_of_a_checkpoint_is_another_cell(tmp_path):
+    from tests.sweep.test_dask import make_checkpoint
+
+    grid = expand(["controller=linear_drag_mpc", f"model={tmp_path}/m"])
+    make_checkpoint(tmp_path / "m")
+    (first,) = Plan(grid)
+    (again,) = Plan(grid)
+    (tmp_path / "m/model.json").write_text((tmp_path / "m/model.json").read_text() + " ")
+    (other,) = Plan(grid)
+    assert first.key == again.key != other.key
+    assert first.condition == other.condition
+
+
+def test_a_new_schema_makes_every_cell_new(monkeypatch):
+    (before,) = Plan(expand(["seed=0"]))
+    monkeypatch.setattr(cell_keys, "SCHEMA", 99)
+    assert list(Plan(expand(["seed=0"])))[0].key != before.key
+
+
+@pytest.mark.parametrize(
+    "setting",
+    ["engine=dask", "engine=slurm", "evaluate.workers=1", "evaluate.memory=1", "evaluate.metric=rmse", "gp=full"],
+)
+def test_an_irrelevant_setting_flies_nothing(tmp_path, setting):
+    fly(expand(["seed=range(3)"]), tmp_path / "r")
+    (tmp_path / "r").rename(tmp_path / "elsewhere")
+    assert fly(expand(["seed=range(3)", setting]), tmp_path / "elsewhere").flown == 0
+
+
+@pytest.mark.parametrize(
+    "setting",
+    ["plant.payload=0.1", "vehicle.mass=1.01", "controller.nodes=11", "trajectory.speed=8.5", "sensor=lei_li"],
+)
+def test_a_relevant_setting_flies_everything(tmp_path, setting):
+    fly(expand(["seed=range(3)"]), tmp_path / "r")
+    assert fly(expand(["seed=range(3)", setting]), tmp_path / "r", force=True).flown == 3
+
+
+class TestCells:
+    def test_they_are_made_when_asked_for(self):
+        made = []
+        grids = [(("a=1", "a=2"), ("seed=0", "seed=1", "seed=2")), (("a=3",), ("seed=9",))]
+        grid = Cells(grids, lambda overrides: made.append(overrides) or overrides)
+        assert len(grid) == 7 and made == []
+        expected = [(f"a={a}", f"seed={s}") for a in (1, 2) for s in (0, 1, 2)] + [("a=3", "seed=9")]
+        assert [cell.overrides for cell in grid] == expected == made
+        assert grid[-1].overrides == expected[-1] and [c.overrides for c in grid[2:4]] == expected[2:4]
+        assert {cell.varied for cell in grid} == {"a=1", "a=2", "a=3"}
+        with pytest.raises(IndexError):
+            grid[7]
+
+    def test_of_a_million_one_can_be_had(self):
+        grid = Cells([(("a=1", "a=2"), tuple(f"seed={i}" for i in range(500_000)))], lambda overrides: None)
+        assert grid[999_999].overrides == ("a=2", "seed=499999")
+
+    @pytest.mark.parametrize(
+        "overrides",
+        [
+            ["trajectory=random,circle", "seed=0,7", "plant=simplified,ideal"],
+            ["controller=gp_mpc,perfect_mpc", "controller.nodes=10,20", "trajectory=random", "trajectory.seed=1,2"],
+            ["trajectory.radius='${trajectory.speed}'", "seed=1,2"],
+            ["experiment=quick", "seed=3"],
+            ["experiment=torrente_table1", "seed=0"],
+        ],
+        ids=lambda o: " ".join(o),
+    )
+    def test_each_is_what_it_would_be_alone(self, overrides):
+        with session() as composer:
+            grid = composer.expand(overrides)
+        with session() as another_one:
+            for cell in grid[:: len(grid) // 8 + 1]:  # also when the session is over
+                alone = another_one.compose(cell.overrides)
+                alone.sweep = None
+                assert cell.config == alone
+
+
+class TestInterrupted:
+    def test_rows_are_kept_while_a_sweep_runs(self, tmp_path, monkeypatch):
+        monkeypatch.setattr("quadexp.sweep.sweep_table.CELLS_BETWEEN", 4)
+        grid = expand(["seed=range(10)"])
+
+        def stop(done, total):
+            if done == 9:
+                raise KeyboardInterrupt
+
+        with pytest.raises(Exception, match="of 10 done"):
+            fly(grid, tmp_path / "r", progress=stop)
+        assert (tmp_path / "r/cells/rows.parquet").exists()
+        assert sum(row["wanted"] for row in list_results(tmp_path / "r")) in (9, 10)  # one may have been under way
+
+    def test_rows_are_taken_from_the_flights_and_not_from_their_copy(self, tmp_path):
+        """Which may be of a flight that has been flown again since, or edited."""
+        grid, out = expand(["seed=range(3)"]), tmp_path / "r"
+        first = fly(grid, out)
+        columns, _ = read_table(out / "results.parquet", "results")
+        for path in (out / "results.parquet", out / "cells/rows.parquet"):
+            write_table(path, {**columns, "rmse": 2 * columns["rmse"]}, {}, "results")
+        second = fly(grid, out)
+        assert second.flown == 0 and list(second.rows) == list(first.rows)
+        assert not (out / "cells/rows.parquet").exists()
+
+    def test_a_damaged_copy_of_the_rows_costs_nothing(self, tmp_path):
+        grid = expand(["seed=range(3)"])
+        fly(grid, tmp_path / "r")
+        Path(tmp_path / "r/results.parquet").unlink()
+        Path(tmp_path / "r/cells/rows.parquet").write_bytes(b"half")
+        assert fly(grid, tmp_path / "r").flown == 0

@@ -1,0 +1,123 @@
+"""`quadexp results`: what lies in a folder, and what may go."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from quadexp.config.compose import expand
+from quadexp.errors import UsageError
+from quadexp.log.cell_store import CellStore
+from quadexp.sweep.engine import LocalEngine
+from quadexp.sweep.results import list_results, prune
+from quadexp.sweep.sweep import run_sweep
+from tests.cli.command import run
+from tests.experiment import cells
+from tests.sweep.test_sweep import GRID, files, fly
+
+
+@pytest.fixture
+def flown(tmp_path):
+    fly(expand(GRID), tmp_path / "r")
+    return tmp_path / "r"
+
+
+class TestList:
+    def test_everything_in_the_order_of_the_sweep(self, flown):
+        rows = list_results(flown)
+        assert [(r["speed"], r["controller"], r["seed"]) for r in rows][2:4] == [
+            (4.0, "nominal_mpc", 2),
+            (4.0, "perfect_mpc", 0),
+        ]
+        assert all(row["wanted"] for row in rows)
+
+    @pytest.mark.parametrize(
+        ("filters", "count"),
+        [(["seed=1"], 4), (["seed=0,2", "speed=8"], 4), (["controller=perf*"], 6), (["controller=x"], 0)],
+    )
+    def test_filters_must_all_hold(self, flown, filters, count):
+        assert len(list_results(flown, filters)) == count
+
+    def test_sorted(self, flown):
+        errors = [row["mean_error"] for row in list_results(flown, sort="-mean_error")]
+        assert errors == sorted(errors, reverse=True)
+        assert [row["seed"] for row in list_results(flown, sort="seed")][:5] == [0, 0, 0, 0, 1]
+
+    @pytest.mark.parametrize("wrong", [{"filters": ["sped=4"]}, {"sort": "sped"}])
+    def test_a_column_that_is_none(self, flown, wrong):
+        with pytest.raises(UsageError, match="sped: no such column; did you mean speed"):
+            list_results(flown, **wrong)
+
+    def test_failures_with_their_causes(self, tmp_path):
+        grid = expand(["seed=0,2,6"])
+        run_sweep(grid, tmp_path / "r", function=cells.poisoned_cell, engine=LocalEngine(1))
+        (row,) = list_results(tmp_path / "r", failures=True)
+        assert (row["seed"], row["outcome"], row["cause"]) == (2, "failed", "ValueError: this seed does not work")
+
+    def test_cells_of_an_earlier_sweep_are_listed_as_not_wanted(self, flown):
+        fly(expand(["seed=9"]), flown, force=True)
+        rows = list_results(flown)
+        assert len(rows) == 13 and sum(row["wanted"] for row in rows) == 1
+        assert len(list_results(flown, ["wanted=true"])) == 1
+
+    def test_a_sweep_that_is_not_finished(self, flown):
+        (flown / "results.parquet").unlink()
+        assert len(list_results(flown)) == 12
+
+    def test_a_damaged_cell_is_listed(self, flown):
+        key = list_results(flown)[0]["key"]
+        CellStore(flown).path(key).write_bytes(b"no")
+        (flown / "results.parquet").unlink()
+        (row,) = list_results(flown, failures=True)
+        assert row["key"] == key and "not a Parquet file" in row["cause"]
+
+    def test_a_folder_of_other_things(self, tmp_path):
+        with pytest.raises(UsageError, match="holds no results"):
+            list_results(tmp_path)
+
+
+class TestPrune:
+    def test_what_the_last_sweep_did_not_ask_for(self, flown):
+        fly(expand(["seed=9"]), flown, force=True)
+        said = prune(flown)
+        assert len(said.keys) == 12 and said.size > 0 and not said.removed
+        assert len(CellStore(flown).done()) == 13, "nothing goes without being told"
+        assert prune(flown, remove=True).removed
+        assert len(CellStore(flown).done()) == 1 == len(list_results(flown))
+        assert fly(expand(["seed=9"]), flown).flown == 0
+
+    def test_what_is_named_goes_from_the_table_too(self, flown):
+        assert len(prune(flown, ["controller=perfect_mpc"], remove=True).keys) == 6
+        assert {row["controller"] for row in list_results(flown)} == {"nominal_mpc"}
+        smaller = expand(["trajectory.speed=4,8", "controller=nominal_mpc", "seed=range(3)"])
+        assert fly(smaller, flown).flown == 0, "the smaller sweep is not another one"
+        assert fly(expand(GRID), flown).flown == 6
+
+    def test_everything(self, flown):
+        prune(flown, ["controller=*"], remove=True)
+        assert not [name for name in files(flown) if name.endswith((".parquet", ".csv"))]
+
+    def test_without_a_table_nobody_knows_what_is_wanted(self, flown):
+        (flown / "results.parquet").unlink()
+        with pytest.raises(UsageError, match="name the others by KEY=VALUE"):
+            prune(flown, remove=True)
+
+
+class TestCommand:
+    def test_list(self, flown):
+        code, out, err = run("results", str(flown), "controller=nominal_mpc", "--sort", "-mean_error", "--limit", "2")
+        assert code == 0 and out.count("nominal_mpc") == 2 and "6 cells, 6 ok" in err
+        code, out, _ = run("results", str(flown), "seed=1", "--json")
+        record = json.loads(out)
+        assert record["count"] == 4 and {row["seed"] for row in record["rows"]} == {1}
+
+    def test_prune(self, flown):
+        code, out, _ = run("results", str(flown), "seed=1", "--prune")
+        assert code == 0 and out.startswith("4 cells") and "--yes" in out
+        code, out, _ = run("results", str(flown), "seed=1", "--prune", "--yes", "--json")
+        assert json.loads(out)["removed"] is True and len(CellStore(flown).done()) == 8
+
+    def test_a_mistake_is_one_line(self, flown):
+        code, out, err = run("results", str(flown), "sede=1")
+        assert (code, out) == (2, "") and err.startswith("error: sede: no such column; did you mean seed?")

@@ -1,0 +1,300 @@
+"""Sweeps: done cells stay done, whatever happened in between; one folder holds one sweep."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+
+from quadexp.config.compose import expand
+from quadexp.errors import UsageError
+from quadexp.log.cell_store import CellStore
+from quadexp.log.store import read_flight, read_table
+from quadexp.sweep import keys as cell_keys
+from quadexp.sweep.engine import LocalEngine
+from quadexp.sweep.keys import cell_key
+from quadexp.sweep.plan import Plan
+from quadexp.sweep.sweep import SweepInterrupted, run_sweep
+from tests.experiment import cells
+
+GRID = ["trajectory.speed=4,8", "controller=nominal_mpc,perfect_mpc", "seed=range(3)"]
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def grid():
+    return expand(GRID)
+
+
+def fly(grid, out, **options):
+    return run_sweep(grid, out, function=options.pop("function", cells.quick_cell), workers=2, **options)
+
+
+def files(folder):
+    return sorted(str(path.relative_to(folder)) for path in Path(folder).rglob("*") if path.is_file())
+
+
+class TestKeys:
+    def test_the_key_is_the_configuration(self):
+        a, b = expand(["trajectory.speed=4,8"])
+        assert cell_key(a.config, {}) != cell_key(b.config, {})
+        assert cell_key(a.config, {}) == cell_key(expand(["trajectory.speed=4"])[0].config, {})
+
+    def test_what_cannot_change_a_flight_is_not_in_the_key(self):
+        keys = {
+            cell_key(expand([extra])[0].config, {})
+            for extra in (
+                "seed=0",
+                "evaluate.workers=7",
+                "evaluate.metric=rmse",
+                "evaluate.baseline=gp_mpc",
+                "evaluate.confidence=0.9",
+                "gp.inducing=50",
+                "collect.duration=5",
+            )
+        }
+        assert len(keys) == 1
+
+    def test_the_content_of_the_checkpoint_is(self):
+        config = expand(["controller=gp_mpc"])[0].config
+        keys = {cell_key(config, {"model": content}) for content in ("a", "b")}
+        assert len(keys | {cell_key(config, {})}) == 3
+
+    def test_how_a_number_is_written_is_not(self):
+        keys = {cell_key(expand([f"trajectory.speed={text}"])[0].config, {}) for text in ("8", "8.0", "8e0")}
+        assert len(keys) == 1
+
+    def test_a_new_schema_makes_every_cell_new(self, monkeypatch):
+        config = expand([])[0].config
+        before = cell_key(config, {})
+        monkeypatch.setattr(cell_keys, "SCHEMA", 99)
+        assert cell_key(config, {}) != before
+
+    def test_cells_that_are_one_flight_are_flown_once(self):
+        # nominal_mpc reads no checkpoint, whatever `model` says.
+        assert len(Plan(expand(["model=a,b", "controller=nominal_mpc"]))) == 1
+
+
+class TestSweep:
+    def test_rows_in_order_and_all_files(self, grid, tmp_path):
+        result = fly(grid, tmp_path / "r")
+        assert result.flown == 12 and not result.not_flown
+        assert [(r["speed"], r["controller"], r["seed"]) for r in result.rows][:4] == [
+            (4.0, "nominal_mpc", 0),
+            (4.0, "nominal_mpc", 1),
+            (4.0, "nominal_mpc", 2),
+            (4.0, "perfect_mpc", 0),
+        ]
+        assert [r["mean_error"] for r in result.rows[:3]] == pytest.approx([0.0, 0.01, 0.02])
+        written = files(tmp_path / "r")
+        assert len([f for f in written if f.startswith("cells")]) == 12
+        tables = {"results.parquet", "results.csv", "table.md", "table.tex", "statistics.parquet", "statistics.csv"}
+        assert tables < set(written)
+        columns, record = read_table(tmp_path / "r" / "results.parquet", "results")
+        assert len(columns["key"]) == 12 and len(record["conditions"]) == 12
+        flight = read_flight(CellStore(tmp_path / "r").path(columns["key"][0]))
+        assert flight.metadata["row"]["controller"] == "nominal_mpc"
+
+    def test_a_second_run_flies_nothing_and_says_the_same(self, grid, tmp_path):
+        first = fly(grid, tmp_path / "r")
+        second = fly(grid, tmp_path / "r")
+        assert second.flown == 0
+        assert [r["key"] for r in second.rows] == [r["key"] for r in first.rows]
+        assert [r["rmse"] for r in second.rows] == [r["rmse"] for r in first.rows]
+
+    def test_a_second_run_leaves_what_it_would_write_again(self, grid, tmp_path):
+        fly(grid, tmp_path / "r")
+        at = {name: (tmp_path / "r" / name).stat().st_mtime_ns for name in ("results.parquet", "results.csv")}
+        fly(grid, tmp_path / "r")
+        assert at == {name: (tmp_path / "r" / name).stat().st_mtime_ns for name in at}
+        other = fly(grid, tmp_path / "r", metric="rmse")
+        assert read_table(other.out / "results.parquet", "results")[1]["metric"] == "rmse"
+        (tmp_path / "r" / "results.csv").unlink()
+        fly(grid, tmp_path / "r", metric="rmse")
+        assert len((tmp_path / "r" / "results.csv").read_text().splitlines()) == 13
+
+    def test_many_cells_again_are_recalled_from_their_files(self, tmp_path, monkeypatch):
+        """Every one by the hash of its bytes: nothing is decoded, and no table is asked."""
+        overrides = ["controller=nominal_mpc,perfect_mpc", "seed=range(50)"]
+        first = run_sweep(expand(overrides), tmp_path / "r", function=cells.bare_cell, isolate=False)
+        for name in ("results.parquet", "results.csv"):
+            (tmp_path / "r" / name).unlink()
+        monkeypatch.setattr("quadexp.log.store.read_table", lambda *_, **__: pytest.fail("a flight was decoded"))
+        again = run_sweep(expand(overrides), tmp_path / "r")
+        assert again.flown == 0 and len(again.rows) == 100
+        assert [row["key"] for row in again.rows] == [row["key"] for row in first.rows]
+
+    def test_a_lost_cell_is_flown_again_and_only_that(self, grid, tmp_path):
+        first = fly(grid, tmp_path / "r")
+        CellStore(tmp_path / "r").remove([first.rows[5]["key"]])
+        (tmp_path / "r" / "counts").mkdir()
+        assert fly(grid, tmp_path / "r").flown == 1
+        assert files(tmp_path / "r" / "counts") == [first.rows[5]["key"]]
+
+    def test_force_flies_everything_again(self, grid, tmp_path):
+        fly(grid, tmp_path / "r")
+        assert fly(grid, tmp_path / "r", force=True).flown == 12
+
+    def test_more_seeds_may_be_added(self, grid, tmp_path):
+        fly(grid, tmp_path / "r")
+        more = fly(expand([*GRID[:2], "seed=range(4)"]), tmp_path / "r")
+        assert more.flown == 4 and len(more.rows) == 16
+
+    def test_another_sweep_is_refused_unless_forced(self, grid, tmp_path):
+        fly(grid, tmp_path / "r")
+        other = expand(["trajectory.speed=5", "seed=0"])
+        with pytest.raises(UsageError, match=r"holds the results of another sweep \(12 of its 12 cells"):
+            fly(other, tmp_path / "r")
+        assert len(read_table(tmp_path / "r" / "results.parquet", "results")[0]["key"]) == 12
+        assert len(fly(other, tmp_path / "r", force=True).rows) == 1
+
+    def test_a_folder_of_other_things_is_refused(self, grid, tmp_path):
+        (tmp_path / "thesis.tex").touch()
+        with pytest.raises(UsageError, match="is a folder of other things"):
+            fly(grid, tmp_path)
+        assert files(tmp_path) == ["thesis.tex"]
+
+    def test_two_sweeps_in_one_folder_exclude_each_other(self, grid, tmp_path):
+        store = CellStore(tmp_path / "r")
+        store.open()
+        with store.lock(), pytest.raises(UsageError, match="another sweep is running"):
+            fly(grid, tmp_path / "r")
+
+    def test_progress_counts_what_was_done_before(self, grid, tmp_path):
+        fly(grid[:6], tmp_path / "r")
+        seen = []
+        fly(grid, tmp_path / "r", progress=lambda done, total: seen.append((done, total)))
+        assert seen[0] == (6, 12) and seen[-1] == (12, 12)
+
+    def test_settings_that_contradict_each_other_are_said_before_anything_is_flown(self, tmp_path):
+        with pytest.raises(UsageError, match="step_time"):
+            fly(expand(["trajectory=step", "trajectory.duration=0.5,5"]), tmp_path / "r")
+        assert files(tmp_path) == []
+
+    def test_cells_of_one_controller_are_flown_one_after_the_other(self, grid):
+        plan = Plan(grid)
+        names = [plan.job(key).cell.config.controller.name for key in plan.flying_order(list(plan.places))]
+        # One of each first, so that two workers begin by building two controllers and not the same one.
+        assert names == ["nominal_mpc", "perfect_mpc", *["nominal_mpc"] * 5, *["perfect_mpc"] * 5]
+
+    def test_the_order_depends_on_what_is_built_and_not_on_what_is_flown(self):
+        plan = Plan(expand(["controller=nominal_mpc", "controller.nodes=10,20", "controller.horizon=1,2", "seed=0,1"]))
+        jobs = [plan.job(key) for key in plan.flying_order(list(plan.places))]
+        assert sorted(job.key for job in jobs) == sorted(plan.places)
+        nodes = [(job.cell.config.controller.nodes, job.cell.config.controller.horizon) for job in jobs]
+        assert nodes == [(10, 1.0), (20, 1.0), (10, 1.0), (10, 2.0), (10, 2.0), (20, 1.0), (20, 2.0), (20, 2.0)]
+
+
+class TestPoison:
+    def test_each_poisoned_cell_is_a_failed_row_and_the_rest_flies(self, tmp_path):
+        grid = expand(["seed=range(8)"])
+        engine = LocalEngine(2, timeout=15.0, memory=0.6)
+        result = run_sweep(grid, tmp_path / "r", function=cells.poisoned_cell, engine=engine)
+        assert [row["outcome"] for row in result.rows] == ["ok", *["failed"] * 5, "ok", "ok"]
+        causes = [row["cause"] for row in result.rows]
+        assert "died" in causes[1] and causes[2] == "ValueError: this seed does not work" and "longer" in causes[3]
+        assert causes[4] == "took more memory than evaluate.memory allows" and "exit code -11" in causes[5]
+        assert math.isnan(result.rows[1]["mean_error"])
+        assert not [name for name in files(tmp_path) if name.endswith(".tmp")]
+        assert len([name for name in files(tmp_path) if "cells/" in name]) == 3
+        # The failed ones are tried again next time, and only they.
+        again = run_sweep(grid, tmp_path / "r", function=cells.quick_cell, workers=2)
+        assert again.flown == 5 and not again.not_flown
+
+    def test_a_damaged_cell_is_flown_again(self, grid, tmp_path):
+        """Where the table does not know it; it costs one flight, not the sweep."""
+        fly(grid, tmp_path)
+        (tmp_path / "results.parquet").unlink()
+        next(tmp_path.rglob("cells/*/*.parquet")).write_bytes(b"PAR1")
+        result = fly(grid, tmp_path)
+        assert result.flown == 1 and not result.not_flown
+
+
+class TestInterrupt:
+    SCRIPT = textwrap.dedent(
+        """
+        import sys
+        from quadexp.config.compose import expand
+        from quadexp.errors import QuadexpError
+        from quadexp.sweep.sweep import run_sweep
+        from tests.sweep.cells import slow_cell
+
+        if __name__ == "__main__":
+            say = lambda done, total: print(done, flush=True)
+            try:
+                run_sweep(expand(["seed=range(40)"]), sys.argv[1], workers=2, function=slow_cell, progress=say)
+            except QuadexpError as error:
+                print("error:", error, flush=True)
+                sys.exit(error.exit_code)
+        """
+    )
+
+    def start(self, tmp_path, **options):
+        script = tmp_path / "script.py"
+        script.write_text(self.SCRIPT)
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        return subprocess.Popen(
+            [sys.executable, str(script), str(tmp_path / "r")],
+            env=environment,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,  # a group of its own, so that Ctrl-C can be sent to all of it, as a terminal does
+            **options,
+        )
+
+    @staticmethod
+    def wait_for(process, count):
+        for line in process.stdout:
+            if line.strip().isdigit() and int(line) >= count:
+                return
+
+    @staticmethod
+    def group_members(group):
+        found = []
+        for entry in Path("/proc").glob("[0-9]*/stat"):
+            try:
+                fields = entry.read_text().rpartition(")")[2].split()
+            except OSError:
+                continue
+            if int(fields[2]) == group and fields[0] != "Z":
+                found.append(int(entry.parent.name))
+        return found
+
+    @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+    @pytest.mark.parametrize("whole_group", [True, False])
+    def test_ctrl_c_keeps_what_is_done_and_leaves_nothing_else(self, tmp_path, whole_group):
+        process = self.start(tmp_path)
+        self.wait_for(process, 6)
+        os.killpg(process.pid, signal.SIGINT) if whole_group else process.send_signal(signal.SIGINT)
+        rest = process.communicate(timeout=600)[0]
+        assert process.returncode == 1
+        line = rest.strip().splitlines()[-1]
+        done = int(line.split()[1])
+        assert line == f"error: {done} of 40 done; run the same command to continue" and done >= 6
+        assert len(CellStore(tmp_path / "r").done()) == done
+        assert not [name for name in files(tmp_path) if name.endswith((".tmp", ".lock"))]
+        deadline = time.time() + 120
+        while self.group_members(process.pid) and time.time() < deadline:
+            time.sleep(0.05)
+        assert self.group_members(process.pid) == [], "orphans"
+
+    def test_kill_9_of_the_whole_sweep_at_half_costs_the_cells_in_flight(self, tmp_path):
+        process = self.start(tmp_path)
+        self.wait_for(process, 10)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        process.stdout.close()
+        before = CellStore(tmp_path / "r").done()
+        assert len(before) >= 10
+        result = run_sweep(expand(["seed=range(40)"]), tmp_path / "r", workers=2, function=cells.quick_cell)
+        assert result.flown == 40 - len(before) and not result.not_flown
+
+    def test_interrupted_is_a_failure_with_one_line(self):
+        assert SweepInterrupted("x").exit_code == 1

@@ -1,0 +1,223 @@
+"""`quadexp results --verify`, and what the next run of a sweep does about what was edited or damaged."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from quadexp.errors import DataError, UsageError
+from quadexp.log.cell_store import CellStore
+from quadexp.log.store import read_flight, read_table, write_flight, write_table
+from quadexp.sweep.results import list_results
+from quadexp.sweep.verify import verify_results
+from tests.cli.command import run
+from tests.sweep.test_old_cells import contents, fly
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    out = tmp_path_factory.mktemp("flown") / "r"
+    fly(out)
+    return out
+
+
+@pytest.fixture
+def folder(flown, tmp_path):
+    shutil.copytree(flown, tmp_path / "r")
+    return tmp_path / "r"
+
+
+def edit(path, column, row, value):
+    """Change one value with pyarrow, which keeps the metadata."""
+    table = pq.read_table(path)
+    values = table[column].to_pylist()
+    values[row] = value
+    place = table.column_names.index(column)
+    pq.write_table(table.set_column(place, table.field(column), pa.array(values, table.field(column).type)), path)
+
+
+def cell(folder, at=0):
+    return CellStore(folder).path(list_results(folder)[at]["key"])
+
+
+def untimed(folder):
+    """results.csv as it is read by people."""
+    return (folder / "results.csv").read_text()
+
+
+def test_a_sound_folder(folder):
+    found = verify_results(folder)
+    assert not found.wrong and not found.unhashed
+    assert found.files == sum(path.is_file() for path in folder.rglob("*"))
+    code, out, _ = run("results", folder, "--verify")
+    assert code == 0 and out.strip() == f"{found.files} files, 0 wrong"
+
+
+def flip(path, at):
+    content = bytearray(path.read_bytes())
+    content[at] ^= 0x10
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("where", [5, 0.3, 0.6, 0.9, -3, -200])
+def test_a_cell_with_a_flipped_byte_is_named_and_flown_again(folder, where):
+    before, path = untimed(folder), cell(folder, 2)
+    flip(path, int(where * path.stat().st_size) if isinstance(where, float) else where)
+    assert list(verify_results(folder).wrong) == [str(path)]
+    code, out, err = run("results", folder, "--verify")
+    assert code == 1 and out.startswith(f"{path}: ") and "1 files do not hold what was written" in err
+    result = fly(folder)
+    assert result.flown == 1 and untimed(folder) == before
+    (note,) = result.notes
+    assert note.startswith("1 cells have changed since they were flown and are flown again") and str(path) in note
+    assert not verify_results(folder).wrong
+    assert fly(folder).flown == 0
+
+
+def test_a_flight_edited_with_pyarrow(folder):
+    before, path = untimed(folder), cell(folder, 1)
+    edit(path, "p_x", 3, 17.5)
+    assert list(verify_results(folder).wrong) == [str(path)]
+    with pytest.raises(DataError, match="edited or damaged"):
+        read_flight(path)
+    assert fly(folder).flown == 1 and untimed(folder) == before
+
+
+def test_a_cell_under_another_s_name(folder):
+    shutil.copy(cell(folder, 0), cell(folder, 1))
+    assert list(verify_results(folder).wrong) == [str(cell(folder, 1))]
+    assert fly(folder).flown == 1 and not verify_results(folder).wrong
+
+
+def test_edited_results_do_not_come_back(folder):
+    """The rows of the next run are those of the flights."""
+    before, path = untimed(folder), folder / "results.parquet"
+    edit(path, "mean_error", 0, 1e-4)
+    found = verify_results(folder)
+    assert "do not match their hash" in found.wrong[str(path)]
+    for read in ("show", "results", "report"):
+        code, _, err = run(read, folder, *(["--out", folder.parent / "x.html"] if read == "report" else []))
+        assert code == 1 and "edited or damaged" in err and err.count("\n") == 1
+    result = fly(folder)
+    assert result.flown == 0 and untimed(folder) == before
+    assert [note for note in result.notes if str(path) in note and note.endswith("written anew")]
+    assert not verify_results(folder).wrong
+
+
+def test_results_with_a_hash_of_their_own_are_compared_with_the_flights(folder):
+    """Who writes them anew with this program's own means has a right hash, and still not what was flown."""
+    path = folder / "results.parquet"
+    columns, record = read_table(path, "results")
+    columns["rmse"] = columns["rmse"].copy()
+    columns["rmse"][1] *= 0.5
+    write_table(path, columns, record, "results")
+    found = verify_results(folder)
+    assert list(found.wrong) == [str(path)]
+    assert found.wrong[str(path)] == f"1 rows are not what their flights say, the first {columns['key'][1]} (rmse)"
+    cell(folder, 3).unlink()
+    assert "1 rows are of flights that are not there" in verify_results(folder).wrong[str(path)]
+    assert fly(folder).flown == 1 and not verify_results(folder).wrong
+
+
+@pytest.mark.parametrize("name", ["results.csv", "statistics.csv", "table.md", "table.tex", "comparison.tex"])
+def test_a_text_edited_by_hand_is_noticed_and_written_anew(folder, name):
+    path = folder / name
+    text = path.read_text()
+    digits = [i for i, letter in enumerate(text) if letter in "12345678"]
+    at = digits[len(digits) // 2]
+    path.write_text(text[:at] + str(int(text[at]) + 1) + text[at + 1 :])
+    assert list(verify_results(folder).wrong) == [str(path)]
+    result = fly(folder)
+    assert result.flown == 0 and path.read_text() == text
+    (note,) = result.notes
+    assert str(path) in note and "edited" in note and note.endswith("written anew")
+    assert not verify_results(folder).wrong and not fly(folder).notes
+
+
+@pytest.mark.parametrize("name", ["results.csv", "table.md", "statistics.parquet"])
+def test_what_is_not_there_is_written_anew(folder, name):
+    before = contents(folder)
+    (folder / name).unlink()
+    assert (str(folder / name) in verify_results(folder).wrong) == (name != "statistics.parquet")
+    assert fly(folder).flown == 0
+    assert (folder / name).read_bytes() == before[(folder / name).relative_to(folder)]
+
+
+def test_edited_statistics_are_not_believed(folder):
+    path, before = folder / "statistics.parquet", (folder / "table.md").read_text()
+    edit(path, "mean", 0, 0.123)
+    assert list(verify_results(folder).wrong) == [str(path)]
+    fly(folder)
+    assert not verify_results(folder).wrong and (folder / "table.md").read_text() == before
+
+
+def test_more_cells_are_no_edit(folder):
+    result = fly(folder, ["trajectory.speed=2", "controller=nominal_mpc,perfect_mpc", "seed=0,1,2"])
+    assert result.flown == 2 and not result.notes and not verify_results(folder).wrong
+
+
+def test_a_folder_of_before_there_were_hashes_is_said_and_is_no_failure(folder):
+    import hashlib
+
+    from quadexp.log.store import HASH_KEY, METADATA_KEY
+
+    for path in [*folder.glob("cells/*/*.parquet"), *folder.glob("*.parquet")]:
+        table = pq.read_table(path)
+        record = json.loads(table.schema.metadata[METADATA_KEY])
+        record.pop("made", None)
+        raw = json.dumps(record, sort_keys=True).encode()
+        digest = hashlib.sha256(b"\0".join([raw, *(name.encode() for name in table.column_names)])).hexdigest()
+        pq.write_table(table.replace_schema_metadata({METADATA_KEY: raw, HASH_KEY: digest}), path)
+    found = verify_results(folder)
+    assert not found.wrong and len(found.unhashed) == found.files == sum(p.is_file() for p in folder.rglob("*"))
+    code, out, _ = run("results", folder, "--verify")
+    assert code == 0 and f"{found.files} files are of an earlier version, without a hash" in out
+    assert fly(folder).flown == 0, "they are read in full instead"
+    flip(cell(folder), 3000)
+    assert fly(folder).flown == 1
+
+
+def test_a_folder_of_other_things(tmp_path):
+    with pytest.raises(UsageError, match="holds no results"):
+        verify_results(tmp_path)
+    code, _, err = run("results", tmp_path, "seed=0", "--verify")
+    assert code == 2 and "give it alone" in err
+
+
+class TestOtherFiles:
+    """A flight of one's own, a data set, an imported flight: where they are read in full."""
+
+    def test_an_edited_flight_teaches_nothing(self, folder, tmp_path):
+        flight = read_flight(cell(folder))
+        path = write_flight(tmp_path / "a.parquet", flight)
+        edit(path, "v_x", 2, 3.0)
+        for command in (["collect", "--flight", path, "--out", tmp_path / "d.parquet"], ["show", path]):
+            code, _, err = run(*command)
+            assert code == 1 and f"{path}: its columns do not match their hash" in err
+        assert not (tmp_path / "d.parquet").exists()
+
+    def test_an_edited_data_set_is_not_fitted(self, tmp_path):
+        data = tmp_path / "d.parquet"
+        fixed = ("controller.backend=interpreted", "plant.backend=interpreted", "collect.duration=4")
+        assert run("collect", *fixed, "--out", data)[0] == 0
+        edit(data, "a_x", 5, 0.25)
+        code, _, err = run("fit-drag", data, "--out", tmp_path / "m")
+        assert code == 1 and "its columns do not match their hash" in err and not (tmp_path / "m").exists()
+
+    def test_an_edited_import_is_refused(self, folder, tmp_path):
+        flight = read_flight(cell(folder))
+        columns = {name: np.asarray(flight[name]) for name in flight.columns}
+        text = [",".join(columns)] + [",".join(repr(float(v[k])) for v in columns.values()) for k in range(len(flight))]
+        (tmp_path / "log.csv").write_text("\n".join(text) + "\n")
+        code, _, err = run("import", tmp_path / "log.csv", "--out", tmp_path / "flights", "--keep")
+        path = tmp_path / "flights" / "log.parquet"
+        assert code == 0 and path.is_file(), err
+        assert read_flight(path, check=False)
+        edit(path, "p_z", 1, 9.0)
+        code, out, err = run("check", path)
+        assert code == 1 and "its columns do not match their hash" in out + err

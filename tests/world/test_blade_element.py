@@ -1,0 +1,238 @@
+"""The blade-element plant: the paper's motion in the paper's frame, its integrators, its options, and its limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quadexp.errors import ModelDomainError, UsageError
+from quadexp.physics.rigid_body import corrected_function
+from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
+from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant, PlantChange
+from tests import paper
+from tests.states import random_state
+
+LEVEL = np.r_[np.zeros(3), 1, np.zeros(9)]
+ROLL_OVER = Rotation.from_euler("x", np.pi)  # FLU to FRD
+ENU_TO_NED = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1.0]])
+
+
+@pytest.fixture
+def plant(lei_li, blade) -> BladeElementPlant:
+    return BladeElementPlant(lei_li, blade, backend="interpreted")
+
+
+def cruise(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """A state of fast flight and a command."""
+    x = random_state(rng, speed=4.0, rate=1.0)
+    x[ATTITUDE] = Rotation.from_euler("zyx", [rng.uniform(-3, 3), *rng.uniform(-0.6, 0.6, 2)]).as_quat(
+        scalar_first=True
+    )
+    return x, rng.uniform(1.5, 4, 4)
+
+
+def test_hovers(plant, lei_li):
+    x, reading = plant.advance(LEVEL, np.full(4, lei_li.hover_thrust), 1.0)
+    assert x == pytest.approx(LEVEL, abs=1e-12)
+    assert reading == pytest.approx([0, 0, 9.81], rel=1e-13)
+    assert plant.induced_velocity == pytest.approx(np.full(4, 4.70714871732553), rel=1e-12)
+    assert plant.rotor_speed == pytest.approx(np.sqrt(lei_li.hover_thrust / lei_li.static_thrust))
+
+
+def test_one_euler_step_of_the_paper(plant, rng):
+    """(1)-(3) in NED/FRD with forces by hand: one step of 1e-4 s, all of it converted at the edge."""
+    h = 1e-4
+    for _ in range(10):
+        x, u = cruise(rng)
+        after, reading = plant.advance(x, u, h)
+        enu = Rotation.from_quat(x[ATTITUDE], scalar_first=True).as_matrix()
+        R = ENU_TO_NED @ enu @ ROLL_OVER.as_matrix()  # FRD to NED
+        v, omega = ENU_TO_NED @ x[VELOCITY], paper.flip(x[RATE])
+        w = np.sqrt(u / 8.662934999418661e-06)
+        force = paper.point(R.T @ v, w)
+        v_next = v + h * (np.array([0, 0, paper.G]) + R @ force.F / paper.M)
+        turn = np.linalg.solve(paper.J, force.Gamma - np.cross(omega, paper.J @ omega))
+        assert ENU_TO_NED @ after[VELOCITY] - v == pytest.approx(v_next - v, rel=1e-9, abs=1e-12)
+        assert paper.flip(after[RATE]) - omega == pytest.approx(h * turn, rel=1e-9, abs=1e-12)
+        assert after[POSITION] == pytest.approx(x[POSITION] + h * x[VELOCITY], rel=1e-12)
+        q = Rotation.from_quat(x[ATTITUDE], scalar_first=True) * Rotation.from_rotvec(h * x[RATE])
+        step = (Rotation.from_quat(after[ATTITUDE], scalar_first=True).inv() * q).magnitude()
+        assert step < 1e-7 and np.linalg.norm(after[ATTITUDE]) == pytest.approx(1, abs=1e-15)
+        R_next = Rotation.from_quat(after[ATTITUDE], scalar_first=True)
+        V_next = paper.flip(R_next.inv().apply(after[VELOCITY]))
+        assert paper.flip(reading) == pytest.approx(paper.point(V_next, w).F / paper.M, rel=1e-9, abs=1e-9)
+        assert plant.induced_velocity == pytest.approx(paper.point(V_next, w).V_I, rel=1e-9)
+
+
+@pytest.mark.parametrize(("method", "order", "step"), [("euler", 1, 1e-3), ("rk4", 4, 0.02)])
+def test_order_of_convergence(lei_li, blade, rng, method, order, step):
+    x, u = cruise(rng)
+
+    def fly(step, method=method):
+        return BladeElementPlant(lei_li, blade, step=step, method=method, backend="interpreted").advance(x, u, 0.4)[0]
+
+    truth = fly(5e-4, "rk4")
+    errors = [np.abs(fly(h) - truth).max() for h in (step, step / 2)]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.35)
+
+
+def test_back_ends_and_the_safe_solver_agree(lei_li, blade, rng):
+    plants = [BladeElementPlant(lei_li, blade, backend=backend) for backend in ("interpreted", "auto")]
+    for _ in range(5):
+        x, u = cruise(rng)
+        (one, read_one), (two, read_two) = (plant.advance(x, u, 0.01) for plant in plants)
+        assert two == pytest.approx(one, rel=1e-11, abs=1e-11)
+        assert read_two == pytest.approx(read_one, rel=1e-10, abs=1e-10)
+        speed = plants[0].rotor_speed
+        values = {"x": x, "w": speed, "w_command": speed, "parameters": plants[0]._parameters()}
+        checked = plants[0]._fly_checked(100, {**values, "step": 1e-4, "blend": 1.0})
+        assert checked["x_next"] == pytest.approx(one, rel=1e-12, abs=1e-12)
+        assert checked["specific_force"] == pytest.approx(read_one, rel=1e-11, abs=1e-11)
+
+
+def test_the_state_says_it_all(plant, rng):
+    """No memory but the rotors: the same period twice, with anything in between, gives the same numbers."""
+    x, u = cruise(rng)
+    first = plant.advance(x, u, 0.01)[0]
+    plant.advance(*cruise(rng), 0.05)
+    assert np.array_equal(first, plant.advance(x, u, 0.01)[0])
+
+
+@pytest.mark.parametrize("local", [False, True])
+@pytest.mark.parametrize("printed", [False, True])
+def test_residual_is_what_the_plant_does(lei_li, blade, rng, local, printed):
+    effects = BladeElementEffects(rotor_local_velocity=local, printed_coefficients=printed, payload=0.3)
+    change = PlantChange(0.0, lift_scale=(1, 1, 0.8, 1), profile_drag_scale=2.0)
+    plant = BladeElementPlant(lei_li, blade, effects, schedule=[change], backend="interpreted")
+    residual, h = plant.residual(), 1e-6
+    corrected = corrected_function(lei_li, residual)
+    for _ in range(5):
+        x, u = cruise(rng)
+        derivative = np.array(corrected(x, u, residual.theta)).reshape(-1)
+        found = (plant.advance(x, u, h)[0] - x) / h
+        assert found == pytest.approx(derivative, rel=1e-6, abs=1e-5)
+
+
+def test_drag_brings_it_to_rest(plant, lei_li):
+    """Level flight without tilt: the hub forces and the body drag take the speed away, in the direction of flight."""
+    x = LEVEL.copy()
+    x[VELOCITY] = [6, -3, 0]
+    speeds = []
+    for _ in range(20):
+        x, _ = plant.advance(x, np.full(4, lei_li.hover_thrust), 0.01)
+        x[ATTITUDE], x[RATE] = LEVEL[ATTITUDE], 0  # held level by hand
+        speeds.append(np.hypot(*x[7:9]))
+    assert np.all(np.diff(speeds) < 0)
+    assert x[8] / x[7] == pytest.approx(-0.5, rel=1e-9)
+
+
+class TestOptions:
+    def test_motor_lag(self, lei_li, blade):
+        """w(t) = w_1 + (w_0 - w_1) exp(-t / tau) after a step of the command."""
+        plant = BladeElementPlant(lei_li, blade, BladeElementEffects(motor_lag=0.05), backend="interpreted")
+        before, target = plant.rotor_speed.copy(), np.sqrt(4.0 / lei_li.static_thrust)
+        for _ in range(3):
+            plant.advance(LEVEL, np.full(4, 4.0), 0.01)
+        assert plant.rotor_speed == pytest.approx(target + (before - target) * np.exp(-0.03 / 0.05), rel=1e-12)
+
+    def test_payload_and_lost_lift(self, lei_li, blade):
+        """At V = 0 the thrust of a rotor is k_T,static(C_la) w^2; the accelerometer sees force over the true mass."""
+        schedule = [PlantChange(0.01, payload=0.3), PlantChange(0.02, lift_scale=(1, 1, 1, 0.8))]
+        plant = BladeElementPlant(lei_li, blade, step=1e-5, schedule=schedule, backend="interpreted")
+        u, tiny = np.full(4, lei_li.hover_thrust), 1e-5
+        assert plant.advance(LEVEL, u, tiny)[1][2] == pytest.approx(9.81, rel=1e-6)
+        plant.time = 0.01
+        assert plant.advance(LEVEL, u, tiny)[1][2] == pytest.approx(9.81 * 0.985 / 1.285, rel=1e-4)
+        plant.time = 0.02
+        w = np.sqrt(lei_li.hover_thrust / lei_li.static_thrust)
+        weak = paper.thrust(w, 0, 0, paper.induced(w, 0, 0, C_la=0.8 * 3.32), C_la=0.8 * 3.32)
+        x, reading = plant.advance(LEVEL, u, tiny)
+        assert reading[2] == pytest.approx((3 * lei_li.hover_thrust + weak) / 1.285, rel=1e-4)
+        assert x[10] / tiny == pytest.approx(  # the left rotor is weak: it rolls to the left
+            np.linalg.solve(lei_li.inertia_matrix, [0.225 * (weak - lei_li.hover_thrust), 0, 0])[0], rel=2e-2
+        )
+        plant.reset()
+        assert plant.advance(LEVEL, u, tiny)[1][2] == pytest.approx(9.81, rel=1e-6)
+
+    def test_doubled_profile_drag(self, lei_li, blade, rng):
+        double = type(blade)(blade.lift_slope, 2 * blade.profile_drag, blade.body_drag)
+        changed = BladeElementPlant(
+            lei_li, blade, schedule=[PlantChange(0.0, profile_drag_scale=2.0)], backend="interpreted"
+        )
+        x, u = cruise(rng)
+        expected = BladeElementPlant(lei_li, double, backend="interpreted").advance(x, u, 0.01)[0]
+        assert changed.advance(x, u, 0.01)[0] == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+    def test_limits(self, lei_li, blade):
+        free = BladeElementPlant(lei_li, blade, backend="interpreted")
+        assert free.commanded_speed(np.array([-1.0, 0.0, 2.0, 80.0])) == pytest.approx(
+            [50, 50, np.sqrt(2 / lei_li.static_thrust), np.sqrt(80 / lei_li.static_thrust)]
+        )
+        effects = BladeElementEffects(thrust_limits=True, rotor_speed_min=100, rotor_speed_max=1200)
+        limited = BladeElementPlant(lei_li, blade, effects, backend="interpreted")
+        assert limited.commanded_speed(np.array([0.0, 80.0, 12.0, 20.0])) == pytest.approx(
+            [100, 1200, np.sqrt(12 / lei_li.static_thrust), 1200]
+        )
+
+    def test_refused(self, lei_li, blade, vehicle):
+        with pytest.raises(UsageError, match=r"needs vehicle.rotor"):
+            BladeElementPlant(vehicle, blade)
+        with pytest.raises(UsageError, match="plant.method=heun: must be one of euler, rk4"):
+            BladeElementPlant(lei_li, blade, method="heun")
+        with pytest.raises(UsageError, match="lift_scale needs 4 factors"):
+            BladeElementPlant(lei_li, blade, schedule=[PlantChange(1.0, lift_scale=(0.8,))])
+
+
+class TestCornersOfTheModel:
+    def test_descent_through_its_own_wake(self, plant, lei_li):
+        """15 m/s straight down with V_h = 0: V_I > V_z, the paper's assumption, holds, and it flies."""
+        x = LEVEL.copy()
+        x[9] = -15.0
+        for _ in range(20):
+            x, reading = plant.advance(x, np.full(4, lei_li.hover_thrust), 0.01)
+            assert np.all(plant.induced_velocity > -x[9])
+        assert np.isfinite(x).all() and reading[2] > 0
+
+    def test_oblique_descent_without_a_single_answer(self, plant, lei_li):
+        """The point of tests/physics that has three roots below V_z: refused, with rotor, time and reason."""
+        x, w = LEVEL.copy(), 586.4380536131179
+        x[VELOCITY] = [3.2350675658648784, 0, -16.29553718864495]
+        with pytest.raises(
+            ModelDomainError, match=r"rotor 0 at t=0.0000 s: descending through its own wake .*V_h=3.24"
+        ):
+            plant.advance(x, np.full(4, lei_li.static_thrust * w**2), 0.01)
+
+    def test_steep_descent_below_it(self, lei_li, blade):
+        """Idling, V_z > 2.83 V_h and V_I < V_z: the fast iteration is in doubt, the safe solver knows the only root."""
+        plant = BladeElementPlant(lei_li, blade, backend="interpreted")
+        x = LEVEL.copy()
+        x[VELOCITY] = [1.5, 0, -8]
+        x, _ = plant.advance(x, np.zeros(4), 0.001)
+        V = paper.flip(x[VELOCITY])
+        expected = paper.induced(50.0, np.hypot(V[0], V[1]), V[2])
+        assert plant.induced_velocity == pytest.approx(np.full(4, expected), rel=1e-6)
+        assert plant.induced_velocity[0] < V[2]
+
+    def test_tilt_of_89_degrees(self, plant, lei_li):
+        x = LEVEL.copy()
+        x[ATTITUDE] = Rotation.from_euler("y", 89, degrees=True).as_quat(scalar_first=True)
+        x[VELOCITY] = [12, 0, 0]
+        x, reading = plant.advance(x, np.full(4, lei_li.hover_thrust), 0.1)
+        assert np.isfinite(x).all() and np.isfinite(reading).all()
+
+    def test_rotors_idle_at_zero_command(self, plant):
+        x, _ = plant.advance(LEVEL, np.zeros(4), 0.5)
+        assert plant.rotor_speed == pytest.approx(np.full(4, 50.0))
+        assert -9.81 * 0.5 < x[9] < -9.0 * 0.5
+
+    def test_rotors_that_may_stop(self, lei_li, blade):
+        """Zero command with no idle speed: in still air no force at all, and after that no model."""
+        effects = BladeElementEffects(rotor_speed_min=0.0)
+        plant = BladeElementPlant(lei_li, blade, effects, backend="interpreted")
+        with pytest.raises(ModelDomainError, match=r"rotor 0 at t=0.0001 s: it stands still in moving air"):
+            plant.advance(LEVEL, np.zeros(4), 0.01)
+
+    def test_not_finite(self, plant):
+        with pytest.raises(ModelDomainError, match="not a finite number"):
+            plant.advance(np.full(13, np.nan), np.ones(4), 0.01)
