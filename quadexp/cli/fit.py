@@ -1,4 +1,4 @@
-"""Commands that fit a data set: `quadexp fit-gp` and `fit-drag`. Only light modules are imported here; see cli/app.py."""
+"""Commands that fit a data set: `quadexp fit-gp` and `fit-drag`. Only light modules are imported here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands that fly: `quadexp simulate`, `collect` and `evaluate`. Only light modules are imported here; see cli/app.py."""
+"""Commands that fly: `quadexp simulate`, `collect` and `evaluate`. Only light modules are imported here."""
 
 from __future__ import annotations
 
