@@ -39,7 +39,8 @@ from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
-from quadexp.reference import Circle, RandomPolynomial
+from quadexp.reference.circle import Circle
+from quadexp.reference.random_polynomial import RandomPolynomial
 from quadexp.sweep.engine import run_cells
 from quadexp.sweep.sweep import run_sweep
 from quadexp.world import SimplifiedPlant

@@ -38,7 +38,7 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.experiment.rollout import SampledReference, fly
-from quadexp.reference import Circle
+from quadexp.reference.circle import Circle
 
 INTERVAL = 1e-3  # s of processor time
 ROOT = Path(__file__).parent.parent

@@ -50,7 +50,7 @@ from quadexp.experiment.rollout import SampledReference
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
-from quadexp.reference import Circle
+from quadexp.reference.circle import Circle
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.base import Plant
 from quadexp.world.blade_element import BladeElementPlant

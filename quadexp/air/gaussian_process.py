@@ -24,8 +24,7 @@ import numpy.typing as npt
 
 from quadexp.air.base import N_OUTPUTS, OUTPUTS, Residual, feature_names
 from quadexp.air.linear_drag import N_PARAMETERS, linear_drag_acceleration
-from quadexp.air.term_structure import TermStructure
-from quadexp.air.terms import term_acceleration
+from quadexp.air.terms import TermStructure, term_acceleration
 from quadexp.compile.backend import handwritten
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression

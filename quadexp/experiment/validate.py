@@ -196,9 +196,9 @@ def refitted(
                 fresh = fit_gp(rows, GPSettings(**values))
             else:
                 from quadexp.learn.linear_drag import fit_linear_drag
-                from quadexp.learn.trim import trim
+                from quadexp.learn.thrust_scale import with_common_scale
 
-                fresh = fit_linear_drag(trim(rows).dataset, thrust=False, loss=model.loss, intervals=False)
+                fresh = fit_linear_drag(with_common_scale(rows).dataset, thrust=False, loss=model.loss, intervals=False)
         made.append((label, fresh))
     return made
 

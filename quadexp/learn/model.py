@@ -12,15 +12,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quadexp.air.term_structure import TermStructure
 from quadexp.errors import UsageError
 from quadexp.learn.dataset import TARGETS
 from quadexp.learn.linear_drag import LinearDrag
 from quadexp.learn.term_mean import TermMean
+
+if TYPE_CHECKING:
+    from quadexp.air.terms import TermStructure
 
 METHODS = ("sgpr", "subset", "exact")
 MEANS = ("zero", "constant", "linear_drag", "quadratic", "blade_element")

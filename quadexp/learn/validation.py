@@ -2,7 +2,7 @@
 
     e = f - f_model        body FLU, m/s^2;   RMS of the vector, sqrt(mean ||e||^2), and of each axis
 
-Every model is scored as it stands and with the scale of its thrust tracked in flight (quadexp.learn.tracking), from
+Every model is scored as it stands and with the scale of its thrust tracked in flight (quadexp.learn.thrust_scale), from
 samples before each one only. Intervals: percentile bootstrap over flights where there are FLIGHT_CLUSTERS or more, over
 stretches of BLOCK seconds otherwise: neighbouring samples err alike.
 """
@@ -21,7 +21,7 @@ from quadexp.learn.predictors import Predictor
 from quadexp.learn.regression import FLIGHT_CLUSTERS
 from quadexp.learn.samples import Samples, gather
 from quadexp.learn.support import outside_shares
-from quadexp.learn.tracking import tracked_scale
+from quadexp.learn.thrust_scale import tracked_scale
 from quadexp.log.schema import Flight
 
 BLOCK = 2.0  # s, of the bootstrap

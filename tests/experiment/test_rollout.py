@@ -9,7 +9,7 @@ from quadexp.air.none import no_residual
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.rollout import SampledReference
-from quadexp.reference import Circle
+from quadexp.reference.circle import Circle
 from quadexp.reference.flatness import flat_reference
 
 

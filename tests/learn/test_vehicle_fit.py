@@ -26,7 +26,7 @@ def model(flights):
 
 
 def within(model, axis, term, truth, times=1.0):
-    row = next(r for r in model.rows() if (r["axis"], r["term"]) == (axis, term))
+    row = next(r for r in model.records() if (r["axis"], r["term"]) == (axis, term))
     return abs(row["value"] - truth) < times * (row["high"] - row["value"])
 
 
@@ -98,7 +98,7 @@ def test_a_checkpoint_is_the_model(flights, model, tmp_path):
             a, b = one.specific_force(flights[0], kind), again.specific_force(flights[0], kind)
             assert np.array_equal(a, b)
         assert str(again) == str(one) and again.best == one.best and again.notes == one.notes
-        assert [m.rows() for m in again.models.values()] == [m.rows() for m in one.models.values()]
+        assert [m.records() for m in again.models.values()] == [m.records() for m in one.models.values()]
     payload = (tmp_path / "model_0" / "model.json").read_text().replace("0.3", "0.4", 1)
     (tmp_path / "model_0" / "model.json").write_text(payload)
     with pytest.raises(DataError, match="damaged or edited"):

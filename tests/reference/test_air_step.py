@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.reference import Hover
 from quadexp.reference.air_model import AirResponse
 from quadexp.reference.air_step import MAX_TURN, MIN_SHARE, _lateral_step, newton_step, turned
 from quadexp.reference.demand import Demand
+from quadexp.reference.hover import Hover
 from quadexp.reference.motion import Air, Held, flat_motion
 
 EDGE = np.sqrt(1 - MIN_SHARE**2)

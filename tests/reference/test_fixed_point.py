@@ -14,11 +14,14 @@ from quadexp.experiment.build import build_vehicle
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.rotor import BladeCoefficients
 from quadexp.physics.state import RATE, VELOCITY
-from quadexp.reference import Circle, FlatOutput, Lemniscate, flat_reference
 from quadexp.reference.air_model import AirModel
+from quadexp.reference.base import FlatOutput
+from quadexp.reference.circle import Circle
 from quadexp.reference.demand import Demand
 from quadexp.reference.fixed_point import Settings, agreeing_air
 from quadexp.reference.flat_map import untwisted
+from quadexp.reference.flatness import flat_reference
+from quadexp.reference.lemniscate import Lemniscate
 from quadexp.reference.motion import Held
 from quadexp.reference.rectangle import Rectangle
 from quadexp.reference.time_grid import SPACING, TimeGrid

@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
-from quadexp.reference import Circle, FileTrajectory
+from quadexp.reference.circle import Circle
+from quadexp.reference.from_file import FileTrajectory
 
 
 def write_csv(path, t, p, yaw=None, header=None):

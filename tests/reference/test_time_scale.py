@@ -13,10 +13,11 @@ from quadexp.config.compose import compose
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.physics.state import RATE
-from quadexp.reference import RandomPolynomial, flat_reference
 from quadexp.reference.base import sampled_peak_speed
+from quadexp.reference.flatness import flat_reference
 from quadexp.reference.minimum_snap import largest_speed, minimum_snap
 from quadexp.reference.motion import allocation_inverse
+from quadexp.reference.random_polynomial import RandomPolynomial
 from quadexp.reference.time_scale import MARGIN, time_scale
 
 VEHICLES = {name: build_vehicle(compose([f"vehicle={name}"]).vehicle) for name in ("torrente", "lei_li", "crazyflie")}

@@ -12,7 +12,8 @@ from quadexp.config.compose import compose
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import InfeasibleError, fly_one
-from quadexp.reference import FileTrajectory, Trajectory
+from quadexp.reference.base import Trajectory
+from quadexp.reference.from_file import FileTrajectory
 from tests.reference.test_time_scale import VEHICLES, shares
 
 ROOT = Path(__file__).parents[2]

@@ -8,13 +8,14 @@ import pytest
 from quadexp.control.base import Measurement, Window
 from quadexp.control.feedback.aerodynamics import KnownCoefficients, body_velocity
 from quadexp.control.feedback.controller import FeedbackController
-from quadexp.control.feedback.frames import FRD_FLU, NED_ENU, ned_from_state, state_from_ned, yaw_ned
+from quadexp.control.feedback.frames import FRD_FLU, NED_ENU, state_from_ned, yaw_ned
 from quadexp.control.feedback.law import law_function
 from quadexp.control.feedback.observer import observer_matrices
 from quadexp.control.feedback.settings import VARIANTS, FeedbackSettings
 from quadexp.errors import UsageError
 from quadexp.reference.rectangle import Rectangle
 from tests.control.feedback import paper
+from tests.states import ned_from_state
 
 PRINTED = FeedbackSettings(cone=False, rotor_speed_min=1e-3)
 TERMS = {  # hub force, drag, secondary thrust, secondary torque
