@@ -21,8 +21,8 @@ from quadexp.errors import UsageError
 from quadexp.physics.rotor import RotorGeometry
 
 GRAVITY = 9.81  # m/s^2
-# A rigid body's largest principal moment is at most the sum of the others; measured ones may miss that by a little
-# (those of Lei & Li 2017 do by 1.2 %).
+# The largest principal moment of a rigid body is at most the sum of the other two; measured moments may exceed that
+# slightly (those of Lei & Li 2017 by 1.2 %).
 INERTIA_TOLERANCE = 0.02
 
 
@@ -33,11 +33,11 @@ class Vehicle:
     mass: kg. inertia: (3, 3), body frame, kg m^2. rotor_position: (n, 3), body frame, m.
     rotor_spin: (n,), sign of the reaction torque about +z_body per unit thrust (+1 or -1).
     torque_coefficient: reaction torque per thrust, m. thrust_min, thrust_max: per rotor, N.
-    rate_max: largest body rate a reference may ask for, rad/s.
-    rotor: shape of the rotors, for blade-element models; None where nobody needs it.
+    rate_max: largest body rate of a reference, rad/s.
+    rotor: geometry of the rotors, for blade-element models, or None.
     static_thrust: k_T,static of the thrust map u = k_T,static w^2 between a thrust and a rotor speed, N s^2.
 
-    Raises UsageError where the numbers describe no rigid body or cannot be controlled.
+    Raises UsageError where the parameters are not those of a rigid body, or the vehicle cannot be controlled.
     """
 
     name: str
@@ -59,8 +59,8 @@ class Vehicle:
             raise UsageError("vehicle.inertia: the matrix must be symmetric")
         if eigenvalues[0] <= 0 or eigenvalues[2] > (1 + INERTIA_TOLERANCE) * (eigenvalues[0] + eigenvalues[1]):
             raise UsageError(
-                f"vehicle.inertia: principal moments {eigenvalues.round(6).tolist()} kg m^2 belong to no rigid body"
-                " (all must be positive, and none larger than the sum of the other two, give or take"
+                f"vehicle.inertia: principal moments {eigenvalues.round(6).tolist()} kg m^2 are not those of a rigid"
+                " body (all must be positive, and none larger than the sum of the other two, with a tolerance of"
                 f" {INERTIA_TOLERANCE:.0%})"
             )
         if len(self.rotor_spin) != self.n_rotors:
@@ -119,6 +119,6 @@ class Vehicle:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Short hash of the physical numbers (not of the name): two vehicles with one fingerprint fly alike."""
+        """Short hash of all physical parameters, without the name: vehicles with equal fingerprints fly identically."""
         physics = {key: value for key, value in asdict(self).items() if key != "name" and value is not None}
         return hashlib.sha256(json.dumps(physics, sort_keys=True).encode()).hexdigest()[:12]

@@ -165,7 +165,7 @@ class TestCorners:
 
         plant = BladeElementPlant(lei_li, blade, BladeElementEffects(rotor_speed_min=0.0), backend="interpreted")
         x, u = self.start(velocity=[5.0, 0.0, 0.0]), np.array([0.0, 2.0, 2.0, 2.0])
-        with pytest.raises(ModelDomainError, match="it stands still in moving air"):
+        with pytest.raises(ModelDomainError, match="it is stopped in moving air"):
             plant.advance(x, u, 0.01, None)
 
     def test_the_controller_never_asks_for_that(self):

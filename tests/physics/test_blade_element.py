@@ -193,7 +193,7 @@ def test_rotors_of_their_own_lift(lei_li, blade, rng):
 
 class TestWhereItIsNotDefined:
     def test_stopped_rotor_in_moving_air(self, lei_li, blade):
-        with pytest.raises(ModelDomainError, match="rotor 2: it stands still in moving air"):
+        with pytest.raises(ModelDomainError, match="rotor 2: it is stopped in moving air"):
             aerodynamic_point(lei_li, blade, [3.0, 0, 0], [500, 500, 0, 500])
 
     def test_stopped_rotor_in_still_air(self, lei_li, blade):

@@ -80,7 +80,9 @@ def test_the_vehicle_changes_the_time_and_not_the_shape():
 def test_hover_near_the_limit_is_named():
     path = RandomPolynomial(speed=8.0, vehicle=replace(VEHICLES["torrente"], thrust_max=2.5))
     assert path.peak_speed < 2.0
-    assert "hovering alone takes 98% of vehicle.thrust_max" in path.note and "of the 8 m/s asked" in path.note
+    assert (
+        "hovering alone takes 98% of vehicle.thrust_max" in path.note and "instead of the requested 8 m/s" in path.note
+    )
 
 
 def test_a_rotor_that_cannot_hover_is_named(odd_vehicle):

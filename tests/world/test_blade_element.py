@@ -230,7 +230,7 @@ class TestCornersOfTheModel:
         """Zero command with no idle speed: in still air no force at all, and after that no model."""
         effects = BladeElementEffects(rotor_speed_min=0.0)
         plant = BladeElementPlant(lei_li, blade, effects, backend="interpreted")
-        with pytest.raises(ModelDomainError, match=r"rotor 0 at t=0.0001 s: it stands still in moving air"):
+        with pytest.raises(ModelDomainError, match=r"rotor 0 at t=0.0001 s: it is stopped in moving air"):
             plant.advance(LEVEL, np.zeros(4), 0.01)
 
     def test_not_finite(self, plant):

@@ -98,7 +98,7 @@ def test_one_rotor_that_stops(lei_li, blade, method, told):
     plant = BladeElementPlant(lei_li, blade, effects, method=method, backend="interpreted")
     u = np.full(4, lei_li.hover_thrust)
     u[2] = 0.0
-    with pytest.raises(ModelDomainError, match="rotor 2 .* it stands still in moving air.*w=1e-06 rad/s") as raised:
+    with pytest.raises(ModelDomainError, match="rotor 2 .* it is stopped in moving air.*w=1e-06 rad/s") as raised:
         plant.advance(LEVEL, u, 0.001)
     assert all(part in str(raised.value) for part in told)
 

@@ -16,7 +16,7 @@ FIRST_WAIT, NEXT_WAIT = 100, 50  # samples without change detection: at the star
 
 
 def body_velocity(x: np.ndarray) -> np.ndarray:
-    """Velocity in the body frame, (3,), FLU (m/s), of a state (13,), without wind, which a controller cannot measure."""
+    """Velocity in the body frame, (3,), FLU (m/s), of a state (13,), neglecting the unmeasured wind."""
     return np.asarray(air_velocity(x[ATTITUDE], x[VELOCITY]))
 
 

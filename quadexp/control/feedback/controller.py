@@ -74,7 +74,7 @@ class FeedbackController:
         self._law = BufferedFunction(_law(vehicle, settings, variant, self.backend))
 
     def forget(self) -> None:
-        """See Controller.forget. Nothing to do: references here contain no residual, and `reset` resets the estimator."""
+        """See Controller.forget. Nothing to do: references contain no residual, `reset` resets the estimator."""
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset. Initial values of the previous sample: hover rotor speeds and R_d = I."""
