@@ -170,7 +170,7 @@ def _fit_output(
     else:
         few = order if settings.method == "exact" else order[:PILOT_ROWS]
         first = sgpr.Hyperparameters(np.ones(x.shape[1]), 1.0, 0.01)
-        pilot = sgpr.Regression(x[few], y[few], first, None, settings.jitter)
+        pilot = sgpr.GPRegression(x[few], y[few], first, None, settings.jitter)
         bound = sgpr.maximise(pilot, PILOT_ITERATIONS, lambda k: report(0.15 * k / PILOT_ITERATIONS))
         guess = pilot.hyperparameters
         candidates = order[: max(CANDIDATE_ROWS, settings.inducing)]
@@ -180,10 +180,10 @@ def _fit_output(
 
     if settings.method == "sgpr":
         if start is None and len(x) > CANDIDATE_ROWS:
-            part = sgpr.Regression(x[candidates], y[candidates], guess, points, settings.jitter)
+            part = sgpr.GPRegression(x[candidates], y[candidates], guess, points, settings.jitter)
             sgpr.maximise(part, STAGE_ITERATIONS, lambda k: report(0.15 + 0.25 * k / STAGE_ITERATIONS))
             points, guess = part.inducing_points, part.hyperparameters
-        whole = sgpr.Regression(x, y, guess, points, settings.jitter)
+        whole = sgpr.GPRegression(x, y, guess, points, settings.jitter)
         bound = sgpr.maximise(whole, settings.max_iterations, lambda k: report(0.4 + 0.6 * k / settings.max_iterations))
         points, guess = whole.inducing_points, whole.hyperparameters
         alpha, factor = sgpr.sparse_posterior(x, y, points, guess, settings.jitter)

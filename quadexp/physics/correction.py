@@ -7,9 +7,10 @@ Implemented by quadexp.air, which imports this package.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-import casadi as ca
+if TYPE_CHECKING:
+    import casadi as ca
 
 FEATURES = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
 OUTPUTS = ("a_x", "a_y", "a_z", "tau_x", "tau_y", "tau_z")

@@ -85,7 +85,7 @@ def test_a_flight_under_a_checkpoint_s_name_and_the_reverse(tmp_path, rng):
     flight = write_flight(tmp_path / "a.parquet", Flight(columns, {}))
     (tmp_path / "m").mkdir()
     shutil.copy(flight, tmp_path / "m" / MODEL_FILE)
-    with pytest.raises(QuadexpError, match="damaged, or no model of quadexp"):
+    with pytest.raises(QuadexpError, match="damaged, or not a model of quadexp"):
         load_model(tmp_path / "m")
     (tmp_path / "b.parquet").write_text('{"kind": "linear_drag"}')
     with pytest.raises(QuadexpError, match="not a Parquet file, or damaged"):

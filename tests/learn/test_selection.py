@@ -11,7 +11,7 @@ from quadexp.learn.samples import gather
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
 from quadexp.log.schema import Flight
 from quadexp.report.identify_lines import identification_lines
-from tests.learn.logged_flights import CURVE, DRAG, logged_flight
+from tests.learn.logged_flights import CURVE, DRAG, logged_flight, specific_force
 
 
 def on_another_battery(flight: Flight, lower: float, exponent: float) -> Flight:
@@ -43,7 +43,7 @@ def test_two_flights_on_two_batteries_tell_the_voltage_exponent():
     model = fit_vehicle_model(seen, settings=settings)
     usual = fit_vehicle_model(seen)
     force = unseen["acc_z"]
-    error, usual_error = (np.std(force - one.specific_force(unseen, "linear")[:, 2]) for one in (model, usual))
+    error, usual_error = (np.std(force - specific_force(one, unseen, "linear")[:, 2]) for one in (model, usual))
     assert model.thrust.voltage_exponent == pytest.approx(0.7, abs=0.03)
     assert error == pytest.approx(0.05, rel=0.2) and usual_error > 2 * error
 

@@ -106,7 +106,7 @@ def test_what_the_flights_cannot_tell(flights):
     with pytest.raises(DataError, match="flight_0: columns rotor_speed_0 .. are missing"):
         fit_thrust_curve(flights, signal="rotor_speed")
     silent = Flight({k: v for k, v in flights[1].columns.items() if not k.startswith("motor")}, {"name": "silent"})
-    with pytest.raises(DataError, match="no column tells the thrust in every flight"):
+    with pytest.raises(DataError, match="no signal of the thrust is in every flight"):
         fit_thrust_curve([flights[0], silent])
     columns = flights[0].columns | {"acc_z": flights[0]["acc_z"].copy()}
     columns["acc_z"][7] = np.nan
