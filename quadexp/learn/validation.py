@@ -62,7 +62,7 @@ def read_rows(flight: Flight, name: str, signal: str) -> FlightRows:
 
 @dataclass(frozen=True)
 class Residuals:
-    """Errors of a predictor, (k, 3) m/s^2: as fitted (error), with tracked scale (tracked); flight, block, speed (k,)."""
+    """Errors of a predictor, (k, 3) m/s^2: as fitted (error), with tracked scale (tracked); others (k,)."""
 
     predictor: str
     error: np.ndarray

@@ -197,26 +197,26 @@ def verdict_lines(report: dict[str, Any]) -> list[str]:
     """The comparison as text."""
     flights = "1 held-out flight" if report["flights"] == 1 else f"{report['flights']} held-out flights"
     lines = [
-        f"verdict on {flights}: RMSE over linear drag's, paired over flights, 95 % interval",
-        "  (noise: what does not repeat two rows later in what is left, so at most that)",
+        f"verdict on {flights}: RMSE relative to linear drag's, paired over flights, 95 % interval",
+        "  (noise: from the variogram of the residual at a lag of two rows, an upper bound)",
     ]
     for output, one in report["outputs"].items():
         lines.append(f"  {output}  {WORDS[one['verdict']]}: {one['text']}")
         lines.append(
-            f"       leaves {one['rmse']:.3g} m/s^2 (linear drag {one['drag_rmse']:.3g}): noise of the data"
-            f" {one['noise']:.3g} at most, unexplained {one['unexplained']:.3g} at least"
+            f"       RMSE {one['rmse']:.3g} m/s^2 (linear drag {one['drag_rmse']:.3g}): noise of the data at most"
+            f" {one['noise']:.3g}, unexplained at least {one['unexplained']:.3g}"
         )
         if one["verdict"] == "better":
             continue
         other = one.get("instead")
         if other and other["verdict"] == "better":
             names = ",".join(other["features"])
-            lines.append(f"       features that are: {names} ({other['text']}): gp.features.{output}=[{names}]")
+            lines.append(f"       features that are better: {names} ({other['text']}): gp.features.{output}=[{names}]")
         elif other:
             tried = f"the best, {', '.join(other['features'])}, has {other['text']}"
-            lines.append(f"       no features tried are shown to be better ({tried}): linear drag is as good here")
+            lines.append(f"       no other features are shown to be better either ({tried}): linear drag suffices here")
         else:
-            lines.append("       other features were not tried: it takes two flights to fit and one to judge")
+            lines.append("       other features were not tried: that needs two flights for the fit and one for the comparison")
     if report.get("identified"):
         lines += _identified_lines(report["identified"])
     return lines
@@ -226,18 +226,18 @@ def _identified_lines(records: Sequence[dict[str, Any]]) -> list[str]:
     fit, *others = records
     best = min(others, key=lambda one: one["rms"])
     text = ", ".join(f"{one['model']} {100 * one['share']:.1f} %" for one in records)
-    lines = [f"  of the residual under the thrust curve, what is left on the held-out flights: {text}"]
+    lines = [f"  error on the held-out flights relative to the thrust curve alone: {text}"]
     if best["rms"] < fit["rms"]:
         lines.append(
-            f"  USE {best['model'].upper()} of `quadexp identify`, not this fit: it leaves {100 * best['share']:.1f} %"
-            f" where this fit leaves {100 * fit['share']:.1f} %"
+            f"  USE {best['model'].upper()} of `quadexp identify`, not this fit: its error is {100 * best['share']:.1f} %,"
+            f" that of this fit {100 * fit['share']:.1f} %"
         )
     elif best["verdict"] == "better":
         lines.append(
-            f"  this fit leaves less than every model of `quadexp identify` ({best['text']} of {best['model']})"
+            f"  this fit has a smaller error than every model of `quadexp identify` ({best['text']} of {best['model']})"
         )
     else:
         lines.append(
-            f"  not shown to leave less than {best['model']} of `quadexp identify` ({best['text']}), the simpler model"
+            f"  not shown to be better than {best['model']} of `quadexp identify` ({best['text']}), the simpler model"
         )
     return lines
