@@ -40,7 +40,7 @@ def blade_element_residual(
 ) -> Residual:
     """Residual with theta = (C_d0, C_la, C_Dx, C_Dy, C_Dz) as runtime parameters, (5,).
 
-    vehicle: with rotor and static_thrust. coefficients: initial values. source: for the record.
+    vehicle: with rotor and thrust_coefficient. coefficients: initial values. source: for the record.
     iterations: Newton steps for V_I. rotor_speed_min: idle speed (rad/s).
     Raises UsageError where the vehicle has no rotor geometry.
     """
@@ -74,10 +74,10 @@ def blade_element_correction(
 
     z: features (6 + n,). theta: (5,). lift_scale: factor on every rotor's C_la, scalar or (n,). payload: kg.
     """
-    rotor, static_thrust = vehicle.rotor_geometry, vehicle.static_thrust_coefficient
+    rotor, thrust_coefficient = vehicle.rotor_geometry, vehicle.static_thrust_coefficient
     velocity, rate = z[:3], z[3:6] if rotor_local_velocity else None
-    command = ca.fmax(z[6:], static_thrust * rotor_speed_min**2)
-    w = static_rotor_speed(command, static_thrust)
+    command = ca.fmax(z[6:], thrust_coefficient * rotor_speed_min**2)
+    w = static_rotor_speed(command, thrust_coefficient)
     flow = rotor_flow(vehicle, velocity, rate)
     lift_slope = theta[C_LA] * lift_scale
     equation = balance(rotor, lift_slope, w, flow.in_plane_squared, flow.axial, terms)

@@ -29,7 +29,7 @@ from quadexp.log.store import (
     read_table,
     write_table,
 )
-from quadexp.physics.vehicle import Vehicle
+from quadexp.physics.vehicle import FORMER_NAMES, Vehicle
 from quadexp.provenance import provenance, versions
 
 METHODS = ("rls", "regression")
@@ -134,7 +134,8 @@ def _recorded(flight: Flight, path: Path) -> Vehicle:
     record = (flight.metadata.get("config") or {}).get("vehicle")
     if not record:
         raise DataError(f"{path}: has no record of its vehicle: pass --vehicle NAME")
-    values = dict(record)
+    current = {former: name for name, former in FORMER_NAMES.items()}  # flights of earlier versions
+    values = {current.get(key, key): value for key, value in record.items()}
     if values.get("rotor"):
         values["rotor"] = RotorConfig(**values["rotor"])
     return build_vehicle(VehicleConfig(**values))

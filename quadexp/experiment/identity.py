@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 from quadexp.config.schema import Config
+from quadexp.physics.vehicle import FORMER_NAMES
 
 FLIGHT_GROUPS = (
     "vehicle",
@@ -43,7 +44,7 @@ def flight_entropy(config: Config) -> int:
     record = flight_record(config)
     aside = {"name", "backend", "allow_infeasible", "lost_distance", "path"}
     parts = [
-        {k: v for k, v in record[group].items() if k not in aside and v is not None}
+        {FORMER_NAMES.get(k, k): v for k, v in record[group].items() if k not in aside and v is not None}
         for group in ("vehicle", "plant", "trajectory")
     ]
     return int(digest(["noise", *parts, config.seed]), 16)

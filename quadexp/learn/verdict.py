@@ -216,7 +216,9 @@ def verdict_lines(report: dict[str, Any]) -> list[str]:
             tried = f"the best, {', '.join(other['features'])}, has {other['text']}"
             lines.append(f"       no other features are shown to be better either ({tried}): linear drag suffices here")
         else:
-            lines.append("       other features were not tried: that needs two flights for the fit and one for the comparison")
+            lines.append(
+                "       other features were not tried: that needs two flights for the fit and one for the comparison"
+            )
     if report.get("identified"):
         lines += _identified_lines(report["identified"])
     return lines
@@ -229,8 +231,8 @@ def _identified_lines(records: Sequence[dict[str, Any]]) -> list[str]:
     lines = [f"  error on the held-out flights relative to the thrust curve alone: {text}"]
     if best["rms"] < fit["rms"]:
         lines.append(
-            f"  USE {best['model'].upper()} of `quadexp identify`, not this fit: its error is {100 * best['share']:.1f} %,"
-            f" that of this fit {100 * fit['share']:.1f} %"
+            f"  USE {best['model'].upper()} of `quadexp identify`, not this fit: its error is"
+            f" {100 * best['share']:.1f} %, that of this fit {100 * fit['share']:.1f} %"
         )
     elif best["verdict"] == "better":
         lines.append(

@@ -115,9 +115,9 @@ def static_inflow(geometry: RotorGeometry, lift_slope: Expression) -> Expression
     return (ca.sqrt(b * b + 4 * K * a) - b) / (2 * K)
 
 
-def static_rotor_speed(thrust: Expression, static_thrust: float) -> Expression:
+def static_rotor_speed(thrust: Expression, thrust_coefficient: float) -> Expression:
     """Rotor speed w = sqrt(u / k_T,static) (rad/s) that gives the thrust u (N) at rest."""
-    return ca.sqrt(thrust / static_thrust)
+    return ca.sqrt(thrust / thrust_coefficient)
 
 
 def rotor_flow(vehicle: Vehicle, body_velocity: Expression, rate: Expression | None = None) -> RotorFlow:

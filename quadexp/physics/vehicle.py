@@ -24,6 +24,7 @@ GRAVITY = 9.81  # m/s^2
 # The largest principal moment of a rigid body is at most the sum of the other two; measured moments may exceed that
 # slightly (those of Lei & Li 2017 by 1.2 %).
 INERTIA_TOLERANCE = 0.02
+FORMER_NAMES = {"thrust_coefficient": "static_thrust"}  # used in hashes, so that existing files keep theirs
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Vehicle:
     torque_coefficient: reaction torque per thrust, m. thrust_min, thrust_max: per rotor, N.
     rate_max: largest body rate of a reference, rad/s.
     rotor: geometry of the rotors, for blade-element models, or None.
-    static_thrust: k_T,static of the thrust map u = k_T,static w^2 between a thrust and a rotor speed, N s^2.
+    thrust_coefficient: k_T,static of u = k_T,static w^2, thrust over squared rotor speed at rest, N s^2.
 
     Raises UsageError where the parameters are not those of a rigid body, or the vehicle cannot be controlled.
     """
@@ -51,7 +52,7 @@ class Vehicle:
     rate_max: float
     gravity: float = GRAVITY
     rotor: RotorGeometry | None = None
-    static_thrust: float | None = None
+    thrust_coefficient: float | None = None
 
     def __post_init__(self) -> None:
         eigenvalues = np.linalg.eigvalsh(self.inertia_matrix)
@@ -74,8 +75,8 @@ class Vehicle:
                 f"vehicle.thrust_max: hovering takes {self.hover_thrust:.3g} N per rotor,"
                 f" outside ({self.thrust_min:g}, {self.thrust_max:g}) N"
             )
-        if self.static_thrust is not None and not self.static_thrust > 0:
-            raise UsageError(f"vehicle.static_thrust={self.static_thrust:g}: must be positive (N s^2)")
+        if self.thrust_coefficient is not None and not self.thrust_coefficient > 0:
+            raise UsageError(f"vehicle.thrust_coefficient={self.thrust_coefficient:g}: must be positive (N s^2)")
 
     @property
     def n_rotors(self) -> int:
@@ -101,14 +102,14 @@ class Vehicle:
 
     @property
     def static_thrust_coefficient(self) -> float:
-        """`static_thrust` (N s^2), for a model that needs it. Raises UsageError where there is none."""
-        if self.static_thrust is None:
+        """`thrust_coefficient` (N s^2), for a model that needs it. Raises UsageError where there is none."""
+        if self.thrust_coefficient is None:
             raise self._without_rotor()
-        return self.static_thrust
+        return self.thrust_coefficient
 
     def _without_rotor(self) -> UsageError:
         return UsageError(
-            f"vehicle={self.name}: a blade-element model needs vehicle.rotor and vehicle.static_thrust"
+            f"vehicle={self.name}: a blade-element model needs vehicle.rotor and vehicle.thrust_coefficient"
             " (vehicle=lei_li has them)"
         )
 
@@ -120,5 +121,9 @@ class Vehicle:
     @cached_property
     def fingerprint(self) -> str:
         """Short hash of all physical parameters, without the name: vehicles with equal fingerprints fly identically."""
-        physics = {key: value for key, value in asdict(self).items() if key != "name" and value is not None}
+        physics = {
+            FORMER_NAMES.get(key, key): value
+            for key, value in asdict(self).items()
+            if key != "name" and value is not None
+        }
         return hashlib.sha256(json.dumps(physics, sort_keys=True).encode()).hexdigest()[:12]

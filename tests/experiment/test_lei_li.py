@@ -176,7 +176,7 @@ class TestCorners:
         x = self.start(position=[0.0, 0.0, 30.0], velocity=[0.0, 0.0, 25.0])  # far too high and rising: push down
         controller.reset(x, window)
         u, record = controller.step(Measurement(0.0, x, None, None), window)
-        assert u.min() >= vehicle.static_thrust * 50.0**2 * (1 - 1e-12) and record.status != 3
+        assert u.min() >= vehicle.thrust_coefficient * 50.0**2 * (1 - 1e-12) and record.status != 3
 
 
 class TestHeading:

@@ -27,24 +27,25 @@ GAIN = 1.04  # of the thrust curve over the true static thrust: `thrust` has to 
 def air(lei_li, blade):
     """Data, rotor accelerations of a curve that is 4 % too strong, and the coefficients that the derivation gives."""
     data = air_data(600)
-    truth = lumped_coefficients(lei_li.rotor, blade, lei_li.mass, GAIN * lei_li.static_thrust)
-    return data, GAIN * lei_li.static_thrust / lei_li.mass * data.rotor_speed**2, truth
+    truth = lumped_coefficients(lei_li.rotor, blade, lei_li.mass, GAIN * lei_li.thrust_coefficient)
+    return data, GAIN * lei_li.thrust_coefficient / lei_li.mass * data.rotor_speed**2, truth
 
 
 def lumped_coefficients(
-    geometry: RotorGeometry, blade: BladeCoefficients, mass: float, static_thrust: float
+    geometry: RotorGeometry, blade: BladeCoefficients, mass: float, thrust_coefficient: float
 ) -> dict[tuple[str, str], float]:
     """What the table of quadexp.learn.lumped gives for a known rotor: (axis, term) -> value.
 
-    static_thrust: m times the thrust curve's c_2 (N s^2), which may differ from k_T,static: `thrust` corrects for it.
+    thrust_coefficient: m times the thrust curve's c_2 (N s^2), which may differ from k_T,static: `thrust` corrects for
+    it.
     """
     s, r, twist, lift = geometry.blade_density, geometry.radius, geometry.twist, blade.lift_slope
     static = static_coefficients(geometry, blade)
     nu = static.inflow
-    root = mass * math.sqrt(static_thrust / mass)
+    root = mass * math.sqrt(thrust_coefficient / mass)
     climb = s * lift * r**2 / 2
     hub = motor_coefficients(geometry, blade).hub + s * lift * nu * (nu / 2 - r * twist / 6)
-    found = {("z", "inflow"): climb / root, ("z", "thrust"): static.thrust / static_thrust - 1}
+    found = {("z", "inflow"): climb / root, ("z", "thrust"): static.thrust / thrust_coefficient - 1}
     found["z", "advance"] = s * lift * r * twist / 2 / mass
     for i, axis in enumerate("xyz"):
         found[axis, "body"] = geometry.air_density * geometry.reference_area * blade.body_drag[i] / 2 / mass

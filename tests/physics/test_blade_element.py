@@ -74,7 +74,7 @@ def test_coefficients_of_table_1(lei_li, blade):
 
 
 def test_hover(lei_li, blade):
-    w = np.sqrt(lei_li.hover_thrust / lei_li.static_thrust)
+    w = np.sqrt(lei_li.hover_thrust / lei_li.thrust_coefficient)
     point = aerodynamic_point(lei_li, blade, np.zeros(3), np.full(4, w))
     assert point.induced_velocity == pytest.approx(np.full(4, 4.70714871732553), rel=1e-13)
     assert pytest.approx(4.70714871732553, rel=1e-14) == paper.HOVER

@@ -61,9 +61,9 @@ class FeedbackController:
         *,
         backend: str = "auto",
     ) -> None:
-        if vehicle.rotor is None or vehicle.static_thrust is None:
+        if vehicle.rotor is None or vehicle.thrust_coefficient is None:
             raise UsageError(
-                f"vehicle={vehicle.name}: feedback control needs vehicle.rotor and vehicle.static_thrust;"
+                f"vehicle={vehicle.name}: feedback control needs vehicle.rotor and vehicle.thrust_coefficient;"
                 " vehicle=lei_li has them"
             )
         self.vehicle, self.settings, self.variant, self.aerodynamics = vehicle, settings, variant, aerodynamics

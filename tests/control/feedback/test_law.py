@@ -86,11 +86,11 @@ def test_one_call_equals_the_paper(lei_li, name):
         expected = paper.control(
             *now.values(), last, coefficients, terms=TERMS[name], coefficient_pair=coefficient_pair(name, coefficients)
         )
-        if not 1.0 < expected[0].min() < expected[0].max() < 20.0 / lei_li.static_thrust:
+        if not 1.0 < expected[0].min() < expected[0].max() < 20.0 / lei_li.thrust_coefficient:
             continue  # a speed squared at the floor or at the vehicle's limit: see below
         got = call(function, now, last, coefficients)
         assert got["rotor_speed"] ** 2 == pytest.approx(expected[0], rel=1e-9)
-        assert got["thrust"] == pytest.approx(lei_li.static_thrust * expected[0], rel=1e-9)
+        assert got["thrust"] == pytest.approx(lei_li.thrust_coefficient * expected[0], rel=1e-9)
         assert got["eta_d"] == pytest.approx(expected[1], abs=1e-12)
         assert pytest.approx(np.stack(expected[2:4]), abs=1e-12) == got["observer"].T
         assert got["u_T"] == pytest.approx(expected[4], abs=1e-11)
@@ -236,7 +236,7 @@ class TestController:
         controller.reset(x, self.window())
         u, _ = controller.step(Measurement(0.0, x, None, None), self.window())
         arguments, results = controller._law.arguments, controller._law.results
-        assert np.abs(arguments["rotor_speed_last"] - np.sqrt(u / lei_li.static_thrust)).max() < 1e-7
+        assert np.abs(arguments["rotor_speed_last"] - np.sqrt(u / lei_li.thrust_coefficient)).max() < 1e-7
         assert np.abs(arguments["eta_d_last"] - results["eta_d"]).max() < 1e-9
 
     def test_back_ends_agree(self, lei_li):
@@ -252,6 +252,6 @@ class TestController:
             self.make(vehicle)
         from dataclasses import replace
 
-        six = replace(odd_vehicle, rotor=lei_li.rotor, static_thrust=lei_li.static_thrust)
+        six = replace(odd_vehicle, rotor=lei_li.rotor, thrust_coefficient=lei_li.thrust_coefficient)
         with pytest.raises(UsageError, match="allocates to 4 rotors, this one has 6"):
             self.make(six)
