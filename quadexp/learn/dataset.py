@@ -178,7 +178,7 @@ def residual_dataset(
             raise DataError(f"{name}: {error}") from None
 
     columns, records = joined(flights, vehicle, names, table_of)
-    if not len(columns["t"]):
+    if not len(columns.get("t", ())):
         raise DataError(f"dataset: {len(flights)} flights hold no transition (two consecutive samples make one)")
     for record, flight in zip(records, flights, strict=True):
         record["left_out"] = max(len(np.asarray(flight.columns["t"])) - 1, 0) - record["rows"]
@@ -208,7 +208,8 @@ def joined(
         rows = len(table["t"])
         tables.append({"flight": np.full(rows, index, np.int32), "flight_name": np.full(rows, name, object)} | table)
         records.append({"name": name, "rows": rows})
-    return {column: np.concatenate([table[column] for table in tables]) for column in tables[0]}, records
+    names_of_columns = tables[0] if tables else ()
+    return {column: np.concatenate([table[column] for table in tables]) for column in names_of_columns}, records
 
 
 def name_of(flight: Flight, index: int) -> str:

@@ -99,7 +99,7 @@ def _waypoints(path: Path, line: int, header: list[str], rows: list[tuple[int, l
         for (i, _), before, now in zip(rows[1:], points, points[1:], strict=False):
             if np.array_equal(before, now):
                 raise DataError(
-                    f"{path}, line {i}: the same point as in the previous row; to stay at a point, add a column t"
+                    f"{path}, line {i}: the same point as in the previous row; add a column t to stay there"
                 )
     yaw = np.unwrap(values["yaw"]) if "yaw" in values else None
     return Positions(False, values.get("t"), points, yaw)

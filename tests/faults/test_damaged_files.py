@@ -95,7 +95,7 @@ def test_a_flight_under_a_checkpoint_s_name_and_the_reverse(tmp_path, rng):
 def test_a_checkpoint_nested_beyond_reason(tmp_path):
     for name in (MODEL_FILE, "report.json"):
         (tmp_path / name).write_text("[" * 200_000)
-    with pytest.raises(QuadexpError, match="damaged, or no model"):
+    with pytest.raises(QuadexpError, match="damaged, or not a model"):
         load_model(tmp_path)
     with pytest.raises(QuadexpError, match="damaged"):
         load_report(tmp_path)

@@ -72,7 +72,7 @@ def test_what_the_velocity_as_target_costs(flights):
     cost = target_cost([replace(flights[0], columns=noisy)], VEHICLE, TRUE_CURVE, frame="midpoint")
     assert cost.force < 0.05
     assert cost.velocity == pytest.approx(0.01 * np.sqrt(2 * 3) / 0.01, rel=0.1)  # sqrt(2) sigma / dt on three axes
-    assert "times as much" in str(cost)
+    assert "ratio" in str(cost)
 
 
 def test_commands_without_a_curve_are_refused(flights):

@@ -88,7 +88,7 @@ def test_hover_near_the_limit_is_named():
 def test_a_rotor_that_cannot_hover_is_named(odd_vehicle):
     hover = allocation_inverse(odd_vehicle)[:, 0] * odd_vehicle.mass * odd_vehicle.gravity
     tight = replace(odd_vehicle, thrust_max=(hover.max() + hover.mean()) / 2)
-    with pytest.raises(UsageError, match=rf"vehicle=odd: in hover rotor {np.argmax(hover)} gives"):
+    with pytest.raises(UsageError, match=rf"vehicle=odd: in hover rotor {np.argmax(hover)} needs"):
         _ = RandomPolynomial(speed=8.0, vehicle=tight).duration
 
 

@@ -253,5 +253,5 @@ class TestController:
         from dataclasses import replace
 
         six = replace(odd_vehicle, rotor=lei_li.rotor, thrust_coefficient=lei_li.thrust_coefficient)
-        with pytest.raises(UsageError, match="allocates to 4 rotors, this one has 6"):
+        with pytest.raises(UsageError, match="needs 4 rotors, this vehicle has 6"):
             self.make(six)
