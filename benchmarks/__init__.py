@@ -1,1 +1,1 @@
-"""What is measured, against what; each module is one command."""
+"""Benchmarks; each module is one command."""

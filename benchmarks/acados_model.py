@@ -3,7 +3,7 @@
     p' = v,   q' = 1/2 q o [0, w],   v' = R(q) (T e_z / m + a(v_body)) + g,   w' = J^-1 (tau - w x J w)
 
 with a(v_body) none, a linear drag, or the means of three one-dimensional Gaussian processes. Written independently of
-quadexp (which the interpreter that runs this need not have), so that equal inputs say something about both.
+quadexp (which the interpreter need not have), so that equal inputs verify both.
 """
 
 from __future__ import annotations

@@ -2,14 +2,14 @@
 
     ACADOS_SOURCE_DIR=ACADOS python acados_step.py --problem FILE --options best
 
-A control step is what a Python control loop pays for: write the measured state, write the reference of every node, run
-one real-time iteration, read the first input. The solver is built once; then every line on standard input runs the
-problem's steps and answers with one JSON line: "measure" times them one after the other, "converge" iterates some of
-them to convergence. Options:
+A control step is the sequence of a Python control loop: write the measured state, write the reference of every node,
+run one real-time iteration, read the first input. The solver is built once; then every line on standard input runs the
+problem's steps and prints one JSON line: "measure" times them one after the other, "converge" iterates some of them to
+convergence. Options:
 
-default  acados as it comes: SQP_RTI, PARTIAL_CONDENSING_HPIPM, ERK, -O2, the methods of its Python class
-best     its fastest documented settings: FULL_CONDENSING_DAQP, -O3 -march=native, scalar (SX) expression graph
-tuned    beyond that: RK4 as a discrete SX expression, fixed Hessian, -ffast-math, prepared calls of the C interface
+default  default options: SQP_RTI, PARTIAL_CONDENSING_HPIPM, ERK, -O2, the methods of its Python class
+best     the fastest documented settings: FULL_CONDENSING_DAQP, -O3 -march=native, scalar (SX) expression graph
+tuned    in addition: RK4 as a discrete SX expression, fixed Hessian, -ffast-math, prepared calls of the C interface
 expert   as tuned, with the Jacobian of the RK4 step written by hand (see acados_model.chained_rk4)
 hpipm    as expert, with FULL_CONDENSING_HPIPM
 """

@@ -1,15 +1,15 @@
-"""Everything that is measured, in one report.
+"""All benchmarks in one report.
 
     python -m benchmarks.all [--acados-python PYTHON] [--parts step plant flight waiting commands] [--out FOLDER]
 
 step      one control step against acados where the given interpreter has it (benchmarks.step, N = 10)
 plant     60 s of both simulated plants
 flight    a 12 s closed loop at 100 control steps a second, both back ends: references, flight, log
-waiting   what a user waits for beside flying: composition, paths, a finished sweep again, empty jobs
+waiting   waiting times besides the flights: composition, paths, repeating a finished sweep, empty jobs
 commands  collect, fit-gp, a sweep of 16 flights, import, as a user runs them, each twice: the first run compiles
 
 Prints Markdown; --out writes it to FOLDER/report.md and the numbers to FOLDER/report.json. Figures are medians
-[quartiles] of wall clock; beside them stands processor time, which other load on the machine does not make larger.
+[quartiles] of wall-clock time, and processor time, which other load on the machine does not increase.
 benchmarks.pipeline and benchmarks.scaling measure sweeps at full size; benchmarks.profile shows where the time goes.
 """
 
@@ -39,7 +39,8 @@ from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
-from quadexp.reference import Circle, RandomPolynomial
+from quadexp.reference.circle import Circle
+from quadexp.reference.random_polynomial import RandomPolynomial
 from quadexp.sweep.engine import run_cells
 from quadexp.sweep.sweep import run_sweep
 from quadexp.world import SimplifiedPlant
@@ -75,7 +76,7 @@ def plants(vehicle: Vehicle) -> Iterator[Row]:
     """60 s of each plant in hover, in periods of 10 ms."""
     rotors = static_coefficients(step.ROTOR, step.COEFFICIENTS).thrust
     for backend in backends():
-        blades = replace(vehicle, rotor=step.ROTOR, static_thrust=rotors)
+        blades = replace(vehicle, rotor=step.ROTOR, thrust_coefficient=rotors)
         made = {
             "simplified plant, 0.5 ms": (SimplifiedPlant(vehicle, backend=backend), None),
             "blade-element plant, 0.1 ms": (

@@ -1,12 +1,12 @@
 """Time of a control step with bounds active, for `benchmarks.step --bounded`.
 
-The hard case: the circle at 8 m/s with a thrust limit of twice the hover thrust, and a vehicle that every 15 steps is
-found a metre away (standard deviation on each axis). Everything else is as in step.py: same states and references for
-all contestants, processes of their own, rounds that alternate. Counted are the steps in which our controller has a
-bound active; the first 50 steps of the circle, before the first jump, have none and are not among the steps measured.
+The hard case: the circle at 8 m/s with a thrust limit of twice the hover thrust, and a position disturbance of a metre
+(standard deviation on each axis) every 15 steps. All else is as in step.py: the same states and references for all
+solvers, separate processes, alternating rounds. Only steps in which our controller has an active bound are counted; the
+first 50 steps of the circle, before the first disturbance, are not measured.
 
-`inside` is acados's own time in its one C call (time_tot); all other times are as Python sees them. `unbounded` is our
-own compiled step along the same circle without jumps and limit, in the same run.
+`inside` is acados's own time in its C call (time_tot); all other times are measured in Python. `unbounded` is our
+compiled step along the same circle without disturbances and limit, in the same run.
 """
 
 from __future__ import annotations

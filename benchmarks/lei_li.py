@@ -1,10 +1,10 @@
-"""Time of Lei & Li's system: the plant, a closed-loop Example 1, and a control step that contains the air.
+"""Time of Lei & Li's system: the plant, a closed-loop Example 1, and a control step with the blade-element model.
 
     python -m benchmarks.lei_li [--rounds 5] [--acados-python PYTHON] [--json]
 
 plant: 60 s of the blade-element plant in forward flight, commands at 100 Hz, Euler at 1e-4 s as in the paper and RK4 at
 2.5e-3 s. closed loop: the whole of Example 1, identification and feedback included, as `quadexp simulate` flies it.
-Both in processor time of this process, the least over the rounds, so that other work on the machine does not count.
+Both in processor time of this process, minimum over the rounds, so that other load on the machine has little effect.
 
 step: one step of `rls_mpc` (identification, then one iteration with the blade-element model) and of `nominal_mpc` along
 the same closed loop, in rounds that alternate between them and acados's step for the plain model where the interpreter

@@ -1,4 +1,4 @@
-"""What a benchmark ran on, in one line: processor, cores, versions."""
+"""Description of the machine in one line: processor, cores, versions."""
 
 from __future__ import annotations
 

@@ -3,9 +3,9 @@
     python -m benchmarks.pipeline [--keep FOLDER]
 
 Every line of the table is one command of the command line, in a folder of its own. Time is wall clock from start to
-exit, beside it the processor time of all its processes (which shows whether a busy machine made it wait); memory is the
-largest resident set of any of them. The cache of compiled functions is empty in the beginning: what compiles is run
-again, into another folder. The sweep has 15 conditions with four models each, on two processes: circle and lemniscate
+exit, with the processor time of all its processes (to detect other load on the machine); memory is the largest resident
+set of any of them. The cache of compiled functions is empty at the start; commands that compile are run again, into
+another folder. The sweep has 15 conditions with four models each, on two processes: circle and lemniscate
 at 4 .. 12 m/s with an acceleration of a quarter of the speed per second, random paths at five speeds, flights of about
 12 s.
 """

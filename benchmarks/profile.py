@@ -2,10 +2,10 @@
 
     python -m benchmarks.profile [flight] [fit] [sweep] [--case gp20] [--top 12] [--json]
 
-A timer of processor time interrupts the work every few milliseconds; what is counted is the innermost function of the
-project that was at work, with the libraries it called: a CasADi function counts for who called it. That costs next to
-nothing, so small functions are not inflated, and other load on the machine counts little. Everything has been run once
-before: what is compiled or kept is so.
+A processor-time timer interrupts the work every few milliseconds; each sample counts for the innermost function of the
+project on the stack, so that a CasADi function counts for its caller. The overhead is negligible, so small functions
+are not overestimated, and other load on the machine has little effect. Everything has been run once before, so that
+compiled and cached functions exist.
 
 flight  12 s on a circle at 8 m/s with 100 control steps a second, simplified plant: references, flight, log
 fit     the command fit-gp on 60 s of collected flight
@@ -38,7 +38,7 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.experiment.rollout import SampledReference, fly
-from quadexp.reference import Circle
+from quadexp.reference.circle import Circle
 
 INTERVAL = 1e-3  # s of processor time
 ROOT = Path(__file__).parent.parent

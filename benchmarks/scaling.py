@@ -1,17 +1,17 @@
-"""What a sweep costs beside its flights, on the processes of this machine and on a Dask cluster of it.
+"""Overhead of a sweep besides its flights, with local processes and with a local Dask cluster.
 
     python -m benchmarks.scaling [--parts overhead dask driver rerun order store] [--cells 2000] [--json]
 
-overhead, dask   short flights on one and on two workers, in turns: time per cell beside the flight itself, in which
-                 the file is written; efficiency of the second worker; memory of a worker
-driver           20 000 cells without a flight: memory of the driver as they come in, time per cell
-rerun            the command again, when all is flown: seconds of the whole process
-order            flights whose controllers must all be built, in the order of the plan and shuffled: builds, seconds
-store            scan of the cells, recalling them, and the table, by number of cells
+overhead, dask   short flights on one and on two workers, alternating: time per cell besides the flight, including
+                 writing the file; efficiency of the second worker; memory of a worker
+driver           20 000 cells without a flight: memory of the driver over the cells, time per cell
+rerun            repeating the command after all cells are flown: seconds of the whole process
+order            flights with different controllers, in the order of the plan and shuffled: builds, seconds
+store            scanning and verifying the cells, and the table, by number of cells
 
-Nothing is left behind. Other load on the machine shows in every wall clock. Times called `own` are the wall clock less
-the time for which a thread that could have run waited for a core (/proc/*/schedstat): they say what the same would take
-on a machine of one's own, and are what the promises are held against.
+All files are removed afterwards. Wall-clock times depend on other load on the machine. Times called `own` are
+wall-clock times minus the waiting time of runnable threads for a core (/proc/*/schedstat): an estimate for an otherwise
+idle machine, to be compared with the limits in docs/scaling.md.
 """
 
 from __future__ import annotations

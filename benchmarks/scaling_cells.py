@@ -13,10 +13,10 @@ from quadexp.log.store import write_flight
 
 
 def timed_cell(config: Any, model: Any, path: str, key: str) -> dict[str, Any]:
-    """Fly and write; the row says how long each took, how much memory the process has (MB) and what it built.
+    """Fly and write; the row has the time of each, the memory of the process (MB) and the controllers that it built.
 
-    Beside the wall clock (`*_seconds`) stands the time less that for which the thread waited for a core (`*_own`):
-    what it would have taken had nobody else used the machine. between: since this process had ended its last cell.
+    `*_seconds`: wall-clock time. `*_own`: minus the thread's waiting time for a core. between: time since the end of
+    the previous cell in this process.
     """
     builds = _count_builds()
     began = clocks()

@@ -1,20 +1,20 @@
-"""Time of one control step as Python sees it, against acados where it is importable.
+"""Time of one control step called from Python, compared with acados where it is importable.
 
     python -m benchmarks.step [--acados-python PYTHON] [--nodes 10 20] [--cases none gp20 ...]
     python -m benchmarks.step --bounded [...]              # with bounds active, see bounded.py
 
 Both sides solve the same problem along the same states and references, taken from a closed loop of our controller on a
-circle at 8 m/s, whose air the model knows and where no bound is active: set the measured state and the references,
-iterate once, read the first input. (blade_element: our model contains the rotors' aerodynamics, acados's is the plain
-one along the same states.) One core, garbage collector off, rounds that alternate between all contestants; printed are
-the quartiles of all steps, and the medians over the rounds of a round's 99th percentile and of its ratio of medians, so
-that a machine that changes its speed between rounds does not decide. acados runs in processes of its own (its libraries
-and CasADi's clash); for its options see acados_step.py.
+circle at 8 m/s with an exact model of the air and no active bound: set the measured state and the references, iterate
+once, read the first input. (blade_element: our model contains the rotors' aerodynamics, acados uses the plain model
+along the same states.) One core, garbage collector off, rounds alternating between the solvers; printed are the
+quartiles of all steps, and the medians over the rounds of a round's 99th percentile and of its ratio of medians, which
+are robust to speed changes of the machine between rounds. acados runs in separate processes (its libraries conflict
+with CasADi's); options: acados_step.py.
 
-Two checks stand beside the times. "same problem": some steps iterated to convergence on both sides, largest difference
-of the first input, acados to ours. "left by one iteration": how far the first input of one iteration a step stays from
-the converged one, median over the same steps. It differs with the warm start: ours moves the last solution forward by
-the control period, acados's stays in place.
+Two checks accompany the times. "same problem": some steps iterated to convergence by both solvers, largest difference
+of the first input. "left by one iteration": difference between the first input after one iteration per step and the
+converged one, median over the same steps. It depends on the warm start: ours shifts the last solution by the control
+period, acados's does not.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from quadexp.experiment.rollout import SampledReference
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
-from quadexp.reference import Circle
+from quadexp.reference.circle import Circle
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.base import Plant
 from quadexp.world.blade_element import BladeElementPlant
@@ -258,7 +258,7 @@ def acados(python: str, folder: Path, options: str) -> Iterator[Acados]:
 def compare(vehicle: Vehicle, case: str, nodes: int, steps: int, rounds: int, acados_python: str) -> dict[str, Any]:
     """One row of the table: times of every contestant, ratios, differences of the first input."""
     if case == PLAIN:
-        vehicle = replace(vehicle, rotor=ROTOR, static_thrust=static_coefficients(ROTOR, COEFFICIENTS).thrust)
+        vehicle = replace(vehicle, rotor=ROTOR, thrust_coefficient=static_coefficients(ROTOR, COEFFICIENTS).thrust)
     residual, numbers = make_residual(case, vehicle)
     settings = MPCSettings(nodes=nodes)
     own = {name: ModelPredictiveController(vehicle, residual, settings, backend=name) for name in BACKENDS}

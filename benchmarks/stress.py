@@ -1,11 +1,11 @@
-"""The controller under stress: thousands of states and references that no flight should bring, one table.
+"""Stress test of the controller with thousands of extreme states and references, in one table.
 
     python -m benchmarks.stress                            # 10,000 steps for every model of the air, compiled
     python -m benchmarks.stress --steps 500 --backend interpreted
 
-Every step must end in an input within its bounds or in a named failure, in bounded time. A trial draws a situation (see
-SITUATIONS), resets the controller, and takes STEPS_EACH steps through it with states that jump; the first of them
-iterates up to 20 times, the others once.
+Every step must return an input within its bounds or a named failure, in bounded time. A trial draws a situation (see
+SITUATIONS), resets the controller, and runs STEPS_EACH steps with jumping states; the first of them iterates up to 20
+times, the others once.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def stress_vehicle() -> Vehicle:
         thrust_max=20.0,
         rate_max=20.0,
         rotor=rotor,
-        static_thrust=static_coefficients(rotor, BLADE).thrust,
+        thrust_coefficient=static_coefficients(rotor, BLADE).thrust,
     )
 
 

@@ -1,8 +1,8 @@
-"""A residual of one's own: drag that grows with the cube of the speed.
+"""A residual of your own: drag that grows with the cube of the speed.
 
     a_body = -c v |v|^2                                                             m/s^2
 
-Written as CasADi expressions it enters the MPC's prediction, and the reference's feedforward, as any other residual.
+As CasADi expressions it is used in the MPC's prediction and in the reference's feed-forward like any other residual.
 """
 
 import casadi as ca
@@ -11,7 +11,7 @@ from quadexp.air.base import feature_names, symbolic_residual
 
 
 def cubic_drag(vehicle, *, coefficient):
-    """coefficient: c, s/m^2; a runtime parameter, so that another value does not compile anew."""
+    """coefficient: c, s/m^2; a runtime parameter, so that another value needs no recompilation."""
     features = ca.SX.sym("z", len(feature_names(vehicle.n_rotors)))  # body velocity, body rate, rotor thrusts
     theta = ca.SX.sym("theta", 1)
     velocity = features[:3]

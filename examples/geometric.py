@@ -1,4 +1,4 @@
-"""A controller of one's own: geometric tracking on SE(3) (Lee, Leok & McClamroch 2010), reference rates fed forward.
+"""A controller of your own: geometric tracking on SE(3) (Lee, Leok & McClamroch 2010), reference rates fed forward.
 
 f = m (a_ref + g e_z - k_p e_p - k_v e_v),   T = f . R e_z
 tau = J (-k_R e_R - k_w (w - w_ref)) + w x J w,   e_R = 1/2 vee(R_d' R - R' R_d)
@@ -15,7 +15,7 @@ from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 
 
 class GeometricController:
-    """Gains: 1/s^2 and 1/s. rate: of control, Hz. See quadexp/control/base.py for what a controller has."""
+    """Gains: 1/s^2 and 1/s. rate: of control, Hz. See quadexp/control/base.py for the interface of a controller."""
 
     residual, reference_period, backend = None, 0.0, "interpreted"
     name, source = "none", ""

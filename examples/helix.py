@@ -1,9 +1,9 @@
-"""A trajectory of one's own: an upward helix from rest to rest.
+"""A trajectory of your own: an upward helix from rest to rest.
 
     p = (r cos th, r sin th, z0 + pitch th / 2 pi),    th(t) = 2 pi turns s(t / duration)
 
 s is the polynomial of ninth order that starts and ends with four derivatives of zero, so that position, velocity,
-acceleration, jerk and snap are continuous: what differential flatness needs.
+acceleration, jerk and snap are continuous, as differential flatness needs.
 """
 
 from dataclasses import dataclass

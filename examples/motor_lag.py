@@ -1,8 +1,8 @@
-"""A plant of one's own: rotors whose thrust follows the command with a lag, and linear drag on the airframe.
+"""A plant of your own: rotors whose thrust follows the command with a lag, and linear drag on the airframe.
 
     T_i' = (u_i - T_i) / tau,        a_body = -D v_body
 
-The rotors' thrust is a state of the plant, beside the 13 numbers that a controller measures: `reset` forgets it.
+The rotors' thrust is a state of the plant in addition to the 13 that a controller measures; `reset` sets it to hover.
 """
 
 import casadi as ca

@@ -1,9 +1,9 @@
-"""A controller in a loop of one's own, as in a ROS 2 node: measured state in, rotor thrusts out, no command line.
+"""A controller in your own loop, as in a ROS 2 node: measured state in, rotor thrusts out.
 
     python examples/own_loop.py controller=gp_mpc model=models/gp trajectory=circle trajectory.speed=8
 
-`Stack` stands for the flight stack, with a simulated plant behind it: put your estimator into `measure` and your
-commands into `send`, and call the body of the loop from a timer of `controller.control_period`. World ENU, body FLU,
+`Stack` represents the flight stack, here with a simulated plant: put your estimator into `measure` and your commands
+into `send`, and call the body of the loop from a timer of `controller.control_period`. World ENU, body FLU,
 quaternion body to world with w first, SI units: quadexp/physics/state.py.
 """
 
@@ -25,7 +25,7 @@ class Stack:
         self.acceleration, self.rng = None, np.random.default_rng(0)
 
     def measure(self, t):
-        """rotor_speed: None where nobody measures it. specific_force: accelerometer, body, m/s^2."""
+        """rotor_speed: None if not measured. specific_force: accelerometer, body, m/s^2."""
         return Measurement(t, self.state, self.acceleration, getattr(self.plant, "rotor_speed", None))
 
     def send(self, thrusts, rates):
@@ -45,7 +45,7 @@ def main(overrides):
     for k, t in enumerate(reference.t):
         measurement, window = stack.measure(t), reference.window(k)
         thrusts, record = controller.step(measurement, window)
-        if record.status == Status.FAILED:  # hand over to what brings the vehicle down
+        if record.status == Status.FAILED:  # here your fallback takes over
             raise SystemExit(f"the control step failed at t={t:.2f} s")
         mpc = getattr(controller, "mpc", None)
         rates = mpc.prediction[0][1, RATE] if mpc else measurement.state[RATE]  # rates at the next node

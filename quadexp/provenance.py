@@ -33,10 +33,10 @@ DECIDING = (
     "experiment/build.py", "experiment/build_custom.py", "experiment/build_identified.py",
     "experiment/build_lei_li.py", "experiment/evaluate.py", "experiment/identity.py", "experiment/outside.py",
     "experiment/rollout.py",
-    "learn/body_drag.py", "learn/checkpoint.py", "learn/dataset.py", "learn/linear_drag.py",
+    "learn/checkpoint.py", "learn/dataset.py", "learn/linear_drag.py",
     "learn/lumped.py", "learn/model.py", "learn/regression.py", "learn/rls.py", "learn/rls_step.py",
     "learn/samples.py", "learn/support.py", "learn/term_mean.py", "learn/terms.py",
-    "learn/thrust_curve.py", "learn/thrust_design.py", "learn/vehicle_model.py",
+    "learn/thrust_curve.py", "learn/vehicle_model.py",
     "report/metrics.py",
 )  # fmt: skip
 SUFFIXES = (".py", ".c")

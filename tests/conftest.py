@@ -86,7 +86,7 @@ def lei_li(blade) -> Vehicle:
         thrust_max=20.0,
         rate_max=20.0,
         rotor=rotor,
-        static_thrust=static.thrust,
+        thrust_coefficient=static.thrust,
     )
 
 

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
+from scipy.spatial.transform import Rotation
+
+from quadexp.control.feedback.frames import FRD_FLU, NED_ENU, euler_angles
+from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 
 
 def random_state(rng: np.random.Generator, *, speed: float = 6.0, rate: float = 3.0) -> np.ndarray:
@@ -11,3 +16,10 @@ def random_state(rng: np.random.Generator, *, speed: float = 6.0, rate: float = 
     return np.concatenate(
         [rng.normal(size=3), q / np.linalg.norm(q), speed * rng.normal(size=3), rate * rng.normal(size=3)]
     )
+
+
+def ned_from_state(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """xi (3,) NED (m), eta (3,) (rad), velocity (3,) NED (m/s), Omega (3,) FRD (rad/s) of a state (13,)."""
+    R = NED_ENU @ Rotation.from_quat(x[ATTITUDE], scalar_first=True).as_matrix() @ FRD_FLU
+    eta = ca.DM(euler_angles(ca.DM(R))).full().ravel()
+    return NED_ENU @ x[POSITION], eta, NED_ENU @ x[VELOCITY], FRD_FLU @ x[RATE]

@@ -1,4 +1,4 @@
-"""The residual seam: a CasADi function with its parameters."""
+"""The interface of residual models: a CasADi function with its parameters."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ def feature_names(n_rotors: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Residual:
-    """A residual model: function, parameters, and where they came from.
+    """A residual model: function, parameters, and their source.
 
-    name: what to print ("none", "linear_drag", "gaussian_process", ...).
+    name: for output ("none", "linear_drag", "gaussian_process", ...).
     function: CasADi, (z (6 + n,), theta (p,)) -> (y (6,), dy/dz (6, 6 + n)); entries that are always zero are
-        structural zeros, so that whoever embeds it can skip them.
+        structural zeros, so that code using it can omit them.
     theta: parameter values, (p,).
     source: checkpoint path or a word, for the record.
-    to_compile: the same function in a form for code that gets compiled; None: `function` itself.
-    ranges: feature -> [least, largest] of the data that it was fitted to (quadexp.learn.support), None where it was
-        not fitted or nobody knows.
+    to_compile: the same function in a form suited for compilation; None: `function` itself.
+    ranges: feature -> [least, largest] of the data that it was fitted to (quadexp.learn.support); None where unknown or
+        not fitted.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Residual:
 
     @property
     def is_zero(self) -> bool:
-        """Whether the outputs are structurally zero: nothing is known of the air."""
+        """Whether the outputs are structurally zero."""
         return self.function.nnz_out(0) == 0
 
 

@@ -1,12 +1,12 @@
-"""Blade-element residual: the rotors' and the airframe's true forces less what the nominal body has already.
+"""Blade-element residual: forces and torques of rotors and airframe minus those of the nominal rigid body.
 
     y = [F / m - (0, 0, sum u) / m_nominal,  Gamma - G u]        F, Gamma: quadexp.physics.blade_element, (4)-(17)
 
 The command u (N) is a static thrust, so w = sqrt(u / k_T,static); at V = 0 with the true coefficients y is zero. The
-induced velocity comes from a few Newton steps at every evaluation: held over a horizon it is wrong within a tenth of a
-second. Its derivative is that of the equation it solves, dV_I/dz = -g_z / g_V, not that of the iterations.
+induced velocity is computed by a few Newton steps at every evaluation: held constant over a horizon it would be wrong
+within a tenth of a second. Its derivative is that of the equation it solves, dV_I/dz = -g_z / g_V, not of the steps.
 
-Rotors do not stop: below the idle speed the residual keeps its value there, so that it stays regular for u -> 0.
+Below the idle speed the residual keeps its value there, so that it stays differentiable for u -> 0.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from quadexp.physics.induced_velocity import balance, newton, starting_point
 from quadexp.physics.rotor import C_LA, IDLE_SPEED, THETA, BladeCoefficients
 from quadexp.physics.vehicle import Vehicle
 
-ITERATIONS = 4  # Newton steps; in cruise three are within 1e-9 m/s, the fourth is for idling rotors and steep descents
+ITERATIONS = 4  # Newton steps; three reach 1e-9 m/s in cruise, idling rotors and steep descents need a fourth
 
 
 def blade_element_residual(
@@ -40,7 +40,7 @@ def blade_element_residual(
 ) -> Residual:
     """Residual with theta = (C_d0, C_la, C_Dx, C_Dy, C_Dz) as runtime parameters, (5,).
 
-    vehicle: with rotor and static_thrust. coefficients: the values to begin with. source: where they came from.
+    vehicle: with rotor and thrust_coefficient. coefficients: initial values. source: for the record.
     iterations: Newton steps for V_I. rotor_speed_min: idle speed (rad/s).
     Raises UsageError where the vehicle has no rotor geometry.
     """
@@ -52,7 +52,7 @@ def blade_element_residual(
 def residual_from_correction(
     name: str, z: Expression, theta: Expression, y: Expression, dy_dz: Expression, values: np.ndarray, source: str
 ) -> Residual:
-    """Residual of expressions that carry their own derivative; common subexpressions are shared."""
+    """Residual from expressions for y and dy/dz; common subexpressions are shared."""
     y, dy_dz = ca.cse([y, dy_dz])
     function = ca.Function(f"residual_{name}", [z, theta], [y, dy_dz], ["z", "theta"], ["y", "dy_dz"])
     return Residual(name, function, values, source)
@@ -74,10 +74,10 @@ def blade_element_correction(
 
     z: features (6 + n,). theta: (5,). lift_scale: factor on every rotor's C_la, scalar or (n,). payload: kg.
     """
-    rotor, static_thrust = vehicle.rotor_geometry, vehicle.static_thrust_coefficient
+    rotor, thrust_coefficient = vehicle.rotor_geometry, vehicle.static_thrust_coefficient
     velocity, rate = z[:3], z[3:6] if rotor_local_velocity else None
-    command = ca.fmax(z[6:], static_thrust * rotor_speed_min**2)
-    w = static_rotor_speed(command, static_thrust)
+    command = ca.fmax(z[6:], thrust_coefficient * rotor_speed_min**2)
+    w = static_rotor_speed(command, thrust_coefficient)
     flow = rotor_flow(vehicle, velocity, rate)
     lift_slope = theta[C_LA] * lift_scale
     equation = balance(rotor, lift_slope, w, flow.in_plane_squared, flow.axial, terms)
@@ -97,5 +97,5 @@ def blade_element_correction(
 
 
 def require_rotor(vehicle: Vehicle) -> None:
-    """Raise UsageError where the vehicle's rotors are not described."""
+    """Raise UsageError where the vehicle has no rotor geometry or no thrust coefficient."""
     _ = vehicle.rotor_geometry, vehicle.static_thrust_coefficient

@@ -3,12 +3,12 @@
     y_o(z) = sum_j alpha_oj exp(-1/2 sum_i ((phi_oi - Z_oji) / l_oi)^2) + mean_o(z)
 
 phi_o are the features of output o (B_z selects them among body velocity, rates, rotor thrusts and their sum), Z_o the
-inducing points, alpha_o the weights with the signal variance folded in. The mean function is linear drag, a sum of
-identified terms (residual.terms), or zero.
+inducing points, alpha_o the weights including the signal variance. The mean function is linear drag, a sum of
+identified terms (quadexp.air.terms), or zero.
 
-Written in matrix operations with the analytic derivative: linear in the number of points, and one function for every
-fit of the same shape, since points and weights are parameters. With s = 1 / (sqrt(2) l) the code evaluates
-d = s phi - s Z, k = exp(-sum d^2), dy/dphi = -2 s (alpha k)^T d.
+Written in matrix operations with the analytic derivative; the cost is linear in the number of points. Points and
+weights are parameters, so fits of the same size share one function. With s = 1 / (sqrt(2) l) the code evaluates d = s
+phi - s Z, k = exp(-sum d^2), dy/dphi = -2 s (alpha k)^T d.
 """
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ import numpy.typing as npt
 
 from quadexp.air.base import N_OUTPUTS, OUTPUTS, Residual, feature_names
 from quadexp.air.linear_drag import N_PARAMETERS, linear_drag_acceleration
-from quadexp.air.term_structure import TermStructure
-from quadexp.air.terms import term_acceleration
+from quadexp.air.terms import TermStructure, term_acceleration
 from quadexp.compile.backend import handwritten
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
@@ -34,7 +33,7 @@ from quadexp.physics.vehicle import Vehicle
 COLLECTIVE_THRUST = "thrust"  # feature: sum of the rotor thrusts (N)
 SUMS = Path(__file__).with_name("gp_sums.c")
 
-Sums = tuple[list[Expression], list[Expression]]  # over the points: a value an output, a slope a feature
+Sums = tuple[list[Expression], list[Expression]]  # over the points: one value per output, one slope per feature
 Structure = tuple[tuple[str, tuple[str, ...], int], ...]  # output, its features, its number of points
 
 
@@ -54,7 +53,7 @@ class GPOutput:
 
 
 class PosteriorMean(Protocol):
-    """What a residual is made of: a GPOutput, or whatever else says as much of one output."""
+    """Posterior mean of one output: a GPOutput, or another object with its fields."""
 
     @property
     def output(self) -> str: ...
@@ -78,8 +77,8 @@ def gaussian_process_residual(
 ) -> Residual:
     """Residual of one or more GP outputs.
 
-    mean_parameters: [D (3,), b (3,), kappa] of the linear-drag mean function (see residual.linear_drag), or None.
-    mean_terms: where it is given, the mean function is these terms and mean_parameters are their coefficients.
+    mean_parameters: [D (3,), b (3,), kappa] of the linear-drag mean function (quadexp.air.linear_drag), or None.
+    mean_terms: the mean function as terms, whose coefficients are then mean_parameters.
     Raises UsageError for an unknown feature or output.
     """
     names = feature_names(vehicle.n_rotors)
@@ -116,18 +115,17 @@ def _posterior_mean_function(
 ) -> ca.Function:
     """(z, theta) -> y, dy/dz for outputs of the given (output, features, number of points).
 
-    theta: parameters of the mean function, then s, s Z and alpha of all outputs, one after the other. sums: over the
-    points, _matrix_sums or _compiled_sums.
+    theta: parameters of the mean function, then s, s Z and alpha of all outputs. sums: _matrix_sums or _compiled_sums.
     """
     n_alpha, n_point = _sizes(structure)
     n_mean = N_PARAMETERS if mean_terms is None else mean_terms.n_parameters
     sizes = [n_mean, len(n_point), sum(n_point), sum(n_alpha)]
     z, theta = ca.MX.sym("z", len(names)), ca.MX.sym("theta", sum(sizes))
-    drag, scale, points, alpha = _split(theta, sizes)
+    mean, scale, points, alpha = _split(theta, sizes)
     select, assemble = _scalar_functions(names, structure, with_mean=with_mean, mean_terms=mean_terms)
 
     values, slopes = sums(structure, select(z, scale), points, alpha)
-    y, dy_dz = assemble(z, drag, scale, ca.vertcat(*values), ca.vertcat(*slopes))
+    y, dy_dz = assemble(z, mean, scale, ca.vertcat(*values), ca.vertcat(*slopes))
     return ca.Function("residual_gaussian_process", [z, theta], [y, dy_dz], ["z", "theta"], ["y", "dy_dz"])
 
 
@@ -137,14 +135,14 @@ def _matrix_sums(structure: Structure, scaled: Expression, points: Expression, a
     distance = [feature - point for feature, point in zip(ca.vertsplit(scaled), _split(points, n_point), strict=True)]
     of_output = [i for i, (_, features, _) in enumerate(structure) for _ in features]
     exponent = [sum(d * d for d, i in zip(distance, of_output, strict=True) if i == o) for o in range(len(structure))]
-    kernel = ca.exp(-ca.vertcat(*exponent))  # all outputs at once: a long loop
+    kernel = ca.exp(-ca.vertcat(*exponent))  # all outputs in one vectorised loop
     weighted = _split(alpha * kernel, n_alpha)
     values = [ca.dot(a, k) for a, k in zip(_split(alpha, n_alpha), _split(kernel, n_alpha), strict=True)]
     return values, [ca.dot(weighted[i], d) for d, i in zip(distance, of_output, strict=True)]
 
 
 def _compiled_sums(structure: Structure, scaled: Expression, points: Expression, alpha: Expression) -> Sums:
-    """As _matrix_sums, one pass of gp_sums.c an output."""
+    """As _matrix_sums, by gp_sums.c, one call per output."""
     n_alpha, _ = _sizes(structure)
     n_features = [len(features) for _, features, _ in structure]
     kernels = {shape: _sums_function(*shape) for shape in zip(n_alpha, n_features, strict=True)}
@@ -162,7 +160,7 @@ def _compiled_sums(structure: Structure, scaled: Expression, points: Expression,
 
 def _sums_function(m: int, d: int) -> ca.Function:
     """(scaled features (d,), scaled points (m d,), alpha (m,)) -> (alpha k) 1, (alpha k)^T d of one output."""
-    one, feature, alpha, points = (ca.Sparsity.dense(rows, 1) for rows in (1, d, m, m * d))
+    one, feature, alpha, points = (ca.Sparsity.dense(size, 1) for size in (1, d, m, m * d))
     return handwritten(
         f"gp_sums_{m}_{d}",
         SUMS,
@@ -184,21 +182,19 @@ def _split(vector: Expression, sizes: Sequence[int]) -> list[Expression]:
 def _scalar_functions(
     names: Sequence[str], structure: Structure, *, with_mean: bool, mean_terms: TermStructure | None
 ) -> tuple[ca.Function, ca.Function]:
-    """What comes before and after the sums over points:
+    """The functions before and after the sums over points.
 
-    (z, s) -> s phi of all features; (z, drag, s, (alpha k) 1, (alpha k)^T d) -> y, dy/dz with structural zeros, where
-    drag are the parameters of the mean function.
+    (z, s) -> s phi of all features; (z, mean, s, (alpha k) 1, (alpha k)^T d) -> y, dy/dz with structural zeros. mean:
+    parameters of the mean function.
     """
-    z, drag = (
-        ca.SX.sym("z", len(names)),
-        ca.SX.sym("drag", N_PARAMETERS if mean_terms is None else mean_terms.n_parameters),
-    )
+    n_mean = N_PARAMETERS if mean_terms is None else mean_terms.n_parameters
+    z, mean = ca.SX.sym("z", len(names)), ca.SX.sym("mean", n_mean)
     n_features = sum(len(features) for _, features, _ in structure)
     scale, slope = ca.SX.sym("scale", n_features), ca.SX.sym("slope", n_features)
     value = ca.SX.sym("value", len(structure))
     y, dy_dz = ca.SX(N_OUTPUTS, 1), ca.SX(N_OUTPUTS, len(names))
     if with_mean:
-        y[:3] = linear_drag_acceleration(z, drag) if mean_terms is None else term_acceleration(z, drag, mean_terms)
+        y[:3] = linear_drag_acceleration(z, mean) if mean_terms is None else term_acceleration(z, mean, mean_terms)
         dy_dz[:3, :] = ca.jacobian(y[:3], z)
     phi: list[Expression] = []
     for i, (output, features, _) in enumerate(structure):
@@ -209,4 +205,4 @@ def _scalar_functions(
             dy_dz[row, columns] -= 2 * scale[len(phi)] * slope[len(phi)]
             phi.append(ca.sum1(z[columns]))
     select = ca.Function("select", [z, scale], [scale * ca.vertcat(*phi)])
-    return select, ca.Function("assemble", [z, drag, scale, value, slope], [ca.sparsify(y), ca.sparsify(dy_dz)])
+    return select, ca.Function("assemble", [z, mean, scale, value, slope], [ca.sparsify(y), ca.sparsify(dy_dz)])

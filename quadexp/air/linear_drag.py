@@ -1,9 +1,9 @@
-"""Linear rotor drag (Faessler et al. 2018; RDRv in Torrente et al. 2021), with the terms that keep its fit honest.
+"""Linear rotor drag (Faessler et al. 2018; RDRv in Torrente et al. 2021), with an intercept and a thrust term.
 
     a_body = -D v_body + b + (0, 0, kappa T)                                m/s^2
 
-D diagonal (1/s), intercept b (m/s^2), kappa (1/kg) the share of the collective thrust T (N) that is lost or gained.
-With b = 0 and kappa = 0 this is the published model.
+D diagonal (1/s), intercept b (m/s^2), kappa (1/kg): acceleration lost or gained per collective thrust T (N). b = 0 and
+kappa = 0 give the published model.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""No residual: the nominal rigid body is believed."""
+"""The zero residual: the nominal rigid body."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ class VehicleConfig(Checked):
     rate_max: float = number("(0, 100]", "rad/s")
     gravity: float = number("(0, 100]", "m/s^2", 9.81)
     rotor: RotorConfig | None = None
-    static_thrust: float | None = number("(0, 1]", "N s^2", None)
+    thrust_coefficient: float | None = number("(0, 1]", "N s^2", None)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -26,7 +26,7 @@ MEANINGS: dict[str, str] = {
     "vehicle.thrust_max": "largest thrust that can be commanded",
     "vehicle.rate_max": "largest body rate that a reference may ask for",
     "vehicle.gravity": "acceleration of free fall",
-    "vehicle.static_thrust": "k of the thrust map u = k w^2 between thrust and rotor speed; null where nobody needs it",
+    "vehicle.thrust_coefficient": "k of u = k w^2, thrust over squared rotor speed at rest; null where not needed",
     "vehicle.rotor.radius": "radius of the rotor disc",
     "vehicle.rotor.chord": "chord of a blade",
     "vehicle.rotor.twist": "pitch angle of a blade, constant over the radius",

@@ -1,13 +1,12 @@
 """Flights for learning, and the data set made from them.
 
-mode "random": smooth random paths, one lap each, their peak speeds spread evenly over [speed_min, speed_max]; a path
-that takes more thrust than all rotors have together is drawn anew. Single rotors may meet their limits, unlike on the
-paths of trajectory=random: data for learning are wanted from everywhere that a vehicle can get to.
-mode "setpoints": jumps between random points, each held for as long as a minimum-snap move to the next one would take
-at a peak speed of that range.
+mode "random": smooth random paths, one lap each, with peak speeds spread evenly over [speed_min, speed_max]; a path
+that exceeds the total thrust of all rotors is replaced by another. Single rotors may reach their limits, unlike on the
+paths of trajectory=random, so that the data cover the whole range of the vehicle. mode "setpoints": jumps between
+random points, each held for the duration of a minimum-snap move to the next one at a peak speed of that range.
 
-Paths and noise are drawn from the seed alone, whatever flies them, so that the data of two controllers or plants can be
-compared; and it stops at a simulated time. The same command makes the same data set anywhere.
+Paths and noise depend on the seed only, not on controller or plant, so that their data can be compared. Collection
+stops at a simulated time, so the same command gives the same data set on every machine.
 """
 
 from __future__ import annotations
@@ -38,17 +37,17 @@ from quadexp.reference.base import FlatOutput
 from quadexp.reference.random_polynomial import RandomPolynomial
 
 PEAK_OVER_MEAN = 35 / 16  # speed of the minimum-snap move from rest to rest, 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7
-DRAWS = 50  # paths drawn before giving up on one that can be flown
-OF_RECORDED = ("target", "identified")  # keys of `collect` that no flight is flown by
-LOST_DISTANCE = 1e3  # m; a jump of the set-point is no lost flight
-GOLDEN = 0.6180339887498949  # step of an even spread over an interval, however many there will be
+DRAWS = 50  # attempts to draw a path that can be flown
+OF_RECORDED = ("target", "identified")  # keys of `collect` for recorded flights only
+LOST_DISTANCE = 1e3  # m; large, because a jump of the set-point must not end the flight
+GOLDEN = 0.6180339887498949  # step of an even spread over an interval for any number of points
 
 
 @dataclass(frozen=True)
 class Setpoints:
-    """Points held one after another, with nothing in between.
+    """Points held one after another, with jumps in between.
 
-    points: (n, 3), world (m). times: (n,), s, when each begins. duration: s.
+    points: (n, 3), world (m). times: (n,), s, start of each. duration: s.
     """
 
     points: np.ndarray
@@ -72,7 +71,7 @@ def collect_flights(
 ) -> list[Flight]:
     """Fly until `collect.duration` seconds are recorded.
 
-    Raises UsageError where the controller lacks its model, QuadexpError where no path of the asked speed can be flown.
+    Raises UsageError where the controller lacks its model, QuadexpError where no path of a speed can be flown.
     """
     model = find_model(config)
     vehicle = build_vehicle(config.vehicle)
@@ -106,7 +105,7 @@ def collect_flights(
 
 
 def _decisive(config: Config) -> dict[str, Any]:
-    """What of `collect` decides how flights are flown; the rest speaks of recorded ones."""
+    """The keys of `collect` that affect simulated flights."""
     return {key: value for key, value in asdict(config.collect).items() if key not in OF_RECORDED}
 
 
@@ -139,19 +138,15 @@ def setpoints(extent: float, clearance: float, speed: float, duration: float, rn
 def _rows(
     config: Config, vehicle: Vehicle, flights: Sequence[Flight], names: Sequence[str]
 ) -> tuple[ResidualDataset, list[str]]:
-    """The data set and what must be said of it: recorded flights by their accelerometer, simulated ones by transitions.
+    """The data set with notes on it: of recorded flights by their accelerometer, of simulated ones by transitions.
 
-    Raises UsageError where recorded and simulated flights are mixed without a target that suits both.
+    Raises UsageError where recorded and simulated flights are mixed without a target for both.
     """
     settings = config.collect
     recorded = [is_recorded(flight) for flight in flights]
     if settings.target == "auto" and any(recorded) != all(recorded):
         raise UsageError("collect.target: simulated and recorded flights together need specific_force or velocity")
-    if (
-        settings.identified is None
-        and (settings.target == "auto" or settings.target == "velocity")
-        and not any(recorded)
-    ):
+    if settings.identified is None and settings.target in ("auto", "velocity") and not any(recorded):
         return residual_dataset(flights, vehicle, frame=settings.frame, names=names), []
     curve = _curve(config, vehicle, flights)
     target = "specific_force" if settings.target == "auto" else settings.target
@@ -166,18 +161,20 @@ def _rows(
 
 
 def _curve(config: Config, vehicle: Vehicle, flights: Sequence[Flight]) -> ThrustCurve:
-    """The identified thrust curve, or the thrust that the logs state themselves."""
+    """The identified thrust curve, or the logged thrust."""
     folder = config.collect.identified
     if folder is None:
         return logged_thrust(flights, vehicle)
     model = load_identified(folder, vehicle)
     if not hasattr(model, "thrust"):
-        raise UsageError(f"collect.identified={folder}: has no thrust curve; give the folder of `quadexp identify`")
+        raise UsageError(
+            f"collect.identified={folder}: has no thrust curve; give a folder written by `quadexp identify`"
+        )
     return model.thrust
 
 
-def _refuse_twins(flights: Sequence[Path], save_flights: Path | None) -> None:
-    """A flight that is given twice would be fitted while it is held out; of two with one name one would be lost."""
+def _check_unique(flights: Sequence[Path], save_flights: Path | None) -> None:
+    """Raise UsageError for a repeated flight, which could be held out and fitted, and for equal names to be saved."""
     twice = [path for path, count in Counter(path.resolve() for path in flights).items() if count > 1]
     if twice:
         raise UsageError(f"collect: {twice[0]} is given twice")
@@ -195,10 +192,10 @@ def collect_dataset(
     save_flights: Path | None = None,
     progress: Callable[[float, float], None] = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Write the residual data set of the given flight files, or of flights flown for it; returns what to report."""
+    """Write the residual data set of flight files, or of new flights; returns the report."""
     vehicle = build_vehicle(config.vehicle)
     if flights:
-        _refuse_twins(flights, save_flights)
+        _check_unique(flights, save_flights)
         flown = [read_flight(file, ordered=True) for file in flights]
         names = [str(file) for file in flights]
         record: dict[str, Any] = {"source": "files"}

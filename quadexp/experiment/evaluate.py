@@ -1,9 +1,8 @@
-"""One flight from one configuration, and the result row it gives."""
+"""One flight from one configuration, and its row of results."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +33,11 @@ CHECK_STEP = 0.02  # s between the points at which a reference is compared with 
 
 
 class InfeasibleError(UsageError):
-    """The reference asks for more than the vehicle has."""
+    """The reference exceeds the vehicle's total thrust."""
 
 
 def generator(config: Config) -> np.random.Generator:
-    """The noise of a flight: the same for every controller on the same trajectory, plant, vehicle and seed."""
+    """Random generator of a flight: the same for every controller on one trajectory, plant, vehicle and seed."""
     return np.random.default_rng(np.random.SeedSequence(flight_entropy(config)))
 
 
@@ -54,7 +53,7 @@ def _coarse_reference(trajectory: Any, vehicle: Vehicle) -> Any:
 
 
 def thrust_excess(trajectory: Any, vehicle: Vehicle, reference: Any = None) -> str | None:
-    """Where the collective thrust is beyond what all rotors have together, or None: such a path nobody can fly."""
+    """Where the collective thrust exceeds that of all rotors, so that the path cannot be flown; None if nowhere."""
     try:
         reference = reference or _coarse_reference(trajectory, vehicle)
     except UsageError as error:
@@ -72,11 +71,11 @@ def thrust_excess(trajectory: Any, vehicle: Vehicle, reference: Any = None) -> s
 
 
 def check_feasible(config: Config, trajectory: Any, vehicle: Vehicle) -> str:
-    """What the reference asks for beyond the vehicle's limits, in one line, "" where nothing.
+    """Where the reference exceeds the vehicle's limits, in one line, "" if nowhere.
 
-    A collective thrust beyond what all rotors have together cannot be flown by anyone: InfeasibleError, unless the
-    configuration allows it. A single rotor or a rate beyond its limit, mostly for the yaw that the reference
-    prescribes, costs attitude error and leaves the path flyable: that is only said.
+    Raises InfeasibleError for a collective thrust beyond that of all rotors, unless the configuration allows it. A
+    single rotor thrust or a rate beyond its limit, mostly due to a prescribed yaw, causes attitude errors but the path
+    can still be flown: this is only noted.
     """
     from quadexp.reference.feasibility import check_feasible as compare
 
@@ -95,8 +94,8 @@ def check_feasible(config: Config, trajectory: Any, vehicle: Vehicle) -> str:
 def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     """Fly one configuration.
 
-    model: the checkpoint; looked for where the configuration says unless given.
-    Raises UsageError (InfeasibleError) before the flight, never for how the flight went: that is its outcome.
+    model: the checkpoint; None: found by the configuration.
+    Raises UsageError (InfeasibleError) before the flight only; how the flight went is its outcome.
     """
     from quadexp.experiment.rollout import SampledReference, fly
 
@@ -125,7 +124,7 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
 
 
 def infeasible_flight(config: Config, model: ModelFile | None, cause: str) -> Flight:
-    """A flight without samples, so that a sweep can remember that it did not happen."""
+    """A flight without samples, so that a sweep records that it was not flown."""
     metadata = describe(config, build_vehicle(config.vehicle), model)
     flight = Flight({"t": np.empty(0)}, metadata | {"outcome": "infeasible", "cause": cause, "backend": ""})
     flight.metadata["row"] = result_row(config, flight)
@@ -133,7 +132,7 @@ def infeasible_flight(config: Config, model: ModelFile | None, cause: str) -> Fl
 
 
 def describe(config: Config, vehicle: Vehicle, model: ModelFile | None) -> dict[str, Any]:
-    """The record that every flight carries."""
+    """The metadata of every flight."""
     record = flight_record(config)
     return {
         "config": record,
@@ -173,12 +172,12 @@ def result_row(config: Config, flight: Flight) -> dict[str, Any]:
 
 
 def program_record() -> dict[str, str]:
-    """What a row says of the program that made it: version, hash of the sources that decide a flight, libraries."""
+    """Program columns of a row: version, hash of the sources that affect a flight, libraries."""
     return {"program": quadexp.__version__, "sources": sources(), "libraries": libraries()}
 
 
 def failed_row(config: Config, model: ModelFile | None, cause: str) -> dict[str, Any]:
-    """The row of a cell whose process died, took too long, or raised."""
+    """The row of a cell whose process crashed, timed out, or raised an exception."""
     empty = Flight({}, {"model": model.path if model else "", "outcome": "failed", "cause": cause})
     return result_row(config, empty)
 
@@ -192,8 +191,3 @@ def evaluate_cell(config: Config, model: ModelFile | None, path: str, key: str) 
     flight.metadata["row"]["key"] = key
     write_flight(Path(path), flight, key=key)
     return flight.metadata["row"]
-
-
-def plain(config: Config) -> dict[str, Any]:
-    """The whole configuration as a plain dictionary."""
-    return asdict(config)

@@ -1,4 +1,4 @@
-"""From a data set to a checkpoint, with the report on flights that the fit has not seen."""
+"""From a data set to a checkpoint, with a report on held-out flights."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def fit_checkpoint(
     compare: bool = False,
     progress: ProgressCallback = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Fit (kind "gp" or "drag"), write the checkpoint, return what to report.
+    """Fit (kind "gp" or "drag"), write the checkpoint, return the report.
 
-    compare: also measure how many inducing points, and which method, it takes.
+    compare: also measure the error over the number of inducing points and the method.
     Raises UsageError or DataError before anything is written.
     """
     data = read_dataset(dataset)
@@ -51,19 +51,19 @@ def fit_checkpoint(
 
         lines += verdict_lines(report["verdict"])
     elif kind == "gp":
-        lines.append("no verdict on linear drag: it takes held-out flights (gp.holdout above 0, gp.split=flight)")
+        lines.append("no comparison with linear drag: it needs held-out flights (gp.holdout above 0, gp.split=flight)")
     return {"path": out, "kind": kind, "figures": files, "lines": lines, **report}
 
 
 def _check_vehicle(data: ResidualDataset, config: Config, path: Path) -> None:
-    """A data set knows its vehicle; the configuration must not speak of another one."""
+    """Raise DataError where the data set is of another vehicle than the configuration's."""
     vehicle = build_vehicle(config.vehicle)
-    found = (data.metadata.get("vehicle") or {}).get("fingerprint")
-    if found != vehicle.fingerprint:
+    recorded = (data.metadata.get("vehicle") or {}).get("fingerprint")
+    if recorded != vehicle.fingerprint:
         name = (data.metadata.get("vehicle") or {}).get("name")
         raise DataError(
-            f"{path}: flown by vehicle {name} ({found}), the configuration says {vehicle.name} ({vehicle.fingerprint}):"
-            " pass the vehicle=... it was collected with"
+            f"{path}: flown by vehicle {name} ({recorded}), the configuration has {vehicle.name}"
+            f" ({vehicle.fingerprint}): pass the vehicle=... it was collected with"
         )
 
 
@@ -131,7 +131,7 @@ def _fit_drag(data: ResidualDataset, config: Config) -> tuple[Any, ...]:
 
 
 def _split_lines(report: Mapping[str, Any]) -> list[str]:
-    """The held-out table; of a split by sample both tables and why the first misleads."""
+    """The held-out table; for a split by sample both tables, with a warning on the first."""
     if "misleading" not in report:
         lines = report_lines(report["rows"], report["held_out_flights"])
     else:
@@ -146,7 +146,7 @@ def _split_lines(report: Mapping[str, Any]) -> list[str]:
 
 
 def report_lines(rows: Sequence[Mapping[str, Any]], held_out: Sequence[str]) -> list[str]:
-    """The held-out table for people: a line per output, the predictors beside each other."""
+    """The held-out table as text: one line per output, one column per predictor."""
     if not rows:
         return ["no flights held out, so no report"]
     predictors = list(dict.fromkeys(row["predictor"] for row in rows))

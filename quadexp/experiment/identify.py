@@ -1,9 +1,9 @@
 """From flight files to identified coefficients, by one of two methods.
 
 rls         Lei & Li's recursive least squares on the blade-element model, flight by flight: needs rotor speeds and the
-            rotors' geometry, and gives C_d0, C_la and C_D.
-regression  thrust curve, drag and lumped blade-element coefficients over all flights together: needs some signal of the
-            thrust, and gives a vehicle model (quadexp.experiment.identify_vehicle).
+            rotors' geometry; gives C_d0, C_la and C_D.
+regression  thrust curve, drag and lumped blade-element coefficients over all flights together: needs a signal of the
+            thrust; gives a vehicle model (quadexp.experiment.identify_vehicle).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from quadexp.log.store import (
     read_table,
     write_table,
 )
-from quadexp.physics.vehicle import Vehicle
+from quadexp.physics.vehicle import FORMER_NAMES, Vehicle
 from quadexp.provenance import provenance, versions
 
 METHODS = ("rls", "regression")
@@ -45,7 +45,7 @@ class Choice(NamedTuple):
 def choose_method(paths: Sequence[Path], asked: str | None, vehicle: Vehicle | None) -> Choice:
     """rls where the flights have rotor speeds and the rotors' geometry is known, else regression.
 
-    vehicle: the one named, None for the flights' own. Raises UsageError for an unknown method.
+    vehicle: None: that recorded in the flights. Raises UsageError for an unknown method.
     """
     if asked is not None:
         if asked not in METHODS:
@@ -57,17 +57,17 @@ def choose_method(paths: Sequence[Path], asked: str | None, vehicle: Vehicle | N
         flight = read_recorded(path)
         if not rotor_columns(flight, "rotor_speed"):
             return Choice("regression", f"{path} has no rotor speeds")
-        known = vehicle or own_vehicle(flight)
-        if known is not None and known.rotor is None:
-            return Choice("regression", f"the geometry of {known.name}'s rotors is not known")
-        if known is None and flight.metadata.get("recorded"):
+        flown = vehicle or own_vehicle(flight)
+        if flown is not None and flown.rotor is None:
+            return Choice("regression", f"the geometry of {flown.name}'s rotors is not known")
+        if flown is None and flight.metadata.get("recorded"):
             return Choice("regression", f"{path} is of a vehicle that is not in the configuration")
     return Choice("rls", "rotor speeds and the rotors' geometry are known")
 
 
 def read_recorded(path: Path) -> Flight:
-    """A flight that may lack the commanded thrusts, as a log does; time, attitude and velocity must be finite, and time
-    must go on."""
+    """Read a flight that may lack commanded thrusts, as a log does. Raises DataError unless time, attitude and velocity
+    are finite, and time increases."""
     needed = ("t", *QUATERNION, "v_x", "v_y", "v_z")
     columns, record = read_table(path, "flight", required=needed)
     check_finite(columns, needed, str(path))
@@ -77,7 +77,7 @@ def read_recorded(path: Path) -> Flight:
 
 
 def own_vehicle(flight: Flight, conf: Path | None = None) -> Vehicle | None:
-    """The vehicle that a flight's record describes, or names if the configuration has the same; None for neither."""
+    """The vehicle described in a flight's metadata, or named there if the configuration's is identical; else None."""
     if (flight.metadata.get("config") or {}).get("vehicle"):
         return _recorded(flight, Path(str(flight.metadata.get("name", "flight"))))
     record = flight.metadata.get("vehicle") or {}
@@ -97,9 +97,9 @@ def identify_files(
     force: bool = False,
     paper: bool = False,
 ) -> list[tuple[Path, Identification]]:
-    """Identify from every flight and write <out>/<its name>.parquet; nothing is written unless all can be.
+    """Identify from every flight and write <out>/<its name>.parquet, all or none.
 
-    vehicle: name in the configuration (or in the folder `conf`); None takes the flight's own record.
+    vehicle: name in the configuration (or in the folder `conf`); None: that in the flight's metadata.
     paper: the paper's P_0 and unit noise instead of scaled ones. Raises UsageError or DataError.
     """
     if not flights:
@@ -111,30 +111,31 @@ def identify_files(
     for path in paths:
         check_output(path, force=force)
     named = None if vehicle is None else configured_vehicle(vehicle, conf)
-    found = []
+    results = []
     for path in flights:
         flight = read_flight(path, ordered=True)
         settings = RLSSettings() if paper else None
-        found.append(identify_flight(flight, named or _recorded(flight, path), settings=settings, name=str(path)))
-    for path, one in zip(paths, found, strict=True):
+        results.append(identify_flight(flight, named or _recorded(flight, path), settings=settings, name=str(path)))
+    for path, one in zip(paths, results, strict=True):
         record = {**one.metadata(), "versions": versions(), "provenance": provenance()}
         write_table(path, one.columns(), record, "estimates")
-    return list(zip(paths, found, strict=True))
+    return list(zip(paths, results, strict=True))
 
 
 def configured_vehicle(name: str, conf: Path | None) -> Vehicle:
-    """A vehicle of the configuration, or of the folder `conf`; raises UsageError where it has none of that name."""
+    """A vehicle of the configuration, or of the folder `conf`; raises UsageError for an unknown name."""
     from quadexp.config.compose import compose
 
     return build_vehicle(compose([f"vehicle={name}"], conf).vehicle)
 
 
 def _recorded(flight: Flight, path: Path) -> Vehicle:
-    """The vehicle that the flight's record describes."""
+    """The vehicle described in a flight's metadata."""
     record = (flight.metadata.get("config") or {}).get("vehicle")
     if not record:
-        raise DataError(f"{path}: does not say which vehicle flew: pass --vehicle NAME")
-    values = dict(record)
+        raise DataError(f"{path}: has no record of its vehicle: pass --vehicle NAME")
+    current = {former: name for name, former in FORMER_NAMES.items()}  # flights of earlier versions
+    values = {current.get(key, key): value for key, value in record.items()}
     if values.get("rotor"):
         values["rotor"] = RotorConfig(**values["rotor"])
     return build_vehicle(VehicleConfig(**values))

@@ -1,4 +1,4 @@
-"""What makes two flights the same: the part of a configuration that decides a flight, and hashes of it."""
+"""Identity of a flight: the part of a configuration that determines it, and hashes of that part."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 from quadexp.config.schema import Config
+from quadexp.physics.vehicle import FORMER_NAMES
 
 FLIGHT_GROUPS = (
     "vehicle",
@@ -15,11 +16,11 @@ FLIGHT_GROUPS = (
     "sensor",
     "trajectory",
     "controller",
-)  # what decides one flight, with model and seed
+)  # determine one flight, together with model and seed
 
 
 def canonical(value: Any) -> str:
-    """JSON with one spelling for one value, for hashing."""
+    """Canonical JSON, for hashing."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
@@ -29,7 +30,7 @@ def digest(value: Any) -> str:
 
 
 def flight_record(config: Config) -> dict[str, Any]:
-    """The part of a configuration that decides one flight, as a plain dictionary."""
+    """The part of a configuration that determines one flight, as a dictionary."""
     record = {group: asdict(getattr(config, group)) for group in FLIGHT_GROUPS}
     return {**record, "model": config.model, "seed": config.seed}
 
@@ -37,13 +38,13 @@ def flight_record(config: Config) -> dict[str, Any]:
 def flight_entropy(config: Config) -> int:
     """Seed of the noise of one flight: from trajectory, plant, vehicle and seed, NOT from controller or model.
 
-    Flights that differ in what the controller knows meet the same noise, so comparisons are paired. What cannot change
-    a flight (names, where a file lies, the back end, what a flight may ask for and when it is over) takes no part.
+    Flights of different controllers have the same noise, so comparisons are paired. Keys that do not affect the noise
+    (names, paths of files, back end, permission of infeasible references, end of a flight) are excluded.
     """
     record = flight_record(config)
     aside = {"name", "backend", "allow_infeasible", "lost_distance", "path"}
     parts = [
-        {k: v for k, v in record[group].items() if k not in aside and v is not None}
+        {FORMER_NAMES.get(k, k): v for k, v in record[group].items() if k not in aside and v is not None}
         for group in ("vehicle", "plant", "trajectory")
     ]
     return int(digest(["noise", *parts, config.seed]), 16)

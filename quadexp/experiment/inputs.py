@@ -1,7 +1,7 @@
-"""Where a file that a flight reads lies on this machine.
+"""Location of a flight's input files on this machine.
 
-A configuration names its files as they lie where the sweep was started, and so do the records of its flights. A worker
-elsewhere gets a copy, and says here where that is.
+A configuration and the metadata of its flights have the paths of the machine on which the sweep was started. A worker
+on another machine gets copies and registers their paths here.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ _copies: dict[str, str] = {}
 
 
 def use_copies(copies: Mapping[str, str]) -> None:
-    """From now on read these: path as configured -> path of its copy. Earlier copies are forgotten."""
+    """Set the map from configured path to path of the copy, replacing an earlier one."""
     _copies.clear()
     _copies.update(copies)
 
 
 def located(path: str | Path) -> Path:
-    """Where to read what is configured as `path`."""
+    """The path to read for the configured `path`."""
     return Path(_copies.get(str(path), path))

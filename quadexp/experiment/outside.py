@@ -9,7 +9,7 @@ import numpy as np
 from quadexp.experiment.build import ModelFile
 from quadexp.log.schema import Flight
 
-UNKNOWN = "the checkpoint does not say what its data cover: fitted by an older version, fit it again"
+UNKNOWN = "the checkpoint has no ranges of its data (fitted by an older version); fit it again"
 
 
 def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> dict[str, Any] | None:
@@ -23,12 +23,12 @@ def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> di
     ranges = dict(getattr(getattr(mpc, "residual", None), "ranges", None) or {})
     record: dict[str, Any] = {"model": model.path, "share": None, "shares": {}, "ranges": ranges, "note": UNKNOWN}
     if not ranges or not len(flight):
-        return record | ({"note": "no sample was flown"} if ranges else {})
+        return record | ({"note": "the flight has no samples"} if ranges else {})
     from quadexp.learn.dataset import feature_rows
     from quadexp.learn.support import outside_shares
 
     rate = flight.stack(["w_x", "w_y", "w_z"])
     finite = np.isfinite(flight.state).all(axis=1)
-    seen = feature_rows(flight.air_velocity[finite], rate[finite], flight.input[finite])
-    shares = outside_shares(ranges, seen)
+    features = feature_rows(flight.air_velocity[finite], rate[finite], flight.input[finite])
+    shares = outside_shares(ranges, features)
     return record | {"share": shares.pop("any"), "shares": shares, "note": ""}

@@ -19,13 +19,13 @@ from quadexp.reference.base import Trajectory
 from quadexp.reference.flatness import Reference, flat_reference
 from quadexp.world.base import Plant
 
-LOST_DISTANCE = 10.0  # m from the reference: further away nobody calls it tracking
-TIME_RESOLUTION = 1e-9  # s, two sampling times closer than this are one
-INNER_STATES = ("rotor_speed", "induced_velocity")  # (n,) of a plant that has them, logged as columns
+LOST_DISTANCE = 10.0  # m from the reference; beyond it a flight counts as lost
+TIME_RESOLUTION = 1e-9  # s; closer sampling times count as equal
+INNER_STATES = ("rotor_speed", "induced_velocity")  # (n,) attributes of some plants, logged as columns
 
 
 class Sensor(Protocol):
-    """What stands between the plant's specific force and the controller; see quadexp.world."""
+    """Accelerometer between the plant's specific force and the controller; see quadexp.world."""
 
     def read(self, specific_force: np.ndarray, rng: np.random.Generator) -> np.ndarray: ...
 
@@ -33,8 +33,8 @@ class Sensor(Protocol):
 class SampledReference:
     """The reference at every control instant and every node of the horizon that starts there.
 
-    trajectory: what to fly. controller: its period and node times decide where to sample, and its residual, where it
-    feeds forward, enters attitude, rates and thrusts.
+    controller: its period and node times determine the sampling; its residual, if fed forward, enters attitude, rates
+    and thrusts.
     """
 
     def __init__(self, trajectory: Trajectory, controller: Controller | ModelPredictiveController) -> None:
@@ -50,32 +50,32 @@ class SampledReference:
         flat = trajectory.flat_output(self.t)
         self._position = flat.position
         self._yaw = np.zeros((samples, 3)) if flat.yaw is None else flat.yaw
-        self._believed: Residual | object | None = self  # nothing yet
+        self._residual: Residual | object | None = self  # none yet
         self.reference: Reference
         self.renew(controller.residual)
 
     def renew(self, residual: Residual | None) -> None:
-        """Make attitude, rates and thrusts anew for another belief of the air, under as much of it as can be.
+        """Recompute attitude, rates and thrusts for another residual, with the largest share of it that is possible.
 
-        Raises UsageError where the trajectory leaves no attitude.
+        Raises UsageError where the trajectory does not determine the attitude.
         """
-        if residual is self._believed:
+        if residual is self._residual:
             return
-        self._believed = residual
+        self._residual = residual
         times = self._grid * TIME_RESOLUTION
         self.reference = flat_reference(self._trajectory, times, self._vehicle, residual=residual)
         self.reference.state.flags.writeable = self.reference.input.flags.writeable = False  # horizons are views
 
     @property
     def residual_share(self) -> float:
-        """Share of the controller's residual that the reference contains, 0 .. 1; NaN where it shall contain none."""
+        """Share of the controller's residual in the reference, 0 .. 1; NaN without feed-forward of a residual."""
         return self.reference.residual
 
     def __len__(self) -> int:
         return len(self.t)
 
     def horizon(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """States (N + 1, 13) and inputs (N, n) over the horizon from control instant k; not to be written to."""
+        """States (N + 1, 13) and inputs (N, n) over the horizon from control instant k; read-only."""
         where, stride = self._where[k], self._stride
         if stride:
             first, last = where.item(0), where.item(-1)
@@ -83,7 +83,7 @@ class SampledReference:
         return self.reference.state[where], self.reference.input[where[:-1]]
 
     def window(self, k: int) -> Window:
-        """What a controller sees of the reference at control instant k."""
+        """The reference for the controller at control instant k."""
         return Window(*self.horizon(k), self._position[k], self._yaw[k])
 
     def along(self) -> tuple[np.ndarray, np.ndarray]:
@@ -98,7 +98,7 @@ class SampledReference:
 
 
 def _common_stride(where: np.ndarray) -> int:
-    """The one distance of neighbours in every row of indices, (k, N + 1); 0 where there are several, or none."""
+    """The common step of all rows of indices, (k, N + 1); 0 where there is none."""
     strides = np.unique(np.diff(where, axis=1))
     return int(strides[0]) if len(strides) == 1 else 0
 
@@ -116,11 +116,10 @@ def fly(
 ) -> Flight:
     """Fly the reference from its start (or from `start`, (13,)) and return the log, one row per control instant.
 
-    sensor: what the controller's accelerometer makes of the specific force; None: it reads it exactly.
+    sensor: the controller's accelerometer; None: an exact one.
     The flight ends early, with the log up to there, where the vehicle is further than lost_distance (m) from the
-    reference or its state is not finite ("lost"), or a control step fails ("solver_failed"). metadata is kept and
-    extended by the outcome, and by the share of the residual that the reference contained on average over the flight
-    (None: it shall contain none).
+    reference or its state is not finite ("lost"), or a control step fails ("solver_failed"). metadata: extended by the
+    outcome and the mean share of the residual in the reference (None without feed-forward of a residual).
     """
     controller = as_controller(controller)
     period, rotors = controller.control_period, plant.vehicle.n_rotors
@@ -137,7 +136,7 @@ def fly(
     for k in range(len(reference)):
         t = float(reference.t[k])
         if renewal.due(k):
-            renewal.make(k, reference, controller.residual)
+            renewal.renew(k, reference, controller.residual)
         state_reference, input_reference = reference.at(k)
         shares.append(reference.residual_share)
         error = x[POSITION] - state_reference[POSITION]
@@ -160,8 +159,8 @@ def fly(
             reading = sensor.read(reading, sensor_rng)
         measured, speed = reading, getattr(plant, "rotor_speed", None)
     if not log.records:
-        raise QuadexpError(f"the flight is over before it began: {cause}")
-    share = float(np.mean(shares))  # a reference that is made anew in flight may contain more or less than before
+        raise QuadexpError(f"the flight ended before its first sample: {cause}")
+    share = float(np.mean(shares))  # it may change where references are recomputed in flight
     details: dict[str, Any] = {"outcome": outcome, "cause": cause, "backend": controller.backend}
     details["reference_residual"] = None if math.isnan(share) else share
     if renewal.failed:
@@ -170,10 +169,10 @@ def fly(
 
 
 class _Renewal:
-    """When a reference is made anew from what has been identified: every `period` control steps (0: never).
+    """Recomputes the reference with the identified residual every `period` control steps (0: never).
 
-    Where the new belief admits no reference the earlier one stays. After that, and after a reference that contains a
-    share of the belief only, the next attempt waits twice as long as the one before: both cost many iterations.
+    Where that fails, the previous reference is kept. After a failure, and after a reference with only a share of the
+    residual, the waiting time doubles, because both take many iterations.
     """
 
     def __init__(self, period: int) -> None:
@@ -182,7 +181,7 @@ class _Renewal:
     def due(self, k: int) -> bool:
         return bool(self._period) and k >= self._next
 
-    def make(self, k: int, reference: SampledReference, residual: Residual | None) -> None:
+    def renew(self, k: int, reference: SampledReference, residual: Residual | None) -> None:
         try:
             reference.renew(residual)
             self._wait = 2 * self._wait if reference.residual_share < 1 else self._period
@@ -193,7 +192,7 @@ class _Renewal:
 
 
 class _Log:
-    """Rows of a flight, as they come."""
+    """The rows of a flight."""
 
     def __init__(self, samples: int, rotors: int) -> None:
         self.state, self.state_reference = np.empty((2, samples, len(STATE_COLUMNS)))
@@ -223,7 +222,7 @@ class _Log:
         self.extra.append(extra)
 
     def columns(self, t: np.ndarray, inner_names: list[str]) -> dict[str, np.ndarray]:
-        """Named columns of the rows that were flown."""
+        """Named columns of the flown rows."""
         flown, inputs = len(self.records), input_columns(self.input.shape[1])
         columns = {"t": t[:flown]}
         columns |= dict(zip(STATE_COLUMNS, self.state[:flown].T, strict=True))

@@ -1,4 +1,4 @@
-"""Models against flights that they have not seen: one-step residuals and open-loop predictions, one report."""
+"""Validation of models on flights: one-step residuals and open-loop predictions in one report."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def validate(
 ) -> dict[str, Any]:
     """Score the models on the flights; with leave_one_out, each flight by models refitted to all the others.
 
-    Returns the report (rows, bands, rollouts, notes, lines, files); written to `out` where it is given.
-    Raises UsageError for models or flights that do not go together, before anything is written.
+    Returns the report (rows, bands, rollouts, notes, lines, files), also written to `out` if given.
+    Raises UsageError for inconsistent models or flights, before anything is written.
     """
     if not models:
         raise UsageError("validate: no model given")
@@ -68,7 +68,7 @@ def validate(
         folds = [(name, [name], [n for n in flown if n != name]) for name in flown]
     else:
         folds = [("", list(flown), [])]
-    found: dict[str, list[Residuals]] = {}
+    by_predictor: dict[str, list[Residuals]] = {}
     rollouts: list[dict[str, Any]] = []
     notes: list[str] = []
     torques: list[str] = []
@@ -77,21 +77,21 @@ def validate(
         chosen = loaded
         if leave_one_out:
             chosen = refitted(loaded, {name: flown[name] for name in fitted}, vehicle)
-        made, said = _torque_tested(_predictors(chosen, vehicle), [flown[name] for name in tested], tested, vehicle)
-        torques += [f"{', '.join(tested)}: {line}" if leave_one_out else line for line in said]
-        rows = [read_rows(flown[name], name, made[0].curve.signal) for name in tested]
+        used, lines = _torque_tested(_predictors(chosen, vehicle), [flown[name] for name in tested], tested, vehicle)
+        torques += [f"{', '.join(tested)}: {line}" if leave_one_out else line for line in lines]
+        rows = [read_rows(flown[name], name, used[0].curve.signal) for name in tested]
         if not leave_one_out:
-            notes += _seen(made, tested)
-        for predictor in made:
-            found.setdefault(predictor.name, []).append(residuals(predictor, rows))
-        rollouts += _rollouts(made, rows, horizons, vehicle)
+            notes += _seen(used, tested)
+        for predictor in used:
+            by_predictor.setdefault(predictor.name, []).append(residuals(predictor, rows))
+        rollouts += _rollouts(used, rows, horizons, vehicle)
     progress(len(folds), len(folds))
-    merged = [_merge(parts) for parts in found.values()]
+    merged = [_merge(parts) for parts in by_predictor.values()]
     report: dict[str, Any] = {
         "models": [str(path) for path in models],
         "flights": list(flown),
         "leave_one_out": leave_one_out,
-        "nominal": None if leave_one_out else str(made[0].curve),
+        "nominal": None if leave_one_out else str(used[0].curve),
         "rows": score_rows(merged, NOMINAL),
         "bands": band_rows(merged),
         "rollouts": _mean_rollouts(rollouts),
@@ -108,10 +108,8 @@ def validate(
 
 
 def _load(paths: Sequence[Path], vehicle: Vehicle) -> list[tuple[str, Any]]:
-    """Label and checkpoint of every model, identified vehicles first: they have the thrust curve."""
-    loaded: list[tuple[str, Any]] = []
-    for path in paths:
-        loaded.append((path.name, load_identified(path, vehicle)))
+    """Label and checkpoint of every model; identified vehicles first, because they have the thrust curve."""
+    loaded = [(path.name, load_identified(path, vehicle)) for path in paths]
     labels = [label for label, _ in loaded]
     twice = next((label for label in labels if labels.count(label) > 1), None)
     if twice:
@@ -120,7 +118,7 @@ def _load(paths: Sequence[Path], vehicle: Vehicle) -> list[tuple[str, Any]]:
 
 
 def _predictors(loaded: Sequence[tuple[str, Any]], vehicle: Vehicle) -> list[Predictor]:
-    """All predictors, nominal first; names stay unique where two identified vehicles are compared."""
+    """All predictors, nominal first, with unique names where several identified vehicles are compared."""
     curve: ThrustCurve | None = None
     torque: TorqueModel | None = None
     made: list[Predictor] = []
@@ -138,52 +136,51 @@ def _predictors(loaded: Sequence[tuple[str, Any]], vehicle: Vehicle) -> list[Pre
 
 
 def _torque_tested(
-    made: Sequence[Predictor], flights: Sequence[Flight], names: Sequence[str], vehicle: Vehicle
+    candidates: Sequence[Predictor], flights: Sequence[Flight], names: Sequence[str], vehicle: Vehicle
 ) -> tuple[list[Predictor], list[str]]:
-    """The predictors, with a fitted torque whose axes that fail on these flights are refused; and what it is.
+    """The predictors with the tested torque models, and lines on these.
 
-    An axis is used where it explained what was left out of the fit, and explains the flights here, better than nothing.
+    An axis is used if its prediction is better than zero both on data held out of the fit and on these flights.
     """
-    found: list[Predictor] = []
+    result: list[Predictor] = []
     lines: list[str] = []
-    seen: list[tuple[TorqueModel, TorqueModel]] = []
-    for one in made:
+    tested: dict[int, TorqueModel] = {}  # by id of the torque model, which several predictors share
+    for one in candidates:
         model = one.torque
-        if model is None:
-            found.append(one)
-            continue
-        tested = next((new for old, new in seen if old is model), None)
-        if tested is None:
+        if model is not None and id(model) not in tested:
             share = explained(model, gather(flights, one.curve.signal, names), vehicle, one.curve)
-            tested = model if share is None else replace(model, share_low=np.minimum(model.share_low, share))
-            seen.append((model, tested))
+            passed = model if share is None else replace(model, share_low=np.minimum(model.share_low, share))
+            tested[id(model)] = passed
             lines += _torque_lines(model, share)
-        found.append(replace(one, torque=tested))
-    return found, lines
+        result.append(one if model is None else replace(one, torque=tested[id(model)]))
+    return result, lines
 
 
 def _torque_lines(model: TorqueModel, share: np.ndarray | None) -> list[str]:
     lines = []
     for i, line in enumerate(torque_lines(model)):
         here = "" if share is None else f"; {100 * share[i]:.0f} % of it here"
-        refused = model.used[i] and share is not None and share[i] <= 0
-        lines.append(line + here + (": no better than nothing, refused" if refused else ""))
+        rejected = model.used[i] and share is not None and share[i] <= 0
+        lines.append(line + here + (": not better than zero, rejected" if rejected else ""))
     return lines
 
 
 def refitted(
     loaded: Sequence[tuple[str, Any]], flights: Mapping[str, Flight], vehicle: Vehicle
 ) -> list[tuple[str, Any]]:
-    """The same kinds of models with their own settings, fitted to other flights.
+    """Models of the same kinds and settings, fitted to other flights.
 
-    A GP is fitted under the first identified vehicle's thrust curve, or under one fitted here where there is none.
+    A GP is fitted with the first identified vehicle's thrust curve, or with one fitted here.
     """
     made: list[tuple[str, Any]] = []
     curve: ThrustCurve | None = None
     for label, model in loaded:
         if isinstance(model, VehicleModel):
             fresh: Any = fit_vehicle_model(
-                list(flights.values()), vehicle_of(model, vehicle), _settings(model, len(flights)), names=list(flights)
+                list(flights.values()),
+                vehicle if model.vehicle.get("fingerprint") == vehicle.fingerprint else None,
+                _settings(model, len(flights)),
+                names=list(flights),
             )
             curve = curve or fresh.thrust
         else:
@@ -191,27 +188,22 @@ def refitted(
                 curve = fit_vehicle_model(list(flights.values()), None, names=list(flights)).thrust
             rows = recorded_dataset(list(flights.values()), vehicle, curve, names=list(flights))
             if isinstance(model, GPModel):
-                known = {f.name for f in fields(GPSettings)}
-                values = {key: value for key, value in model.settings.items() if key in known}
+                names = {f.name for f in fields(GPSettings)}
+                values = {key: value for key, value in model.settings.items() if key in names}
                 fresh = fit_gp(rows, GPSettings(**values))
             else:
                 from quadexp.learn.linear_drag import fit_linear_drag
-                from quadexp.learn.trim import trim
+                from quadexp.learn.thrust_scale import with_common_scale
 
-                fresh = fit_linear_drag(trim(rows).dataset, thrust=False, loss=model.loss, intervals=False)
+                fresh = fit_linear_drag(with_common_scale(rows).dataset, thrust=False, loss=model.loss, intervals=False)
         made.append((label, fresh))
     return made
-
-
-def vehicle_of(model: VehicleModel, vehicle: Vehicle) -> Vehicle | None:
-    """The vehicle where the model names it."""
-    return vehicle if model.vehicle.get("fingerprint") == vehicle.fingerprint else None
 
 
 def _settings(model: VehicleModel, flights: int) -> FitSettings:
     """Settings that fit the same kind of model: signal, powers and voltage of its thrust curve, kinds of drag.
 
-    A voltage exponent that was fitted is fitted again to two flights or more; one alone does not tell it.
+    A fitted voltage exponent is fitted again to two flights or more; one flight does not determine it.
     """
     curve = model.thrust
     return FitSettings(
@@ -227,31 +219,33 @@ def _seen(made: Sequence[Predictor], tested: Sequence[str]) -> list[str]:
     """A warning for every flight that a model was fitted to."""
     notes = []
     for one in made:
-        known = {Path(name).stem for name in one.seen}
+        fitted = {Path(name).stem for name in one.seen}
         for name in tested:
-            if name in known:
-                notes.append(f"warning: {name} is one of the flights that {one.name} was fitted to: no test of it")
+            if name in fitted:
+                notes.append(
+                    f"warning: {name} is one of the flights that {one.name} was fitted to, so this is not a test"
+                )
     return notes
 
 
 def _rollouts(
     made: Sequence[Predictor], rows: Sequence[FlightRows], horizons: Sequence[float], vehicle: Vehicle
 ) -> list[dict[str, Any]]:
-    """Open loop with measured attitude; with all 13 states too where the log says every rotor's thrust."""
-    found = []
+    """Open loop with measured attitude; with all 13 states too where the log has a signal per rotor."""
+    records = []
     for predictor in made:
         tracks = [Track(one, predictor, vehicle.gravity) for one in rows]
         for tracked in (False, True):
-            found += rollout_errors(predictor, tracks, horizons, tracked=tracked)
+            records += rollout_errors(predictor, tracks, horizons, tracked=tracked)
         if predictor.curve.signal != "thrust_acceleration" and predictor.curve.rotors == vehicle.n_rotors:
             for mode in TURNING:
                 if mode != "torque" or predictor.torque is not None:
-                    found += rollout_errors(predictor, tracks, horizons, tracked=True, vehicle=vehicle, mode=mode)
-    return found
+                    records += rollout_errors(predictor, tracks, horizons, tracked=True, vehicle=vehicle, mode=mode)
+    return records
 
 
 def _mean_rollouts(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Rows of several folds joined: root mean squares over all starts, medians averaged."""
+    """Rows of several folds combined: root mean squares over all starts, medians averaged."""
     groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
     for row in rows:
         groups.setdefault((row["predictor"], row["mode"], row["thrust_tracked"], row["horizon"]), []).append(row)
@@ -272,7 +266,7 @@ def _mean_rollouts(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _merge(parts: Sequence[Residuals]) -> Residuals:
-    """Residuals of several folds as one."""
+    """Residuals of several folds combined."""
     if len(parts) == 1:
         return parts[0]
     flights, blocks, flight, block = 0, 0, [], []

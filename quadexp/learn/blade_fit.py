@@ -1,21 +1,22 @@
-"""Blade-element coefficients from all samples of a flight at once, with intervals (Gauss-Newton least squares).
+"""Blade-element coefficients from all samples of a flight, with confidence intervals (Gauss-Newton least squares).
 
     y = F(v, w, V_I(v, w, C_la), theta) / m + b + e         body FLU, m/s^2
 
-theta = (C_d0, C_la, C_Dx, C_Dy, C_Dz) is the same on all axes, b is the accelerometer's offset, one number an axis: an
-offset of .001 m/s^2 that is taken for zero moves C_la by more than the whole interval that the noise alone would give.
-The derivative is the whole one, through the induced velocity V_I,
+theta = (C_d0, C_la, C_Dx, C_Dy, C_Dz) is common to all axes, b is the accelerometer's bias on each axis: neglecting a
+bias of .001 m/s^2 changes C_la by more than the interval due to noise alone. The derivative is total, through the
+induced velocity V_I,
 
     X = [ (dF/dtheta + dF/dV_I dV_I/dC_la) / m,  I ]
 
-and theta is found by Gauss-Newton steps. The first values enter as a prior a hundred times wider than themselves (1
-m/s^2 for b), which decides nothing unless the flight tells nothing of a coefficient; its interval is then that wide.
-The variance is that of quadexp.learn.regression: the scores X'e summed over blocks longer than their memory,
+and theta is found by Gauss-Newton steps. The initial values are a prior with a standard deviation of a hundred times
+themselves (1 m/s^2 for b), which matters only for a coefficient that the flight does not determine; its interval is
+then that wide. The variance is that of quadexp.learn.regression, with the scores X'e summed over blocks longer than
+their correlation time,
 
     V = H^-1 ( G/(G - p) sum_g s_g s_g' / sigma^4 + P_0^-1 ) H^-1,     H = X'X / sigma^2 + P_0^-1
 
-and never less than that of independent errors, H^-1. Intervals are Student's t with G - p degrees of freedom. They
-cover noise, also noise with a memory, and the offset; they do not cover a rotor whose geometry is not the vehicle's.
+and at least that of independent errors, H^-1. Intervals use Student's t with G - p degrees of freedom. They account for
+noise, also correlated, and for the bias, but not for errors of the rotor geometry.
 """
 
 from __future__ import annotations
@@ -34,13 +35,13 @@ from quadexp.physics.induced_velocity import balance, safe_newton
 from quadexp.physics.rotor import C_LA, THETA, BladeCoefficients
 from quadexp.physics.vehicle import Vehicle
 
-COUNT = len(THETA) + 3  # unknowns, offsets included
+COUNT = len(THETA) + 3  # unknowns, including the bias
 LEAST_SAMPLES = 2 * (COUNT + LEAST_BLOCKS)
-PRIOR_SPREAD = 100.0  # standard deviations of the prior, in first values
+PRIOR_SPREAD = 100.0  # standard deviation of the prior, relative to the initial values
 PRIOR_OFFSET = 1.0  # m/s^2
-LIFT_RANGE = (0.05, 20.0)  # of the search, in first values: V_I has no solution for C_la <= 0
+LIFT_RANGE = (0.05, 20.0)  # search range of C_la, relative to its initial value; V_I has no solution for C_la <= 0
 MOST_STEPS = 60
-CONVERGED = 1e-4  # standard errors a step
+CONVERGED = 1e-4  # step size in standard errors
 
 
 @dataclass(frozen=True)
@@ -72,9 +73,9 @@ def fit_blade_element(
     """Fit one flight.
 
     velocity: air-relative, (k, 3) body FLU (m/s). rotor_speed: (k, n) (rad/s), all turning. specific_force: (k, 3) body
-    FLU (m/s^2). initial: where the search starts. stretch: (k,), number of the uninterrupted stretch of a row, None for
-    one. printed_coefficients: the paper's misprinted cross terms.
-    Raises DataError for too few samples, and where the search does not converge.
+    FLU (m/s^2). initial: start of the search. stretch: (k,), number of the uninterrupted stretch of each sample, None
+    for one. printed_coefficients: the paper's misprinted cross terms. Raises DataError for too few samples, and where
+    the search does not converge.
     """
     k = len(velocity)
     if k < LEAST_SAMPLES:
@@ -101,7 +102,7 @@ def fit_blade_element(
         information = np.einsum("kai,kaj->ij", design, design) / noise**2 + np.diag(1 / spread**2)
         slope = np.einsum("kai,ka->i", design, left) / noise**2 + (first - c) / spread**2
         step = np.linalg.solve(information, slope)
-        size = float(np.sqrt(step @ information @ step))  # standard errors, whatever the units
+        size = float(np.sqrt(step @ information @ step))  # in standard errors
         share, before = 1.0, cost(c, left, noise)
         for _ in range(20):
             tried = c + share * step
@@ -132,9 +133,9 @@ def fit_blade_element(
 
 @lru_cache(maxsize=8)
 def _force_function(vehicle: Vehicle, printed_coefficients: bool) -> ca.Function:
-    """(v (3,), w (n,), theta (5,)) -> specific force (3,) and its whole derivative (3, 5).
+    """(v (3,), w (n,), theta (5,)) -> specific force (3,) and its total derivative (3, 5).
 
-    With g(V_I, theta) = 0 the balance, dV_I/dtheta = -(dg/dtheta) / (dg/dV_I); no derivative goes through iterations.
+    With the balance g(V_I, theta) = 0, dV_I/dtheta = -(dg/dtheta) / (dg/dV_I): the iterations are not differentiated.
     """
     n = vehicle.n_rotors
     v, w, theta, induced = (ca.SX.sym(name, size) for name, size in (("v", 3), ("w", n), ("theta", 5), ("V_I", n)))

@@ -1,8 +1,8 @@
-"""Models on disk: a directory with model.json, which is all that a prediction needs, and report.json beside it.
+"""Checkpoints: a directory with model.json, which suffices for predictions, and report.json.
 
 model.json is {"schema", "sha256", "payload"}; the hash is over the payload's canonical JSON (sorted keys, no spaces,
-shortest decimals that give the same double back), so a changed digit is noticed and a round trip changes no bit. No
-code is in it, none is run on loading, and torch is not imported.
+shortest decimals that give the same double), so that edits are detected and a round trip is exact. It contains no code,
+and loading it imports neither torch nor CasADi.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from quadexp.log.store import check_output
 from quadexp.physics.vehicle import Vehicle
 
 SCHEMA = 1
-LARGEST = 100_000_000  # bytes of a model.json: six outputs of a thousand inducing points each have 60 MB
+LARGEST = 100_000_000  # bytes of a model.json; six outputs of a thousand inducing points each take 60 MB
 MODEL_FILE = "model.json"
 REPORT_FILE = "report.json"
 Model = GPModel | LinearDrag | VehicleModel
@@ -42,10 +42,10 @@ COMMANDS = (
 
 
 def save_model(path: str | Path, model: Model, *, report: dict[str, Any] | None = None, force: bool = False) -> Path:
-    """Write a checkpoint directory; it appears whole or not at all. Returns the directory.
+    """Write a checkpoint directory, complete or not at all. Returns the directory.
 
     report: JSON-able, written as report.json. force: replace the files of an existing checkpoint.
-    Raises UsageError if the directory exists with something in it (without force) or cannot be written.
+    Raises UsageError where the directory is not empty (without force) or cannot be written.
     """
     path = check_output(path, force=force, folder=True)
     payload = _encode(model)
@@ -54,7 +54,7 @@ def save_model(path: str | Path, model: Model, *, report: dict[str, Any] | None 
     if report is not None:
         files[REPORT_FILE] = json.dumps(report, indent=1) + "\n"
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    shutil.rmtree(temporary, ignore_errors=True)  # of one who was killed; in containers all have the same number
+    shutil.rmtree(temporary, ignore_errors=True)  # left by a killed process; in containers process numbers repeat
     try:
         temporary.mkdir(parents=True)
         for name, text in files.items():
@@ -77,8 +77,8 @@ def save_model(path: str | Path, model: Model, *, report: dict[str, Any] | None 
 def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Model:
     """Read a checkpoint directory (or its model.json).
 
-    vehicle: whom it must have been fitted for.
-    Raises UsageError if there is none, DataError if it is damaged, of another schema, or for another vehicle.
+    vehicle: for which it must have been fitted; None: any.
+    Raises UsageError where there is none, DataError where it is damaged, of another schema, or for another vehicle.
     """
     path = Path(path)
     file = path / MODEL_FILE if path.is_dir() or path.suffix != ".json" else path
@@ -93,18 +93,18 @@ def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Model:
     except OSError as error:
         raise UsageError(f"{file}: cannot be read ({error.strerror})") from None
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise DataError(f"{file}: damaged, or no model of quadexp ({_line(error)}); fit it again") from None
+        raise DataError(f"{file}: damaged, or not a model of quadexp ({_line(error)}); fit it again") from None
     if schema != SCHEMA:
-        raise DataError(f"{file}: written with schema {schema}, this program reads schema {SCHEMA}; fit it again")
+        raise DataError(f"{file}: has schema {schema}, this program reads schema {SCHEMA}; fit it again")
     if _hash(payload) != digest:
         raise DataError(f"{file}: damaged or edited, its content does not match its sha256; fit it again")
     try:
         model = _decode(payload)
         check_model(model)
     except ValueError as error:
-        raise DataError(f"{file}: no model that can be used: {str(error).splitlines()[0]}; fit it again") from None
+        raise DataError(f"{file}: not a valid model: {str(error).splitlines()[0]}; fit it again") from None
     except (KeyError, TypeError, AttributeError, IndexError, OverflowError) as error:
-        raise DataError(f"{file}: no model that can be used, parts are missing or of a wrong kind ({error})") from None
+        raise DataError(f"{file}: not a valid model, fields are missing or of a wrong type ({error})") from None
     if vehicle is not None:
         fitted = model.vehicle.get("fingerprint")
         if fitted != vehicle.fingerprint:
@@ -119,14 +119,14 @@ def load_report(path: str | Path) -> dict[str, Any]:
     """The report.json of a checkpoint directory, {} if it has none."""
     file = Path(path) / REPORT_FILE
     try:
-        found = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+        report = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
     except (ValueError, RecursionError) as error:
         raise DataError(f"{file}: damaged ({_line(error)})") from None
     except OSError as error:
         raise UsageError(f"{file}: cannot be read ({error.strerror})") from None
-    if not isinstance(found, dict):
-        raise DataError(f"{file}: damaged (holds a {type(found).__name__}, not a mapping)")
-    return found
+    if not isinstance(report, dict):
+        raise DataError(f"{file}: damaged (holds a {type(report).__name__}, not a mapping)")
+    return report
 
 
 def _line(error: Exception) -> str:
@@ -139,7 +139,7 @@ def _hash(payload: Any) -> str:
 
 
 def _encode(model: Model) -> dict[str, Any]:
-    """The model as JSON types; a variance factor as the rows of its upper triangle, end to end."""
+    """The model as JSON types; a variance factor as its upper triangle, row by row."""
     payload = asdict(model)
     for output in payload.get("outputs", ()):
         factor = output["variance_factor"]
@@ -160,7 +160,7 @@ def _decode(payload: dict[str, Any]) -> Model:
     if payload["kind"] == KINDS[VehicleModel]:
         return _vehicle_model(content)
     if payload["kind"] != KINDS[GPModel]:
-        raise ValueError(f"kind {payload['kind']!r}, known are {', '.join(KINDS.values())}")
+        raise ValueError(f"kind {payload['kind']!r}, allowed are {', '.join(KINDS.values())}")
     content["outputs"] = tuple(_posterior(output) for output in content["outputs"])
     content["mean"] = None if content["mean"] is None else _mean(content["mean"])
     content["linear_drag"] = _drag(content["linear_drag"])
@@ -172,15 +172,15 @@ def _mean(content: dict[str, Any]) -> LinearDrag | TermMean:
 
 
 def _drag(content: dict[str, Any]) -> LinearDrag:
-    return LinearDrag(**_arrays(content, LinearDrag))
+    return LinearDrag(**arrays_of(content, LinearDrag))
 
 
 def _vehicle_model(content: dict[str, Any]) -> VehicleModel:
-    content["thrust"] = ThrustCurve(**_arrays(content["thrust"], ThrustCurve))
+    content["thrust"] = ThrustCurve(**arrays_of(content["thrust"], ThrustCurve))
     for kind in ("linear", "quadratic", "blade_element"):
         content[kind] = None if content[kind] is None else _terms(content[kind])
     if content.get("torque") is not None:
-        content["torque"] = TorqueModel(**_arrays(content["torque"], TorqueModel))
+        content["torque"] = TorqueModel(**arrays_of(content["torque"], TorqueModel))
     return VehicleModel(**content | {"notes": tuple(content["notes"])})
 
 
@@ -194,10 +194,10 @@ def _terms(content: dict[str, Any]) -> TermModel:
 
 
 def _posterior(content: dict[str, Any]) -> OutputPosterior:
-    content = _arrays(content, OutputPosterior)
+    content = arrays_of(content, OutputPosterior)
     m = len(np.atleast_1d(content["alpha"]))
     if np.shape(content["variance_factor"]) != (m * (m + 1) // 2,):
-        raise ValueError(f"variance_factor has not the {m * (m + 1) // 2} numbers of {m} inducing points")
+        raise ValueError(f"variance_factor needs {m * (m + 1) // 2} numbers for {m} inducing points")
     factor = np.zeros((m, m))
     factor[np.triu_indices(m)] = content["variance_factor"]
     features = tuple(content["features"])
@@ -205,20 +205,20 @@ def _posterior(content: dict[str, Any]) -> OutputPosterior:
     return OutputPosterior(**content | {"variance_factor": factor, "features": features, "inducing": inducing})
 
 
-def _arrays(content: dict[str, Any], kind: type) -> dict[str, Any]:
-    """The fields that `kind` declares as arrays, made so."""
+def arrays_of(content: dict[str, Any], kind: type) -> dict[str, Any]:
+    """The content, with the fields that the dataclass `kind` declares as arrays converted to arrays."""
     names = {f.name for f in fields(kind) if "ndarray" in str(f.type)}
     return {key: _numbers(value, key) if key in names else value for key, value in content.items()}
 
 
 def _numbers(value: Any, name: str) -> Any:
-    """An array of what is a list of numbers, or of such lists; None stays None."""
+    """An array from a list of numbers, or of such lists; None stays None."""
     if value is None:
         return None
     try:
-        found = np.array(value)
+        array = np.array(value)
     except ValueError:  # rows of different lengths
-        found = np.array("")
-    if found.dtype.kind not in "fi" and found.size:
+        array = np.array("")
+    if array.dtype.kind not in "fi" and array.size:
         raise ValueError(f"{name} holds {str(value)[:60]}; numbers are needed")
-    return found.astype(float)
+    return array.astype(float)

@@ -1,7 +1,7 @@
-"""Whether what a checkpoint says is a model: every number of the declared type and finite, arrays that fit together.
+"""Validation of a checkpoint's content: declared types, finite numbers, matching array shapes.
 
-A checkpoint is JSON with a hash that anybody can compute, so its content is looked at before it is believed. What is
-wrong is named by its place, such as `outputs[0].lengthscale`.
+A checkpoint is JSON with a hash that anybody can compute, so its content is validated before use. Errors name the
+field, such as `outputs[0].lengthscale`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from quadexp.learn.dataset import TARGETS
 from quadexp.learn.linear_drag import LinearDrag
 from quadexp.learn.model import GPModel, OutputPosterior
 from quadexp.learn.samples import SIGNALS
@@ -20,10 +19,11 @@ from quadexp.learn.term_mean import TermMean
 from quadexp.learn.terms import UNITS, TermModel
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.learn.vehicle_model import VehicleModel
+from quadexp.physics.correction import OUTPUTS
 
 
 def check_model(model: Any) -> None:
-    """Raise ValueError naming the first thing that is none of a model's."""
+    """Raise ValueError naming the first invalid field."""
     _check(model, type(model), "")
 
 
@@ -44,8 +44,8 @@ def _check(value: Any, hint: Any, where: str) -> None:
         if hint in _RELATIONS:
             _RELATIONS[hint](value, where)
     elif hint is np.ndarray:
-        good = isinstance(value, np.ndarray) and value.dtype.kind == "f" and bool(np.all(np.isfinite(value)))
-        _require(good, where, value, "finite numbers are needed")
+        valid = isinstance(value, np.ndarray) and value.dtype.kind == "f" and bool(np.all(np.isfinite(value)))
+        _require(valid, where, value, "finite numbers are needed")
     elif hint in (float, int):
         number = isinstance(value, int) or (hint is float and isinstance(value, float) and np.isfinite(value))
         _require(number and not isinstance(value, bool), where, value, f"a finite {hint.__name__} is needed")
@@ -65,10 +65,10 @@ def _check(value: Any, hint: Any, where: str) -> None:
             _check(item, get_args(hint)[1], f"{where}[{key!r}]")
 
 
-def _require(good: bool, where: str, found: Any, needed: str) -> None:
-    if not good:
-        text = " ".join(str(found).split())
-        raise ValueError(f"{where or 'the whole'} is {text[:60]}{'...' if len(text) > 60 else ''}; {needed}")
+def _require(valid: bool, where: str, value: Any, needed: str) -> None:
+    if not valid:
+        text = " ".join(str(value).split())
+        raise ValueError(f"{where or 'the model'} is {text[:60]}{'...' if len(text) > 60 else ''}; {needed}")
 
 
 def _shape(array: np.ndarray, shape: tuple[int, ...], where: str) -> None:
@@ -77,7 +77,7 @@ def _shape(array: np.ndarray, shape: tuple[int, ...], where: str) -> None:
 
 def _posterior(one: OutputPosterior, where: str) -> None:
     m, d = len(one.alpha), len(one.features)
-    _require(one.output in TARGETS, f"{where}.output", one.output, f"one of {', '.join(TARGETS)} is needed")
+    _require(one.output in OUTPUTS, f"{where}.output", one.output, f"one of {', '.join(OUTPUTS)} is needed")
     _require(m > 0 and d > 0, where, "without inducing points or features", "both are needed")
     _shape(one.alpha, (m,), f"{where}.alpha")
     _shape(one.inducing, (m, d), f"{where}.inducing")
@@ -89,9 +89,9 @@ def _posterior(one: OutputPosterior, where: str) -> None:
 
 
 def _gp(model: GPModel, where: str) -> None:
-    _require(len(model.outputs) > 0, "outputs", "empty", "one at least is needed")
+    _require(len(model.outputs) > 0, "outputs", "empty", "at least one is needed")
     names = [one.output for one in model.outputs]
-    _require(len(set(names)) == len(names), "outputs", ", ".join(names), "each may stand there once")
+    _require(len(set(names)) == len(names), "outputs", ", ".join(names), "each is allowed once")
     for feature, limits in model.feature_range.items():
         ordered = len(limits) == 2 and limits[0] <= limits[1]
         _require(ordered, f"feature_range[{feature!r}]", limits, "[least, largest] is needed")
@@ -124,7 +124,7 @@ def _terms(model: TermModel, where: str) -> None:
         _require(len(getattr(model, name)) == 3, f"{where}.{name}", len(getattr(model, name)), "three axes are needed")
     for i, names in enumerate(model.terms):
         unknown = [name for name in names if name not in UNITS]
-        _require(not unknown, f"{where}.terms[{i}]", ", ".join(unknown), f"known are {', '.join(UNITS)}")
+        _require(not unknown, f"{where}.terms[{i}]", ", ".join(unknown), f"allowed are {', '.join(UNITS)}")
         _shape(model.coefficients[i], (len(names),), f"{where}.coefficients[{i}]")
         _require(
             model.covariance[i].size == len(names) ** 2, f"{where}.covariance[{i}]",

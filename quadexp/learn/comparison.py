@@ -1,8 +1,8 @@
-"""How many points, and which method: held-out error over the number of inducing points and the ways to fit.
+"""Held-out error over the number of inducing points, for each method of fitting.
 
 sgpr    inducing points and hyperparameters by the variational bound, all rows
 subset  exact GP on M rows chosen to cover the features (hyperparameters from the pilot rows)
-exact   exact GP on as many rows as it takes in reasonable time, whatever M is
+exact   exact GP on as many rows as are feasible, independent of M
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from quadexp.learn.model import METHODS, GPSettings
 from quadexp.learn.predict import predict
 
 SIZES = (5, 10, 20, 50, 100)
-MAX_ROWS = 8000  # keeps the whole table at a minute or two
+MAX_ROWS = 8000  # limits the run time to one or two minutes
 
 
 def compare(
@@ -30,10 +30,10 @@ def compare(
     max_rows: int | None = MAX_ROWS,
     callback: Callback | None = None,
 ) -> list[Row]:
-    """One row a method, number of points and output: rmse, nlpd, inside_1, inside_2, fit_seconds, largest_weight.
+    """One row per method, number of points and output: rmse, nlpd, inside_1, inside_2, fit_seconds, largest_weight.
 
-    settings: the rest of the fit; its holdout (or .2) of the flights is what the error is measured on.
-    max_rows: rows the fits see at most; the row says how many it were.
+    settings: of the fits; holdout (or .2 if 0) is the share of flights for the error. max_rows: limit on the rows of a
+    fit; the actual number is in the result.
     """
     settings = settings or GPSettings()
     train, test = split_by_flight(dataset, settings.holdout or 0.2, settings.seed)

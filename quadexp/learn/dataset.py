@@ -1,27 +1,27 @@
-"""What the rigid body does not explain, row by row: the residual dataset.
+"""The residual dataset: differences between flights and the nominal rigid body, one row per transition.
 
 A transition is two consecutive samples of a flight, x_k -> x_{k+1} under the constant input u_k. Its targets are
 
     a   = R^T (v_{k+1} - v_pred) / dt          residual acceleration, body frame, m/s^2
     tau = J (w_{k+1} - w_pred) / dt            residual torque, body frame, N m
 
-with (v_pred, w_pred) the nominal rigid body's RK4 over the true dt from x_k. One frame R for both velocities (the
-difference of two body velocities, each in its own frame, mixes the frames' rotation into the target).
+with (v_pred, w_pred) the RK4 prediction of the nominal rigid body from x_k over the true dt. Both velocities are in one
+frame R (the difference of two body velocities, each in its own frame, would contain the rotation between the frames).
 
-The velocity among the features is relative to the air, where the flight has wind columns; the target is the same in
-every frame that moves steadily (Galilei).
+The velocity in the features is relative to the air where the flight has wind columns; the target is the same in every
+inertial frame.
 
-frame="midpoint": R and the features (body velocity, body rate) belong to the middle of the transition, averages of
-x_k and x_{k+1}; the target then is the residual at that point to second order in dt (for the torque, after the gap's
-own gyroscopic moment, dt/2 (dw x J w + w x J dw) with dw = (w_{k+1} - w_pred) / dt, is added). frame="start": both at
-x_k as in Torrente et al. 2021 (section III-C), first order in dt. On the simplified simulation at 50 Hz the targets lie
-.004 m/s^2 from the plant's own drag with the one and .08 m/s^2 with the other (root mean square, x and y).
+frame="midpoint": R and the features (body velocity, body rate) are those of the middle of the transition, averages of
+x_k and x_{k+1}; the target is then the residual at that point to second order in dt (for the torque, after adding the
+gyroscopic moment due to the difference itself, dt/2 (dw x J w + w x J dw) with dw = (w_{k+1} - w_pred) / dt).
+frame="start": both at x_k as in Torrente et al. 2021 (section III-C), first order in dt. On the simplified simulation
+at 50 Hz the targets deviate from the plant's drag by .004 and .08 m/s^2 respectively (root mean square, x and y).
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,13 +35,12 @@ from quadexp.physics.vehicle import Vehicle
 
 FRAMES = ("midpoint", "start")
 DT_RANGE = (0.5, 1.5)  # of the flight's median dt; outside it two samples are not consecutive
-TARGETS = ("a_x", "a_y", "a_z", "tau_x", "tau_y", "tau_z")
 THRUST = "thrust"
 WIND = ("wind_x", "wind_y", "wind_z")
 
 
 class ResidualDataset(NamedTuple):
-    """Rows of transitions and where they came from.
+    """Rows of transitions with their origin.
 
     columns: name -> (k,): flight, flight_name, t (s), dt (s), v_x v_y v_z (body, m/s), w_x w_y w_z (body, rad/s),
         u_0 .. (N), thrust (N), a_x a_y a_z (body, m/s^2), tau_x tau_y tau_z (body, N m).
@@ -61,11 +60,11 @@ class ResidualDataset(NamedTuple):
         return np.unique(self.columns["flight"])
 
     def rows(self, selection: np.ndarray) -> ResidualDataset:
-        """The same dataset with the rows of a mask or of an index array only."""
+        """The dataset with the rows of a mask or an index array only."""
         return ResidualDataset({name: column[selection] for name, column in self.columns.items()}, self.metadata)
 
     def matrix(self, names: Sequence[str]) -> np.ndarray:
-        """Columns side by side, (k, len(names)); `thrust` is summed up from the rotors where it is not stored.
+        """Columns as a matrix, (k, len(names)); `thrust` is the sum over the rotors where it is not stored.
 
         Raises DataError for a column that is missing or not finite, naming it.
         """
@@ -78,8 +77,8 @@ class ResidualDataset(NamedTuple):
         elif name == THRUST and any(key.startswith("u_") for key in self.columns):
             column = np.sum([self.columns[key] for key in self.columns if key.startswith("u_")], axis=0)
         else:
-            known = ", ".join(key for key in self.columns if key not in ("flight", "flight_name", "t", "dt"))
-            raise DataError(f"dataset: column '{name}' is missing; it has {known or 'no columns'}")
+            present = ", ".join(key for key in self.columns if key not in ("flight", "flight_name", "t", "dt"))
+            raise DataError(f"dataset: column '{name}' is missing; it has {present or 'no columns'}")
         _require_finite(column, f"dataset: column '{name}'")
         return column
 
@@ -98,8 +97,8 @@ class ResidualDataset(NamedTuple):
         return digest.hexdigest()
 
     def summary(self) -> dict[str, Any]:
-        """What a checkpoint remembers of its data: hash, rows, flights, seconds, frame; of recorded flights also their
-        names, the target and the thrust curve."""
+        """Record of the data for a checkpoint: hash, rows, flights, seconds, frame; for recorded flights also names,
+        target and thrust curve."""
         recorded = {key: self.metadata[key] for key in ("target", "thrust") if key in self.metadata}
         if recorded:
             recorded["names"] = sorted(set(map(str, self.columns["flight_name"])))
@@ -113,7 +112,7 @@ class ResidualDataset(NamedTuple):
 
 
 def transitions(flight: Flight, vehicle: Vehicle, *, frame: str = "midpoint") -> dict[str, np.ndarray]:
-    """Features and targets of every pair of consecutive samples of one flight, without its provenance columns.
+    """Features and targets of every pair of consecutive samples of one flight.
 
     flight: columns t (s, increasing), the state, u_i (N); an optional column `segment` marks resets by its changes,
     optional columns wind_x, wind_y, wind_z (world, m/s) are the velocity of the air.
@@ -122,7 +121,7 @@ def transitions(flight: Flight, vehicle: Vehicle, *, frame: str = "midpoint") ->
     Samples whose dt lies outside 0.5 .. 1.5 of the median, or whose segment differs, are not consecutive.
     Raises DataError for a missing column or a value that is not finite (column and row), UsageError for the frame.
     """
-    from quadexp.physics.rotation import air_velocity  # CasADi: reading a model does without it
+    from quadexp.physics.rotation import air_velocity  # imports CasADi, which loading a model does without
 
     if frame not in FRAMES:
         raise UsageError(f"collect.frame: '{frame}' is none of {', '.join(FRAMES)}")
@@ -147,7 +146,7 @@ def transitions(flight: Flight, vehicle: Vehicle, *, frame: str = "midpoint") ->
     acceleration = np.einsum("kij,ki->kj", to_body, gap[:, VELOCITY])
     torque = gap[:, RATE] @ vehicle.inertia_matrix
     if frame == "midpoint":
-        # What the gap itself adds to w x J w on its way from 0 to its end, to first order in dt.
+        # contribution of the difference itself to w x J w, to first order in dt
         w, inertia = point[:, RATE], vehicle.inertia_matrix
         gyroscopic = np.cross(gap[:, RATE], w @ inertia) + np.cross(w, torque)
         torque = torque + dt[:, None] / 2 * gyroscopic
@@ -167,39 +166,59 @@ def residual_dataset(
     frame: str = "midpoint",
     names: Sequence[str] | None = None,
 ) -> ResidualDataset:
-    """The transitions of many flights in one table, each row with the flight it came from.
+    """The transitions of many flights in one table, each row with its flight.
 
-    names: one per flight, for the provenance (its file, say); without it metadata["name"] or `flight_<index>`.
-
-    Raises DataError for a flight of another vehicle, and if no transition is left at all.
+    names: see `joined`. Raises DataError for a flight of another vehicle, and where there is no transition.
     """
-    names = names or [str(flight.metadata.get("name") or f"flight_{i}") for i, flight in enumerate(flights)]
-    if len(names) != len(flights):
-        raise ValueError(f"{len(names)} names for {len(flights)} flights")
+
+    def table_of(flight: Flight, name: str) -> dict[str, np.ndarray]:
+        try:
+            return transitions(flight, vehicle, frame=frame)
+        except DataError as error:
+            raise DataError(f"{name}: {error}") from None
+
+    columns, records = joined(flights, vehicle, names, table_of)
+    if not len(columns.get("t", ())):
+        raise DataError(f"dataset: {len(flights)} flights hold no transition (two consecutive samples make one)")
+    for record, flight in zip(records, flights, strict=True):
+        record["left_out"] = max(len(np.asarray(flight.columns["t"])) - 1, 0) - record["rows"]
+        record["seed"] = flight.metadata.get("seed")
+    vehicle_record = {"name": vehicle.name, "fingerprint": vehicle.fingerprint}
+    return ResidualDataset(columns, {"vehicle": vehicle_record, "frame": frame, "flights": records})
+
+
+def joined(
+    flights: Sequence[Flight],
+    vehicle: Vehicle,
+    names: Sequence[str] | None,
+    table_of: Callable[[Flight, str], dict[str, np.ndarray]],
+) -> tuple[dict[str, np.ndarray], list[dict[str, Any]]]:
+    """Rows of all flights as columns, with the columns flight and flight_name; and {name, rows} of each flight.
+
+    names: one per flight, such as its file; None: metadata["name"] or `flight_<index>`. table_of: columns of a flight.
+    Raises DataError for a flight of another vehicle.
+    """
+    names = names or [name_of(flight, i) for i, flight in enumerate(flights)]
     tables, records = [], []
     for index, (flight, name) in enumerate(zip(flights, names, strict=True)):
         flown = (flight.metadata.get("vehicle") or {}).get("fingerprint", vehicle.fingerprint)
         if flown != vehicle.fingerprint:
             raise DataError(f"{name}: flown by vehicle {flown}, not by '{vehicle.name}' ({vehicle.fingerprint})")
-        try:
-            table = transitions(flight, vehicle, frame=frame)
-        except DataError as error:
-            raise DataError(f"{name}: {error}") from None
+        table = table_of(flight, name)
         rows = len(table["t"])
-        provenance = {"flight": np.full(rows, index, np.int32), "flight_name": np.full(rows, name, object)}
-        tables.append(provenance | table)
-        samples = len(np.asarray(flight.columns["t"]))
-        left_out = max(samples - 1, 0) - rows
-        records.append({"name": name, "rows": rows, "left_out": left_out, "seed": flight.metadata.get("seed")})
-    if not any(len(table["t"]) for table in tables):
-        raise DataError(f"dataset: {len(flights)} flights hold no transition (two consecutive samples make one)")
-    columns = {column: np.concatenate([table[column] for table in tables]) for column in tables[0]}
-    vehicle_record = {"name": vehicle.name, "fingerprint": vehicle.fingerprint}
-    return ResidualDataset(columns, {"vehicle": vehicle_record, "frame": frame, "flights": records})
+        tables.append({"flight": np.full(rows, index, np.int32), "flight_name": np.full(rows, name, object)} | table)
+        records.append({"name": name, "rows": rows})
+    names_of_columns = tables[0] if tables else ()
+    return {column: np.concatenate([table[column] for table in tables]) for column in names_of_columns}, records
+
+
+def name_of(flight: Flight, index: int) -> str:
+    """Name of a flight in messages: that in its metadata, or `flight_<index>`."""
+    return str(flight.metadata.get("name") or f"flight_{index}")
 
 
 def _read(flight: Flight, columns: Sequence[str]) -> np.ndarray:
-    """Columns of a flight side by side, (k, len(columns)), finite."""
+    """Columns of a flight as a matrix, (k, len(columns)); raises DataError unless all are finite."""
     for column in columns:
         if column not in flight.columns:
             raise DataError(f"column '{column}' is missing in the flight")
@@ -214,7 +233,7 @@ def _require_finite(column: np.ndarray, what: str) -> None:
 
 
 def _consecutive(t: np.ndarray, segment: np.ndarray | None) -> np.ndarray:
-    """Indices k for which samples k and k + 1 belong together."""
+    """Indices k for which samples k and k + 1 are consecutive."""
     dt = np.diff(t)
     if not len(dt):
         return np.empty(0, int)
@@ -242,7 +261,7 @@ def _rotation(quaternion: np.ndarray) -> np.ndarray:
 
 
 def _predict(vehicle: Vehicle, state: np.ndarray, u: np.ndarray, dt: np.ndarray) -> np.ndarray:
-    """The nominal rigid body after dt, row by row: (k, 13)."""
+    """State of the nominal rigid body after dt, (k, 13)."""
     import casadi as ca
 
     from quadexp.physics.integrator import rk4_step
@@ -257,7 +276,7 @@ def _predict(vehicle: Vehicle, state: np.ndarray, u: np.ndarray, dt: np.ndarray)
 
 
 def read_dataset(path: str | Path) -> ResidualDataset:
-    """A residual data set from its file; refuses NaN, naming column and row."""
+    """Read a residual data set; raises DataError for NaN, with column and row."""
     columns, record = read_table(path, "residuals", required=("flight", "flight_name", "t", "dt"), finite=True)
     if not len(columns["flight"]):
         raise DataError(f"{path}: the data set has no rows; collect again")
@@ -265,7 +284,7 @@ def read_dataset(path: str | Path) -> ResidualDataset:
 
 
 def feature_rows(velocity: np.ndarray, rate: np.ndarray, thrust: np.ndarray) -> ResidualDataset:
-    """Features as a data set: velocity, rate (k, 3), rotor thrusts (k, n) in N."""
+    """Features as a data set: velocity (m/s) and rate (rad/s), (k, 3), rotor thrusts, (k, n) (N)."""
     columns = {f"v_{axis}": velocity[:, i] for i, axis in enumerate("xyz")}
     columns |= {f"w_{axis}": rate[:, i] for i, axis in enumerate("xyz")}
     columns |= {f"u_{i}": thrust[:, i] for i in range(thrust.shape[1])}

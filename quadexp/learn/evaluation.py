@@ -1,10 +1,11 @@
-"""How good a model is on flights it has not seen: error, predictive density, calibration.
+"""How well a model predicts flights that it was not fitted to: error, predictive density, calibration.
 
     rmse     sqrt(mean (a - mean)^2)                                                    unit of the output
-    nlpd     mean [ (a - mean)^2 / (2 s^2) + log s + log(2 pi)/2 ], s^2 = variance + noise      nats a row
+    nlpd     mean [ (a - mean)^2 / (2 s^2) + log s + log(2 pi)/2 ], s^2 = variance + noise      nats per row
     inside_k share of the rows with |a - mean| < k s; a Gaussian has .683 for k = 1 and .954 for k = 2
 
-Rows of one flight resemble each other, so the split is by flight: a split by row would report an error too small.
+Neighbouring rows of a flight are correlated, so whole flights are held out: a split by row would underestimate the
+error.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ from quadexp.learn.linear_drag import LinearDrag, fit_linear_drag
 from quadexp.learn.model import GPModel, GPSettings
 from quadexp.learn.predict import AXIS, predict
 from quadexp.learn.support import feature_ranges, outside_shares
-from quadexp.learn.trim import is_trimmable, trim
+from quadexp.learn.thrust_scale import has_thrust_scale, with_common_scale
 
 Row = dict[str, Any]
 SAMPLE_SPLIT = (
     "gp.split=sample: a held-out sample lies 10 ms from one that was fitted, in the same gust, with the same battery;"
-    " what a flexible model then shows is how well it remembers these flights, not what it knows of the next one"
+    " the error then measures how well a flexible model interpolates these flights, not how it predicts the next one"
 )
 
 
@@ -34,9 +35,9 @@ SAMPLE_SPLIT = (
 class Fit:
     """A fit and the report on it.
 
-    model: what to keep. held_out_model: fitted without the flights of `test`; report rows are about this one.
-    train, test: the split (test None: nothing was held out, the rows are empty).
-    report: JSON-able: rows (one an output and predictor), held_out_flights, refitted.
+    model: the result, fitted to all rows if refitted. held_out_model: fitted without the flights of `test`; the
+    report's rows describe this one. train, test: the split (test None: nothing was held out, the report has no rows).
+    report: JSON-able: rows (one per output and predictor), held_out_flights, refitted.
     """
 
     model: GPModel
@@ -49,9 +50,9 @@ class Fit:
 def fit_with_report(
     dataset: ResidualDataset, settings: GPSettings | None = None, *, callback: Callback | None = None
 ) -> Fit:
-    """Fit without the held-out flights, report on these, then refit on all rows from there (settings.refit).
+    """Fit without the held-out flights, report on these, then refit to all rows from that start (settings.refit).
 
-    Raises DataError as `fit_gp` does, and if one flight alone cannot be split.
+    Raises DataError as `fit_gp` does, and where a single flight cannot be split.
     """
     settings = settings or GPSettings()
     if settings.holdout == 0:
@@ -79,7 +80,7 @@ def fit_with_report(
 
 
 def split(dataset: ResidualDataset, settings: GPSettings) -> tuple[ResidualDataset, ResidualDataset]:
-    """Train and test rows as settings.split says: whole flights, or rows drawn from all flights."""
+    """Train and test rows by settings.split: whole flights, or rows drawn from all flights."""
     if settings.split == "flight":
         return split_by_flight(dataset, settings.holdout, settings.seed)
     count = int(np.clip(round(settings.holdout * dataset.n_rows), 1, dataset.n_rows - 1))
@@ -89,15 +90,15 @@ def split(dataset: ResidualDataset, settings: GPSettings) -> tuple[ResidualDatas
 
 
 def out_of_range(train: ResidualDataset, test: ResidualDataset, model: GPModel) -> dict[str, float]:
-    """Share of the test rows outside the train rows' range, see quadexp.learn.support."""
+    """Share of the test rows outside the range of the train rows; see quadexp.learn.support."""
     names = [name for output in model.outputs for name in output.features]
     return outside_shares(feature_ranges(train, names), test)
 
 
 def split_by_flight(dataset: ResidualDataset, share: float, seed: int = 0) -> tuple[ResidualDataset, ResidualDataset]:
-    """Train and test rows; whole flights, drawn by the seed, at least one on either side.
+    """Train and test rows: whole flights, drawn by the seed, at least one in each set.
 
-    Raises DataError with fewer than two flights.
+    Raises DataError for fewer than two flights.
     """
     if not dataset.n_rows:
         raise DataError("dataset: it has no rows")
@@ -114,9 +115,9 @@ def split_by_flight(dataset: ResidualDataset, share: float, seed: int = 0) -> tu
 
 
 def evaluate(model: GPModel, train: ResidualDataset, test: ResidualDataset) -> list[Row]:
-    """One row an output and predictor (gp, linear_drag, zero) with rmse, nlpd, inside_1, inside_2, n.
+    """One row per output and predictor (gp, linear_drag, zero) with rmse, nlpd, inside_1, inside_2, n.
 
-    train: rows that linear drag and the spread of the two baselines are fitted to.
+    train: rows that the baselines (linear drag, and the standard deviations) are fitted to.
     """
     baselines = evaluate_drag(train, test)
     rows = []
@@ -144,21 +145,21 @@ def evaluate_drag(train: ResidualDataset, test: ResidualDataset, **options: Any)
 
 
 def drag_baseline(train: ResidualDataset, **options: Any) -> LinearDrag:
-    """Linear drag of the train rows, as every comparison takes it; options go to `fit_linear_drag`."""
-    recorded = is_trimmable(train)
-    fitted = trim(train).dataset if recorded else train
-    return fit_linear_drag(fitted, **({"thrust": not recorded, "intervals": False} | options))
+    """Linear drag of the train rows, the baseline of every comparison; options go to `fit_linear_drag`."""
+    recorded = has_thrust_scale(train)
+    rows = with_common_scale(train).dataset if recorded else train
+    return fit_linear_drag(rows, **({"thrust": not recorded, "intervals": False} | options))
 
 
 def _zero(output: str, train: ResidualDataset, test: ResidualDataset) -> Row:
-    """The row of whoever predicts nothing, with the spread that the train rows have."""
+    """Score of the zero predictor, with the root mean square of the train rows as its standard deviation."""
     target = test.matrix([output])[:, 0]
     std = np.full(len(target), np.sqrt(np.mean(train.matrix([output]) ** 2)))
     return {"output": output, "predictor": "zero"} | score(target, np.zeros(len(target)), std)
 
 
 def score(target: np.ndarray, mean: np.ndarray, std: np.ndarray) -> Row:
-    """rmse, nlpd, inside_1, inside_2, n of predictions (k,) with standard deviation (k,) against targets (k,)."""
+    """rmse, nlpd, inside_1, inside_2, n of predictions (k,) with standard deviations (k,) for targets (k,)."""
     error, std = target - mean, np.maximum(std, 1e-12)
     scaled = error / std
     return {

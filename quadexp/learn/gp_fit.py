@@ -1,9 +1,9 @@
-"""Fit Gaussian processes to a residual dataset: one scalar GP an output (Torrente et al. 2021, section III-C).
+"""Fit Gaussian processes to a residual dataset: one scalar GP per output (Torrente et al. 2021, section III-C).
 
-Each output goes through: scale (features to mean 0, spread 1; target by its root mean square) -> hyperparameters of an
-exact GP on a few rows -> inducing points where the variance left is largest -> both together by the variational bound,
-first on a part of the rows, then on all -> posterior, folded back into physical units. Rows of recorded flights are
-first rid of their flights' thrust scale errors (quadexp.learn.trim).
+Steps for each output: scaling (features to mean 0 and standard deviation 1, the target by its root mean square) ->
+hyperparameters of an exact GP on a few rows -> inducing points where the remaining variance is largest -> both
+optimised together by the variational bound, first on part of the rows, then on all -> posterior in physical units.
+Recorded flights are first brought to a common thrust scale (quadexp.learn.thrust_scale).
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from quadexp.learn.predict import AXIS
 from quadexp.learn.support import feature_ranges
 from quadexp.learn.term_mean import KINDS as TERM_MEANS
 from quadexp.learn.term_mean import TermMean, fit_term_mean
-from quadexp.learn.trim import is_trimmable, trim
+from quadexp.learn.thrust_scale import has_thrust_scale, with_common_scale
 
-PILOT_ROWS = 400  # exact GP that starts the hyperparameters
-CANDIDATE_ROWS = 4000  # rows the first inducing points are chosen from, and the first stage of the bound
+PILOT_ROWS = 400  # of the exact GP that initialises the hyperparameters
+CANDIDATE_ROWS = 4000  # from which the initial inducing points are chosen; also those of the first stage of the bound
 PILOT_ITERATIONS = 60
 STAGE_ITERATIONS = 150
 LIBRARIES = ("numpy", "scipy", "torch", "gpytorch")
@@ -52,14 +52,12 @@ def fit_gp(
     callback: Callback | None = None,
     drag_intervals: bool = True,
 ) -> GPModel:
-    """Fit every output that `settings.features` names to all rows (up to settings.max_rows) of the dataset.
+    """Fit every output named in `settings.features` to all rows (up to settings.max_rows) of the dataset.
 
-    start: a model of the same shape to start from, in place of the first stages.
-    callback: called with a message and the share that is done, 0 .. 1.
-    drag_intervals: False leaves out the intervals of the linear drag beside it, where the model is not kept.
-
-    Raises DataError if the dataset is empty, lacks a feature or output, has fewer rows than inducing points or more
-    than an exact GP can take, or if a feature never changes.
+    start: model with the same outputs and sizes, whose values replace the first stages. callback: called with a message
+    and the completed share, 0 .. 1. drag_intervals: False omits the intervals of the linear-drag baseline.
+    Raises DataError where the dataset is empty, lacks a feature or output, has fewer rows than inducing points or more
+    than an exact GP can take, or where a feature is constant.
     """
     settings = settings or GPSettings()
     if not dataset.n_rows:
@@ -68,12 +66,12 @@ def fit_gp(
     if settings.max_rows is not None and dataset.n_rows > settings.max_rows:
         dataset = dataset.rows(np.sort(rng.choice(dataset.n_rows, settings.max_rows, replace=False)))
     _check(dataset, settings)
-    recorded = is_trimmable(dataset)
-    spread = 0.0
+    recorded = has_thrust_scale(dataset)
+    scale_variance = 0.0
     if recorded:
-        found = trim(dataset)
-        dataset, spread = found.dataset, found.variance
-    thrust = not recorded  # a thrust curve has the scale
+        scaled = with_common_scale(dataset)
+        dataset, scale_variance = scaled.dataset, scaled.variance
+    thrust = not recorded  # under a thrust curve the thrust term would duplicate the curve's scale
     drag = fit_linear_drag(dataset, thrust=thrust, intervals=drag_intervals)
     mean = _prior_mean(dataset, settings, drag)
     prior = None if mean is None else mean.acceleration(dataset)
@@ -89,8 +87,10 @@ def fit_gp(
                 if callback is not None:
                     callback(f"fit {output}", (i + done) / len(settings.features))
 
-            made = _fit_output(output, features, dataset, target, settings, rng, before, report)
-            posteriors.append(replace(made, noise_variance=made.noise_variance + spread) if output == "a_z" else made)
+            fitted = _fit_output(output, features, dataset, target, settings, rng, before, report)
+            if output == "a_z":
+                fitted = replace(fitted, noise_variance=fitted.noise_variance + scale_variance)
+            posteriors.append(fitted)
     if callback is not None:
         callback("fit done", 1.0)
     used = [name for features in settings.features.values() for name in features]
@@ -117,9 +117,9 @@ def _check(dataset: ResidualDataset, settings: GPSettings) -> None:
         raise DataError(f"gp.inducing: {settings.inducing} points from {n} rows; collect more, or ask for fewer points")
     for output, features in settings.features.items():
         values = dataset.matrix([*features, output])
-        still = [name for name, std in zip(features, values.std(axis=0), strict=False) if std < 1e-9]
-        if still:
-            raise DataError(f"gp.features.{output}: '{still[0]}' never changes over the {n} rows; leave it out")
+        constant = [name for name, std in zip(features, values.std(axis=0), strict=False) if std < 1e-9]
+        if constant:
+            raise DataError(f"gp.features.{output}: '{constant[0]}' never changes over the {n} rows; leave it out")
 
 
 def _prior_mean(dataset: ResidualDataset, settings: GPSettings, drag: LinearDrag) -> LinearDrag | TermMean | None:
@@ -135,7 +135,7 @@ def _prior_mean(dataset: ResidualDataset, settings: GPSettings, drag: LinearDrag
 def _matching(
     start: GPModel | None, output: str, features: tuple[str, ...], settings: GPSettings
 ) -> OutputPosterior | None:
-    """The start's posterior of this output, if it has the shape that is asked for."""
+    """The posterior of this output in `start`, None if it has other features or another number of inducing points."""
     for posterior in start.outputs if start is not None else ():
         if (posterior.output, posterior.features, len(posterior.alpha)) == (output, features, settings.inducing):
             return posterior
@@ -170,7 +170,7 @@ def _fit_output(
     else:
         few = order if settings.method == "exact" else order[:PILOT_ROWS]
         first = sgpr.Hyperparameters(np.ones(x.shape[1]), 1.0, 0.01)
-        pilot = sgpr.Regression(x[few], y[few], first, None, settings.jitter)
+        pilot = sgpr.GPRegression(x[few], y[few], first, None, settings.jitter)
         bound = sgpr.maximise(pilot, PILOT_ITERATIONS, lambda k: report(0.15 * k / PILOT_ITERATIONS))
         guess = pilot.hyperparameters
         candidates = order[: max(CANDIDATE_ROWS, settings.inducing)]
@@ -180,10 +180,10 @@ def _fit_output(
 
     if settings.method == "sgpr":
         if start is None and len(x) > CANDIDATE_ROWS:
-            part = sgpr.Regression(x[candidates], y[candidates], guess, points, settings.jitter)
+            part = sgpr.GPRegression(x[candidates], y[candidates], guess, points, settings.jitter)
             sgpr.maximise(part, STAGE_ITERATIONS, lambda k: report(0.15 + 0.25 * k / STAGE_ITERATIONS))
             points, guess = part.inducing_points, part.hyperparameters
-        whole = sgpr.Regression(x, y, guess, points, settings.jitter)
+        whole = sgpr.GPRegression(x, y, guess, points, settings.jitter)
         bound = sgpr.maximise(whole, settings.max_iterations, lambda k: report(0.4 + 0.6 * k / settings.max_iterations))
         points, guess = whole.inducing_points, whole.hyperparameters
         alpha, factor = sgpr.sparse_posterior(x, y, points, guess, settings.jitter)
@@ -207,7 +207,7 @@ def _fit_output(
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """torch on one thread: the sums then come out the same on every machine, and other work is left in peace."""
+    """torch on one thread, so that the order of summation, and with it the result, does not depend on the machine."""
     import torch
 
     before = torch.get_num_threads()

@@ -2,17 +2,16 @@
 
     a_x = -d_x v_x + b_x        a_y = -d_y v_y + b_y        a_z = -d_z v_z + b_z + kappa T
 
-v the body velocity (m/s), T the collective thrust (N). The published fit has b = 0 and kappa = 0; on z that makes the
-drag answer for the motors' loss, which goes with the thrust.
+v the body velocity (m/s), T the collective thrust (N). The published fit has b = 0 and kappa = 0; on z, the drag then
+absorbs the motors' loss, which is proportional to the thrust.
 
-loss="huber" (default) minimises sum rho(e / s) with Huber's rho, quadratic up to 1.345 robust standard deviations s
-(1.4826 median |e|) and linear beyond (Huber 1964): where the true drag is not linear, the few fastest rows then no
-longer bend the line for all others, and the controller that uses it tracks better. loss="squares" is the published fit.
+loss="huber" (default) is Huber's loss (huber.py): where the true drag is not linear, it reduces the influence of the
+few fastest rows, and the controller that uses the fit tracks better. loss="squares" is the published fit.
 
-Intervals: errors="flight" (default) takes flights for independent (quadexp.learn.flight_jackknife): 95 % intervals
-that hold what more flights of the same kind would give, also where the true drag is not linear. errors="hc1" takes rows
-for independent (HC1, MacKinnon & White 1985: with psi = rho', H = X' diag(psi') X, H^-1 X' diag(psi^2) X H^-1
-n/(n - p)), which on flights is 7 to 10 times too small.
+Intervals: errors="flight" (default) treats flights as independent (quadexp.learn.flight_jackknife): 95 % intervals for
+the fit to many flights of the same kind, also where the true drag is not linear. errors="hc1" treats rows as
+independent (HC1, MacKinnon & White 1985: with psi = rho', H = X' diag(psi') X, H^-1 X' diag(psi^2) X H^-1 n/(n - p)),
+which on flights is 7 to 10 times too small.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ ERRORS = ("flight", "hc1")
 AXES = "xyz"
 LABELS = {
     "flight": "95 % interval over {flights} flights",
-    "hc1": "95 % interval as if rows were independent, which rows of a flight are not",
+    "hc1": "95 % interval as if rows were independent, too narrow for flights",
     "blocks": "95 % interval of quadexp identify",
 }
 
@@ -42,11 +41,10 @@ class LinearDrag:
     """a_body = -drag v_body + intercept + (0, 0, thrust_gain T), with one standard error per number.
 
     drag: (3,) 1/s. intercept: (3,) m/s^2. thrust_gain: 1/kg. *_error: standard errors, same shapes.
-    residual_std: (3,), root mean square of what is left, m/s^2. r_squared: (3,), share of the variance explained.
-    n: rows. errors: which standard errors. loss: which fit.
-    vehicle, dataset: fingerprint and hash of what it was fitted to.
-    freedom: (7,), degrees of freedom of Student's t in the order of `parameters`; 0 where there is no interval.
-    flights: how many the errors are over. feature_range: of the rows, see quadexp.learn.support.
+    residual_std: (3,), root mean square residual, m/s^2. r_squared: (3,), share of the variance explained.
+    n: number of rows. errors: kind of the standard errors. loss: of the fit. vehicle: {name, fingerprint}. dataset:
+    record of the data. freedom: (7,), degrees of freedom of Student's t in the order of `parameters`; 0 where there is
+    no interval. flights: number of flights. feature_range: of the rows, see quadexp.learn.support.
     """
 
     drag: np.ndarray
@@ -73,7 +71,7 @@ class LinearDrag:
 
     @property
     def linear_drag(self) -> LinearDrag:
-        """Itself: every checkpoint has one, whatever its kind."""
+        """Itself; every kind of checkpoint has this property."""
         return self
 
     def acceleration(self, dataset: ResidualDataset) -> np.ndarray:
@@ -85,23 +83,23 @@ class LinearDrag:
 
     @property
     def half_width(self) -> np.ndarray:
-        """Half the 95 % interval of every one of `parameters`, (7,); NaN where there is no interval."""
+        """Half the 95 % interval of each of `parameters`, (7,); NaN where there is no interval."""
         from scipy.stats import t as student_t
 
         error = np.concatenate([self.drag_error, self.intercept_error, [self.thrust_gain_error]])
-        known = self.freedom > 0
-        return np.where(known, student_t.ppf(0.975, np.where(known, self.freedom, 1.0)) * error, np.nan)
+        defined = self.freedom > 0
+        return np.where(defined, student_t.ppf(0.975, np.where(defined, self.freedom, 1.0)) * error, np.nan)
 
     @property
     def label(self) -> str:
-        """What the intervals are, or why there are none."""
+        """Kind of the intervals, or why there are none."""
         if self.freedom.any():
             return LABELS[self.errors].format(flights=self.flights)
         if self.flights == 1:
-            return "no interval: one flight does not tell how flights differ"
+            return "no interval: one flight does not show how flights differ"
         if self.flights:
-            return "no interval: without one of its flights the coefficients cannot be told apart"
-        return "no interval: fitted by an older version, whose errors took rows for independent; fit it again"
+            return "no interval: without one of its flights the coefficients are not determined"
+        return "no interval: fitted by an older version, which treated rows as independent; fit it again"
 
     def __str__(self) -> str:
         half = self.half_width
@@ -116,7 +114,7 @@ def _ends(value: float, half: float, digits: int) -> str:
 
 
 def constant_mean(value: np.ndarray) -> LinearDrag:
-    """A constant acceleration, (3,) (m/s^2), in the form of a drag model without drag."""
+    """A constant acceleration, (3,) (m/s^2), as a drag model with zero drag."""
     zero = np.zeros(3)
     return LinearDrag(zero, np.asarray(value, float), 0.0, zero, zero, 0.0, zero, zero, 0, "none")
 
@@ -132,11 +130,10 @@ def fit_linear_drag(
 ) -> LinearDrag:
     """Regression of the residual acceleration on body velocity, axis by axis.
 
-    intercept, thrust: whether b and kappa are fitted (False, False is the published model).
-    errors: "flight" or "hc1"; loss: "huber" or "squares"; see the module. intervals: False fits the coefficients alone.
-
-    Raises DataError if there are fewer rows than two more than coefficients, or if they do not tell the coefficients
-    apart (a velocity that never changes, say).
+    intercept, thrust: whether b and kappa are fitted (False, False is the published model). errors: "flight" or "hc1";
+    loss: "huber" or "squares"; see the module. intervals: False computes no errors. Raises DataError for fewer than two
+    rows more than coefficients, and where the rows do not determine the coefficients (for instance with a constant
+    velocity).
     """
     if errors not in ERRORS:
         raise UsageError(f"drag.errors: '{errors}' is none of {', '.join(ERRORS)}")
@@ -152,17 +149,17 @@ def fit_linear_drag(
         if intercept:
             design = np.column_stack([design, np.ones(n)])
         target = dataset.matrix([f"a_{axis}"])[:, 0]
-        found, left = _regression(
+        fit, residual = _regression(
             design, target, flight, f"a_{axis} on {', '.join(names)}", loss, errors if intervals else ""
         )
-        drag[:, i] = found[:, 0]
+        drag[:, i] = fit[:, 0]
         if intercept:
-            offset[:, i] = found[:, -1]
+            offset[:, i] = fit[:, -1]
         if len(names) == 2:
-            gain[:] = found[:, 1]
-        std[i] = np.sqrt(np.mean(left**2))
+            gain[:] = fit[:, 1]
+        std[i] = np.sqrt(np.mean(residual**2))
         spread = np.sum((target - target.mean()) ** 2) if intercept else np.sum(target**2)
-        r_squared[i] = 1 - np.sum(left**2) / spread if spread > 0 else 0.0
+        r_squared[i] = 1 - np.sum(residual**2) / spread if spread > 0 else 0.0
     return LinearDrag(
         drag[0], offset[0], float(gain[0]), drag[1], offset[1], float(gain[1]), std, r_squared, n, errors, loss,
         dict(dataset.metadata.get("vehicle") or {}), dataset.summary(),
@@ -183,16 +180,16 @@ def _regression(
     x = design / scale
     if np.abs(np.diag(np.linalg.qr(x, mode="r"))).min() < 1e-8:
         raise DataError(
-            f"drag fit of {what}: these columns do not vary independently over the {n} rows, so their coefficients"
-            " cannot be told apart: add flights with more motion, or leave out the intercept or the thrust term"
+            f"drag fit of {what}: these columns are not linearly independent over the {n} rows, so the coefficients are"
+            " not determined: add flights with more motion, or omit the intercept or the thrust term"
         )
     coefficients, limit = solve(x, target, loss)
-    left = target - x @ coefficients
+    residual = target - x @ coefficients
     error, freedom = np.zeros(p), np.zeros(p)
     if errors == "flight":
         error, freedom = flight_errors(x, target, flight, coefficients, loss)
     elif errors == "hc1":
-        inside = x[np.abs(left) <= limit]
-        half = np.linalg.solve(inside.T @ inside, (x * np.clip(left, -limit, limit)[:, None]).T)
+        inside = x[np.abs(residual) <= limit]
+        half = np.linalg.solve(inside.T @ inside, (x * np.clip(residual, -limit, limit)[:, None]).T)
         error, freedom = np.sqrt(n / (n - p) * np.sum(half**2, axis=1)), np.full(p, float(n - p))
-    return np.stack([coefficients / scale, error / scale, freedom]), left
+    return np.stack([coefficients / scale, error / scale, freedom]), residual

@@ -1,4 +1,4 @@
-"""What a fitted Gaussian process is: settings, posterior of each output, and the whole model.
+"""A fitted Gaussian process: settings, posterior of each output, and the model of all outputs.
 
 Posterior of one output at features z, in physical units, with e_j = exp(-1/2 sum_i ((z_i - Z_ji) / l_i)^2):
 
@@ -12,15 +12,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quadexp.air.term_structure import TermStructure
 from quadexp.errors import UsageError
-from quadexp.learn.dataset import TARGETS
 from quadexp.learn.linear_drag import LinearDrag
 from quadexp.learn.term_mean import TermMean
+from quadexp.physics.correction import OUTPUTS
+
+if TYPE_CHECKING:
+    from quadexp.air.terms import TermStructure
 
 METHODS = ("sgpr", "subset", "exact")
 MEANS = ("zero", "constant", "linear_drag", "quadratic", "blade_element")
@@ -34,12 +36,12 @@ class GPSettings:
     """How the Gaussian processes are fitted; the keys of the `gp` configuration group.
 
     features: output -> feature names (B_z); an output that is absent, or has none, is not corrected (B_d).
-    inducing: inducing points an output. method: "sgpr" (variational bound, all rows), "subset" (exact GP on `inducing`
+    inducing: inducing points per output. method: "sgpr" (variational bound, all rows), "subset" (exact GP on `inducing`
         chosen rows), "exact" (exact GP on every row, up to max_exact_rows). mean: prior mean of the accelerations.
-    max_rows: use at most that many rows, drawn by the seed. holdout: share of the flights kept out for the report.
-    refit: whether the model that is kept has seen the held-out flights too, after the report on them.
+    max_rows: use at most that many rows, drawn by the seed. holdout: share of the flights held out for the report.
+    refit: whether the final model is fitted to the held-out flights too, after the report on them.
     max_iterations: L-BFGS iterations of the last stage. jitter: added to K_ZZ, relative to sigma_f^2.
-    split: what the report holds out, "flight", or "sample" to show how that misleads.
+    split: what the report holds out: "flight", or "sample" (for comparison; underestimates the error).
     """
 
     features: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: dict(DEFAULT_FEATURES))
@@ -61,8 +63,8 @@ class GPSettings:
         if not chosen:
             raise UsageError("gp.features: no output has a feature; name some, e.g. gp.features.a_x=[v_x]")
         for output, names in chosen.items():
-            if output not in TARGETS:
-                raise UsageError(f"gp.features.{output}: no such output; allowed are {', '.join(TARGETS)}")
+            if output not in OUTPUTS:
+                raise UsageError(f"gp.features.{output}: no such output; allowed are {', '.join(OUTPUTS)}")
             if len(set(names)) < len(names):
                 raise UsageError(f"gp.features.{output}: {', '.join(names)} names a feature twice")
         for key, allowed in (("method", METHODS), ("mean", MEANS), ("split", SPLITS)):
@@ -70,12 +72,10 @@ class GPSettings:
                 raise UsageError(f"gp.{key}: '{getattr(self, key)}' is none of {', '.join(allowed)}")
         low, high = INDUCING_RANGE
         if not low <= self.inducing <= high:
-            raise UsageError(
-                f"gp.inducing: {self.inducing} is outside {low}..{high} (5..100 is what a control step has)"
-            )
+            raise UsageError(f"gp.inducing: {self.inducing} is outside {low}..{high} (5..100 suits a control step)")
         if not 0 <= self.holdout < 1:
             raise UsageError(
-                f"gp.holdout: {self.holdout:g} is outside [0, 1), the share of flights kept out of the fit"
+                f"gp.holdout: {self.holdout:g} is outside [0, 1), the share of flights held out of the fit"
             )
         if self.max_rows is not None and self.max_rows < 10:
             raise UsageError(f"gp.max_rows: {self.max_rows} is below 10")
@@ -91,12 +91,12 @@ class GPSettings:
 
 @dataclass(frozen=True)
 class OutputPosterior:
-    """Posterior of one output; the module states the equation. Has all that residual.gaussian_process.GPOutput has.
+    """Posterior of one output (equations: see the module); has the fields of quadexp.air.gaussian_process.GPOutput.
 
-    output: a name in TARGETS, its unit is m/s^2 or N m. features: d names.
+    output: a name in OUTPUTS, its unit is m/s^2 or N m. features: d names.
     inducing: (M, d), lengthscale: (d,), in the features' units. alpha: (M,), in the output's unit.
     signal_variance, noise_variance: in the output's unit squared.
-    variance_factor: F, (M, M), upper triangular, in the output's unit. (Its square F'F would lose half the digits.)
+    variance_factor: F, (M, M), upper triangular, in the output's unit (F'F would lose half the digits).
     bound: log marginal likelihood, or its variational lower bound, per row, in the output's unit.
     """
 
@@ -114,10 +114,10 @@ class OutputPosterior:
 
 @dataclass(frozen=True)
 class GPModel:
-    """Gaussian processes of one or more outputs, and the linear drag of the same rows.
+    """Gaussian processes of one or more outputs, and linear drag fitted to the same rows.
 
-    mean: prior mean of the accelerations (LinearDrag without drag where it is constant, or terms), or None for zero;
-        torque outputs have prior mean zero.
+    mean: prior mean of the accelerations (terms, or LinearDrag, without drag for a constant), or None for zero; torque
+        outputs have prior mean zero.
     linear_drag: the RDRv baseline, fitted to the same rows. vehicle: {name, fingerprint}. dataset: hash, rows, flights.
     feature_range: of the rows, see quadexp.learn.support. versions: library -> version.
     """
@@ -133,10 +133,10 @@ class GPModel:
 
     @property
     def mean_parameters(self) -> np.ndarray | None:
-        """Prior mean for residual.gaussian_process.gaussian_process_residual: (p,) or None."""
+        """Prior mean for quadexp.air.gaussian_process.gaussian_process_residual: (p,) or None."""
         return None if self.mean is None else self.mean.parameters
 
     @property
     def mean_terms(self) -> TermStructure | None:
-        """Which terms the prior mean has, None where it is linear drag or zero."""
+        """Terms of the prior mean, None where it is linear drag or zero."""
         return getattr(self.mean, "structure", None)

@@ -1,10 +1,10 @@
 """Identification of the blade-element coefficients from a recorded flight (Lei & Li 2017, section 3).
 
-Any flight serves that has rotor speeds and specific force. The samples go through the estimator one by one, as they
-would in flight, and leave a time series of estimates. The result with its 95 % intervals is the fit of all samples at
-once (quadexp.learn.blade_fit): what the recursion ends at depends on its first values, takes the accelerometer's
-offset for zero and, as published, the induced velocity for independent of C_la; an interval about it holds the truth
-in 0 to 15 of 40 flights.
+The flight needs rotor speeds and specific force. The recursive estimator processes the samples as it would in flight,
+which gives a time series of estimates. The result with its 95 % intervals is the fit of all samples at once
+(quadexp.learn.blade_fit): the final recursive estimate depends on its initial values, neglects the accelerometer's bias
+and, as published, the dependence of the induced velocity on C_la; an interval about it contains the truth in 0 to 15 of
+40 flights.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ OFFLINE = RLSSettings.scaled(gauss_newton=True)
 
 @dataclass(frozen=True)
 class Identification:
-    """Estimates over time. name: of the flight. t: (k,) s. theta: in use, raw: as estimated, standard_error: (k, 5).
+    """Estimates over time. name: of the flight. t: (k,) s. theta: clipped, raw: not clipped, standard_error: (k, 5).
 
-    standard_error: what the recursion believes of itself, first values included; no interval. error: (k, 3), specific
-    force less its prediction (m/s^2). noise: standard deviation of the readings, taken from the second half's errors
-    (m/s^2). clips: samples on which each value in use was clipped, (5,). skipped: samples with a standing rotor.
-    fit: all samples at once, with intervals; None where `note` says why there is none.
+    standard_error: from the recursion's covariance, including its initial value; not an interval. error: (k, 3),
+    measured minus predicted specific force (m/s^2). noise: standard deviation of the readings, from the errors of the
+    second half (m/s^2). clips: number of clipped samples per coefficient, (5,). skipped: number of samples with a
+    stopped rotor. fit: of all samples, with intervals; None for the reason in `note`.
     """
 
     name: str
@@ -54,7 +54,7 @@ class Identification:
         return columns | {f"error_{axis}": self.error[:, i].copy() for i, axis in enumerate("xyz")}
 
     def metadata(self) -> dict[str, object]:
-        """What goes with the columns; estimates are those of all samples where there is such a fit."""
+        """Metadata of the table; the estimates are those of the fit to all samples where there is one."""
         recursion = dict(zip(THETA, self.raw[-1].tolist(), strict=True))
         record: dict[str, object] = {"flight": self.name, "estimates": recursion, "recursion": recursion}
         if self.fit is not None:
@@ -70,24 +70,24 @@ class Identification:
         }
 
     def lines(self) -> list[str]:
-        """The estimates with their 95 % intervals, and where the recursion ends, a coefficient a line."""
+        """The estimates with their 95 % intervals and the final recursive estimates, one line per coefficient."""
         noise = self.noise if self.fit is None else self.fit.noise
         lines = [f"{self.name}: {len(self.t)} samples, noise {noise:.3g} m/s^2"]
         if self.fit is not None:
             offset = ", ".join(f"{value:.4f}" for value in self.fit.offset)
-            lines.append(f"  all samples at once, accelerometer offset fitted too ({offset} m/s^2)")
+            lines.append(f"  all samples at once, with the accelerometer bias ({offset} m/s^2)")
         for i, name in enumerate(THETA):
             clipped = f"   clipped on {self.clips[i]} samples" if self.clips[i] else ""
             if self.fit is None:
                 lines.append(f"  {name:<5} {self.raw[-1, i]:9.5f}, no interval{clipped}")
                 continue
             low, high = self.fit.interval(name)
-            found = f"{self.fit.theta[i]:9.5f}   95 % interval {low:.5f} to {high:.5f}"
-            lines.append(f"  {name:<5} {found}   recursion ends at {self.raw[-1, i]:.5f}{clipped}")
+            estimate = f"{self.fit.theta[i]:9.5f}   95 % interval {low:.5f} to {high:.5f}"
+            lines.append(f"  {name:<5} {estimate}   recursion ends at {self.raw[-1, i]:.5f}{clipped}")
         if self.note:
             lines.append(f"  no intervals: {self.note}")
         if self.skipped:
-            lines.append(f"  {self.skipped} samples left out: a rotor stood still")
+            lines.append(f"  {self.skipped} samples skipped: a rotor was stopped")
         return lines
 
 
@@ -99,10 +99,10 @@ def identify_flight(
     *,
     name: str | None = None,
 ) -> Identification:
-    """Run the estimator over a flight, and fit all its samples at once.
+    """Run the recursive estimator over a flight, and fit all its samples at once.
 
-    The first sample is left out, since a simulated one has not been measured yet.
-    vehicle: with rotor and static_thrust. settings: of the recursion, None for OFFLINE.
+    The first sample is skipped, because in a simulated flight it has no reading yet.
+    vehicle: with rotor and thrust coefficient. settings: of the recursion, None for OFFLINE.
     Raises DataError where rotor speeds or specific force are missing, or not finite.
     """
     rotors = [f"rotor_speed_{i}" for i in range(vehicle.n_rotors)]
@@ -127,7 +127,7 @@ def identify_flight(
         theta[k] = estimator.update(velocity[k], speed[k], force[k])
         raw[k], standard_error[k], error[k] = estimator.raw, estimator.standard_error(), estimator.error
     if estimator.samples == 0:
-        raise DataError(f"{name}: the rotors never turned, nothing can be identified")
+        raise DataError(f"{name}: the rotors do not turn in this flight, nothing can be identified")
     noise = float(np.sqrt(np.nanmean(error[len(error) // 2 :] ** 2)))
     standard_error *= noise / estimator.settings.noise
     turning = speed.min(axis=1) >= SLOWEST

@@ -1,17 +1,17 @@
-"""Open-loop prediction: start at a measured state, go on with the model alone, compare with what was measured.
+"""Open-loop prediction from a measured initial state, compared with the measured flight.
 
 attitude   v' = R(t) f_model(R(t)^T v, w(t), a(t)) + g,  p' = v        R, w and the rotors' signal as measured
-held       all 13 states; the body rates stay what they were at the start
-torque     all 13 states; angular acceleration by the fitted torque (quadexp.learn.torque), its offset that at
-           the start; rates held on refused axes
+held       all 13 states; constant body rates
+torque     all 13 states; angular acceleration by the fitted torque (quadexp.learn.torque) with its offset at the start;
+           constant rates on rejected axes
 full       all 13 states of the rigid body (quadexp.physics.rigid_body) under the rotors' thrusts and arms
 
-In all of them the model gives the specific force. "full" needs the thrust of every rotor and trusts the vehicle's
-inertia, arms and reaction torques; its attitude drifts with every torque that nobody modelled, so that "held" is what
-it, and "torque", have to beat. "attitude" needs no torque model: Heun's method on the samples. A thrust scale
-tracked up to the start is held over the rollout. What the accelerometer reads beside the true specific force (its bias,
-and its misalignment's share of gravity) has no place in a motion: it is the mean of f - R^T (dv/dt + g) over a flight,
-and is taken out of the model's prediction, which was fitted to that accelerometer.
+In all modes the model gives the specific force. "full" needs the thrust of every rotor and uses the vehicle's inertia,
+arms and reaction torques; its attitude drifts with every unmodelled torque, so "held" is the baseline for it and for
+"torque". "attitude" needs no torque model; it uses Heun's method on the samples. A thrust scale tracked up to the start
+is held over the prediction. The accelerometer's error (bias, and gravity through its misalignment) does not act on the
+motion: it is estimated as the mean of f - R^T (dv/dt + g) over a flight and subtracted from the model's prediction,
+because the model was fitted to that accelerometer.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
 from quadexp.learn.predictors import Predictor
+from quadexp.learn.thrust_scale import tracked_scale
 from quadexp.learn.torque import geometric_acceleration, gyroscopic
-from quadexp.learn.tracking import tracked_scale
 from quadexp.learn.validation import FlightRows
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import GRAVITY, Vehicle
 
-LOST_SPEED, LOST_RATE = 100.0, 200.0  # m/s, rad/s: beyond them an open-loop prediction is over
+LOST_SPEED, LOST_RATE = 100.0, 200.0  # m/s, rad/s: a prediction beyond them is stopped
 TURNING = ("held", "torque", "full")
 Turning = Callable[[np.ndarray, np.ndarray], np.ndarray]
-STARTS = 120  # a flight at the most, spread evenly
+STARTS = 120  # per flight at most, spread evenly
 QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 POINT, WORLD_VELOCITY, RATES = ("p_x", "p_y", "p_z"), ("v_x", "v_y", "v_z"), ("w_x", "w_y", "w_z")
 
 
 class Track:
-    """A flight's measured motion on the samples' clock, and the rotors' accelerations by a predictor's curve."""
+    """A flight's measured motion at the samples, and the rotors' accelerations by a predictor's thrust curve."""
 
     def __init__(self, one: FlightRows, predictor: Predictor, gravity: float = GRAVITY) -> None:
         flight, at = one.flight, slice(one.first, None)
@@ -53,28 +53,28 @@ class Track:
         self.wind = np.zeros_like(self.velocity) if flight.wind is None else flight.wind[at]
         self.rotors = predictor.curve.of_signal(one.samples.signal, one.samples.voltage)
         beyond = predictor.beyond(one.samples.velocity, self.rate, self.rotors)
-        wanted = one.samples.force[:, 2] - beyond[:, 2]
-        self.scale = tracked_scale(self.rotors.sum(axis=1), wanted, self.dt)
+        thrust = one.samples.force[:, 2] - beyond[:, 2]
+        self.scale = tracked_scale(self.rotors.sum(axis=1), thrust, self.dt)
         self.bias = accelerometer_bias(self.time, self.velocity, self.matrix, one.samples.force, gravity)
         self.torque = predictor.torque
 
     def starts(self, steps: int) -> np.ndarray:
-        """Samples from which `steps` more follow in the same segment, spread over the flight."""
+        """Samples followed by `steps` more in the same segment, spread over the flight."""
         last = len(self.time) - steps
         if last <= 0:
             return np.empty(0, int)
         k = np.arange(last)
-        whole = (self.segment[k] == self.segment[k + steps]) & (
+        complete = (self.segment[k] == self.segment[k + steps]) & (
             np.abs(self.time[k + steps] - self.time[k] - steps * self.dt) < 1.5 * self.dt
         )
-        k = k[whole]
+        k = k[complete]
         return k[:: max(1, len(k) // STARTS)]
 
 
 def accelerometer_bias(
     time: np.ndarray, velocity: np.ndarray, matrix: np.ndarray, force: np.ndarray, gravity: float = GRAVITY
 ) -> np.ndarray:
-    """Mean of f - R^T (dv/dt + g), (3,) m/s^2: what the accelerometer reads that moves nothing."""
+    """Mean of f - R^T (dv/dt + g), (3,) (m/s^2): the accelerometer's mean error."""
     world = np.gradient(velocity, time, axis=0) + [0.0, 0.0, gravity]
     return np.mean(force - np.einsum("kji,kj->ki", matrix, world), axis=0)
 
@@ -82,7 +82,7 @@ def accelerometer_bias(
 def attitude_rollout(
     predictor: Predictor, track: Track, starts: np.ndarray, steps: int, *, tracked: bool, gravity: float = GRAVITY
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Position and velocity, each (steps + 1, starts, 3), world, with the attitude as measured."""
+    """Position and velocity, each (steps + 1, starts, 3), world, with the measured attitude."""
     down = np.array([0.0, 0.0, -gravity])
     scale = track.scale[starts] if tracked else np.ones(len(starts))
 
@@ -107,7 +107,7 @@ def attitude_rollout(
 
 
 def turning(track: Track, mode: str, vehicle: Vehicle, starts: np.ndarray) -> Turning | None:
-    """Angular acceleration (n, 3) (rad/s^2) at samples k (n,) and rates (n, 3), by mode; None for the geometric torque.
+    """Angular acceleration (n, 3) (rad/s^2) as a function of samples k (n,) and rates (n, 3); None for mode "full".
 
     Raises DataError for "torque" where there is no fitted torque.
     """
@@ -119,7 +119,7 @@ def turning(track: Track, mode: str, vehicle: Vehicle, starts: np.ndarray) -> Tu
         raise DataError(f"{track.name}: there is no fitted torque to predict with")
     model, at = track.torque, (track.time, track.segment)
     driven = model.driven(*at, geometric_acceleration(track.rotors, vehicle))
-    offset = model.followed(*at, driven, track.rate, gyroscopic(track.rate, vehicle))[starts]
+    offset = model.tracked_offset(*at, driven, track.rate, gyroscopic(track.rate, vehicle))[starts]
     return lambda k, w: np.where(model.used, driven[k] + offset - gyroscopic(w, vehicle), 0.0)
 
 
@@ -133,9 +133,9 @@ def full_rollout(
     tracked: bool,
     mode: str = "full",
 ) -> np.ndarray:
-    """States, (steps + 1, starts, 13): the rigid body under the rotors' thrusts, the model evaluated every sample.
+    """States, (steps + 1, starts, 13): the rigid body under the rotors' thrusts and the model's acceleration.
 
-    mode: what turns it, one of TURNING. NaN from where a prediction has left LOST_SPEED or LOST_RATE.
+    mode: one of TURNING. NaN after a prediction has exceeded LOST_SPEED or LOST_RATE.
     """
     import casadi as ca
 
@@ -148,25 +148,25 @@ def full_rollout(
     scale = track.scale[starts] if tracked else np.ones(len(starts))
     quaternion = track.rotation[starts].as_quat(scalar_first=True)
     state = np.hstack([track.position[starts], quaternion, track.velocity[starts], track.rate[starts]])
-    states, gone = [state], np.zeros(len(starts), bool)
+    states, stopped = [state], np.zeros(len(starts), bool)
     for j in range(steps):
         k = starts + j
         lost = (np.abs(state[:, VELOCITY]).max(axis=1) > LOST_SPEED) | (np.abs(state[:, RATE]).max(axis=1) > LOST_RATE)
-        state = np.where(lost[:, None], states[0], state)  # goes on from somewhere harmless, and is marked at the end
-        gone |= lost
+        state = np.where(lost[:, None], states[0], state)  # restarted at a finite state, and set to NaN below
+        stopped |= lost
         body = air_velocity(state[:, ATTITUDE], state[:, VELOCITY], track.wind[k])
         correction = predictor.beyond(body, state[:, RATE], track.rotors[k]) - track.bias
         thrust = vehicle.mass * scale[:, None] * track.rotors[k]
         torque = np.zeros_like(correction)
         if turn is not None:  # in place of the geometric torque
             rate = state[:, RATE]
-            wanted = (turn(k, rate) + gyroscopic(rate, vehicle)) @ vehicle.inertia_matrix
-            torque = wanted - thrust @ vehicle.allocation[1:].T
+            total = (turn(k, rate) + gyroscopic(rate, vehicle)) @ vehicle.inertia_matrix
+            torque = total - thrust @ vehicle.allocation[1:].T
         correction = np.hstack([correction, torque])
         duration = track.time[k + 1] - track.time[k]
         state = np.array(step(state.T, thrust.T, correction.T, duration[None]).full()).T
         state[:, ATTITUDE] /= np.linalg.norm(state[:, ATTITUDE], axis=1, keepdims=True)
-        states.append(np.where(gone[:, None], np.nan, state))
+        states.append(np.where(stopped[:, None], np.nan, state))
     return np.array(states)
 
 
@@ -181,7 +181,7 @@ def rollout_errors(
 ) -> list[dict[str, Any]]:
     """Errors at each horizon: {horizon, starts, lost (share), position, velocity: RMS over starts (m, m/s), medians}.
 
-    vehicle: fly all 13 states, turned as `mode` says; then attitude (rad) and rate (rad/s) errors are there too.
+    vehicle: None: mode "attitude"; else all 13 states by `mode`, with attitude (rad) and rate (rad/s) errors too.
     """
     rows = []
     for horizon in horizons:

@@ -1,4 +1,4 @@
-"""Predictions of a fitted model in plain numpy; no torch, no CasADi. The equation stands in model.py."""
+"""Predictions of a fitted Gaussian process in numpy, without torch and CasADi. Equations: model.py."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from quadexp.learn.dataset import ResidualDataset
 from quadexp.learn.model import GPModel, OutputPosterior
 
 AXIS = {"a_x": 0, "a_y": 1, "a_z": 2}  # outputs that linear drag predicts
-CHUNK = 4096  # rows at a time, so that memory stays small
+CHUNK = 4096  # rows at a time, to limit memory
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
-"""Everything that predicts a flight's specific force, in one form: a thrust curve and an acceleration beyond it.
+"""Common form of all models that predict a flight's specific force: a thrust curve plus an acceleration.
 
     f = (0, 0, sum_i a_i) + a(v, w, a_1 .. a_n)          body FLU, m/s^2
 
-nominal: nothing beyond the curve. An identified vehicle gives one for each of its models, a GP itself and the drag that
-was fitted to the same rows.
+nominal: the thrust curve only. An identified vehicle gives one predictor for each of its models, a GP or a drag fit
+one.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ Acceleration = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Predictor:
-    """name: of the row. curve: thrust. beyond: (v (k, 3), w (k, 3), rotor accelerations (k, n)) -> (k, 3), m/s^2.
+    """name: in tables. curve: thrust. beyond: (v (k, 3), w (k, 3), rotor accelerations (k, n)) -> (k, 3), m/s^2.
 
-    seen: names of the flights that it was fitted to. ranges: of the fit, see quadexp.learn.support. mass: kg, of the
-    vehicle whose thrust is in the ranges. torque: fitted, None where there is none.
+    seen: names of the flights of the fit. ranges: of the fit, see quadexp.learn.support. mass: kg, to convert rotor
+    accelerations to the thrusts in the ranges. torque: fitted torque model or None.
     """
 
     name: str
@@ -47,29 +47,29 @@ class Predictor:
 
 
 def nominal(curve: ThrustCurve, seen: tuple[str, ...] = (), torque: TorqueModel | None = None) -> Predictor:
-    """The thrust curve alone."""
+    """The thrust curve only."""
     return Predictor(NOMINAL, curve, lambda v, w, a: np.zeros((len(v), 3)), seen, torque=torque)
 
 
 def predictors(model: Any, label: str, vehicle: Vehicle, curve: ThrustCurve | None) -> list[Predictor]:
-    """What a checkpoint predicts with. label: of a GP or a drag fit. curve: of models that have none of their own.
+    """The predictors of a checkpoint. label: name of a GP or a drag fit. curve: for models without a thrust curve.
 
-    Raises UsageError where a thrust curve is needed and there is none.
+    Raises UsageError where there is no thrust curve.
     """
     if isinstance(model, VehicleModel):
         seen = tuple(model.dataset.get("names", ()))
-        found = [nominal(model.thrust, seen, model.torque)]
+        result = [nominal(model.thrust, seen, model.torque)]
         for kind, terms in model.models.items():
             beyond = _of_terms(terms)
-            found.append(
+            result.append(
                 Predictor(_KIND_NAMES[kind], model.thrust, beyond, seen, model.feature_range, torque=model.torque)
             )
-        return found
+        return result
     record = (model.dataset or {}).get("thrust")
     own = curve_from_record(record) if record else curve
     if own is None:
-        raise UsageError(f"{label}: was not fitted to recorded flights, so give an identified vehicle (a folder of"
-                         " `quadexp identify`) beside it for its thrust curve")  # fmt: skip
+        raise UsageError(f"{label}: was not fitted to recorded flights; also give an identified vehicle (a folder of"
+                         " `quadexp identify`) for its thrust curve")  # fmt: skip
     seen = tuple((model.dataset or {}).get("names", ()))
     if isinstance(model, GPModel):
         return [Predictor(label, own, _of_gp(model, vehicle), seen, model.feature_range, vehicle.mass)]
@@ -85,12 +85,12 @@ def _of_terms(terms: Any) -> Acceleration:
 
 def _of_gp(model: GPModel, vehicle: Vehicle) -> Acceleration:
     def beyond(v: np.ndarray, w: np.ndarray, a: np.ndarray) -> np.ndarray:
-        seen = feature_rows(v, w, vehicle.mass * a)
-        found = predict(model, seen)
-        mean = np.zeros((len(v), 3)) if model.mean is None else model.mean.acceleration(seen)
+        features = feature_rows(v, w, vehicle.mass * a)
+        prediction = predict(model, features)
+        mean = np.zeros((len(v), 3)) if model.mean is None else model.mean.acceleration(features)
         for i, axis in enumerate("xyz"):
-            if f"a_{axis}" in found:
-                mean[:, i] = found[f"a_{axis}"].mean
+            if f"a_{axis}" in prediction:
+                mean[:, i] = prediction[f"a_{axis}"].mean
         return mean
 
     return beyond

@@ -1,11 +1,11 @@
-"""Residual rows from the accelerometer: what the thrust curve does not explain of the specific force, sample by sample.
+"""Residual dataset from recorded flights: measured specific force minus the thrust curve, one row per sample.
 
     a = f - (0, 0, sum_i a_i)        body FLU, m/s^2;   u_i = m a_i  (N)
 
-f is the specific force that was read and a_i what the thrust curve says a rotor adds (quadexp.learn.thrust_curve).
-The velocity among the features is relative to the air. This is the target of recorded flights: differentiating an
-estimated velocity (target "velocity", the transitions of quadexp.learn.dataset) lets the estimator's filter and the
-noise of the derivative into it. `target_cost` measures that on the user's own flights.
+with f the accelerometer's specific force and a_i the acceleration of a rotor by the thrust curve
+(quadexp.learn.thrust_curve). The velocity in the features is relative to the air. The alternative target "velocity"
+(transitions of quadexp.learn.dataset) differentiates an estimated velocity and so contains the estimator's filter and
+amplified noise; `target_cost` measures the difference on the user's own flights.
 """
 
 from __future__ import annotations
@@ -17,43 +17,37 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
-from quadexp.learn.dataset import THRUST, ResidualDataset, transitions
+from quadexp.learn.checkpoint import arrays_of
+from quadexp.learn.dataset import THRUST, ResidualDataset, joined, transitions
 from quadexp.learn.linear_drag import fit_linear_drag
-from quadexp.learn.samples import choose_signal, gather
+from quadexp.learn.samples import RATES, choose_signal, gather, rotor_columns
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.log.schema import Flight
 from quadexp.physics.vehicle import Vehicle
 
 TARGETS = ("auto", "specific_force", "velocity")
-OWN_SIGNALS = ("u", "thrust_acceleration")  # say the thrust in units of force or acceleration by themselves
-RATES = ("w_x", "w_y", "w_z")
+THRUST_SIGNALS = ("u", "thrust_acceleration")  # in units of force or acceleration, usable without a thrust curve
 AXES = "xyz"
 
 
 def is_recorded(flight: Flight) -> bool:
-    """Whether the flight comes from a log, not from this program's plants."""
+    """Whether the flight comes from a log, not from a simulated plant."""
     return bool(flight.metadata.get("recorded", False))
 
 
 def logged_thrust(flights: Sequence[Flight], vehicle: Vehicle) -> ThrustCurve:
-    """The curve of a log that states its thrust: u in N, or thrust_acceleration in m/s^2, taken as it is.
+    """The curve of a log with logged thrust: u in N, or thrust_acceleration in m/s^2, unchanged.
 
-    Raises UsageError where the log has commands or rotor speeds only: these need an identified curve.
+    Raises UsageError where the log has commands or rotor speeds only, which need an identified curve.
     """
-    signal = choose_signal(flights)
-    stated = [name for name in OWN_SIGNALS if _all_have(flights, name)]
-    if not stated:
+    signals = [name for name in THRUST_SIGNALS if all(rotor_columns(flight, name) for flight in flights)]
+    if not signals:
         raise UsageError(
-            f"collect.identified: these flights say {signal}, not thrust: give the folder of `quadexp identify"
-            " FLIGHT... --out models/NAME`"
+            f"collect.identified: these flights have {choose_signal(flights)}, not thrust: give the folder of"
+            " `quadexp identify FLIGHT... --out models/NAME`"
         )
-    scale = 1 / vehicle.mass if stated[0] == "u" else 1.0
-    return ThrustCurve(stated[0], np.array([1.0]), np.array([scale]), np.zeros(1), rotors=vehicle.n_rotors)
-
-
-def _all_have(flights: Sequence[Flight], signal: str) -> bool:
-    column = signal if signal == "thrust_acceleration" else f"{signal}_0"
-    return all(column in flight.columns for flight in flights)
+    scale = 1 / vehicle.mass if signals[0] == "u" else 1.0
+    return ThrustCurve(signals[0], np.array([1.0]), np.array([scale]), np.zeros(1), rotors=vehicle.n_rotors)
 
 
 def force_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, name: str = "flight") -> dict[str, np.ndarray]:
@@ -62,7 +56,7 @@ def force_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, name: str =
     Raises DataError for a column that is missing or not finite, and for another number of rotors than the vehicle's.
     """
     samples = gather([flight], curve.signal, [name])
-    first = len(flight) - len(samples)  # a simulated flight's first row has no reading yet
+    first = len(flight) - len(samples)  # the first row of a simulated flight has no reading yet
     rotors = curve.of_signal(samples.signal, samples.voltage)
     if rotors.shape[1] != vehicle.n_rotors:
         raise DataError(f"{name}: {rotors.shape[1]} rotors, vehicle '{vehicle.name}' has {vehicle.n_rotors}")
@@ -73,10 +67,10 @@ def force_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, name: str =
     bad = np.flatnonzero(~np.isfinite(rate).all(axis=1))
     if len(bad):
         raise DataError(f"{name}: a body rate is not finite in row {bad[0] + first} ({len(bad)} such rows)")
-    left = samples.force.copy()
-    left[:, 2] -= rotors.sum(axis=1)
+    residual = samples.force.copy()
+    residual[:, 2] -= rotors.sum(axis=1)
     columns = {"t": samples.time, "dt": _steps(samples.time, samples.segment)}
-    for prefix, values in (("v", samples.velocity), ("w", rate), ("a", left)):
+    for prefix, values in (("v", samples.velocity), ("w", rate), ("a", residual)):
         columns |= {f"{prefix}_{axis}": values[:, i].copy() for i, axis in enumerate(AXES)}
     columns |= {f"u_{i}": vehicle.mass * rotors[:, i] for i in range(vehicle.n_rotors)}
     columns[THRUST] = vehicle.mass * rotors.sum(axis=1)
@@ -84,7 +78,7 @@ def force_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, name: str =
 
 
 def _steps(time: np.ndarray, segment: np.ndarray) -> np.ndarray:
-    """What time every row stands for, (k,) (s): the step to the next within a segment, the median at its end."""
+    """Time step of every row, (k,) (s): to the next row within a segment, the median step at its end."""
     steps = np.diff(time)
     together = segment[1:] == segment[:-1]
     usual = float(np.median(steps[together])) if together.any() else 0.0
@@ -92,7 +86,7 @@ def _steps(time: np.ndarray, segment: np.ndarray) -> np.ndarray:
 
 
 def velocity_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, *, frame: str) -> dict[str, np.ndarray]:
-    """The same from the velocity's change over each step: the transitions under the curve's thrusts."""
+    """The same columns from the change of the velocity over each step: transitions under the curve's thrusts."""
     thrust = vehicle.mass * curve.rotor_acceleration(flight)
     commanded = {f"u_{i}": thrust[:, i] for i in range(thrust.shape[1])}
     return transitions(replace(flight, columns=dict(flight.columns) | commanded), vehicle, frame=frame)
@@ -107,27 +101,22 @@ def recorded_dataset(
     frame: str = "midpoint",
     names: Sequence[str] | None = None,
 ) -> ResidualDataset:
-    """The rows of many flights in one table, each with the flight it came from.
+    """The rows of many flights in one table, each row with its flight.
 
-    The metadata of quadexp.learn.dataset, with target, thrust (the curve, so that a model can be flown against other
-    flights by itself). Raises DataError, UsageError as the functions above do.
+    names: see quadexp.learn.dataset.joined. The metadata also contain the target, and the thrust curve, with which a
+    model can predict other flights. Raises DataError, UsageError as the functions above do.
     """
     if target not in TARGETS[1:]:
         raise UsageError(f"collect.target: '{target}' is none of {', '.join(TARGETS)}")
-    names = list(names or [str(flight.metadata.get("name") or f"flight_{i}") for i, flight in enumerate(flights)])
-    tables, records = [], []
-    for index, (flight, name) in enumerate(zip(flights, names, strict=True)):
-        flown = (flight.metadata.get("vehicle") or {}).get("fingerprint", vehicle.fingerprint)
-        if flown != vehicle.fingerprint:
-            raise DataError(f"{name}: flown by vehicle {flown}, not by '{vehicle.name}' ({vehicle.fingerprint})")
+
+    def table_of(flight: Flight, name: str) -> dict[str, np.ndarray]:
         if target == "velocity":
-            table = velocity_rows(flight, vehicle, curve, frame=frame)
-        else:
-            table = force_rows(flight, vehicle, curve, name)
-        rows = len(table["t"])
-        tables.append({"flight": np.full(rows, index, np.int32), "flight_name": np.full(rows, name, object)} | table)
-        records.append({"name": name, "rows": rows, "left_out": len(flight) - rows, "seed": None})
-    columns = {column: np.concatenate([table[column] for table in tables]) for column in tables[0]}
+            return velocity_rows(flight, vehicle, curve, frame=frame)
+        return force_rows(flight, vehicle, curve, name)
+
+    columns, records = joined(flights, vehicle, names, table_of)
+    for record, flight in zip(records, flights, strict=True):
+        record |= {"left_out": len(flight) - record["rows"], "seed": None}
     return ResidualDataset(
         columns,
         {
@@ -142,41 +131,37 @@ def recorded_dataset(
 
 
 def curve_record(curve: ThrustCurve) -> dict[str, Any]:
-    """A thrust curve as JSON."""
+    """A thrust curve as JSON types."""
     return {key: value.tolist() if hasattr(value, "tolist") else value for key, value in asdict(curve).items()}
 
 
 def curve_from_record(record: dict[str, Any]) -> ThrustCurve:
-    """The curve that `curve_record` wrote."""
-    arrays = ("powers", "coefficients", "errors", "signal_range")
-    made: dict[str, Any] = {
-        key: np.array(value, float) if key in arrays and value is not None else value for key, value in record.items()
-    }
-    return ThrustCurve(**made)
+    """The inverse of `curve_record`."""
+    return ThrustCurve(**arrays_of(record, ThrustCurve))
 
 
 class TargetCost(NamedTuple):
-    """Root mean squares of vectors, m/s^2: what linear drag leaves of either target."""
+    """Root mean square residual of linear drag for either target, m/s^2."""
 
     force: float
     velocity: float
 
     def __str__(self) -> str:
         return (
-            f"linear drag leaves {self.velocity:.3f} m/s^2 of the velocity's derivative where it leaves"
-            f" {self.force:.3f} m/s^2 of the specific force ({self.velocity / max(self.force, 1e-9):.1f} times as much)"
+            f"the residual of linear drag is {self.velocity:.3f} m/s^2 for the velocity's derivative and"
+            f" {self.force:.3f} m/s^2 for the specific force (ratio {self.velocity / max(self.force, 1e-9):.1f})"
         )
 
 
 def target_cost(flights: Sequence[Flight], vehicle: Vehicle, curve: ThrustCurve, *, frame: str) -> TargetCost | None:
-    """What the target from the velocity costs on these flights; None where they have no accelerometer."""
+    """Compare the two targets on these flights; None where they have no accelerometer."""
     if not all(f"acc_{axis}" in flight.columns for flight in flights for axis in AXES):
         return None
-    left = []
+    errors = []
     for target in ("specific_force", "velocity"):
         data = recorded_dataset(flights, vehicle, curve, target=target, frame=frame)
         residual = data.matrix(["a_x", "a_y", "a_z"]) - fit_linear_drag(
             data, loss="squares", intervals=False
         ).acceleration(data)
-        left.append(float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))))
-    return TargetCost(*left)
+        errors.append(float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))))
+    return TargetCost(*errors)

@@ -1,32 +1,35 @@
-"""Recursive least squares over regressors of any meaning, in square-root information form (Bierman 1977).
+"""Recursive least squares for any linear regression, in square-root information form (Bierman 1977).
 
-With R'R = sum x x' and z = R c, a packet of rows X, y turns the triangle by one QR step,
+It shows how the estimates of a fit converge over its samples. With R'R = sum x x' and z = R c, a batch of rows X, y
+updates the triangle by one QR factorisation,
 
     Q [ sqrt(lambda) R  sqrt(lambda) z ]   =   [ R+  z+ ]        c+ = R+^-1 z+
       [       X               y        ]       [ 0   e  ]
 
-which is RLS without a prior: the estimate after k rows IS the least-squares fit of the first k rows, to rounding, and
-there is none before the rows tell the coefficients apart. (RLS with a prior P_0: quadexp.learn.rls.)
+This is RLS without a prior: the estimate after k rows equals the least-squares fit of the first k rows to rounding, and
+none exists until the rows determine all coefficients. (RLS with a prior P_0: quadexp.learn.rls.)
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from quadexp.errors import UsageError
 from quadexp.learn.regression import Regression
+from quadexp.learn.samples import Samples
+from quadexp.learn.vehicle_model import VehicleModel
 
-MOST_ESTIMATES = 2000  # of one series; longer data go in packets of several rows
-LEAST_PIVOT = 1e-6  # of R at unit columns, below which the rows so far do not tell the coefficients apart
+MOST_ESTIMATES = 2000  # of one series; longer data are taken in batches of several rows
+LEAST_PIVOT = 1e-6  # of R at unit columns; below it the rows so far do not determine all coefficients
 
 
 @dataclass(frozen=True)
 class Recursion:
-    """Estimates over the rows. row: (m,), index of the last row each has seen. names: (p,).
+    """Estimates over the rows. names: (p,). row: (m,), index of the last row that each estimate uses.
 
-    coefficients: (m, p), NaN where there is none yet. errors: (m, p), standard errors.
+    coefficients: (m, p), NaN where not determined yet. errors: (m, p), standard errors.
     """
 
     names: tuple[str, ...]
@@ -35,26 +38,23 @@ class Recursion:
     errors: np.ndarray
 
 
-def recurse(design: np.ndarray, target: np.ndarray, batch: Regression, *, forgetting: float = 1.0) -> Recursion:
-    """Run through design (n, p) and target (n,) in their order.
+def recurse(design: np.ndarray, target: np.ndarray, batch: Regression) -> Recursion:
+    """Estimates from design (n, p) and target (n,), row after row.
 
-    batch: the fit of the same rows; what its standard errors exceed those of independent errors by, these are widened
-    by too, so that the band ends where the batch's interval is. forgetting: lambda per row, 1 forgets nothing.
+    batch: the fit of the same rows. Its ratio of standard errors to those of independent errors scales the errors here,
+    so that the last ones equal the batch's.
     """
-    if not 0.5 <= forgetting <= 1:
-        raise UsageError(f"identify: forgetting {forgetting:g} is outside [0.5, 1]")
     n, p = design.shape
     length = np.linalg.norm(design, axis=0)
     rows = np.column_stack([design / length, target])
-    packet = -(-n // MOST_ESTIMATES)
-    ends = np.r_[np.arange(packet, n, packet), n]
+    batch_size = -(-n // MOST_ESTIMATES)
+    ends = np.r_[np.arange(batch_size, n, batch_size), n]
     widening = batch.errors / np.sqrt(np.diag(batch.plain))
     triangle = np.zeros((p + 1, p + 1))
     coefficients, errors = np.full((2, len(ends), p), np.nan)
     start = 0
     for k, end in enumerate(ends):
-        kept = np.sqrt(forgetting ** (end - start)) * triangle
-        triangle = np.asarray(np.linalg.qr(np.vstack([kept, rows[start:end]]), mode="r"))[: p + 1]
+        triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows[start:end]]), mode="r"))[: p + 1]
         triangle = np.vstack([triangle, np.zeros((p + 1 - len(triangle), p + 1))])
         start = end
         root = triangle[:p, :p]
@@ -65,3 +65,35 @@ def recurse(design: np.ndarray, target: np.ndarray, batch: Regression, *, forget
         scale = abs(triangle[p, p]) / np.sqrt(end - p)
         errors[k] = scale * np.sqrt(np.sum(inverse**2, axis=1)) / length * widening
     return Recursion(batch.names, ends - 1, coefficients, errors)
+
+
+@dataclass(frozen=True)
+class VehicleIdentification:
+    """Result of an identification.
+
+    series: model kind -> axis -> recursion. samples: that the series run over. report: JSON-able.
+    """
+
+    model: VehicleModel
+    samples: Samples
+    series: dict[str, dict[str, Recursion]]
+    report: dict[str, Any]
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """The series of estimates as columns `<model>_<term>_<axis>`, with `std_...` for their standard errors."""
+        first = next(iter(next(iter(self.series.values())).values()))
+        columns = {"t": elapsed(self.samples)[first.row], "flight": self.samples.flight[first.row].astype(np.int32)}
+        for kind, axes in self.series.items():
+            for recursion in axes.values():
+                for j, name in enumerate(recursion.names):
+                    columns[f"{kind}_{name}"] = recursion.coefficients[:, j].copy()
+                    columns[f"std_{kind}_{name}"] = recursion.errors[:, j].copy()
+        return columns
+
+
+def elapsed(samples: Samples) -> np.ndarray:
+    """Time over all flights, one after the other, (k,) (s)."""
+    step = np.diff(samples.time, prepend=samples.time[0])
+    usual = float(np.median(step[1:]))
+    step[np.r_[True, samples.segment[1:] != samples.segment[:-1]]] = usual
+    return np.cumsum(step) - usual

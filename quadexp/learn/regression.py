@@ -1,18 +1,18 @@
-"""Linear regression on flight logs, with intervals that hold although neighbouring samples err alike.
+"""Linear regression on flight logs, with confidence intervals that are valid for correlated errors.
 
     y = X c + e,      c minimises sum rho(e),      rho(e) = e^2 / 2 ("squares") or Huber's ("huber", see huber.py)
 
-What a model leaves of a flight is smooth in time (a drag term that is missing, motor lag, a gust), so n samples are not
-n observations and the textbook variance s^2 (X'X)^-1 is far too small. The scores X_k rho'(e_k) are therefore summed
-over contiguous blocks, longer than the scores' memory, and the variance is the sandwich over the G block sums,
+Residuals of a model on a flight are correlated in time (missing drag terms, motor lag, gusts), so the variance for
+independent errors, s^2 (X'X)^-1, is much too small. The scores X_k rho'(e_k) are therefore summed over contiguous
+blocks longer than their correlation time, and the variance is the sandwich estimate over the G block sums,
 
     V = G/(G - p) H^-1 (sum_g s_g s_g') H^-1,     H = X' diag(rho'') X
 
 with Student's t of G - p degrees of freedom (after Bester, Conley & Hansen 2011, Inference with dependent data using
-cluster covariance estimators, who have G - 1: with six blocks and two coefficients that is too narrow). A block is
-BLOCK_TIMES integrated autocorrelation times of the score that remembers longest.
-With FLIGHT_CLUSTERS or more flights, the flights are the blocks: then what differs from flight to flight (battery,
-trim, temperature) is in the interval too. With fewer it is not, and estimates per flight show it.
+cluster covariance estimators; their G - 1 is too narrow for six blocks and two coefficients). A block has a length of
+BLOCK_TIMES integrated autocorrelation times of the score with the longest correlation.
+With FLIGHT_CLUSTERS or more flights, the flights are the blocks; the intervals then include differences between flights
+(battery, offsets, temperature). With fewer they do not; estimates per flight show the differences.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from quadexp.learn.huber import LOSSES, solve
 
 BLOCK_TIMES = 8.0
 FLIGHT_CLUSTERS = 10
-MOST_LAGS = 1 << 17  # samples of a stretch; of a longer one, means of neighbours are looked at
-LEAST_BLOCKS = 6  # more than coefficients, however long the memory
-CONDITION_LIMIT = 1000.0  # of the columns at unit length: noise moves coefficients that many times more than the fit
+MOST_LAGS = 1 << 17  # samples of a stretch; longer stretches are averaged over neighbours first
+LEAST_BLOCKS = 6  # more than coefficients, for any correlation time
+CONDITION_LIMIT = 1000.0  # of the columns at unit length: largest amplification of noise in the coefficients
 
 
 @dataclass(frozen=True)
 class Regression:
-    """coefficients: (p,). covariance: (p, p), of the module. plain: (p, p), of independent errors, for comparison.
+    """coefficients: (p,). covariance: (p, p), see the module. plain: (p, p), for independent errors, for comparison.
 
-    residual: (n,). blocks: G, how many went into the covariance. condition: of the columns at unit length.
+    residual: (n,). blocks: G. condition: condition number of the columns at unit length.
     """
 
     names: tuple[str, ...]
@@ -84,9 +84,9 @@ def regress(
 ) -> Regression:
     """Fit target (n,) by design (n, p).
 
-    stretch: (n,), number of the uninterrupted stretch a row belongs to, ascending. flight: (n,). what: for messages.
-    intervals: False takes the plain variance for the module's, where coefficients alone are wanted of many fits.
-    Raises DataError for too few rows and where the columns cannot be told apart, naming them.
+    stretch: (n,), number of the uninterrupted stretch of each row, ascending. flight: (n,). what: for messages.
+    intervals: False computes the variance for independent errors only, which is faster.
+    Raises DataError for too few rows, and for columns whose coefficients are not determined, naming them.
     """
     if loss not in LOSSES:
         raise UsageError(f"loss '{loss}' is none of {', '.join(LOSSES)}")
@@ -99,24 +99,26 @@ def regress(
     x = _unit_columns(design, length, names, what)
     condition = _condition(x, names, what, condition_limit)
     coefficients, limit = solve(x, target, loss)
-    left = target - x @ coefficients
-    inside = x if np.isinf(limit) else x * (np.abs(left) <= limit)[:, None]
+    residual = target - x @ coefficients
+    inside = x if np.isinf(limit) else x * (np.abs(residual) <= limit)[:, None]
     information = inside.T @ x
-    plain = np.linalg.inv(information) / np.outer(length, length) * (left @ left / (n - p))
+    plain = np.linalg.inv(information) / np.outer(length, length) * (residual @ residual / (n - p))
     if not intervals:
-        return Regression(tuple(names), coefficients / length, plain, plain, left, n, condition)
-    scores = x * np.clip(left, -limit, limit)[:, None]
+        return Regression(tuple(names), coefficients / length, plain, plain, residual, n, condition)
+    scores = x * np.clip(residual, -limit, limit)[:, None]
     groups = blocks_of(scores, stretch, flight)
     count = int(groups.max()) + 1
     sums = np.stack([np.bincount(groups, column, count) for column in scores.T], axis=1)
     half = np.linalg.solve(information, sums.T) / length[:, None]
     covariance = count / max(count - p, 1) * half @ half.T
-    return Regression(tuple(names), coefficients / length, covariance, plain, left, count, condition)
+    return Regression(tuple(names), coefficients / length, covariance, plain, residual, count, condition)
 
 
 def _unit_columns(design: np.ndarray, length: np.ndarray, names: Sequence[str], what: str) -> np.ndarray:
     if not length.all():
-        raise DataError(f"{what}: {names[int(np.argmin(length))]} is zero throughout, so nothing tells its coefficient")
+        raise DataError(
+            f"{what}: {names[int(np.argmin(length))]} is zero in all samples, so its coefficient is not determined"
+        )
     return design / length
 
 
@@ -135,7 +137,7 @@ def _condition(x: np.ndarray, names: Sequence[str], what: str, limit: float) -> 
 def autocorrelation_time(series: np.ndarray) -> float:
     """Integrated autocorrelation time of (k,), in samples: 1 for white noise (Geyer 1992, initial positive terms).
 
-    Beyond MOST_LAGS samples neighbours are averaged first, and less than their number is never answered.
+    Beyond MOST_LAGS samples neighbours are averaged first; the result is then at least their number.
     """
     together = -(-len(series) // MOST_LAGS)
     if together > 1:
@@ -154,18 +156,18 @@ def autocorrelation_time(series: np.ndarray) -> float:
 
 
 def blocks_of(scores: np.ndarray, stretch: np.ndarray, flight: np.ndarray) -> np.ndarray:
-    """Number of the block of every row, (n,), from 0; scores (n, p)."""
+    """Block number of every row, (n,), from 0; scores (n, p)."""
     flights, of_flight = np.unique(flight, return_inverse=True)
     if len(flights) >= FLIGHT_CLUSTERS:
         return of_flight
     starts = np.flatnonzero(np.r_[True, stretch[1:] != stretch[:-1]])
     sizes = np.diff(np.r_[starts, len(stretch)])
     longest = np.argsort(sizes)[-FLIGHT_CLUSTERS:]
-    memory = [
+    times = [
         [autocorrelation_time(scores[starts[i] : starts[i] + sizes[i], j]) for i in longest]
         for j in range(scores.shape[1])
     ]
-    time = float(np.max(np.average(memory, axis=1, weights=sizes[longest])))
+    time = float(np.max(np.average(times, axis=1, weights=sizes[longest])))
     block = int(min(np.ceil(BLOCK_TIMES * time), max(len(stretch) // (LEAST_BLOCKS + scores.shape[1]), 1)))
     counts = np.maximum(1, np.round(sizes / block).astype(int))
     first = np.concatenate([[0], np.cumsum(counts)[:-1]])

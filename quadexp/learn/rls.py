@@ -1,10 +1,10 @@
 """Identification of the blade-element coefficients in flight by recursive least squares (Lei & Li 2017, section 3).
 
-The equations stand in quadexp.learn.rls_step. This object carries the three estimators from sample to sample and
-keeps what a controller may use within bounds: with the paper's P_0 = 50 I and unit noise C_d0 crosses zero while the
-rotors spin up in nearly half of all flights, and an allocation divides by it. Only the USED values are clipped, and
-every clip is counted; the estimators themselves go on as they are. A P_0 scaled to the coefficients and to the
-accelerometer's noise (`RLSSettings.scaled`) hardly ever needs it.
+Equations: quadexp.learn.rls_step. This class holds the state of the three estimators and clips the values that a
+controller uses: with the paper's P_0 = 50 I and unit noise C_d0 crosses zero while the rotors spin up in nearly half of
+all flights, and the allocation divides by it. Only the values in use are clipped, and every clip is counted; the
+estimators are not affected. With P_0 scaled to the coefficients and the accelerometer's noise (`RLSSettings.scaled`)
+clipping is rarely needed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from quadexp.learn.rls_step import AXES, rls_step_function
 from quadexp.physics.rotor import C_LA, THETA, BladeCoefficients
 from quadexp.physics.vehicle import Vehicle
 
-SLOWEST = 1.0  # rad/s; samples with a rotor slower than this tell nothing (the model has no advance ratio there)
+SLOWEST = 1.0  # rad/s; samples with a slower rotor are skipped (the advance ratio is not defined there)
 
 
 @dataclass(frozen=True)
@@ -62,12 +62,13 @@ class RLSSettings:
 
 
 class BladeElementRLS:
-    """Estimator of theta = (C_d0, C_la, C_Dx, C_Dy, C_Dz); `update` once a sample, `reset` begins a flight.
+    """Estimator of theta = (C_d0, C_la, C_Dx, C_Dy, C_Dz): `update` at every sample, `reset` at the start of a flight.
 
-    vehicle: with rotor and static_thrust. initial: first values theta_0 (the paper starts from half of the true ones).
-    theta: values to use, within the bounds, (5,). raw: the same as estimated. clips: samples on which each was clipped,
-    (5,). axis_theta, axis_covariance: the estimators of x, y, z. induced_velocity (n,) (m/s), error (3,) (m/s^2, before
-    the update), regressors (3, 5): of the last sample. samples: updates so far; skipped: samples with a standing rotor.
+    vehicle: with rotor and thrust coefficient. initial: theta_0 (the paper starts from half of the true values).
+    theta: values to use, clipped, (5,). raw: not clipped, (5,). clips: number of samples on which each was clipped,
+    (5,). axis_theta, covariance: of the estimators of x, y, z. Of the last sample: induced_velocity (n,) (m/s), error
+    (3,), before the update (m/s^2), regressors (3, 5). samples: number of updates. skipped: number of samples with a
+    stopped rotor.
     """
 
     def __init__(
@@ -82,7 +83,7 @@ class BladeElementRLS:
         self.vehicle, self.initial, self.settings = vehicle, initial, settings or RLSSettings()
         theta_0, s = initial.parameters(), self.settings
         if not (np.isfinite(theta_0).all() and min(theta_0[:2]) > 0):
-            raise UsageError("rls: the first values of C_d0 and C_la must be positive")
+            raise UsageError("rls: the initial values of C_d0 and C_la must be positive")
         function = rls_step_function(vehicle, gauss_newton=s.gauss_newton, printed_coefficients=s.printed_coefficients)
         self._step = BufferedFunction(realise(function, resolve(backend)))
         rotor = theta_0[: C_LA + 1]
@@ -94,11 +95,11 @@ class BladeElementRLS:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew from the first values."""
+        """Restart from the initial values."""
         theta_0, arguments = self.initial.parameters(), self._step.arguments
         for axis, at in zip("xyz", AXES, strict=True):
             arguments[f"theta_{axis}"][...] = theta_0[list(at)]
-        self.reopen()
+        self.reset_covariance()
         self.weight, self.samples, self.skipped = 0.5, 0, 0
         self.clips = np.zeros(len(THETA), int)
         self.raw = theta_0.copy()
@@ -106,8 +107,8 @@ class BladeElementRLS:
         self.error, self.regressors = np.full(3, np.nan), np.full((3, len(THETA)), np.nan)
         self.induced_velocity = np.full(self.vehicle.n_rotors, np.nan)
 
-    def reopen(self) -> None:
-        """Doubt the estimates as much as the first values, P = P_0, and keep them: after a change of the vehicle."""
+    def reset_covariance(self) -> None:
+        """Set P = P_0 and keep the estimates, as after a change of the vehicle."""
         theta_0, s = self.initial.parameters(), self.settings
         for axis, at in zip("xyz", AXES, strict=True):
             spread = np.full(len(at), s.covariance)
@@ -116,9 +117,9 @@ class BladeElementRLS:
             self._step.arguments[f"P_{axis}"][...] = np.diag(spread)
 
     def update(self, body_velocity: np.ndarray, rotor_speed: np.ndarray, specific_force: np.ndarray) -> np.ndarray:
-        """Take in one sample and return the values to use, (5,).
+        """Update with one sample; returns the values to use, (5,).
 
-        body_velocity: (3,) FLU (m/s). rotor_speed: (n,) (rad/s). specific_force: reading (3,) FLU (m/s^2). All of the
+        body_velocity: (3,) FLU (m/s). rotor_speed: (n,) (rad/s). specific_force: reading (3,) FLU (m/s^2). All at the
         same instant. Raises QuadexpError where they are not finite.
         """
         arguments, results = self._step.arguments, self._step.results
@@ -177,15 +178,3 @@ class BladeElementRLS:
         used = np.minimum(np.maximum(theta, self.lower), self.upper)
         self.clips += used != theta
         return used
-
-
-def batch_least_squares(
-    regressors: np.ndarray, target: np.ndarray, *, prior: np.ndarray, covariance: np.ndarray, noise: float = 1.0
-) -> np.ndarray:
-    """Minimum of |y - Phi theta|^2 / noise^2 + (theta - prior)^T covariance^-1 (theta - prior), (p,).
-
-    regressors Phi: (k, p). target y: (k,). prior: (p,). covariance: (p, p). What RLS finds sample by sample.
-    """
-    root = np.linalg.cholesky(np.linalg.inv(covariance)).T
-    system = np.vstack([regressors / noise, root])
-    return np.linalg.lstsq(system, np.concatenate([target / noise, root @ prior]), rcond=None)[0]

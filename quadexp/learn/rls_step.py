@@ -5,7 +5,8 @@ regressors per body axis is the derivative of the dynamics' own force:
 
     Y = F(v, w, V_I, theta) / m = Phi theta,     Phi = dF/dtheta / m                       (3, 5)
 
-and on every axis, with the coefficients that it sees, x (C_d0, C_la, C_Dx), y (C_d0, C_la, C_Dy), z (C_la, C_Dz):
+and on every axis, with the coefficients that its force depends on, x (C_d0, C_la, C_Dx), y (C_d0, C_la, C_Dy), z (C_la,
+C_Dz):
 
     e = y - Phi^T theta,   K = P Phi / (Phi^T P Phi + lambda sigma^2)                       (24)
     theta <- theta + K e,   P <- (I - K Phi^T) P / lambda
@@ -15,7 +16,7 @@ That makes F_z depend on C_la through V_I as well; with gauss_newton the gain is
 
     dF_z/dC_la + (dF_z/dV_I) (dV_I/dC_la)
 
-which removes the bias of C_Dz that the partial derivative leaves (and that is no effect of the accelerometer's bias).
+which removes the bias of C_Dz that results from the partial derivative (and not from the accelerometer's bias).
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""What identification looks at: specific force, velocity relative to the air and the rotors' signal, sample by sample.
+"""Samples for identification: specific force, velocity relative to the air and the rotors' signal.
 
     f = R^T (dv/dt + g)     specific force, body FLU (m/s^2), as the accelerometer reads it
     v = R^T (v_world - wind)        air-relative body velocity (m/s); wind is zero where the flight has no wind columns
 
-In a simulated flight the reading of row k belongs to the end of the interval over which row k - 1's command was held,
-so there the commanded thrusts are taken one row earlier and the first row, which has no reading yet, is left out. A
-recorded flight has been brought to one clock on import and is taken row by row.
+In a simulated flight the reading of row k belongs to the end of the interval over which the command of row k - 1 was
+held, so commands are taken one row earlier and the first row, which has no reading yet, is omitted. A recorded flight
+has a common clock since its import and is used row by row.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
+from quadexp.learn.dataset import name_of
 from quadexp.log.schema import Flight
 
-# Best first: what says most about the thrust.
+# In order of preference for the thrust.
 SIGNALS = {"rotor_speed": "rad/s", "motor_command": "1", "thrust_acceleration": "m/s^2", "u": "N"}
 HELD = ("u", "motor_command")  # commands, held over an interval
 RATES = ("w_x", "w_y", "w_z")
@@ -29,7 +30,7 @@ QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 
 @dataclass(frozen=True)
 class Samples:
-    """Rows of one or more flights. time: (k,) s. flight: (k,) index into names. segment: (k,), runs over all flights.
+    """Samples of one or more flights. time: (k,) s. flight: (k,) index into names. segment: (k,), unique number.
 
     force: specific force, (k, 3) body FLU (m/s^2). velocity: air-relative, (k, 3) body FLU (m/s).
     signal: rotors' signal, (k, n) ((k, 1) for thrust_acceleration). voltage: (k,) V, or None where a flight lacks it.
@@ -51,12 +52,12 @@ class Samples:
         return len(self.time)
 
     def thinned(self, most: int) -> Samples:
-        """Every k-th row, at the most so many: neighbouring rows say nearly the same."""
+        """At most so many samples, evenly spaced: neighbouring samples are nearly redundant."""
         step = -(-len(self) // most)
         return self if step == 1 else self.rows(np.arange(0, len(self), step))
 
     def rows(self, selection: np.ndarray) -> Samples:
-        """The rows of a mask or index array; the flights keep their numbers."""
+        """The samples of a mask or index array; the flights keep their numbers."""
         names = ("time", "flight", "segment", "force", "velocity", "signal")
         chosen: dict[str, Any] = {name: getattr(self, name)[selection] for name in names}
         for name in ("voltage", "rate"):
@@ -69,14 +70,14 @@ def rotor_columns(flight: Flight, kind: str) -> list[str]:
     """Names of a signal's columns in the rotors' order, [] where the flight has none."""
     if kind == "thrust_acceleration":
         return [kind] if kind in flight.columns else []
-    found = [name for name in flight.columns if re.fullmatch(rf"{kind}_\d+", name)]
-    return sorted(found, key=lambda name: int(name.rsplit("_", 1)[1]))
+    names = [name for name in flight.columns if re.fullmatch(rf"{kind}_\d+", name)]
+    return sorted(names, key=lambda name: int(name.rsplit("_", 1)[1]))
 
 
 def choose_signal(flights: Sequence[Flight], asked: str | None = None) -> str:
-    """The signal that the thrust is taken from: the one asked for, or the best that every flight has.
+    """The signal for the thrust: the one asked for, or the first of SIGNALS that every flight has.
 
-    Raises UsageError for an unknown one, DataError where the flights have none in common.
+    Raises UsageError for an unknown signal, DataError where the flights have none in common.
     """
     if asked is not None and asked not in SIGNALS:
         raise UsageError(f"thrust signal '{asked}' is none of {', '.join(SIGNALS)}")
@@ -85,20 +86,15 @@ def choose_signal(flights: Sequence[Flight], asked: str | None = None) -> str:
             return kind
     lacking = next(name_of(f, i) for i, f in enumerate(flights) if not asked or not rotor_columns(f, asked))
     columns = ", ".join(f"{kind}_0 .." if kind != "thrust_acceleration" else kind for kind in SIGNALS)
-    wanted = f"columns {asked}_0 .. are missing" if asked else "no column tells the thrust in every flight"
+    wanted = f"columns {asked}_0 .. are missing" if asked else "no signal of the thrust is in every flight"
     raise DataError(f"{lacking}: {wanted}; identification needs one of {columns}")
 
 
-def name_of(flight: Flight, index: int) -> str:
-    """What messages call a flight: the name in its record, or its place in a list."""
-    return str(flight.metadata.get("name") or f"flight_{index}")
-
-
 def gather(flights: Sequence[Flight], kind: str, names: Sequence[str] | None = None) -> Samples:
-    """All samples of the flights. kind: a name in SIGNALS. names: one a flight, for messages.
+    """All samples of the flights. kind: a name in SIGNALS. names: one per flight, for messages.
 
-    Raises DataError for a missing column or a value that is not finite (flight, column, row), and for flights whose
-    rotors are not the same in number.
+    Raises DataError for a missing column or a value that is not finite (flight, column, row), and for flights with
+    different numbers of rotors.
     """
     names = tuple(names or [name_of(flight, i) for i, flight in enumerate(flights)])
     parts: list[tuple[np.ndarray, ...]] = []
@@ -117,8 +113,8 @@ def gather(flights: Sequence[Flight], kind: str, names: Sequence[str] | None = N
         signal = signal[k - 1] if simulated and kind in HELD else signal[k]
         if parts and signal.shape[1] != parts[0][5].shape[1]:
             raise DataError(f"{name}: {signal.shape[1]} rotors, {names[0]} has {parts[0][5].shape[1]}")
-        stretch = np.asarray(flight.columns.get("segment", np.zeros(len(flight))))[k]
-        segment = segments + np.concatenate([[0], np.cumsum(stretch[1:] != stretch[:-1])]).astype(int)
+        number = np.asarray(flight.columns.get("segment", np.zeros(len(flight))))[k]
+        segment = segments + np.concatenate([[0], np.cumsum(number[1:] != number[:-1])]).astype(int)
         segments = segment[-1] + 1
         voltage = flight["battery_voltage"][k] if with_voltage else np.empty(len(k))
         if with_voltage and not voltage.min() > 0:

@@ -1,7 +1,7 @@
-"""Which model a flight that was not seen speaks for: root mean squares in the fit, and flight by flight left out.
+"""Model selection by cross-validation over flights: root mean square errors in sample and on held-out flights.
 
-Samples of one flight are alike (trim, battery, the path flown), so a split by sample would flatter every model that has
-enough coefficients. Each rung of the ladder is fitted whole, its own thrust curve with it.
+Samples of one flight share battery, constant offsets and path, so a split by sample would favour models with many
+coefficients. Every model is fitted completely in each fold, its thrust curve included.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from quadexp.learn.vehicle_fit import LEVEL_NAMES, LEVELS, FitSettings, fit_leve
 from quadexp.learn.vehicle_model import KINDS
 
 MOST_FOLDS = 10
-STILL = "blade_element_still"  # the rung of the blade element whose induced velocity is taken as it is in hover
-MOST_ROWS = 20_000  # of the ladder and of the comparison of curves, where more flights' rows are thinned evenly
+HOVER_INFLOW = "blade_element_still"  # key of the blade-element model whose induced velocity is that of hover
+MOST_SAMPLES = 20_000  # of the comparisons of models and of curves; more are thinned evenly
 CURVES = ((1, 2), (1,), (2,))  # powers of motor_command that are compared
 
 
@@ -32,15 +32,15 @@ def rmse(residual: np.ndarray) -> dict[str, float]:
 
 
 def selection(samples: Samples, settings: FitSettings, momentum: float = 0.0) -> list[dict[str, Any]]:
-    """The ladder: RMSE of every level on its own flights, and on flights left out in turn.
+    """RMSE of every model in sample and on held-out flights.
 
-    Returns per level {level, name, in_sample {x, y, z, norm}, held_out the same, trimmed the same, per_flight
-    {name: norm}, note}. trimmed: of the flights left out with each one's own mean residual taken away, what is left to
-    a controller with integral action. With one flight nothing can be left out: held_out and trimmed are None.
-    With the rotors' radius known there are two rungs of the blade element, with induced velocity and without (STILL).
-    Of two flights, a voltage exponent that is fitted is that of both: one alone does not tell it.
+    Returns per model {level, name, in_sample {x, y, z, norm}, held_out the same, trimmed the same, per_flight
+    {name: norm}, note}. trimmed: held-out error after subtracting each flight's mean residual, which integral action in
+    a controller would remove. With one flight held_out and trimmed are None. If the rotors' radius is known there are
+    two blade-element models, with induced velocity and without (HOVER_INFLOW). With two flights, a fitted voltage
+    exponent is taken from both: one flight does not determine it.
     """
-    samples = samples.thinned(MOST_ROWS)
+    samples = samples.thinned(MOST_SAMPLES)
     if settings.voltage_exponent is None and len(samples.names) == 2:
         curve, _ = _curve_residual(samples, samples, settings)
         settings = replace(settings, voltage_exponent=curve.voltage_exponent)
@@ -48,7 +48,7 @@ def selection(samples: Samples, settings: FitSettings, momentum: float = 0.0) ->
     rungs = [(level, level, LEVEL_NAMES[level], momentum) for level in chosen]
     if momentum and "blade_element" in chosen:
         rungs[-1] = (*rungs[-1][:2], "blade element, with V_I", momentum)
-        rungs.append((STILL, "blade_element", "blade element, no V_I", 0.0))
+        rungs.append((HOVER_INFLOW, "blade_element", "blade element, no V_I", 0.0))
     rows: list[dict[str, Any]] = []
     for rung, level, name, momentum in rungs:
         row: dict[str, Any] = {"level": rung, "name": name, "in_sample": None, "held_out": None}
@@ -68,29 +68,29 @@ def selection(samples: Samples, settings: FitSettings, momentum: float = 0.0) ->
 
 
 def left_out(level: str, samples: Samples, settings: FitSettings, momentum: float = 0.0) -> dict[str, np.ndarray]:
-    """Residual of every flight, (k, 3) (m/s^2), to the fit without it; {} with one flight.
+    """Residual of every flight, (k, 3) (m/s^2), under the fit to the others; {} with one flight.
 
-    Up to MOST_FOLDS flights are left out one by one; of more, every MOST_FOLDS-th together.
+    Up to MOST_FOLDS flights are held out one by one; of more, every MOST_FOLDS-th together.
     """
     count = len(samples.names)
     folds = min(count, MOST_FOLDS) if count > 1 else 0
-    found: dict[int, np.ndarray] = {}
+    residuals: dict[int, np.ndarray] = {}
     for fold in range(folds):
         out = samples.flight % folds == fold
         rest, left = samples.rows(~out), samples.rows(out)
         residual = fit_level(level, rest, settings, momentum, intervals=False).residual(left)
-        found |= {index: residual[left.flight == index] for index in range(fold, count, folds)}
-    return {name: found[index] for index, name in enumerate(samples.names) if index in found}
+        residuals |= {index: residual[left.flight == index] for index in range(fold, count, folds)}
+    return {name: residuals[index] for index, name in enumerate(samples.names) if index in residuals}
 
 
 def compare_curves(samples: Samples, settings: FitSettings) -> list[dict[str, Any]]:
-    """RMSE along z, in sample and left out, of other thrust curves on motor commands; [] for other signals.
+    """RMSE along z, in sample and held out, of thrust curves on motor commands; [] for other signals.
 
-    Rows {powers, voltage ("unused", "V" or "V^g"), exponent, in_sample, held_out, halves_out (or None), note}.
-    held_out: on flights left out. halves_out: with two flights, on half a flight left out in turn; what the voltage
-    does from battery to battery takes two flights to see, and a fit to one cannot be blamed for not knowing it.
+    Records {powers, voltage ("unused", "V" or "V^g"), exponent, in_sample, held_out, halves_out (or None), note}.
+    held_out: on held-out flights. halves_out: with two flights, on held-out half flights, because the effect of the
+    battery voltage cannot be learned from one flight alone.
     """
-    samples = samples.thinned(MOST_ROWS)
+    samples = samples.thinned(MOST_SAMPLES)
     count = len(samples.names)
     by_flight = samples.flight % min(count, MOST_FOLDS) if count > 1 else None
     by_half = 2 * samples.flight + _second_half(samples.flight) if count == 2 else None
@@ -120,14 +120,14 @@ def _second_half(flight: np.ndarray) -> np.ndarray:
     return (2 * (np.arange(len(flight)) - (np.cumsum(sizes) - sizes)[flight]) >= sizes[flight]).astype(int)
 
 
-def _curve_residual(rest: Samples, seen: Samples, settings: FitSettings) -> tuple[ThrustCurve, np.ndarray]:
-    """A curve with d_z beside it fitted to some rows, and what it leaves along z of others, (k,) (m/s^2)."""
-    curve, found = fit_thrust_samples(
-        rest, reference_voltage=settings.reference_voltage, voltage_exponent=settings.voltage_exponent,
+def _curve_residual(train: Samples, test: Samples, settings: FitSettings) -> tuple[ThrustCurve, np.ndarray]:
+    """A curve fitted together with d_z to some samples, and its residual along z on others, (k,) (m/s^2)."""
+    curve, regression = fit_thrust_samples(
+        train, reference_voltage=settings.reference_voltage, voltage_exponent=settings.voltage_exponent,
         powers=settings.powers, intercept=settings.thrust_intercept, per_rotor=settings.per_rotor,
         loss=settings.loss, intervals=False,
     )  # fmt: skip
-    return curve, seen.force[:, 2] - thrust_columns(curve, seen, drag=True) @ found.coefficients
+    return curve, test.force[:, 2] - thrust_columns(curve, test, drag=True) @ regression.coefficients
 
 
 def _curve_left_out(samples: Samples, settings: FitSettings, fold: np.ndarray) -> float:
@@ -140,8 +140,8 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def best_level(rows: Sequence[Mapping[str, Any]], levels: Sequence[str] = (*KINDS, STILL)) -> str:
-    """The rung of `levels` with the least held-out error (in-sample where nothing was held out), linear at least."""
+def best_level(rows: Sequence[Mapping[str, Any]], levels: Sequence[str] = (*KINDS, HOVER_INFLOW)) -> str:
+    """The model of `levels` with the least held-out error (in sample where nothing was held out); "linear" if none."""
     scored = {}
     for row in rows:
         score = row["held_out"] or (row["in_sample"] if all(r["held_out"] is None for r in rows) else None)
@@ -151,13 +151,15 @@ def best_level(rows: Sequence[Mapping[str, Any]], levels: Sequence[str] = (*KIND
 
 
 def flight_by_flight(samples: Samples, settings: FitSettings) -> list[dict[str, Any]]:
-    """Linear drag of every flight alone: {flight, rows, coefficients} or {flight, note}; what differs between them."""
-    found = []
+    """Linear drag fitted to every flight alone: {flight, rows, coefficients, thrust} or {flight, rows, note}."""
+    records = []
     for index, name in enumerate(samples.names):
         own = samples.rows(samples.flight == index)
         try:
             fit = fit_level("linear", replace(own, names=(name,)), settings)
-            found.append({"flight": name, "rows": len(own), "coefficients": fit.terms.rows(), "thrust": str(fit.curve)})
+            records.append(
+                {"flight": name, "rows": len(own), "coefficients": fit.terms.records(), "thrust": str(fit.curve)}
+            )
         except DataError as error:
-            found.append({"flight": name, "rows": len(own), "note": str(error)})
-    return found
+            records.append({"flight": name, "rows": len(own), "note": str(error)})
+    return records

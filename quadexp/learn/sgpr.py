@@ -1,11 +1,11 @@
-"""Hyperparameters and inducing points by marginal likelihood, with gpytorch, in scaled coordinates.
+"""Hyperparameters and inducing points by maximum marginal likelihood with gpytorch, in scaled coordinates.
 
 Exact GP: log N(y | 0, K_XX + sigma_n^2 I). Sparse: Titsias' collapsed variational bound (2009, eq. 9),
 
     log N(y | 0, Q + sigma_n^2 I) - tr(K_XX - Q) / (2 sigma_n^2),        Q = K_XZ (K_ZZ + jitter sigma_f^2 I)^-1 K_ZX
 
-over all rows, maximised over Z and the hyperparameters together by L-BFGS. The fixed jitter makes the inducing
-variables f(Z) plus a little independent noise: still a lower bound, and the same model in fit and prediction.
+over all rows, maximised jointly over Z and the hyperparameters by L-BFGS. The fixed jitter adds independent noise to
+the inducing variables f(Z): the bound remains valid, and fit and prediction use the same model.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from linear_operator.utils.warnings import NumericalWarning
 from scipy.optimize import minimize
 
 NOISE_FLOOR = 1e-8  # of the output's mean square
-EXACT_LIMIT = 5000  # rows up to which gpytorch must factorise exactly, without conjugate gradients
-REFUSED = 1e10  # value of a step for which the covariance cannot be factorised
+EXACT_LIMIT = 5000  # rows up to which gpytorch uses a Cholesky factorisation instead of conjugate gradients
+FAILED = 1e10  # objective where the covariance cannot be factorised
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Hyperparameters:
 
 
 class InducingKernel(gpytorch.kernels.InducingPointKernel):
-    """gpytorch's sparse kernel with a jitter that is part of the model (gpytorch adds one only on failure)."""
+    """gpytorch's sparse kernel with a fixed jitter (gpytorch adds jitter only where a factorisation fails)."""
 
     def __init__(
         self,
@@ -54,8 +54,8 @@ class InducingKernel(gpytorch.kernels.InducingPointKernel):
         return matrix + self.jitter * self.base_kernel.outputscale * torch.eye(len(matrix), dtype=matrix.dtype)
 
 
-class Regression(gpytorch.models.ExactGP):
-    """Zero-mean GP with an RBF kernel of one length scale a feature, exact or sparse.
+class GPRegression(gpytorch.models.ExactGP):
+    """Zero-mean GP with an RBF kernel with one length scale per feature, exact or sparse.
 
     x: (n, d), y: (n,), scaled. inducing: (M, d), or None for the exact GP.
     """
@@ -99,7 +99,7 @@ class Regression(gpytorch.models.ExactGP):
         return marginal(self(*self.train_inputs), self.train_targets)
 
 
-def maximise(model: Regression, iterations: int, report: Callable[[int], None] | None = None) -> float:
+def maximise(model: GPRegression, iterations: int, report: Callable[[int], None] | None = None) -> float:
     """Maximise the model's objective in place by L-BFGS-B; returns it, per row.
 
     report: called with the number of iterations done.
@@ -120,10 +120,10 @@ def maximise(model: Regression, iterations: int, report: Callable[[int], None] |
             value = -model.objective()
             value.backward()
         except (NotPSDError, NanError):
-            return REFUSED, np.zeros_like(flat)
+            return FAILED, np.zeros_like(flat)
         gradient = np.concatenate([p.grad.numpy().reshape(-1) for p in parameters])
         finite = bool(np.isfinite(value.item()) and np.all(np.isfinite(gradient)))
-        return (value.item(), gradient) if finite else (REFUSED, np.zeros_like(flat))
+        return (value.item(), gradient) if finite else (FAILED, np.zeros_like(flat))
 
     done = 0
 
@@ -156,7 +156,7 @@ def sparse_posterior(
     """Weights alpha (M,) and variance factor F (M, M) of the optimal variational posterior (Titsias 2009, eqs 6, 10).
 
     With L L' = K_ZZ + jitter, A = L^-1 K_ZX / sigma_n, B = I + A A': alpha = sigma_f^2 L^-T B^-1 A y / sigma_n and
-    F'F = sigma_f^4 L^-T (I - B^-1) L^-1. Everything goes through L, whose condition is the root of K_ZZ's.
+    F'F = sigma_f^4 L^-T (I - B^-1) L^-1. All through L, whose condition number is the square root of that of K_ZZ.
     """
     from scipy.linalg import cholesky, eigh, solve_triangular
 

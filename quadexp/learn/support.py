@@ -1,13 +1,13 @@
-"""Where a model has data: the ranges of its features over the rows of the fit, and which other samples lie outside.
+"""Range of the data that a model was fitted to, and which samples are outside it.
 
-A sample is outside where any of these is below the least or above the largest value of the rows:
+A sample is outside where any of these is below the least or above the largest value in the rows of the fit:
 
     v_x, v_y, v_z       body velocity relative to the air, m/s
     speed               its norm, m/s
     every other feature of the model: thrust (N), body rates (rad/s), rotor thrusts (N)
 
-Each is looked at by itself. What is not measured: combinations that the rows do not have (full thrust at full speed),
-gaps inside a range, and what is no feature. Inside therefore means "no range is left", not "the model holds".
+Each feature is checked separately. Not detected are combinations that the rows do not contain (full thrust at full
+speed), gaps inside a range, and quantities that are not features. A sample inside all ranges may still be extrapolated.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from quadexp.learn.dataset import ResidualDataset
 
 VELOCITY = ("v_x", "v_y", "v_z")
 SPEED = "speed"
-WORTH_SAYING = 0.01  # share of samples outside from which on a flight says so
+REPORTED_SHARE = 0.01  # least share of samples outside that is reported for a flight
 Ranges = Mapping[str, Sequence[float]]
 
 
 def feature_values(dataset: ResidualDataset, name: str) -> np.ndarray:
-    """A feature of the rows, or their speed, (k,)."""
+    """Values of a feature, or of the speed, (k,)."""
     if name == SPEED:
         return np.linalg.norm(dataset.matrix(VELOCITY), axis=1)
     return dataset.matrix([name])[:, 0]
@@ -33,24 +33,24 @@ def feature_values(dataset: ResidualDataset, name: str) -> np.ndarray:
 
 def feature_ranges(dataset: ResidualDataset, features: Sequence[str] = ()) -> dict[str, list[float]]:
     """[least, largest] of body velocity, speed and the features named, over all rows."""
-    found = {}
+    ranges = {}
     for name in dict.fromkeys([*VELOCITY, SPEED, *features]):
         values = feature_values(dataset, name)
-        found[name] = [0.0 if name == SPEED else float(values.min()), float(values.max())]
-    return found
+        ranges[name] = [0.0 if name == SPEED else float(values.min()), float(values.max())]
+    return ranges
 
 
 def outside(ranges: Ranges, dataset: ResidualDataset) -> dict[str, np.ndarray]:
-    """Which rows are outside each range, name -> (k,)."""
-    found = {}
+    """Which rows are outside each range, name -> (k,) bool."""
+    masks = {}
     for name, (low, high) in ranges.items():
         values = feature_values(dataset, name)
-        found[name] = (values < low) | (values > high)
-    return found
+        masks[name] = (values < low) | (values > high)
+    return masks
 
 
 def outside_shares(ranges: Ranges, dataset: ResidualDataset) -> dict[str, float]:
-    """Share of the rows outside each range, and outside "any"."""
-    found = outside(ranges, dataset)
-    anywhere = np.logical_or.reduce(list(found.values()))
-    return {name: float(mask.mean()) for name, mask in found.items()} | {"any": float(anywhere.mean())}
+    """Share of the rows outside each range, and outside "any" of them."""
+    masks = outside(ranges, dataset)
+    anywhere = np.logical_or.reduce(list(masks.values()))
+    return {name: float(mask.mean()) for name, mask in masks.items()} | {"any": float(anywhere.mean())}

@@ -1,23 +1,25 @@
-"""Drag or lumped blade element as the mean function under a Gaussian process: named terms of velocity and thrust.
+"""Quadratic drag or lumped blade element as the mean function of a Gaussian process.
 
     m_i = sum_j c_ij phi_ij(v, u / mass)          m/s^2, least squares on the rows that the GP is fitted to
 
-Far from the rows the GP returns to this, not to zero. Terms as in quadexp.learn.body_drag and .lumped; with
-"quadratic" and "blade_element" the term `thrust` corrects the thrust curve's scale on z.
+Far from the data the GP returns to this mean instead of zero. Terms: quadexp.air.terms. The term `thrust` corrects the
+thrust curve's scale on z.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quadexp.air.term_structure import TermStructure
 from quadexp.errors import DataError
-from quadexp.learn.body_drag import QUADRATIC
 from quadexp.learn.dataset import ResidualDataset
 from quadexp.learn.regression import regress
-from quadexp.learn.terms import AXES, TermModel, term_columns, term_model
+from quadexp.learn.terms import AXES, QUADRATIC, TermModel, all_columns, term_model
+
+if TYPE_CHECKING:
+    from quadexp.air.terms import TermStructure
 
 KINDS = ("quadratic", "blade_element")
 VELOCITY = ("v_x", "v_y", "v_z")
@@ -25,18 +27,20 @@ VELOCITY = ("v_x", "v_y", "v_z")
 
 @dataclass(frozen=True)
 class TermMean:
-    """model: the terms with their coefficients. mass: kg, that turns rotor thrusts into accelerations."""
+    """model: the terms with their coefficients. mass: kg, to convert rotor thrusts to accelerations."""
 
     model: TermModel
     mass: float
 
     @property
     def structure(self) -> TermStructure:
+        from quadexp.air.terms import TermStructure  # imports CasADi, which loading a model does without
+
         return TermStructure(self.model.terms, self.mass, self.model.momentum)
 
     @property
     def parameters(self) -> np.ndarray:
-        """The coefficients of all axes end to end."""
+        """The coefficients of all axes, one after the other."""
         return np.concatenate(self.model.coefficients)
 
     def acceleration(self, dataset: ResidualDataset) -> np.ndarray:
@@ -50,24 +54,25 @@ def rotor_thrusts(dataset: ResidualDataset) -> np.ndarray:
     return dataset.matrix(names)
 
 
-def fit_term_mean(dataset: ResidualDataset, kind: str, momentum: float = 0.0) -> TermMean:
+def fit_term_mean(dataset: ResidualDataset, kind: str) -> TermMean:
     """Least squares of the residual acceleration on the terms of `kind` (a name in KINDS).
 
-    Raises DataError where the rows do not say the vehicle's mass, or do not tell the terms apart.
+    Raises DataError where the data set lacks the vehicle's mass, or does not determine the coefficients.
     """
-    from quadexp.learn.lumped import lumped_terms
+    from quadexp.learn.lumped import WITHOUT_RADIUS  # imports CasADi
 
     mass = (dataset.metadata.get("vehicle") or {}).get("mass")
     if not mass:
-        raise DataError(f"gp.mean={kind}: the data set does not say the vehicle's mass; collect it again")
-    terms = QUADRATIC if kind == "quadratic" else lumped_terms(momentum)
+        raise DataError(f"gp.mean={kind}: the data set does not contain the vehicle's mass; collect it again")
+    terms = QUADRATIC if kind == "quadratic" else WITHOUT_RADIUS
     velocity, rotors = dataset.matrix(VELOCITY), rotor_thrusts(dataset) / mass
     flight = np.asarray(dataset.columns["flight"])
-    found = [
+    columns = all_columns(terms, velocity, rotors)
+    fits = [
         regress(
-            term_columns(names, i, velocity, rotors, momentum), dataset.matrix([f"a_{AXES[i]}"])[:, 0],
+            columns[i], dataset.matrix([f"a_{AXES[i]}"])[:, 0],
             [f"{name}_{AXES[i]}" for name in names], flight, flight, what=f"gp.mean={kind} along {AXES[i]}",
         )
         for i, names in enumerate(terms)
     ]  # fmt: skip
-    return TermMean(term_model(kind, tuple(terms), found, rotors.shape[1], momentum, "squares"), float(mass))
+    return TermMean(term_model(kind, tuple(terms), fits, rotors.shape[1], 0.0, "squares"), float(mass))

@@ -1,4 +1,4 @@
-"""Thrust of the rotors per mass, from whatever the log says of them.
+"""Thrust curve: thrust of a rotor per vehicle mass, from the rotor signal that the log has.
 
     motor_command s' = s (V / V_ref)^g     a_i = c_1 s'_i + c_2 s'_i^2    m/s^2    (V_ref = 0: the voltage is not used)
     rotor_speed w                      a_i = c_2 w_i^2  (+ c_1 w_i)
@@ -7,11 +7,11 @@
 
     f_z = sum_i a_i + b - d_z v_z + e
 
-The drag along z is fitted with the curve: a vehicle that climbs commands more thrust, and a curve fitted alone takes a
-part of d_z for its own. The exponent g is 1 (NanoBench), or is fitted: what the battery reads is not what the motors
-get. The intercept b is fitted with the logged acceleration only, unless asked for: beside c_1 and
-c_2, over the narrow band of commands that a flight uses, it takes their place. It counts as thrust.
-Command with battery voltage: NanoBench (Ullah & Baca, arXiv 2603.09908).
+The drag along z is fitted together with the curve: a climbing vehicle commands more thrust, so a curve fitted alone
+would absorb part of d_z. The exponent g is 1 (NanoBench) or fitted, since the motor voltage is not the battery's
+reading. By default the intercept b is fitted for the logged acceleration only: over the narrow band of commands of a
+flight it cannot be told apart from c_1 and c_2. It counts as thrust. Command with battery voltage: NanoBench (Ullah &
+Baca, arXiv 2603.09908).
 """
 
 from __future__ import annotations
@@ -24,27 +24,26 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.learn.regression import CONDITION_LIMIT, Regression, half_width, regress
 from quadexp.learn.samples import Samples, rotor_columns
-from quadexp.learn.thrust_design import default_voltage, scaled_signal, thrust_design
 from quadexp.log.schema import Flight
 
-# Powers of the signal in the curve, and whether an intercept belongs to it.
+# Powers of the signal in the curve, and the signals with an intercept by default.
 POWERS = {"motor_command": (1, 2), "rotor_speed": (2,), "thrust_acceleration": (1,), "u": (1,)}
 INTERCEPT = ("thrust_acceleration",)
 DRAG_Z = "d_z"
 EXPONENT_RANGE = (0.0, 3.0)
-MOST_ROWS = 40_000  # of the search for the exponent
+SEARCH_SAMPLES = 40_000  # used by the search for the exponent; more are thinned evenly
 
 
 @dataclass(frozen=True)
 class ThrustCurve:
-    """Mass-normalised thrust of a rotor over its signal.
+    """Thrust of a rotor per vehicle mass as a function of its signal.
 
-    signal: a name in quadexp.learn.samples.SIGNALS. reference_voltage: V, 0 where the voltage is not used;
-    voltage_exponent: g, its error 0 where it was set.
-    powers: (q,) exponents. coefficients, errors: (q,), or (n, q) with one row a rotor; m/s^2 per signal^power.
-    intercept, intercept_error: m/s^2, of the sum over all rotors. rotors: n. freedom: of Student's t for intervals.
-    drag_z, drag_z_error: fitted with it, 1/s (0: not fitted). signal_range: smallest and largest signal of the fit.
-    residual_std: root mean square of what it and d_z leave on z, m/s^2. loss: "squares" or "huber".
+    signal: a name in quadexp.learn.samples.SIGNALS. reference_voltage: V, 0 where the voltage is not used.
+    voltage_exponent: g; voltage_exponent_error: 0 where g was not fitted. powers: (q,) exponents. coefficients, errors:
+    (q,), or (n, q) with one row per rotor; m/s^2 per signal^power. intercept, intercept_error: m/s^2, sum over all
+    rotors. rotors: n. drag_z, drag_z_error: d_z, 1/s (0: not fitted). freedom: degrees of freedom of Student's t.
+    condition: condition number. residual_std: root mean square residual along z, m/s^2. signal_range: smallest and
+    largest signal of the fit. loss: "squares" or "huber".
     """
 
     signal: str
@@ -66,24 +65,23 @@ class ThrustCurve:
     loss: str = "squares"
 
     def rotor_acceleration(self, flight: Flight) -> np.ndarray:
-        """What every rotor's thrust adds, (k, n) (m/s^2); row k from row k's signal."""
+        """Acceleration that each rotor's thrust gives, (k, n) (m/s^2), sample by sample.
+
+        Raises DataError where the flight lacks the signal or its voltage.
+        """
         columns = rotor_columns(flight, self.signal)
         if not columns:
             raise DataError(f"the flight has no column {self.signal}_0, which this thrust curve needs")
         voltage = flight["battery_voltage"] if self.reference_voltage else None
         return self.of_signal(flight.stack(columns).astype(float), voltage)
 
-    def collective(self, flight: Flight) -> np.ndarray:
-        """Thrust of all rotors per mass along body z, (k,) (m/s^2)."""
-        return self.rotor_acceleration(flight).sum(axis=1)
-
     def of_signal(self, signal: np.ndarray, voltage: np.ndarray | None = None) -> np.ndarray:
-        """The same from the signal itself, (k, n), and the voltage (k,) (V)."""
+        """The same from the signal, (k, n), and the voltage, (k,) (V)."""
         scaled = scaled_signal(signal, voltage, self.reference_voltage, self.voltage_exponent)
         if self.signal == "thrust_acceleration":
             scaled = np.repeat(scaled / self.rotors, self.rotors, axis=1)
         elif scaled.shape[1] != self.rotors:
-            raise DataError(f"{scaled.shape[1]} rotors in the flight, the thrust curve is of {self.rotors}")
+            raise DataError(f"{scaled.shape[1]} rotors in the flight, the thrust curve has {self.rotors}")
         per_rotor = np.broadcast_to(self.coefficients, (self.rotors, len(self.powers)))
         terms = [per_rotor[:, j] * scaled**power for j, power in enumerate(self.powers)]
         return np.sum(terms, axis=0) + self.intercept / self.rotors
@@ -95,7 +93,7 @@ class ThrustCurve:
 
     @property
     def slope_range(self) -> tuple[float, float]:
-        """Least and largest da/ds over the range of the fit; a curve that falls there is wrong."""
+        """Least and largest da/ds over the range of the fit; a negative one indicates a wrong curve."""
         low, high = self.signal_range if self.signal_range is not None else (0.0, 1.0)
         grid = np.linspace(low, high, 200)
         rows = np.atleast_2d(self.coefficients)
@@ -119,6 +117,39 @@ class ThrustCurve:
         return f"on {scaled}: {'; '.join(terms)}"
 
 
+def scaled_signal(
+    signal: np.ndarray, voltage: np.ndarray | None, reference_voltage: float, exponent: float = 1.0
+) -> np.ndarray:
+    """s (V / V_ref)^g, (k, n); without a reference voltage the signal itself."""
+    if not reference_voltage:
+        return signal
+    if voltage is None:
+        raise DataError("the thrust curve uses the battery voltage, the flight has no column 'battery_voltage'")
+    return signal * ((voltage / reference_voltage) ** exponent)[:, None]
+
+
+def thrust_design(
+    scaled: np.ndarray, powers: Sequence[int], *, intercept: bool, per_rotor: bool
+) -> tuple[np.ndarray, list[str]]:
+    """Regressors of the curve and their names: sum_i s_i^p, or s_i^p of each rotor; then 1 if there is an intercept."""
+    if per_rotor:
+        columns = [scaled[:, i] ** p for i in range(scaled.shape[1]) for p in powers]
+        names = [f"c_{p}[{i}]" for i in range(scaled.shape[1]) for p in powers]
+    else:
+        columns = [np.sum(scaled**p, axis=1) for p in powers]
+        names = [f"c_{p}" for p in powers]
+    if intercept:
+        columns, names = [*columns, np.ones(len(scaled))], [*names, "b_z"]
+    return np.stack(columns, axis=1), names
+
+
+def default_voltage(samples: Samples) -> float:
+    """4 V per cell, with the number of cells from the median voltage; 0 for signals that need no voltage."""
+    if samples.kind != "motor_command" or samples.voltage is None:
+        return 0.0
+    return 4.0 * max(1, round(float(np.median(samples.voltage)) / 3.8))
+
+
 def fit_thrust_samples(
     samples: Samples,
     *,
@@ -133,29 +164,28 @@ def fit_thrust_samples(
     condition_limit: float = CONDITION_LIMIT,
     intervals: bool = True,
 ) -> tuple[ThrustCurve, Regression]:
-    """Fit the curve to the specific force along body z; also the regression.
+    """Fit the curve to the specific force along body z; returns it with its regression.
 
-    samples: of `gather`, with the signal that `choose_signal` takes. reference_voltage: V, 0 leaves the voltage out,
-    None takes a round number near the median (4 for one cell) where it is logged beside motor commands.
-    voltage_exponent: g, None to fit it. powers, intercept: None for the module's. per_rotor: a curve for each rotor.
-    drag: fit d_z beside it. rotors: how many share thrust_acceleration (4). loss, condition_limit: see `regress`.
-    intervals: False where only the coefficients matter; their errors are then those of independent samples, g's is 0.
-    Returns the regression with its columns in the order of `thrust_design`, then d_z.
-    Raises DataError where a voltage is missing or the data does not hold the curve, UsageError for a curve per rotor of
-    a signal that is one for all.
+    samples: from `gather`. reference_voltage: V; 0: the voltage is not used; None: `default_voltage`. voltage_exponent:
+    g, None to fit it. powers, intercept: None for the module's defaults. per_rotor: one curve per rotor. drag: fit d_z
+    too. rotors: number of rotors that share thrust_acceleration (4). loss, condition_limit: see `regress`.
+    intervals: False computes errors for independent samples only, and none for g.
+    The regression's columns are those of `thrust_design`, then d_z.
+    Raises DataError where a voltage is missing or the data do not determine the curve, UsageError for a curve per rotor
+    of a signal that all rotors share.
     """
     kind = samples.kind
     if per_rotor and kind == "thrust_acceleration":
-        raise UsageError("a thrust curve per rotor needs a signal per rotor; thrust_acceleration is one for all")
+        raise UsageError("a thrust curve per rotor needs a signal per rotor; thrust_acceleration is common to all")
     powers = tuple(powers or POWERS[kind])
     intercept = kind in INTERCEPT if intercept is None else intercept
     if reference_voltage is None:
         reference_voltage = default_voltage(samples)
     if reference_voltage and samples.voltage is None:
-        raise DataError(f"{samples.names[0]}: column 'battery_voltage' is missing, the reference voltage has no use")
+        raise DataError(f"{samples.names[0]}: column 'battery_voltage' is missing, which a reference voltage needs")
     fit_exponent = voltage_exponent is None and bool(reference_voltage)
 
-    def fitted(g: float, slope: np.ndarray | None = None) -> Regression:
+    def fit(g: float, slope: np.ndarray | None = None) -> Regression:
         scaled = scaled_signal(samples.signal, samples.voltage, reference_voltage, g)
         design, names = thrust_design(scaled, powers, intercept=intercept, per_rotor=per_rotor)
         for name, column in (("g", slope), (DRAG_Z, -samples.velocity[:, 2] if drag else None)):
@@ -171,24 +201,23 @@ def fit_thrust_samples(
     g = 1.0 if voltage_exponent is None else float(voltage_exponent)
     g_error = 0.0
     if fit_exponent:
-        what = {"intercept": intercept, "per_rotor": per_rotor, "drag": drag}
-        g = _search_exponent(_left_by_exponent(samples, reference_voltage, powers, **what))
-    found = fitted(g)
+        g = _search_exponent(samples, reference_voltage, powers, intercept=intercept, per_rotor=per_rotor, drag=drag)
+    regression = fit(g)
     if fit_exponent and intervals:
-        found, g_error = _exponent_error(g, found, fitted, samples, reference_voltage, powers, n, per_rotor)
+        regression, g_error = _exponent_error(g, regression, fit, samples, reference_voltage, powers, n, per_rotor)
     shape = (n, len(powers)) if per_rotor else (len(powers),)
-    value, error = found.coefficients, found.errors
+    value, error = regression.coefficients, regression.errors
     scaled = scaled_signal(samples.signal, samples.voltage, reference_voltage, g)
     curve = ThrustCurve(
         kind, np.array(powers, float), value[:q].reshape(shape), error[:q].reshape(shape), float(reference_voltage),
         g, g_error, float(value[q]) if intercept else 0.0, float(error[q]) if intercept else 0.0, n,
-        float(value[-1]) if drag else 0.0, float(error[-1]) if drag else 0.0, found.freedom, found.condition,
-        float(np.sqrt(np.mean(found.residual**2))), np.array([scaled.min(), scaled.max()]), loss,
+        float(value[-1]) if drag else 0.0, float(error[-1]) if drag else 0.0, regression.freedom, regression.condition,
+        float(np.sqrt(np.mean(regression.residual**2))), np.array([scaled.min(), scaled.max()]), loss,
     )  # fmt: skip
-    return curve, found
+    return curve, regression
 
 
-def _left_by_exponent(
+def _search_exponent(
     samples: Samples,
     reference_voltage: float,
     powers: Sequence[int],
@@ -196,54 +225,49 @@ def _left_by_exponent(
     intercept: bool,
     per_rotor: bool,
     drag: bool,
-) -> Callable[[float], float]:
-    """Sum of squares that least squares leaves of a thinned set of rows, as a function of g.
+) -> float:
+    """The g with the least sum of squared residuals, on thinned samples.
 
-    The voltage is common to the rotors, (s r^g)^p = s^p r^(g p), so that only one power a row depends on g.
+    All rotors have the same voltage: (s r^g)^p = s^p r^(g p), so one power per sample depends on g.
     """
-    some = samples.thinned(MOST_ROWS)
+    from scipy.optimize import minimize_scalar
+
+    some = samples.thinned(SEARCH_SAMPLES)
     plain, _ = thrust_design(some.signal, powers, intercept=intercept, per_rotor=per_rotor)
     ratio = np.log(scaled_signal(np.ones((len(some), 1)), some.voltage, reference_voltage)[:, 0])
     each = np.tile(powers, some.signal.shape[1] if per_rotor else 1)
     design = np.column_stack([plain, -some.velocity[:, 2]]) if drag else plain.copy()
     target = some.force[:, 2]
 
-    def left(g: float) -> float:
+    def squares(g: float) -> float:
         scale = np.exp(g * ratio)
         for j, power in enumerate(each):
             design[:, j] = plain[:, j] * scale**power
         residual = target - design @ np.linalg.lstsq(design, target, rcond=None)[0]
         return float(residual @ residual)
 
-    return left
-
-
-def _search_exponent(left: Callable[[float], float]) -> float:
-    """The g that leaves least."""
-    from scipy.optimize import minimize_scalar
-
-    return float(minimize_scalar(left, bounds=EXPONENT_RANGE, method="bounded", options={"xatol": 1e-7}).x)
+    return float(minimize_scalar(squares, bounds=EXPONENT_RANGE, method="bounded", options={"xatol": 1e-7}).x)
 
 
 def _exponent_error(
     g: float,
     first: Regression,
-    fitted: Callable[..., Regression],
+    fit: Callable[..., Regression],
     samples: Samples,
     reference_voltage: float,
     powers: Sequence[int],
     rotors: int,
     per_rotor: bool,
 ) -> tuple[Regression, float]:
-    """The regression at g with the errors that it has where g is fitted too, and g's standard error.
+    """The regression at g with its standard errors when g is fitted too, and g's standard error.
 
-    They come from the regression linearised in g, with da/dg among its columns.
+    Both from the regression linearised in g, with da/dg as a further column.
     """
     scaled = scaled_signal(samples.signal, samples.voltage, reference_voltage, g)
     rows = first.coefficients[: len(powers) * (rotors if per_rotor else 1)].reshape(-1, len(powers))
     slope = sum(rows[:, j] * p * scaled**p for j, p in enumerate(powers)).sum(axis=1)
     relative_voltage = scaled_signal(np.ones((len(samples), 1)), samples.voltage, reference_voltage)[:, 0]
-    joint = fitted(g, slope * np.log(relative_voltage))
+    joint = fit(g, slope * np.log(relative_voltage))
     keep = np.array([name != "g" for name in joint.names])
     linearised = Regression(
         first.names, first.coefficients, joint.covariance[np.ix_(keep, keep)], joint.plain[np.ix_(keep, keep)],
@@ -253,7 +277,7 @@ def _exponent_error(
 
 
 def thrust_columns(curve: ThrustCurve, samples: Samples, *, drag: bool) -> np.ndarray:
-    """The regressors that a curve was fitted with, d_z's at the end, (k, p)."""
+    """The regressors of a curve, with that of d_z as the last column if `drag`, (k, p)."""
     scaled = scaled_signal(samples.signal, samples.voltage, curve.reference_voltage, curve.voltage_exponent)
     powers, each = tuple(curve.powers.astype(int).tolist()), curve.coefficients.ndim == 2
     design, _ = thrust_design(scaled, powers, intercept=curve.has_intercept, per_rotor=each)

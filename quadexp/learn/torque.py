@@ -1,16 +1,16 @@
-"""How the rotors really turn the vehicle: gain, lag and offset of the geometric torque, axis by axis.
+"""Identified torque of the rotors: gain, lag and offset of the geometric torque, axis by axis.
 
     w'_i + [J^-1 (w x J w)]_i = g_i [J^-1 G m a(t - tau_i)]_i + o_i(t)         rad/s^2
 
-a: acceleration that each rotor's thrust gives by the thrust curve, G: the vehicle's arms and reaction torques. A thrust
-curve says nothing of g, tau and o: arms, inertia, drag torques, unequal rotors and motors are in them. The offset
-wanders with trim and battery, so gain and lag come from what is left within stretches of BLOCK seconds once their means
-are taken off, and a prediction follows the offset up to its start with MEMORY seconds of memory, from samples before it
-only. Both sides of the fit pass the same filter (quadexp.log.signal.derivative). Intervals: percentile bootstrap
-over flights, or over the stretches where flights are few.
+a: acceleration of each rotor's thrust by the thrust curve, G: the vehicle's arms and reaction torques. g, tau and o
+account for arms, inertia, drag torques, unequal rotors and motors, which a thrust curve does not contain. The offset
+varies slowly (centre of mass, battery), so gain and lag are fitted after subtracting the means of blocks of BLOCK
+seconds, and a prediction tracks the offset up to its start by a low-pass with MEMORY seconds, from earlier samples
+only. Both sides of the fit pass the same filter (quadexp.log.signal.derivative). Intervals: percentile bootstrap over
+flights, or over the blocks where there are few flights.
 
-An axis is used where a fit to the other flights (the other half of one flight) predicts the mean angular acceleration
-over the next HORIZON seconds better than none, which is what rates that are held say; else it is refused.
+An axis is used if a fit to the other flights (the other half of a single flight) predicts the mean angular acceleration
+over the next HORIZON seconds better than zero, that is, than constant rates; otherwise it is rejected.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ AXES = ("roll", "pitch", "yaw")
 LAGS = np.arange(-0.02, 0.1221, 0.004)  # s
 WINDOW = 0.1  # s, of the derivative
 BLOCK = 2.0  # s, of the means and of the bootstrap
-MEMORY = 0.4  # s, of the offset that is followed
+MEMORY = 0.4  # s, of the tracked offset
 HORIZON = 0.2  # s
 DRAWS = 400
 LEAST_BLOCKS, LEAST_ROWS = 4, 20
-PIECE, MOST_ROWS = 20.0, 60_000  # s, rows: of a long log every so many pieces are looked at
+PIECE, MOST_SAMPLES = 20.0, 60_000  # s, samples: longer logs are thinned by pieces
 
 
 @dataclass(frozen=True)
 class TorqueModel:
-    """(3,) an axis: roll, pitch, yaw. gain: over the geometric torque. lag: s. offset: rad/s^2. _low, _high: 95 %.
+    """All (3,): roll, pitch, yaw. gain: relative to the geometric torque. lag: s. offset: mean, rad/s^2.
 
-    offset: its mean. share: of the mean square of the angular acceleration over HORIZON that is predicted on what was
-    left out of the fit; share_low: its lower limit.
+    _low, _high: 95 % interval. share: share of the mean square angular acceleration over HORIZON that is predicted on
+    held-out data; share_low: its lower limit.
     """
 
     gain: np.ndarray
@@ -58,39 +58,39 @@ class TorqueModel:
 
     @property
     def used(self) -> np.ndarray:
-        """Axes, (3,), that explain what was left out better than nothing does."""
+        """Axes, (3,) bool, whose prediction on held-out data is better than zero."""
         return np.asarray((self.share_low > 0) & (self.gain > 0))
 
     def driven(self, time: np.ndarray, segment: np.ndarray, geometric: np.ndarray) -> np.ndarray:
-        """What the rotors do, (k, 3) rad/s^2, without the offset; geometric: (k, 3), at time (k,)."""
-        made = np.empty_like(geometric)
+        """Angular acceleration by the rotors without the offset, (k, 3) rad/s^2; geometric: (k, 3), at time (k,)."""
+        result = np.empty_like(geometric)
         for rows in (np.flatnonzero(segment == number) for number in np.unique(segment)):
-            made[rows] = _late(time[rows], geometric[rows], self.gain, self.lag)
-        return made
+            result[rows] = _delayed(time[rows], geometric[rows], self.gain, self.lag)
+        return result
 
-    def followed(
+    def tracked_offset(
         self, time: np.ndarray, segment: np.ndarray, driven: np.ndarray, rate: np.ndarray, own: np.ndarray
     ) -> np.ndarray:
-        """The offset, (k, 3) rad/s^2, at every sample from those before it. rate: (k, 3); own: gyroscopic, (k, 3)."""
-        made = np.empty_like(driven)
+        """The offset, (k, 3) rad/s^2, at every sample from earlier ones. rate: (k, 3); own: gyroscopic, (k, 3)."""
+        result = np.empty_like(driven)
         for rows in (np.flatnonzero(segment == number) for number in np.unique(segment)):
-            made[rows] = _followed(time[rows], rate[rows], driven[rows] - own[rows], self.offset)
-        return made
+            result[rows] = _tracked(time[rows], rate[rows], driven[rows] - own[rows], self.offset)
+        return result
 
 
-def _late(t: np.ndarray, geometric: np.ndarray, gain: np.ndarray, lag: np.ndarray) -> np.ndarray:
+def _delayed(t: np.ndarray, geometric: np.ndarray, gain: np.ndarray, lag: np.ndarray) -> np.ndarray:
     return gain * np.stack([np.interp(t - lag[i], t, geometric[:, i]) for i in range(3)], axis=1)
 
 
-def _followed(t: np.ndarray, w: np.ndarray, known: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """First-order low-pass of w' - known from samples before each one, begun at the offset (3,)."""
+def _tracked(t: np.ndarray, w: np.ndarray, model: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """First-order low-pass of w' - model over earlier samples, with initial value offset (3,)."""
     from scipy.signal import lfilter
 
     if len(t) < 2:
         return np.tile(offset, (len(t), 1))
     share = min(1.0, float(np.median(np.diff(t))) / MEMORY)
-    left = np.diff(w, axis=0) / np.diff(t)[:, None] - (known[1:] + known[:-1]) / 2
-    after, _ = lfilter([share], [1, share - 1], left, axis=0, zi=(1 - share) * offset[None])
+    difference = np.diff(w, axis=0) / np.diff(t)[:, None] - (model[1:] + model[:-1]) / 2
+    after, _ = lfilter([share], [1, share - 1], difference, axis=0, zi=(1 - share) * offset[None])
     return np.vstack([offset, after])
 
 
@@ -107,8 +107,8 @@ class _Piece:
 
 @dataclass(frozen=True)
 class _Sums:
-    """Of every block: n, and at every lag sums over s (geometric, filtered) and y (measured), about the block's means
-    where two letters stand together."""
+    """Per block: n, and at every lag the sums of s (geometric, filtered) and y (measured), and of products about the
+    block's means (ss, sy, yy)."""
 
     n: np.ndarray  # (blocks,)
     s: np.ndarray  # (blocks, lags, 3)
@@ -135,7 +135,7 @@ def gyroscopic(rate: np.ndarray, vehicle: Vehicle) -> np.ndarray:
 
 
 def fit_torque(samples: Samples, vehicle: Vehicle, curve: ThrustCurve) -> TorqueModel | None:
-    """Gain, lag and offset an axis; None where the flights lack a gyro or a signal of every rotor, or are too short."""
+    """Gain, lag and offset per axis; None where the flights have no gyro or no signal per rotor, or are too short."""
     pieces = _cut(samples, vehicle, curve)
     sums = _sums(pieces)
     if sums is None or len(sums.n) < LEAST_BLOCKS:
@@ -162,22 +162,22 @@ def explained(model: TorqueModel, samples: Samples, vehicle: Vehicle, curve: Thr
 
 
 def _cut(samples: Samples, vehicle: Vehicle, curve: ThrustCurve) -> list[_Piece]:
-    """The stretches of the samples; [] where they have no rates or do not say what every rotor did."""
+    """The stretches of the samples; [] where they have no rates or no signal per rotor."""
     if curve.signal == "thrust_acceleration" or curve.rotors != vehicle.n_rotors or samples.rate is None:
         return []
-    every = max(1, -(-len(samples) // MOST_ROWS))
-    found = []
+    every = max(1, -(-len(samples) // MOST_SAMPLES))
+    pieces = []
     for start, stop in _pieces(samples.time, samples.segment)[::every]:
         rows = slice(start, stop)
         rotors = curve.of_signal(samples.signal[rows], None if samples.voltage is None else samples.voltage[rows])
         w = samples.rate[rows]
         geometric, own = geometric_acceleration(rotors, vehicle), gyroscopic(w, vehicle)
-        found.append(_Piece(samples.time[rows], w, geometric, own, int(samples.flight[start])))
-    return found
+        pieces.append(_Piece(samples.time[rows], w, geometric, own, int(samples.flight[start])))
+    return pieces
 
 
 def _sums(pieces: list[_Piece]) -> _Sums | None:
-    """The sums of every block; None where nothing moves."""
+    """The sums of every block; None where an axis has no motion."""
     parts = [(*one, np.array(piece.flight)) for piece in pieces for one in _blocks(piece)]
     if not parts:
         return None
@@ -186,7 +186,7 @@ def _sums(pieces: list[_Piece]) -> _Sums | None:
 
 
 def _pieces(time: np.ndarray, segment: np.ndarray) -> list[tuple[int, int]]:
-    """Stretches of PIECE seconds at most without a gap."""
+    """Stretches without a gap, of PIECE seconds at most."""
     step = np.diff(time)
     breaks = np.flatnonzero((np.diff(segment) != 0) | (step > 1.5 * np.median(step)) | (step <= 0)) + 1
     bounds = np.concatenate([[0], breaks, [len(time)]])
@@ -206,7 +206,7 @@ def _blocks(piece: _Piece) -> list[tuple[np.ndarray, ...]]:
     grid = t[0] + np.arange(len(t)) * (t[-1] - t[0]) / (len(t) - 1)
 
     def filtered(x: np.ndarray) -> np.ndarray:
-        """x through the filter that the derivative is taken with."""
+        """x through the filter of the derivative."""
         whole = np.concatenate([np.zeros((1, 3)), np.cumsum((x[1:] + x[:-1]) / 2, axis=0)]) * (grid[1] - grid[0])
         return derivative(grid, whole, window=WINDOW).values
 
@@ -227,7 +227,7 @@ def _blocks(piece: _Piece) -> list[tuple[np.ndarray, ...]]:
 
 
 def _weights(flight: np.ndarray) -> np.ndarray:
-    """How often every block is drawn, (DRAWS, blocks). flight: of every block."""
+    """Bootstrap weight of every block, (DRAWS, blocks). flight: of every block."""
     flights = np.unique(flight)
     rng = np.random.default_rng(0)
     if len(flights) < FLIGHT_CLUSTERS:
@@ -264,25 +264,25 @@ def _solve(n: np.ndarray, s: np.ndarray, ss: np.ndarray, sy: np.ndarray, y: np.n
 def _ahead(
     piece: _Piece, gain: np.ndarray, lag: np.ndarray, offset: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Squared error of the rate's change over HORIZON and its square, (blocks, 3) each, summed over blocks of starts;
-    and how many blocks."""
+    """Squared error of the predicted rate change over HORIZON, and squared rate change, (blocks, 3) each, summed over
+    blocks of starts; and the number of blocks."""
     t, w = piece.t, piece.w
     steps = max(1, round(HORIZON / float(np.median(np.diff(t)))))
     if len(t) <= 2 * steps:
         return np.empty((0, 3)), np.empty((0, 3)), np.array(0)
-    known = _late(t, piece.geometric, gain, lag) - piece.own
-    trim = _followed(t, w, known, offset)
-    whole = np.vstack([np.zeros(3), np.cumsum((known[1:] + known[:-1]) / 2 * np.diff(t)[:, None], axis=0)])
+    model = _delayed(t, piece.geometric, gain, lag) - piece.own
+    tracked = _tracked(t, w, model, offset)
+    whole = np.vstack([np.zeros(3), np.cumsum((model[1:] + model[:-1]) / 2 * np.diff(t)[:, None], axis=0)])
     k = np.arange(len(t) - steps)
     change = w[k + steps] - w[k]
-    made = whole[k + steps] - whole[k] + trim[k] * (t[k + steps] - t[k])[:, None]
+    predicted = whole[k + steps] - whole[k] + tracked[k] * (t[k + steps] - t[k])[:, None]
     edges = np.searchsorted(t[k], np.arange(t[0], t[k[-1]], BLOCK))
-    left, all_of_it = (np.add.reduceat(x**2, edges) for x in (change - made, change))
+    left, all_of_it = (np.add.reduceat(x**2, edges) for x in (change - predicted, change))
     return left, all_of_it, np.array(len(edges))
 
 
 def _held_out(pieces: list[_Piece], sums: _Sums) -> tuple[np.ndarray, np.ndarray]:
-    """Share predicted of what was left out, (3,), and its lower limit: flights in turn, or halves of one."""
+    """Share predicted on held-out data, (3,), and its lower limit: each flight in turn, or halves of a single one."""
     flights = np.unique(sums.flight)
     owner = np.array([piece.flight for piece in pieces])
     fold, block_fold = owner, sums.flight
@@ -310,7 +310,7 @@ def _held_out(pieces: list[_Piece], sums: _Sums) -> tuple[np.ndarray, np.ndarray
 
 
 def _halves(piece: _Piece) -> list[_Piece]:
-    """One stretch as two."""
+    """The two halves of a stretch."""
     cut = len(piece.t) // 2
     return [
         _Piece(piece.t[rows], piece.w[rows], piece.geometric[rows], piece.own[rows], piece.flight)
@@ -319,15 +319,15 @@ def _halves(piece: _Piece) -> list[_Piece]:
 
 
 def torque_lines(model: TorqueModel) -> list[str]:
-    """What was fitted, for people: a line an axis."""
+    """The model as text, one line per axis."""
     lines = []
     for i, axis in enumerate(AXES):
         text = (
             f"gain {model.gain[i]:.3g} [{model.gain_low[i]:.3g}, {model.gain_high[i]:.3g}] of the geometric torque,"
             f" lag {1e3 * model.lag[i]:.1f} [{1e3 * model.lag_low[i]:.1f}, {1e3 * model.lag_high[i]:.1f}] ms,"
             f" offset {model.offset[i]:.3g} [{model.offset_low[i]:.3g}, {model.offset_high[i]:.3g}] rad/s^2;"
-            f" predicts {100 * model.share[i]:.0f} % of the angular acceleration left out"
+            f" predicts {100 * model.share[i]:.0f} % of the held-out angular acceleration"
         )
-        refused = "" if model.used[i] else ": no better than nothing, refused"
+        refused = "" if model.used[i] else ": not better than zero, rejected"
         lines.append(f"torque        {axis}: {text}{refused}")
     return lines

@@ -1,10 +1,10 @@
-"""How good a model is on flights it has not seen: what it leaves of the specific force, sample by sample.
+"""Error of the predicted specific force on flights that a model was not fitted to.
 
     e = f - f_model        body FLU, m/s^2;   RMS of the vector, sqrt(mean ||e||^2), and of each axis
 
-Every model is scored as it stands and with the scale of its thrust tracked in flight (quadexp.learn.tracking), from
-samples before each one only. Intervals: percentile bootstrap over flights where there are FLIGHT_CLUSTERS or more, over
-stretches of BLOCK seconds otherwise: neighbouring samples err alike.
+Every model is scored as fitted, and with its thrust scale tracked in flight from earlier samples
+(quadexp.learn.thrust_scale). Intervals: percentile bootstrap over flights if there are FLIGHT_CLUSTERS or more,
+otherwise over blocks of BLOCK seconds, because neighbouring errors are correlated.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from quadexp.learn.predictors import Predictor
 from quadexp.learn.regression import FLIGHT_CLUSTERS
 from quadexp.learn.samples import Samples, gather
 from quadexp.learn.support import outside_shares
-from quadexp.learn.tracking import tracked_scale
+from quadexp.learn.thrust_scale import tracked_scale
 from quadexp.log.schema import Flight
 
 BLOCK = 2.0  # s, of the bootstrap
@@ -33,7 +33,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class FlightRows:
-    """One flight as a predictor's curve reads it: samples, body rate (k, 3), index of each sample in the flight."""
+    """One flight for prediction: samples, body rate (k, 3), index of the first sample in the flight."""
 
     name: str
     flight: Flight
@@ -62,7 +62,7 @@ def read_rows(flight: Flight, name: str, signal: str) -> FlightRows:
 
 @dataclass(frozen=True)
 class Residuals:
-    """What one predictor leaves of some flights: error and tracked, (k, 3) m/s^2; flight, block (k,); speed (k,)."""
+    """Errors of a predictor, (k, 3) m/s^2: as fitted (error), with tracked scale (tracked); others (k,)."""
 
     predictor: str
     error: np.ndarray
@@ -92,33 +92,33 @@ def residuals(predictor: Predictor, flights: Sequence[FlightRows]) -> Residuals:
         blocks = int(block[-1]) + 1
         parts.append((error, tracked, scale, np.full(len(samples), index), block, one.speed))
         if predictor.ranges:
-            seen = feature_rows(samples.velocity, one.rate, predictor.mass * rotors)
-            outside += round(outside_shares(predictor.ranges, seen)["any"] * len(samples))
+            features = feature_rows(samples.velocity, one.rate, predictor.mass * rotors)
+            outside += round(outside_shares(predictor.ranges, features)["any"] * len(samples))
         rows += len(samples)
     share = outside / rows if predictor.ranges else None
     error, tracked, scale, flight, block, speed = map(np.concatenate, zip(*parts, strict=True))
     return Residuals(predictor.name, error, tracked, scale, flight, block, speed, share)
 
 
-def score_rows(found: Sequence[Residuals], baseline: str = "nominal") -> list[Row]:
-    """One row a predictor, as it stands and tracked: RMS per axis and of the vector, its interval, share of nominal's.
+def score_rows(results: Sequence[Residuals], baseline: str = "nominal") -> list[Row]:
+    """Per predictor one row as fitted and one tracked: RMS per axis and of the vector, with interval.
 
-    share: of the baseline's RMS as it stands; share_alike: tracked, of the baseline's RMS with its scale tracked too.
-    Each with the interval of the ratio on the same resamples.
+    share: ratio to the baseline's RMS as fitted. share_alike: ratio to the baseline's RMS, tracked if this row is. Both
+    with the interval of the ratio over the same resamples.
     """
-    base = next((one for one in found if one.predictor == baseline), None)
+    base = next((one for one in results if one.predictor == baseline), None)
     rows = []
-    for one in found:
+    for one in results:
         for tracked in (False, True):
             error = one.tracked if tracked else one.error
             draws = _draws(one)
-            own = _resampled(error, draws)
+            limits = _resampled(error, draws)
             row: Row = {"predictor": one.predictor, "thrust_tracked": tracked, "rows": len(error)}
             row |= {
                 f"rms_{axis}": float(value)
                 for axis, value in zip("xyz", np.sqrt(np.mean(error**2, axis=0)), strict=True)
             }
-            row |= {"rms": rms(error), "rms_low": own[0], "rms_high": own[1], "outside": one.outside}
+            row |= {"rms": rms(error), "rms_low": limits[0], "rms_high": limits[1], "outside": one.outside}
             row["rms_about_mean"] = rms(error - _flight_means(error, one.flight))
             if base is not None and len(base.error) == len(error):
                 row["share"] = rms(error) / rms(base.error)
@@ -131,7 +131,7 @@ def score_rows(found: Sequence[Residuals], baseline: str = "nominal") -> list[Ro
 
 
 def _flight_means(error: np.ndarray, flight: np.ndarray) -> np.ndarray:
-    """Mean of the rows of each flight, at every row, (k, 3)."""
+    """Mean error of the flight of each row, (k, 3)."""
     numbers, group = np.unique(flight, return_inverse=True)
     sums = np.stack([np.bincount(group, column, len(numbers)) for column in error.T], axis=1)
     return (sums / np.bincount(group)[:, None])[group]
@@ -181,11 +181,11 @@ def speed_bands(speed: np.ndarray, count: int = BANDS) -> np.ndarray:
     return np.round(np.linspace(0.0, float(speed.max()) + 0.05, count + 1), 1)
 
 
-def band_rows(found: Sequence[Residuals]) -> list[Row]:
-    """RMS of the vector by speed band: one row a predictor and band, {predictor, low, high, rows, rms, rms_tracked}."""
-    edges = speed_bands(np.concatenate([one.speed for one in found]))
+def band_rows(results: Sequence[Residuals]) -> list[Row]:
+    """RMS of the vector by speed, one row per predictor and band: {predictor, low, high, rows, rms, rms_tracked}."""
+    edges = speed_bands(np.concatenate([one.speed for one in results]))
     rows = []
-    for one in found:
+    for one in results:
         for low, high in zip(edges[:-1], edges[1:], strict=True):
             inside = (one.speed >= low) & (one.speed < high if high < edges[-1] else one.speed <= high + 0.1)
             if inside.sum() >= 20:

@@ -1,7 +1,7 @@
-"""From flights to a vehicle model, and which of its models a flight that was not seen speaks for.
+"""From flights to a vehicle model: a thrust curve, and drag or blade-element terms beyond it.
 
-Along z the thrust curve and the drag are one regression. Quadratic and blade-element terms then are fitted to what the
-curve leaves, the curve's scale among them (the term `thrust`), so that no drag has to answer for it.
+Along z the thrust curve and linear drag are one regression. Quadratic and blade-element terms are then fitted to the
+curve's residual together with a correction of its scale (the term `thrust`), which would otherwise bias the drag.
 """
 
 from __future__ import annotations
@@ -14,14 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
-from quadexp.learn.body_drag import LINEAR, QUADRATIC
 from quadexp.learn.dataset import ResidualDataset
-from quadexp.learn.lumped import SELF_CONSISTENT, lumped_terms, momentum_of
-from quadexp.learn.lumped_fit import fit_inflow
+from quadexp.learn.lumped import SELF_CONSISTENT, WITHOUT_RADIUS, fit_inflow, momentum_of
 from quadexp.learn.regression import Regression, regress
 from quadexp.learn.samples import Samples, choose_signal, gather
 from quadexp.learn.support import VELOCITY, feature_ranges
-from quadexp.learn.terms import AXES, TermModel, all_columns, term_columns, term_model
+from quadexp.learn.terms import AXES, LINEAR, QUADRATIC, TermModel, all_columns, term_columns, term_model
 from quadexp.learn.thrust_curve import ThrustCurve, fit_thrust_samples, thrust_columns
 from quadexp.learn.torque import fit_torque
 from quadexp.learn.vehicle_model import KINDS, VehicleModel
@@ -40,10 +38,10 @@ _OFFSET = (("offset",), ("offset",), ())
 class FitSettings:
     """How a vehicle model is fitted.
 
-    signal, reference_voltage, powers, thrust_intercept, per_rotor: of the thrust curve, None for what the flights
-    suggest; voltage_exponent: None fits it. radius: of the rotors, m, for the induced velocity. loss: squares or huber.
-    kinds: models to fit besides linear. mass: kg, where no vehicle says it. induced: False leaves the induced velocity
-    out of the blade element although the radius is known.
+    signal, reference_voltage, powers, thrust_intercept, per_rotor: of the thrust curve, None: chosen from the flights.
+    voltage_exponent: None: fitted. radius: of the rotors, m, for the induced velocity. mass: kg, where no vehicle gives
+    it. loss: squares or huber. kinds: models to fit besides linear. induced: False omits the induced velocity from the
+    blade-element model even if the radius is known.
     """
 
     signal: str | None = None
@@ -70,12 +68,12 @@ class AxisFit(NamedTuple):
     axis: str
     design: np.ndarray
     target: np.ndarray
-    found: Regression
+    regression: Regression
 
 
 @dataclass(frozen=True)
 class LevelFit:
-    """A thrust curve, the terms beyond it (or None), and the regressions that they came from."""
+    """A thrust curve, the terms beyond it (or None), and their regressions."""
 
     curve: ThrustCurve
     model: TermModel | None
@@ -89,7 +87,7 @@ class LevelFit:
         return self.model
 
     def residual(self, samples: Samples) -> np.ndarray:
-        """Specific force that it does not explain, (k, 3) (m/s^2)."""
+        """Measured minus predicted specific force, (k, 3) (m/s^2)."""
         rotors = self.curve.of_signal(samples.signal, samples.voltage)
         left = samples.force.copy()
         left[:, 2] -= rotors.sum(axis=1)
@@ -99,9 +97,9 @@ class LevelFit:
 def fit_level(
     level: str, samples: Samples, settings: FitSettings, momentum: float = 0.0, *, intervals: bool = True
 ) -> LevelFit:
-    """One rung of the ladder LEVELS; intervals: see `regress`.
+    """Fit one of LEVELS; intervals: see `regress`.
 
-    Raises DataError where the samples do not tell its terms apart.
+    Raises DataError where the samples do not determine its coefficients.
     """
     with_drag = level in KINDS
     curve, joint = fit_thrust_samples(
@@ -114,30 +112,31 @@ def fit_level(
     rotors = curve.of_signal(samples.signal, samples.voltage)
     target = samples.force - rotors.sum(axis=1)[:, None] * [0, 0, 1]
     terms: tuple[tuple[str, ...], ...] = {"offset": _OFFSET, "linear": LINEAR}.get(level, QUADRATIC)
-    ready: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    linearised: dict[str, tuple[np.ndarray, np.ndarray]] = {}
     inflow: float | tuple[float, ...] = 0.0
     if level == "blade_element":
-        terms, inflow = lumped_terms(0.0), 0.0
+        terms = WITHOUT_RADIUS
         if momentum:
-            found = fit_inflow(samples.velocity, rotors, target[:, 2], momentum, settings.loss)
-            terms, inflow, ready["z"] = SELF_CONSISTENT, tuple(found.inflow), (found.design, found.target)
+            fit = fit_inflow(samples.velocity, rotors, target[:, 2], momentum, settings.loss)
+            terms, inflow, linearised["z"] = SELF_CONSISTENT, tuple(fit.inflow), (fit.design, fit.target)
     axes = []
-    given = "z" if level in ("offset", "linear") else "".join(ready)
+    z_by_curve = level in ("offset", "linear")  # the curve's own regression has the z terms as its last columns
     columns = all_columns(
-        tuple(() if AXES[i] in given else names for i, names in enumerate(terms)), samples.velocity, rotors, inflow
-    )
+        tuple(() if i == 2 and (z_by_curve or linearised) else names for i, names in enumerate(terms)),
+        samples.velocity, rotors, inflow,
+    )  # fmt: skip
     for i, names in enumerate(terms):
-        if AXES[i] == "z" and level in ("offset", "linear"):  # the curve's own regression, whose last columns they are
+        if i == 2 and z_by_curve:
             axes.append(AxisFit("z", thrust_columns(curve, samples, drag=with_drag), samples.force[:, 2], joint))
             continue
-        design, aim = ready.get(AXES[i]) or (columns[i], target[:, i])
+        design, y = linearised.get(AXES[i]) or (columns[i], target[:, i])
         one = regress(
-            design, aim, [f"{name}_{AXES[i]}" for name in names], samples.segment, samples.flight,
+            design, y, [f"{name}_{AXES[i]}" for name in names], samples.segment, samples.flight,
             what=f"{LEVEL_NAMES[level].lstrip('+ ')} along {AXES[i]}", loss=settings.loss,
             intervals=intervals,
         )  # fmt: skip
-        axes.append(AxisFit(AXES[i], design, aim, one))
-    model = term_model(level, terms, [one.found for one in axes], curve.rotors, inflow, settings.loss)
+        axes.append(AxisFit(AXES[i], design, y, one))
+    model = term_model(level, terms, [one.regression for one in axes], curve.rotors, inflow, settings.loss)
     return LevelFit(curve, model, tuple(axes))
 
 
@@ -153,10 +152,10 @@ def fit_vehicle_model(
 ) -> VehicleModel:
     """Thrust curve, linear drag and, where the flights allow, quadratic drag and lumped blade-element coefficients.
 
-    vehicle: for name, mass and rotor radius; None takes the flights' own record of the name. best: which model to
-    call the best, by a held-out comparison; None: the last that could be fitted. fitted: is shown every model's kind
-    and fit, whose regressors take much memory and are not kept.
-    Raises DataError where not even linear drag can be, or where flights are of different vehicles.
+    vehicle: for name, mass and rotor radius; None: the name recorded in the flights. best: the model with the least
+    held-out error, by an earlier comparison; None: the last that could be fitted. fitted: called with the kind and fit
+    of every model; the regressors take much memory and are not kept.
+    Raises DataError where linear drag cannot be fitted, or where flights are of different vehicles.
     """
     settings = settings or FitSettings()
     samples = samples or gather(flights, choose_signal(flights, settings.signal), names)
@@ -165,25 +164,25 @@ def fit_vehicle_model(
     linear = fit_level("linear", samples, settings)
     fitted("linear", linear)
     linear = replace(linear, axes=())
-    found: dict[str, TermModel | None] = {"quadratic": None, "blade_element": None}
+    optional: dict[str, TermModel | None] = {"quadratic": None, "blade_element": None}
     notes = list(curve_notes(linear.curve))
-    for kind in found:
+    for kind in optional:
         if kind not in settings.kinds:
             continue
         for kappa in (momentum, 0.0) if kind == "blade_element" and momentum and settings.induced else (0.0,):
             try:
                 fit = fit_level(kind, samples, settings, kappa)
-                found[kind] = fit.model
+                optional[kind] = fit.model
                 fitted(kind, fit)
                 break
             except DataError as error:
-                with_it = " with induced velocity" if kappa else ""
-                notes.append(f"no {kind} model{with_it}: {error}")
-    if found["blade_element"] is not None and not momentum:
+                inflow = " with induced velocity" if kappa else ""
+                notes.append(f"no {kind} model{inflow}: {error}")
+    if optional["blade_element"] is not None and not momentum:
         notes.append("blade element without induced velocity: the rotors' radius is unknown (pass --rotor-radius M)")
-    kinds = ["linear", *(kind for kind, model in found.items() if model is not None)]
+    kinds = ["linear", *(kind for kind, model in optional.items() if model is not None)]
     return VehicleModel(
-        linear.curve, linear.terms, found["quadratic"], found["blade_element"],
+        linear.curve, linear.terms, optional["quadratic"], optional["blade_element"],
         best if best is not None and best in kinds else kinds[-1], record, dataset_record(samples),
         {"loss": settings.loss, "signal": samples.kind, "per_rotor": settings.per_rotor, "momentum": momentum},
         tuple(notes), torque=None if vehicle is None else fit_torque(samples, vehicle, linear.curve),
@@ -197,56 +196,56 @@ def _velocity_ranges(velocity: np.ndarray) -> dict[str, list[float]]:
 
 
 def curve_beside_quadratic(samples: Samples, settings: FitSettings, curve: ThrustCurve) -> ThrustCurve:
-    """The curve with -d v_z - e v_z |v_z| beside it in one regression, where `fit_level` has -d v_z alone.
+    """The curve fitted together with -d v_z - e v_z |v_z|, where `fit_level` has -d v_z only.
 
-    Its intervals hold where the drag along z is quadratic; the voltage exponent is the curve's own.
-    Raises DataError where the samples do not tell these apart.
+    Its intervals hold where the drag along z is quadratic; the voltage exponent is not fitted again.
+    Raises DataError where the samples do not determine the coefficients.
     """
     terms = ("linear", "quadratic")
     rotors = curve.of_signal(samples.signal, samples.voltage)
     design = np.hstack([thrust_columns(curve, samples, drag=False), term_columns(terms, 2, samples.velocity, rotors)])
     names = [f"thrust_{j}" for j in range(design.shape[1] - len(terms))] + [f"{name}_z" for name in terms]
-    found = regress(
+    regression = regress(
         design, samples.force[:, 2], names, samples.segment, samples.flight,
         what="thrust curve beside quadratic drag", loss=settings.loss,
     )  # fmt: skip
     shape, q = curve.coefficients.shape, curve.coefficients.size
-    value, error = found.coefficients, found.errors
+    value, error = regression.coefficients, regression.errors
     return replace(
-        curve, coefficients=value[:q].reshape(shape), errors=error[:q].reshape(shape), freedom=found.freedom,
+        curve, coefficients=value[:q].reshape(shape), errors=error[:q].reshape(shape), freedom=regression.freedom,
         intercept=float(value[q]) if curve.has_intercept else 0.0,
         intercept_error=float(error[q]) if curve.has_intercept else 0.0,
     )  # fmt: skip
 
 
 def curve_notes(curve: ThrustCurve) -> list[str]:
-    """What is suspicious in a thrust curve."""
+    """Warnings about a thrust curve."""
     low, _ = curve.slope_range
     if low < 0:
         where = "" if curve.signal_range is None else f" {curve.signal_range.round(3).tolist()}"
-        return [f"the thrust curve falls somewhere between {curve.signal}{where}"]
+        return [f"the thrust curve decreases somewhere in the range of {curve.signal}{where}"]
     return []
 
 
 def vehicle_record(
     flights: Sequence[Flight], vehicle: Vehicle | None, mass: float | None, names: Sequence[str]
 ) -> dict[str, Any]:
-    """{name, fingerprint, mass}; raises DataError where two flights say they were flown by different vehicles."""
+    """{name, fingerprint, mass}; raises DataError where the records of two flights name different vehicles."""
     flown = [dict(flight.metadata.get("vehicle") or {}) for flight in flights]
-    known = [(name, one) for name, one in zip(names, flown, strict=True) if one.get("fingerprint")]
-    wanted = vehicle.fingerprint if vehicle else known[0][1]["fingerprint"] if known else None
-    for name, one in known:
+    recorded = [(name, one) for name, one in zip(names, flown, strict=True) if one.get("fingerprint")]
+    wanted = vehicle.fingerprint if vehicle else recorded[0][1]["fingerprint"] if recorded else None
+    for name, one in recorded:
         if one["fingerprint"] != wanted:
-            other = vehicle.name if vehicle else known[0][1].get("name")
+            other = vehicle.name if vehicle else recorded[0][1].get("name")
             raise DataError(f"{name}: flown by vehicle {one.get('name')} ({one['fingerprint']}), not by {other}")
     if vehicle:
         return {"name": vehicle.name, "fingerprint": vehicle.fingerprint, "mass": vehicle.mass}
-    first = known[0][1] if known else {}
+    first = recorded[0][1] if recorded else {}
     return {"name": first.get("name"), "fingerprint": first.get("fingerprint"), "mass": mass}
 
 
 def dataset_record(samples: Samples) -> dict[str, Any]:
-    """What the model remembers of its data."""
+    """Record of the data that a model was fitted to."""
     digest = hashlib.sha256()
     for part in (samples.time, samples.force, samples.velocity, samples.signal):
         digest.update(np.ascontiguousarray(part).tobytes())

@@ -1,19 +1,19 @@
-"""Whether a fit is worth flying: against linear drag and identified terms on held-out flights, and against the noise.
+"""Whether a fit predicts better than linear drag and identified terms on held-out flights, and how far from the noise.
 
-Per axis and held-out flight f the fit and linear drag (fitted to the same rows) leave RMSEs g_f and d_f. Flights, not
-rows, are independent, so the comparison is paired over flights,
+Per axis and held-out flight f let g_f and d_f be the RMSEs of the fit and of linear drag (fitted to the same rows).
+Flights, not rows, are independent, so the comparison is paired over flights:
 
     ratio = exp(mean_f log(g_f / d_f)),     95 % interval by Student's t over the flights
 
-better: the whole interval is below 1. worse: it is above 1. Else, or with one held-out flight, nothing is shown.
+better: the whole interval is below 1. worse: it is above 1. open: neither, or one held-out flight only.
 
-Noise of the data: what does not repeat LAG rows later in a flight's residual r (half the variogram at that lag),
+The noise of the data is estimated as half the variogram of a flight's residual r at LAG rows,
 
     noise^2 = mean (r_k - r_{k + LAG})^2 / 2,       unexplained^2 = rmse^2 - noise^2
 
-the least over the predictors. LAG = 2, since targets made of differences of a noisy velocity err against their next
-neighbour. A noise that a filter spreads over more rows counts as unexplained, an effect that is gone within LAG rows
-as noise.
+taking the least over the predictors. LAG = 2, because targets from differences of a noisy velocity are anticorrelated
+between neighbours. Noise that a filter spreads over more rows counts as unexplained; an effect shorter than LAG rows
+counts as noise.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from quadexp.learn.gp_fit import fit_gp
 from quadexp.learn.model import GPModel, GPSettings
 from quadexp.learn.predict import AXIS, predict
 from quadexp.learn.term_mean import KINDS, fit_term_mean
-from quadexp.learn.trim import is_trimmable, trim
+from quadexp.learn.thrust_scale import has_thrust_scale, with_common_scale
 
 LAG = 2
 CONFIDENCE = 0.95
-TRIAL_ROWS = 3000  # of the quick fits that try other features
+TRIAL_ROWS = 3000  # of the short fits that try other features
 TRIAL_ITERATIONS = 40
 WORDS = {"better": "BETTER than linear drag", "worse": "WORSE than linear drag", "open": "NOT SHOWN TO BE BETTER"}
 
 
 class Ratio(NamedTuple):
-    """Ratio of two RMSEs over flights with its interval (NaN with one flight), and what it says."""
+    """Ratio of two RMSEs paired over flights, with its 95 % interval (NaN with one flight)."""
 
     value: float
     low: float
@@ -75,7 +75,7 @@ def paired_ratio(error: np.ndarray, other: np.ndarray, flight: np.ndarray) -> Ra
 
 
 def noise_floor(residuals: Sequence[np.ndarray], dataset: ResidualDataset) -> float:
-    """Noise of an output by the module's estimate, the least over residuals (k,) of several predictors."""
+    """Noise of an output (see the module), the least over the residuals (k,) of several predictors; NaN if unknown."""
     t, flight = np.asarray(dataset.columns["t"], float), np.asarray(dataset.columns["flight"])
     step = float(np.median(np.asarray(dataset.columns["dt"], float)))
     gap = t[LAG:] - t[:-LAG]
@@ -88,9 +88,9 @@ def noise_floor(residuals: Sequence[np.ndarray], dataset: ResidualDataset) -> fl
 def verdict(
     model: GPModel, train: ResidualDataset, test: ResidualDataset, settings: GPSettings, *, search: bool = True
 ) -> dict[str, Any]:
-    """What `fit-gp` ends with, JSON-able: outputs {a_x: {...}} and, of recorded flights, identified.
+    """Comparison that `fit-gp` reports, JSON-able: outputs {a_x: {...}} and, for recorded flights, identified [...].
 
-    model: fitted to train. search: look for features that are better where these are not.
+    model: fitted to train. search: where the fit is not better, try other features.
     """
     flight = np.asarray(test.columns["flight"])
     drag = drag_baseline(train).acceleration(test)
@@ -112,7 +112,7 @@ def verdict(
         if search and ratio.verdict != "better":
             outputs[output]["instead"] = better_features(output, train, test, settings)
     report: dict[str, Any] = {"outputs": outputs, "flights": len(np.unique(flight))}
-    if is_trimmable(train):
+    if has_thrust_scale(train):
         report["identified"] = _identified(train, test, of_gp, flight)
     return report
 
@@ -123,7 +123,7 @@ def _record(ratio: Ratio) -> dict[str, Any]:
 
 
 def candidates(output: str, asked: Sequence[str], *, recorded: bool) -> list[tuple[str, ...]]:
-    """Feature sets to try beside those asked for; the thrust only where flights have one scale (simulated ones)."""
+    """Feature sets to try besides those asked for; with thrust only for simulated flights, which share its scale."""
     own = f"v_{output[-1]}"
     thrust = () if recorded else ("thrust",)
     sets = [(own,), ("v_x", "v_y", "v_z"), (own, *thrust), ("v_x", "v_y", "v_z", *thrust)]
@@ -133,17 +133,17 @@ def candidates(output: str, asked: Sequence[str], *, recorded: bool) -> list[tup
 def better_features(
     output: str, train: ResidualDataset, test: ResidualDataset, settings: GPSettings
 ) -> dict[str, Any] | None:
-    """The features of `candidates` that err least on part of the train flights, and their ratio on the test flights.
+    """The features of `candidates` with the least error on part of the train flights, and their ratio on the test ones.
 
-    Chosen without the test flights, by quick fits. None where there are too few flights, or none can be fitted.
+    The choice uses short fits and no test flights. None where there are too few flights, or none can be fitted.
     """
     if len(train.flights) < 2:
         return None
     fitted, judge = split_by_flight(train, 0.3, settings.seed)
     scores: dict[tuple[str, ...], float] = {}
-    for names in candidates(output, settings.features[output], recorded=is_trimmable(train)):
+    for names in candidates(output, settings.features[output], recorded=has_thrust_scale(train)):
         try:
-            error = _quick(output, names, fitted, judge, settings)
+            error = _trial_errors(output, names, fitted, judge, settings)
         except DataError:
             continue
         scores[names] = float(np.sqrt(np.mean(error**2)))
@@ -152,14 +152,14 @@ def better_features(
     best = min(scores, key=scores.__getitem__)
     axis = AXIS[output]
     drag = test.matrix([output])[:, 0] - drag_baseline(train).acceleration(test)[:, axis]
-    ratio = paired_ratio(_quick(output, best, train, test, settings), drag, np.asarray(test.columns["flight"]))
+    ratio = paired_ratio(_trial_errors(output, best, train, test, settings), drag, np.asarray(test.columns["flight"]))
     return {"features": list(best), **_record(ratio)}
 
 
-def _quick(
+def _trial_errors(
     output: str, features: tuple[str, ...], train: ResidualDataset, test: ResidualDataset, settings: GPSettings
 ) -> np.ndarray:
-    """Errors (k,) on the test rows of a quick fit to some of the train rows."""
+    """Errors (k,) on the test rows, of a short fit to some of the train rows."""
     few = replace(
         settings, features={output: features}, method="sgpr", max_rows=TRIAL_ROWS, max_iterations=TRIAL_ITERATIONS,
         inducing=min(settings.inducing, 30),
@@ -170,8 +170,8 @@ def _quick(
 def _identified(
     train: ResidualDataset, test: ResidualDataset, of_gp: np.ndarray, flight: np.ndarray
 ) -> list[dict[str, Any]]:
-    """Terms of `quadexp identify` fitted to the same rows: RMS of the vector left, and the fit's ratio to it."""
-    rows = trim(train).dataset
+    """Terms of `quadexp identify` fitted to the same rows: RMS of their error vectors, and the fit's ratio to it."""
+    rows = with_common_scale(train).dataset
     target = test.matrix(["a_x", "a_y", "a_z"])
     found = [("linear drag", target - drag_baseline(train).acceleration(test))]
     for kind in KINDS:
@@ -194,29 +194,31 @@ def _rms(error: np.ndarray) -> float:
 
 
 def verdict_lines(report: dict[str, Any]) -> list[str]:
-    """The verdict for people."""
+    """The comparison as text."""
     flights = "1 held-out flight" if report["flights"] == 1 else f"{report['flights']} held-out flights"
     lines = [
-        f"verdict on {flights}: RMSE over linear drag's, paired over flights, 95 % interval",
-        "  (noise: what does not repeat two rows later in what is left, so at most that)",
+        f"verdict on {flights}: RMSE relative to linear drag's, paired over flights, 95 % interval",
+        "  (noise: from the variogram of the residual at a lag of two rows, an upper bound)",
     ]
     for output, one in report["outputs"].items():
         lines.append(f"  {output}  {WORDS[one['verdict']]}: {one['text']}")
         lines.append(
-            f"       leaves {one['rmse']:.3g} m/s^2 (linear drag {one['drag_rmse']:.3g}): noise of the data"
-            f" {one['noise']:.3g} at most, unexplained {one['unexplained']:.3g} at least"
+            f"       RMSE {one['rmse']:.3g} m/s^2 (linear drag {one['drag_rmse']:.3g}): noise of the data at most"
+            f" {one['noise']:.3g}, unexplained at least {one['unexplained']:.3g}"
         )
         if one["verdict"] == "better":
             continue
         other = one.get("instead")
         if other and other["verdict"] == "better":
             names = ",".join(other["features"])
-            lines.append(f"       features that are: {names} ({other['text']}): gp.features.{output}=[{names}]")
+            lines.append(f"       features that are better: {names} ({other['text']}): gp.features.{output}=[{names}]")
         elif other:
             tried = f"the best, {', '.join(other['features'])}, has {other['text']}"
-            lines.append(f"       no features tried are shown to be better ({tried}): linear drag is as good here")
+            lines.append(f"       no other features are shown to be better either ({tried}): linear drag suffices here")
         else:
-            lines.append("       other features were not tried: it takes two flights to fit and one to judge")
+            lines.append(
+                "       other features were not tried: that needs two flights for the fit and one for the comparison"
+            )
     if report.get("identified"):
         lines += _identified_lines(report["identified"])
     return lines
@@ -226,18 +228,18 @@ def _identified_lines(records: Sequence[dict[str, Any]]) -> list[str]:
     fit, *others = records
     best = min(others, key=lambda one: one["rms"])
     text = ", ".join(f"{one['model']} {100 * one['share']:.1f} %" for one in records)
-    lines = [f"  of the residual under the thrust curve, what is left on the held-out flights: {text}"]
+    lines = [f"  error on the held-out flights relative to the thrust curve alone: {text}"]
     if best["rms"] < fit["rms"]:
         lines.append(
-            f"  USE {best['model'].upper()} of `quadexp identify`, not this fit: it leaves {100 * best['share']:.1f} %"
-            f" where this fit leaves {100 * fit['share']:.1f} %"
+            f"  USE {best['model'].upper()} of `quadexp identify`, not this fit: its error is"
+            f" {100 * best['share']:.1f} %, that of this fit {100 * fit['share']:.1f} %"
         )
     elif best["verdict"] == "better":
         lines.append(
-            f"  this fit leaves less than every model of `quadexp identify` ({best['text']} of {best['model']})"
+            f"  this fit has a smaller error than every model of `quadexp identify` ({best['text']} of {best['model']})"
         )
     else:
         lines.append(
-            f"  not shown to leave less than {best['model']} of `quadexp identify` ({best['text']}), the simpler model"
+            f"  not shown to be better than {best['model']} of `quadexp identify` ({best['text']}), the simpler model"
         )
     return lines

@@ -1,1 +1,1 @@
-"""Equations of motion and of the air, each written once, as CasADi expressions."""
+"""Equations of motion and aerodynamics as CasADi expressions, each written once."""

@@ -1,6 +1,6 @@
-"""The blade-element model at one point, in numbers: what the rotors and the air do at given velocity and rotor speeds.
+"""The blade-element model evaluated numerically at one velocity and set of rotor speeds.
 
-For looking, checking and plotting; everything that flies uses the expressions of quadexp.physics.blade_element.
+For inspection, tests and plots; plants and controllers use the expressions of quadexp.physics.blade_element.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ def aerodynamic_point(
     rate: np.ndarray | None = None,
     terms: CrossTerms = ADOPTED,
 ) -> AerodynamicPoint:
-    """Everything of (4)-(7), (9)-(17) at one point.
+    """Forces and torques of equations (4)-(7), (9)-(17) at one point.
 
     body_velocity: (3,) FLU (m/s). rotor_speed: (n,) (rad/s). rate: (3,) (rad/s) for rotor-local velocities, or None.
-    Raises ModelDomainError, naming the rotor and the reason, where the model has no answer, and UsageError where the
+    Raises ModelDomainError, naming the rotor and the reason, where the model is not defined, and UsageError where the
     vehicle has no rotor geometry.
     """
     geometry = vehicle.rotor_geometry
@@ -52,8 +52,8 @@ def aerodynamic_point(
     local = np.zeros(3) if rate is None else np.asarray(rate, float)
     theta, flow = coefficients.parameters(), _flow_function(vehicle)
     in_plane_squared, axial = (np.array(part).ravel() for part in flow(body_velocity, local))
-    found = solution_function(geometry, terms)(theta[C_LA], w[None], in_plane_squared[None], axial[None])
-    induced, status = (np.array(part).ravel() for part in found)
+    solution = solution_function(geometry, terms)(theta[C_LA], w[None], in_plane_squared[None], axial[None])
+    induced, status = (np.array(part).ravel() for part in solution)
     for i, code in enumerate(status):
         if code != Defined.OK:
             raise ModelDomainError(

@@ -9,15 +9,15 @@ air through itself at u = V_I - V_z (m/s). With s = N_b rho c / 2 (s = rho c for
     T = 2 rho pi r^2 V_I sqrt(V_h^2 + u^2)                                                 (17)
 
 A = 1/2 and B = 1/6 follow from (9) and (10) and are adopted; (14) and (15) print A = 2 and B = 2/3, both four times
-that (`PRINTED`, for comparison only). Nothing but V_h^2 and h enters below, so V_h = 0 is a regular point.
+that (`PRINTED`, for comparison only). Only V_h^2 and h enter below, so V_h = 0 is a regular point.
 
 On the vehicle, body frame FLU (V_z = -v_z there; x and y enter symmetrically, so the sign of y does not matter):
 
     F     = (-v_x sum h_i, -v_y sum h_i, sum T_i) - S rho |v| diag(C_D) v / 2              (4), (6), (7)
     Gamma = (sum y_i T_i, -sum x_i T_i, sum s_i Q_i)                                       (5)
 
-All rotors see the body's velocity v, as in the paper, or each its own, v + omega x r_i; then the hub forces act at
-their rotors too. Every function takes CasADi expressions; the rotor's own equations also take plain numbers.
+All rotors move at the body's velocity v, as in the paper, or each at its own, v + omega x r_i; then the hub forces also
+act at their rotors. Every function takes CasADi expressions; the rotor equations also take plain numbers.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from quadexp.physics.rotor import RotorGeometry
     from quadexp.physics.vehicle import Vehicle
 
-TINY_SPEED = 1e-12  # m/s, added in square under roots whose derivative does not exist at rest
+TINY_SPEED = 1e-12  # m/s, added in square under roots to keep them differentiable at rest
 
 
 class CrossTerms(NamedTuple):
@@ -57,9 +57,9 @@ class BladeForces(NamedTuple):
 
 
 class RotorFlow(NamedTuple):
-    """Air that the rotors meet. x, y: in-plane velocity (FLU, m/s). in_plane_squared: V_h^2 (m^2/s^2).
+    """Velocity of the rotors relative to the air. x, y: in-plane (FLU, m/s). in_plane_squared: V_h^2 (m^2/s^2).
 
-    axial: V_z, positive down the body's axis (m/s). Scalars where all rotors meet the same air, else (n,).
+    axial: V_z, positive down the body's axis (m/s). Scalars where it is the same for all rotors, else (n,).
     """
 
     x: ca.SX
@@ -81,7 +81,7 @@ def unloaded_thrust(
 
 
 def thrust_loss_per_flow(geometry: RotorGeometry, lift_slope: Expression, w: Expression) -> Expression:
-    """Thrust lost per flow through the rotor, b in T = a - b u (N s/m)."""
+    """Thrust loss per velocity of the flow through the rotor, b in T = a - b u (N s/m)."""
     return geometry.blade_density * geometry.radius**2 / 2 * lift_slope * w
 
 
@@ -109,19 +109,19 @@ def blade_forces(
 
 
 def static_inflow(geometry: RotorGeometry, lift_slope: Expression) -> Expression:
-    """nu = V_I / w (m) of a rotor in air at rest: the positive root of K nu^2 = a - b nu, (14) and (17) at V = 0."""
+    """nu = V_I / w (m) of a rotor at rest: the positive root of K nu^2 = a - b nu, (14) and (17) at V = 0."""
     K = geometry.momentum_factor
     a, b = unloaded_thrust(geometry, lift_slope, 1.0, 0.0), thrust_loss_per_flow(geometry, lift_slope, 1.0)
     return (ca.sqrt(b * b + 4 * K * a) - b) / (2 * K)
 
 
-def static_rotor_speed(thrust: Expression, static_thrust: float) -> Expression:
-    """Rotor speed w = sqrt(u / k_T,static) (rad/s) that gives the thrust u (N) in air at rest."""
-    return ca.sqrt(thrust / static_thrust)
+def static_rotor_speed(thrust: Expression, thrust_coefficient: float) -> Expression:
+    """Rotor speed w = sqrt(u / k_T,static) (rad/s) that gives the thrust u (N) at rest."""
+    return ca.sqrt(thrust / thrust_coefficient)
 
 
 def rotor_flow(vehicle: Vehicle, body_velocity: Expression, rate: Expression | None = None) -> RotorFlow:
-    """Air met by the rotors; body_velocity (3,) FLU (m/s); rate (3,) (rad/s): each rotor meets v + omega x r_i."""
+    """Flow at the rotors; body_velocity (3,) FLU (m/s); rate (3,) (rad/s): each rotor moves at v + omega x r_i."""
     if rate is None:
         x, y, z = body_velocity[0], body_velocity[1], body_velocity[2]
     else:

@@ -1,15 +1,16 @@
-"""What the rigid body may be corrected with: the layout of a residual's inputs and outputs, and the function it brings.
+"""The interface of a correction to the rigid body: the layout of a residual's inputs and outputs, and its function.
 
     z = [v_body, w, u] -> y = [a_body, tau_body]
 
-This is all that the equations need to know of quadexp.air, which is built on them.
+Implemented by quadexp.air, which imports this package.
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-import casadi as ca
+if TYPE_CHECKING:
+    import casadi as ca
 
 FEATURES = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
 OUTPUTS = ("a_x", "a_y", "a_z", "tau_x", "tau_y", "tau_z")
@@ -17,7 +18,7 @@ N_OUTPUTS = len(OUTPUTS)
 
 
 class Correction(Protocol):
-    """Anything with such a function; quadexp.air.base.Residual is one."""
+    """An object with such a function, such as quadexp.air.base.Residual."""
 
     @property
     def function(self) -> ca.Function:

@@ -1,12 +1,11 @@
-"""The type of what an equation is written in."""
+"""The type of the variables in an equation."""
 
 from __future__ import annotations
 
 from typing import Any, TypeAlias
 
 Expression: TypeAlias = Any
-"""A CasADi SX, MX or DM, a numpy array, or a float: an equation works on any of them and gives back the same kind.
+"""A CasADi SX, MX or DM, a numpy array, or a float: an equation accepts any of them and returns the same type.
 
-CasADi's three kinds share no base class, and which one comes is the caller's choice, so that the type checker takes it
-for any type; shapes, units and frames stand in the docstrings.
+CasADi's three types share no base class, so the type checker sees Any; shapes, units and frames are in the docstrings.
 """

@@ -2,16 +2,16 @@
 
     g(V_I) = K V_I sqrt(V_h^2 + u^2) - (a - b u) = 0,     u = V_I - V_z,   K = 2 rho pi r^2
 
-The paper assumes V_I > V_z (13). Where that root exists it is the largest one, alone on [max(V_z, 0), V_z + a/b], and
-g is convex right of it. Where it does not, u is kept with its sign and the root lies below V_z. So the model's solution
-is the LARGEST root everywhere: Newton's method from an upper bound falls onto it without ever crossing it, and where a
-step leaves the bracket, as it does where g is not increasing, the bracket is halved.
+The paper assumes V_I > V_z (13). Where such a root exists it is the largest one, the only one in [max(V_z, 0), V_z +
+a/b], and g is convex right of it. Otherwise u < 0 and the root lies below V_z. The model's solution is therefore always
+the LARGEST root: Newton's method from an upper bound converges to it monotonically where g is convex and increasing;
+where a step leaves the bracket, the bracket is halved.
 
-g has more than one root only where g' < 0 somewhere, which takes a descent steeper than V_z = 2.83 V_h; with
-h = sqrt(2) V_h, g' is smallest at u = -h sinh(asinh(V_z / h) / 3). As long as V_I > V_z the paper's assumption picks
-the root; where all of several lie below V_z, in the rotor's own wake, momentum theory has no single answer, and
-`solution_function` says so (NOT_UNIQUE). A rotor that stands still in moving air has no advance ratio V_h / (w r)
-(STOPPED). The plain fixed-point iteration of Remark 2 (ii) diverges at hover.
+g has more than one root only where g' < 0 somewhere, in descents steeper than V_z = 2.83 V_h; with h = sqrt(2) V_h, g'
+is smallest at u = -h sinh(asinh(V_z / h) / 3). If the largest root has V_I > V_z, the paper's assumption selects it; if
+several roots all lie below V_z, in the rotor's own wake, momentum theory has no unique solution, which
+`solution_function` reports as NOT_UNIQUE. For a stopped rotor in moving air the advance ratio V_h / (w r) is not
+defined (STOPPED). The plain fixed-point iteration of Remark 2 (ii) diverges in hover.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from quadexp.physics.blade_element import (
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotor import STANDING, RotorGeometry
 
-SAFE_ITERATIONS = 60  # halving alone would reach 1e-12 m/s of any bracket in 50
+SAFE_ITERATIONS = 60  # halving alone reaches 1e-12 m/s from any bracket in 50
 
 
 class Defined(IntEnum):
-    """Whether the model has an answer: OK, or the reason why not."""
+    """Whether the model is defined: OK, or the reason why not."""
 
     OK = 0
     NOT_UNIQUE = 1
@@ -46,7 +46,7 @@ class Defined(IntEnum):
 
 REASONS = {
     Defined.NOT_UNIQUE: "descending through its own wake it has more than one induced velocity",
-    Defined.STOPPED: "it stands still in moving air, and the advance ratio V_h / (w r) does not exist",
+    Defined.STOPPED: "it is stopped in moving air, where the advance ratio V_h / (w r) is not defined",
     Defined.NOT_FINITE: "its air speed or rotor speed is not a finite number",
 }
 
@@ -138,12 +138,12 @@ def bracket(equation: Balance) -> tuple[Expression, Expression]:
 
 
 def root_is_unique(equation: Balance, induced: Expression) -> Expression:
-    """Whether the largest root `induced` (m/s) is the model's only candidate: V_I >= V_z (13), or no root below it.
+    """Whether the largest root `induced` (m/s) is selected uniquely: V_I >= V_z (13), or there is no other root.
 
-    g is concave left of its inflection and convex right of it. A largest root on the left is the only one; one on the
-    right is the only one if g stays negative on the left, that is, at its largest value there.
+    g is concave left of its inflection and convex right of it. A largest root on the left is the only root; one on the
+    right is the only root if the maximum of g on the left is negative.
     """
-    scale = ca.sqrt(2 * equation.in_plane_squared)  # zero: no number below, but then V_I > V_z
+    scale = ca.sqrt(2 * equation.in_plane_squared)  # zero makes the inflection NaN, but then V_I > V_z
     inflection = equation.axial - scale * ca.sinh(ca.asinh(equation.axial / scale) / 3)
     left, right = ca.SX(0), inflection  # V_I < V_z only with V_z > 0, and then all roots are positive
     for _ in range(SAFE_ITERATIONS):
@@ -156,7 +156,7 @@ def root_is_unique(equation: Balance, induced: Expression) -> Expression:
 
 @cache
 def solution_function(geometry: RotorGeometry, terms: CrossTerms = ADOPTED) -> ca.Function:
-    """(C_la, w (rad/s), V_h^2 (m^2/s^2), V_z (m/s, positive down)) -> V_I (m/s), Defined; everywhere, to rounding."""
+    """(C_la, w (rad/s), V_h^2 (m^2/s^2), V_z (m/s, positive down)) -> V_I (m/s), Defined; accurate to rounding."""
     lift_slope, w, squared, axial = (ca.SX.sym(name) for name in ("lift_slope", "w", "in_plane_squared", "axial"))
     equation = balance(geometry, lift_slope, w, squared, axial, terms)
     induced = safe_newton(equation)

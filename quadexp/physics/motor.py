@@ -1,4 +1,4 @@
-"""Thrust that a motor fails to deliver (Torrente et al. 2021, simplified simulation).
+"""Thrust loss of a motor (Torrente et al. 2021, simplified simulation).
 
     loss = k u^2 / u_max        with u the commanded and u_max the largest thrust        N
 

@@ -1,4 +1,4 @@
-"""Rigid body driven by its rotors and by whatever a residual adds (Torrente et al. 2021, eqs 1-4).
+"""Rigid body under its rotors' thrusts and a residual (Torrente et al. 2021, eqs 1-4).
 
     p' = v
     q' = 1/2 q o [0, w]
@@ -48,7 +48,7 @@ def state_derivative(
 
 
 def body_features(x: Expression, u: Expression) -> Expression:
-    """z = [v_body, w, u], (6 + n,): all a residual may depend on, in still air."""
+    """z = [v_body, w, u], (6 + n,): the inputs of a residual, in still air."""
     return ca.vertcat(air_velocity(x[ATTITUDE], x[VELOCITY]), x[RATE], u)
 
 

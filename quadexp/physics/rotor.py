@@ -1,6 +1,6 @@
-"""A rotor as blade-element theory sees it: its shape, its air, and the coefficients that identification looks for.
+"""Parameters of a rotor in blade-element theory: geometry, air, and the coefficients to be identified.
 
-Source: Lei & Li 2017, sections 2 and 3. The equations themselves stand in quadexp.physics.blade_element.
+Source: Lei & Li 2017, sections 2 and 3. Equations: quadexp.physics.blade_element.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ import numpy as np
 
 from quadexp.errors import UsageError
 
-THETA = ("C_d0", "C_la", "C_Dx", "C_Dy", "C_Dz")  # order of the coefficients wherever they are one vector
+THETA = ("C_d0", "C_la", "C_Dx", "C_Dy", "C_Dz")  # order of the coefficients in a vector
 C_D0, C_LA, C_DX, C_DY, C_DZ = range(5)
-IDLE_SPEED = 50.0  # rad/s; rotors in flight do not stop, and the model is not defined where they do
-STANDING = 1e-6  # rad/s, for zero: below it a rotor stands still; in still air all its forces vanish
+IDLE_SPEED = 50.0  # rad/s; rotors in flight do not stop, and the model is not defined for stopped rotors
+STANDING = 1e-6  # rad/s; slower rotors count as stopped; in still air all their forces vanish
 
 
 @dataclass(frozen=True)
 class RotorGeometry:
-    """Shape of every rotor of a vehicle, and the air around it: what is known without flying.
+    """Geometry of every rotor of a vehicle, and the air density.
 
     radius r: m. chord c: m. twist theta_tw: rad. air_density rho: kg/m^3. reference_area S: m^2, of the body drag.
     blades: N_b.
@@ -40,7 +40,7 @@ class RotorGeometry:
 
     @property
     def blade_density(self) -> float:
-        """Air density times chord of all blades, halved: N_b rho c / 2 (kg/m^2), the common factor of (14)-(16)."""
+        """N_b rho c / 2 (kg/m^2), the common factor of (14)-(16)."""
         return self.blades * self.air_density * self.chord / 2
 
     @property

@@ -1,4 +1,4 @@
-"""Coefficients of a rotor at fixed conditions: without any flow through it, and in air at rest (Lei & Li 2017).
+"""Rotor coefficients for two conditions: no flow through the rotor, and hover (Lei & Li 2017).
 
 Thrust and torque per speed squared, from the blade-element equations of quadexp.physics.blade_element at w = 1 rad/s.
 """
@@ -28,13 +28,13 @@ class StaticCoefficients(NamedTuple):
 
 
 def motor_coefficients(geometry: RotorGeometry, coefficients: BladeCoefficients) -> MotorCoefficients:
-    """k_Tm, k_Hm, k_Qm: what is left of the rotor's forces without any flow through it (18)-(21)."""
-    one = blade_forces(geometry, coefficients.profile_drag, coefficients.lift_slope, 1.0, 0.0, 0.0)
-    return MotorCoefficients(*one)
+    """k_Tm, k_Hm, k_Qm: rotor forces without flow through the rotor (18)-(21)."""
+    forces = blade_forces(geometry, coefficients.profile_drag, coefficients.lift_slope, 1.0, 0.0, 0.0)
+    return MotorCoefficients(*forces)
 
 
 def static_coefficients(geometry: RotorGeometry, coefficients: BladeCoefficients) -> StaticCoefficients:
-    """k_T,static, k_Q,static and nu = V_I / w of a rotor in air at rest (Remark 4).
+    """k_T,static, k_Q,static and nu = V_I / w of a rotor at rest (Remark 4).
 
     nu is the positive root of (17) at V = 0: 2 rho pi r^2 nu^2 = a - b nu, with T = a - b nu at w = 1 rad/s.
     """

@@ -1,4 +1,4 @@
-"""A part of a matrix graph evaluated as one function of scalar operations: no temporaries, no structural zeros."""
+"""Evaluation of part of a CasADi matrix graph as one function of scalar operations, without structural zeros."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from quadexp.physics.expression import Expression
 
 
 def as_scalars(f: Callable[..., Expression]) -> Callable[..., Expression]:
-    """f, which maps CasADi expressions to one or several, wrapped so that it enters a graph as one SX function."""
+    """f, which maps CasADi expressions to one or several others, wrapped to enter a graph as one SX function."""
 
     def call(*arguments: Expression) -> Expression:
         symbols = [ca.SX.sym(f"a{i}", argument.sparsity()) for i, argument in enumerate(arguments)]

@@ -1,13 +1,13 @@
 """One RK4 step with its exact sensitivities, chained stage by stage.
 
-Nothing in the air depends on where the vehicle is, so with s = [q, v, w] the motion is s' = f(s, u), p' = v, and only
+The air does not depend on the position, so with s = [q, v, w] the motion is s' = f(s, u), p' = v, and only
 S_i = d k_i / d(s, u), (10, 10 + n), of the four slopes k_i = f(s + c_i k_{i-1}, u), c = (0, dt/2, dt/2, dt), is needed:
 
     S_i = [f_s, f_u] + c_i f_s S_{i-1}
     d s_next = [I, 0] + dt/6 (S_1 + 2 S_2 + 2 S_3 + S_4),        d p_next = [0, I, 0] dt + dt^2/6 (S_1 + S_2 + S_3)|_v
 
 Differentiating the whole step at once gives the same numbers from an expression three to ten times larger. The
-residual's Jacobian enters by the chain rule through z(x, u), so that a learned model keeps its own derivative.
+residual's own Jacobian enters by the chain rule through z(x, u).
 """
 
 from __future__ import annotations
@@ -25,15 +25,14 @@ from quadexp.physics.vehicle import Vehicle
 
 N_MOTION = N_STATE - 3  # s = [q, v, w]
 MOTION_VELOCITY = slice(4, 7)  # v within s
-FLAT_LIMIT = 100  # scalar operations of a residual, beyond which one function called four times beats four copies
+FLAT_LIMIT = 100  # scalar operations of a residual; above, one function called four times is faster than four copies
 
 
 def rk4_sensitivity_function(vehicle: Vehicle, residual: Correction, *, scalar: bool = True) -> ca.Function:
     """(x (13,), u (n,), theta (p,), dt (s)) -> x_next (13,), A (13, 13), B (13, n).
 
-    scalar: scalar operations with all structural zeros left out, which compile to the fastest code; otherwise dense
-    matrix products, which the virtual machine runs fastest. A residual that is large or in matrix operations stays a
-    call.
+    scalar: scalar operations without structural zeros, fastest when compiled; otherwise dense matrix products, fastest
+    in CasADi's virtual machine. A residual that is large or in matrix operations remains a function call.
     """
     flat = scalar and residual.function.is_a("SXFunction") and residual.function.n_instructions() < FLAT_LIMIT
     kind = ca.SX if flat else ca.MX
@@ -62,7 +61,7 @@ def rk4_sensitivity_function(vehicle: Vehicle, residual: Correction, *, scalar: 
 
 
 def _stage_point(x: Expression, u: Expression, k: Expression, c: Expression) -> tuple[Expression, Expression]:
-    """State of the stage after slope k, and the features there."""
+    """State and features of the stage after slope k."""
     x_stage = x + c * k
     return x_stage, body_features(x_stage, u)
 

@@ -21,9 +21,10 @@ from quadexp.errors import UsageError
 from quadexp.physics.rotor import RotorGeometry
 
 GRAVITY = 9.81  # m/s^2
-# A rigid body's largest principal moment is at most the sum of the others; measured ones may miss that by a little
-# (those of Lei & Li 2017 do by 1.2 %).
+# The largest principal moment of a rigid body is at most the sum of the other two; measured moments may exceed that
+# slightly (those of Lei & Li 2017 by 1.2 %).
 INERTIA_TOLERANCE = 0.02
+FORMER_NAMES = {"thrust_coefficient": "static_thrust"}  # used in hashes, so that existing files keep theirs
 
 
 @dataclass(frozen=True)
@@ -33,11 +34,11 @@ class Vehicle:
     mass: kg. inertia: (3, 3), body frame, kg m^2. rotor_position: (n, 3), body frame, m.
     rotor_spin: (n,), sign of the reaction torque about +z_body per unit thrust (+1 or -1).
     torque_coefficient: reaction torque per thrust, m. thrust_min, thrust_max: per rotor, N.
-    rate_max: largest body rate a reference may ask for, rad/s.
-    rotor: shape of the rotors, for blade-element models; None where nobody needs it.
-    static_thrust: k_T,static of the thrust map u = k_T,static w^2 between a thrust and a rotor speed, N s^2.
+    rate_max: largest body rate of a reference, rad/s.
+    rotor: geometry of the rotors, for blade-element models, or None.
+    thrust_coefficient: k_T,static of u = k_T,static w^2, thrust over squared rotor speed at rest, N s^2.
 
-    Raises UsageError where the numbers describe no rigid body or cannot be controlled.
+    Raises UsageError where the parameters are not those of a rigid body, or the vehicle cannot be controlled.
     """
 
     name: str
@@ -51,7 +52,7 @@ class Vehicle:
     rate_max: float
     gravity: float = GRAVITY
     rotor: RotorGeometry | None = None
-    static_thrust: float | None = None
+    thrust_coefficient: float | None = None
 
     def __post_init__(self) -> None:
         eigenvalues = np.linalg.eigvalsh(self.inertia_matrix)
@@ -59,8 +60,8 @@ class Vehicle:
             raise UsageError("vehicle.inertia: the matrix must be symmetric")
         if eigenvalues[0] <= 0 or eigenvalues[2] > (1 + INERTIA_TOLERANCE) * (eigenvalues[0] + eigenvalues[1]):
             raise UsageError(
-                f"vehicle.inertia: principal moments {eigenvalues.round(6).tolist()} kg m^2 belong to no rigid body"
-                " (all must be positive, and none larger than the sum of the other two, give or take"
+                f"vehicle.inertia: principal moments {eigenvalues.round(6).tolist()} kg m^2 are not those of a rigid"
+                " body (all must be positive, and none larger than the sum of the other two, with a tolerance of"
                 f" {INERTIA_TOLERANCE:.0%})"
             )
         if len(self.rotor_spin) != self.n_rotors:
@@ -74,8 +75,8 @@ class Vehicle:
                 f"vehicle.thrust_max: hovering takes {self.hover_thrust:.3g} N per rotor,"
                 f" outside ({self.thrust_min:g}, {self.thrust_max:g}) N"
             )
-        if self.static_thrust is not None and not self.static_thrust > 0:
-            raise UsageError(f"vehicle.static_thrust={self.static_thrust:g}: must be positive (N s^2)")
+        if self.thrust_coefficient is not None and not self.thrust_coefficient > 0:
+            raise UsageError(f"vehicle.thrust_coefficient={self.thrust_coefficient:g}: must be positive (N s^2)")
 
     @property
     def n_rotors(self) -> int:
@@ -101,14 +102,14 @@ class Vehicle:
 
     @property
     def static_thrust_coefficient(self) -> float:
-        """`static_thrust` (N s^2), for a model that needs it. Raises UsageError where there is none."""
-        if self.static_thrust is None:
+        """`thrust_coefficient` (N s^2), for a model that needs it. Raises UsageError where there is none."""
+        if self.thrust_coefficient is None:
             raise self._without_rotor()
-        return self.static_thrust
+        return self.thrust_coefficient
 
     def _without_rotor(self) -> UsageError:
         return UsageError(
-            f"vehicle={self.name}: a blade-element model needs vehicle.rotor and vehicle.static_thrust"
+            f"vehicle={self.name}: a blade-element model needs vehicle.rotor and vehicle.thrust_coefficient"
             " (vehicle=lei_li has them)"
         )
 
@@ -119,6 +120,10 @@ class Vehicle:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Short hash of the physical numbers (not of the name): two vehicles with one fingerprint fly alike."""
-        physics = {key: value for key, value in asdict(self).items() if key != "name" and value is not None}
+        """Short hash of all physical parameters, without the name: vehicles with equal fingerprints fly identically."""
+        physics = {
+            FORMER_NAMES.get(key, key): value
+            for key, value in asdict(self).items()
+            if key != "name" and value is not None
+        }
         return hashlib.sha256(json.dumps(physics, sort_keys=True).encode()).hexdigest()[:12]

@@ -1,6 +1,6 @@
-"""One Newton step towards the air that agrees with the motion it causes, at every time by itself.
+"""One Newton step, independently at every time, for the residual outputs consistent with the motion they cause.
 
-Unknown is Y = [l, a_air,z, tau_air], asked for is r(z(Y)). With s = r(z(Y)) - Y and A = dr/dY, blocks l and "rest":
+The unknown is Y = [l, a_air,z, tau_air], to solve Y = r(z(Y)). With s = r(z(Y)) - Y and A = dr/dY, blocks l and "rest":
 
     [1 - A_ll   -A_lr ] [dl   ]   [s_l   ]         (1 - A_ll - A_lr X) dl = s_l + A_lr x        X = (1 - A_rr)^-1 A_rl
     [-A_rl   1 - A_rr ] [drest] = [s_rest]    ->   drest = x + X dl                             x = (1 - A_rr)^-1 s_rest
@@ -9,9 +9,9 @@ A follows Y through the body velocity and the rotor thrusts:
 
     dr/dY = dr/dv_body dv_body/dl + dr/du du/dY,     du/dY = G^+ [m (dc/dl dl - da_air,z), -dtau_air],    dc/dl = -l / c
 
-dv_body/dl: dl turns the tilt frame by d theta, (d theta x f)_xy = -dl, which changes the velocity seen in it by
-v x d theta. What l does to the rates, and l', l'' to the torques, is left to the iteration. The step is taken as a turn
-of f, at most MAX_TURN, since |f| is given and l near |f| is where l itself would be a bad coordinate.
+dv_body/dl: dl rotates the tilt frame by d theta, (d theta x f)_xy = -dl, which changes the velocity in it by
+v x d theta. The effect of l on the rates, and of l', l'' on the torques, is neglected in A. The step is applied as a
+rotation of f by at most MAX_TURN, because |f| is fixed and l is singular as a coordinate near |f|.
 
 Arrays are component first, (d, k) at k times; SI.
 """
@@ -25,22 +25,27 @@ from quadexp.reference.air_model import AirResponse
 from quadexp.reference.flat_map import cross, twisted, untwisted
 from quadexp.reference.motion import Motion, allocation_inverse
 
-MAX_TURN = 0.3  # rad, by which one step may turn the specific force in the tilt frame
-MIN_SHARE = 0.02  # share of the specific force that a step leaves to the rotors' axis
-MIN_DETERMINANT = 0.3  # of the system in dl: below it the step is the plain one, l <- r_l
+MAX_TURN = 0.3  # rad, largest rotation of the specific force in the tilt frame per step
+MIN_SHARE = 0.02  # least component of the specific force along the rotors' axis, relative to its norm
+MIN_DETERMINANT = 0.3  # of the system in dl; below it the step is the fixed-point step l <- r_l
 
 
 def newton_step(
-    used: np.ndarray, asked: np.ndarray, motion: Motion, velocity: np.ndarray, response: AirResponse, vehicle: Vehicle
+    current: np.ndarray,
+    predicted: np.ndarray,
+    motion: Motion,
+    velocity: np.ndarray,
+    response: AirResponse,
+    vehicle: Vehicle,
 ) -> np.ndarray:
     """The next Y, (6, k).
 
-    used: Y, the air that `motion` was made with; asked: r(z(Y)), both (6, k), l in the tilt frame (m/s^2, N m).
-    velocity: (3, k), tilt frame (m/s). response: derivatives of r in body axes; by thrusts zero where a rotor is held
-    at its limit.
+    current: Y, of which `motion` is the motion; predicted: r(z(Y)); both (6, k), l in the tilt frame (m/s^2, N m).
+    velocity: (3, k), tilt frame (m/s). response: derivatives of r in body axes; by thrusts zero where a rotor is at its
+    limit.
     """
     by_lateral, by_rest = _gradients(motion, velocity, response, vehicle)
-    difference = asked - used
+    difference = predicted - current
     right = np.concatenate([by_lateral[2:], difference[2:, None]], axis=1)  # A_rl, s_rest: (4, 3, k)
     solved = right
     if by_rest.any():
@@ -50,15 +55,15 @@ def newton_step(
     system = np.eye(2)[..., None] - by_lateral[:2] - through_rest[:, :2]
     step = _lateral_step(system, difference[:2] + through_rest[:, 2], difference[:2])
     lateral = turned(motion.frame.force, step)
-    rest = solved[:, 2] + np.einsum("rjk,jk->rk", solved[:, :2], lateral - used[:2])
-    return np.concatenate([lateral, used[2:] + rest])
+    rest = solved[:, 2] + np.einsum("rjk,jk->rk", solved[:, :2], lateral - current[:2])
+    return np.concatenate([lateral, current[2:] + rest])
 
 
 def _gradients(
     motion: Motion, velocity: np.ndarray, response: AirResponse, vehicle: Vehicle
 ) -> tuple[np.ndarray, np.ndarray]:
     """dr/dl, (6, 2, k), and dr/d[a_air,z, tau_air], (6, 4, k); r's lateral part in the tilt frame."""
-    by_velocity, by_thrust = (_rows_untwisted(d, motion.chi) for d in (response.by_velocity, response.by_thrust))
+    by_velocity, by_thrust = (_in_tilt_frame(d, motion.chi) for d in (response.by_velocity, response.by_thrust))
     by_wrench = -np.einsum("onk,nw->owk", by_thrust, allocation_inverse(vehicle))
     by_wrench[:, 0] *= vehicle.mass
     force = motion.frame.force
@@ -70,13 +75,13 @@ def _gradients(
     return np.stack(columns, axis=1), by_wrench
 
 
-def _rows_untwisted(derivative: np.ndarray, chi: np.ndarray) -> np.ndarray:
-    """Derivatives of r, (6, d, k), their first two rows seen in the tilt frame."""
+def _in_tilt_frame(derivative: np.ndarray, chi: np.ndarray) -> np.ndarray:
+    """Derivatives of r, (6, d, k), with the lateral components (first two) in the tilt frame."""
     return np.concatenate([untwisted(derivative[:2], chi), derivative[2:]])
 
 
 def _lateral_step(system: np.ndarray, right: np.ndarray, plain: np.ndarray) -> np.ndarray:
-    """The solution, (2, k), of system (2, 2, k) dl = right (2, k); `plain` where the system is near a singular one."""
+    """The solution, (2, k), of system (2, 2, k) dl = right (2, k); `plain` where the system is nearly singular."""
     (a, b), (c, d) = system
     determinant = a * d - b * c
     regular = (determinant > MIN_DETERMINANT) & (a + d > 0)
@@ -86,16 +91,16 @@ def _lateral_step(system: np.ndarray, right: np.ndarray, plain: np.ndarray) -> n
 
 
 def turned(force: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """l, (2, k), of the specific force f (3, k) in the tilt frame, turned along its sphere by the step (2, k) in l."""
+    """l, (2, k), of the specific force f (3, k) in the tilt frame after rotating f by the step (2, k) in l."""
     across = np.stack([*step, -(force[:2] * step).sum(axis=0) / force[2]])
     size, length = np.linalg.norm(force, axis=0), np.linalg.norm(across, axis=0)
     angle = np.minimum(length / size, MAX_TURN)
     after = force * np.cos(angle) + across * (size * np.sin(angle) / np.maximum(length, 1e-300))
-    over = after[2] < 0  # past the equator: out to its edge
+    over = after[2] < 0  # beyond the equator: limited to its edge
     return reachable(np.where(over, 1e3, 1.0) * after[:2], size)
 
 
 def reachable(lateral: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """l, (2, k), shortened where need be so that MIN_SHARE of the specific force `size`, (k,) (m/s^2), is left to c."""
+    """l, (2, k), limited so that c is at least MIN_SHARE of the specific force `size`, (k,) (m/s^2)."""
     largest = size * np.sqrt(1 - MIN_SHARE**2)
     return lateral * np.minimum(1.0, largest / np.maximum(np.linalg.norm(lateral, axis=0), 1e-300))

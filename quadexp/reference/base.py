@@ -1,6 +1,6 @@
-"""The trajectory seam: a flat output (position and yaw) with its derivatives as a function of time.
+"""The interface of trajectories: a flat output (position and yaw) with its derivatives as a function of time.
 
-World frame ENU (z up), SI units. A trajectory lives on 0 <= t <= duration; outside of it the nearest flat output is
+World frame ENU (z up), SI units. A trajectory is defined on 0 <= t <= duration; outside, the nearest flat output is
 held, with all derivatives zero.
 """
 
@@ -32,7 +32,7 @@ class FlatOutput:
 
 @runtime_checkable
 class Trajectory(Protocol):
-    """What a reference is made of."""
+    """A flat output over time."""
 
     @property
     def duration(self) -> float:
@@ -72,14 +72,14 @@ def sampled_peak_speed(trajectory: Trajectory, step: float = 2e-3) -> float:
 
 
 def check_positive(**values: float) -> None:
-    """UsageError for the first value that is not a finite number above zero; the keyword is the configuration key."""
+    """Raise UsageError for a value that is not finite and above zero; keywords are configuration keys."""
     for key, value in values.items():
         if not (np.isfinite(value) and value > 0):
             raise UsageError(f"trajectory.{key}: {value!r} is not allowed, it must be finite and above 0")
 
 
 def check_finite(**values: float | None) -> None:
-    """UsageError for the first value that is neither a finite number nor None; the keyword is the configuration key."""
+    """Raise UsageError for a value that is neither finite nor None; keywords are configuration keys."""
     for key, value in values.items():
         if value is not None and not np.isfinite(value):
             raise UsageError(f"trajectory.{key}: {value!r} is not allowed, it must be a finite number")

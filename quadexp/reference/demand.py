@@ -1,8 +1,8 @@
-"""What a trajectory demands of the vehicle at many times: path, specific force a - g, and heading.
+"""The quantities of a trajectory that the flatness map uses: path, specific force a - g, and heading.
 
-A trajectory gives a yaw, or leaves the heading free: the body then does not turn about its thrust axis, w_z = 0, from
-heading 0 at the start (the "yaw rate zero" of Torrente et al. 2021). A fixed yaw asks for far larger body rates and
-torques at high tilt: the 12 m/s circle of the paper can be flown with a free heading only.
+A trajectory prescribes a yaw, or leaves the heading free: the body then does not rotate about its thrust axis, w_z = 0,
+from heading 0 at the start (the "yaw rate zero" of Torrente et al. 2021). A fixed yaw requires much larger body rates
+and torques at high tilt: the 12 m/s circle of the paper can only be flown with a free heading.
 
 World ENU, SI. Arrays are component first, (d, k) at k times.
 """
@@ -17,7 +17,7 @@ from quadexp.errors import UsageError
 from quadexp.reference.base import Trajectory
 from quadexp.reference.flat_map import Tilt, tilt
 
-NO_ATTITUDE = 1e-3  # share of the specific force along z_body, and q_w of the tilt, below which there is no attitude
+NO_ATTITUDE = 1e-3  # least share of the specific force along z_body, and least q_w of the tilt, for an attitude
 
 
 @dataclass(frozen=True)
@@ -42,15 +42,15 @@ class Demand:
         return cls(t, path, path[2] + [[0.0], [0.0], [gravity]], yaw)
 
     def tilt(self, lateral: np.ndarray) -> Tilt:
-        """Tilt frames under the lateral accelerations l, (2, k) (m/s^2); UsageError where there are none."""
+        """Tilt frames for the lateral accelerations l, (2, k) (m/s^2); raises UsageError where there are none."""
         frame = tilt(self.specific_force, lateral)
         size = np.maximum(np.linalg.norm(self.specific_force, axis=0), NO_ATTITUDE)
-        none = ~((frame.force[2] > NO_ATTITUDE * size) & (frame.quaternion[0] > NO_ATTITUDE))
-        if none.any():
-            i = int(np.argmax(none))
+        undefined = ~((frame.force[2] > NO_ATTITUDE * size) & (frame.quaternion[0] > NO_ATTITUDE))
+        if undefined.any():
+            i = int(np.argmax(undefined))
             raise UsageError(
-                f"the trajectory asks for free fall or inverted flight at t = {self.t[i]:.2f} s (specific force"
-                f" {self.specific_force[:, i].round(2).tolist()} m/s^2), where no attitude follows from it: lower"
+                f"the trajectory requires free fall or inverted flight at t = {self.t[i]:.2f} s (specific force"
+                f" {self.specific_force[:, i].round(2).tolist()} m/s^2), where the attitude is not determined: lower"
                 " trajectory.speed"
             )
         return frame

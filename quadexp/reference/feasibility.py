@@ -2,7 +2,7 @@
 
     thrust_min <= u_i <= thrust_max (N),    |w| <= rate_max (rad/s)
 
-Asked before flight, so that a reference beyond the limits is reported with where and by how much.
+Checked before flight, so that a violation is reported with its time and size.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from quadexp.reference.flatness import Reference
 class Infeasibility:
     """The worst violation of a limit along a reference.
 
-    what: "rotor 2 thrust", "body rate". value, limit: in `unit`. t: s. margin: how far beyond the limit, above 0.
+    what: "rotor 2 thrust", "body rate". value, limit: in `unit`. t: s. margin: excess over the limit, above 0.
     share: of the reference's samples that are beyond any limit.
     """
 
@@ -42,7 +42,7 @@ class Infeasibility:
 
 
 def check_feasible(reference: Reference, vehicle: Vehicle) -> Infeasibility | None:
-    """The violation that is largest in proportion to the limit's range, or None where there is none."""
+    """The largest violation relative to the limit's range, or None."""
     thrust_range = vehicle.thrust_max - vehicle.thrust_min
     rate = np.linalg.norm(reference.state[:, RATE], axis=1, keepdims=True)
     rotors = [f"rotor {i} thrust" for i in range(vehicle.n_rotors)]

@@ -1,14 +1,14 @@
-"""The air's share of a reference: the residual outputs that agree with the motion they ask for.
+"""The residual in a reference: residual outputs that are consistent with the motion they cause.
 
     y = [a_air, tau_air] = r(z),    z = [v_body, w, u],    body frame
 
-depends on the attitude, rates and rotor thrusts that follow from y itself. Unknown is y as a function of time, the
-lateral part of a_air seen in the tilt frame as l. The motion under a given y (motion.py) gives z, and Newton steps at
-every time by itself (air_step.py), with l', l'' from the last l by differences in time, lead to y = r(z(y)).
+depends on the attitude, rates and rotor thrusts that follow from y itself. The unknown is y as a function of time, with
+the lateral part of a_air in the tilt frame as l. The motion for given y (motion.py) determines z. Newton steps at every
+time (air_step.py), with l', l'' of the last l by finite differences in time, converge to y = r(z(y)).
 
-Where the thrusts that l'' asks for act on l again (rotors near their limits, jumps of the velocity), this does not
-settle: a zigzag from node to node grows, and spreads by a node an iteration. Then l' and l'' are taken as zero in the
-rates and torques that r sees, and every time is by itself. An iteration that comes no nearer for a while has stalled.
+Where the thrusts due to l'' act back on l (rotors near their limits, jumps of the velocity), this iteration diverges:
+an oscillation between neighbouring nodes grows and spreads by a node per iteration. Then l' and l'' are set to zero in
+the rates and torques that enter r, which decouples the times. An iteration without progress for a while has stalled.
 
 World ENU, body FLU, SI. Arrays are component first, (d, k) at k times.
 """
@@ -22,29 +22,29 @@ import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
-from quadexp.reference.air_model import AirModel, PartialAir
+from quadexp.reference.air_model import AirModel
 from quadexp.reference.air_step import newton_step, reachable
 from quadexp.reference.demand import Demand
 from quadexp.reference.flat_map import twisted, untwisted
 from quadexp.reference.motion import Air, Calculus, Motion, flat_motion, within_limits
 
-KINK = 0.5  # m/s^2, N m: change that may be left at the instants where a rotor meets its limit, of the whole residual
-SETTLED = 0.3  # m/s^2: until l changes by less in an iteration its differences in time are noise, and taken as zero
-PATIENCE, PROGRESS = 12, 0.5  # iterations within which the change must fall to this share of the smallest before
-FALLING, SHORTEST = 0.9, 0.1  # where the change does not fall to this share the step is halved, but no shorter than
+KINK = 0.5  # m/s^2, N m: change accepted where a rotor reaches its limit, for the whole residual
+SETTLED = 0.3  # m/s^2: until l changes by less per iteration its time derivatives are noise, and set to zero
+PATIENCE, PROGRESS = 12, 0.5  # iterations within which the change must fall to this share of its smallest value so far
+FALLING, SHORTEST = 0.9, 0.1  # where the change does not fall to this share, the step is halved, down to the second
 
 
 class Outcome(Enum):
-    """How an iteration ended: at the tolerance, no nearer for PATIENCE iterations, or out of iterations."""
+    """How an iteration ended: at the tolerance, without progress for PATIENCE iterations, or out of iterations."""
 
-    AGREED = "agreed"
+    CONVERGED = "converged"
     STALLED = "stalled"
     EXHAUSTED = "out of iterations"
 
 
 @dataclass(frozen=True)
 class Settings:
-    """tolerance: on the last change, m/s^2 and N m. corners: whether l' = l'' = 0 may be taken, and a KINK be left."""
+    """tolerance: on the last change, m/s^2 and N m. corners: whether l' = l'' = 0 and a change of KINK are allowed."""
 
     tolerance: float
     max_iterations: int
@@ -53,7 +53,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Iterated:
-    """The last air of an iteration, its motion, and by how much it still changed at every time, (k,) (m/s^2, N m)."""
+    """The last air of an iteration, its motion, and its last change at every time, (k,) (m/s^2, N m)."""
 
     air: Air
     motion: Motion
@@ -62,18 +62,18 @@ class Iterated:
     outcome: Outcome
 
 
-def agreeing_air(
+def consistent_air(
     demand: Demand,
     vehicle: Vehicle,
-    model: AirModel | PartialAir | None,
+    model: AirModel | None,
     calculus: Calculus,
     settings: Settings,
     start: np.ndarray | None = None,
 ) -> tuple[Air, Motion]:
-    """The air that agrees with the motion it causes, and the motion, under a residual model or none.
+    """The residual outputs consistent with the motion they cause, and the motion; model None: no residual.
 
-    calculus: of the demand's times. start: a first guess of the air's outputs, (6, k).
-    Raises UsageError where the iteration stalls or is out of iterations.
+    calculus: derivatives and integrals over the demand's times. start: initial guess of the outputs, (6, k).
+    Raises UsageError where the iteration stalls or runs out of iterations.
     """
     air = Air.still(len(demand.t))
     if start is not None:
@@ -82,27 +82,27 @@ def agreeing_air(
     if model is None:
         return air, flat_motion(demand, vehicle, air, calculus)
     iteration = _Iteration(demand, vehicle, model, calculus, settings)
-    result = iteration.run(air, held=False)
-    if result.outcome is not Outcome.AGREED and settings.corners:
-        result = iteration.run(air, held=True)
-    if result.outcome is Outcome.AGREED or (settings.corners and result.change.max() < KINK * model.share):
+    result = iteration.run(air, decoupled=False)
+    if result.outcome is not Outcome.CONVERGED and settings.corners:
+        result = iteration.run(air, decoupled=True)
+    if result.outcome is Outcome.CONVERGED or (settings.corners and result.change.max() < KINK * model.share):
         return result.air, result.motion
     worst = int(np.argmax(result.change))
     raise UsageError(
-        f"the reference under residual {model.name!r} does not converge: {result.outcome.value} after"
-        f" {result.iterations} iterations, still changing by {result.change[worst]:.2g} (m/s^2, N m), most at"
+        f"the reference with residual {model.name!r} does not converge: {result.outcome.value} after"
+        f" {result.iterations} iterations, last change {result.change[worst]:.2g} (m/s^2, N m) at"
         f" t = {demand.t[worst]:.2f} s; lower trajectory.speed or check the model"
     )
 
 
 class _Stall:
-    """Whether the largest change has come down lately."""
+    """Detects an iteration without progress."""
 
     def __init__(self) -> None:
         self._smallest, self._waited = np.inf, 0
 
     def after(self, change: float) -> bool:
-        """Whether, with this change, it has not for PATIENCE iterations."""
+        """Whether the largest change has not fallen to PROGRESS of its smallest value for PATIENCE iterations."""
         if change < PROGRESS * self._smallest:
             self._smallest, self._waited = change, 0
         else:
@@ -112,45 +112,45 @@ class _Stall:
 
 @dataclass(frozen=True)
 class _Iteration:
-    """Newton steps at all times at once until nothing changes."""
+    """Newton steps at all times at once until convergence."""
 
     demand: Demand
     vehicle: Vehicle
-    model: AirModel | PartialAir
+    model: AirModel
     calculus: Calculus
     settings: Settings
 
-    def run(self, air: Air, *, held: bool) -> Iterated:
-        """From a first guess; held: with l' = l'' = 0, and shorter steps at times where the change does not fall."""
-        if held:
+    def run(self, air: Air, *, decoupled: bool) -> Iterated:
+        """Iterate from a guess; decoupled: with l' = l'' = 0, and shorter steps where the change does not fall."""
+        if decoupled:
             air = Air.of_outputs(air.outputs)
         change, share = np.full(len(self.demand.t), np.inf), np.ones(len(self.demand.t))
-        settled, stall = held, _Stall()
+        settled, stall = decoupled, _Stall()
         for i in range(self.settings.max_iterations):
-            motion, asked, outputs = self._step(air)
-            before, change = change, np.abs(asked - air.outputs).max(axis=0)
-            if held:
-                longer = np.minimum(2 * share, 1) if i < PATIENCE else share  # later on: or they go round in circles
+            motion, predicted, outputs = self._step(air)
+            before, change = change, np.abs(predicted - air.outputs).max(axis=0)
+            if decoupled:
+                longer = np.minimum(2 * share, 1) if i < PATIENCE else share  # later not: the iteration could cycle
                 share = np.where(change > FALLING * before, np.maximum(share / 2, SHORTEST), longer)
                 outputs = air.outputs + share * (outputs - air.outputs)
             if not settled and np.abs(outputs - air.outputs)[:2].max() < SETTLED:
                 settled, stall = True, _Stall()
             air = Air.of_outputs(outputs)
-            if settled and not held:
+            if settled and not decoupled:
                 air = Air(outputs, *self.calculus.differentiate(outputs[:2]))
             result = Iterated(air, motion, change, i + 1, Outcome.EXHAUSTED)
             if settled and change.max() < self.settings.tolerance:
-                return replace(result, outcome=Outcome.AGREED)
+                return replace(result, outcome=Outcome.CONVERGED)
             if stall.after(change.max()):
                 return replace(result, outcome=Outcome.STALLED)
         return result
 
     def _step(self, air: Air) -> tuple[Motion, np.ndarray, np.ndarray]:
-        """The motion under an air; what the model asks for there and the next outputs, (6, k) each."""
+        """The motion for given outputs; the model's outputs for it, and the next iterate, (6, k) each."""
         motion = flat_motion(self.demand, self.vehicle, air, self.calculus)
         velocity = motion.frame.into_frame(self.demand.path[1])
         thrusts, free = within_limits(motion.thrusts, self.vehicle)
         response = self.model(np.concatenate([twisted(velocity, motion.chi), motion.rate, thrusts]))
-        asked = np.concatenate([untwisted(response.outputs[:2], motion.chi), response.outputs[2:]])
-        response = replace(response, by_thrust=response.by_thrust * free)  # a rotor at its limit answers no more
-        return motion, asked, newton_step(air.outputs, asked, motion, velocity, response, self.vehicle)
+        predicted = np.concatenate([untwisted(response.outputs[:2], motion.chi), response.outputs[2:]])
+        response = replace(response, by_thrust=response.by_thrust * free)  # zero for a rotor at its limit
+        return motion, predicted, newton_step(air.outputs, predicted, motion, velocity, response, self.vehicle)

@@ -1,26 +1,26 @@
-"""Differential flatness of a multirotor whose lateral accelerations by the air are given.
+"""Differential flatness of a multirotor with given lateral accelerations by the air.
 
 Newton's law with the residual acceleration a_air of the air, seen in the tilt frame R_t (z along the rotors' axis):
 
     f := R_t^T (a - g) = (l_x, l_y, c),    T = m (c - a_air,z)                                                  (1)
 
-The attitude must give the specific force a - g (world, from the trajectory) the two lateral components l that the air
-provides; |f| = |a - g| fixes c > 0. The body frame is R = R_t R_z(chi).
+The attitude is such that the specific force a - g (world, from the trajectory) has the lateral components l that the
+air provides; |f| = |a - g| determines c > 0. The body frame is R = R_t R_z(chi).
 
-Tilt: R_t turns about a horizontal axis only (Watterson & Kumar 2017). Of all rotations that take f to F = a - g,
+Tilt: R_t rotates about a horizontal axis only (Watterson & Kumar 2017). Of all rotations that take f to F = a - g,
 q = p (1 + f.F, f x F) + r (0, f + F) for unit f and F, it is the one with q_z = 0:  p = (f + F)_z, r = -(f x F)_z.  (2)
 Regular up to inverted flight. Its rate o, from the derivative of (1) with jerk j and of q_z = 0, and o', with snap s:
 
     (o x f)_xy  = (R_t^T j)_xy - l',                                (-q_y, q_x, q_w) . o  = 0                     (3)
     (o' x f)_xy = (R_t^T s - o x (2 R_t^T j - o x f))_xy - l'',     (-q_y, q_x, q_w) . o' = 0                     (4)
 
-Twist: body rates w = R_z(-chi) o + (0, 0, chi'). Either the heading is free, and the body does not turn about the
-rotors' axis: w_z = 0, chi' = -o_z. Or a yaw is given, and y_body is level against x_C = (cos yaw, sin yaw, 0):
+Twist: body rates w = R_z(-chi) o + (0, 0, chi'). Either the heading is free, and the body does not rotate about the
+rotors' axis: w_z = 0, chi' = -o_z. Or a yaw is prescribed, and y_body is level against x_C = (cos yaw, sin yaw, 0):
 y_body . x_C = 0 (Mellinger & Kumar 2011), whence with h = R^T x_C, e = R^T y_C
 
     (w x h)_y = yaw' e_y,    (w' x h)_y = yaw'' e_y - 2 yaw' (w x e)_y + (w x (w x h))_y                          (5)
 
-World ENU, body FLU, SI. Arrays are component first, (3, k) for k times: every component lies in one piece.
+World ENU, body FLU, SI. Arrays are component first, (3, k) for k times, so that every component is contiguous.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ import numpy as np
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a x b, (3, k); several times quicker than np.cross."""
+    """a x b, (3, k); several times faster than np.cross."""
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def untwisted(vector: np.ndarray, chi: np.ndarray) -> np.ndarray:
-    """R_z(chi) vector: a body vector seen in the tilt frame; (2, k) or (3, k), chi (k,) rad."""
+    """R_z(chi) vector: a body vector in tilt-frame coordinates; (2, k) or (3, k), chi (k,) rad."""
     cosine, sine = np.cos(chi), np.sin(chi)
     return np.stack([cosine * vector[0] - sine * vector[1], sine * vector[0] + cosine * vector[1], *vector[2:]])
 
 
 def twisted(vector: np.ndarray, chi: np.ndarray) -> np.ndarray:
-    """R_z(-chi) vector: a vector of the tilt frame seen in the body; (2, k) or (3, k), chi (k,) rad."""
+    """R_z(-chi) vector: a tilt-frame vector in body coordinates; (2, k) or (3, k), chi (k,) rad."""
     return untwisted(vector, -chi)
 
 
@@ -102,11 +102,11 @@ class Tilt:
 
 
 def tilt(specific_force: np.ndarray, lateral: np.ndarray) -> Tilt:
-    """Tilt frames that give the specific force the lateral components: equation (2).
+    """Tilt frames in which the specific force has the given lateral components: equation (2).
 
     specific_force: a - g, (3, k), world (m/s^2). lateral: l, (2, k), tilt frame (m/s^2).
-    In free fall, in inverted flight and where l exceeds the specific force there is none: c or q_w is then not a
-    number above zero, for the caller to check.
+    There is none in free fall, in inverted flight and where l exceeds the specific force: c or q_w is then not above
+    zero, which the caller must check.
     """
     size = np.sqrt((specific_force**2).sum(axis=0))
     force = np.stack([*lateral, np.sqrt(np.maximum(size**2 - (lateral**2).sum(axis=0), 0.0))])
@@ -119,7 +119,7 @@ def tilt(specific_force: np.ndarray, lateral: np.ndarray) -> Tilt:
 
 
 def free_body_rates(o: np.ndarray, o_dot: np.ndarray, chi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Body rate w and w', (3, k) each, of a body with w_z = 0 at the twist chi, (k,) (rad)."""
+    """Body rate w and w', (3, k) each, for w_z = 0 and the twist chi, (k,) (rad)."""
     w, w_dot = twisted(o, chi), twisted(o_dot, chi)
     w[2] = w_dot[2] = 0.0
     _add_turn(w_dot, w, -o[2])
@@ -129,7 +129,7 @@ def free_body_rates(o: np.ndarray, o_dot: np.ndarray, chi: np.ndarray) -> tuple[
 def heading_body_rates(
     frame: Tilt, o: np.ndarray, o_dot: np.ndarray, chi: np.ndarray, yaw: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Body rate w and w', (3, k) each, under a given yaw: equation (5).
+    """Body rate w and w', (3, k) each, for a prescribed yaw: equation (5).
 
     chi: of Tilt.heading_twist. yaw: (3, k): rad, rad/s, rad/s^2.
     """
@@ -146,6 +146,6 @@ def heading_body_rates(
 
 
 def _add_turn(w_dot: np.ndarray, w: np.ndarray, chi_dot: np.ndarray) -> None:
-    """Add to w' what the turn of the body in the tilt frame does to the lateral rates: -chi' e_z x w."""
+    """Add to w' the effect of the twist rate on the lateral rates: -chi' e_z x w."""
     w_dot[0] += chi_dot * w[1]
     w_dot[1] -= chi_dot * w[0]

@@ -1,13 +1,13 @@
-"""Trajectory from a file: a sampled track, or a few waypoints; track_file.py says how the two are told apart.
+"""Trajectory from a file: a sampled track, or waypoints (formats: track_file.py).
 
 A sampled track is interpolated by a degree-7 spline through every row (continuous up to the sixth derivative,
-not-a-knot ends), so it wants to be smooth: noise in the rows grows by dt^-4 in the snap. Time starts at the first row;
-without a yaw the heading is 0.
+not-a-knot ends), so it must be smooth: noise in the rows is amplified by dt^-4 in the snap. Time starts at the first
+row; without a yaw the heading is 0.
 
 Waypoints are joined by minimum-snap polynomials, at rest at both ends (minimum_snap.py); without a yaw the heading is
-free. Their times are kept where they are given. Otherwise segments last in proportion to the p-th power of their
-length, with the p of POWERS that leads to the shortest flight within the vehicle's limits and the asked peak speed
-(time_scale.py). World ENU, SI.
+free. Times in the file are kept. Otherwise segment durations are proportional to the p-th power of their lengths, with
+the p of POWERS that gives the shortest flight within the vehicle's limits and the requested peak speed (time_scale.py).
+World ENU, SI.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ from quadexp.reference.time_scale import MARGIN, ScaledPath, time_scale
 from quadexp.reference.track_file import Positions, read_positions
 
 DEGREE = 7
-POWERS = (0.5, 0.75, 1.0)  # sqrt: what a limited acceleration asks for; 1: what a limited speed asks for
+POWERS = (0.5, 0.75, 1.0)  # 0.5 suits a limited acceleration, 1 a limited speed
 
 
 @dataclass(frozen=True, kw_only=True)
 class FileTrajectory:
     """The track or the waypoints in a CSV or TUM file; it is read when first used.
 
-    path: file. speed: largest speed of waypoints, m/s; None: whatever the vehicle can do. vehicle: whose limits
-    waypoints without times keep; None: none. margin: share of the room to the limits that is left, [0, 1).
-    Raises UsageError where there is no such file, where times in the file and the speed contradict each other, or where
-    the limits leave no flight; DataError (with the line number) where the file holds no positions.
+    path: file. speed: largest speed of waypoints, m/s; None: limited by the vehicle only. vehicle: its limits apply to
+    waypoints without times; None: no limits. margin: unused share of the range to the limits, [0, 1).
+    Raises UsageError for a missing file, for contradicting times and speed, or where the limits allow no flight;
+    DataError (with the line number) for a file without positions.
     """
 
     path: str
@@ -69,7 +69,7 @@ class FileTrajectory:
 
     @property
     def note(self) -> str:
-        """What keeps the waypoints below the asked speed, in one line; "" where nothing does."""
+        """The limit that keeps the waypoints below the requested speed, in one line; "" if none."""
         return self._made[1]
 
     def flat_output(self, t: np.ndarray) -> FlatOutput:
@@ -110,12 +110,12 @@ class FileTrajectory:
                 )
             return timed, ""
         lengths = np.linalg.norm(np.diff(positions.points, axis=0), axis=1) / np.ptp(positions.points, axis=0).max()
-        found = []
+        candidates = []
         for power in POWERS:
             path = minimum_snap(np.concatenate([[0.0], np.cumsum(lengths**power)]), points)
             scale = time_scale(path, self.vehicle, speed=self.speed, margin=self.margin)
-            found.append((ScaledPath(path, scale.factor), scale))
-        path, scale = min(found, key=lambda one: one[0].duration)
+            candidates.append((ScaledPath(path, scale.factor), scale))
+        path, scale = min(candidates, key=lambda candidate: candidate[0].duration)
         return path, scale.note(self.speed, path.peak_speed, self.vehicle)
 
 

@@ -1,4 +1,4 @@
-"""Hover: one point and one heading, held.  p(t) = position (world, m),  yaw(t) = yaw (rad)."""
+"""Hover at one point with one heading.  p(t) = position (world, m),  yaw(t) = yaw (rad)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from quadexp.reference.base import N_DERIVATIVES, FlatOutput, check_finite, chec
 
 @dataclass(frozen=True, kw_only=True)
 class Hover:
-    """A held point.
+    """A constant position and heading.
 
     position: (3,), world, m. duration: s. yaw: rad.
     Raises UsageError where position is not a point or duration not positive.

@@ -1,8 +1,8 @@
-"""The circle of Lei & Li 2017, Example 2: one half of every lap at one speed, the other at twice that, jumping between.
+"""The circle of Lei & Li 2017, Example 2: half of every lap at one speed, half at twice that speed.
 
-In the paper's NED, (-r cos a, r sin a), height 5 m, r = 28 m, with a = pi t / 20 on 0 .. 20 s, then a twice as quick on
-20 .. 30 s, then again with a period of 30 s: 4.398 and 8.796 m/s. Here in ENU, x east and y north. Heading north. The
-acceleration is the path's own.
+In the paper's NED, (-r cos a, r sin a), height 5 m, r = 28 m, with a = pi t / 20 on 0 .. 20 s, then twice that rate on
+20 .. 30 s, with a period of 30 s: 4.398 and 8.796 m/s; the speed jumps. Here in ENU, x east and y north. Heading north.
+The acceleration is that of the path.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class LeiLiCircle:
 
     @property
     def start_state(self) -> np.ndarray | None:
-        """State (13,) that the flight begins in, None for the reference's own."""
+        """Initial state (13,) of the flight; None: that of the reference."""
         return resting(START_POSITION, START_EULER) if self.start == "printed" else None
 
     def flat_output(self, t: np.ndarray) -> FlatOutput:

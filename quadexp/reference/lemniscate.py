@@ -2,8 +2,8 @@
 
     p = (r cos th, r sin th cos th, height),  world (m),  th(t) from the speed profile,  heading free or fixed
 
-With sin th cos th = sin(2 th) / 2 both axes are parts of a phasor. |p'| = r th' sqrt(sin^2 th + cos^2 2 th), at most
-sqrt(2) r th' (in the crossing).
+With sin th cos th = sin(2 th) / 2 both axes are components of a phasor. |p'| = r th' sqrt(sin^2 th + cos^2 2 th), at
+most sqrt(2) r th' (in the crossing).
 """
 
 from __future__ import annotations

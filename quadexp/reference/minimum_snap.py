@@ -1,4 +1,4 @@
-"""Minimum-snap polynomials through points: the path that random keypoints and waypoints of a file are flown on.
+"""Minimum-snap polynomials through points, for random keypoints and for waypoints from a file.
 
 Pieces of degree 7 that minimise the integral of the squared snap, at rest with zero acceleration and jerk at both ends;
 the minimiser is continuous up to the sixth derivative. Source: Mellinger & Kumar 2011; `minsnap-trajectories`.
@@ -11,13 +11,13 @@ from minsnap_trajectories import Waypoint, generate_trajectory
 from scipy.interpolate import PPoly
 
 DEGREE = 7
-_REAL = 1e-6  # imaginary part, as a share of the piece's length, below which a root counts as real
+_REAL = 1e-6  # largest imaginary part of a real root, relative to the length of the piece
 
 
 def minimum_snap(times: np.ndarray, points: np.ndarray) -> PPoly:
     """The path through the points (k, d) at the increasing times (k,), k of 2 or more.
 
-    Raises ValueError where there are no such polynomials, such as for points that lie too close for their times.
+    Raises ValueError where there are no such polynomials, for instance for points too close for their times.
     """
     rest, ends = np.zeros(points.shape[1]), (0, len(times) - 1)
     unit = (times[-1] - times[0]) / (len(times) - 1)  # a mean piece of length 1 keeps the linear system well scaled
@@ -38,9 +38,9 @@ def minimum_snap(times: np.ndarray, points: np.ndarray) -> PPoly:
 
 
 def largest_speed(path: PPoly) -> float:
-    """The largest norm of the derivative of a path in its first three components, exact up to rounding.
+    """The largest speed of a path in its first three components, exact up to rounding.
 
-    Of each piece: the largest at its ends and where d/dt |p'|^2 = 0.
+    The maximum over the ends of each piece and the roots of d/dt |p'|^2 = 0.
     """
     velocity = path.derivative()
     largest = 0.0

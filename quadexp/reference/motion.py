@@ -1,4 +1,4 @@
-"""The motion that meets a demand under a given air: attitude, body rate and rotor thrusts.
+"""The motion that follows a demand for given residual outputs: attitude, body rate and rotor thrusts.
 
 The flatness map (flat_map.py) gives the tilt frame and its rates; with G the vehicle's allocation, rotor thrusts are
 
@@ -30,8 +30,8 @@ class Calculus(Protocol):
 
 
 @dataclass(frozen=True)
-class Held:
-    """The calculus of what does not change, at a known twist chi, (k,) rad."""
+class Constant:
+    """Zero derivatives, and chi, (k,) rad, as the integral: for constant values, or where the twist is known."""
 
     chi: np.ndarray
 
@@ -44,7 +44,7 @@ class Held:
 
 @dataclass(frozen=True)
 class Air:
-    """What the air does to a motion.
+    """Residual outputs along a motion.
 
     outputs: l (tilt frame), a_air,z (m/s^2), tau_air (body, N m), (6, k). lateral_1, lateral_2: l', l'', (2, k).
     """
@@ -55,18 +55,18 @@ class Air:
 
     @classmethod
     def still(cls, k: int) -> Air:
-        """No air at k times."""
+        """Zero outputs at k times."""
         return cls.of_outputs(np.zeros((N_OUTPUTS, k)))
 
     @classmethod
     def of_outputs(cls, outputs: np.ndarray) -> Air:
-        """Air with the outputs (6, k) whose lateral part is taken as constant in time."""
+        """The outputs (6, k), with the time derivatives of the lateral part set to zero."""
         return cls(outputs, *np.zeros((2, 2, outputs.shape[1])))
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A demand met. chi: twist, (k,), rad. rate: w, (3, k), body (rad/s). thrusts: (n, k), N."""
+    """frame: tilt frames. chi: twist, (k,), rad. rate: w, (3, k), body (rad/s). thrusts: (n, k), N."""
 
     frame: Tilt
     chi: np.ndarray
@@ -75,9 +75,9 @@ class Motion:
 
 
 def flat_motion(demand: Demand, vehicle: Vehicle, air: Air, calculus: Calculus) -> Motion:
-    """The flatness map under given air; `calculus` integrates the twist of a free heading.
+    """The flatness map for given residual outputs; `calculus` integrates the twist of a free heading.
 
-    Raises UsageError where the demand leaves no attitude (Demand.tilt).
+    Raises UsageError where the attitude is not determined (Demand.tilt).
     """
     frame = demand.tilt(air.outputs[:2])
     o, o_dot = frame.rates(demand.path[3], demand.path[4], air.lateral_1, air.lateral_2)
@@ -111,10 +111,10 @@ def allocation_inverse(vehicle: Vehicle) -> np.ndarray:
 
 
 def within_limits(thrusts: np.ndarray, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
-    """Rotor thrusts, (n, k) (N), with the torque reduced until they are within the limits, the collective kept.
+    """Rotor thrusts, (n, k) (N), with the torque reduced until they are within the limits, at the same collective.
 
-    A residual model knows nothing of thrusts beyond them, which a reference that cannot be flown may ask for.
-    Returns the thrusts, and at which times they are those asked for, (k,) bool.
+    For references that exceed the limits, where a residual model has no data.
+    Returns the thrusts, and at which times they are unchanged, (k,) bool.
     """
     collective = allocation_inverse(vehicle)[:, :1] * thrusts.sum(axis=0)
     torque = thrusts - collective

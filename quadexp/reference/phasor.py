@@ -1,4 +1,4 @@
-"""A point on the unit circle and its time derivatives, for paths made of sines and cosines of one angle.
+"""A point on the unit circle and its time derivatives, for paths in sines and cosines of one angle.
 
     z(t) = exp(i th(t)),    z^(n) = z B_n(i th', i th'', i th''', i th'''')
 

@@ -1,6 +1,6 @@
-"""Torrente's speed profile: the path angle th(t) that runs a closed path up to speed, past it, and back to rest.
+"""Torrente's speed profile: the path angle th(t) along a closed path, accelerating from rest and back to rest.
 
-With alpha = a / r (rad/s^2) and v the nominal speed, th'' is, one section after the other,
+With alpha = a / r (rad/s^2) and v the nominal speed, th'' is in successive sections
 
     2 s          alpha sin^2(pi tau / 4)
     v/a - 2 s    alpha
@@ -33,7 +33,7 @@ class SpeedProfile:
     """The path angle of a closed path.
 
     speed: nominal speed v, m/s. acceleration: a, m/s^2. radius: r, m.
-    Raises UsageError for v/a below 2 s: the ramps alone would pass the nominal speed.
+    Raises UsageError for v/a below 2 s, where the ramps alone would exceed the nominal speed.
     """
 
     speed: float
@@ -45,7 +45,7 @@ class SpeedProfile:
         if self.speed / self.acceleration < RAMP * (1 - 1e-12):
             raise UsageError(
                 f"trajectory.speed: {self.speed:g} m/s at trajectory.acceleration {self.acceleration:g} m/s^2 leaves no"
-                f" room for the ramps (speed / acceleration must be 2 s or more): raise speed to"
+                f" time for the ramps (speed / acceleration must be 2 s or more): raise speed to"
                 f" {RAMP * self.acceleration:g} or lower acceleration to {self.speed / RAMP:g}"
             )
 
@@ -99,7 +99,7 @@ class SpeedProfile:
 
 @dataclass(frozen=True, kw_only=True)
 class ProfiledPath:
-    """A closed path at one height, begun at (radius, 0, height), along which the angle follows the profile.
+    """A closed path at constant height from (radius, 0, height), with the path angle of the profile.
 
     speed: nominal speed v of the profile, m/s. acceleration: a, m/s^2. radius, height: m.
     yaw: heading held, rad; None: free, body yaw rate zero (Torrente et al. 2021).

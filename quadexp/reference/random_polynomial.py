@@ -1,20 +1,20 @@
-"""Smooth random closed path, flown as minimum-snap polynomials from rest to rest.
+"""Smooth random closed path as minimum-snap polynomials from rest to rest.
 
 Each axis is a draw from a Gaussian process with periodic kernel over the path phase s (one loop is s = 0 .. 1),
 
     k(s, s') = exp(-2 sin^2(pi c (s - s')) / l^2),      c cycles per loop, l length scale
 
-drawn exactly through the kernel's Fourier series, with I_n the modified Bessel function,
+drawn exactly by the kernel's Fourier series, with I_n the modified Bessel function,
 
     k = e^(-1/l^2) [ I_0(1/l^2) + 2 sum_n I_n(1/l^2) cos(2 pi n c (s - s')) ]
 
-(its covariance matrix is singular to working precision, so that a Cholesky factor would give other numbers on other
-machines). The path is scaled so that the mean of its three axis ranges is `extent`; keypoints are taken at equal phase,
-the last one equal to the first, every segment lasting equally long. Through them run minimum-snap polynomials from rest
-to rest (minimum_snap.py). The whole is moved up so that its lowest point clears the ground.
+(the covariance matrix is singular to working precision, so that a Cholesky factor would depend on the machine). The
+path is scaled so that the mean of its three axis ranges is `extent`. Keypoints are taken at equal phase, the last one
+equal to the first, with segments of equal duration, and joined by minimum-snap polynomials (minimum_snap.py). The path
+is shifted up so that its lowest point is at `clearance`.
 
-The seed alone decides the path; how fast it is flown follows from the asked peak speed and, where a vehicle is given,
-from its limits (time_scale.py). World frame, m.
+The path depends on the seed only; its duration follows from the requested peak speed and, if a vehicle is given, from
+the vehicle's limits (time_scale.py). World frame, m.
 Source: Torrente et al. 2021, public code (kernels, extent). There, `speed` is the mean keypoint distance over
 the segment time, and the peak about 2.4 times that.
 """
@@ -40,18 +40,18 @@ KERNELS = (  # per axis: (length scale, cycles per loop), summed
     ((5.5, 1),),
 )
 N_HARMONICS = 8  # I_8(1/l^2) is below 1e-17 of I_1 for every kernel above
-N_PATH = 100  # points that measure the path's extent
+N_PATH = 100  # points for measuring the path's extent
 
 
 @dataclass(frozen=True, kw_only=True)
 class RandomPolynomial:
-    """A random closed path; the same seed gives the same path whatever the speed and the vehicle.
+    """A random closed path; the same seed gives the same path for any speed and vehicle.
 
-    speed: largest speed, m/s; less where the vehicle's limits come first. vehicle: whose limits are kept; None: none.
-    margin: share of the room between hover and the limits that is left, [0, 1).
-    keypoints: number of keypoints, the closing one included. extent: mean range of the three axes, m.
-    clearance: height of the lowest point, m. yaw: heading held, rad; None: free, body yaw rate zero.
-    Raises UsageError where a number is out of range, or where the vehicle can fly the path at no speed.
+    speed: largest speed, m/s; lower where the vehicle's limits require it. vehicle: its limits apply; None: no limits.
+    margin: unused share of the range between hover and the limits, [0, 1).
+    keypoints: number of keypoints, including the closing one. extent: mean range of the three axes, m.
+    clearance: height of the lowest point, m. yaw: constant heading, rad; None: free, body yaw rate zero.
+    Raises UsageError where a number is out of range, or where the vehicle cannot fly the path at any speed.
     """
 
     speed: float
@@ -81,7 +81,7 @@ class RandomPolynomial:
 
     @property
     def note(self) -> str:
-        """What keeps the path below the asked speed, in one line; "" where nothing does."""
+        """The limit that keeps the path below the requested speed, in one line; "" if none."""
         return self._scale.note(self.speed, self.peak_speed, self.vehicle)
 
     @cached_property
@@ -102,18 +102,18 @@ class RandomPolynomial:
 
     @cached_property
     def _keypoints(self) -> np.ndarray:
-        """The keypoints about the middle of the path, (keypoints, 3) (m)."""
+        """The keypoints relative to the centre of the path, (keypoints, 3) (m)."""
         rng = np.random.default_rng(self.seed)
         phases = np.concatenate([np.linspace(0, 1, N_PATH + 1), np.linspace(0, 1, self.keypoints)])
         points = np.stack([sum(_periodic_draw(phases, *kernel, rng) for kernel in axis) for axis in KERNELS], axis=1)
         path, keypoints = points[: N_PATH + 1], points[N_PATH + 1 :]
         low, high = path.min(axis=0), path.max(axis=0)
-        keypoints[-1] = keypoints[0]  # closed to the last bit
+        keypoints[-1] = keypoints[0]  # exactly closed
         return (keypoints - (low + high) / 2) * (self.extent / (high - low).mean())
 
     @cached_property
     def _path(self) -> PPoly:
-        """The polynomials through the keypoints about the middle of the path, m, a segment a unit of time."""
+        """The polynomials through the keypoints relative to the centre, m, one unit of time per segment."""
         try:
             return minimum_snap(np.arange(self.keypoints), self._keypoints)
         except ValueError as error:
@@ -130,7 +130,7 @@ class RandomPolynomial:
 
     @cached_property
     def _lift(self) -> float:
-        """Height of the middle of the path that gives its lowest point the clearance, m."""
+        """Height of the centre of the path with its lowest point at the clearance, m."""
         instants = np.linspace(0, self.keypoints - 1, 200 * self.keypoints)
         return self.clearance - self._path(instants)[:, 2].min()
 

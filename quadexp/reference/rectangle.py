@@ -1,4 +1,4 @@
-"""The rectangle of Lei & Li 2017, Example 1: four legs at constant speed, the velocity jumping at the corners.
+"""The rectangle of Lei & Li 2017, Example 1: four legs at constant speed; the velocity jumps at the corners.
 
 In the paper's NED, with the leg L = v0 T / 4:  (v0 t, 0), (L, v0 t - L), (3 L - v0 t, L), (0, 4 L - v0 t), height 5 m;
 here in ENU, x east and y north. Heading north, acceleration zero everywhere, corners included, as printed.
@@ -46,7 +46,7 @@ class Rectangle:
 
     @property
     def start_state(self) -> np.ndarray | None:
-        """State (13,) that the flight begins in, None for the reference's own."""
+        """Initial state (13,) of the flight; None: that of the reference."""
         return resting(START_POSITION, START_EULER) if self.start == "printed" else None
 
     def flat_output(self, t: np.ndarray) -> FlatOutput:
@@ -64,7 +64,7 @@ class Rectangle:
 
 
 def check_start(start: str) -> None:
-    """UsageError unless `start` is a known word."""
+    """Raise UsageError unless `start` is one of STARTS."""
     if start not in STARTS:
         raise UsageError(f"trajectory.start={start}: must be one of {', '.join(STARTS)}")
 

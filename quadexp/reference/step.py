@@ -1,6 +1,6 @@
 """Set-point step.  p(t) = start before step_time, target from then on (world, m);  all derivatives zero, yaw 0.
 
-The jump cannot be flown: it asks how a controller behaves far from its reference.
+The jump cannot be flown; it tests a controller far from its reference.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""Functions known on a regular grid of times: their derivatives, their integral, their values between the nodes.
+"""Functions sampled on a regular grid of times: derivatives, integrals and interpolation.
 
 Derivatives at the nodes by fourth-order differences on five nodes (one-sided at the ends),
 
     f'  = (f_-2 - 8 f_-1 + 8 f_1 - f_2) / (12 h)                + O(h^4)
     f'' = (-f_-2 + 16 f_-1 - 30 f_0 + 16 f_1 - f_2) / (12 h^2)  + O(h^4)
 
-between the nodes by the quintic through the six nearest. Integrals by the trapezoid with its end correction,
-h (f_0 + f_1) / 2 + h^2 (f'_0 - f'_1) / 12 + O(h^5) a step. Arrays are component first: (d, n) at n nodes.
+between the nodes by the quintic through the six nearest. Integrals by the trapezoidal rule with end correction,
+h (f_0 + f_1) / 2 + h^2 (f'_0 - f'_1) / 12 + O(h^5) per step. Arrays are component first: (d, n) at n nodes.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from math import factorial
 import numpy as np
 
 SPACING = 0.01  # s, largest distance of nodes
-MARGIN = 3  # nodes kept around the times of interest, where the range allows
-MIN_STEPS = 8  # steps of a grid at least
+MARGIN = 3  # nodes added on both sides of the times of interest, within the allowed range
+MIN_STEPS = 8  # least number of steps of a grid
 
 
 def _difference_weights(order: int, width: int) -> np.ndarray:
-    """W (width, width): f^(order) at node i is sum_j W_ij f_j for nodes at distance one."""
+    """W (width, width): f^(order) at node i is sum_j W_ij f_j, for unit node distance."""
     offsets = np.arange(width) - np.arange(width)[:, None]
     powers = offsets[:, None, :] ** np.arange(width)[None, :, None]
     return np.linalg.solve(powers.astype(float), factorial(order) * np.eye(width)[order][None, :, None])[..., 0]
@@ -52,7 +52,7 @@ class TimeGrid:
         return cls(np.linspace(first, last, steps + 1), (last - first) / steps)
 
     def coarse(self) -> TimeGrid:
-        """A grid of a quarter of the nodes over the same times."""
+        """A grid with a quarter of the nodes over the same times."""
         return TimeGrid.over(self.times[0], self.times[-1], 4 * self.spacing)
 
     def differentiate(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -60,7 +60,7 @@ class TimeGrid:
         return _apply(_FIRST, values) / self.spacing, _apply(_SECOND, values) / self.spacing**2
 
     def integrate(self, values: np.ndarray, derivative: np.ndarray) -> np.ndarray:
-        """Integral from the first node to each, (n,), of values (n,) with their time derivative (n,)."""
+        """Integral from the first node to each node, (n,), of values (n,) with time derivative (n,)."""
         steps = (values[:-1] + values[1:]) / 2 + self.spacing / 12 * (derivative[:-1] - derivative[1:])
         return np.concatenate([[0.0], self.spacing * np.cumsum(steps)])
 
@@ -83,7 +83,7 @@ class TimeGrid:
 
 
 def _apply(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Weights (5, 5) on values (d, n): central inside, one-sided on the two nodes at either end."""
+    """Apply weights (5, 5) to values (d, n): central differences inside, one-sided at the two outer nodes."""
     n, half = values.shape[1], _WIDTH // 2
     result = np.empty_like(values)
     result[:, half : n - half] = sum(weights[half, j] * values[:, j : n - _WIDTH + 1 + j] for j in range(_WIDTH))

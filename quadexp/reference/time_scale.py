@@ -1,15 +1,15 @@
 """The shortest time in which a path can be flown within a vehicle's limits.
 
-A path p(s) flown as p(t / c) keeps its shape; its n-th derivative is divided by c^n, and a heading's likewise. The
-factor c is the least for which
+A path p(s) flown as p(t / c) keeps its shape; its n-th derivative, and that of its heading, is divided by c^n. The
+factor c is the least one with
 
     |p'| / c <= speed,        |w| <= (1 - margin) rate_max,
     u_0 - (1 - margin) (u_0 - thrust_min) <= u <= u_0 + (1 - margin) (thrust_max - u_0)       for every rotor,
 
-u_0 its thrust in hover: `margin` is the share of the room between hover and a limit that is left to the controller and
-to the air. Thrusts u and body rates w are those of the reference without air (motion.py), so that the path is the same
-whatever a controller knows. The speed bound is exact; the others hold at instants close to each other, and the
-boundary of the feasible factors is found by a bracketing root search. World ENU, body FLU, SI.
+where u_0 is its thrust in hover: `margin` is the share of the range between hover and a limit that is reserved for the
+controller and the air. Thrusts u and body rates w are those of the reference without residual (motion.py), so that the
+path does not depend on the controller. The speed bound is exact; the others are checked on a fine time grid, and the
+boundary of the feasible factors is found by bracketing. World ENU, body FLU, SI.
 """
 
 from __future__ import annotations
@@ -30,30 +30,30 @@ from quadexp.reference.motion import Air, allocation_inverse, flat_motion
 from quadexp.reference.time_grid import TimeGrid
 
 MARGIN = 0.25
-SPEED = "speed"  # what decides where the asked speed comes first
-STEPS, FEWEST, MOST = 64, 16, 30_000  # instants of a mean piece, of the shortest at least, of all at most
-DOUBLINGS = 60  # of the factor, before the limits are called out of reach
-NEAR_LIMIT = 0.1  # share of the hover thrust: with less room to a limit, hovering is what holds a path up
+SPEED = "speed"  # the limit where the requested speed is reached first
+STEPS, FEWEST, MOST = 64, 16, 30_000  # grid points: per mean piece, least per piece, most in total
+DOUBLINGS = 60  # of the factor, before the limits are considered unreachable
+NEAR_LIMIT = 0.1  # share of the hover thrust; with less range to a limit, hover itself restricts the path
 TOLERANCE = 1e-9  # of the logarithm of the factor
-BEYOND = 10.0  # excess where there is no attitude, and the largest that the search sees
+BEYOND = 10.0  # excess where the attitude is undefined; larger excesses are clipped to it
 
 
 @dataclass(frozen=True)
 class TimeScale:
-    """factor: real time over the path's own. limited_by: what decides it, "speed" or such as "rotor 2 thrust"."""
+    """factor: real time over path time. limited_by: the limit that determines it, such as "speed", "rotor 2 thrust"."""
 
     factor: float
     limited_by: str
 
-    def note(self, asked: float | None, peak: float, vehicle: Vehicle | None) -> str:
-        """In one line what keeps the peak speed (m/s) below the asked one (m/s), "" where nothing does."""
+    def note(self, requested: float | None, peak: float, vehicle: Vehicle | None) -> str:
+        """The limit that keeps the peak speed (m/s) below the requested one (m/s), in one line; "" if none."""
         if vehicle is None or self.limited_by == SPEED:
             return ""
         parts, hover = [], vehicle.hover_thrust
-        if asked is not None:
+        if requested is not None:
             parts.append(
-                f"peak speed {peak:.3g} m/s of the {asked:g} m/s asked: more would take {self.limited_by} nearer to its"
-                " limit than trajectory.margin allows"
+                f"peak speed {peak:.3g} m/s instead of the requested {requested:g} m/s: a higher one would bring"
+                f" {self.limited_by} closer to its limit than trajectory.margin allows"
             )
         if vehicle.thrust_max - hover < NEAR_LIMIT * hover:
             parts.append(f"hovering alone takes {hover / vehicle.thrust_max:.0%} of vehicle.thrust_max")
@@ -63,19 +63,19 @@ class TimeScale:
 
 
 def time_scale(path: PPoly, vehicle: Vehicle | None, *, speed: float | None, margin: float) -> TimeScale:
-    """The least factor from the path's own time to real time within the limits.
+    """The least factor from path time to real time within the limits.
 
-    path: components x, y, z (m) and, if there is a fourth, the yaw (rad); without one the heading is free.
-    vehicle: None leaves the speed as the only limit. speed: largest speed, m/s; None: whatever the vehicle can do.
-    Raises UsageError where the path does not move, or where no factor keeps the limits.
+    path: components x, y, z (m) and optionally the yaw (rad); without it the heading is free. vehicle: None: only the
+    speed is limited. speed: largest speed, m/s; None: limited by the vehicle only. margin: see the module.
+    Raises UsageError where the path does not move, or where no factor satisfies the limits.
     """
     peak = largest_speed(path)
     if speed is None and vehicle is None:
-        raise UsageError("trajectory.speed: must be given where no vehicle limits the path")
+        raise UsageError("trajectory.speed: is required where no vehicle limits the path")
     if not (np.isfinite(peak) and peak > 0):
         raise UsageError("the path does not move: its points (trajectory.extent, trajectory.path) are all the same")
     demands = None if vehicle is None else _Demands(path, vehicle, margin)
-    fast = 1e-3 * peak if speed is None else peak / speed  # 1 km/s is beyond every vehicle
+    fast = 1e-3 * peak if speed is None else peak / speed  # 1 km/s: faster than any vehicle
     if demands is None or demands.worst(fast)[0] <= 0:
         return TimeScale(fast, SPEED)
     slow = fast
@@ -84,7 +84,7 @@ def time_scale(path: PPoly, vehicle: Vehicle | None, *, speed: float | None, mar
         if demands.worst(slow)[0] <= 0:
             break
     else:
-        raise UsageError("no time however long keeps this path within the limits of the vehicle")
+        raise UsageError("this path exceeds the limits of the vehicle at any speed")
     logarithm = brentq(lambda c: demands.worst(np.exp(c))[0], np.log(fast), np.log(slow), xtol=TOLERANCE)
     factor = float(np.exp(logarithm + 2 * TOLERANCE))
     return TimeScale(factor, demands.worst(factor)[1])
@@ -92,14 +92,14 @@ def time_scale(path: PPoly, vehicle: Vehicle | None, *, speed: float | None, mar
 
 @dataclass(frozen=True)
 class _Demands:
-    """What a path asks of a vehicle at instants of its own time."""
+    """Thrusts and rates that a path requires of a vehicle, at instants of path time."""
 
     path: PPoly
     vehicle: Vehicle
     margin: float
 
     def worst(self, factor: float) -> tuple[float, str]:
-        """By how much the worst limit is exceeded, as a share of its range (below 0: kept), and which one it is."""
+        """The largest excess over a limit, relative to its range (below 0: within limits), and its name."""
         grid, derivatives = self._sampled
         values = derivatives / factor ** np.arange(N_DERIVATIVES)[:, None, None]
         demand = Demand(
@@ -113,7 +113,7 @@ class _Demands:
             motion = flat_motion(demand, self.vehicle, Air.still(len(demand.t)), calculus)
         except UsageError:
             return BEYOND, "free fall"
-        hover, below, above = self._room
+        hover, below, above = self._ranges
         over = motion.thrusts - hover[:, None]
         used = np.max(over / np.where(over > 0, above[:, None], below[:, None]) * np.sign(over), axis=1)
         shares = {f"rotor {i} thrust": share for i, share in enumerate(used)}
@@ -131,7 +131,7 @@ class _Demands:
         return grid, np.stack([value.T for value in values])
 
     @cached_property
-    def _room(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _ranges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Thrust of every rotor in hover, and its distance to the lower and to the upper limit, (n,) each (N)."""
         vehicle = self.vehicle
         hover = allocation_inverse(vehicle)[:, 0] * vehicle.mass * vehicle.gravity
@@ -139,18 +139,18 @@ class _Demands:
         if min(below.min(), above.min()) <= 0:
             at = int(np.argmin(np.minimum(below, above)))
             raise UsageError(
-                f"vehicle={vehicle.name}: in hover rotor {at} gives {hover[at]:.4g} N, outside"
-                f" ({vehicle.thrust_min:g}, {vehicle.thrust_max:g}) N: no path keeps its limits"
+                f"vehicle={vehicle.name}: in hover rotor {at} needs {hover[at]:.4g} N, outside"
+                f" ({vehicle.thrust_min:g}, {vehicle.thrust_max:g}) N: no path is within its limits"
             )
         return hover, below, above
 
 
 @dataclass(frozen=True)
 class ScaledPath:
-    """A path flown `factor` times as long as its own time says.
+    """A path flown in `factor` times its path time.
 
-    path: components x, y, z (m) and, if there is a fourth, the yaw (rad). yaw: heading held where there is none, rad;
-    None: free.
+    path: components x, y, z (m) and optionally the yaw (rad). yaw: constant heading for a path without yaw, rad; None:
+    free.
     """
 
     path: PPoly

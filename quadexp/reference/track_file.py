@@ -1,11 +1,11 @@
-"""Positions in files: sampled tracks and waypoints, told apart by what the file's first line names.
+"""Positions in files: sampled tracks and waypoints, distinguished by the file's first line.
 
     CSV track      a header with the columns t, p_x, p_y, p_z and, if there, yaw (s, m, rad; world ENU); 8 rows or more
     CSV waypoints  a header with the columns x, y, z and, if there, t and yaw (m, s, rad; world ENU); 2 rows or more
     TUM track      t x y z qx qy qz qw, separated by blanks, no header (s, m; quaternion body to world)
 
-Other columns are ignored, and so are lines that begin with #. The yaw of a TUM file is that of the reference's
-convention, y_body level with (-sin yaw, cos yaw, 0).
+Other columns, and lines that begin with #, are ignored. The yaw of a TUM file follows the convention of the reference:
+y_body level with (-sin yaw, cos yaw, 0).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
 
-MIN_ROWS = 8  # of a track: as many as the spline through it needs
+MIN_ROWS = 8  # of a track, needed by the degree-7 spline
 MIN_POINTS, MAX_POINTS = 2, 200
 CSV_COLUMNS = ("t", "p_x", "p_y", "p_z")
 WAYPOINT_COLUMNS = ("x", "y", "z")
@@ -29,9 +29,9 @@ TUM_COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 @dataclass(frozen=True)
 class Positions:
-    """What a file holds. sampled: a track, or else waypoints.
+    """Content of a file. sampled: True for a track, False for waypoints.
 
-    times: (k,), s, None for waypoints without. points: (k, 3), world (m). yaw: (k,), unwrapped (rad), None: not given.
+    times: (k,), s; None for waypoints without times. points: (k, 3), world (m). yaw: (k,), unwrapped (rad), or None.
     """
 
     sampled: bool
@@ -43,8 +43,8 @@ class Positions:
 def read_positions(path: Path) -> Positions:
     """The rows of a CSV or TUM file.
 
-    Raises DataError with the line number for a missing column, a value that is no finite number, time that does not
-    increase, waypoints without times that do not move, or too few or too many rows.
+    Raises DataError with the line number for a missing column, a value that is not a finite number, time that does not
+    increase, repeated waypoints without times, or too few or too many rows.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -59,14 +59,14 @@ def read_positions(path: Path) -> Positions:
     rows = [(i, next(csv.reader([line]))) for i, line in lines[1:]]
     if any(name in header for name in WAYPOINT_COLUMNS) and not any(name in header for name in CSV_COLUMNS[1:]):
         return _waypoints(path, lines[0][0], header, rows)
-    _refuse_lacking(path, lines[0][0], header, CSV_COLUMNS, "optional yaw; waypoints: x, y, z, optional t and yaw")
+    _require_columns(path, lines[0][0], header, CSV_COLUMNS, "optional yaw; waypoints: x, y, z, optional t and yaw")
     columns = (*CSV_COLUMNS, "yaw") if "yaw" in header else CSV_COLUMNS
     values = _values(path, rows, header, columns)
     if len(values) < MIN_ROWS:
         raise DataError(
             f"{path}: {len(values)} rows, a track needs at least {MIN_ROWS}; for waypoints name the columns x, y, z"
         )
-    _refuse_standing_time(path, rows, values[:, 0])
+    _require_increasing_time(path, rows, values[:, 0])
     return Positions(True, values[:, 0], values[:, 1:4], np.unwrap(values[:, 4]) if "yaw" in columns else None)
 
 
@@ -74,7 +74,7 @@ def _tum(path: Path, rows: list[tuple[int, list[str]]]) -> Positions:
     values = _values(path, rows, list(TUM_COLUMNS), TUM_COLUMNS)
     if len(values) < MIN_ROWS:
         raise DataError(f"{path}: {len(values)} rows, a track needs at least {MIN_ROWS}")
-    _refuse_standing_time(path, rows, values[:, 0])
+    _require_increasing_time(path, rows, values[:, 0])
     lengths = np.linalg.norm(values[:, 4:], axis=1)
     if np.any(np.abs(lengths - 1) > 0.01):
         i = int(np.argmax(np.abs(lengths - 1)))
@@ -84,7 +84,7 @@ def _tum(path: Path, rows: list[tuple[int, list[str]]]) -> Positions:
 
 
 def _waypoints(path: Path, line: int, header: list[str], rows: list[tuple[int, list[str]]]) -> Positions:
-    _refuse_lacking(path, line, header, WAYPOINT_COLUMNS, "optional t and yaw, for waypoints")
+    _require_columns(path, line, header, WAYPOINT_COLUMNS, "optional t and yaw, for waypoints")
     columns = (*WAYPOINT_COLUMNS, *(name for name in ("t", "yaw") if name in header))
     values = dict(zip(columns, _values(path, rows, header, columns).T, strict=True))
     points = np.column_stack([values[name] for name in WAYPOINT_COLUMNS])
@@ -94,28 +94,30 @@ def _waypoints(path: Path, line: int, header: list[str], rows: list[tuple[int, l
             f" columns {', '.join(CSV_COLUMNS)}"
         )
     if "t" in values:
-        _refuse_standing_time(path, rows, values["t"])
+        _require_increasing_time(path, rows, values["t"])
     else:
         for (i, _), before, now in zip(rows[1:], points, points[1:], strict=False):
             if np.array_equal(before, now):
-                raise DataError(f"{path}, line {i}: the same point as in the row before; give t to stay at a point")
+                raise DataError(
+                    f"{path}, line {i}: the same point as in the previous row; add a column t to stay there"
+                )
     yaw = np.unwrap(values["yaw"]) if "yaw" in values else None
     return Positions(False, values.get("t"), points, yaw)
 
 
-def _refuse_lacking(path: Path, line: int, header: list[str], needed: tuple[str, ...], beside: str) -> None:
+def _require_columns(path: Path, line: int, header: list[str], needed: tuple[str, ...], optional: str) -> None:
     missing = [name for name in needed if name not in header]
     if missing:
         raise DataError(
             f"{path}, line {line}: no column {', '.join(missing)} in the header"
-            f" (found {', '.join(header)}; needed {', '.join(needed)}, {beside})"
+            f" (found {', '.join(header)}; needed {', '.join(needed)}, {optional})"
         )
 
 
-def _refuse_standing_time(path: Path, rows: list[tuple[int, list[str]]], t: np.ndarray) -> None:
+def _require_increasing_time(path: Path, rows: list[tuple[int, list[str]]], t: np.ndarray) -> None:
     for (i, _), (before, now) in zip(rows[1:], pairwise(t), strict=True):
         if now <= before:
-            raise DataError(f"{path}, line {i}: t = {now:g} s does not come after {before:g} s, time must increase")
+            raise DataError(f"{path}, line {i}: t = {now:g} s is not after {before:g} s, time must increase")
 
 
 def _values(path: Path, rows: list[tuple[int, list[str]]], header: list[str], columns: tuple[str, ...]) -> np.ndarray:

@@ -13,13 +13,11 @@ import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 
-from quadexp.learn.recursion import Recursion
+from quadexp.learn.recursion import Recursion, VehicleIdentification, elapsed
 from quadexp.learn.regression import half_width
 from quadexp.learn.samples import SIGNALS, Samples
 from quadexp.learn.terms import AXES, UNITS, TermModel
-from quadexp.learn.thrust_curve import ThrustCurve
-from quadexp.learn.thrust_design import scaled_signal
-from quadexp.learn.vehicle_identification import VehicleIdentification, elapsed
+from quadexp.learn.thrust_curve import ThrustCurve, scaled_signal
 from quadexp.report.style import COLOURS, KNOWN, STYLE
 
 BLUE, ORANGE, GREY = COLOURS[2], KNOWN["linear drag"][0], "#777777"

@@ -33,7 +33,6 @@ def identification_lines(model: VehicleModel, report: Mapping[str, Any]) -> list
     lines += _curve_lines(report["curves"], model)
     lines += selection_lines(report["selection"], report.get("best_row", report["best"]))
     lines += [f"note        {note}" for note in report["notes"]]
-    lines.append(f"recursive   ends {report['recursion']:.1g} standard errors from the batch estimates")
     return lines
 
 
@@ -61,7 +60,7 @@ def interval_of(flights: int) -> str:
 def _coefficient_lines(kind: str, model: TermModel) -> list[str]:
     lines = []
     for axis in "xyz":
-        terms = [row for row in model.rows() if row["axis"] == axis]
+        terms = [row for row in model.records() if row["axis"] == axis]
         text = ", ".join(f"{r['term']} {r['value']:.4g} +- {r['high'] - r['value']:.2g} {r['unit']}" for r in terms)
         head = kind.replace("_", " ") if axis == "x" else ""
         lines.append(f"{head:<14}{axis}: {text}")

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from quadexp.learn.support import WORTH_SAYING
+from quadexp.learn.support import REPORTED_SHARE
 from quadexp.report.flown_by import mixed_programs
 from quadexp.report.pairing import condition_of, contestant_labels, contestant_of
 
@@ -41,7 +41,7 @@ def _outside_data(rows: Sequence[Row]) -> str:
         for row in rows
     )
     parts = [f"unknown of {unknown} flights whether inside the data of its model (older checkpoint)"] if unknown else []
-    if shares and max(share for share, _ in shares) > WORTH_SAYING:
+    if shares and max(share for share, _ in shares) > REPORTED_SHARE:
         mean = sum(share for share, _ in shares) / len(shares)
         largest, row = max(shares, key=lambda one: one[0])
         most = f" (most: {100 * largest:.3g} %, {_place(row)})" if len(shares) > 1 else ""

@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from quadexp.learn.support import WORTH_SAYING
+from quadexp.learn.support import REPORTED_SHARE
 
 UNITS = {"thrust": "N", "speed": "m/s", "v": "m/s", "w": "rad/s", "u": "N"}
 
 
 def outside_line(record: Mapping[str, Any] | None, *, always: bool = False) -> list[str]:
-    """One line on a flight: where more than WORTH_SAYING of its samples were outside, or it is unknown; or always."""
+    """One line on a flight: where more than REPORTED_SHARE of its samples were outside, or it is unknown; or always."""
     if record is None:
         return []
     share = record["share"]
     if share is None:
         return [f"data        unknown whether the flight lay inside the data of {record['model']}: {record['note']}"]
-    if share <= WORTH_SAYING and not always:
+    if share <= REPORTED_SHARE and not always:
         return []
     text = f"data        {100 * share:.1f} % of samples outside the data that {record['model']} was fitted to"
     worst = sorted(record["shares"], key=lambda name: -record["shares"][name])[:3]

@@ -235,7 +235,7 @@ def _checkpoint(path: Path) -> dict[str, Any]:
         )
     if isinstance(model, VehicleModel):
         summary |= {"thrust": str(model.thrust), "best": model.best}
-        summary["models"] = {kind: one.rows() for kind, one in model.models.items()}
+        summary["models"] = {kind: one.records() for kind, one in model.models.items()}
         lines += _vehicle_lines(model, load_report(path))
     else:
         lines.append(f"drag        {model.linear_drag}")

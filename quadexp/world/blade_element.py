@@ -69,11 +69,10 @@ class PlantChange:
 class BladeElementPlant:
     """The blade-element simulation as a Plant; `reset` begins a flight.
 
-    vehicle: with rotor and static_thrust. coefficients: true ones. step: largest integration step (s); a control period
-    is divided evenly. method: "euler" or "rk4". schedule: changes in flight, taking effect from the first period that
-    begins at or after their time.
-    After `advance`: rotor_speed (n,) (rad/s) and induced_velocity (n,) (m/s) at the last instant.
-    Raises UsageError where the vehicle has no rotor geometry, or an option is out of range.
+    vehicle: with rotor and thrust_coefficient. coefficients: true ones. step: largest integration step (s); a control
+    period is divided evenly. method: "euler" or "rk4". schedule: changes in flight, taking effect from the first period
+    that begins at or after their time. After `advance`: rotor_speed (n,) (rad/s) and induced_velocity (n,) (m/s) at the
+    last instant. Raises UsageError where the vehicle has no rotor geometry, or an option is out of range.
     """
 
     def __init__(

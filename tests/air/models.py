@@ -26,7 +26,7 @@ BLADE = BladeCoefficients(lift_slope=3.32, profile_drag=0.22, body_drag=(0.01, 0
 def with_rotors(vehicle: Vehicle) -> Vehicle:
     """The vehicle, equipped with the rotors of Lei & Li 2017."""
     rotor = RotorGeometry(0.12, 0.025, np.pi / 12, 1.205, np.pi * 0.225**2)
-    return replace(vehicle, rotor=rotor, static_thrust=static_coefficients(rotor, BLADE).thrust)
+    return replace(vehicle, rotor=rotor, thrust_coefficient=static_coefficients(rotor, BLADE).thrust)
 
 
 def make_residual(name: str, vehicle: Vehicle) -> Residual:

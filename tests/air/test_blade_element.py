@@ -31,7 +31,7 @@ def test_zero_in_still_air(residual, rng):
 def test_is_the_paper_less_the_static_map(lei_li, residual, rng):
     for _ in range(20):
         v, u = rng.normal(0, 5, 3) * [1, 1, 0.5], rng.uniform(1, 6, 4)
-        point = paper.point(paper.flip(v), np.sqrt(u / lei_li.static_thrust))
+        point = paper.point(paper.flip(v), np.sqrt(u / lei_li.thrust_coefficient))
         y = residual(features(v, u))[0]
         assert y[:3] == pytest.approx(paper.flip(point.F) / paper.M - [0, 0, u.sum() / paper.M], rel=1e-7, abs=1e-7)
         assert y[3:] == pytest.approx(paper.flip(point.Gamma) - lei_li.allocation[1:] @ u, rel=1e-7, abs=1e-8)
@@ -73,7 +73,7 @@ def test_regular_at_rest_and_at_idle(residual, u, v):
 
 def test_below_idle_it_stays(lei_li, residual):
     """Rotors idle at 50 rad/s, 0.0217 N: below, value and derivative are those of the idle, and dy/du = 0."""
-    idle = lei_li.static_thrust * 50**2
+    idle = lei_li.thrust_coefficient * 50**2
     at_idle, below = (
         residual.function(features([3.0, 1, 0], np.full(4, u)), residual.theta) for u in (idle, 0.3 * idle)
     )
@@ -83,10 +83,10 @@ def test_below_idle_it_stays(lei_li, residual):
 
 def test_above_idle_it_follows(lei_li, residual):
     """From 50 rad/s on every rotor's command counts."""
-    z = features([3.0, 1, 0], lei_li.static_thrust * np.array([50.5, 60, 200, 500]) ** 2)
+    z = features([3.0, 1, 0], lei_li.thrust_coefficient * np.array([50.5, 60, 200, 500]) ** 2)
     assert np.all(np.abs(residual.function(z, residual.theta)[1].full()[5, 6:]) > 1e-6)
 
 
 def test_needs_a_rotor(vehicle, blade):
-    with pytest.raises(UsageError, match=r"needs vehicle.rotor and vehicle.static_thrust"):
+    with pytest.raises(UsageError, match=r"needs vehicle.rotor and vehicle.thrust_coefficient"):
         blade_element_residual(vehicle, blade)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from quadexp.air.term_structure import TermStructure
-from quadexp.air.terms import term_residual
+from quadexp.air.terms import TermStructure, term_residual
 
 AXES = (
     ("linear", "hub", "hub_climb", "hub_inflow", "hub_square"),

@@ -56,7 +56,7 @@ def test_a_flight_without_record_needs_its_vehicle(flight, tmp_path):
     bare.metadata.pop("config")
     write_flight(tmp_path / "bare.parquet", bare)
     code, _, error = run("identify", tmp_path / "bare.parquet", "--out", tmp_path / "e")
-    assert code == 1 and "does not say which vehicle flew: pass --vehicle NAME" in error
+    assert code == 1 and "has no record of its vehicle: pass --vehicle NAME" in error
     assert run("identify", tmp_path / "bare.parquet", "--out", tmp_path / "e", "--vehicle", "lei_li")[0] == 0
 
 

@@ -165,7 +165,7 @@ class TestCorners:
 
         plant = BladeElementPlant(lei_li, blade, BladeElementEffects(rotor_speed_min=0.0), backend="interpreted")
         x, u = self.start(velocity=[5.0, 0.0, 0.0]), np.array([0.0, 2.0, 2.0, 2.0])
-        with pytest.raises(ModelDomainError, match="it stands still in moving air"):
+        with pytest.raises(ModelDomainError, match="it is stopped in moving air"):
             plant.advance(x, u, 0.01, None)
 
     def test_the_controller_never_asks_for_that(self):
@@ -176,7 +176,7 @@ class TestCorners:
         x = self.start(position=[0.0, 0.0, 30.0], velocity=[0.0, 0.0, 25.0])  # far too high and rising: push down
         controller.reset(x, window)
         u, record = controller.step(Measurement(0.0, x, None, None), window)
-        assert u.min() >= vehicle.static_thrust * 50.0**2 * (1 - 1e-12) and record.status != 3
+        assert u.min() >= vehicle.thrust_coefficient * 50.0**2 * (1 - 1e-12) and record.status != 3
 
 
 class TestHeading:

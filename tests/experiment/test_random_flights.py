@@ -60,7 +60,7 @@ def test_limits_are_left_alone_where_that_is_allowed():
 
 def test_the_note_says_where_a_limit_comes_before_the_speed():
     flight = fly(1, "nominal_mpc", "trajectory.speed=20")
-    assert "of the 20 m/s asked: more would take rotor" in flight.metadata["reference_note"]
+    assert "instead of the requested 20 m/s: a higher one would bring rotor" in flight.metadata["reference_note"]
     slow = fly(1, "nominal_mpc", "trajectory.speed=3")
     assert slow.metadata["reference_note"] == ""
     speeds = np.linalg.norm(slow.stack(["ref_v_x", "ref_v_y", "ref_v_z"]), axis=1)

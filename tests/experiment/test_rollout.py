@@ -9,7 +9,7 @@ from quadexp.air.none import no_residual
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.rollout import SampledReference
-from quadexp.reference import Circle
+from quadexp.reference.circle import Circle
 from quadexp.reference.flatness import flat_reference
 
 
@@ -61,7 +61,7 @@ def test_a_renewal_that_fails_is_tried_again_after_twice_the_time():
     renewal = _Renewal(10)
     for k in range(160):
         if renewal.due(k):
-            renewal.make(k, Reference(), None)
+            renewal.renew(k, Reference(), None)
     assert made == [10, 30, 70, 80, 90, 100, 110, 120, 130, 140, 150]
     assert renewal.failed == 2
     assert not _Renewal(0).due(0)

@@ -85,7 +85,7 @@ def test_a_flight_under_a_checkpoint_s_name_and_the_reverse(tmp_path, rng):
     flight = write_flight(tmp_path / "a.parquet", Flight(columns, {}))
     (tmp_path / "m").mkdir()
     shutil.copy(flight, tmp_path / "m" / MODEL_FILE)
-    with pytest.raises(QuadexpError, match="damaged, or no model of quadexp"):
+    with pytest.raises(QuadexpError, match="damaged, or not a model of quadexp"):
         load_model(tmp_path / "m")
     (tmp_path / "b.parquet").write_text('{"kind": "linear_drag"}')
     with pytest.raises(QuadexpError, match="not a Parquet file, or damaged"):
@@ -95,7 +95,7 @@ def test_a_flight_under_a_checkpoint_s_name_and_the_reverse(tmp_path, rng):
 def test_a_checkpoint_nested_beyond_reason(tmp_path):
     for name in (MODEL_FILE, "report.json"):
         (tmp_path / name).write_text("[" * 200_000)
-    with pytest.raises(QuadexpError, match="damaged, or no model"):
+    with pytest.raises(QuadexpError, match="damaged, or not a model"):
         load_model(tmp_path)
     with pytest.raises(QuadexpError, match="damaged"):
         load_report(tmp_path)

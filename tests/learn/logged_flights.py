@@ -49,3 +49,12 @@ def logged_flight(
     if np.any(wind):
         columns |= {f"wind_{axis}": np.full(n, float(wind[i])) for i, axis in enumerate("xyz")}
     return Flight(columns, {"name": name or f"flight_{seed}", "vehicle": dict(VEHICLE), "recorded": True})
+
+
+def specific_force(model, flight: Flight, kind: str | None = None) -> np.ndarray:
+    """Specific force predicted by a vehicle model, (k, 3) body FLU (m/s^2); kind: None for the best, or "nominal"."""
+    rotors = model.thrust.rotor_acceleration(flight)
+    force = (
+        np.zeros((len(rotors), 3)) if kind == "nominal" else model.model(kind).acceleration(flight.air_velocity, rotors)
+    )
+    return force + rotors.sum(axis=1)[:, None] * [0, 0, 1]

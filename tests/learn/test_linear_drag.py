@@ -134,7 +134,7 @@ def test_is_the_jackknife_over_flights():
 def test_one_flight_has_no_interval_and_says_so():
     fit = fit_linear_drag(linear_rows(flights=1))
     assert np.isnan(fit.half_width).all() and "[" not in str(fit)
-    assert "no interval: one flight does not tell how flights differ" in str(fit)
+    assert "no interval: one flight does not show how flights differ" in str(fit)
 
 
 def test_what_one_flight_alone_tells_has_no_interval():
@@ -151,7 +151,7 @@ def test_few_or_idle_rows_are_refused():
     assert np.isfinite(fit_linear_drag(linear_rows(rows=5, flights=1)).parameters).all()
     idle = linear_rows()
     still = ResidualDataset(dict(idle.columns) | {"v_z": np.full(600, 1.0)}, {})
-    with pytest.raises(DataError, match="a_z on v_z, thrust: these columns do not vary independently"):
+    with pytest.raises(DataError, match="a_z on v_z, thrust: these columns are not linearly independent"):
         fit_linear_drag(still)
     with pytest.raises(UsageError, match="drag.errors"):
         fit_linear_drag(idle, errors="best")

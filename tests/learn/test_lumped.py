@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import math
+
 import casadi as ca
 import numpy as np
 import pytest
 
-from quadexp.air.term_equations import Inflow, term_expression
+from quadexp.air.terms import Inflow, TermStructure, term_acceleration, term_expression
 from quadexp.errors import DataError, UsageError
 from quadexp.learn.checkpoint import load_model, save_model
-from quadexp.learn.lumped import SELF_CONSISTENT, lumped_coefficients, momentum_of
-from quadexp.learn.lumped_fit import NAMES, fit_inflow
+from quadexp.learn.lumped import SELF_CONSISTENT, Z_TERMS, fit_inflow, momentum_of
 from quadexp.learn.regression import regress
 from quadexp.learn.terms import AXES, term_columns, term_model
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.learn.vehicle_model import VehicleModel
+from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
+from quadexp.physics.rotor_coefficients import motor_coefficients, static_coefficients
 from tests.learn.air_data import air_data
 
 GAIN = 1.04  # of the thrust curve over the true static thrust: `thrust` has to make up for it
@@ -24,8 +27,33 @@ GAIN = 1.04  # of the thrust curve over the true static thrust: `thrust` has to 
 def air(lei_li, blade):
     """Data, rotor accelerations of a curve that is 4 % too strong, and the coefficients that the derivation gives."""
     data = air_data(600)
-    truth = lumped_coefficients(lei_li.rotor, blade, lei_li.mass, GAIN * lei_li.static_thrust)
-    return data, GAIN * lei_li.static_thrust / lei_li.mass * data.rotor_speed**2, truth
+    truth = lumped_coefficients(lei_li.rotor, blade, lei_li.mass, GAIN * lei_li.thrust_coefficient)
+    return data, GAIN * lei_li.thrust_coefficient / lei_li.mass * data.rotor_speed**2, truth
+
+
+def lumped_coefficients(
+    geometry: RotorGeometry, blade: BladeCoefficients, mass: float, thrust_coefficient: float
+) -> dict[tuple[str, str], float]:
+    """What the table of quadexp.learn.lumped gives for a known rotor: (axis, term) -> value.
+
+    thrust_coefficient: m times the thrust curve's c_2 (N s^2), which may differ from k_T,static: `thrust` corrects for
+    it.
+    """
+    s, r, twist, lift = geometry.blade_density, geometry.radius, geometry.twist, blade.lift_slope
+    static = static_coefficients(geometry, blade)
+    nu = static.inflow
+    root = mass * math.sqrt(thrust_coefficient / mass)
+    climb = s * lift * r**2 / 2
+    hub = motor_coefficients(geometry, blade).hub + s * lift * nu * (nu / 2 - r * twist / 6)
+    found = {("z", "inflow"): climb / root, ("z", "thrust"): static.thrust / thrust_coefficient - 1}
+    found["z", "advance"] = s * lift * r * twist / 2 / mass
+    for i, axis in enumerate("xyz"):
+        found[axis, "body"] = geometry.air_density * geometry.reference_area * blade.body_drag[i] / 2 / mass
+    for axis in "xy":
+        found[axis, "hub"] = hub / root
+        found[axis, "hub_inflow"] = s * lift * (nu - r * twist / 6) / mass
+        found[axis, "hub_square"] = s * lift / 2 * root / mass**2
+    return found
 
 
 def inflow_of(lei_li, truth) -> Inflow:
@@ -49,8 +77,8 @@ def test_coefficients_are_found_through_the_induced_velocity(lei_li, air, rng):
     noisy = data.specific_force + 0.05 * rng.normal(size=data.specific_force.shape)
     fit = fit_inflow(data.velocity, rotors, noisy[:, 2] - rotors.sum(axis=1), momentum_of(lei_li, None, None))
     flight = np.zeros(len(rotors), int)
-    found = regress(fit.design, fit.target, NAMES, flight, flight, what="z")
-    wanted = np.array([truth["z", name] for name in NAMES])
+    found = regress(fit.design, fit.target, Z_TERMS, flight, flight, what="z")
+    wanted = np.array([truth["z", name] for name in Z_TERMS])
     assert np.all(np.abs(found.coefficients - wanted) < found.half_width(0.999))
     assert found.coefficients[1] == pytest.approx(wanted[1], rel=0.02)
     assert found.coefficients[:3] == pytest.approx([fit.inflow.scale, fit.inflow.loss, fit.inflow.advance], abs=1e-6)
@@ -63,12 +91,12 @@ def test_coefficients_are_found_through_the_induced_velocity(lei_li, air, rng):
 
 def test_truth_is_inside_at_the_nominal_rate(lei_li, air, rng):
     data, rotors, truth = air
-    wanted = np.array([truth["z", name] for name in NAMES])
-    flight, inside = np.zeros(len(rotors), int), np.zeros(len(NAMES))
+    wanted = np.array([truth["z", name] for name in Z_TERMS])
+    flight, inside = np.zeros(len(rotors), int), np.zeros(len(Z_TERMS))
     for _ in range(25):
         target = data.specific_force[:, 2] + 0.05 * rng.normal(size=len(rotors)) - rotors.sum(axis=1)
         fit = fit_inflow(data.velocity, rotors, target, momentum_of(lei_li, None, None))
-        found = regress(fit.design, fit.target, NAMES, flight, flight, what="z")
+        found = regress(fit.design, fit.target, Z_TERMS, flight, flight, what="z")
         inside += np.abs(found.coefficients - wanted) < found.half_width()
     assert np.all(inside / 25 >= 0.80)  # 0.95 less three and a half standard deviations of 25 draws
 
@@ -78,7 +106,7 @@ def test_hovering_data_show_no_loss(lei_li, rng):
     with pytest.raises(DataError, match="do not show that flow through the rotors costs thrust|cannot be told apart"):
         fit = fit_inflow(velocity, rotors, 0.3 * velocity[:, 2], 2.0)
         flight = np.zeros(200, int)
-        regress(fit.design, fit.target, NAMES, flight, flight, what="z")
+        regress(fit.design, fit.target, Z_TERMS, flight, flight, what="z")
 
 
 def test_induced_velocity_solves_momentum_theory(rng):
@@ -106,7 +134,9 @@ def test_the_expression_and_the_checkpoint_are_the_model(lei_li, air, tmp_path):
         found.append(regress(columns, data.specific_force[:, i], names, flight, flight, what="x"))
     model = term_model("blade_element", SELF_CONSISTENT, found, 4, inflow, "squares")
     v, a = ca.SX.sym("v", 3), ca.SX.sym("a", 4)
-    function = ca.Function("f", [v, a], [model.expression(v, a)])
+    theta = np.concatenate(model.coefficients)
+    outputs = term_acceleration(ca.vertcat(v, 0, 0, 0, a), theta, TermStructure(model.terms, 1.0, inflow))
+    function = ca.Function("f", [v, a], [outputs])
     values = model.acceleration(data.velocity, rotors)
     for k in (0, 77, 599):
         assert np.array(function(data.velocity[k], rotors[k])).ravel() == pytest.approx(values[k], rel=1e-10)

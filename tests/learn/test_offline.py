@@ -51,7 +51,7 @@ def test_is_the_estimator_sample_by_sample(lei_li, flight):
 def test_lines(lei_li, flight):
     lines = identify_flight(flight, lei_li).lines()
     assert lines[0].startswith("lively: 799 samples, noise 0.0495 m/s^2")
-    assert "accelerometer offset fitted too" in lines[1]
+    assert "with the accelerometer bias" in lines[1]
     assert [line.split()[0] for line in lines[2:7]] == ["C_d0", "C_la", "C_Dx", "C_Dy", "C_Dz"]
     assert all("95 % interval" in line and "recursion ends at" in line for line in lines[2:7])
 
@@ -91,5 +91,5 @@ def test_missing_and_damaged_columns(lei_li, flight):
 
 def test_rotors_that_never_turn(lei_li, flight):
     columns = {name: 0 * values if name.startswith("rotor") else values for name, values in flight.columns.items()}
-    with pytest.raises(DataError, match="the rotors never turned"):
+    with pytest.raises(DataError, match="the rotors do not turn"):
         identify_flight(Flight(columns, flight.metadata), lei_li)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.errors import UsageError
 from quadexp.learn.recursion import MOST_ESTIMATES, recurse
 from quadexp.learn.regression import regress
 
@@ -33,7 +32,7 @@ def test_is_least_squares_of_the_rows_so_far(rng, k):
     assert series.coefficients[at] == pytest.approx(np.linalg.lstsq(design[:k], target[:k])[0], rel=1e-8)
 
 
-def test_no_estimate_before_the_rows_tell_the_coefficients_apart(rng):
+def test_no_estimate_before_the_rows_determine_all_coefficients(rng):
     design, target, _ = problem(rng, p=2)
     design[:300, 1] = design[:300, 0]
     flight = np.zeros(len(target), int)
@@ -42,17 +41,8 @@ def test_no_estimate_before_the_rows_tell_the_coefficients_apart(rng):
     assert np.isnan(series.coefficients[:299]).all() and np.isfinite(series.coefficients[310:]).all()
 
 
-def test_long_data_go_in_packets_and_end_alike(rng):
+def test_long_data_go_in_batches_and_end_alike(rng):
     design, target, batch = problem(rng, n=3 * MOST_ESTIMATES + 17)
     series = recurse(design, target, batch)
     assert len(series.row) <= MOST_ESTIMATES and series.row[-1] == len(target) - 1
     assert series.coefficients[-1] == pytest.approx(batch.coefficients, rel=1e-8)
-
-
-def test_forgetting_follows_a_change(rng):
-    design, target, batch = problem(rng, n=2000, p=1)
-    target[1000:] += 0.6 * design[1000:, 0]
-    kept, forgetful = (recurse(design, target, batch, forgetting=f).coefficients[-1, 0] for f in (1.0, 0.98))
-    assert kept == pytest.approx(0.7, abs=0.05) and forgetful == pytest.approx(1.0, abs=0.05)
-    with pytest.raises(UsageError, match="forgetting 1.1 is outside"):
-        recurse(design, target, batch, forgetting=1.1)

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.learn.rls import BladeElementRLS, RLSSettings, batch_least_squares
+from quadexp.learn.rls import BladeElementRLS, RLSSettings
 from quadexp.learn.rls_step import AXES
 from quadexp.physics.rotor import BladeCoefficients
 from tests import paper
 from tests.learn.air_data import air_data
+from tests.learn.batch import batch_least_squares
 
 TRUE = np.array([0.22, 3.32, 0.01, 0.01, 0.02])
 HALF = BladeCoefficients.from_parameters(TRUE / 2)

@@ -11,7 +11,7 @@ from quadexp.learn.samples import gather
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
 from quadexp.log.schema import Flight
 from quadexp.report.identify_lines import identification_lines
-from tests.learn.logged_flights import CURVE, DRAG, logged_flight
+from tests.learn.logged_flights import CURVE, DRAG, logged_flight, specific_force
 
 
 def on_another_battery(flight: Flight, lower: float, exponent: float) -> Flight:
@@ -43,7 +43,7 @@ def test_two_flights_on_two_batteries_tell_the_voltage_exponent():
     model = fit_vehicle_model(seen, settings=settings)
     usual = fit_vehicle_model(seen)
     force = unseen["acc_z"]
-    error, usual_error = (np.std(force - one.specific_force(unseen, "linear")[:, 2]) for one in (model, usual))
+    error, usual_error = (np.std(force - specific_force(one, unseen, "linear")[:, 2]) for one in (model, usual))
     assert model.thrust.voltage_exponent == pytest.approx(0.7, abs=0.03)
     assert error == pytest.approx(0.05, rel=0.2) and usual_error > 2 * error
 
@@ -75,14 +75,14 @@ def test_an_exponent_that_no_motor_has_is_not_used():
 def test_a_thinned_ladder_says_the_same(monkeypatch):
     samples = gather([logged_flight(seed) for seed in range(3)], "motor_command")
     every = ladder.selection(samples, FitSettings())
-    monkeypatch.setattr(ladder, "MOST_ROWS", 1500)
+    monkeypatch.setattr(ladder, "MOST_SAMPLES", 1500)
     some = ladder.selection(samples, FitSettings())
     for a, b in zip(every, some, strict=True):
         assert b["held_out"]["norm"] == pytest.approx(a["held_out"]["norm"], rel=0.05)
     assert ladder.best_level(some) == ladder.best_level(every)
 
 
-@pytest.mark.parametrize(("radius", "winner"), [(0.02, "blade_element"), (0.3, ladder.STILL)])
+@pytest.mark.parametrize(("radius", "winner"), [(0.02, "blade_element"), (0.3, ladder.HOVER_INFLOW)])
 def test_knowing_the_radius_keeps_the_row_without_it_and_takes_the_better(radius, winner):
     """Linear drag is the truth: which radius helps on flights left out is chance, and the ladder shows both rows."""
     flights, names = [logged_flight(seed, seconds=12) for seed in range(3)], ["a", "b", "c"]
@@ -90,12 +90,13 @@ def test_knowing_the_radius_keeps_the_row_without_it_and_takes_the_better(radius
     found = identify_vehicle(flights, names, settings=FitSettings(mass=0.03, radius=radius))
     rows = {row["level"]: row for row in found.report["selection"]}
     alone = {row["level"]: row for row in without.report["selection"]}
-    assert ladder.STILL in rows and ladder.STILL not in alone
-    assert rows[ladder.STILL]["held_out"] == alone["blade_element"]["held_out"]
-    scores = {level: rows[level]["held_out"]["norm"] for level in ("blade_element", ladder.STILL)}
+    assert ladder.HOVER_INFLOW in rows and ladder.HOVER_INFLOW not in alone
+    assert rows[ladder.HOVER_INFLOW]["held_out"] == alone["blade_element"]["held_out"]
+    scores = {level: rows[level]["held_out"]["norm"] for level in ("blade_element", ladder.HOVER_INFLOW)}
     assert min(scores, key=scores.__getitem__) == winner
     assert isinstance(found.model.blade_element.momentum, tuple) == (winner == "blade_element")
-    assert any("errs less on what was left out" in note for note in found.model.notes) == (winner == ladder.STILL)
+    noted = any("its error on held-out flights is smaller" in note for note in found.model.notes)
+    assert noted == (winner == ladder.HOVER_INFLOW)
     lines = identification_lines(found.model, found.report)
     assert any(line.startswith("blade element, no V_I") for line in lines)
     assert any(line.startswith("blade element, with V_I") for line in lines)

@@ -42,18 +42,18 @@ def test_objective_is_titsias_bound(m):
     q = kernel(x, z, p) @ np.linalg.solve(kernel(z, z, p) + JITTER * p.signal_variance * np.eye(m), kernel(z, x, p))
     marginal = multivariate_normal(np.zeros(len(x)), q + p.noise_variance * np.eye(len(x))).logpdf(y)
     bound = marginal - np.trace(kernel(x, x, p) - q) / (2 * p.noise_variance)
-    model = sgpr.Regression(x, y, p, z, JITTER)
+    model = sgpr.GPRegression(x, y, p, z, JITTER)
     model.train()
     assert model.objective().item() * len(x) == pytest.approx(bound, rel=1e-9)
 
 
 def test_bound_lies_below_the_marginal_likelihood_and_reaches_it_with_all_points():
     x, y, p = problem(n=120)
-    exact = sgpr.Regression(x, y, p, None, JITTER)
+    exact = sgpr.GPRegression(x, y, p, None, JITTER)
     exact.train()
     values = []
     for m in (5, 20, 60, 120):
-        sparse = sgpr.Regression(x, y, p, x[:m], JITTER)
+        sparse = sgpr.GPRegression(x, y, p, x[:m], JITTER)
         sparse.train()
         values.append(sparse.objective().item())
     assert values == sorted(values)
@@ -68,7 +68,7 @@ def test_exported_posterior_equals_gpytorch(m, d):
 
     x, y, p = problem(n=1500, d=d)
     z = x[greedy_points(x, p.lengthscale, m)]
-    model = sgpr.Regression(x, y, p, z, JITTER)
+    model = sgpr.GPRegression(x, y, p, z, JITTER)
     at = np.random.default_rng(1).uniform(-2.5, 2.5, (200, d))
     ours = posterior(
         exported(z, *sgpr.sparse_posterior(x, y, z, model.hyperparameters, JITTER), model.hyperparameters), at
@@ -86,7 +86,7 @@ def test_exported_posterior_equals_gpytorch(m, d):
 
 def test_exact_posterior_equals_gpytorch():
     x, y, p = problem(n=150)
-    model = sgpr.Regression(x, y, p, None, JITTER)
+    model = sgpr.GPRegression(x, y, p, None, JITTER)
     at = np.random.default_rng(1).uniform(-2.5, 2.5, (200, 2))
     ours = posterior(exported(x, *sgpr.exact_posterior(x, y, model.hyperparameters), model.hyperparameters), at)
     model.eval()
@@ -107,7 +107,7 @@ def test_sparse_posterior_with_all_points_is_the_exact_one():
 
 def test_maximise_climbs_and_a_gradient_vanishes():
     x, y, p = problem(n=400, d=1)
-    model = sgpr.Regression(x, y, p, x[:6], JITTER)
+    model = sgpr.GPRegression(x, y, p, x[:6], JITTER)
     model.train()
     before = model.objective().item()
     after = sgpr.maximise(model, 200)

@@ -62,7 +62,7 @@ def test_intervals_hold_the_truth():
     assert np.mean(held) >= 0.85
 
 
-def test_rotors_that_say_nothing_are_refused_by_name():
+def test_axes_without_information_are_rejected_by_name():
     """Commands of another flight: nothing to learn, and the rates are held."""
     body = vehicle_named("blackbird")
     flights = flights_of("blackbird", (120, 121, 122))
@@ -73,7 +73,7 @@ def test_rotors_that_say_nothing_are_refused_by_name():
     model = fit_torque(gather(swapped, "u"), body, thrust_in_newtons(body))
     assert not model.used.any()
     assert all(
-        "refused" in line and axis in line
+        "rejected" in line and axis in line
         for line, axis in zip(torque_lines(model), ("roll", "pitch", "yaw"), strict=True)
     )
 

@@ -89,4 +89,4 @@ def test_where_it_is_not_better_it_says_so_and_names_the_features_that_are():
     assert a_y["verdict"] != "better" and a_y["instead"]["verdict"] != "better"
     text = "\n".join(verdict_lines(found))
     assert "gp.features.a_x=[v_x,v_y,v_z" in text and "NOT SHOWN TO BE BETTER" in text
-    assert "no features tried are shown to be better" in text
+    assert "no other features are shown to be better" in text

@@ -74,7 +74,7 @@ def test_coefficients_of_table_1(lei_li, blade):
 
 
 def test_hover(lei_li, blade):
-    w = np.sqrt(lei_li.hover_thrust / lei_li.static_thrust)
+    w = np.sqrt(lei_li.hover_thrust / lei_li.thrust_coefficient)
     point = aerodynamic_point(lei_li, blade, np.zeros(3), np.full(4, w))
     assert point.induced_velocity == pytest.approx(np.full(4, 4.70714871732553), rel=1e-13)
     assert pytest.approx(4.70714871732553, rel=1e-14) == paper.HOVER
@@ -193,7 +193,7 @@ def test_rotors_of_their_own_lift(lei_li, blade, rng):
 
 class TestWhereItIsNotDefined:
     def test_stopped_rotor_in_moving_air(self, lei_li, blade):
-        with pytest.raises(ModelDomainError, match="rotor 2: it stands still in moving air"):
+        with pytest.raises(ModelDomainError, match="rotor 2: it is stopped in moving air"):
             aerodynamic_point(lei_li, blade, [3.0, 0, 0], [500, 500, 0, 500])
 
     def test_stopped_rotor_in_still_air(self, lei_li, blade):

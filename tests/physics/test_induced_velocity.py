@@ -83,7 +83,7 @@ def test_windmilling_climb(solve):
 
 def test_plain_fixed_point_diverges_at_hover(lei_li, blade):
     """Remark 2 (ii): slope -1 - b / (2 rho pi r^2 V_I) = -1.741 of the iteration V_I <- T / (K V_I)."""
-    w = np.sqrt(lei_li.hover_thrust / lei_li.static_thrust)
+    w = np.sqrt(lei_li.hover_thrust / lei_li.thrust_coefficient)
     slope = paper.thrust(w, 0, 0, paper.HOVER + 1e-6) / (paper.HOVER + 1e-6)
     slope = (slope - paper.thrust(w, 0, 0, paper.HOVER) / paper.HOVER) / K / 1e-6
     assert slope == pytest.approx(-1.741, abs=1e-3)

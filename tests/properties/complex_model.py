@@ -95,7 +95,7 @@ def blade_element(vehicle, blade) -> Callable:
 
     def air(z):
         v, u = z[:3], z[6:]
-        w = np.sqrt(u / vehicle.static_thrust)
+        w = np.sqrt(u / vehicle.thrust_coefficient)
         squared, axial = v[0] ** 2 + v[1] ** 2, -v[2]
         a = s * blade.lift_slope * (r**3 * th * w**2 / 3 + r * th * squared / 2)
         b = s * blade.lift_slope * r**2 * w / 2

@@ -80,7 +80,7 @@ def make_vehicle(rng: np.random.Generator, n: int, *, flat: bool = False) -> Veh
         thrust_max=float(hover * rng.uniform(1.6, 6.0)),
         rate_max=20.0,
         rotor=rotor,
-        static_thrust=static_coefficients(rotor, make_blade(rng)).thrust,
+        thrust_coefficient=static_coefficients(rotor, make_blade(rng)).thrust,
     )
 
 

@@ -134,7 +134,7 @@ def test_small_velocity_is_linear_drag(vehicle, direction, rng):
         drag = rotor.air_density * rotor.reference_area / 2 * speed * blade.body_drag[1]
         assert np.allclose(force[:2] / speed, -slope * along[:2], atol=1e-4 * speed**2 + 2 * drag + 1e-7 * abs(slope))
     k = static_coefficients(rotor, blade).thrust
-    vehicle = replace(vehicle, static_thrust=k)
+    vehicle = replace(vehicle, thrust_coefficient=k)
     residual = blade_element_residual(vehicle, blade)
     _, jacobian = residual.function(np.r_[np.zeros(6), k * w**2], residual.theta)
     assert np.allclose(jacobian.full()[:2, :2], -slope / vehicle.mass * np.eye(2), rtol=1e-7, atol=1e-9)
@@ -217,7 +217,7 @@ def test_a_settled_iteration_is_not_an_answer(lei_li, blade, w, in_plane, descen
     plant = BladeElementPlant(lei_li, blade, backend="interpreted")
     x = np.r_[np.zeros(3), 1, np.zeros(3), in_plane, 0, -descent, np.zeros(3)]
     with pytest.raises(ModelDomainError, match="more than one induced velocity"):
-        plant.advance(x, np.full(4, lei_li.static_thrust * w**2), 1e-4)
+        plant.advance(x, np.full(4, lei_li.thrust_coefficient * w**2), 1e-4)
 
 
 @few

@@ -12,8 +12,8 @@ from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.errors import UsageError
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
-from quadexp.reference import flat_reference
 from quadexp.reference.flat_map import tilt
+from quadexp.reference.flatness import flat_reference
 from tests.properties.paths import Transformed, Wander
 from tests.properties.strategies import generators, make_residual, vehicles
 from tests.properties.test_symmetry import (

@@ -12,7 +12,6 @@ from quadexp.control.feedback.frames import (
     FRD_FLU,
     NED_ENU,
     euler_angles,
-    ned_from_state,
     rotation_euler,
     state_from_ned,
     yaw_ned,
@@ -20,6 +19,7 @@ from quadexp.control.feedback.frames import (
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from tests.properties.strategies import generators, make_state
+from tests.states import ned_from_state
 
 angles = st.floats(-3.1, 3.1)
 pitches = st.floats(-1.56, 1.56)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import MAX_TURN, ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.reference import flat_reference
+from quadexp.reference.flatness import flat_reference
 from tests.control.mpc.converged import ConvergedProblem
 from tests.properties.paths import Wander, near
 from tests.properties.strategies import few, generators, make_residual, rotor_counts, vehicles

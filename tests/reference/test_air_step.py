@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.reference import Hover
 from quadexp.reference.air_model import AirResponse
 from quadexp.reference.air_step import MAX_TURN, MIN_SHARE, _lateral_step, newton_step, turned
 from quadexp.reference.demand import Demand
-from quadexp.reference.motion import Air, Held, flat_motion
+from quadexp.reference.hover import Hover
+from quadexp.reference.motion import Air, Constant, flat_motion
 
 EDGE = np.sqrt(1 - MIN_SHARE**2)
 
@@ -36,7 +36,9 @@ def test_where_the_system_is_singular_the_air_is_taken_as_it_answers(vehicle):
     """Hovering while rising at w, air with da/dv = g / w answers every turn of the attitude in full, A_ll = 1: then
     l is turned by what was asked for and not given, by both of its components."""
     rising = np.array([[0.0], [0.0], [4.0]])
-    motion = flat_motion(Demand.of(Hover(yaw=0.0), [1.0], vehicle.gravity), vehicle, Air.still(1), Held(np.zeros(1)))
+    motion = flat_motion(
+        Demand.of(Hover(yaw=0.0), [1.0], vehicle.gravity), vehicle, Air.still(1), Constant(np.zeros(1))
+    )
     by_velocity = np.zeros((6, 3, 1))
     by_velocity[0, 0], by_velocity[1, 1] = 2 * [vehicle.gravity / rising[2]]
     response = AirResponse(np.zeros((6, 1)), by_velocity, np.zeros((6, 4, 1)))

@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 from quadexp.physics.state import RATE
-from quadexp.reference import Circle, Hover, Lemniscate, check_feasible, flat_reference
+from quadexp.reference.circle import Circle
+from quadexp.reference.feasibility import check_feasible
+from quadexp.reference.flatness import flat_reference
+from quadexp.reference.hover import Hover
+from quadexp.reference.lemniscate import Lemniscate
 
 T = np.arange(0, 20.02, 0.02)
 

@@ -14,12 +14,15 @@ from quadexp.experiment.build import build_vehicle
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.rotor import BladeCoefficients
 from quadexp.physics.state import RATE, VELOCITY
-from quadexp.reference import Circle, FlatOutput, Lemniscate, flat_reference
 from quadexp.reference.air_model import AirModel
+from quadexp.reference.base import FlatOutput
+from quadexp.reference.circle import Circle
 from quadexp.reference.demand import Demand
-from quadexp.reference.fixed_point import Settings, agreeing_air
+from quadexp.reference.fixed_point import Settings, consistent_air
 from quadexp.reference.flat_map import untwisted
-from quadexp.reference.motion import Held
+from quadexp.reference.flatness import flat_reference
+from quadexp.reference.lemniscate import Lemniscate
+from quadexp.reference.motion import Constant
 from quadexp.reference.rectangle import Rectangle
 from quadexp.reference.time_grid import SPACING, TimeGrid
 from tests.reference.test_flatness import rich_residual
@@ -75,8 +78,8 @@ def test_newton_steps_converge_quadratically(air, vehicle, odd_vehicle, lei_li, 
     rng, k = np.random.default_rng(3), 40
     path = Steady(rng.uniform(-6, 6, (3, k)) * [[1], [1], [0.3]], rng.uniform(-3, 3, (3, k)))
     demand = Demand.of(path, np.full(k, 0.5), vehicle.gravity)
-    model, calculus = Counted(residual), Held(rng.uniform(-3, 3, k))
-    found, motion = agreeing_air(demand, vehicle, model, calculus, Settings(1e-13, 6))
+    model, calculus = Counted(residual), Constant(rng.uniform(-3, 3, k))
+    found, motion = consistent_air(demand, vehicle, model, calculus, Settings(1e-13, 6))
     errors = []
     for y in model.answers:
         asked = np.concatenate([untwisted(y[:2], motion.chi), y[2:]])
@@ -91,7 +94,7 @@ def test_newton_steps_converge_quadratically(air, vehicle, odd_vehicle, lei_li, 
 def test_corners_take_few_iterations_and_leave_the_legs_steady(lei_li, blade_element, speed):
     path, model = Rectangle(speed=speed, duration=12.0), Counted(blade_element)
     grid = TimeGrid.over(0.0, path.duration, SPACING)
-    agreeing_air(Demand.of(path, grid.times, lei_li.gravity), lei_li, model, grid, Settings(1e-9, 100))
+    consistent_air(Demand.of(path, grid.times, lei_li.gravity), lei_li, model, grid, Settings(1e-9, 100))
     assert len(model.answers) < 25
 
     reference = flat_reference(path, np.array([1.4, 4.6, 7.5, 10.0]), lei_li, blade_element)
@@ -127,6 +130,6 @@ def test_where_there_is_no_agreement_the_end_comes_soon(vehicle):
     path, model = Circle(speed=4.0), Counted(rough)
     grid = TimeGrid.over(2.0, 6.0, SPACING)
     demand = Demand.of(path, grid.times, vehicle.gravity)
-    with pytest.raises(UsageError, match=r"does not converge: stalled after \d+ iterations, .* most at t ="):
-        agreeing_air(demand, vehicle, model, grid, Settings(1e-9, 100))
+    with pytest.raises(UsageError, match=r"does not converge: stalled after \d+ iterations, last change .* at t ="):
+        consistent_air(demand, vehicle, model, grid, Settings(1e-9, 100))
     assert len(model.answers) < 40

@@ -14,17 +14,14 @@ from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.air.none import no_residual
 from quadexp.errors import UsageError
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
-from quadexp.reference import (
-    Circle,
-    FlatOutput,
-    Hover,
-    Lemniscate,
-    RandomPolynomial,
-    Step,
-    flat_reference,
-    rotor_drag_reference,
-)
-from quadexp.reference.flatness import as_reference
+from quadexp.reference.base import FlatOutput
+from quadexp.reference.circle import Circle
+from quadexp.reference.flatness import as_reference, flat_reference
+from quadexp.reference.hover import Hover
+from quadexp.reference.lemniscate import Lemniscate
+from quadexp.reference.random_polynomial import RandomPolynomial
+from quadexp.reference.step import Step
+from tests.reference.rotor_drag import rotor_drag_reference
 
 DRAG = (0.3, 0.45, 0.1)  # 1/s
 

@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
-from quadexp.reference import Circle, FileTrajectory
+from quadexp.reference.circle import Circle
+from quadexp.reference.from_file import FileTrajectory
 
 
 def write_csv(path, t, p, yaw=None, header=None):
@@ -75,7 +76,7 @@ GOOD = "\n".join(f"{0.1 * i:.1f},{i},0,1" for i in range(10))
         ("t,p_x,z\n" + GOOD, r"line 1: no column p_y, p_z in the header \(found t, p_x, z"),
         ("t,p_x,p_y,p_z\n" + GOOD.replace("0.3,3", "0.3,nan"), "line 5: p_x is nan"),
         ("t,p_x,p_y,p_z\n" + GOOD.replace("0.3,3", "0.3,three"), "line 5: p_x is 'three', not a number"),
-        ("t,p_x,p_y,p_z\n" + GOOD.replace("0.3,3", "0.2,3"), "line 5: t = 0.2 s does not come after 0.2 s"),
+        ("t,p_x,p_y,p_z\n" + GOOD.replace("0.3,3", "0.2,3"), "line 5: t = 0.2 s is not after 0.2 s"),
         ("t,p_x,p_y,p_z\n" + GOOD.replace("0.3,3,0,1", "0.3,3"), "line 5: 2 values for the 4 columns"),
         ("t,p_x,p_y,p_z\n" + "\n".join(GOOD.splitlines()[:7]), "7 rows, a track needs at least 8"),
         ("\n".join(f"{i} 0 0 1 0 0 0 0.5" for i in range(9)), "line 1: the quaternion has length 0.5"),

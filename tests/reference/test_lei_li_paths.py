@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.control.feedback.frames import NED_ENU, ned_from_state
+from quadexp.control.feedback.frames import NED_ENU
 from quadexp.errors import UsageError
 from quadexp.reference.base import Trajectory
 from quadexp.reference.lei_li_circle import LeiLiCircle
 from quadexp.reference.rectangle import Rectangle
+from tests.states import ned_from_state
 
 T = 60.0
 

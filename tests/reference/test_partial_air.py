@@ -10,7 +10,10 @@ from quadexp.air.base import symbolic_residual
 from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
-from quadexp.reference import Circle, Hover, RandomPolynomial, flat_reference
+from quadexp.reference.circle import Circle
+from quadexp.reference.flatness import flat_reference
+from quadexp.reference.hover import Hover
+from quadexp.reference.random_polynomial import RandomPolynomial
 from quadexp.reference.rectangle import Rectangle
 from quadexp.world import PlantEffects, SimplifiedPlant
 

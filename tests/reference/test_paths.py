@@ -7,9 +7,15 @@ import pytest
 from scipy.integrate import quad
 
 from quadexp.errors import UsageError
-from quadexp.reference import Circle, FileTrajectory, Hover, Lemniscate, RandomPolynomial, Step, Trajectory
+from quadexp.reference.base import Trajectory
+from quadexp.reference.circle import Circle
+from quadexp.reference.from_file import FileTrajectory
+from quadexp.reference.hover import Hover
+from quadexp.reference.lemniscate import Lemniscate
 from quadexp.reference.phasor import phasor
 from quadexp.reference.profile import SpeedProfile
+from quadexp.reference.random_polynomial import RandomPolynomial
+from quadexp.reference.step import Step
 
 SPEED, ACCELERATION, RADIUS = 8.0, 1.0, 5.0
 

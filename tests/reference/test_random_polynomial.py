@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.reference import RandomPolynomial
 from quadexp.reference.base import sampled_peak_speed
-from quadexp.reference.random_polynomial import _periodic_draw
+from quadexp.reference.random_polynomial import RandomPolynomial, _periodic_draw
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -13,10 +13,11 @@ from quadexp.config.compose import compose
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.physics.state import RATE
-from quadexp.reference import RandomPolynomial, flat_reference
 from quadexp.reference.base import sampled_peak_speed
+from quadexp.reference.flatness import flat_reference
 from quadexp.reference.minimum_snap import largest_speed, minimum_snap
 from quadexp.reference.motion import allocation_inverse
+from quadexp.reference.random_polynomial import RandomPolynomial
 from quadexp.reference.time_scale import MARGIN, time_scale
 
 VEHICLES = {name: build_vehicle(compose([f"vehicle={name}"]).vehicle) for name in ("torrente", "lei_li", "crazyflie")}
@@ -79,13 +80,15 @@ def test_the_vehicle_changes_the_time_and_not_the_shape():
 def test_hover_near_the_limit_is_named():
     path = RandomPolynomial(speed=8.0, vehicle=replace(VEHICLES["torrente"], thrust_max=2.5))
     assert path.peak_speed < 2.0
-    assert "hovering alone takes 98% of vehicle.thrust_max" in path.note and "of the 8 m/s asked" in path.note
+    assert (
+        "hovering alone takes 98% of vehicle.thrust_max" in path.note and "instead of the requested 8 m/s" in path.note
+    )
 
 
 def test_a_rotor_that_cannot_hover_is_named(odd_vehicle):
     hover = allocation_inverse(odd_vehicle)[:, 0] * odd_vehicle.mass * odd_vehicle.gravity
     tight = replace(odd_vehicle, thrust_max=(hover.max() + hover.mean()) / 2)
-    with pytest.raises(UsageError, match=rf"vehicle=odd: in hover rotor {np.argmax(hover)} gives"):
+    with pytest.raises(UsageError, match=rf"vehicle=odd: in hover rotor {np.argmax(hover)} needs"):
         _ = RandomPolynomial(speed=8.0, vehicle=tight).duration
 
 

@@ -12,7 +12,8 @@ from quadexp.config.compose import compose
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import InfeasibleError, fly_one
-from quadexp.reference import FileTrajectory, Trajectory
+from quadexp.reference.base import Trajectory
+from quadexp.reference.from_file import FileTrajectory
 from tests.reference.test_time_scale import VEHICLES, shares
 
 ROOT = Path(__file__).parents[2]
@@ -105,9 +106,9 @@ GOOD = "\n".join(f"{0.1 * i:.1f},{i},0,1" for i in range(10))
     [
         ("x,y,z\n0,0,1\n", "1 waypoints, 2 to 200 are allowed; for a sampled track name the columns t, p_x, p_y, p_z"),
         ("x,y,z\n" + "1,2,3\n2,3,4\n" * 150, "300 waypoints, 2 to 200 are allowed"),
-        ("x,y,z\n0,0,1\n0,0,1\n", "line 3: the same point as in the row before; give t to stay at a point"),
+        ("x,y,z\n0,0,1\n0,0,1\n", "line 3: the same point as in the previous row; add a column t to stay there"),
         ("x,y\n0,0\n", r"line 1: no column z in the header \(found x, y; needed x, y, z, optional t and yaw"),
-        ("t,x,y,z\n0,0,0,1\n0,1,0,1\n", "line 3: t = 0 s does not come after 0 s"),
+        ("t,x,y,z\n0,0,0,1\n0,1,0,1\n", "line 3: t = 0 s is not after 0 s"),
         ("x,y,z\n0,0,1\n1,nan,1\n", "line 3: y is nan, not a finite number"),
         ("t,p_x,p_y,p_z\n" + "\n".join(GOOD.splitlines()[:7]), "7 rows, .* for waypoints name the columns x, y, z"),
     ],

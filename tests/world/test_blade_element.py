@@ -37,7 +37,7 @@ def test_hovers(plant, lei_li):
     assert x == pytest.approx(LEVEL, abs=1e-12)
     assert reading == pytest.approx([0, 0, 9.81], rel=1e-13)
     assert plant.induced_velocity == pytest.approx(np.full(4, 4.70714871732553), rel=1e-12)
-    assert plant.rotor_speed == pytest.approx(np.sqrt(lei_li.hover_thrust / lei_li.static_thrust))
+    assert plant.rotor_speed == pytest.approx(np.sqrt(lei_li.hover_thrust / lei_li.thrust_coefficient))
 
 
 def test_one_euler_step_of_the_paper(plant, rng):
@@ -131,7 +131,7 @@ class TestOptions:
     def test_motor_lag(self, lei_li, blade):
         """w(t) = w_1 + (w_0 - w_1) exp(-t / tau) after a step of the command."""
         plant = BladeElementPlant(lei_li, blade, BladeElementEffects(motor_lag=0.05), backend="interpreted")
-        before, target = plant.rotor_speed.copy(), np.sqrt(4.0 / lei_li.static_thrust)
+        before, target = plant.rotor_speed.copy(), np.sqrt(4.0 / lei_li.thrust_coefficient)
         for _ in range(3):
             plant.advance(LEVEL, np.full(4, 4.0), 0.01)
         assert plant.rotor_speed == pytest.approx(target + (before - target) * np.exp(-0.03 / 0.05), rel=1e-12)
@@ -145,7 +145,7 @@ class TestOptions:
         plant.time = 0.01
         assert plant.advance(LEVEL, u, tiny)[1][2] == pytest.approx(9.81 * 0.985 / 1.285, rel=1e-4)
         plant.time = 0.02
-        w = np.sqrt(lei_li.hover_thrust / lei_li.static_thrust)
+        w = np.sqrt(lei_li.hover_thrust / lei_li.thrust_coefficient)
         weak = paper.thrust(w, 0, 0, paper.induced(w, 0, 0, C_la=0.8 * 3.32), C_la=0.8 * 3.32)
         x, reading = plant.advance(LEVEL, u, tiny)
         assert reading[2] == pytest.approx((3 * lei_li.hover_thrust + weak) / 1.285, rel=1e-4)
@@ -167,12 +167,12 @@ class TestOptions:
     def test_limits(self, lei_li, blade):
         free = BladeElementPlant(lei_li, blade, backend="interpreted")
         assert free.commanded_speed(np.array([-1.0, 0.0, 2.0, 80.0])) == pytest.approx(
-            [50, 50, np.sqrt(2 / lei_li.static_thrust), np.sqrt(80 / lei_li.static_thrust)]
+            [50, 50, np.sqrt(2 / lei_li.thrust_coefficient), np.sqrt(80 / lei_li.thrust_coefficient)]
         )
         effects = BladeElementEffects(thrust_limits=True, rotor_speed_min=100, rotor_speed_max=1200)
         limited = BladeElementPlant(lei_li, blade, effects, backend="interpreted")
         assert limited.commanded_speed(np.array([0.0, 80.0, 12.0, 20.0])) == pytest.approx(
-            [100, 1200, np.sqrt(12 / lei_li.static_thrust), 1200]
+            [100, 1200, np.sqrt(12 / lei_li.thrust_coefficient), 1200]
         )
 
     def test_refused(self, lei_li, blade, vehicle):
@@ -201,7 +201,7 @@ class TestCornersOfTheModel:
         with pytest.raises(
             ModelDomainError, match=r"rotor 0 at t=0.0000 s: descending through its own wake .*V_h=3.24"
         ):
-            plant.advance(x, np.full(4, lei_li.static_thrust * w**2), 0.01)
+            plant.advance(x, np.full(4, lei_li.thrust_coefficient * w**2), 0.01)
 
     def test_steep_descent_below_it(self, lei_li, blade):
         """Idling, V_z > 2.83 V_h and V_I < V_z: the fast iteration is in doubt, the safe solver knows the only root."""
@@ -230,7 +230,7 @@ class TestCornersOfTheModel:
         """Zero command with no idle speed: in still air no force at all, and after that no model."""
         effects = BladeElementEffects(rotor_speed_min=0.0)
         plant = BladeElementPlant(lei_li, blade, effects, backend="interpreted")
-        with pytest.raises(ModelDomainError, match=r"rotor 0 at t=0.0001 s: it stands still in moving air"):
+        with pytest.raises(ModelDomainError, match=r"rotor 0 at t=0.0001 s: it is stopped in moving air"):
             plant.advance(LEVEL, np.zeros(4), 0.01)
 
     def test_not_finite(self, plant):

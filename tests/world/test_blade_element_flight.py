@@ -43,7 +43,7 @@ def test_rotors_follow_their_command_whatever_the_step(lei_li, blade, steps):
     plant = BladeElementPlant(
         lei_li, blade, BladeElementEffects(motor_lag=0.02), step=0.007 / steps, backend="interpreted"
     )
-    before, target = plant.rotor_speed.copy(), np.sqrt(np.array([1.0, 2.0, 3.0, 4.0]) / lei_li.static_thrust)
+    before, target = plant.rotor_speed.copy(), np.sqrt(np.array([1.0, 2.0, 3.0, 4.0]) / lei_li.thrust_coefficient)
     for period in range(1, 4):
         plant.advance(LEVEL, np.array([1.0, 2.0, 3.0, 4.0]), 0.007)
         expected = target + (before - target) * np.exp(-0.007 * period / 0.02)
@@ -98,7 +98,7 @@ def test_one_rotor_that_stops(lei_li, blade, method, told):
     plant = BladeElementPlant(lei_li, blade, effects, method=method, backend="interpreted")
     u = np.full(4, lei_li.hover_thrust)
     u[2] = 0.0
-    with pytest.raises(ModelDomainError, match="rotor 2 .* it stands still in moving air.*w=1e-06 rad/s") as raised:
+    with pytest.raises(ModelDomainError, match="rotor 2 .* it is stopped in moving air.*w=1e-06 rad/s") as raised:
         plant.advance(LEVEL, u, 0.001)
     assert all(part in str(raised.value) for part in told)
 

@@ -7,8 +7,8 @@ paper's '+' layout, arm d, the inverse is
 
     w_1^2 = T/4k + Gamma_y/2dk - Gamma_z/4q,   w_2^2 = T/4k - Gamma_x/2dk + Gamma_z/4q,   ...
 
-so k and q only divide: with q near zero a small yaw torque asks for any speed. Estimates are clipped before they come
-here (identify.rls), which keeps both at half of a plausible value or more.
+so k and q are divisors: with q near zero a small yaw torque demands an arbitrarily large speed. Estimates are therefore
+clipped (quadexp.learn.rls) to at least half of their initial values.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def unit_allocation(vehicle: Vehicle) -> np.ndarray:
     """
     if vehicle.n_rotors != 4:
         raise UsageError(
-            f"vehicle={vehicle.name}: feedback control allocates to 4 rotors, this one has {vehicle.n_rotors}"
+            f"vehicle={vehicle.name}: feedback control needs 4 rotors, this vehicle has {vehicle.n_rotors}"
         )
     x, y, _ = FRD_FLU @ np.array(vehicle.rotor_position, float).T
     return np.stack([np.ones(4), -y, x, -np.array(vehicle.rotor_spin, float)])
@@ -47,5 +47,5 @@ def allocate(
     thrust: T (N). torque: Gamma (3,), FRD (N m). thrust_coefficient: k (N s^2). torque_coefficient: q (N m s^2).
     inverse: of `unit_allocation`, (4, 4).
     """
-    share = ca.vertcat(ca.vertcat(thrust, torque[0], torque[1]) / thrust_coefficient, torque[2] / torque_coefficient)
-    return ca.mtimes(inverse, share)
+    scaled = ca.vertcat(ca.vertcat(thrust, torque[0], torque[1]) / thrust_coefficient, torque[2] / torque_coefficient)
+    return ca.mtimes(inverse, scaled)

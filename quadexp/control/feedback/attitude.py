@@ -6,7 +6,7 @@ Body FRD, eta = (phi, theta, psi):
     (39)  u_eta = -(K_p e_eta + K_d e_eta_dot)                     the yaw error wrapped to (-pi, pi]
     (40)  Gamma_m = J (W (u_eta + eta_d_ddot) + W_dot W^-1 Omega) + Omega x J Omega - delta_Gamma
 
-The minus sign of (39) is lost in print; without it the loop is unstable. W is singular at theta = +-90 deg.
+The minus sign of (39) is missing in print; without it the loop is unstable. W is singular at theta = +-90 deg.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import casadi as ca
 
 from quadexp.physics.expression import Expression
 
-COSINE_MIN = 1e-6  # of theta: closer to 90 deg W^-1 is taken as there
+COSINE_MIN = 1e-6  # lower bound on |cos theta| in W^-1, which is singular at 90 deg
 
 
 def rate_matrix(eta: Expression) -> Expression:
@@ -53,23 +53,23 @@ def attitude_torque(
     proportional: Expression,
     derivative: Expression,
     inertia: Expression,
-    secondary: Expression,
+    compensation: Expression,
 ) -> Expression:
     """Gamma_m, (3,), FRD (N m): equations (39), (40).
 
     eta, error: (3,) (rad). rate: Omega (3,) (rad/s). eta_d_dot, eta_d_ddot: (3,) (rad/s, rad/s^2).
     proportional, derivative: gains (3,) (1/s^2, 1/s). inertia: J (3, 3), FRD (kg m^2).
-    secondary: delta_Gamma (3,) (N m).
+    compensation: delta_Gamma (3,) (N m).
     """
     eta_dot = euler_rates(eta, rate)
     u_eta = -(proportional * error + derivative * (eta_dot - eta_d_dot))
     W_dot = _rate_matrix_derivative()(eta, eta_dot)
     acceleration = ca.mtimes(rate_matrix(eta), u_eta + eta_d_ddot) + ca.mtimes(W_dot, eta_dot)
-    return ca.mtimes(inertia, acceleration) + ca.cross(rate, ca.mtimes(inertia, rate)) - secondary
+    return ca.mtimes(inertia, acceleration) + ca.cross(rate, ca.mtimes(inertia, rate)) - compensation
 
 
 def _rate_matrix_derivative() -> ca.Function:
     """(eta, eta_dot) -> W_dot, (3, 3)."""
     eta, eta_dot = ca.SX.sym("eta", 3), ca.SX.sym("eta_dot", 3)
-    change = ca.jtimes(ca.vec(rate_matrix(eta)), eta, eta_dot)
-    return ca.Function("W_dot", [eta, eta_dot], [ca.reshape(change, 3, 3)])
+    derivative = ca.jtimes(ca.vec(rate_matrix(eta)), eta, eta_dot)
+    return ca.Function("W_dot", [eta, eta_dot], [ca.reshape(derivative, 3, 3)])

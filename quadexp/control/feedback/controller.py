@@ -1,4 +1,4 @@
-"""The feedback controller of Lei & Li 2017 behind the controller seam."""
+"""The feedback controller of Lei & Li 2017 as a `Controller` (quadexp.control.base)."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ import numpy as np
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.control.base import Measurement, Window
 from quadexp.control.feedback.aerodynamics import body_velocity
+from quadexp.control.feedback.compensation import hover_rotor_speed
 from quadexp.control.feedback.frames import FRD_FLU
 from quadexp.control.feedback.law import law_function
-from quadexp.control.feedback.secondary import hover_rotor_speed
 from quadexp.control.feedback.settings import FeedbackSettings, Variant
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
 
-INNER_TOLERANCE = 1e-10  # rad/s and rad, at which the fixed point without delay has settled
+INNER_TOLERANCE = 1e-10  # rad/s and rad, of the fixed point without delay
 
 
 class Aerodynamics(Protocol):
-    """Where the coefficients come from: known, or identified in flight.
+    """Source of the blade-element coefficients: constant, or identified in flight (aerodynamics.py).
 
-    theta: (C_d0, C_la, C_Dx, C_Dy, C_Dz), (5,), as they may be used. source: for the record.
+    theta: (C_d0, C_la, C_Dx, C_Dy, C_Dz), (5,), to be used by the law. source: for the record.
     """
 
     theta: np.ndarray
@@ -37,16 +37,16 @@ class Aerodynamics(Protocol):
         """Begin a flight."""
 
     def update(self, measurement: Measurement, rotor_speed: np.ndarray) -> None:
-        """Learn from a measurement; rotor_speed (n,) (rad/s), measured or commanded."""
+        """Use a measurement; rotor_speed (n,) (rad/s), measured or commanded."""
 
     def log(self) -> dict[str, float]:
-        """Columns for the flight."""
+        """Further columns of the flight."""
 
 
 class FeedbackController:
     """Tracks position and heading of the reference; see Controller.
 
-    vehicle: with rotor geometry and thrust map. aerodynamics: coefficients for the variant's compensation.
+    vehicle: with rotor geometry and thrust coefficient. aerodynamics: coefficients for the variant's compensation.
     """
 
     reference_period = 0.0
@@ -61,9 +61,9 @@ class FeedbackController:
         *,
         backend: str = "auto",
     ) -> None:
-        if vehicle.rotor is None or vehicle.static_thrust is None:
+        if vehicle.rotor is None or vehicle.thrust_coefficient is None:
             raise UsageError(
-                f"vehicle={vehicle.name}: feedback control needs vehicle.rotor and vehicle.static_thrust;"
+                f"vehicle={vehicle.name}: feedback control needs vehicle.rotor and vehicle.thrust_coefficient;"
                 " vehicle=lei_li has them"
             )
         self.vehicle, self.settings, self.variant, self.aerodynamics = vehicle, settings, variant, aerodynamics
@@ -74,10 +74,10 @@ class FeedbackController:
         self._law = BufferedFunction(_law(vehicle, settings, variant, self.backend))
 
     def forget(self) -> None:
-        """See Controller.forget; `reset` does it, since references contain nothing of the air here."""
+        """See Controller.forget. Nothing to do: references contain no residual, `reset` resets the estimator."""
 
     def reset(self, x: np.ndarray, window: Window) -> None:
-        """See Controller.reset; before the first sample the rotors hover and R_d = I."""
+        """See Controller.reset. Initial values of the previous sample: hover rotor speeds and R_d = I."""
         arguments = self._law.arguments
         self.aerodynamics.reset()
         arguments["velocity_last"][...] = FRD_FLU @ body_velocity(x)
@@ -86,7 +86,7 @@ class FeedbackController:
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step; a command that is not finite has status FAILED."""
-        began = time.perf_counter()
+        start = time.perf_counter()
         arguments, results = self._law.arguments, self._law.results
         if measurement.specific_force is not None:
             if measurement.rotor_speed is not None:
@@ -98,16 +98,16 @@ class FeedbackController:
         arguments["theta"][...] = self.aerodynamics.theta
         self._law()
         if not self.variant.delayed:
-            self._settle()
+            self._iterate()
         for name in ("rotor_speed", "eta_d", "observer", "velocity"):
             arguments[f"{name}_last"][...] = results[name]
         thrust = results["thrust"].copy()
         status = Status.RICCATI if np.isfinite(thrust).all() else Status.FAILED
         held = int(results["floored"][0] + results["limited"][0])
-        return thrust, StepRecord(time.perf_counter() - began, status, 0, held, 0.0)
+        return thrust, StepRecord(time.perf_counter() - start, status, 0, held, 0.0)
 
     def log(self) -> dict[str, float]:
-        """See Controller.log: desired tilt and its error (rad, FRD), safety options used, coefficients."""
+        """See Controller.log: desired tilt and its error (rad, FRD), active safety limits, coefficients."""
         results = self._law.results
         roll, pitch, _ = results["eta_d"]
         return {
@@ -120,8 +120,8 @@ class FeedbackController:
             **self.aerodynamics.log(),
         }
 
-    def _settle(self) -> None:
-        """Secondary terms of this sample instead of the one before: repeat the law on its own answer."""
+    def _iterate(self) -> None:
+        """Compensation terms of this sample instead of the previous one: fixed-point iteration of the law."""
         arguments, results = self._law.arguments, self._law.results
         for _ in range(self.settings.inner_iterations):
             change = np.abs(arguments["rotor_speed_last"] - results["rotor_speed"]).max()
@@ -135,5 +135,5 @@ class FeedbackController:
 
 @cache
 def _law(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant, backend: str) -> ca.Function:
-    """The law on a resolved back end, built once per process and structure."""
+    """The law compiled for a back end, built once per process and structure."""
     return realise(law_function(vehicle, settings, variant), backend)

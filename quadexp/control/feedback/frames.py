@@ -1,4 +1,4 @@
-"""The paper's frames and the project's: world NED and ENU, body FRD and FLU, Euler angles and quaternion.
+"""Conversion between the paper's frames and this program's: world NED and ENU, body FRD and FLU.
 
     a_NED = P a_ENU,   P = [0 1 0; 1 0 0; 0 0 -1]          (x north = y, y east = x, z down = -z)
     a_FRD = F a_FLU,   F = diag(1, -1, -1)
@@ -56,10 +56,3 @@ def state_from_ned(
     R = NED_ENU @ ca.DM(rotation_euler(ca.DM(list(eta)))).full() @ FRD_FLU
     x[ATTITUDE] = Rotation.from_matrix(R).as_quat(canonical=True, scalar_first=True)
     return x
-
-
-def ned_from_state(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """xi (3,) NED (m), eta (3,) (rad), velocity (3,) NED (m/s), Omega (3,) FRD (rad/s) of a state (13,)."""
-    R = NED_ENU @ Rotation.from_quat(x[ATTITUDE], scalar_first=True).as_matrix() @ FRD_FLU
-    eta = ca.DM(euler_angles(ca.DM(R))).full().ravel()
-    return NED_ENU @ x[POSITION], eta, NED_ENU @ x[VELOCITY], FRD_FLU @ x[RATE]

@@ -1,6 +1,6 @@
-"""One sample of the control law, Lei & Li 2017, equations (27)-(40), as one CasADi function.
+"""The control law of Lei & Li 2017, equations (27)-(40), for one sample, as one CasADi function.
 
-State and reference come in ENU/FLU and are converted here; everything else, inside and out, is NED/FRD.
+State and reference are given in ENU/FLU and converted here; all other inputs and outputs are in NED/FRD.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ import numpy as np
 
 from quadexp.control.feedback.allocation import allocate, unit_allocation
 from quadexp.control.feedback.attitude import attitude_error, attitude_torque
+from quadexp.control.feedback.compensation import allocation_coefficients, compensation, drag_force
 from quadexp.control.feedback.frames import FRD_FLU, NED_ENU, euler_angles, rotation_euler, yaw_ned
 from quadexp.control.feedback.observer import observer_matrices
 from quadexp.control.feedback.position import desired_tilt, in_cone, position_feedback, thrust_vector
-from quadexp.control.feedback.secondary import allocation_coefficients, drag_force, secondary_terms
 from quadexp.control.feedback.settings import FeedbackSettings, Variant
 from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -21,15 +21,14 @@ from quadexp.physics.vehicle import Vehicle
 
 
 def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant) -> ca.Function:
-    """One sample.
+    """The law as a function.
 
-    Inputs: x (13,), reference (3, 3) [p, v, a] (columns) and yaw (3,), heading, rate and acceleration (rad, s),
-    ENU/FLU; theta (5,); of the sample before:
-    velocity_last (3,) FRD, rotor_speed_last (n,), eta_d_last (3,), observer_last (3, 2).
-    Outputs: thrust (n,), commanded static thrusts (N); rotor_speed (n,); eta_d (3,); observer (3, 2);
-    velocity (3,) FRD;
-    error: e_eta (3,); outside: the thrust vector was moved into the cone (0 or 1); floored: rotors held at
-    the least speed; limited: rotors held at the largest thrust; u_T (3,), NED.
+    Inputs: x (13,), reference (3, 3) with columns [p, v, a], yaw (3,): heading, rate, acceleration (rad, s), ENU/FLU;
+    theta (5,); of the previous sample: velocity_last (3,) FRD, rotor_speed_last (n,), eta_d_last (3,),
+    observer_last (3, 2).
+    Outputs: thrust (n,), commanded static thrusts (N); rotor_speed (n,); eta_d (3,); observer (3, 2); velocity (3,)
+    FRD; error: e_eta (3,); outside: whether the thrust vector was moved into the cone (0 or 1); floored: number of
+    rotors at the least speed; limited: number of rotors at the largest thrust; u_T (3,), NED.
     """
     n = vehicle.n_rotors
     x, reference, yaw = ca.SX.sym("x", N_STATE), ca.SX.sym("reference", 3, 3), ca.SX.sym("yaw", 3)
@@ -40,25 +39,21 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
     eta, rate = euler_angles(R), ca.mtimes(ca.DM(FRD_FLU), x[RATE])
     velocity_ned = ca.mtimes(ca.DM(NED_ENU), x[VELOCITY])
     velocity = ca.mtimes(ca.DM(FRD_FLU), air_velocity(x[ATTITUDE], x[VELOCITY]))
-    goal = ca.mtimes(ca.DM(NED_ENU), reference)
+    target = ca.mtimes(ca.DM(NED_ENU), reference)
     psi_d, psi_d_dot, psi_d_ddot = yaw_ned(yaw[0]), -yaw[1], -yaw[2]
 
-    known = secondary_terms(vehicle, theta, velocity_last, rotor_speed_last)
+    hub, delta_thrust, delta_torque = compensation(vehicle, theta, velocity_last, rotor_speed_last)
+    hub, delta_thrust, delta_torque = hub * variant.hub, delta_thrust * variant.thrust, delta_torque * variant.torque
     drag = drag_force(vehicle, theta, velocity) * variant.drag
-    hub, delta_thrust, delta_torque = (
-        known.hub * variant.hub,
-        known.thrust * variant.thrust,
-        known.torque * variant.torque,
-    )
 
     u_xi = position_feedback(
-        ca.mtimes(ca.DM(NED_ENU), x[POSITION]) - goal[:, 0],
-        velocity_ned - goal[:, 1],
+        ca.mtimes(ca.DM(NED_ENU), x[POSITION]) - target[:, 0],
+        velocity_ned - target[:, 1],
         ca.DM(settings.position_proportional),
         ca.DM(settings.position_derivative),
     )
     R_last = rotation_euler(eta_d_last)
-    u_T = thrust_vector(u_xi, goal[:, 2], R_last, hub + drag[:2], vehicle.mass, vehicle.gravity)
+    u_T = thrust_vector(u_xi, target[:, 2], R_last, hub + drag[:2], vehicle.mass, vehicle.gravity)
     outside = ca.SX(0)
     if settings.cone:
         u_T, outside = in_cone(u_T, settings.thrust_share_min * vehicle.mass * vehicle.gravity, settings.tilt_max)

@@ -2,7 +2,7 @@
 
     x_k = e^{A h} x_{k-1} + int_0^h e^{A s} ds B y_k,    A = [-l1 1 0; -l2 0 1; -l3 0 0],  B = (l1, l2, l3)
 
-with l = (3 w0, 3 w0^2, w0^3), all poles at -w0 (rad/s): x_2 follows the first derivative of y, x_3 the second.
+with l = (3 w0, 3 w0^2, w0^3), all poles at -w0 (rad/s): x_2 estimates the first derivative of y, x_3 the second.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Position control, Lei & Li 2017, equations (28)-(35): from the tracking error to collective thrust and tilt.
 
-World NED, body FRD. With H the hub force, D the body drag and delta_T the secondary thrust (secondary.py):
+World NED, body FRD. With H the hub force, D the body drag and delta_T the thrust deviation (compensation.py):
 
     (30)  u_xi = -(K_p e_xi + K_d e_v)                                             e_xi = xi - xi_d
     (32)  u_T  = -R_d,k-1 (H_x + D_x) e1 - R_d,k-1 (H_y + D_y) e2 - m (u_xi - g e3 + a_d)
@@ -8,7 +8,7 @@ World NED, body FRD. With H the hub force, D the body drag and delta_T the secon
     (34)  phi_d   = arcsin((u_Tx sin psi_d - u_Ty cos psi_d) / ||u_T||)
     (35)  theta_d = arctan((u_Tx cos psi_d + u_Ty sin psi_d) / u_Tz)
 
-(35) picks the wrong quadrant where the vehicle should push itself down, u_Tz < 0. `in_cone` keeps u_T out of there.
+(35) gives the wrong quadrant for a downward thrust, u_Tz < 0; `in_cone` excludes it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def position_feedback(
 def thrust_vector(
     u_xi: Expression, acceleration: Expression, R_last: Expression, lateral: Expression, mass: float, gravity: float
 ) -> Expression:
-    """u_T, (3,), NED (N): equation (32); it points along the body's z axis, against the thrust.
+    """u_T, (3,), NED (N): equation (32). It points along the body's z axis (down), opposite to the thrust.
 
     acceleration: a_d (3,), NED (m/s^2). R_last: R_d,k-1, (3, 3). lateral: (H + D)_xy, (2,), FRD (N).
     """
@@ -37,9 +37,9 @@ def thrust_vector(
 
 
 def in_cone(u_T: Expression, down_min: float, tilt_max: float) -> tuple[Expression, Expression]:
-    """u_T moved into the cone that a multirotor can hold, (3,) (N), and whether it had to be (0 or 1).
+    """u_T limited to a cone about the vertical, (3,) (N), and whether it was outside (0 or 1).
 
-    down_min: least u_Tz (N). tilt_max: largest angle from the vertical (rad); the vertical part is kept.
+    down_min: least u_Tz (N). tilt_max: largest angle from the vertical (rad); the vertical component is kept.
     """
     down = ca.fmax(u_T[2], down_min)
     across = ca.sqrt(u_T[0] ** 2 + u_T[1] ** 2)

@@ -45,14 +45,12 @@ class FeedbackSettings:
 
 @dataclass(frozen=True)
 class Variant:
-    """What a feedback controller compensates, and by which coefficients.
+    """What a feedback controller compensates, and with which coefficients.
 
-    hub, drag: hub force H and body drag D in (32), (33).
-    thrust, torque: secondary delta_T in (33), delta_Gamma in (40).
-    allocation: coefficients of (27): "motor" k_Tm, k_Qm; "static" k_T,static, k_Q,static of the parameters; "vehicle"
-    the
-    static ones of the vehicle's own thrust map. parameters: "identified" in flight, "true", or "none" needed.
-    delayed: H, delta_T and delta_Gamma of the sample before (as printed), or of this one by a fixed point.
+    hub, drag: hub force H and body drag D in (32), (33). thrust, torque: delta_T in (33), delta_Gamma in (40).
+    allocation: coefficients of (27): "motor": k_Tm, k_Qm; "static": k_T,static, k_Q,static from the parameters;
+    "vehicle": the static ones of the vehicle. parameters: "identified" in flight, "true", or "none" (not needed).
+    delayed: H, delta_T and delta_Gamma of the previous sample (as printed), else of this one by a fixed point.
     """
 
     hub: bool = True
@@ -69,7 +67,7 @@ _NOTHING = Variant(hub=False, drag=False, thrust=False, torque=False)
 VARIANTS: dict[str, Variant] = {
     "rls": Variant(),
     "static": replace(_NOTHING, allocation="vehicle", parameters="none"),  # Remark 7, the baseline
-    "literal": _NOTHING,  # Section 5 read literally: k_Tm is 1.74 times what hovering rotors give
+    "literal": _NOTHING,  # Section 5 taken literally: k_Tm is 1.74 times the thrust coefficient in hover
     "nocomp_statid": replace(_NOTHING, allocation="static"),
     "oracle": Variant(parameters="true"),
     "oracle_impl": Variant(parameters="true", delayed=False),

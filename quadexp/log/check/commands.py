@@ -39,8 +39,8 @@ def limits(kind: str, vehicle: Vehicle | None) -> tuple[float, float, str] | Non
         return 0.0, 1.0, ""
     if kind == "rotor_speed":
         fastest = FASTEST_ROTOR
-        if vehicle is not None and vehicle.static_thrust:
-            fastest = 1.5 * float(np.sqrt(vehicle.thrust_max / vehicle.static_thrust))
+        if vehicle is not None and vehicle.thrust_coefficient:
+            fastest = 1.5 * float(np.sqrt(vehicle.thrust_max / vehicle.thrust_coefficient))
         return 0.0, fastest, " rad/s"
     return None if vehicle is None else (vehicle.thrust_min, vehicle.thrust_max, " N")
 

@@ -8,13 +8,14 @@ import pytest
 from quadexp.control.base import Measurement, Window
 from quadexp.control.feedback.aerodynamics import KnownCoefficients, body_velocity
 from quadexp.control.feedback.controller import FeedbackController
-from quadexp.control.feedback.frames import FRD_FLU, NED_ENU, ned_from_state, state_from_ned, yaw_ned
+from quadexp.control.feedback.frames import FRD_FLU, NED_ENU, state_from_ned, yaw_ned
 from quadexp.control.feedback.law import law_function
 from quadexp.control.feedback.observer import observer_matrices
 from quadexp.control.feedback.settings import VARIANTS, FeedbackSettings
 from quadexp.errors import UsageError
 from quadexp.reference.rectangle import Rectangle
 from tests.control.feedback import paper
+from tests.states import ned_from_state
 
 PRINTED = FeedbackSettings(cone=False, rotor_speed_min=1e-3)
 TERMS = {  # hub force, drag, secondary thrust, secondary torque
@@ -85,11 +86,11 @@ def test_one_call_equals_the_paper(lei_li, name):
         expected = paper.control(
             *now.values(), last, coefficients, terms=TERMS[name], coefficient_pair=coefficient_pair(name, coefficients)
         )
-        if not 1.0 < expected[0].min() < expected[0].max() < 20.0 / lei_li.static_thrust:
+        if not 1.0 < expected[0].min() < expected[0].max() < 20.0 / lei_li.thrust_coefficient:
             continue  # a speed squared at the floor or at the vehicle's limit: see below
         got = call(function, now, last, coefficients)
         assert got["rotor_speed"] ** 2 == pytest.approx(expected[0], rel=1e-9)
-        assert got["thrust"] == pytest.approx(lei_li.static_thrust * expected[0], rel=1e-9)
+        assert got["thrust"] == pytest.approx(lei_li.thrust_coefficient * expected[0], rel=1e-9)
         assert got["eta_d"] == pytest.approx(expected[1], abs=1e-12)
         assert pytest.approx(np.stack(expected[2:4]), abs=1e-12) == got["observer"].T
         assert got["u_T"] == pytest.approx(expected[4], abs=1e-11)
@@ -235,7 +236,7 @@ class TestController:
         controller.reset(x, self.window())
         u, _ = controller.step(Measurement(0.0, x, None, None), self.window())
         arguments, results = controller._law.arguments, controller._law.results
-        assert np.abs(arguments["rotor_speed_last"] - np.sqrt(u / lei_li.static_thrust)).max() < 1e-7
+        assert np.abs(arguments["rotor_speed_last"] - np.sqrt(u / lei_li.thrust_coefficient)).max() < 1e-7
         assert np.abs(arguments["eta_d_last"] - results["eta_d"]).max() < 1e-9
 
     def test_back_ends_agree(self, lei_li):
@@ -251,6 +252,6 @@ class TestController:
             self.make(vehicle)
         from dataclasses import replace
 
-        six = replace(odd_vehicle, rotor=lei_li.rotor, static_thrust=lei_li.static_thrust)
-        with pytest.raises(UsageError, match="allocates to 4 rotors, this one has 6"):
+        six = replace(odd_vehicle, rotor=lei_li.rotor, thrust_coefficient=lei_li.thrust_coefficient)
+        with pytest.raises(UsageError, match="needs 4 rotors, this vehicle has 6"):
             self.make(six)

@@ -14,7 +14,8 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.physics.state import ATTITUDE
-from quadexp.reference import Circle, Lemniscate
+from quadexp.reference.circle import Circle
+from quadexp.reference.lemniscate import Lemniscate
 from quadexp.report.metrics import flight_metrics
 from quadexp.world import PlantEffects, SimplifiedPlant
 from tests.air.models import make_residual

@@ -11,7 +11,10 @@ from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.rollout import SampledReference, fly
-from quadexp.reference import Circle, Hover, Lemniscate, Step
+from quadexp.reference.circle import Circle
+from quadexp.reference.hover import Hover
+from quadexp.reference.lemniscate import Lemniscate
+from quadexp.reference.step import Step
 from quadexp.world import PlantEffects, SimplifiedPlant
 from tests.air.models import RESIDUALS, make_residual
 from tests.control.mpc.converged import ConvergedProblem
