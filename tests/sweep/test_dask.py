@@ -182,7 +182,7 @@ class TestKill:
         )
         assert result.flown == 30 - len(before) and done == list(range(len(before), 31))
         same_results(undisturbed, result)
-        assert not [name for name in files(tmp_path / "r") if name.endswith((".tmp", ".lock", "rows.parquet"))]
+        assert not [name for name in files(tmp_path / "r") if name.endswith((".tmp", ".lock"))]
         assert left_on(cluster) == [], "what the killed driver kept on the workers is gone too"
 
 
