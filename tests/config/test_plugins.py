@@ -14,7 +14,7 @@ from quadexp.experiment.build import build_controller, build_plant, build_trajec
 from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.sweep.cluster.engines import build_engine
 from quadexp.sweep.engine import Task
-from tests.faults.command import FLY, ROOT, apart, one_line, run
+from tests.faults.command import FLY, ROOT, apart, one_line
 
 TRAJECTORY = (
     "defaults: [/schema/trajectory/custom@_here_, _self_]\nname: mine\n_target_: {target}\noptions: {options}\n"

@@ -25,7 +25,7 @@ def apart(
     before: str = "",
     limit: Callable[[], None] | None = None,
 ) -> subprocess.CompletedProcess:
-    """Run `quadexp words...` in a process of its own, for what a process alone can show; else `run` does it in this one.
+    """Run `quadexp words...` in a process of its own, where that is what is tested; otherwise there is `run`.
 
     environment: changes, None takes a variable away. before: Python that runs first. limit: called in the new process
     before anything else."""

@@ -23,7 +23,7 @@ from quadexp.errors import QuadexpError, UsageError
 from quadexp.sweep.cluster.engines import build_engine
 from quadexp.sweep.sweep import run_sweep
 from tests.experiment.same import same_results
-from tests.faults.command import FLY, apart, one_line, run
+from tests.faults.command import FLY, apart, one_line
 from tests.sweep import cells
 from tests.sweep.dask_cluster import ROOT, Cluster, descendants
 
