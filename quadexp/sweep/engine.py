@@ -1,7 +1,7 @@
-"""Many cells on the processes of this machine; a crash or an endless loop costs one cell one attempt, never the sweep.
+"""Cells on processes of this machine; a crash or an endless loop costs one cell one attempt and never ends the sweep.
 
-The pool starts its workers from one server process that has the heavy imports ready (forkserver), so that a worker
-costs a fork and a replaced one is there at once. Every worker uses one thread of linear algebra.
+The workers are forked from one server process that has the slow imports done (forkserver), so that a worker starts, or
+is replaced, quickly. Every worker uses one thread of linear algebra.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ QUEUED = 4  # cells handed out per worker, so that no worker waits
 
 @dataclass(frozen=True)
 class CellFailed:
-    """Why a cell has no result. all: whether no other would have one either, as where a disk is full."""
+    """Why a cell has no result. all: whether the same will happen to every other cell, as on a full disk."""
 
     cause: str
     all: bool = False
@@ -31,7 +31,7 @@ class CellFailed:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A cell to fly and the file it shall be."""
+    """A cell to fly and the path of the file to write."""
 
     key: str
     config: Config
@@ -43,13 +43,13 @@ CellFunction = Callable[[Config, ModelFile | None, str, str], dict[str, Any]]  #
 
 
 class Engine(Protocol):
-    """Flies the cells of a sweep somewhere; the files and rows that come of it are the same wherever that is."""
+    """Flies the cells of a sweep; files and rows do not depend on the engine."""
 
     def fly(self, function: CellFunction, tasks: Iterable[Task]) -> Generator[tuple[str, dict[str, Any] | CellFailed]]:
         """Call `function(config, model, path, key)` for every task; yield (key, row or CellFailed) as they end.
 
-        When a row is yielded the file of its cell lies at the path of its task. Tasks are taken as they can be flown,
-        in their order. Leaving the iterator early, or an interrupt, ends whatever the engine started.
+        When a row is yielded, the file of its cell exists. Tasks are started in their order. Leaving the iterator
+        early, or an interrupt, ends everything that the engine started.
         """
         ...
 
