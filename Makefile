@@ -65,7 +65,7 @@ reproduce-lei-li: $(STAMP)
 reproduce-quick: $(STAMP)
 	$(BIN)/python -m pytest -m slow tests/reproduction
 
-# Every slow test, the 200 seeds of each of Lei & Li's examples among them; ten minutes or more.
+# Every slow test: full sizes, the 200 seeds of each of Lei & Li's examples, odd file systems; ten minutes or more.
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -n auto --dist loadscope -m slow tests
 

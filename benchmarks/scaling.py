@@ -2,12 +2,12 @@
 
     python -m benchmarks.scaling [--parts overhead dask driver rerun order store] [--cells 2000] [--json]
 
-overhead, dask   short flights on one and on two workers, alternating: time per cell besides the flight, including
-                 writing the file; efficiency of the second worker; memory of a worker
-driver           20 000 cells without a flight: memory of the driver over the cells, time per cell
-rerun            repeating the command after all cells are flown: seconds of the whole process
-order            flights with different controllers, in the order of the plan and shuffled: builds, seconds
-store            scanning and verifying the cells, and the table, by number of cells
+overhead, dask   short flights on one and on two workers, in turns: time per cell beside the flight itself, in which
+                 the file is written; efficiency of the second worker; memory of a worker
+driver           20 000 cells without a flight: time for planning, flying and tables, and memory of the driver
+rerun            the command again, when all is flown: seconds of the whole process
+order            flights whose controllers must all be built, in the order of the plan and shuffled: builds, seconds
+store            finding the cells and recalling one
 
 All files are removed afterwards. Wall-clock times depend on other load on the machine. Times called `own` are
 wall-clock times minus the waiting time of runnable threads for a core (/proc/*/schedstat): an estimate for an otherwise
@@ -32,14 +32,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.scaling_cells import processor_seconds, resident, timed_cell, trivial_cell
-from quadexp.config.compose import compose, expand
+from quadexp.config.compose import compose, expand, session
 from quadexp.log.cell_store import CellStore
-from quadexp.log.store import read_table, write_table
 from quadexp.sweep.engine import Engine, LocalEngine, Task
-from quadexp.sweep.plan import Plan
-from quadexp.sweep.rows import Rows
+from quadexp.sweep.plan import Job, flying_order, plan_cells
 from quadexp.sweep.sweep import run_sweep
-from quadexp.sweep.sweep_table import RESULTS
 
 SHORT = ["trajectory=step", "trajectory.duration=0.4", "trajectory.step_time=0.2"]
 CONTROLLERS = "controller=nominal_mpc,perfect_mpc"
@@ -52,16 +49,15 @@ def folder() -> Iterator[Path]:
         yield Path(name)
 
 
-def tasks(plan: Plan, out: Path, order: list[str] | None = None) -> Iterator[Task]:
+def tasks(jobs: list[Job], out: Path) -> Iterator[Task]:
     store = CellStore(out)
-    keys = list(plan.places)
-    for job in map(plan.job, order or plan.flying_order(keys)):
+    for job in jobs:
         path = store.path(job.key)
         path.parent.mkdir(parents=True, exist_ok=True)
         yield Task(job.key, job.cell.config, job.model, str(path))
 
 
-def fly(engine: Engine, plan: Plan, order: list[str] | None = None) -> Record:
+def fly(engine: Engine, jobs: list[Job]) -> Record:
     """Fly everything; means over the cells whose controller was there already, and what building one took.
 
     all_cpu: processor time of every process of the sweep a cell, driver_cpu: of the driver's, both after the first
@@ -69,8 +65,8 @@ def fly(engine: Engine, plan: Plan, order: list[str] | None = None) -> Record:
     """
     with folder() as out:
         began, rows = time.perf_counter(), []
-        last = len(order or plan.places)
-        for _, row in engine.fly(timed_cell, tasks(plan, out, order)):
+        last = len(jobs)
+        for _, row in engine.fly(timed_cell, tasks(jobs, out)):
             if not isinstance(row, dict):
                 raise SystemExit(f"a cell failed: {row.cause}")
             rows.append({name: row[name] for name in (*TIMES, "builds", "resident", "process")})
@@ -108,12 +104,11 @@ def overhead(engine: Callable[[int], Engine], cells: int) -> Record:
     The efficiency is that of two cores of one's own, on which the driver would take its time from the workers, and of
     one sweep, in which every worker builds every controller once.
     """
-    plan = Plan(expand([*SHORT, CONTROLLERS, f"seed=range({cells // 2})"]))
-    keys = list(plan.places)
+    jobs = list(plan_cells(expand([*SHORT, CONTROLLERS, f"seed=range({cells // 2})"])).values())
     runs: dict[int, list[Record]] = {1: [], 2: []}
     for turn in range(TURNS):
         for workers, made in runs.items():
-            made.append(fly(engine(workers), plan, list(plan.flying_order(keys[turn::TURNS]))))
+            made.append(fly(engine(workers), flying_order(jobs[turn::TURNS])))
     found: Record = {}
     for workers, made in runs.items():
         mean = {name: float(np.mean([run[name] for run in made])) for name in made[0]}
@@ -141,24 +136,31 @@ def driver(cells: int) -> Record:
     return json.loads(done.stdout.splitlines()[-1])
 
 
+class NoFlights:
+    """An engine that calls the cell function in this process, so that the driver alone is measured."""
+
+    def fly(self, function: Any, tasks: Any) -> Iterator[tuple[str, Any]]:
+        for task in tasks:
+            yield task.key, function(task.config, task.model, task.path, task.key)
+
+
 def driver_memory(cells: int) -> None:
-    seen: dict[int, float] = {}
-    marks = {int(cells * share) for share in (0.01, 0.1, 0.25, 0.5, 0.75)} | {cells}
-    began = 0.0
+    """Print seconds of processor time and memory (MB) as a sweep without flights goes on."""
+    seen: dict[str, Any] = {}
+
+    def mark(name: str) -> None:
+        seen[name] = {"cpu_s": time.process_time() - began, "resident_MB": resident()}
 
     def progress(done: int, total: int) -> None:
-        nonlocal began
-        began = began or time.perf_counter()
-        if done in marks:
-            seen[done] = resident()
+        if done in (0, total):
+            mark("planned" if done == 0 else "all rows in")
 
-    before = resident()
-    grid = expand([*SHORT, CONTROLLERS, f"seed=range({cells // 2})"])
-    with folder() as out:
-        run_sweep(grid, out / "r", engine=LocalEngine(2), function=trivial_cell, progress=progress)
-        seconds = time.perf_counter() - began
-    record = {"before": before, "resident": seen, "at_the_end": resident(), "peak": resident(name="VmHWM")}
-    print(json.dumps({**record, "ms_per_cell": 1e3 * seconds / cells}))
+    with session() as composer, folder() as out:
+        began, before = time.process_time(), resident()
+        grid = composer.expand([*SHORT, CONTROLLERS, f"seed=range({cells // 2})"], check=False)
+        run_sweep(grid, out / "r", engine=NoFlights(), function=trivial_cell, progress=progress)
+        mark("tables written")
+    print(json.dumps({"cells": cells, "before_MB": before, **seen, "peak_MB": resident(name="VmHWM")}))
 
 
 def rerun(cells: int) -> Record:
@@ -182,19 +184,20 @@ def rerun(cells: int) -> Record:
 def order() -> Record:
     """Eighty controllers of two flights each: more than a worker keeps."""
     masses = ",".join(f"{0.01 * i:g}" for i in range(1, 81))
-    plan = Plan(expand([*SHORT, "controller=perfect_mpc", f"plant.payload={masses}", "seed=range(4)"]))
-    keys = list(plan.places)
-    shuffled = random.Random(0).sample(keys, len(keys))
+    cells = expand([*SHORT, "controller=perfect_mpc", f"plant.payload={masses}", "seed=range(4)"])
+    jobs = list(plan_cells(cells).values())
     found = {}
-    for name, chosen in (("as planned", None), ("shuffled", shuffled)):
-        run = fly(LocalEngine(2), plan, chosen)
+    for name, chosen in (
+        ("as planned", flying_order(jobs)),
+        ("shuffled", random.Random(0).sample(jobs, len(jobs))),
+    ):
+        run = fly(LocalEngine(2), chosen)
         found[name] = {key: run[key] for key in ("cells", "builds", "build_own_ms", "wall", "resident")}
     return found
 
 
-def store(sizes: list[int]) -> Record:
-    """Cost of what grows with the cells, on files without content and rows of random numbers."""
-    found: Record = {}
+def store(cells: int) -> Record:
+    """Finding the cells of a folder, and taking the row of one from its file."""
     with folder() as out:
         flown = run_sweep(expand([*SHORT, "seed=range(20)"]), out / "few", engine=LocalEngine(2))
         few = CellStore(out / "few")
@@ -202,45 +205,17 @@ def store(sizes: list[int]) -> Record:
         began = time.perf_counter()
         for key in keys:
             few.row(key)
-        found["recall_ms"] = 1e3 * (time.perf_counter() - began) / len(keys)
-        found["bytes_per_cell"] = int(np.mean([few.path(key).stat().st_size for key in keys]))
-        template = flown.rows[0]
-        for size in sizes:
-            many = CellStore(out / str(size))
-            for i in range(size):
-                path = many.path(f"{i * 2654435761 % 2**64:020x}")
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.touch()
-            began = time.perf_counter()
-            assert len(many.done()) == size
-            scan = time.perf_counter() - began
-            rows = Rows(size)
-            before = resident()
-            for i in range(size):
-                rows[i] = {**template, "key": f"{i:020x}", "seed": i, "rmse": i / size}
-            filled = resident() - before
-            began = time.perf_counter()
-            write_table(out / RESULTS, rows.columns(), {"conditions": []}, "results")
-            written = time.perf_counter() - began
-            began = time.perf_counter()
-            read_table(out / RESULTS, "results")
-            read = time.perf_counter() - began
-            bytes_per_row = (out / RESULTS).stat().st_size / size
-            found[f"{size}"] = {
-                "scan_s": scan,
-                "write_table_s": written,
-                "read_table_s": read,
-                "row_bytes_on_disk": bytes_per_row,
-                "row_bytes_in_memory": 1e6 * filled / size,
-            }
+        recall = time.perf_counter() - began
+        size = int(np.mean([few.path(key).stat().st_size for key in keys]))
+        many = CellStore(out / "many")
+        for i in range(cells):
+            path = many.path(f"{i * 2654435761 % 2**64:020x}")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
         began = time.perf_counter()
-        cells = expand([*SHORT, CONTROLLERS, f"seed=range({sizes[-1] // 2})"])
-        found["compose_ms"] = 1e3 * (time.perf_counter() - began) / sizes[-1]
-        before, began = resident(), time.perf_counter()
-        plan = Plan(cells)
-        found["plan_ms"] = 1e3 * (time.perf_counter() - began) / len(plan)
-        found["plan_bytes_per_cell"] = 1e6 * (resident() - before) / len(plan)
-    return found
+        assert len(many.done()) == cells
+        scan = time.perf_counter() - began
+    return {"recall_ms": 1e3 * recall / len(keys), "bytes_per_cell": size, f"scan of {cells} files, s": scan}
 
 
 def dask_engine(workers: int) -> Engine:
@@ -255,7 +230,7 @@ PARTS: dict[str, Callable[[int], Record]] = {
     "driver": lambda cells: driver(10 * cells),
     "rerun": rerun,
     "order": lambda cells: order(),
-    "store": lambda cells: store([10 * cells, 50 * cells]),
+    "store": lambda cells: store(10 * cells),
 }
 
 

@@ -1,4 +1,4 @@
-"""Errors a user can mend: one line that says what was found, where, and what is allowed."""
+"""Errors that a user can correct: one line that says what was found, where, and what is allowed."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import errno
 import re
 from pathlib import Path
 
-DEVICE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # the device's fault, not the request's
+DEVICE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # failures of the device, not of the request
 
 
 class QuadexpError(Exception):
@@ -26,19 +26,19 @@ class DataError(QuadexpError):
 
 
 class ModelDomainError(QuadexpError):
-    """A physical model was asked for a point where it has no answer, or more than one."""
+    """A physical model was evaluated at a point where it has no solution, or more than one."""
 
 
 class WriteError(QuadexpError):
-    """A file could not be written because the device is full or broken: what comes after it could not be either."""
+    """A file could not be written because the device is full or broken: no later file could be written either."""
 
 
 class RefusedWriteError(WriteError, UsageError):
-    """A file could not be written because the place takes none: a wrong request."""
+    """A file could not be written because its folder does not accept files: a wrong request."""
 
 
 def write_error(path: Path, error: OSError) -> WriteError:
-    """What to raise for a file that could not be written. Arrow names the number only in its message."""
+    """The exception for a file that could not be written. Arrow gives the error number only in its message."""
     named = re.search(r"errno (\d+)", str(error))
     number = error.errno or (int(named[1]) if named else 0)
     kind = WriteError if number in DEVICE else RefusedWriteError
@@ -46,5 +46,5 @@ def write_error(path: Path, error: OSError) -> WriteError:
 
 
 def stops_all(error: BaseException) -> bool:
-    """Whether an error of one flight will meet all others too: no file can be written."""
+    """Whether an error of one flight will occur in all others too, because no file can be written."""
     return isinstance(error, WriteError) or (isinstance(error, OSError) and error.errno in DEVICE)

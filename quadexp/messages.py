@@ -1,9 +1,8 @@
-"""What people read: one line from a mistake (what may have been meant, the telling part of a library's error), and text
-without anything that a terminal would obey.
+"""Text for people: suggestions for a misspelt name, one line from an error of a library, no control characters.
 
-Names come from files that others made. A control character in one could move the cursor, hide or forge lines, or set
-the terminal's title; so standard output and the error stream are wrapped once (quadexp/cli/terminal.py), and what is
-printed shows such characters instead of sending them.
+Names may come from files of other people. A control character in one could move the cursor, hide or forge lines, or
+set the title of the terminal. Therefore standard output and the error stream are wrapped once
+(quadexp/cli/terminal.py), and control characters are printed as escape sequences instead of being sent.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-# All of ASCII's and Latin-1's but tab and newline, and those that turn the direction of writing or break lines.
+# Those of ASCII and Latin-1 except tab and newline, and those that change the direction of writing or break lines.
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 
 
@@ -23,7 +22,7 @@ def clean(text: str) -> str:
 
 
 class CleanStream:
-    """A text stream that passes on no control character. raw: the stream itself, for what this program styles."""
+    """A text stream that passes on no control character. raw: the wrapped stream, for text that this program styles."""
 
     def __init__(self, raw: Any) -> None:
         self.raw = raw
@@ -41,17 +40,17 @@ class CleanStream:
 
 
 def raw(stream: Any) -> Any:
-    """What is below a CleanStream; any other stream itself."""
+    """The stream that a CleanStream wraps; any other stream itself."""
     return stream.raw if isinstance(stream, CleanStream) else stream
 
 
-# What OmegaConf says of a value of the wrong type.
+# Message of OmegaConf for a value of the wrong type.
 _CONVERSION = re.compile(r"Value '(.*)' of type '[^']*' could not be converted to (\w+)$")
 _KINDS = {"Float": "a number", "Integer": "a whole number", "Boolean": "true or false"}
 
 
 def suggestion(found: str, known: Sequence[str], listed: Sequence[str] | None = None) -> str:
-    """What may have been meant, or what there is."""
+    """A name that may have been meant, or the names that exist, as the end of an error message."""
     near = _ending_in(found, known) or difflib.get_close_matches(found, known, n=1, cutoff=0.6)
     if near:
         return f"; did you mean {' or '.join(near)}?"
@@ -60,12 +59,12 @@ def suggestion(found: str, known: Sequence[str], listed: Sequence[str] | None = 
 
 
 def _ending_in(found: str, known: Sequence[str]) -> list[str]:
-    """At most three dotted names whose last part is the one that was found: speed stands for trajectory.speed."""
+    """At most three dotted names whose last part is the given one: trajectory.speed for speed."""
     return [name for name in known if "." in name and name.rpartition(".")[2] == found][:3]
 
 
 def one_line(error: BaseException) -> str:
-    """One line from an error of Hydra or OmegaConf and its cause, the most telling part first."""
+    """One line from an error of Hydra or OmegaConf and its cause; the cause comes first."""
     parts = []
     for part in (error.__cause__, error):
         if part is None:

@@ -36,7 +36,7 @@ class Progress:
             self._bar.stop()
 
     def __call__(self, done: float, total: float) -> None:
-        """done of total; the first call counts as where the work began."""
+        """Show that `done` of `total` is finished; the first call tells where the work began."""
         if self._bar is not None:
             if self._task is None:
                 self._task = self._bar.add_task(self.label, total=total)

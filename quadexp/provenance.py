@@ -1,9 +1,9 @@
 """Where a result came from: versions, sources, revision, machine, time.
 
-Which sources decide a flight stands in DECIDING, and tests/test_provenance.py holds it to what `evaluate_cell` imports.
-Not among them: what composes and checks a configuration (its outcome is in the key of the cell), what stores, reports
-or hands out flights, and what is fitted before (a checkpoint's content is in the key). `report/metrics.py` is, because
-the figures of a row are computed once, when the cell is flown.
+DECIDING lists the sources that determine the result of a flight; tests/test_provenance.py compares it with what
+`evaluate_cell` imports. Not listed are sources that compose and check a configuration (their result is in the key of
+the cell), that store, report or distribute flights, and that fit models before (the content of a checkpoint is in the
+key). `report/metrics.py` is listed, because the figures of a row are computed once, when the cell is flown.
 """
 
 from __future__ import annotations
@@ -25,9 +25,12 @@ PACKAGES = (
     "casadi", "numpy", "scipy", "pandas", "pyarrow", "torch", "gpytorch", "hydra-core", "minsnap-trajectories",
 )  # fmt: skip
 NUMERIC = ("python", "casadi", "numpy", "scipy", "torch", "minsnap-trajectories")  # a result row names these
-MODULES = {"hydra-core": "hydra", "minsnap-trajectories": "minsnap_trajectories"}  # where the name is another
+MODULES = {
+    "hydra-core": "hydra",
+    "minsnap-trajectories": "minsnap_trajectories",
+}  # import names that differ from the package name
 
-# Below the package: folders, whole, and files whose content decides what a flight is and the figures of its row.
+# Folders (with all their files) and files whose content determines a flight and the figures of its row.
 DECIDING = (
     "air", "compile", "control", "physics", "reference", "world",
     "experiment/build.py", "experiment/build_custom.py", "experiment/build_identified.py",
@@ -44,24 +47,24 @@ SHORT = 12  # hex digits of a hash that people read
 
 
 def package_folder() -> Path:
-    """Where the quadexp lies that runs."""
+    """Folder of the running package."""
     return Path(quadexp.__file__).resolve().parent
 
 
 @cache
 def sources() -> str:
-    """Hash of the sources that decide a flight (see the module), 12 hex digits; once per process, some milliseconds."""
+    """Hash of the sources that determine a flight (see the module), 12 hex digits; computed once per process."""
     return _source_hash(package_folder() / name for name in DECIDING)
 
 
 @cache
 def package_hash() -> str:
-    """Hash of all sources of this package, 12 hex digits: a worker must have the driver's."""
+    """Hash of all sources of this package, 12 hex digits: a worker must have the same as the driver."""
     return _source_hash([package_folder()])
 
 
 def identity() -> dict[str, str]:
-    """What two processes of one sweep must share: versions, and the hash of the sources of this package."""
+    """What must be equal in all processes of a sweep: versions, and the hash of the sources of this package."""
     return {**versions(), "sources": package_hash()}
 
 
@@ -85,7 +88,7 @@ def _source_hash(places: Iterable[Path]) -> str:
 def versions() -> dict[str, str]:
     """Version of this program, of Python, and of the packages that can change a number.
 
-    A module that is imported from elsewhere than its installed package is named with where it lies.
+    A module that is imported from another place than its installed package is listed with its file.
     """
     found = {"quadexp": quadexp.__version__, "python": platform.python_version()}
     for package in PACKAGES:
@@ -99,7 +102,7 @@ def versions() -> dict[str, str]:
 
 
 def _elsewhere(module: str, installed: Path) -> str:
-    """The file of a module that does not lie where its package is installed, "" where it does."""
+    """File of a module that is not imported from its installed package, "" for one that is."""
     try:
         spec = importlib.util.find_spec(module)
     except (ImportError, ValueError):
@@ -111,7 +114,7 @@ def _elsewhere(module: str, installed: Path) -> str:
 
 
 def libraries(found: Mapping[str, str] | None = None) -> str:
-    """The versions that decide the numbers of a flight in one line: of this process, or out of a file's record."""
+    """The versions that can change a number of a flight, in one line; found: of a file's record, else this process."""
     found = versions() if found is None else found
     return ", ".join(f"{name} {found[name]}" for name in NUMERIC if name in found)
 
@@ -149,7 +152,7 @@ def processor() -> str:
 
 
 def provenance() -> dict[str, Any]:
-    """What stands in every file's metadata beside the configuration."""
+    """Metadata of every file beside its configuration."""
     return {
         "git": revision(),
         "platform": f"{platform.system()} {platform.machine()}",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections import Counter
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ os.environ["QUADEXP_CACHE"] = os.path.join(tempfile.gettempdir(), f"quadexp-test
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
+from tests import composing  # noqa: F401 - before any test binds what it replaces
 
 
 def pytest_terminal_summary(terminalreporter) -> None:
@@ -88,6 +90,15 @@ def lei_li(blade) -> Vehicle:
         rotor=rotor,
         thrust_coefficient=static.thrust,
     )
+
+
+@pytest.fixture(scope="module")
+def small_trials() -> Iterator[None]:
+    """The search for better features, with which a fit ends, on few rows: for tests of other things."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("quadexp.learn.verdict.TRIAL_ROWS", 200)
+        patch.setattr("quadexp.learn.verdict.TRIAL_ITERATIONS", 3)
+        yield
 
 
 @pytest.fixture

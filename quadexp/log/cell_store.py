@@ -2,8 +2,8 @@
 
     <results>/cells/<2 hex>/<key>.parquet
 
-A cell is done when its file exists and is, byte for byte, what was written; a file appears whole or not at all. Nothing
-else is remembered between runs.
+A cell is done when its file exists and holds, byte for byte, what was written; a file appears complete or not at all.
+Nothing else is kept between runs.
 """
 
 from __future__ import annotations
@@ -23,17 +23,14 @@ MARK = "cells"
 
 
 class CellStore:
-    """The cells below one results folder."""
+    """The cells of one results folder."""
 
     def __init__(self, root: str | Path) -> None:
         self.root = Path(root)
         self.folder = self.root / MARK
 
     def open(self) -> None:
-        """Make the folder, or refuse: one that holds other things, or that cannot be written.
-
-        Raises UsageError.
-        """
+        """Make the folder; raises UsageError for one that holds other files or cannot be written."""
         if self.root.is_dir() and any(self.root.iterdir()) and not self.folder.is_dir():
             raise UsageError(f"{self.root}: is a folder of other things, not of results: choose another --out")
         check_output(self.root, folder=True, force=True)
@@ -44,14 +41,14 @@ class CellStore:
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:
-        """Keep a second sweep out of this folder while one runs."""
+        """Refuse a second sweep in this folder while one runs; raises UsageError."""
         with open(self.folder / ".lock", "w") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 theirs = not os.path.samestat(os.fstat(file.fileno()), os.stat(file.name))
-            except (BlockingIOError, FileNotFoundError):  # held, or removed by the one who held it just before
+            except (BlockingIOError, FileNotFoundError):  # held by another process, or removed by it just before
                 theirs = True
-            except OSError:  # a file system without locks, as on some clusters: nobody can be kept out
+            except OSError:  # a file system without locks, as on some clusters
                 theirs = False
             if theirs:
                 raise UsageError(f"{self.root}: another sweep is running there: choose another --out")
@@ -65,11 +62,11 @@ class CellStore:
         return self.folder / key[:2] / f"{key}.parquet"
 
     def done(self) -> set[str]:
-        """Keys of the cells that lie there, whatever their files hold."""
+        """Keys of the cells that have a file, whatever it holds."""
         return {entry.name.removesuffix(".parquet") for entry in self._entries() if entry.name.endswith(".parquet")}
 
     def row(self, key: str) -> dict[str, Any]:
-        """Result row of a cell, from the record in its file, every byte of which is checked.
+        """Result row of a cell, from the record of its file, every byte of which is checked.
 
         Raises DataError where the file has changed since it was written, or holds another flight.
         """
@@ -83,7 +80,7 @@ class CellStore:
             self.path(key).unlink(missing_ok=True)
 
     def clean(self) -> None:
-        """Remove what an interrupted run left half-written (call it with the lock held)."""
+        """Remove unfinished files of an interrupted run (call it with the lock held)."""
         for entry in self._entries():
             if entry.name.endswith(".tmp"):
                 Path(entry.path).unlink(missing_ok=True)
@@ -92,7 +89,7 @@ class CellStore:
 
     @contextlib.contextmanager
     def emptied(self) -> Iterator[None]:
-        """Leave no empty folders behind where what is done inside fails before anything was flown."""
+        """Remove the folders again if the block fails before any file was written."""
         try:
             yield
         except BaseException:

@@ -1,8 +1,8 @@
-"""Processes that fly cells: pools of them, what each does at its start, and what is said of one that ends badly.
+"""Worker processes: pools of them, what each does at its start, and the message for one that ended without a result.
 
-A child ends with the process that started it, whatever happens to that one, and takes no more memory than it may. It
-imports from where its parent does and from nowhere else, so not from the folder where somebody stands, and a pool whose
-children import another quadexp is refused.
+A worker ends with the process that started it, even if that is killed, and has a memory limit. It imports from the same
+places as its parent and from no others, so not from the current folder; a pool whose workers import another quadexp is
+refused.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ from quadexp.provenance import identity, package_folder
 PRELOAD = ("casadi", "numpy", "scipy.spatial.transform", "pyarrow.parquet")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 SAFE, PATH = "PYTHONSAFEPATH", "PYTHONPATH"
-STARTING = 60.0  # s that a pool may take for its first process
-GONE = (ProcessExpired, TimeoutError)  # how a call ends whose process died or took too long
+STARTING = 60.0  # s to wait for the first process of a pool
+GONE = (ProcessExpired, TimeoutError)  # exceptions of a call whose process died or took too long
 _SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
 
 
 def start_pool(
     workers: int, memory: float | None, preload: Sequence[str], folders: Sequence[str] | None = None
 ) -> ProcessPool:
-    """A pool whose processes are forked from one server that has `preload` imported.
+    """A pool whose processes are forked from one server that has imported `preload`.
 
-    memory: GB of data (heap and private maps) a process may take, None for no limit. folders: in which `_target_` may
-    name modules, None for those of this process.
+    memory: limit of the data of a process (heap and private maps) in GB, None for no limit. folders: those in which
+    `_target_` may name modules, None for those of this process.
     Raises QuadexpError where the processes import another quadexp than this one.
     """
     path, pool = os.environ.get(PATH), None
@@ -75,12 +75,12 @@ def start_pool(
 
 
 def _check_program(asked: Future[dict[str, str]]) -> None:
-    """Raise QuadexpError where a child is not the program that this process is."""
+    """Raise QuadexpError if the workers run another program than this process."""
     try:
         child = asked.result()
-    except GONE:  # which every cell will say of itself
+    except GONE:  # every cell will report it
         return
-    except Exception as error:  # it has no such function, for one
+    except Exception as error:  # another program may have no such function
         raise QuadexpError(f"worker processes do not run the quadexp of {package_folder()} ({error})") from None
     for name, mine in identity().items():
         if child.get(name) != mine:
@@ -91,7 +91,7 @@ def _check_program(asked: Future[dict[str, str]]) -> None:
 def safe_path() -> Iterator[None]:
     """Python processes started inside do not import from the folder where they are started.
 
-    Raises UsageError where Python was told to ignore the environment, which says so to them.
+    Raises UsageError where Python was started with the option to ignore the environment variables that ask for it.
     """
     if sys.flags.ignore_environment and not sys.flags.safe_path:
         raise UsageError(
@@ -103,7 +103,7 @@ def safe_path() -> Iterator[None]:
 
 @contextlib.contextmanager
 def same_imports() -> Iterator[None]:
-    """Python processes started inside find modules where this one does, in the same order, and nowhere else."""
+    """Python processes started inside search for modules in the same places as this one, and in no others."""
     places = [str(Path(place).absolute()) for place in sys.path if isinstance(place, str)]
     known = os.pathsep.join(place for place in places if os.pathsep not in place)
     with safe_path(), environment({PATH: known}):
@@ -111,8 +111,8 @@ def same_imports() -> Iterator[None]:
 
 
 class _MonotonicTasks(TaskManager):
-    """Pebble's tasks, their time limits by the monotonic clock: neither a suspended computer nor a clock that is set
-    makes a call late. (Pebble 5 counts wall time.)"""
+    """Pebble's tasks with time limits by the monotonic clock, which a suspended computer or a changed clock does not
+    affect. (Pebble 5 uses wall time.)"""
 
     def task_start(self, task_id: int, worker_id: int | None) -> None:
         super().task_start(task_id, worker_id)
@@ -127,7 +127,7 @@ class _MonotonicTasks(TaskManager):
 
 @contextlib.contextmanager
 def _undisturbed() -> Iterator[None]:
-    """What asks this process to end does so afterwards: children that are just starting would complain at length."""
+    """Delay SIGINT and SIGTERM to the end of the block: workers interrupted while they start print long tracebacks."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -154,7 +154,7 @@ def one_thread() -> Iterator[None]:
 
 @contextlib.contextmanager
 def environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """Processes started inside have these variables; this one has its own again afterwards."""
+    """Set environment variables for processes started inside; restored afterwards."""
     saved = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:
@@ -168,10 +168,10 @@ def environment(variables: Mapping[str, str]) -> Iterator[None]:
 
 
 def begin(memory: float | None, path: str | None, folders: Sequence[str]) -> None:
-    """First thing in a child: it dies with its parent, asks for no more memory than it may have, and calls what lies in
-    the folders given with --conf.
+    """Called first in a worker: it shall end with its parent, keep to its memory limit, and import the user's modules
+    from `folders` (those given with --conf).
 
-    path: PYTHONPATH for programs that the child starts itself; it has found its own modules.
+    path: PYTHONPATH for programs that the worker itself starts.
     """
     if path is None:
         os.environ.pop(PATH, None)

@@ -1,7 +1,7 @@
-"""Many cells on the processes of this machine; a crash or an endless loop costs one cell one attempt, never the sweep.
+"""Cells on processes of this machine; a crash or an endless loop costs one cell one attempt and never ends the sweep.
 
-The pool starts its workers from one server process that has the heavy imports ready (forkserver), so that a worker
-costs a fork and a replaced one is there at once. Every worker uses one thread of linear algebra.
+The workers are forked from one server process that has the slow imports done (forkserver), so that a worker starts, or
+is replaced, quickly. Every worker uses one thread of linear algebra.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ QUEUED = 4  # cells handed out per worker, so that no worker waits
 
 @dataclass(frozen=True)
 class CellFailed:
-    """Why a cell has no result. all: whether no other would have one either, as where a disk is full."""
+    """Why a cell has no result. all: whether the same will happen to every other cell, as on a full disk."""
 
     cause: str
     all: bool = False
@@ -31,7 +31,7 @@ class CellFailed:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A cell to fly and the file it shall be."""
+    """A cell to fly and the path of the file to write."""
 
     key: str
     config: Config
@@ -43,13 +43,13 @@ CellFunction = Callable[[Config, ModelFile | None, str, str], dict[str, Any]]  #
 
 
 class Engine(Protocol):
-    """Flies the cells of a sweep somewhere; the files and rows that come of it are the same wherever that is."""
+    """Flies the cells of a sweep; files and rows do not depend on the engine."""
 
     def fly(self, function: CellFunction, tasks: Iterable[Task]) -> Generator[tuple[str, dict[str, Any] | CellFailed]]:
         """Call `function(config, model, path, key)` for every task; yield (key, row or CellFailed) as they end.
 
-        When a row is yielded the file of its cell lies at the path of its task. Tasks are taken as they can be flown,
-        in their order. Leaving the iterator early, or an interrupt, ends whatever the engine started.
+        When a row is yielded, the file of its cell exists. Tasks are started in their order. Leaving the iterator
+        early, or an interrupt, ends everything that the engine started.
         """
         ...
 
@@ -64,7 +64,7 @@ class LocalEngine:
     memory: float | None = None
 
     def fly(self, function: CellFunction, tasks: Iterable[Task]) -> Generator[tuple[str, Any]]:
-        jobs = ((task.key, (task.config, task.model, task.path, task.key)) for task in tasks)
+        jobs = {task.key: (task.config, task.model, task.path, task.key) for task in tasks}
         return run_cells(function, jobs, workers=self.workers, timeout=self.timeout, memory=self.memory)
 
 
@@ -75,7 +75,7 @@ def default_workers() -> int:
 
 def run_cells(
     function: Callable[..., Any],
-    jobs: Mapping[str, tuple[Any, ...]] | Iterable[tuple[str, tuple[Any, ...]]],
+    jobs: Mapping[str, tuple[Any, ...]],
     *,
     workers: int = 0,
     timeout: float | None = None,
@@ -84,43 +84,34 @@ def run_cells(
 ) -> Generator[tuple[str, Any]]:
     """Call `function(*arguments)` for every job in worker processes; yield (key, result or CellFailed) as they end.
 
-    jobs: key -> arguments, handed out in this order, taken when they are. timeout: s a call may take (monotonic).
-    memory: GB a worker may take.
+    jobs: key -> arguments, handed out in this order. timeout: s a call may take (monotonic). memory: GB a worker may
+    take.
     A call that raises fails at once (it would raise again); one whose process dies or that takes too long is tried
     once more. Leaving the iterator early, or an interrupt, stops every worker.
     """
-    workers = workers or default_workers()
-    if isinstance(jobs, Mapping):
-        workers = min(workers, max(1, len(jobs)))
-        jobs = jobs.items()
-    waiting = ((key, arguments, ATTEMPTS) for key, arguments in jobs)
-    again: list[tuple[str, tuple[Any, ...], int]] = []
+    if not jobs:
+        return
+    workers = min(workers or default_workers(), len(jobs))
+    waiting = [(key, arguments, ATTEMPTS) for key, arguments in jobs.items()][::-1]  # the next one last
     running: dict[Future[Any], tuple[str, tuple[Any, ...], int]] = {}
     with one_thread():
         pool = start_pool(workers, memory, [*preload, function.__module__])
-
-        def hand_out() -> None:
-            while len(running) < QUEUED * workers:
-                job = again.pop() if again else next(waiting, None)
-                if job is None:
-                    return
-                running[pool.schedule(function, args=job[1], timeout=timeout)] = job
-
         try:
-            hand_out()
-            while running:
+            while waiting or running:
+                while waiting and len(running) < QUEUED * workers:
+                    job = waiting.pop()
+                    running[pool.schedule(function, args=job[1], timeout=timeout)] = job
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     key, arguments, attempts = running.pop(future)
                     try:
                         yield key, future.result()
                     except GONE as error:
                         if attempts > 1:
-                            again.append((key, arguments, attempts - 1))
+                            waiting.append((key, arguments, attempts - 1))
                         else:
                             yield key, CellFailed(cause(error, timeout))
                     except Exception as error:
                         yield key, CellFailed(cause(error, timeout), stops_all(error))
-                hand_out()
         finally:
             if running:
                 pool.stop()

@@ -1,30 +1,24 @@
-"""Keys of a sweep's cells: the hash of everything that decides a flight."""
+"""The key of a cell: the hash of everything that decides its flight. It is the name of the cell's file."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-from quadexp.config.schema import Config
-from quadexp.experiment.identity import digest, flight_record
+from quadexp.experiment.identity import digest
 
-SCHEMA = 1  # of what a cell is; a higher number makes every older cell unknown
+SCHEMA = 1  # version of what a cell is; with a higher number every older cell is unknown
 
 
-def cell_key(config: Config, inputs: Mapping[str, str], stage: str = "evaluate") -> str:
+def cell_key(record: Mapping[str, Any], inputs: Mapping[str, str]) -> str:
     """Key of one flight: sha256 of what decides it, 20 hex digits.
 
-    inputs: content hash of every file the flight reads (checkpoint, trajectory file). Where a checkpoint was looked
-    for takes no part; what was found does.
+    record: of the flight, see identity.flight_record. inputs: content hash of every file that it reads
+    (checkpoint, trajectory file, the user's own sources).
     """
-    return digest([SCHEMA, stage, condition(config), sorted(inputs.items())])
+    return digest([SCHEMA, "evaluate", condition(record), sorted(inputs.items())])
 
 
-def condition(config: Config) -> dict[str, Any]:
-    """What was asked for, without the content of the files it names."""
-    return without_places(flight_record(config))
-
-
-def without_places(record: Mapping[str, Any]) -> dict[str, Any]:
-    """A flight's record without where its checkpoint was looked for."""
+def condition(record: Mapping[str, Any]) -> dict[str, Any]:
+    """The part of a flight's record that was asked for: without the places where a checkpoint was looked for."""
     return {**record, "controller": {k: v for k, v in record["controller"].items() if k != "models"}}

@@ -1,13 +1,13 @@
-"""What lies in a folder of results: list, filter, sort, prune.
+"""What a folder of results holds: list, filter, sort, prune.
 
-The rows of the last sweep stand in its table. Cells that are not in it, left by earlier sweeps into the same folder,
-are read from their own records; they count as no longer wanted.
+The rows of the last sweep stand in its table. Cells that are not in it, left by earlier sweeps into the same folder or
+flown by one that has not ended, are read from their own files; where there is a table, they are not wanted.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -16,19 +16,16 @@ from typing import Any
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identity import digest
 from quadexp.log.cell_store import CellStore
-from quadexp.log.store import read_metadata, read_table
+from quadexp.log.store import read_metadata
 from quadexp.messages import suggestion
-from quadexp.report.tables import ROW_COLUMNS, TEXT_COLUMNS
-from quadexp.sweep.keys import without_places
-from quadexp.sweep.rows import Rows
-from quadexp.sweep.sweep_table import RESULTS, UNFINISHED, write_results
+from quadexp.report.tables import ROW_COLUMNS
+from quadexp.sweep.keys import condition
+from quadexp.sweep.sweep_table import RESULTS, Row, open_results, read_rows, table_row, write_results
 
 WANTED = "wanted"  # beside the columns of a result row: whether the last sweep asked for the cell
 FAILURES = ("failed", "infeasible", "lost", "solver_failed", "damaged")
 # What a sweep makes of its rows.
 MADE = (RESULTS, "results.csv", "statistics.parquet", "statistics.csv", "table.md", "table.tex", "comparison.tex")
-
-Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -46,16 +43,14 @@ def list_results(
     """Rows of all cells of a folder, each with `wanted`.
 
     filters: KEY=VALUE, all of which must hold; VALUE may be a comma list, and of text a pattern such as `gp_*`.
-    sort: a column, "-" before it for descending order; what is not there comes last. failures: only what did not end
-    well.
+    sort: a column, "-" before it for descending order; missing values come last. failures: only what did not end well.
     Raises UsageError for a folder without results or an unknown column.
     """
     wanted = [_filter(text) for text in filters]
     name = (sort or "").removeprefix("-")
     if sort:
         _check_column(name)
-    store = _open(out)
-    rows = [row for row in _all_rows(store) if all(holds(row) for holds in wanted)]
+    rows = [row for row in _all_rows(open_results(out)) if all(holds(row) for holds in wanted)]
     if failures:
         rows = [row for row in rows if row["outcome"] in FAILURES]
     if sort:
@@ -68,14 +63,13 @@ def list_results(
 def prune(out: str | Path, filters: Sequence[str] = (), *, remove: bool = False) -> Pruned:
     """Remove cells: those that the filters name, or without filters those that the last sweep did not ask for.
 
-    remove: False only says what would go. The table is written anew where rows of it go.
+    remove: False only says which. The table is written anew where it loses rows.
     """
-    store = _open(out)
+    store = open_results(out)
     if not filters and not (store.root / RESULTS).exists():
         raise UsageError(f"{store.root}: no {RESULTS} says which cells are wanted: name the others by KEY=VALUE")
-    rows = list_results(out, filters or [f"{WANTED}=false"])
     there = store.done()
-    keys = [row["key"] for row in rows if row["key"] in there]
+    keys = [row["key"] for row in list_results(out, filters or [f"{WANTED}=false"]) if row["key"] in there]
     size = sum(store.path(key).stat().st_size for key in keys)
     if remove and keys:
         with store.lock():
@@ -85,29 +79,16 @@ def prune(out: str | Path, filters: Sequence[str] = (), *, remove: bool = False)
     return Pruned(keys, size, remove)
 
 
-def _open(out: str | Path) -> CellStore:
-    store = CellStore(out)
-    if not store.folder.is_dir() and not (store.root / RESULTS).exists():
-        raise UsageError(f"{out}: holds no results (made by `quadexp evaluate`)")
-    return store
-
-
-def _all_rows(store: CellStore) -> Iterable[Row]:
-    seen: set[str] = set()
-    for path in (store.root / RESULTS, store.folder / UNFINISHED):
-        if path.exists():
-            columns, _ = read_table(path, "results")
-            for row in Rows.of(columns):
-                if row["key"] not in seen:
-                    seen.add(row["key"])
-                    yield {**row, WANTED: True}
+def _all_rows(store: CellStore) -> Iterator[Row]:
     has_table = (store.root / RESULTS).exists()
-    for key in sorted(store.done() - seen):
-        empty = {name: "" if name in TEXT_COLUMNS else None for name in ROW_COLUMNS}
+    rows = read_rows(store.root / RESULTS)[0] if has_table else []
+    for row in rows:
+        yield {**row, WANTED: True}
+    for key in sorted(store.done() - {row["key"] for row in rows}):
         try:
-            yield {**empty, **store.row(key), WANTED: not has_table}
-        except (DataError, UsageError, KeyError) as error:
-            yield {**empty, "key": key, "outcome": "damaged", "cause": str(error), WANTED: False}
+            yield {**table_row(store.row(key)), WANTED: not has_table}
+        except (DataError, UsageError) as error:
+            yield {**table_row({"key": key, "outcome": "damaged", "cause": str(error)}), WANTED: False}
 
 
 def _filter(text: str) -> Callable[[Row], bool]:
@@ -115,24 +96,19 @@ def _filter(text: str) -> Callable[[Row], bool]:
     if not equals:
         raise UsageError(f"{text!r}: expected KEY=VALUE, such as controller=gp_mpc")
     _check_column(name)
-    allowed = value.split(",")
-
-    def holds(row: Row) -> bool:
-        found = row[name]
-        if isinstance(found, bool):
-            return str(found).lower() in map(str.lower, allowed)
-        if isinstance(found, str):
-            return any(fnmatchcase(found, pattern) for pattern in allowed)
-        return any(_same_number(found, text) for text in allowed)
-
-    return holds
+    return lambda row: any(_matches(row[name], allowed) for allowed in value.split(","))
 
 
-def _same_number(found: float | None, text: str) -> bool:
+def _matches(found: Any, allowed: str) -> bool:
+    """Whether a value of a row is the one allowed: a text by its pattern, a number by its value."""
+    if isinstance(found, bool):
+        return str(found).lower() == allowed.lower()
+    if isinstance(found, str):
+        return fnmatchcase(found, allowed)
     if _is_missing(found):
-        return text in ("", "null")
+        return allowed in ("", "null")
     try:
-        return float(text) == found
+        return float(allowed) == found
     except ValueError:
         return False
 
@@ -149,7 +125,7 @@ def _check_column(name: str) -> None:
 
 def _condition(store: CellStore, key: str) -> str:
     try:
-        return digest(without_places(read_metadata(store.path(key), "flight")["config"]))
+        return digest(condition(read_metadata(store.path(key), "flight")["config"]))
     except (DataError, KeyError):
         return ""
 
@@ -157,13 +133,11 @@ def _condition(store: CellStore, key: str) -> str:
 def _shorten_table(root: Path, keys: set[str], conditions: set[str]) -> None:
     if not (root / RESULTS).exists():
         return
-    columns, record = read_table(root / RESULTS, "results")
-    kept = [key not in keys for key in columns["key"]]
-    if all(kept):
-        return
-    if not any(kept):
+    rows, record = read_rows(root / RESULTS)
+    kept = [row for row in rows if row["key"] not in keys]
+    if not kept:
         for name in MADE:
             (root / name).unlink(missing_ok=True)
-        return
-    record["conditions"] = sorted(set(record.get("conditions", ())) - conditions)
-    write_results(root, Rows.of({name: values[kept] for name, values in columns.items()}), record)
+    elif len(kept) < len(rows):
+        record["conditions"] = sorted(set(record.get("conditions", ())) - conditions)
+        write_results(root, kept, record)

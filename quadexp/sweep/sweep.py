@@ -1,6 +1,6 @@
-"""A sweep: every cell flown once, however often it is started, and one table of results at the end.
+"""A sweep: every cell flown once, however often the sweep is started, and one table of results at the end.
 
-<out>/cells/...          one flight a cell, named by the hash of all that decides it (store.py)
+<out>/cells/...          one flight a cell, named by the hash of all that decides it (log/cell_store.py)
 <out>/results.parquet    the rows of this sweep, also as results.csv
 <out>/statistics.parquet means, intervals and comparisons with the baseline, also as statistics.csv
 <out>/table.md, .tex     the error table; comparison.tex the comparisons
@@ -9,7 +9,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -27,11 +28,11 @@ from quadexp.report.statistics import BASELINE, CONFIDENCE
 from quadexp.report.statistics_file import Statistics
 from quadexp.report.tables import ErrorTable
 from quadexp.sweep.engine import CellFailed, CellFunction, Engine, LocalEngine, Task
-from quadexp.sweep.plan import Plan
-from quadexp.sweep.sweep_table import RESULTS, SweepTable, write_results
+from quadexp.sweep.plan import Job, check_jobs, flying_order, plan_cells
+from quadexp.sweep.sweep_table import RESULTS, Row, table_row, write_results
 
 Old = Literal["ask", "refly", "keep"]  # what to do with cells that other sources have flown
-COUNTED = ("failed", "infeasible")  # outcomes that make a sweep end with exit code 1
+NOT_FLOWN = ("failed", "infeasible")  # outcomes that make a sweep end with exit code 1
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class SweepResult:
     notes: what a reader of the table should know, a line each."""
 
     out: Path
-    rows: Sequence[dict[str, Any]]
+    rows: Sequence[Row]
     flown: int
     table: ErrorTable
     statistics: Statistics
@@ -48,8 +49,8 @@ class SweepResult:
     notes: list[str] = field(default_factory=list)
 
     @property
-    def not_flown(self) -> list[dict[str, Any]]:
-        return [row for row in self.rows if row["outcome"] in COUNTED]
+    def not_flown(self) -> list[Row]:
+        return [row for row in self.rows if row["outcome"] in NOT_FLOWN]
 
 
 class SweepInterrupted(QuadexpError):
@@ -78,69 +79,87 @@ def run_sweep(
     engine: where to fly; None for `workers` processes of this machine (0: one a core), each cell for at most `timeout`
     seconds. force: fly everything again, and replace another sweep's table. old: of cells that are there and were flown
     by other sources than those that run: "refly", "keep", or refuse to go on. isolate: False flies in this process.
-    progress: called with the numbers of cells done and of all.
+    progress: called with the numbers of cells done and of all. function: flies one cell.
 
     Raises UsageError before anything is flown, SweepInterrupted on Ctrl-C, QuadexpError at the first file that cannot
     be written; what is done is kept.
     """
-    store, plan = CellStore(out), Plan(cells)
+    store, jobs = CellStore(out), plan_cells(cells)
     done = set() if force else store.done()
-    plan.check(key for key in plan.places if key not in done)
+    check_jobs(job for job in jobs.values() if job.key not in done)
     if not isolate:
-        for job in plan:
-            config = job.cell.config
+        for config in (job.cell.config for job in jobs.values()):
             vehicle = build_vehicle(config.vehicle)
             check_feasible(config, build_trajectory(config.trajectory, vehicle), vehicle)
     store.open()
     with store.emptied(), store.lock():
-        if not force:
-            _refuse_another_sweep(store, plan)
         store.clean()
         if force:
-            store.remove(plan.places)
-        table = SweepTable(store, plan)
-        table.recall()
-        notes = _settle_old(store, table, old)
-        todo = table.lacking()
-        before = len(plan) - len(todo)
-        progress(before, len(plan))
-        engine = engine or LocalEngine(workers, timeout)
+            store.remove(jobs)
+        else:
+            _refuse_another_sweep(store, jobs)
+        rows, notes = _recall(store, jobs)
+        notes += _settle_old(store, rows, old)
+        todo = [job for job in jobs.values() if job.key not in rows]
+        progress(len(rows), len(jobs))
         try:
-            for count, (key, row) in enumerate(_fly(todo, store, plan, engine, function, isolate), before + 1):
-                table.add(key, row)
-                progress(count, len(plan))
+            for key, row in _fly(todo, store, engine or LocalEngine(workers, timeout), function, isolate):
+                rows[key] = _row_of(jobs[key], row)
+                progress(len(rows), len(jobs))
         except KeyboardInterrupt:
-            raise SweepInterrupted(f"{_done(store, plan)}; run the same command to continue") from None
+            raise SweepInterrupted(f"{_done(store, jobs)}; run the same command to continue") from None
         except WriteError as error:
             raise QuadexpError(
-                f"{error}: {_done(store, plan)}; run the same command to continue once it can be written"
+                f"{error}: {_done(store, jobs)}; run the same command to continue once it can be written"
             ) from None
         finally:
             store.clean()
+        in_order = [rows[key] for key in jobs]
         record = {
             "metric": metric,
             "baseline": baseline,
             "confidence": confidence,
             "grids": list(cells.grids) if isinstance(cells, Cells) else [[[o] for o in c.overrides] for c in cells],
-            "conditions": sorted(plan.conditions()),
-            "flown_by": flown_by(table.rows),
+            "conditions": sorted({job.condition for job in jobs.values()}),
+            "flown_by": flown_by(in_order),
             "provenance": provenance(),
         }
-        statistics, shown, files, altered = write_results(store.root, table.rows, record)
-        table.settled()
-    return SweepResult(store.root, table.rows, len(todo), shown, statistics, files, [*notes, *altered])
+        statistics, shown, files, altered = write_results(store.root, in_order, record)
+    return SweepResult(store.root, in_order, len(todo), shown, statistics, files, [*notes, *altered])
 
 
-def _settle_old(store: CellStore, table: SweepTable, old: Old) -> list[str]:
-    """Decide on recalled cells that are not of this program; returns what is to be said of the recalled ones.
+def _recall(store: CellStore, jobs: Mapping[str, Job]) -> tuple[dict[str, Row], list[str]]:
+    """Key -> row of the cells that are there, each taken from its file, whose bytes are compared with their hash; and
+    a note on those that have changed, which are to be flown again."""
+
+    def read(key: str) -> Row | QuadexpError:
+        try:
+            return store.row(key)
+        except (DataError, UsageError) as error:
+            return error
+
+    done = store.done()
+    there = [key for key in jobs if key in done]
+    with ThreadPoolExecutor(2) as readers:  # hashing needs no interpreter lock
+        found = dict(zip(there, readers.map(read, there), strict=True))
+    changed = [str(row) for row in found.values() if isinstance(row, QuadexpError)]
+    rows = {key: _row_of(jobs[key], row) for key, row in found.items() if not isinstance(row, QuadexpError)}
+    if not changed:
+        return rows, []
+    return rows, [f"{len(changed)} cells have changed since they were flown and are flown again: {changed[0]}"]
+
+
+def _row_of(job: Job, row: Mapping[str, Any]) -> Row:
+    return table_row({**row, "key": job.key, "variant": job.cell.varied})
+
+
+def _settle_old(store: CellStore, rows: dict[str, Row], old: Old) -> list[str]:
+    """Decide on recalled cells that other sources of this program have flown; returns notes on the recalled ones.
 
     Raises UsageError where there are some and `old` does not say what to do with them.
     """
     notes = []
-    if table.changed:
-        first = next(iter(table.changed.values()))
-        notes.append(f"{len(table.changed)} cells have changed since they were flown and are flown again: {first}")
-    others = table.flown_elsewhere()
+    others = {key: row for key, row in rows.items() if row["sources"] != sources()}
     found = counted(programs_of(others.values()))
     if others and old == "ask":
         raise UsageError(
@@ -149,45 +168,45 @@ def _settle_old(store: CellStore, table: SweepTable, old: Old) -> list[str]:
             f" keep them beside new ones (`quadexp results {store.root} sources=HASH` lists them)"
         )
     if others and old == "refly":
-        table.forget(others)
+        store.remove(others)
+        for key in others:
+            del rows[key]
         notes.append(f"{len(others)} cells of other sources are flown again: {found}")
     elif others:
         notes.append(f"{len(others)} cells of other sources are kept: {found}; these are {sources()}")
-    return [*notes, *filter(None, [differing_libraries(table.libraries(), libraries())])]
+    differing = differing_libraries((row["libraries"] for row in rows.values()), libraries())
+    return [*notes, *filter(None, [differing])]
 
 
-def _done(store: CellStore, plan: Plan) -> str:
-    return f"{len(store.done().intersection(plan.places))} of {len(plan)} done"
+def _done(store: CellStore, jobs: Mapping[str, Job]) -> str:
+    return f"{len(store.done().intersection(jobs))} of {len(jobs)} done"
 
 
 def _fly(
-    todo: Sequence[str], store: CellStore, plan: Plan, engine: Engine, function: CellFunction, isolate: bool
-) -> Iterator[tuple[str, dict[str, Any]]]:
+    todo: Sequence[Job], store: CellStore, engine: Engine, function: CellFunction, isolate: bool
+) -> Iterator[tuple[str, Row]]:
+    """Fly the cells; yield the key and row of each as it ends, also of those that failed."""
     if not todo:
         return
-    for folder in {store.path(key).parent for key in todo}:
+    for folder in {store.path(job.key).parent for job in todo}:
         try:
             folder.mkdir(exist_ok=True)
         except OSError as error:
             raise write_error(folder, error) from error
     if not isolate:
-        for job in map(plan.job, todo):
+        for job in todo:
             yield job.key, _own(function(job.cell.config, job.model, str(store.path(job.key)), job.key))
         return
-
-    def tasks() -> Iterator[Task]:
-        for job in map(plan.job, plan.flying_order(todo)):
-            yield Task(job.key, job.cell.config, job.model, str(store.path(job.key)))
-
-    with contextlib.closing(engine.fly(function, tasks())) as flown:
+    configs = {job.key: (job.cell.config, job.model) for job in todo}
+    tasks = (Task(job.key, *configs[job.key], str(store.path(job.key))) for job in flying_order(todo))
+    with contextlib.closing(engine.fly(function, tasks)) as flown:
         for key, row in flown:
             row = _own(row)
             if isinstance(row, CellFailed):
                 if row.all:
                     raise WriteError(row.cause)
-                job = plan.job(key)
                 store.remove([key])
-                row = failed_row(job.cell.config, job.model, row.cause)
+                row = failed_row(*configs[key], row.cause)
             yield key, row
 
 
@@ -198,15 +217,15 @@ def _own(row: Any) -> Any:
     return CellFailed(f"flown by {program_name(row)}, not by this one (quadexp {quadexp.__version__}, {sources()})")
 
 
-def _refuse_another_sweep(store: CellStore, plan: Plan) -> None:
+def _refuse_another_sweep(store: CellStore, jobs: Mapping[str, Job]) -> None:
     path = store.root / RESULTS
     if not path.exists():
         return
     try:
         earlier = set(read_metadata(path, "results").get("conditions", []))
-    except DataError:  # of no use to anybody; the flights are kept whosever they are
+    except DataError:  # a damaged table says nothing; the flights are kept whosever they are
         return
-    dropped = earlier - plan.conditions()
+    dropped = earlier - {job.condition for job in jobs.values()}
     if dropped:
         raise UsageError(
             f"{store.root}: holds the results of another sweep ({len(dropped)} of its {len(earlier)} cells are not in"

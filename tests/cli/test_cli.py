@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from quadexp.log.store import read_flight, read_metadata, read_table, write_flight, write_table
-from tests.cli.command import run
+from tests.cli.command import run, run_main
 from tests.log.flights import straight_flight
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,16 +21,10 @@ COMMANDS = ("simulate", "collect", "fit-gp", "fit-drag", "evaluate", "show", "co
 QUICK = ("trajectory=hover", "trajectory.duration=0.5", "controller.backend=interpreted", "plant.backend=interpreted")
 
 
-def quadexp(*arguments, cwd, **environment):
-    """In a process of its own."""
-    return subprocess.run(
-        [sys.executable, "-m", "quadexp", *map(str, arguments)],
-        cwd=cwd,
-        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
-        capture_output=True,
-        text=True,
-        timeout=900,
-    )
+def quadexp(*arguments, cwd):
+    """The entry point in this process, in another folder."""
+    with contextlib.chdir(cwd):
+        return run_main(*arguments)
 
 
 def files(folder):
@@ -170,7 +165,9 @@ class TestMistakes:
         assert err == "error: RuntimeError: the sky is falling (QUADEXP_DEBUG=1 shows where)\n"
 
     def test_debug_shows_where(self, here):
-        done = quadexp("--debug", "simulate", "trajectory.sped=8", cwd=here)
+        """By `python -m quadexp`, in a process of its own."""
+        command = [sys.executable, "-m", "quadexp", "--debug", "simulate", "trajectory.sped=8"]
+        done = subprocess.run(command, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
         assert done.returncode == 2 and "Traceback" in done.stderr
 
 
@@ -232,11 +229,10 @@ class TestLearning:
     """collect -> fit-drag and fit-gp -> simulate, as small as it goes."""
 
     @pytest.fixture(scope="class")
-    def chain(self, tmp_path_factory):
+    def chain(self, tmp_path_factory, small_trials):
         folder = tmp_path_factory.mktemp("chain")
-        small = ("collect.duration=24", "controller.backend=interpreted", "plant.backend=interpreted")
         done = [
-            quadexp("collect", *small, "--save-flights", "flights", "--json", cwd=folder),
+            quadexp("collect", "collect.duration=24", "--save-flights", "flights", "--json", cwd=folder),
             quadexp("fit-drag", "data/residuals.parquet", "--json", cwd=folder),
             quadexp("fit-gp", "data/residuals.parquet", "gp.inducing=8", "gp.max_rows=300", "--no-figures", cwd=folder),
         ]
@@ -255,8 +251,7 @@ class TestLearning:
 
     def test_it_is_the_same_whenever_it_is_made(self, chain):
         folder, _ = chain
-        small = ("collect.duration=24", "controller.backend=interpreted", "plant.backend=interpreted")
-        assert quadexp("collect", *small, "--out", "again.parquet", cwd=folder).returncode == 0
+        assert quadexp("collect", "collect.duration=24", "--out", "again.parquet", cwd=folder).returncode == 0
         first, _ = read_table(folder / "data/residuals.parquet", "residuals")
         second, _ = read_table(folder / "again.parquet", "residuals")
         for name in first:

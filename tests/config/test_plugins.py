@@ -14,7 +14,7 @@ from quadexp.experiment.build import build_controller, build_plant, build_trajec
 from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.sweep.cluster.engines import build_engine
 from quadexp.sweep.engine import Task
-from tests.faults.command import FLY, ROOT, one_line, run
+from tests.faults.command import FLY, ROOT, apart, one_line
 
 TRAJECTORY = (
     "defaults: [/schema/trajectory/custom@_here_, _self_]\nname: mine\n_target_: {target}\noptions: {options}\n"
@@ -108,11 +108,11 @@ def test_a_module_elsewhere_is_not_even_imported(foreign, tmp_path, command):
     words = [word for word in command if not word.startswith("trajectory.")]
     words = [word.replace("trajectory=hover", "trajectory=mine") for word in words]
     environment = {"PYTHONPATH": f"{elsewhere}:{ROOT}"}
-    done = run(*words, "--conf", conf, "--out", tmp_path / "out", environment=environment)
+    done = apart(*words, "--conf", conf, "--out", tmp_path / "out", environment=environment)
     assert done.returncode == 2 and "trajectory._target_=tool.make: there is no module tool in" in one_line(done)
     assert not mark.exists() and not (tmp_path / "out").exists()
     (elsewhere / "tool.py").rename(conf / "tool.py")
-    done = run(*words, "--conf", conf, "--out", tmp_path / "out", environment=environment)
+    done = apart(*words, "--conf", conf, "--out", tmp_path / "out", environment=environment)
     assert done.returncode == 0 and mark.exists(), done.stderr
 
 

@@ -80,7 +80,7 @@ def test_altitude_of_the_examples():
 @pytest.mark.parametrize("trajectory", ["rectangle", "lei_li_circle"])
 def test_default_safety_options(trajectory):
     """Nothing is lost, nothing is not finite, and at the paper's speeds the cone is never needed."""
-    for seed in range(10, 14):
+    for seed in (10, 11):
         flight = flown(f"trajectory={trajectory}", "controller=rls_feedback", f"seed={seed}")
         assert flight.outcome == "ok"
         assert all(np.isfinite(values).all() for values in flight.columns.values())
@@ -243,14 +243,22 @@ class TestIdentifyingMPC:
             changed = found.t[1:][np.diff(found["reopened"]) > 0]
             assert len(changed) == 1 and 15.0 <= changed[0] <= 15.2
 
-    @pytest.mark.parametrize("controller", ["nominal_mpc", "perfect_mpc", "rls_mpc"])
-    def test_a_start_28_m_away_is_flown(self, controller):
+    @pytest.mark.parametrize(
+        ("controller", "seed"),
+        [
+            ("nominal_mpc", 0),
+            ("perfect_mpc", 0),
+            ("rls_mpc", 0),
+            pytest.param("rls_mpc", 1, marks=pytest.mark.slow),
+            pytest.param("rls_mpc", 2, marks=pytest.mark.slow),
+        ],
+    )
+    def test_a_start_28_m_away_is_flown(self, controller, seed):
         """Example 2 begins at rest in the circle's centre; all reach the circle and stay, whatever the seed."""
-        for seed in (0, 1, 2) if controller == "rls_mpc" else (0,):
-            flight = flown("trajectory=lei_li_circle", f"controller={controller}", f"seed={seed}")
-            assert flight.outcome == "ok"
-            assert position_error(flight)[flight.t > 10.0].max() < 0.5
-            assert np.linalg.norm(flight.stack(["v_x", "v_y", "v_z"]), axis=1).max() < 28.0
+        flight = flown("trajectory=lei_li_circle", f"controller={controller}", f"seed={seed}")
+        assert flight.outcome == "ok"
+        assert position_error(flight)[flight.t > 10.0].max() < 0.5
+        assert np.linalg.norm(flight.stack(["v_x", "v_y", "v_z"]), axis=1).max() < 28.0
 
     def test_the_distance_limit_moves_the_whole_reference(self):
         """As if the path lay there: the same command as along a path moved by hand. Within the limit nothing moves."""

@@ -92,9 +92,9 @@ def test_rows_of_an_older_table_are_unknown_not_inside():
 
 
 def test_what_an_older_table_lacks_is_unknown_after_it_is_recalled():
-    from quadexp.report.tables import to_columns
-    from quadexp.sweep.rows import Rows
+    from quadexp.report.tables import from_columns, to_columns
+    from quadexp.sweep.sweep_table import table_row
 
     old = to_columns([{"controller": "gp_mpc", "model": "models/gp", "outcome": "ok"}] * 50)
     del old["outside_data"]
-    assert all(row["outside_data"] is None for row in Rows.of(old))
+    assert all(row["outside_data"] is None for row in map(table_row, from_columns(old)))

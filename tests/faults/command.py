@@ -1,4 +1,4 @@
-"""The command line in a process of its own, in whatever environment and under whatever limits."""
+"""The command line in this process, and in one of its own in whatever environment and under whatever limits."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from tests.cli.command import run_main as run
+
+__all__ = ["FLY", "ROOT", "START", "apart", "one_line", "run"]
 ROOT = Path(__file__).resolve().parents[2]
 START = "import sys; from quadexp.cli.app import main; sys.exit(main())"
 FLY = (
@@ -16,15 +19,16 @@ FLY = (
 )  # fmt: skip
 
 
-def run(
+def apart(
     *words: object,
     environment: Mapping[str, str | None] | None = None,
     before: str = "",
     limit: Callable[[], None] | None = None,
-    cwd: Path | None = None,
 ) -> subprocess.CompletedProcess:
-    """Run `quadexp words...`. environment: changes, None takes a variable away. before: Python that runs first.
-    limit: called in the new process before anything else."""
+    """Run `quadexp words...` in a process of its own, where that is what is tested; otherwise there is `run`.
+
+    environment: changes, None takes a variable away. before: Python that runs first. limit: called in the new process
+    before anything else."""
     known = {**os.environ, "PYTHONPATH": str(ROOT), **(environment or {})}
     return subprocess.run(
         [sys.executable, "-c", f"{before}\n{START}", *map(str, words)],
@@ -32,7 +36,6 @@ def run(
         text=True,
         env={name: value for name, value in known.items() if value is not None},
         preexec_fn=limit,
-        cwd=cwd,
         timeout=1800,
     )
 

@@ -11,58 +11,68 @@ import numpy as np
 import pytest
 
 from quadexp.log.store import read_flight
-from tests.faults.command import FLY, one_line, run
+from tests.faults.command import FLY, apart, one_line, run
 
 COMPILED = tuple(word.replace("interpreted", "auto") for word in FLY)
 APART = {"solve_time"}
 
 
 @pytest.fixture(scope="module")
-def usual(tmp_path_factory):
-    """The flight as it comes in ordinary surroundings."""
+def flown(tmp_path_factory):
+    """The file of a flight in ordinary surroundings."""
     path = tmp_path_factory.mktemp("usual") / "a.parquet"
     assert run(*FLY, "--out", path).returncode == 0
-    return read_flight(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def usual(flown):
+    """The flight as it comes in ordinary surroundings."""
+    return read_flight(flown)
 
 
 def same(flight, other):
     return all(np.array_equal(flight[name], other[name]) for name in other.columns if name not in APART)
 
 
+@pytest.mark.slow
 def test_no_home(usual, tmp_path):
     away = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "QUADEXP_CACHE", "USER", "LOGNAME"))
-    done = run(*FLY, "--out", tmp_path / "a.parquet", environment=away)
+    done = apart(*FLY, "--out", tmp_path / "a.parquet", environment=away)
     assert done.returncode == 0, done.stderr
     assert same(read_flight(tmp_path / "a.parquet"), usual)
 
 
 def test_blanks_and_letters_of_other_alphabets(usual, tmp_path):
     folder = tmp_path / "Meine Flüge, 飛行 №1"
-    done = run(*FLY, "--out", folder / "a b=c.parquet", environment={"QUADEXP_CACHE": str(folder / "cache")})
+    done = apart(*FLY, "--out", folder / "a b=c.parquet", environment={"QUADEXP_CACHE": str(folder / "cache")})
     assert done.returncode == 0, done.stderr
     assert same(read_flight(folder / "a b=c.parquet"), usual)
     shown = run("show", folder / "a b=c.parquet")
     assert shown.returncode == 0 and "hover" in shown.stdout
 
 
+@pytest.mark.slow
 def test_a_cache_in_such_a_folder_is_compiled_into(tmp_path):
     if not shutil.which("gcc"):
         pytest.skip("no C compiler")
     folder = tmp_path / "Zwischen speicher é"
-    done = run(*COMPILED, "--json", "--out", tmp_path / "a.parquet", environment={"QUADEXP_CACHE": str(folder)})
+    done = apart(*COMPILED, "--json", "--out", tmp_path / "a.parquet", environment={"QUADEXP_CACHE": str(folder)})
     assert done.returncode == 0, done.stderr
     assert '"backend": "compiled"' in done.stdout and list(folder.glob("*.so"))
 
 
+@pytest.mark.slow
 def test_ascii_terminal(usual, tmp_path):
     surroundings = {"LC_ALL": "C", "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"}
-    done = run(*FLY, "--out", tmp_path / "a.parquet", environment=surroundings)
+    done = apart(*FLY, "--out", tmp_path / "a.parquet", environment=surroundings)
     assert done.returncode == 0, done.stderr
     out = tmp_path / "r"
     words = ("evaluate", "--sweep", "--no-figures", *FLY[1:], "seed=0", "--out", out)
-    assert run(*words, environment=surroundings).returncode == 0
+    assert apart(*words, environment=surroundings).returncode == 0
 
 
+@pytest.mark.slow
 def test_decimal_comma(usual, tmp_path):
     """A host program that sets a locale with a decimal comma before the functions are generated and compiled."""
     names = subprocess.run(["locale", "-a"], capture_output=True, text=True).stdout.split()
@@ -82,10 +92,10 @@ def test_decimal_comma(usual, tmp_path):
         f"import locale; locale.setlocale(locale.LC_ALL, {comma[0]!r});"
         " assert locale.localeconv()['decimal_point'] == ','"
     )
-    done = run(*FLY, "--out", tmp_path / "a.parquet", before=before, environment=surroundings)
+    done = apart(*FLY, "--out", tmp_path / "a.parquet", before=before, environment=surroundings)
     assert done.returncode == 0, done.stderr
     assert same(read_flight(tmp_path / "a.parquet"), usual)
-    compiled = run(*COMPILED, "--out", tmp_path / "b.parquet", before=before, environment=surroundings)
+    compiled = apart(*COMPILED, "--out", tmp_path / "b.parquet", before=before, environment=surroundings)
     assert compiled.returncode == 0, compiled.stderr
     found = read_flight(tmp_path / "b.parquet")
     np.testing.assert_allclose(found.state, usual.state, atol=1e-9)
@@ -94,10 +104,10 @@ def test_decimal_comma(usual, tmp_path):
 def test_no_compiler(usual, tmp_path):
     """auto says so once and flies interpreted; compiled is refused."""
     nowhere = {"PATH": str(tmp_path), "CC": None, "QUADEXP_CACHE": str(tmp_path / "cache")}
-    done = run(*COMPILED, "--out", tmp_path / "a.parquet", environment=nowhere)
+    done = apart(*COMPILED, "--out", tmp_path / "a.parquet", environment=nowhere)
     assert done.returncode == 0 and done.stderr.count("no C compiler found") == 1
     assert same(read_flight(tmp_path / "a.parquet"), usual)
-    refused = run(*FLY, "plant.backend=compiled", "--out", tmp_path / "b.parquet", environment=nowhere)
+    refused = apart(*FLY, "plant.backend=compiled", "--out", tmp_path / "b.parquet", environment=nowhere)
     assert "no C compiler found" in one_line(refused) and refused.returncode == 2
 
 
@@ -106,7 +116,7 @@ def test_a_compiler_that_fails(tmp_path):
     broken.write_text("#!/bin/sh\necho 'gcc (Broken) 1.0'\ncase \"$*\" in *--version*) exit 0;; esac\nexit 1\n")
     broken.chmod(0o755)
     surroundings = {"CC": str(broken), "QUADEXP_CACHE": str(tmp_path / "cache")}
-    line = one_line(run(*COMPILED, "--out", tmp_path / "a.parquet", environment=surroundings))
+    line = one_line(apart(*COMPILED, "--out", tmp_path / "a.parquet", environment=surroundings))
     assert "could not compile" in line
     assert not list((tmp_path / "cache").glob("*.so")) and not (tmp_path / "a.parquet").exists()
 
@@ -119,24 +129,23 @@ def test_a_compiler_that_fails(tmp_path):
         ("distributed", ("evaluate", "--sweep", "--no-figures", *FLY[1:], "engine=dask")),
     ],
 )
-def test_half_installed_extras(missing, words, tmp_path):
+def test_half_installed_extras(flown, missing, words, tmp_path):
     """The package is there in name only: its import fails."""
-    path = tmp_path / "a.parquet"
-    assert run(*FLY, "--out", path).returncode == 0
     (tmp_path / missing).mkdir()
     (tmp_path / missing / "__init__.py").write_text("raise ImportError('half installed')\n")
     before = f"import sys; sys.path.insert(0, {str(tmp_path)!r})"
-    given = [word.format(flight=path) for word in words]
-    line = one_line(run(*given, "--out", tmp_path / "out", before=before))
+    given = [word.format(flight=flown) for word in words]
+    line = one_line(apart(*given, "--out", tmp_path / "out", before=before))
     assert "pip install 'quadexp[" in line and missing in line
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_one_core(usual, tmp_path):
     """A sweep with every process on one core gives what it gives on all."""
     out = tmp_path / "r"
     words = ("evaluate", "--sweep", "--no-figures", *FLY[1:], "seed=0,1", "--out", out)
-    done = run(*words, limit=lambda: os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}))
+    done = apart(*words, limit=lambda: os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}))
     assert done.returncode == 0, done.stderr
     flights = [read_flight(path) for path in sorted(out.glob("cells/*/*.parquet"))]
     assert len(flights) == 2
@@ -150,24 +159,26 @@ def test_512_mb(usual, tmp_path):
     def limit():
         resource.setrlimit(resource.RLIMIT_DATA, (512 << 20, 512 << 20))
 
-    done = run(*FLY, "--out", tmp_path / "a.parquet", limit=limit)
+    done = apart(*FLY, "--out", tmp_path / "a.parquet", limit=limit)
     assert done.returncode == 0, done.stderr
     assert same(read_flight(tmp_path / "a.parquet"), usual)
 
 
+@pytest.mark.slow
 def test_far_too_little_memory(tmp_path):
     """Either it flies, or it says in one line that it could not."""
 
     def limit():
         resource.setrlimit(resource.RLIMIT_DATA, (40 << 20, 40 << 20))
 
-    done = run(*FLY, "--out", tmp_path / "a.parquet", limit=limit)
+    done = apart(*FLY, "--out", tmp_path / "a.parquet", limit=limit)
     if done.returncode == 0:
         read_flight(tmp_path / "a.parquet")
     else:
         assert not (tmp_path / "a.parquet").exists()
 
 
+@pytest.mark.slow
 def test_a_clock_that_goes_backwards(usual, tmp_path):
     """Wall time is written into the record and decides nothing."""
     before = (
@@ -175,6 +186,6 @@ def test_a_clock_that_goes_backwards(usual, tmp_path):
         "real = time.time\ntime.time = lambda: real() - 3600.0 * next(count)\n"
         "time.perf_counter = lambda: -1e-3 * next(count)"
     )
-    done = run(*FLY, "--out", tmp_path / "a.parquet", before=before)
+    done = apart(*FLY, "--out", tmp_path / "a.parquet", before=before)
     assert done.returncode == 0, done.stderr
     assert same(read_flight(tmp_path / "a.parquet"), usual)

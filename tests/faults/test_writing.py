@@ -16,7 +16,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight
 from quadexp.sweep.cluster.engines import build_engine
 from quadexp.sweep.sweep import run_sweep
-from tests.faults.command import FLY, one_line, run
+from tests.faults.command import FLY, apart, one_line, run
 from tests.sweep.cells import CountedCell
 
 
@@ -36,6 +36,7 @@ def small_disk(tmp_path):
     subprocess.run(["umount", place], check=True)
 
 
+@pytest.mark.slow
 def test_the_disk_is_full(small_disk, tmp_path):
     """The old flight is still there and whole, although a new one was to replace it."""
     path = small_disk / "a.parquet"
@@ -58,7 +59,7 @@ def test_a_file_may_not_grow(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 
     # SIGXFSZ is ignored by Python: the write itself fails
-    done = run(*FLY, "--out", path, "--force", limit=limit)
+    done = apart(*FLY, "--out", path, "--force", limit=limit)
     line = one_line(done)
     assert str(path) in line and "too large" in line and done.returncode == 1
     assert path.read_bytes() == whole and files(tmp_path) == ["a.parquet"]
@@ -89,6 +90,7 @@ def disk(tmp_path):
     subprocess.run(["umount", place], check=True)
 
 
+@pytest.mark.slow
 def test_a_sweep_ends_where_the_disk_is_full(disk):
     """At the first failed write, not after all the rest was flown for nothing; with room again the rest is flown."""
     command = (*MANY, "--out", disk / "results")
@@ -100,6 +102,7 @@ def test_a_sweep_ends_where_the_disk_is_full(disk):
     assert json.loads(again.stdout)["flown"] == 40 - len(cells)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["local", "dask"])
 def test_how_many_are_flown_for_a_full_disk(disk, tmp_path, engine):
     """One that fails, and those that were in the air or handed out when it did."""
@@ -121,7 +124,7 @@ def test_a_sweep_ends_where_no_file_may_grow(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (16384, 16384))
 
     out = tmp_path / "results"
-    done = run(*MANY, "trajectory.duration=2.0", "--out", out, limit=limit)
+    done = apart(*MANY, "trajectory.duration=2.0", "--out", out, limit=limit)
     assert ended_at_the_first_failed_write(done, out, "too large") == []
 
 
@@ -142,6 +145,7 @@ def closed(tmp_path):
     subprocess.run(["umount", folder], check=True)
 
 
+@pytest.mark.slow
 def test_a_folder_that_takes_no_files(closed):
     """Said before the flight, not after it; in a folder below it too."""
     folder, cause = closed
@@ -169,7 +173,7 @@ def test_killed_between_write_and_rename(tmp_path):
     path = tmp_path / "a.parquet"
     assert run(*FLY, "--out", path).returncode == 0
     before = read_flight(path)
-    done = run(*FLY, "seed=3", "--out", path, "--force", before=KILL.format(name="a.parquet"))
+    done = apart(*FLY, "seed=3", "--out", path, "--force", before=KILL.format(name="a.parquet"))
     assert done.returncode == -9
     assert read_flight(path).metadata["seed"] == before.metadata["seed"] == 0
     assert run(*FLY, "seed=3", "--out", path, "--force").returncode == 0
@@ -180,7 +184,7 @@ def test_a_sweep_killed_between_write_and_rename(tmp_path):
     """Every cell once, and no temporary file, after the same command again."""
     out = tmp_path / "results"
     sweep = ("evaluate", "--sweep", "--no-figures", *FLY[1:], "seed=0,1", "evaluate.workers=1", "--out", out)
-    done = run(*sweep, before=KILL.format(name="results.parquet"))
+    done = apart(*sweep, before=KILL.format(name="results.parquet"))
     assert done.returncode == -9
     again = run(*sweep)
     assert again.returncode == 0, again.stderr

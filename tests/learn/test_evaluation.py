@@ -35,7 +35,7 @@ def test_split_keeps_flights_whole(dataset):
     assert len(split_by_flight(dataset, 1e-6)[1].flights) == 1 and len(split_by_flight(dataset, 0.99)[0].flights) == 1
 
 
-def test_report_is_about_flights_the_model_has_not_seen(dataset):
+def test_report_is_about_flights_the_model_has_not_seen(dataset, small_trials):
     fit = fit_with_report(dataset, QUICK)
     rows = {(row["output"], row["predictor"]): row for row in fit.report["rows"]}
     for output in ("a_x", "a_y", "a_z"):
@@ -64,7 +64,7 @@ def test_drag_alone_is_evaluated_too(dataset):
     assert full[4]["rmse"] < published[4]["rmse"]  # on z the motors' loss needs more than the velocity
 
 
-def test_comparison_and_figures(dataset, tmp_path):
+def test_comparison_and_figures(dataset, tmp_path, small_trials):
     settings = GPSettings(inducing=10, max_iterations=10, max_exact_rows=200)
     rows = compare(dataset, settings, sizes=(5, 10), methods=("sgpr", "subset", "exact"), max_rows=1500)
     assert [(row["method"], row["inducing"]) for row in rows[::3]] == [

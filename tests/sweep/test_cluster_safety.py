@@ -23,7 +23,7 @@ from quadexp.errors import QuadexpError, UsageError
 from quadexp.sweep.cluster.engines import build_engine
 from quadexp.sweep.sweep import run_sweep
 from tests.experiment.same import same_results
-from tests.faults.command import FLY, one_line, run
+from tests.faults.command import FLY, apart, one_line
 from tests.sweep import cells
 from tests.sweep.dask_cluster import ROOT, Cluster, descendants
 
@@ -205,7 +205,7 @@ def test_slurm_needs_a_folder_for_certificates_that_nobody_else_writes_to(shared
 def test_without_cryptography_nothing_is_flown(engine, tmp_path):
     """One line and exit code 2, not a cluster without certificates."""
     command = ("evaluate", "--sweep", *FLY[1:], f"engine={engine}", "--out", tmp_path / "r")
-    done = run(*command, before="import sys; sys.modules['cryptography'] = None")
+    done = apart(*command, before="import sys; sys.modules['cryptography'] = None")
     assert done.returncode == 2 and f"engine={engine} needs cryptography" in one_line(done)
     assert "pip install 'quadexp[cluster]'" in done.stderr and not (tmp_path / "r").exists()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from dataclasses import fields, is_dataclass
-from pathlib import Path
 
 import pytest
 
@@ -15,10 +14,9 @@ from quadexp.experiment.build import find_model, input_hashes
 from quadexp.experiment.identity import FLIGHT_GROUPS
 from quadexp.log.store import read_table, write_table
 from quadexp.sweep import keys as cell_keys
-from quadexp.sweep.keys import cell_key
-from quadexp.sweep.plan import Plan
+from quadexp.sweep.plan import plan_cells
 from quadexp.sweep.results import list_results
-from tests.sweep.test_sweep import fly
+from tests.sweep.test_sweep import fly, key_of
 
 OPTIONS = [
     [],
@@ -65,11 +63,11 @@ def changed(config, path):
 @pytest.mark.parametrize("overrides", OPTIONS, ids=lambda o: o[0] if o else "defaults")
 def test_every_setting_of_a_flight_is_in_the_key_and_no_other(overrides):
     config = compose(overrides)
-    key = cell_key(config, {})
+    key = key_of(config)
     relevant = {*FLIGHT_GROUPS, "model", "seed"}
     seen = set()
     for path in leaves(config):
-        differs = cell_key(changed(config, path), {}) != key
+        differs = key_of(changed(config, path)) != key
         assert differs == (path[0] in relevant and path not in PLACES), path
         seen.add(path[0])
     assert seen == {f.name for f in fields(Config)}
@@ -81,10 +79,12 @@ def test_the_plan_knows_the_same_keys(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     make_checkpoint(tmp_path / "models/drag")
     grid = expand(["controller=nominal_mpc,linear_drag_mpc", "trajectory=circle,random,hover", "seed=range(3)"])
-    for job in Plan(grid):
+    jobs = plan_cells(grid)
+    assert len(jobs) == len(grid)
+    for key, job in jobs.items():
         model = find_model(job.cell.config)
         assert job.model == model
-        assert job.key == cell_key(job.cell.config, input_hashes(job.cell.config, model))
+        assert key == job.key == key_of(job.cell.config, input_hashes(job.cell.config, model))
 
 
 def test_another_content_of_a_checkpoint_is_another_cell(tmp_path):
@@ -92,18 +92,18 @@ def test_another_content_of_a_checkpoint_is_another_cell(tmp_path):
 
     grid = expand(["controller=linear_drag_mpc", f"model={tmp_path}/m"])
     make_checkpoint(tmp_path / "m")
-    (first,) = Plan(grid)
-    (again,) = Plan(grid)
+    (first,) = plan_cells(grid).values()
+    (again,) = plan_cells(grid).values()
     (tmp_path / "m/model.json").write_text((tmp_path / "m/model.json").read_text() + " ")
-    (other,) = Plan(grid)
+    (other,) = plan_cells(grid).values()
     assert first.key == again.key != other.key
     assert first.condition == other.condition
 
 
 def test_a_new_schema_makes_every_cell_new(monkeypatch):
-    (before,) = Plan(expand(["seed=0"]))
+    before = plan_cells(expand(["seed=0"]))
     monkeypatch.setattr(cell_keys, "SCHEMA", 99)
-    assert list(Plan(expand(["seed=0"])))[0].key != before.key
+    assert plan_cells(expand(["seed=0"])).keys().isdisjoint(before)
 
 
 @pytest.mark.parametrize(
@@ -164,8 +164,7 @@ class TestCells:
 
 
 class TestInterrupted:
-    def test_rows_are_kept_while_a_sweep_runs(self, tmp_path, monkeypatch):
-        monkeypatch.setattr("quadexp.sweep.sweep_table.CELLS_BETWEEN", 4)
+    def test_the_cells_of_a_sweep_that_has_not_ended_are_listed(self, tmp_path):
         grid = expand(["seed=range(10)"])
 
         def stop(done, total):
@@ -174,23 +173,13 @@ class TestInterrupted:
 
         with pytest.raises(Exception, match="of 10 done"):
             fly(grid, tmp_path / "r", progress=stop)
-        assert (tmp_path / "r/cells/rows.parquet").exists()
         assert sum(row["wanted"] for row in list_results(tmp_path / "r")) in (9, 10)  # one may have been under way
 
-    def test_rows_are_taken_from_the_flights_and_not_from_their_copy(self, tmp_path):
+    def test_rows_are_taken_from_the_flights_and_not_from_the_table(self, tmp_path):
         """Which may be of a flight that has been flown again since, or edited."""
         grid, out = expand(["seed=range(3)"]), tmp_path / "r"
         first = fly(grid, out)
         columns, _ = read_table(out / "results.parquet", "results")
-        for path in (out / "results.parquet", out / "cells/rows.parquet"):
-            write_table(path, {**columns, "rmse": 2 * columns["rmse"]}, {}, "results")
+        write_table(out / "results.parquet", {**columns, "rmse": 2 * columns["rmse"]}, {}, "results")
         second = fly(grid, out)
         assert second.flown == 0 and list(second.rows) == list(first.rows)
-        assert not (out / "cells/rows.parquet").exists()
-
-    def test_a_damaged_copy_of_the_rows_costs_nothing(self, tmp_path):
-        grid = expand(["seed=range(3)"])
-        fly(grid, tmp_path / "r")
-        Path(tmp_path / "r/results.parquet").unlink()
-        Path(tmp_path / "r/cells/rows.parquet").write_bytes(b"half")
-        assert fly(grid, tmp_path / "r").flown == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import pytest
 
@@ -17,10 +18,17 @@ from tests.sweep import cells
 from tests.sweep.test_sweep import GRID, files, fly
 
 
+@pytest.fixture(scope="module")
+def once(tmp_path_factory):
+    out = tmp_path_factory.mktemp("once") / "r"
+    fly(expand(GRID), out)
+    return out
+
+
 @pytest.fixture
-def flown(tmp_path):
-    fly(expand(GRID), tmp_path / "r")
-    return tmp_path / "r"
+def flown(once, tmp_path):
+    """A copy of the results."""
+    return shutil.copytree(once, tmp_path / "r")
 
 
 class TestList:

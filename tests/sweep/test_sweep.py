@@ -15,12 +15,13 @@ import pytest
 
 from quadexp.config.compose import expand
 from quadexp.errors import UsageError
+from quadexp.experiment.identity import flight_record
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, read_table
 from quadexp.sweep import keys as cell_keys
 from quadexp.sweep.engine import LocalEngine
 from quadexp.sweep.keys import cell_key
-from quadexp.sweep.plan import Plan
+from quadexp.sweep.plan import flying_order, plan_cells
 from quadexp.sweep.sweep import SweepInterrupted, run_sweep
 from tests.sweep import cells
 
@@ -34,7 +35,13 @@ def grid():
 
 
 def fly(grid, out, **options):
-    return run_sweep(grid, out, function=options.pop("function", cells.quick_cell), workers=2, **options)
+    """A sweep of cells that fly nothing, in this process; what processes do is tested apart."""
+    return run_sweep(grid, out, function=cells.quick_cell, isolate=False, **options)
+
+
+def key_of(config, inputs=()):
+    """The key of one cell."""
+    return cell_key(flight_record(config), dict(inputs))
 
 
 def files(folder):
@@ -44,12 +51,12 @@ def files(folder):
 class TestKeys:
     def test_the_key_is_the_configuration(self):
         a, b = expand(["trajectory.speed=4,8"])
-        assert cell_key(a.config, {}) != cell_key(b.config, {})
-        assert cell_key(a.config, {}) == cell_key(expand(["trajectory.speed=4"])[0].config, {})
+        assert key_of(a.config) != key_of(b.config)
+        assert key_of(a.config) == key_of(expand(["trajectory.speed=4"])[0].config)
 
     def test_what_cannot_change_a_flight_is_not_in_the_key(self):
         keys = {
-            cell_key(expand([extra])[0].config, {})
+            key_of(expand([extra])[0].config)
             for extra in (
                 "seed=0",
                 "evaluate.workers=7",
@@ -64,22 +71,22 @@ class TestKeys:
 
     def test_the_content_of_the_checkpoint_is(self):
         config = expand(["controller=gp_mpc"])[0].config
-        keys = {cell_key(config, {"model": content}) for content in ("a", "b")}
-        assert len(keys | {cell_key(config, {})}) == 3
+        keys = {key_of(config, {"model": content}) for content in ("a", "b")}
+        assert len(keys | {key_of(config)}) == 3
 
     def test_how_a_number_is_written_is_not(self):
-        keys = {cell_key(expand([f"trajectory.speed={text}"])[0].config, {}) for text in ("8", "8.0", "8e0")}
+        keys = {key_of(expand([f"trajectory.speed={text}"])[0].config) for text in ("8", "8.0", "8e0")}
         assert len(keys) == 1
 
     def test_a_new_schema_makes_every_cell_new(self, monkeypatch):
         config = expand([])[0].config
-        before = cell_key(config, {})
+        before = key_of(config)
         monkeypatch.setattr(cell_keys, "SCHEMA", 99)
-        assert cell_key(config, {}) != before
+        assert key_of(config) != before
 
     def test_cells_that_are_one_flight_are_flown_once(self):
         # nominal_mpc reads no checkpoint, whatever `model` says.
-        assert len(Plan(expand(["model=a,b", "controller=nominal_mpc"]))) == 1
+        assert len(plan_cells(expand(["model=a,b", "controller=nominal_mpc"]))) == 1
 
 
 class TestSweep:
@@ -179,15 +186,16 @@ class TestSweep:
         assert files(tmp_path) == []
 
     def test_cells_of_one_controller_are_flown_one_after_the_other(self, grid):
-        plan = Plan(grid)
-        names = [plan.job(key).cell.config.controller.name for key in plan.flying_order(list(plan.places))]
+        names = [job.cell.config.controller.name for job in flying_order(list(plan_cells(grid).values()))]
         # One of each first, so that two workers begin by building two controllers and not the same one.
         assert names == ["nominal_mpc", "perfect_mpc", *["nominal_mpc"] * 5, *["perfect_mpc"] * 5]
 
     def test_the_order_depends_on_what_is_built_and_not_on_what_is_flown(self):
-        plan = Plan(expand(["controller=nominal_mpc", "controller.nodes=10,20", "controller.horizon=1,2", "seed=0,1"]))
-        jobs = [plan.job(key) for key in plan.flying_order(list(plan.places))]
-        assert sorted(job.key for job in jobs) == sorted(plan.places)
+        plan = plan_cells(
+            expand(["controller=nominal_mpc", "controller.nodes=10,20", "controller.horizon=1,2", "seed=0,1"])
+        )
+        jobs = flying_order(list(plan.values()))
+        assert sorted(job.key for job in jobs) == sorted(plan)
         nodes = [(job.cell.config.controller.nodes, job.cell.config.controller.horizon) for job in jobs]
         assert nodes == [(10, 1.0), (20, 1.0), (10, 1.0), (10, 2.0), (10, 2.0), (20, 1.0), (20, 2.0), (20, 2.0)]
 

@@ -1,7 +1,7 @@
-"""Who may talk to a cluster: certificates as given, or one made for the occasion, which all parts of the cluster share.
+"""TLS certificates of a cluster: those of the user, or one made for this run and shared by all parts of the cluster.
 
-What is made is never on a command line. It goes to processes of this machine through their pipes, to Slurm's nodes in
-files of `engine.shared` that the user alone may read, to hosts over SSH in a folder of the same kind, which is removed.
+A certificate made here never appears on a command line. Processes of this machine receive it through their pipes, Slurm
+nodes in files of `engine.shared` that only the user may read, hosts over SSH in such a folder, which is removed later.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ _made: list[Security] = []  # one for all sweeps of this process
 
 
 def security(config: ClusterConfig) -> Security | None:
-    """What proves who belongs to the cluster; None where that is not wanted (engine.tls=false).
+    """The certificates by which the parts of a cluster recognise each other; None with engine.tls=false.
 
-    Raises UsageError for files that are not there, or a key that others may read.
+    Raises UsageError for a missing file, or a key that others may read.
     """
     if not config.tls:
         return None
@@ -56,9 +56,9 @@ def settings(ca: str, cert: str, key: str) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def handed_out(made: Security, hosts: Sequence[str], options: dict[str, Any]) -> Iterator[str]:
-    """The path, on each host, of a file with certificate and key that its user alone may read; removed at the end.
+    """Copy certificate and key to each host, in a file that only the user may read; yields its path, removes it later.
 
-    options: of the SSH connections. Raises QuadexpError where a host does not take it.
+    options: of the SSH connections. Raises QuadexpError where a host refuses it.
     """
     folder = f"/tmp/quadexp-{secrets.token_hex(16)}"
     file = f"{folder}/tls.pem"
@@ -87,5 +87,5 @@ def _on_each(hosts: Sequence[str], options: dict[str, Any], command: str, given:
     async def on_all() -> None:
         await asyncio.gather(*map(on, dict.fromkeys(hosts)))
 
-    with ThreadPoolExecutor(1) as thread:  # the caller may have a loop of its own
+    with ThreadPoolExecutor(1) as thread:  # the caller may run an event loop
         thread.submit(asyncio.run, on_all()).result()

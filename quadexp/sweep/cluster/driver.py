@@ -1,7 +1,7 @@
-"""The Dask engine: hands out cells, takes files and rows as they come, and writes both into the store.
+"""The Dask engine: submits cells, receives their rows and files, and writes the files.
 
-A bounded number of cells is with the cluster at any time, and every future is let go as soon as its result is here, so
-that neither the driver nor the scheduler remembers the sweep, and a worker that is lost takes no finished cell along.
+A bounded number of cells is submitted at any time, and every future is released as soon as its result has arrived, so
+that driver and scheduler need little memory and no finished cell is lost with a worker.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from quadexp.provenance import identity
 from quadexp.sweep.cluster.worker import CellRunner, InputFile, run_cell
 from quadexp.sweep.engine import CellFailed, Task
 
-QUEUED = 3  # cells handed out per thread of the cluster
-LOSSES = 4  # workers a cell may lose before it is held to be the cause
+QUEUED = 3  # cells submitted per thread of the cluster
+LOSSES = 4  # times that the worker of a cell may be lost before the cell is taken for the cause
 GONE = "the scheduler is gone: run the same command to continue"
-CHECKED = 1.0  # s between looks at the cluster
-PREFIX = "quadexp/"  # then the client's name, of all that a sweep keeps on workers
+CHECKED = 1.0  # s between checks of the cluster
+PREFIX = "quadexp/"  # of the names of everything that a sweep keeps on workers; followed by the client's name
 
 
 @dataclass
 class DaskEngine:
-    """A cluster, opened when the first cell is flown. open: gives its client, and ends what it started.
+    """A cluster, opened when the first cell is flown. open: a context with its client.
 
-    timeout: s a cell may take. memory: GB of its process. wait: s to go on without a worker.
+    timeout: s a cell may take. memory: limit of its process in GB. wait: s to wait while there is no worker.
     """
 
     open: Callable[[], AbstractContextManager[Client]]
@@ -49,13 +49,13 @@ class DaskEngine:
         with self.open() as client:
             try:
                 yield from _Flights(client, self, function).run(tasks)
-            except OSError as error:  # of the connection: what concerns files says so itself
+            except OSError as error:  # of the connection: errors of files are WriteErrors
                 raise QuadexpError(GONE) from error
 
 
 @dataclass
 class _Flights:
-    """The cells that are with the cluster."""
+    """The cells that are submitted."""
 
     client: Client
     engine: DaskEngine
@@ -66,7 +66,7 @@ class _Flights:
 
     @property
     def prefix(self) -> str:
-        """Of the names of what this sweep keeps on the workers: several sweeps may share a cluster."""
+        """Of the names of what this sweep keeps on the workers; several sweeps may share a cluster."""
         return f"{PREFIX}{self.client.id}/"
 
     @property
@@ -108,7 +108,7 @@ class _Flights:
         future.add_done_callback(self.landed.put)
 
     def _land(self, seconds: float) -> Iterator[tuple[str, Any]]:
-        """Results that are there, after waiting for the first of them."""
+        """Wait for a result; yield (key, row or CellFailed) of all that have arrived."""
         futures = []
         with suppress(queue.Empty):
             futures.append(self.landed.get(timeout=seconds))
@@ -116,7 +116,7 @@ class _Flights:
                 futures.append(self.landed.get_nowait())
         good = [future for future in futures if future.status == "finished"]
         results = dict(zip([f.key for f in good], self.client.gather(good, errors="skip"), strict=False))
-        if len(results) < len(good):  # a worker died between having a result and giving it
+        if len(results) < len(good):  # a worker died before its result was fetched
             results = {}
             for future in good:
                 with suppress(Exception):
@@ -141,7 +141,7 @@ class _Flights:
         return row
 
     def _ship(self, task: Task) -> dict[str, tuple[str, bool]]:
-        """Have every worker hold the files that the task reads; path as configured -> (name, whether a folder)."""
+        """Send every worker the files that the task reads; path as configured -> (plugin's name, whether a folder)."""
         inputs = {}
         if task.model is not None:
             inputs[task.model.path] = self._shipped(Path(task.model.path) / MODEL_FILE, task.model.sha256), True
@@ -173,8 +173,8 @@ class _Flights:
             raise QuadexpError(f"the cluster cannot fly this: {str(error).splitlines()[0]}") from error
 
     def _remove_abandoned(self) -> None:
-        """Take from the workers what sweeps left there whose driver was killed."""
-        with suppress(Exception):  # nobody's flights depend on it
+        """Remove from the workers the plugins of sweeps whose driver was killed."""
+        with suppress(Exception):  # no flight depends on it
             for name in self.client.run_on_scheduler(abandoned):
                 self.client.unregister_worker_plugin(name)
 
@@ -198,7 +198,7 @@ class _Flights:
             raise QuadexpError(GONE)
 
     def _leave(self) -> None:
-        """Take back what was not flown, and leave the cluster as it was."""
+        """Cancel the cells that were not flown and remove this sweep's plugins."""
         if self.client.status != "running":
             return
         with suppress(Exception):
@@ -209,6 +209,6 @@ class _Flights:
 
 
 def abandoned(dask_scheduler: Any) -> list[str]:
-    """On the scheduler: names of the plugins whose client is gone."""
+    """Run on the scheduler: names of the plugins whose client is gone."""
     ours = [name for name in dask_scheduler.worker_plugins if name.startswith(PREFIX)]
     return [name for name in ours if name.removeprefix(PREFIX).partition("/")[0] not in dask_scheduler.clients]

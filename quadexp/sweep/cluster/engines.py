@@ -1,4 +1,4 @@
-"""From a configuration to the engine it names."""
+"""The engine that a configuration names."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ EXTRA = "pip install 'quadexp[cluster]'"
 def build_engine(config: Config) -> Engine:
     """The engine; nothing is started before the first cell is flown.
 
-    Raises UsageError where what it needs is not installed.
+    Raises UsageError where a package that it needs is not installed.
     """
     settings = config.evaluate
     memory = settings.memory or None

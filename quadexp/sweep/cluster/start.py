@@ -1,4 +1,4 @@
-"""How clusters start: on this machine, at a scheduler's address, on hosts over SSH, in jobs of Slurm."""
+"""Starting a cluster: on this machine, at the address of a scheduler, on hosts over SSH, in jobs of Slurm."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ UNPROTECTED = "engine.tls=false: whoever reaches the scheduler or a worker can r
 LOOPBACK = "127.0.0.1:0"
 CONNECT = 20.0  # s to wait for a scheduler
 ENVIRONMENT = {"DASK_DISTRIBUTED__WORKER__DAEMON": "False", SAFE: "1", **dict.fromkeys(THREADS, "1")}
-# A worker's cells run in children with a memory limit of their own; it must neither pause nor kill itself over them.
+# Cells run in children with a memory limit of their own; the worker must neither pause nor end because of their memory.
 SETTINGS = {
     "distributed.worker.daemon": False,
     "distributed.worker.memory.target": False,
@@ -38,10 +38,10 @@ SETTINGS = {
 
 @contextlib.contextmanager
 def open_cluster(config: ClusterConfig, workers: int) -> Iterator[Client]:
-    """A client of the configured cluster; what was started for it ends with the context.
+    """A client of the configured cluster; everything that was started for it ends with the context.
 
-    workers: processes, where we start them. Raises UsageError for what the configuration gets wrong, QuadexpError where
-    the cluster cannot be reached.
+    workers: number of processes to start. Raises UsageError for a wrong configuration, QuadexpError where the cluster
+    cannot be reached.
     """
     if not os.environ.get("QUADEXP_DEBUG"):
         for name in ("distributed", "dask_jobqueue", "asyncssh"):
@@ -66,7 +66,7 @@ def open_cluster(config: ClusterConfig, workers: int) -> Iterator[Client]:
 
 
 def _name(config: ClusterConfig) -> str:
-    """What to call the cluster in an error."""
+    """Name of the cluster for an error message."""
     if not isinstance(config, DaskConfig):
         return "the Slurm cluster"
     if config.address:
@@ -119,14 +119,14 @@ def _ssh(config: DaskConfig, workers: int, stack: contextlib.ExitStack) -> Any:
             "dashboard_address": LOOPBACK,
         },
         scheduler_options={"dashboard": False, "dashboard_address": LOOPBACK, "port": 0, "protocol": protocol},
-        remote_python=f"{config.remote_python or sys.executable} -P",  # not from the folder it is started in
+        remote_python=f"{config.remote_python or sys.executable} -P",  # do not import from the current folder
         security=known,
     )
     return stack.enter_context(cluster)
 
 
 def _known_hosts() -> str:
-    """SSH checks the hosts' keys, as on the command line."""
+    """File with the hosts' keys, which SSH checks as on the command line."""
     return str(Path.home() / ".ssh" / "known_hosts")
 
 
@@ -173,7 +173,7 @@ def _slurm(config: SlurmConfig, workers: int) -> Any:
 
 
 def _refused(script: str) -> None:
-    """Raise UsageError where Slurm would not take the job: dask-jobqueue only logs that, and no worker ever comes."""
+    """Raise UsageError where Slurm refuses the job: dask-jobqueue only logs that, and no worker would ever start."""
     with tempfile.NamedTemporaryFile("w", suffix=".sh") as file:
         file.write(script)
         file.flush()

@@ -1,4 +1,4 @@
-"""What runs inside a Dask worker: every cell in a child process, so that a crash or an endless loop stays one cell."""
+"""What runs in a Dask worker: every cell in a child process, so that a crash or an endless loop ends only that cell."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from quadexp.provenance import identity
 from quadexp.sweep.child import GONE, PRELOAD, cause, one_thread, start_pool
 from quadexp.sweep.engine import ATTEMPTS, CellFailed, Task
 
-FOLDER = "quadexp-"  # beginning of the names of a worker's own folders
+FOLDER = "quadexp-"  # prefix of the names of a worker's temporary folders
 
 
 class CellRunner(WorkerPlugin):
     """The child processes of a worker, as many as it has threads, and a folder for the files of their cells.
 
-    timeout: s a cell may take. memory: GB a child may take. expected: versions and hash of the sources
-    that a worker must have, because results must not depend on where they were made.
+    timeout: s a cell may take. memory: limit of a child in GB. expected: versions and hash of the sources that a worker
+    must have, because results must not depend on the worker.
     """
 
     def __init__(self, name: str, timeout: float | None, memory: float | None, expected: Mapping[str, str]) -> None:
         self.name, self._timeout, self._memory, self._expected = name, timeout, memory, dict(expected)
-        self._folders = own_folders()  # of the driver; a worker calls nothing else under `_target_` either
+        self._folders = own_folders()  # of the driver; a worker imports no other modules under `_target_`
 
     def setup(self, worker: Any) -> None:
         other = {name: there for name, there in identity().items() if self._expected.get(name, there) != there}
@@ -80,9 +80,9 @@ class CellRunner(WorkerPlugin):
 
 
 class InputFile(WorkerPlugin):
-    """A file that flights read, on every worker, also on those that join later. name: of the plugin, by its content.
+    """A file that flights read, copied to every worker, also to those that join later.
 
-    file: its name there. content: of it.
+    name: of the plugin, from the hash of the content. file: name of the copy.
     """
 
     def __init__(self, name: str, file: str, content: bytes) -> None:
@@ -125,7 +125,7 @@ def child_cell(
     copies: Mapping[str, str],
     parts: Mapping[str, str],
 ) -> Any:
-    """In the child: fly, and give back the row with the file's content (None if there is no file)."""
+    """In the child process: fly; returns the row and the content of the file (None if there is no file)."""
     use_copies(copies)
     for name, found in source_hashes(config).items():
         if found != parts.get(name):

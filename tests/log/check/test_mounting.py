@@ -32,7 +32,9 @@ def angles_of(flight: Flight, vehicle: str) -> list[float]:
     return [float(word) for word in text.split(",")]
 
 
-@pytest.mark.parametrize(("vehicle", "seed", "degrees"), CASES)
+@pytest.mark.parametrize(
+    ("vehicle", "seed", "degrees"), [*CASES[:6], *(pytest.param(*case, marks=pytest.mark.slow) for case in CASES[6:])]
+)
 def test_a_turned_accelerometer_is_offered_its_correction(vehicle, seed, degrees):
     """The turn that is offered is the true one but for 1.5 degrees about x and y; undone, nothing is left to say.
 
@@ -73,7 +75,7 @@ def feet(c):
     put(c, V, take(c, V) / 0.3048)
 
 
-@pytest.mark.parametrize("degrees", [0.0, 8.0])
+@pytest.mark.parametrize("degrees", [pytest.param(0.0, marks=pytest.mark.slow), 8.0])
 @pytest.mark.parametrize(
     ("fault", "name"),
     [
