@@ -1,13 +1,13 @@
-"""One comparison over all conditions: by what share does a contestant fly closer than the baseline?
+"""Each contestant against the baseline over all conditions: by what share is its error smaller?
 
 Errors differ tenfold between conditions, so ratios are averaged, each condition with the same weight (the ratio of
-inference.py), over the flights that all who are compared ended well (common.py):
+inference.py), over the common flights (pairing.py):
 
     reduction = 100 (1 - ratio)
     p: paired permutation of the weighted logarithms (see inference.py), corrected by Holm for the number of contestants
 
-What a contestant and the baseline flew beyond them stands beside it (`own_*`). The conditions are the ones flown, not a
-sample of others: the interval speaks of new seeds, not of new trajectories.
+The same over all flights that the contestant and the baseline both ended well is in `own_*`. The interval is for new
+seeds of these conditions, not for new trajectories.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.report.common import Flights
 from quadexp.report.inference import holm, least_p, log_ratio, paired_permutation, rank_biserial
-from quadexp.report.pairing import Flown, Groups, Row, said
+from quadexp.report.pairing import Flights, Flown, Groups, Row, causes_text
 from quadexp.report.statistics import BASELINE, CONFIDENCE, NAN, tally
+from quadexp.report.text import count, probability
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Overall:
-    """One contestant against the baseline over all conditions. reduction*: percent, positive where it is better.
+    """One contestant against the baseline over all conditions. reduction*: percent, positive if it is better.
 
-    conditions: in how many there was a pair. own_reduction, own_pairs: the same over all flights that both ended well,
-    whoever else did. left_out: pairs that are not in it, by cause. seeds and failures as in
-    `Statistic`, over all its flights. p_least: the least p that so many pairs can give.
+    conditions: number of those with a pair. own_reduction, own_pairs: over all flights that both ended well. left_out:
+    number of missing pairs by cause. seeds and failures as in `Statistic`, over all its flights. p_least: the smallest
+    p that so many pairs can give.
     """
 
     metric: str
@@ -73,21 +73,15 @@ class Overall:
         if not self.pairs:
             return f"{self.label}: no pair with {self.baseline} ({self.left_out})"
         low, high = self.reduction_low, self.reduction_high
-        word = "less" if self.reduction >= 0 else "more"
-        if self.reduction < 0:
-            low, high = -high, -low
+        word, (low, high) = ("less", (low, high)) if self.reduction >= 0 else ("more", (-high, -low))
         limits = "" if math.isnan(low) else f" [{low:.1f}, {high:.1f}]"
-        p = "" if math.isnan(self.p_holm) else ", p < 0.0001" if self.p_holm < 1e-4 else f", p = {self.p_holm:.2g}"
-        left = f"; left out: {self.left_out}" if self.left_out else ""
+        about = ", ".join(filter(None, [count(self.pairs, "pair"), probability(self.p_holm)]))
+        about += f"; left out: {self.left_out}" if self.left_out else ""
         if self.own_pairs > self.pairs:
             own, more = abs(self.own_reduction), "less" if self.own_reduction >= 0 else "more"
-            left += f"; over all {self.own_pairs} that both ended well: {own:.1f} % {more}"
-        over = f"{self.conditions} condition{'s' if self.conditions > 1 else ''}"
-        pairs = f"{self.pairs} pair{'s' if self.pairs > 1 else ''}"
-        return (
-            f"{self.label}: {abs(self.reduction):.1f} %{limits} {word} than {self.baseline} over {over}"
-            f" ({pairs}{p}{left})"
-        )
+            about += f"; over all {self.own_pairs} that both ended well: {own:.1f} % {more}"
+        over = count(self.conditions, "condition")
+        return f"{self.label}: {abs(self.reduction):.1f} %{limits} {word} than {self.baseline} over {over} ({about})"
 
 
 def overall(
@@ -98,7 +92,7 @@ def overall(
     confidence: float = CONFIDENCE,
     seed: int = 0,
 ) -> list[Overall]:
-    """Every contestant that has somebody to be compared with; see the module's equations."""
+    """Every contestant that has a baseline; see the module's equations."""
     groups = Groups(rows, baseline, (metric,))
     among = {world: groups.common(conditions) for world, conditions in groups.worlds.items()}
     flights = {condition: groups.flights([condition]) for condition in dict.fromkeys(at for at, _ in groups.cells)}
@@ -108,7 +102,7 @@ def overall(
         if rival is None:
             continue
         logs: list[np.ndarray] = []
-        every: list[np.ndarray] = []  # whoever else ended them well
+        every: list[np.ndarray] = []  # also beyond the common flights
         causes: Counter[str] = Counter()
         own: list[Flown] = []
         trials = 0
@@ -133,7 +127,7 @@ def overall(
                 label=groups.labels[contestant],
                 baseline=groups.labels[rival],
                 confidence=confidence,
-                left_out=said(causes),
+                left_out=causes_text(causes),
                 **fields,
                 **_weighted(logs, confidence, seed),
             )
@@ -143,20 +137,19 @@ def overall(
 
 
 def _weighted(logs: Sequence[np.ndarray], confidence: float, seed: int) -> dict[str, Any]:
-    pairs = sum(map(len, logs))
-    fields: dict[str, Any] = dict.fromkeys(
-        ("reduction", "reduction_low", "reduction_high", "effect", "p", "p_least"), NAN
-    )
-    fields |= {"conditions": len(logs), "pairs": pairs, "p_holm": NAN}
-    if not pairs:
-        return fields
-    ratio = log_ratio(logs, confidence)
-    fields |= {"reduction": _percent(ratio.value), "effect": rank_biserial(np.concatenate(logs))}
-    fields |= {"reduction_low": _percent(ratio.high), "reduction_high": _percent(ratio.low)}
-    if pairs > 1:
-        weighted = np.concatenate([log / len(log) for log in logs])
-        fields |= {"p": paired_permutation(weighted, seed=seed), "p_least": least_p(pairs)}
-    return fields
+    pairs, ratio = sum(map(len, logs)), log_ratio(logs, confidence)  # NaN without pairs
+    several = pairs > 1
+    return {
+        "conditions": len(logs),
+        "pairs": pairs,
+        "reduction": _percent(ratio.value),
+        "reduction_low": _percent(ratio.high),
+        "reduction_high": _percent(ratio.low),
+        "effect": rank_biserial(np.concatenate(logs)) if pairs else NAN,
+        "p": paired_permutation(np.concatenate([log / len(log) for log in logs]), seed=seed) if several else NAN,
+        "p_least": least_p(pairs) if several else NAN,
+        "p_holm": NAN,
+    }
 
 
 def _logs(pairs: Sequence[tuple[Flown, Flown]]) -> tuple[np.ndarray, int]:

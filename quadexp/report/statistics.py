@@ -1,10 +1,10 @@
-"""Statistics of a comparison: one row per metric, condition and contestant, over the seeds.
+"""Statistics of a comparison: one `Statistic` per metric, condition and contestant, over the seeds.
 
-Two means: `mean` over the contestant's own flights that ended well, `common_mean` over those that all who are compared
-ended well (common.py), which is what tables set side by side. Flights that did not end well are counted, by outcome,
-and lower the success rate. A contestant is compared with the baseline seed by seed, difference = contestant - baseline,
-over the common flights; the others are counted in `left_out`, by cause. p-values are corrected for all comparisons of
-one metric. The equations stand in inference.py, conditions and pairs in pairing.py, who is best in winner.py.
+Two means: `mean` over the contestant's own flights that ended well, and `common_mean` over the common flights, which
+tables show. Flights that did not end well are counted by outcome, and lower the success rate. A contestant is compared
+with the baseline seed by seed, difference = contestant - baseline, over the common flights; the others are counted in
+`left_out` by cause. p-values are corrected for all comparisons of one metric. Equations: inference.py; common flights,
+conditions and pairs: pairing.py; who is best: winner.py.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from quadexp.log.schema import describe
-from quadexp.report.common import Flights
 from quadexp.report.inference import (
     cohen_d,
     holm,
@@ -30,7 +29,7 @@ from quadexp.report.inference import (
     success_interval,
 )
 from quadexp.report.metrics import SHOWN
-from quadexp.report.pairing import Condition, Contestant, Flown, Groups, Row, World, said
+from quadexp.report.pairing import Condition, Contestant, Flights, Flown, Groups, Row, World, causes_text
 from quadexp.report.winner import barred, line_p
 
 COMPARED = tuple(dict.fromkeys((*SHOWN, "attitude_rmse")))
@@ -45,15 +44,15 @@ NAN = math.nan
 class Statistic:
     """One metric of one contestant in one condition.
 
-    mean, low, high, std, baseline_mean, difference*: in `unit`, NaN where not defined. reduction*: percent, positive
-    where the contestant's mean is smaller than the baseline's over the same pairs. effect, cohen_d: of the paired
-    differences, positive where smaller than the baseline.
+    mean, low, high, std, baseline_mean, difference*: in `unit`, NaN if not defined. reduction*: percent, positive if
+    the contestant's mean is smaller than the baseline's over the same pairs. effect, cohen_d: of the paired
+    differences, positive if smaller than the baseline.
 
-    seeds: cells asked for. trials: those of them that somebody could fly. n: flights in the mean. common: flights in
-    the common mean, 0 where it is not compared. best_p: see `winner.line_p`, corrected for the number of lines, NaN for
-    who may not be marked as best. baseline: label of whom it is compared with, "" for nobody.
-    interval: how [low, high] came about. p_least: the least p that so many pairs can give. comparisons: over how many
-    p_holm is corrected. speed: m/s, NaN where the trajectory has none.
+    seeds: cells requested. trials: those that at least one contestant could fly. n: flights in the mean. common:
+    flights in the common mean, 0 if it is not compared. best_p: see `winner.line_p`, corrected for the number of lines,
+    NaN if it cannot be marked as best. baseline: label of the baseline, "" for none. interval: method of [low, high].
+    p_least: the smallest p that so many pairs can give. comparisons: number that p_holm is corrected for. speed: m/s,
+    NaN for a trajectory without one.
     """
 
     metric: str
@@ -127,7 +126,7 @@ class Statistic:
 
     @property
     def best(self) -> bool:
-        """Whether it has the least error of its line, beyond chance, and nobody flew more."""
+        """Whether it has the least error of its line, significantly, and nobody flew more."""
         return self.best_p < 1 - self.confidence  # False for NaN
 
     @property
@@ -138,7 +137,7 @@ class Statistic:
 def tally(flights: Sequence[Flown], trials: int, confidence: float) -> dict[str, Any]:
     """How the flights of a group ended: counts by outcome, and the success rate with its interval.
 
-    trials: how many of them somebody could fly, see `Groups.flights`; a cell without a result (failed) is one.
+    trials: see `Groups.flights`; a cell without a result (failed) is one.
     """
     outcomes = Counter(f.outcome if f.outcome in ("ok", *FAILURES) else "failed" for f in flights)
     low, high = success_interval(outcomes["ok"], trials, confidence)
@@ -202,7 +201,7 @@ def compute_statistics(
             }
             if metric in COMPARED and (condition, contestant) in paired:
                 rival, pairs, left_out = paired[condition, contestant]
-                fields |= {"baseline": groups.labels[rival], "left_out": said(left_out)}
+                fields |= {"baseline": groups.labels[rival], "left_out": causes_text(left_out)}
                 fields |= _comparison(pairs, place, confidence, seed)
             made.append(
                 Statistic(

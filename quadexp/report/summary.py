@@ -44,7 +44,7 @@ def summarise(path: str | Path) -> dict[str, Any]:
 
 def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[str]:
     """How one flight went, for people. always: also where it lay inside the data of the model that flew it."""
-    from quadexp.report.outside import outside_line
+    from quadexp.report.notes import outside_line
 
     row, residual = metadata["row"], metadata.get("residual", {})
     knows = residual.get("name", "?")
@@ -188,7 +188,7 @@ def _result_lines(record: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], 
 def _checkpoint(path: Path) -> dict[str, Any]:
     from quadexp.learn.checkpoint import KINDS, load_model, load_report
     from quadexp.learn.vehicle_model import VehicleModel
-    from quadexp.report.outside import range_lines
+    from quadexp.report.notes import range_lines
 
     model = load_model(path)
     file = path / MODEL_FILE

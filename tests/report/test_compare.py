@@ -15,13 +15,12 @@ from quadexp.experiment.evaluate import describe, result_row
 from quadexp.learn.checkpoint import save_model
 from quadexp.learn.linear_drag import LinearDrag
 from quadexp.log.store import write_flight, write_table
-from quadexp.report.compare import compare
-from quadexp.report.differences import change, differing
+from quadexp.report.compare import change, compare, differing
 from quadexp.report.tables import to_columns
 from quadexp.sweep.sweep import run_sweep
-from tests.experiment import cells
 from tests.log.flights import straight_flight
 from tests.report.test_tables import row
+from tests.sweep import cells
 
 
 def flight(path, *overrides, offset=0.1, samples=5, **metadata):

@@ -104,7 +104,7 @@ def test_both_stand_on_the_page(fitted, tmp_path):
     relabel(root, folder, sha256)
     made = make_report(root, tmp_path / "report.html", figures=tmp_path / "figures")
     text = made["path"].read_text(encoding="utf-8")
-    assert "What was learned" in text and f"Residuals in <code>{folder}</code>" in text
+    assert "Learned models" in text and f"Residuals in <code>{folder}</code>" in text
     assert "a_x from v_x, 8 points" in text
     assert "Coefficients identified in flight" in text and "C_d0 0.23" in text and "of 0.22" in text
     assert {"error_against_speed", "error_against_time"} < set(made["figures"]) and len(made["figures"]) == 5

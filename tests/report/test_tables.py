@@ -21,7 +21,7 @@ from quadexp.report.tables import (
     to_markdown,
     to_rich,
 )
-from quadexp.report.wording import significant, with_interval
+from quadexp.report.text import significant, with_interval
 
 
 def row(controller="nominal_mpc", speed=8.0, seed=0, error=0.24, **more):

@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from quadexp.report.style import STYLE, looks, plain_log
+from quadexp.report.style import looks, plain_log, styled
 
 ORDER = (
     "nominal_mpc",
@@ -81,6 +80,7 @@ def _cell(rows: Sequence[Row], error: float | None, least: float | None, name: s
     return f"**{shown}**" if error == least and name not in BOUNDS else shown
 
 
+@styled
 def families_figure(rows: Sequence[Row]) -> Figure:
     """Mean position error (m, logarithmic) over speed; a line of panels per plant, a panel per trajectory.
 
@@ -90,28 +90,27 @@ def families_figure(rows: Sequence[Row]) -> Figure:
     plants = list(dict.fromkeys(plant for plant, _, _ in conditions))
     trajectories = list(dict.fromkeys(trajectory for _, trajectory, _ in conditions))
     present = {row["controller"] for row in rows}
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(1.0 + 2.7 * len(trajectories), 0.9 + 2.6 * len(plants)), layout="constrained")
-        panels = figure.subplots(len(plants), len(trajectories), sharey=True, squeeze=False)
-        worn = looks(ORDER)
-        for line, plant in zip(panels, plants, strict=True):
-            for panel, trajectory in zip(line, trajectories, strict=True):
-                here = {c[2]: v for c, v in conditions.items() if c[:2] == (plant, trajectory)}
-                for name in (name for name in ORDER if name in present):
-                    points = [(speed, mean_error(found.get(name, []))) for speed, found in here.items()]
-                    points = [(speed, 1e3 * error) for speed, error in points if error is not None]
-                    if points:
-                        panel.plot(*zip(*points, strict=True), label=name, linewidth=1.2, **worn[name].points())
-                panel.set(yscale="log", title=f"{trajectory}, {plant}", xticks=sorted(here))
-                panel.margins(x=0.1)
-            line[0].set_ylabel("mean position error (mm)")
-        plain_log(panels[0, 0].yaxis, minor=True)
-        for panel in panels[-1]:
-            panel.set_xlabel("trajectory.speed (m/s)")
-        found: dict[str, Any] = {}
-        for panel in panels.flat:
-            for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
-                found.setdefault(label, handle)
-        shown = [name for name in ORDER if name in found]
-        figure.legend([found[name] for name in shown], shown, loc="outside lower center", ncols=4)
+    figure = Figure(figsize=(1.0 + 2.7 * len(trajectories), 0.9 + 2.6 * len(plants)), layout="constrained")
+    panels = figure.subplots(len(plants), len(trajectories), sharey=True, squeeze=False)
+    worn = looks(ORDER)
+    for line, plant in zip(panels, plants, strict=True):
+        for panel, trajectory in zip(line, trajectories, strict=True):
+            here = {c[2]: v for c, v in conditions.items() if c[:2] == (plant, trajectory)}
+            for name in (name for name in ORDER if name in present):
+                points = [(speed, mean_error(found.get(name, []))) for speed, found in here.items()]
+                points = [(speed, 1e3 * error) for speed, error in points if error is not None]
+                if points:
+                    panel.plot(*zip(*points, strict=True), label=name, linewidth=1.2, **worn[name].points())
+            panel.set(yscale="log", title=f"{trajectory}, {plant}", xticks=sorted(here))
+            panel.margins(x=0.1)
+        line[0].set_ylabel("mean position error (mm)")
+    plain_log(panels[0, 0].yaxis, minor=True)
+    for panel in panels[-1]:
+        panel.set_xlabel("trajectory.speed (m/s)")
+    found: dict[str, Any] = {}
+    for panel in panels.flat:
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    shown = [name for name in ORDER if name in found]
+    figure.legend([found[name] for name in shown], shown, loc="outside lower center", ncols=4)
     return figure

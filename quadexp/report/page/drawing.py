@@ -1,4 +1,4 @@
-"""The report's figures: panel by panel as inline SVG for the page, and put together as Figures for paper."""
+"""The report's figures: each panel as inline SVG for the page, and together as Figures for paper."""
 
 from __future__ import annotations
 
@@ -17,18 +17,16 @@ from quadexp.report.page.figures import (
     course_title,
     courses,
     labels_on,
-    mark,
     pareto_front,
     pareto_panel,
     pareto_points,
     speed_panel,
-)
+)  # fmt: skip
 from quadexp.report.page.fits import Checkpoint, estimate_panel, fit_panel, identified, read_checkpoint, truth
 from quadexp.report.page.names import spoken
-from quadexp.report.page.numbers import number, percent
-from quadexp.report.page.palette import PAGE, PAPER
+from quadexp.report.page.palette import PAGE, PAPER, STYLE, inline_svg
 from quadexp.report.page.source import Comparison
-from quadexp.report.page.svg import STYLE, inline_svg
+from quadexp.report.text import number, percent
 
 SIZE = 3.9, 3.0  # inches, of a panel
 WIDE = 6.2, 4.1
@@ -40,8 +38,8 @@ Draw = Callable[..., None]  # (panel, palette=Palette)
 
 @dataclass
 class PageFigures:
-    """SVG of every part, and what the text beside it needs. speed: a panel a course. fits, estimates: as the template
-    takes them. checkpoints, estimated: what they were drawn from."""
+    """SVG of every part, and the data of the text beside it. speed: a panel per course. fits, estimates: for the
+    template. checkpoints, estimated: their sources."""
 
     speed: list[str] = field(default_factory=list)
     speed_labels: list[str] = field(default_factory=list)
@@ -119,7 +117,7 @@ def _fit(checkpoint: Checkpoint, i: int) -> dict[str, Any]:
 
 
 def _scores(rows: list[Mapping[str, Any]]) -> dict[str, Any]:
-    """Held-out errors of a checkpoint's report, a line an output and a column a predictor."""
+    """Held-out errors of a checkpoint's report, a line per output and a column per predictor."""
     predictors = [name for name in dict.fromkeys(row["predictor"] for row in rows) if name in PREDICTORS]
     found = {(row["output"], row["predictor"]): row for row in rows}
     lines = []
@@ -131,7 +129,9 @@ def _scores(rows: list[Mapping[str, Any]]) -> dict[str, Any]:
                 "index": output.partition("_")[2],
                 "unit": describe(output, "residuals").unit.replace("^2", "²"),
                 "cells": [
-                    {"rmse": f"{cell['rmse']:.3g}", "inside": percent(100 * cell["inside_2"], 0)} if cell else {}
+                    {"rmse": f"{cell['rmse']:.3g}", "inside": percent(100 * cell["inside_2"], least=0)[0]}
+                    if cell
+                    else {}
                     for cell in cells
                 ],
             }
@@ -140,7 +140,7 @@ def _scores(rows: list[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def estimated(comparison: Comparison) -> list[tuple[str, list[tuple[str, Flight]]]]:
-    """Per trajectory and plant the flights that identified coefficients: fastest speed, one flight a contestant."""
+    """Per trajectory and plant the flights that identified coefficients: fastest speed, one per contestant."""
     chosen: dict[tuple[str, str], dict[str, Mapping[str, Any]]] = {}
     for row in comparison.rows:
         if "rls" not in row["controller"] and not row["controller"].startswith("literal"):
@@ -177,7 +177,7 @@ def _estimates(comparison: Comparison, title: str, flights: list[tuple[str, Flig
 
 
 def _estimate_draws(comparison: Comparison, flights: list[tuple[str, Flight]]) -> dict[str, Draw]:
-    draw = partial(estimate_panel, flights=flights, worn=comparison.look)
+    draw = partial(estimate_panel, flights=flights, look=comparison.look)
     return {name: partial(draw, name=name) for name in identified(flights[0][1])}
 
 
@@ -218,14 +218,8 @@ def _sheet(draws: list[Draw], handles: list[Line2D], size: tuple[float, float] =
 
 
 def _handles(comparison: Comparison, labels: list[str]) -> list[Line2D]:
-    return [
-        Line2D(
-            [], [], color=PAPER.series[look.token], linestyle=look.dash, label=spoken(label),
-            **mark(look, PAPER.series[look.token], PAPER),
-        )
-        for label in labels
-        if (look := comparison.look[label])
-    ]  # fmt: skip
+    look = comparison.look
+    return [Line2D([], [], linestyle=look[x].dash, label=spoken(x), **PAPER.mark(look[x])) for x in labels]
 
 
 def _file(prefix: str, name: str) -> str:

@@ -1,6 +1,6 @@
-"""The panels of the report, drawn on axes that are given: error over speed, error over time of the step.
+"""The panels of the report, drawn on given axes: error over speed, error over time of the control step.
 
-Every function takes a Palette, so that the same panel goes onto the page (themed) and onto paper (PDF).
+Every function takes a Palette, so that the same panel is used on the page (themed) and on paper (PDF).
 """
 
 from __future__ import annotations
@@ -13,50 +13,36 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter
 
 from quadexp.report.page.names import spoken
-from quadexp.report.page.numbers import duration, shown
-from quadexp.report.page.palette import Palette
+from quadexp.report.page.palette import Palette, dress
 from quadexp.report.page.source import Comparison
+from quadexp.report.pairing import Condition
 from quadexp.report.statistics import Statistic
-from quadexp.report.style import Look, plain_log
+from quadexp.report.style import plain_log
 from quadexp.report.tables import TITLES
+from quadexp.report.text import duration, shown, typeset
 
 AROUND = 2.5  # times that an interval may reach beyond the means before the panel cuts it
 Course = tuple[str, str, str, str]  # plant, vehicle, trajectory, other settings
 
 
-def dress(panel: Any, palette: Palette) -> None:
-    """Colours of frame, ticks and grid."""
-    panel.set_facecolor("none")
-    panel.grid(True, color=palette.rule, linewidth=0.6)
-    for spine in panel.spines.values():
-        spine.set_color(palette.rule)
-    panel.spines["left"].set_visible(False)
-    panel.tick_params(which="both", colors=palette.muted, labelcolor=palette.muted)
-    panel.xaxis.label.set_color(palette.muted)
-    panel.yaxis.label.set_color(palette.muted)
+def course_of(condition: Condition) -> Course:
+    """A condition without its speed."""
+    plant, vehicle, trajectory, _, setting = condition
+    return plant, vehicle, trajectory, setting
 
 
-def mark(look: Look, colour: str, palette: Palette) -> dict[str, Any]:
-    """Keywords of `plot` for the marker of a look: filled, or hollow for the variants of a controller."""
-    if look.filled:
-        return {"marker": look.marker, "markeredgecolor": palette.panel, "markeredgewidth": 0.7}
-    return {
-        "marker": look.marker, "markerfacecolor": palette.panel, "markeredgecolor": colour, "markeredgewidth": 1.3,
-    }  # fmt: skip
+def _points(comparison: Comparison) -> list[Statistic]:
+    """The statistics of the main metric that have a speed and a mean over common flights."""
+    return [s for s in comparison.select(comparison.metric) if s.common and not math.isnan(s.speed)]
 
 
 def courses(comparison: Comparison) -> list[Course]:
-    """What was flown at one speed or more, and ended well at least once."""
-    found = [
-        (s.plant, s.vehicle, s.trajectory, s.setting)
-        for s in comparison.select(comparison.metric)
-        if s.common and not math.isnan(s.speed)
-    ]
-    return list(dict.fromkeys(found))
+    """Courses with at least one mean over common flights at one speed or more."""
+    return list(dict.fromkeys(course_of(s.condition) for s in _points(comparison)))
 
 
 def course_title(comparison: Comparison, course: Course) -> str:
-    """The trajectory, and of plant, vehicle and settings what tells it from the others."""
+    """The trajectory, with settings, plant and vehicle as far as they distinguish it from the others."""
     plant, vehicle, trajectory, setting = course
     worlds = comparison.worlds
     parts = [comparison.courses[trajectory, setting]]
@@ -66,20 +52,19 @@ def course_title(comparison: Comparison, course: Course) -> str:
 
 
 def _on(comparison: Comparison, course: Course) -> list[Statistic]:
-    chosen = [s for s in comparison.select(comparison.metric) if s.common]
-    return [s for s in chosen if (s.plant, s.vehicle, s.trajectory, s.setting) == course]
+    return [s for s in _points(comparison) if course_of(s.condition) == course]
 
 
 def labels_on(comparison: Comparison, course: Course) -> list[str]:
-    """Who ended a flight of it well, in the order of the page."""
+    """Labels with a point on a course, in the order of the page."""
     flown = {comparison.labels[s.contestant] for s in _on(comparison, course)}
     return [label for label in comparison.look if label in flown]
 
 
 def error_limits(comparison: Comparison) -> tuple[float, float]:
-    """Vertical limits that all panels of error over speed share, in the shown unit."""
+    """Vertical limits of all panels of error over speed, in the printed unit."""
     factor, _ = shown(comparison.metric)
-    chosen = [s for s in comparison.select(comparison.metric) if s.common and not math.isnan(s.speed)]
+    chosen = _points(comparison)
     means = [factor * s.common_mean for s in chosen if s.common_mean > 0]
     if not means:
         return 0.1, 10.0
@@ -89,9 +74,9 @@ def error_limits(comparison: Comparison) -> tuple[float, float]:
 
 
 def speed_panel(panel: Any, comparison: Comparison, course: Course, palette: Palette) -> None:
-    """Mean error over nominal speed with its interval, a line a contestant, over the flights that all ended well.
+    """Mean error over nominal speed with its interval, a line per contestant, over the common flights.
 
-    Points of one speed are set apart a little, so that intervals can be told from one another.
+    Points of one speed are set apart a little, so that their intervals do not overlap.
     """
     factor, unit = shown(comparison.metric)
     chosen = _on(comparison, course)
@@ -108,9 +93,7 @@ def speed_panel(panel: Any, comparison: Comparison, course: Course, palette: Pal
         )
         known = np.isfinite(low) & np.isfinite(high)
         panel.vlines(x[known], np.maximum(low[known], 1e-9), high[known], color=colour, linewidth=3.2, alpha=0.35)
-        panel.plot(
-            x, mean, color=colour, linestyle=look.dash, label=label, zorder=3, **mark(look, colour, palette),
-        )  # fmt: skip
+        panel.plot(x, mean, linestyle=look.dash, label=label, zorder=3, **palette.mark(look))
     panel.set_yscale("log")
     panel.set_ylim(*error_limits(comparison))
     panel.set_xticks(speeds)
@@ -125,10 +108,10 @@ def speed_panel(panel: Any, comparison: Comparison, course: Course, palette: Pal
 
 
 def pareto_points(comparison: Comparison) -> dict[str, tuple[float, float, float, float]]:
-    """Label -> (time of the step, s; error, its low, its high) of everyone that ended a flight well.
+    """Label -> (time of the step, s; error, its low, its high) of all with a flight that ended well.
 
-    The error is in percent of the baseline's over all conditions where there is a baseline, else the geometric mean in
-    the shown unit (without an interval).
+    The error is in percent of the baseline's over all conditions; without a baseline the geometric mean in the printed
+    unit (without an interval).
     """
     points = {}
     factor, _ = shown(comparison.metric)
@@ -146,7 +129,7 @@ def pareto_points(comparison: Comparison) -> dict[str, tuple[float, float, float
 
 
 def pareto_front(points: dict[str, tuple[float, float, float, float]], bounds: Sequence[str] = ()) -> list[str]:
-    """Labels that no other beats in both time and error, by time. bounds: who takes no part, for nobody can have it."""
+    """Labels for which no other is better in both time and error, by time. bounds: labels to leave out."""
     rivals = {label: point for label, point in points.items() if label not in bounds}
     front = [
         label
@@ -175,10 +158,7 @@ def pareto_panel(panel: Any, comparison: Comparison, palette: Palette) -> None:
         if math.isfinite(low):
             panel.vlines(1e6 * time, max(low, 1e-6), high, color=colour, linewidth=3.2, alpha=0.35)
         panel.hlines(error, 1e6 * time, 1e6 * max(tails[label], time), color=colour, linewidth=1.0, alpha=0.55)
-        panel.plot(
-            1e6 * time, error, color=colour, markersize=8, alpha=faded, zorder=4, linestyle="none",
-            **mark(look, colour, palette),
-        )  # fmt: skip
+        panel.plot(1e6 * time, error, markersize=8, alpha=faded, zorder=4, linestyle="none", **palette.mark(look))
     periods = [p for label in points if math.isfinite(p := comparison.period(label))]
     times = [1e6 * t for t in (*(p[0] for p in points.values()), *tails.values(), *periods)]
     errors = [v for p in points.values() for v in p[1:] if math.isfinite(v) and v > 0]
@@ -191,14 +171,14 @@ def pareto_panel(panel: Any, comparison: Comparison, palette: Palette) -> None:
         panel.axvspan(deadline, panel.get_xlim()[1], color=palette.alarm, alpha=0.08, linewidth=0)
         panel.axvline(deadline, color=palette.alarm, linewidth=1.0)
         panel.annotate(
-            f"next command due, {duration(min(periods), exact=True)}", (deadline, 0.03), (-4, 0),
+            f"next command due, {typeset(duration(min(periods), exact=True))}", (deadline, 0.03), (-4, 0),
             xycoords=("data", "axes fraction"), textcoords="offset points", rotation=90, ha="right", va="bottom",
             color=palette.alarm, fontsize=7.5,
         )  # fmt: skip
     _name_points(panel, comparison, points, front, palette)
     plain_log(panel.yaxis)
     plain_log(panel.xaxis)
-    panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: duration(1e-6 * value, exact=True)))
+    panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: typeset(duration(1e-6 * value, exact=True))))
     panel.set_xlabel("time of one control step: median, whisker to the 99th percentile")
     unit = shown(comparison.metric)[1]
     against = comparison.reference and f"error (% of {spoken(comparison.reference)})"
@@ -209,7 +189,7 @@ def pareto_panel(panel: Any, comparison: Comparison, palette: Palette) -> None:
 def _name_points(
     panel: Any, comparison: Comparison, points: dict[str, tuple[Any, ...]], front: Sequence[str], palette: Palette
 ) -> None:
-    """Write the names beside the points, each where it covers neither another name nor another point."""
+    """Write the names beside the points, without covering other names or points."""
     height = 72 * panel.figure.get_size_inches()[1]
     at = {
         label: panel.transData.transform((1e6 * time, error)) * 72 / panel.figure.dpi

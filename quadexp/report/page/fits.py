@@ -1,11 +1,11 @@
-"""Panels of what was learned: residual models of the checkpoints that flew, and coefficients identified in flight."""
+"""Panels of learned models: residual models of the checkpoints that flew, and coefficients identified in flight."""
 
 from __future__ import annotations
 
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,9 @@ from quadexp.errors import DataError, UsageError
 from quadexp.learn.checkpoint import MODEL_FILE, load_model, load_report
 from quadexp.learn.dataset import ResidualDataset, read_dataset
 from quadexp.learn.model import GPModel, OutputPosterior
-from quadexp.learn.predict import AXIS, predict
 from quadexp.log.schema import ESTIMATE_COLUMNS, Flight, describe
-from quadexp.report.fit_figures import axis_label, symbol, unit
-from quadexp.report.page.figures import dress
-from quadexp.report.page.palette import Palette
+from quadexp.report.fit_figures import axis_label, curve, moved, symbol, unit
+from quadexp.report.page.palette import Palette, dress
 from quadexp.report.style import LOOKS, Look
 
 CURVE_POINTS = 120
@@ -33,7 +31,7 @@ TRUTH = {"C_d0": ("profile_drag", None), "C_la": ("lift_slope", None)} | {
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A checkpoint that flew. model, data: None where they are not there any more; note says why."""
+    """A checkpoint that flew. model, data: None if they are missing; note: the reason."""
 
     path: str
     sha256: str
@@ -44,7 +42,7 @@ class Checkpoint:
 
 
 def read_checkpoint(path: str, sha256: str) -> Checkpoint:
-    """The checkpoint, where it still is what flew; the residual data it was fitted to, where they are still there."""
+    """The checkpoint, if its file is unchanged, and the residual data it was fitted to, if they are still there."""
     try:
         file = Path(path) / MODEL_FILE
         if file.is_file() and hashlib.sha256(file.read_bytes()).hexdigest() != sha256:
@@ -58,7 +56,7 @@ def read_checkpoint(path: str, sha256: str) -> Checkpoint:
 
 
 def _data(model: GPModel, report: Mapping[str, Any]) -> ResidualDataset | None:
-    """The rows the model was fitted to, where they still lie there."""
+    """The samples that the model was fitted to, if the file is unchanged."""
     try:
         data = read_dataset(report["dataset"])
     except (KeyError, UsageError, DataError):
@@ -67,39 +65,24 @@ def _data(model: GPModel, report: Mapping[str, Any]) -> ResidualDataset | None:
 
 
 def fit_panel(panel: Any, checkpoint: Checkpoint, output: OutputPosterior, palette: Palette) -> None:
-    """Mean and 2-sigma band of one output over its first feature, linear drag beside it, data behind.
-
-    Other features are held at their median; data are moved by what the model says that is worth.
-    """
+    """Mean and 2-sigma band of one output over its first feature, linear drag, and data; see `fit_figures.curve`."""
     model = checkpoint.model
     assert model is not None
-    name = output.features[0]
     data = checkpoint.data
-    middle = np.median(output.inducing if data is None else data.matrix(output.features), axis=0)
-    low, high = model.feature_range.get(name, [output.inducing[:, 0].min(), output.inducing[:, 0].max()])
-    grid = np.tile(middle, (CURVE_POINTS, 1))
-    grid[:, 0] = x = np.linspace(low, high, CURVE_POINTS)
-    own = replace(model, outputs=(output,))
-    mean, std = _predict(own, output, grid)
+    points = output.inducing if data is None else data.matrix(output.features)
+    x, mean, std, line, middle = curve(model, output, 0, points, CURVE_POINTS)
     colour, other, grey = (palette.series[LOOKS[name][0] + "-0"] for name in ("gp_mpc", "linear drag", "nominal"))
     if data is not None:
         every = max(1, data.n_rows // DOTS)
-        features = data.matrix(output.features)[::every]
-        held = np.tile(middle, (len(features), 1))
-        held[:, 0] = features[:, 0]
-        moved = _predict(own, output, held)[0] - _predict(own, output, features)[0]
-        values = data.matrix([output.output])[::every, 0] + moved
-        panel.plot(features[:, 0], values, ".", color=grey, markersize=6, alpha=0.4, markeredgewidth=0)
+        target, _ = moved(model, output, 0, points[::every], data.matrix([output.output])[::every, 0], middle)
+        panel.plot(points[::every, 0], target, ".", color=grey, markersize=6, alpha=0.4, markeredgewidth=0)
     panel.fill_between(x, mean - 2 * std, mean + 2 * std, color=colour, alpha=0.25, linewidth=0)
     panel.plot(x, mean, color=colour, linewidth=1.4)
-    if output.output in AXIS:
-        columns = {key: np.zeros(CURVE_POINTS) for key in ("v_x", "v_y", "v_z", "thrust")}
-        columns |= {key: grid[:, i] for i, key in enumerate(output.features)}
-        line = model.linear_drag.acceleration(ResidualDataset(columns, {}))[:, AXIS[output.output]]
+    if line is not None:
         panel.plot(x, line, color=other, linestyle=(0, (5, 2)), linewidth=1.3)
     around = np.concatenate([mean - 3 * std, mean + 3 * std])
     margin = 0.15 * (around.max() - around.min())
-    panel.set_xlim(low, high)
+    panel.set_xlim(x[0], x[-1])
     panel.set_ylim(around.min() - margin, around.max() + margin)
     held_at = [
         f"{symbol(key)} = {value:.1f} {unit(key)}" for key, value in zip(output.features[1:], middle[1:], strict=True)
@@ -109,25 +92,18 @@ def fit_panel(panel: Any, checkpoint: Checkpoint, output: OutputPosterior, palet
         fontweight="normal",
         color=palette.ink,
     )
-    panel.set_xlabel(axis_label(name))
+    panel.set_xlabel(axis_label(output.features[0]))
     panel.set_ylabel(f"residual ({unit(output.output)})")
     dress(panel, palette)
 
 
-def _predict(model: GPModel, output: OutputPosterior, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    columns = {key: np.zeros(len(features)) for key in ("v_x", "v_y", "v_z", "thrust")}
-    columns |= {key: features[:, i] for i, key in enumerate(output.features)}
-    made = predict(model, ResidualDataset(columns | {"flight": np.zeros(len(features), int)}, {}))[output.output]
-    return made.mean, made.std
-
-
 def identified(flight: Flight) -> list[str]:
-    """Coefficients that a flight's controller identified, of those that change at all."""
+    """Coefficients that a flight's controller identified: those that change."""
     return [name for name in COEFFICIENTS if name in flight.columns and np.ptp(flight[name]) > 0]
 
 
 def truth(flight: Flight, name: str) -> np.ndarray | None:
-    """True value of a coefficient over the flight, (k,), where its plant has one that stays."""
+    """True value of a coefficient over the flight, (k,); None if its plant has no constant one."""
     plant = flight.metadata.get("config", {}).get("plant", {})
     key, index = TRUTH[name]
     value = plant.get(key)
@@ -137,20 +113,14 @@ def truth(flight: Flight, name: str) -> np.ndarray | None:
 
 
 def estimate_panel(
-    panel: Any, name: str, flights: Sequence[tuple[str, Flight]], worn: Mapping[str, Look], palette: Palette
+    panel: Any, name: str, flights: Sequence[tuple[str, Flight]], look: Mapping[str, Look], palette: Palette
 ) -> None:
-    """One coefficient over time, a line a flight (label, flight), and the plant's own value. worn: by label."""
+    """One coefficient over time, a line per flight (label, flight), and the plant's own value. look: by label."""
     values = []
     for label, flight in flights:
-        every = max(1, len(flight) // 500)
-        panel.plot(
-            flight.t[::every],
-            flight[name][::every],
-            color=palette.series[worn[label].token],
-            linestyle=worn[label].dash,
-            linewidth=1.2,
-            alpha=0.9,
-        )
+        every = slice(None, None, max(1, len(flight) // 500))
+        line = {"color": palette.series[look[label].token], "linestyle": look[label].dash}
+        panel.plot(flight.t[every], flight[name][every], linewidth=1.2, alpha=0.9, **line)
         values.append(flight[name][len(flight) // 20 :])
     true = truth(flights[0][1], name)
     if true is not None:
