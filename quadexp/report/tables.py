@@ -16,7 +16,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -52,7 +52,8 @@ _BEST = re.compile(r"\*\*(.+?)\*\*")
 @dataclass(frozen=True)
 class Table:
     """columns: headings, with units in parentheses. rows: texts. left: indices of left-aligned columns. head: number
-    of rows that belong to the heading. over: a heading above all columns but the first two. notes: lines below."""
+    of rows that belong to the heading. over: a heading above all columns but the first two. notes: lines below. groups:
+    index of a column -> text above the columns that begin there, in plain text."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -61,11 +62,16 @@ class Table:
     head: int = 0
     over: str = ""
     notes: Sequence[str] = ()
+    groups: Mapping[int, str] = field(default_factory=dict)
 
     def lines(self) -> list[str]:
         """Plain text, columns aligned."""
         widths = [max(map(len, column)) for column in zip(self.columns, *self.rows, strict=True)]
         lines = [self.title] if self.title else []
+        above = ""
+        for i, text in self.groups.items():
+            above = above.ljust(sum(widths[:i]) + 2 * i) + text
+        lines += [above] if above else []
         for row in (self.columns, *self.rows):
             cells = (
                 c.ljust(w) if i in self.left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))

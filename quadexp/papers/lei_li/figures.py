@@ -1,6 +1,6 @@
 """Figures of Lei & Li 2017's examples (their Figures 2-4) and of adaptation in flight.
 
-Each function returns a matplotlib Figure and touches no global state. World ENU, SI units.
+Each function returns a matplotlib Figure and changes no global state. World ENU, SI units.
 """
 
 from __future__ import annotations
@@ -13,11 +13,10 @@ from matplotlib.figure import Figure
 from quadexp.log.schema import Flight
 from quadexp.physics.rotor import THETA
 from quadexp.report.metrics import position_error
-from quadexp.report.style import COLOURS, DASHES, looks, plain_log, styled
+from quadexp.report.style import COLOURS, DASHES, GREY, entries, looks, plain_log, styled
 
-GREY = "#777777"
 SYMBOLS = {"C_d0": "$C_{d0}$", "C_la": r"$C_{l\alpha}$ (1/rad)"} | {f"C_D{a}": f"$C_{{D{a}}}$" for a in "xyz"}
-QUIET_SHARE = 0.05  # of a flight: until then estimates jump, and do not set the limits of their panels
+QUIET_SHARE = 0.05  # of a flight, at its start: estimates jump and are not used for the limits of the panels
 
 
 @styled
@@ -25,13 +24,13 @@ def path_figure(flights: Mapping[str, Flight], title: str) -> Figure:
     """Path seen from above and altitude over time, the reference in grey. flights: controller -> flight."""
     figure = Figure(figsize=(10.0, 4.4), layout="constrained")
     above, height = figure.subplots(1, 2, width_ratios=(1, 1.25))
-    worn = looks(list(flights))
+    look = looks(list(flights))
     first = next(iter(flights.values()))
     above.plot(first["ref_p_x"], first["ref_p_y"], color=GREY, linewidth=3.5, alpha=0.45, label="reference")
     height.plot(first.t, first["ref_p_z"], color=GREY, linewidth=3.5, alpha=0.45)
     for name, flight in flights.items():
-        above.plot(flight["p_x"], flight["p_y"], label=name, **worn[name].line())
-        height.plot(flight.t, flight["p_z"], **worn[name].line())
+        above.plot(flight["p_x"], flight["p_y"], label=name, **look[name].line())
+        height.plot(flight.t, flight["p_z"], **look[name].line())
     above.set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title="path from above")
     height.axhline(0.0, color="#000000", linewidth=0.8)
     height.annotate(
@@ -45,15 +44,15 @@ def path_figure(flights: Mapping[str, Flight], title: str) -> Figure:
 
 @styled
 def running_mean_figure(flights: Mapping[str, Flight], title: str) -> Figure:
-    """Averages since the start of ||e_xi|| (m) and of ||e_eta|| (rad), the attitude against what the loop asks for."""
+    """Averages since the start of ||e_xi|| (m) and of ||e_eta|| (rad), the distance to the desired attitude."""
     figure = Figure(figsize=(10.0, 3.9), layout="constrained")
     panels = figure.subplots(1, 2)
-    worn = looks(list(flights))
+    look = looks(list(flights))
     for name, flight in flights.items():
         count = np.arange(1, len(flight) + 1)
         errors = position_error(flight), flight["error_eta"]
         for panel, error in zip(panels, errors, strict=True):
-            panel.plot(flight.t, np.cumsum(error) / count, label=name, **worn[name].line())
+            panel.plot(flight.t, np.cumsum(error) / count, label=name, **look[name].line())
     panels[0].set(ylabel=r"running mean of $\|e_\xi\|$ (m)", title="position")
     panels[1].set(ylabel=r"running mean of $\|e_\eta\|$ (rad)", title="attitude", yscale="log")
     plain_log(panels[1].yaxis)
@@ -104,9 +103,8 @@ def parameter_figure(flights: Sequence[Flight], title: str) -> Figure:
     for panel in panels[2:5]:
         panel.set_xlabel("time (s)")
         panel.xaxis.set_tick_params(labelbottom=True)
-    found = dict(zip(*reversed(panels[0].get_legend_handles_labels()), strict=True))
     beyond = f"the first {QUIET_SHARE * flights[0].t[-1]:.0f} s may leave the panels"
-    panels[-1].legend(found.values(), found.keys(), loc="center", title=beyond, title_fontsize=9)
+    panels[-1].legend(*entries(panels[:1]), loc="center", title=beyond, title_fontsize=9)
     figure.suptitle(title)
     return figure
 
@@ -119,10 +117,10 @@ def adaptation_figure(flights: Mapping[str, Mapping[str, Flight]], titles: Mappi
     """
     figure = Figure(figsize=(4.0 * len(flights) + 0.6, 4.0), layout="constrained")
     panels = figure.subplots(1, len(flights), sharey=True, squeeze=False)[0]
-    worn = looks([name for by_controller in flights.values() for name in by_controller])
+    look = looks([name for by_controller in flights.values() for name in by_controller])
     for panel, (plant, by_controller) in zip(panels, flights.items(), strict=True):
         for name, flight in by_controller.items():
-            panel.plot(flight.t, 1e3 * position_error(flight), label=name, linewidth=1.3, **worn[name].line())
+            panel.plot(flight.t, 1e3 * position_error(flight), label=name, linewidth=1.3, **look[name].line())
         change = change_time(next(iter(by_controller.values())))
         panel.axvline(change, color="#000000", linewidth=0.9, linestyle=":")
         panel.annotate(
