@@ -26,8 +26,8 @@ from quadexp.log.store import read_flight, read_metadata, read_table
 from quadexp.physics.state import POSITION
 from quadexp.report.inference import holm
 from quadexp.report.metrics import METRICS, SHOWN
-from quadexp.report.overall import overall
 from quadexp.report.pairing import common, condition_of, contestant_labels, contestant_of
+from quadexp.report.statistics import overall
 from quadexp.report.summary import MODEL_FILE, RESULTS_FILE, summarise
 from quadexp.report.tables import TITLES, Table, from_columns
 from quadexp.report.text import count, number, p_value, relative, speed_text
@@ -253,9 +253,9 @@ def compare_results(a: Path, b: Path) -> dict[str, Any]:
     only = {"a": _missing(left, right), "b": _missing(right, left)}
     result: dict[str, Any] = {"metric": metric, "pairs": len(both), "only": only}
     lines = [f"a  {a}: {len(left)} cells", f"b  {b}: {len(right)} cells", ""]
-    for side, labels in only.items():
-        if labels:
-            lines.append(f"only in {side}  " + ", ".join(f"{n} {label}" for label, n in labels.items()))
+    for side, missing in only.items():
+        if missing:
+            lines.append(f"only in {side}  " + ", ".join(f"{n} {label}" for label, n in missing.items()))
     if not both:
         lines.append("no cell is in both: nothing to compare")
         return result | {"configuration": {}, "outcome": {}, "metrics": [], "lines": lines}

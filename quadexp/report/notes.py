@@ -14,9 +14,8 @@ from typing import Any
 from quadexp.learn.support import WORTH_SAYING
 from quadexp.report.flown_by import mixed_programs
 from quadexp.report.inference import least_p
-from quadexp.report.overall import Overall
 from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_bound
-from quadexp.report.statistics import Statistic
+from quadexp.report.statistics import Overall, Statistic
 from quadexp.report.text import METHODS, count, speed_text
 from quadexp.report.winner import Verdict
 

@@ -20,9 +20,17 @@ import numpy as np
 from quadexp.errors import QuadexpError
 from quadexp.log.store import read_table, read_text, write_table, write_text
 from quadexp.report.notes import notes
-from quadexp.report.overall import Overall, overall
 from quadexp.report.pairing import Row
-from quadexp.report.statistics import BASELINE, COMPARED, CONFIDENCE, DESCRIBED, Statistic, compute_statistics
+from quadexp.report.statistics import (
+    BASELINE,
+    COMPARED,
+    CONFIDENCE,
+    DESCRIBED,
+    Overall,
+    Statistic,
+    compute_statistics,
+    overall,
+)
 from quadexp.report.tables import ErrorTable, comparison_table, csv_text, table_of, to_latex, to_markdown
 from quadexp.report.winner import Verdict, verdicts
 

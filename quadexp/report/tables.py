@@ -24,9 +24,8 @@ import numpy as np
 from quadexp.report.metrics import SHOWN
 from quadexp.report.notes import notes as row_notes
 from quadexp.report.notes import table_notes
-from quadexp.report.overall import Overall, overall
 from quadexp.report.pairing import Flights, contestant_labels, contestant_of, variant_parts
-from quadexp.report.statistics import BASELINE, CONFIDENCE, Statistic, compute_statistics
+from quadexp.report.statistics import BASELINE, CONFIDENCE, Overall, Statistic, compute_statistics, overall
 from quadexp.report.text import p_value, speed_text, with_interval
 from quadexp.report.winner import Verdict, verdicts
 

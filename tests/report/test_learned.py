@@ -14,8 +14,8 @@ from quadexp.learn.model import GPSettings
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_table, write_flight, write_table
 from quadexp.report.page import make_report
-from quadexp.report.page.fits import estimate_panel, fit_panel, identified, read_checkpoint
 from quadexp.report.page.palette import PAPER
+from quadexp.report.page.panels import estimate_panel, fit_panel, identified, read_checkpoint
 from quadexp.report.style import looks
 from tests.learn.synthetic import synthetic_dataset
 from tests.log.flights import straight_flight

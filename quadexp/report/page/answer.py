@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from quadexp.report.page.names import spoken
-from quadexp.report.page.source import Comparison
+from quadexp.report.page.source import Comparison, spoken
 from quadexp.report.tables import TITLES
 from quadexp.report.text import count, duration, listed, number, percent, probability, shown, span, typeset
 

@@ -21,12 +21,11 @@ from quadexp.log.store import check_output, write_bytes, write_text
 from quadexp.report.page import palette
 from quadexp.report.page.answer import answer
 from quadexp.report.page.drawing import MAX_COURSES, PageFigures, draw_page, draw_paper
-from quadexp.report.page.figures import courses
-from quadexp.report.page.names import spoken
+from quadexp.report.page.panels import courses
 from quadexp.report.page.provenance import origin, portable
 from quadexp.report.page.replay import BUDGET, MAX_TRACKS, Case, choose_cases, pack_replay
 from quadexp.report.page.sections import scoreboard, tables, worst, worst_rows
-from quadexp.report.page.source import TABLED, Comparison, read_comparison
+from quadexp.report.page.source import TABLED, Comparison, read_comparison, spoken
 from quadexp.report.pairing import condition_of
 from quadexp.report.statistics_file import statistics_csv
 from quadexp.report.style import LOOKS

@@ -13,19 +13,23 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from quadexp.log.schema import Flight, describe
-from quadexp.report.page.figures import (
+from quadexp.report.page.palette import PAGE, PAPER, STYLE, inline_svg
+from quadexp.report.page.panels import (
+    Checkpoint,
     course_title,
     courses,
+    estimate_panel,
+    fit_panel,
+    identified,
     labels_on,
     pareto_front,
     pareto_panel,
     pareto_points,
+    read_checkpoint,
     speed_panel,
+    truth,
 )  # fmt: skip
-from quadexp.report.page.fits import Checkpoint, estimate_panel, fit_panel, identified, read_checkpoint, truth
-from quadexp.report.page.names import spoken
-from quadexp.report.page.palette import PAGE, PAPER, STYLE, inline_svg
-from quadexp.report.page.source import Comparison
+from quadexp.report.page.source import Comparison, spoken
 from quadexp.report.text import number, percent
 
 SIZE = 3.9, 3.0  # inches, of a panel

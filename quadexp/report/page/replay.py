@@ -17,10 +17,9 @@ from typing import Any
 import numpy as np
 
 from quadexp.log.schema import Flight
-from quadexp.report.page.figures import course_title
-from quadexp.report.page.names import spoken
 from quadexp.report.page.palette import SHAPES
-from quadexp.report.page.source import Comparison
+from quadexp.report.page.panels import course_title
+from quadexp.report.page.source import Comparison, spoken
 from quadexp.report.pairing import condition_of
 
 BUDGET = 900_000  # characters of packed tracks

@@ -10,10 +10,9 @@ import numpy as np
 
 from quadexp.report.metrics import position_error
 from quadexp.report.notes import table_notes
-from quadexp.report.page.figures import Course, course_of, course_title
-from quadexp.report.page.names import KNOWS, spoken
+from quadexp.report.page.panels import Course, course_of, course_title
 from quadexp.report.page.provenance import redo_command
-from quadexp.report.page.source import TABLED, Comparison
+from quadexp.report.page.source import KNOWS, TABLED, Comparison, spoken
 from quadexp.report.pairing import Condition, Flights, condition_of
 from quadexp.report.statistics import Statistic
 from quadexp.report.tables import TITLES, Entry

@@ -18,8 +18,6 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_metadata, read_table
 from quadexp.report.inference import Ratio
-from quadexp.report.overall import Overall, overall
-from quadexp.report.page.names import BASELINES
 from quadexp.report.pairing import (
     Common,
     Condition,
@@ -32,7 +30,7 @@ from quadexp.report.pairing import (
     contestant_of,
     is_bound,
 )  # fmt: skip
-from quadexp.report.statistics import CONFIDENCE, Statistic
+from quadexp.report.statistics import CONFIDENCE, Overall, Statistic, overall
 from quadexp.report.statistics_file import results_statistics
 from quadexp.report.style import Look, looks
 from quadexp.report.tables import course_labels, from_columns
@@ -40,6 +38,36 @@ from quadexp.report.winner import Ranking, rank, ratio_of
 
 RESULTS = "results.parquet"
 TABLED = ("mean_error", "rmse", "max_error")
+
+
+NAMES = {
+    "nominal_mpc": "nominal MPC",
+    "linear_drag_mpc": "linear-drag MPC",
+    "gp_mpc": "GP MPC",
+    "perfect_mpc": "perfect MPC",
+    "rls_mpc": "RLS MPC",
+    "rls_feedback": "RLS feedback",
+    "static_feedback": "static feedback",
+    "oracle_feedback": "oracle feedback",
+}
+KNOWS = {
+    "nominal_mpc": "nothing of the air",
+    "linear_drag_mpc": "rotor drag, linear in velocity",
+    "gp_mpc": "a Gaussian process learned from flights",
+    "perfect_mpc": "the plant's own equations",
+    "rls_mpc": "blade-element coefficients identified in flight",
+    "rls_feedback": "blade-element coefficients identified in flight",
+    "static_feedback": "static thrust and torque only",
+    "oracle_feedback": "the plant's own coefficients",
+}
+BASELINES = ("nominal_mpc", "static_feedback")  # in this order, unless told
+
+
+def spoken(label: str) -> str:
+    """A label in a sentence: "gp_mpc nodes=20" is "GP MPC nodes=20"."""
+    controller, _, rest = label.partition(" ")
+    name = NAMES.get(controller, controller.replace("_mpc", " MPC").replace("_", " "))
+    return f"{name} {rest}".strip()
 
 
 @dataclass(frozen=True)
@@ -286,8 +314,8 @@ def read_comparison(path: str | Path, *, baseline: str | None = None) -> Compari
     if baseline is not None and baseline not in flown:
         raise UsageError(f"--baseline {baseline}: did not fly here; there are {', '.join(sorted(flown))}")
     asked = record.get("baseline")
-    usual = next((name for name in (asked, *BASELINES) if name in flown), asked or BASELINES[0])
-    chosen = baseline or usual
+    usual = next((str(name) for name in (asked, *BASELINES) if name in flown), asked or BASELINES[0])
+    chosen: str = baseline or usual
     confidence = float(record.get("confidence", CONFIDENCE))
     statistics = results_statistics(file.parent, rows, baseline=chosen, confidence=confidence)
     return Comparison(
