@@ -266,26 +266,24 @@ def _fastest(
 ) -> dict[str, tuple[list[tuple[str, Mapping[str, Any]]], list[str]]]:
     """For each trajectory the flights at the highest speed of most controllers, one per controller, and the controllers
     without a flight that ended well."""
-    chosen: dict[str, tuple[list[tuple[str, Mapping[str, Any]]], list[str]]] = {}
-    by_trajectory: dict[str, dict[float, dict[str, list[Mapping[str, Any]]]]] = {}
+    found: dict[str, dict[float, dict[str, list[Mapping[str, Any]]]]] = {}
     courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in rows)
     for row, label in zip(rows, column_labels(rows), strict=True):
-        setting = courses[row["trajectory"], condition_of(row)[4]].removeprefix(row["trajectory"]).strip()
-        heading = f"{label}, {setting}" if setting else label
-        by_speed = by_trajectory.setdefault(row["trajectory"], {})
-        by_speed.setdefault(condition_of(row)[3] or 0.0, {}).setdefault(heading, []).append(row)
-    for name, by_speed in by_trajectory.items():
-        flown = {
-            v: {x: next(filter(_is_flown, own), None) for x, own in found.items()} for v, found in by_speed.items()
+        *_, speed, setting = condition_of(row)
+        name = row["trajectory"]
+        heading = ", ".join(filter(None, (label, courses[name, setting].removeprefix(name).strip())))
+        found.setdefault(name, {}).setdefault(speed or 0.0, {}).setdefault(heading, []).append(row)
+    chosen = {}
+    for name, speeds in found.items():
+        good = {
+            speed: [(x, next(filter(_is_flown, own))) for x, own in by_heading.items() if any(map(_is_flown, own))]
+            for speed, by_heading in speeds.items()
         }
-        count = {v: sum(row is not None for row in found.values()) for v, found in flown.items()}
-        speed = max(flown, key=lambda v: (count[v], v))
-        if count[speed]:
-            outcomes = {
-                x: ", ".join(dict.fromkeys(row["outcome"] for row in own)) for x, own in by_speed[speed].items()
-            }
-            missing = [f"{x} ({outcomes[x]})" for x, row in flown[speed].items() if row is None]
-            chosen[name] = [(x, row) for x, row in flown[speed].items() if row is not None], missing
+        speed = max(good, key=lambda v: (len(good[v]), v))
+        if good[speed]:
+            lost = {x: own for x, own in speeds[speed].items() if not any(map(_is_flown, own))}
+            outcomes = (", ".join(dict.fromkeys(row["outcome"] for row in own)) for own in lost.values())
+            chosen[name] = good[speed], [f"{x} ({text})" for x, text in zip(lost, outcomes, strict=True)]
     return chosen
 
 

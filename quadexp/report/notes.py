@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from quadexp.learn.support import WORTH_SAYING
 from quadexp.report.flown_by import mixed_programs
-from quadexp.report.inference import least_p
 from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_bound
-from quadexp.report.statistics import Overall, Statistic
 from quadexp.report.text import METHODS, count, speed_text
-from quadexp.report.winner import Verdict
+
+if TYPE_CHECKING:  # `quadexp show` and `simulate` need no statistics
+    from quadexp.report.statistics import Overall, Statistic
+    from quadexp.report.winner import Verdict
 
 LARGE_ATTITUDE_ERROR = math.radians(10.0)  # rad, RMS over a flight
 UNFLOWN = ("failed", "infeasible")  # outcomes without a sample
@@ -30,6 +31,8 @@ def table_notes(
     statistics: Sequence[Statistic], pooled: Sequence[Overall], found: Sequence[Verdict] = ()
 ) -> tuple[str, ...]:
     """What the numbers of a table are, who is best, and each contestant against the baseline over all conditions."""
+    from quadexp.report.inference import least_p
+
     used = [text for name, text in METHODS.items() if any(s.common_interval == name for s in statistics)]
     confidence = statistics[0].confidence
     interval = f" [{100 * confidence:g} % interval: {' or '.join(used)}]" if used else ""
