@@ -1,4 +1,4 @@
-"""Figures of a quality check: what one sensor says against what the others imply, over time, faults marked.
+"""Figures of a quality check: each sensor against its value computed from the others, over time, faults marked.
 
 Three columns, three axes: velocity against dp/dt, specific force against R^T (dv/dt + g), body rate against the
 derivative of the attitude, all as means over windows of 0.1 s (quadexp/log/check/windows.py).

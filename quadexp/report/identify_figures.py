@@ -36,7 +36,7 @@ SYMBOLS = {"linear": "d", "quadratic": "e", "offset": "b"}
 MAX_COLUMNS = 4
 BINS = 24
 SHOWN_ESTIMATES = 600  # of a series
-SHOWN_WIDTHS = 8.0  # half widths of the final interval around the final estimate; what lies outside says nothing yet
+SHOWN_WIDTHS = 8.0  # half widths of the final interval around the final estimate; early estimates are outside
 
 
 def draw_identification(found: VehicleIdentification) -> dict[str, Figure]:
