@@ -68,7 +68,7 @@ class Table:
         widths = [max(map(len, column)) for column in zip(self.columns, *self.rows, strict=True)]
         lines = [self.title] if self.title else []
         above = ""
-        for (i, text), end in zip(self.groups.items(), [*list(self.groups)[1:], len(widths)], strict=True):
+        for (i, text), end in zip(self.groups.items(), [*list(self.groups)[1:], len(widths)], strict=False):
             widths[i] += max(0, len(text) - sum(widths[i:end]) - 2 * (end - i - 1))
             above = above.ljust(sum(widths[:i]) + 2 * i) + text
         lines += [above] if above else []
