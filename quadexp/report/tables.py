@@ -22,12 +22,11 @@ from typing import Any
 import numpy as np
 
 from quadexp.report.metrics import SHOWN
-from quadexp.report.notes import notes as row_notes
 from quadexp.report.notes import table_notes
 from quadexp.report.pairing import Flights, contestant_labels, contestant_of, variant_parts
-from quadexp.report.statistics import BASELINE, CONFIDENCE, Overall, Statistic, compute_statistics, overall
+from quadexp.report.statistics import Overall, Statistic
 from quadexp.report.text import p_value, speed_text, with_interval
-from quadexp.report.winner import Verdict, verdicts
+from quadexp.report.winner import Verdict
 
 # Columns of a result row, in the order they are written.
 ROW_COLUMNS = (
@@ -264,20 +263,6 @@ def statistic_labels(statistics: Sequence[Statistic]) -> list[str]:
     return column_labels(
         [{**{n: getattr(s, n) for n in names}, "variant": f"{s.variant} {s.setting}".strip()} for s in statistics]
     )
-
-
-def error_table(
-    rows: Sequence[Mapping[str, Any]],
-    metric: str = "mean_error",
-    *,
-    baseline: str = BASELINE,
-    confidence: float = CONFIDENCE,
-) -> ErrorTable:
-    """The error table of one metric from result rows; see `table_of`."""
-    options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
-    statistics = compute_statistics(rows, metrics=(metric,), **options)
-    found = verdicts(rows, metric=metric, confidence=confidence)
-    return table_of(statistics, overall(rows, metric=metric, **options), found, row_notes(rows))
 
 
 def table_of(
