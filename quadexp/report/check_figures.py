@@ -64,7 +64,7 @@ def _lines(findings: Sequence[Finding]) -> list[str]:
     lines = [line if len(line) < 175 else line[:172] + "..." for line in lines]
     if len(findings) > MOST_LINES:
         lines.append(f"and {len(findings) - MOST_LINES} more")
-    return lines or ["nothing that blocks or warns"]
+    return lines or ["no finding that blocks or warns"]
 
 
 def _relations(flight: Flight) -> tuple[np.ndarray, dict[str, Pair]]:

@@ -1,6 +1,6 @@
-"""Figures of a vehicle identification: estimates over time with their bands, thrust curve, drag, ladder of models.
+"""Figures of a vehicle identification: estimates over time with their bands, thrust curve, drag, comparison of models.
 
-Each function returns a matplotlib Figure and touches no global state; `quadexp.report.figures.save` writes it.
+Each function returns a matplotlib Figure and changes no global state; `quadexp.report.figures.save` writes it.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.colors import LinearSegmentedColormap, LogNorm
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from quadexp.learn.recursion import Recursion
@@ -19,10 +19,8 @@ from quadexp.learn.terms import AXES, UNITS, TermModel
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.learn.thrust_design import scaled_signal
 from quadexp.learn.vehicle_identification import VehicleIdentification, elapsed
-from quadexp.report.style import COLOURS, KNOWN, styled
+from quadexp.report.style import BLUE, COLOURS, COUNTS, GREY, KNOWN, ORANGE, styled
 
-BLUE, ORANGE, GREY = COLOURS[2], KNOWN["linear drag"][0], "#777777"
-COUNTS = LinearSegmentedColormap.from_list("counts", ["#E4E7EC", "#9AA4B5", "#4A5468"])
 QUADRATIC = KNOWN["quadratic drag"][0]
 LEVEL_COLOURS = {
     "nominal": KNOWN["nominal"][0],
@@ -32,7 +30,6 @@ LEVEL_COLOURS = {
     "blade_element": KNOWN["blade element"][0],
     "blade_element_still": "#7F8C99",
 }
-SYMBOLS = {"linear": "d", "quadratic": "e", "offset": "b"}
 MAX_COLUMNS = 4
 BINS = 24
 SHOWN_ESTIMATES = 600  # of a series
@@ -55,7 +52,7 @@ def draw_identification(found: VehicleIdentification) -> dict[str, Figure]:
 def estimates_figure(
     axes: Mapping[str, Recursion], time: np.ndarray, bounds: Sequence[float], model: TermModel
 ) -> Figure:
-    """Estimates of one model over the samples seen so far, with their 95 % band; a panel a coefficient.
+    """Estimates of one model over the samples seen so far, with their 95 % band; a panel per coefficient.
 
     axes: "x", "y", "z" -> recursion. time: of the samples, (k,) s. bounds: times at which a new flight begins.
     """
@@ -90,7 +87,7 @@ def estimates_figure(
 
 @styled
 def thrust_figure(curve: ThrustCurve, samples: Samples) -> Figure:
-    """Specific force along z over the mean signal of the rotors, the curve, and what it leaves over time."""
+    """Specific force along z over the mean signal of the rotors, the curve, and the residual over time."""
     scaled = scaled_signal(samples.signal, samples.voltage, curve.reference_voltage, curve.voltage_exponent)
     mean = scaled.mean(axis=1)
     grid = np.linspace(mean.min(), mean.max(), 100)
@@ -118,7 +115,7 @@ def thrust_figure(curve: ThrustCurve, samples: Samples) -> Figure:
     above.set(xlabel=label, ylabel="specific force along z (m/s²)", title="thrust curve")
     above.legend()
     below.axhline(0, color="#000000", linewidth=0.8)
-    below.set(xlabel=label, ylabel="specific force minus curve (m/s²)", title="what it leaves: mean ± 1 std in bins")
+    below.set(xlabel=label, ylabel="specific force minus curve (m/s²)", title="residual: mean ± 1 std in bins")
     below.legend(fontsize=7)
     return figure
 

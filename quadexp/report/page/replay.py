@@ -1,7 +1,7 @@
 """Flights packed for the replay: a case is one condition and seed, flown by several controllers over one reference.
 
-Of a track are kept, on a time grid that all tracks of a case share: the position error (so that it can be magnified
-without loss), the attitude and the rotor thrusts, as integers in base64:
+A track has, on a time grid that all tracks of a case share, the position error (so that it can be magnified without
+loss), the attitude and the rotor thrusts, as integers in base64:
 
     error = int16 * error_step (m)      attitude = int16 / 32767      thrust = uint8 / 255 of the range
     position = reference + error        reference = centre + int16 * reference_step (m)
@@ -38,7 +38,7 @@ def case_of(row: Mapping[str, Any]) -> Case:
 
 
 def choose_cases(comparison: Comparison, worst: Sequence[Mapping[str, Any]]) -> list[Case]:
-    """The fastest and hardest condition first, the cases of the worst flights, then the other conditions; each once."""
+    """The fastest condition with the largest error first, the cases of the worst flights, then all other conditions."""
     seeds: dict[tuple[Any, ...], dict[int, int]] = {}
     largest: dict[tuple[Any, ...], float] = {}
     for row in comparison.rows:
@@ -62,7 +62,7 @@ def choose_cases(comparison: Comparison, worst: Sequence[Mapping[str, Any]]) -> 
 def pack_replay(
     comparison: Comparison, cases: Sequence[Case], budget: int = BUDGET
 ) -> tuple[list[dict[str, Any]], list[Case]]:
-    """As many cases as the budget holds, as JSON, and which they are."""
+    """As many cases as fit into the budget, as JSON, and their names."""
     by_case: dict[Case, list[Mapping[str, Any]]] = {}
     for row in comparison.rows:
         by_case.setdefault(case_of(row), []).append(row)
