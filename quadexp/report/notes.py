@@ -43,10 +43,10 @@ def table_notes(
     contestants = len({s.contestant for s in statistics})
     alpha = 1 - confidence
     bold = (
-        "; bold: least error of a line, told apart from every other"
-        f" (p < {alpha:.2g}, corrected for the choice among them and for the lines), by who flew no less"
-        + ("; bounds take no part" if any(is_bound(s.controller) for s in statistics) else "")
-        + ("" if any(s.best for s in statistics) else "; here nobody")
+        f"; bold: least error of a line, significantly less than every other (p < {alpha:.2g}, corrected for the choice"
+        " among them and for the lines), if no other ended more flights well"
+        + ("; bounds are not ranked" if any(is_bound(s.controller) for s in statistics) else "")
+        + ("" if any(s.best for s in statistics) else "; here: none")
     )
     lines = [f"{over}{interval}" + (bold if contestants > 1 else "")]
     tested = [s for s in statistics if s.comparisons]
@@ -65,7 +65,7 @@ def table_notes(
     elif not any(s.baseline for s in statistics) and contestants > 1:
         lines.append("no comparison: the baseline (evaluate.baseline) is not among these controllers")
     if any(s.n > s.common for s in statistics):
-        lines.append("own: mean over all flights that it ended well itself, and their number")
+        lines.append("own: mean over all own flights that ended well, and their number")
     lines += [text for one in found if (text := one.text())]
     return (*lines, *(entry.text() for entry in pooled))
 

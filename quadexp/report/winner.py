@@ -136,7 +136,7 @@ class Verdict:
     bound_ratio: list[float]
 
     def text(self) -> str:
-        """Such as "least over the 20 flights that all ended well: gp_mpc, told apart from ..."."""
+        """Such as "least over the 20 flights that all ended well: gp_mpc, the best of 3, ..."."""
         if not self.least or not self.ways > 1:
             return ""
         over = f"over the {count(self.common, 'flight')} that all ended well"
@@ -148,7 +148,7 @@ class Verdict:
             return f"{head}, not distinguishable from {', '.join(self.alike)} (nearest: {ratio})"
         if self.flew_less:
             return f"{head}, but others ended more of their flights well (nearest: {self.next}, {ratio})"
-        return f"{head}, the best of {self.ways}, told apart from the next, {self.next} ({ratio})"
+        return f"{head}, the best of {self.ways}, significantly less than the next, {self.next} ({ratio})"
 
 
 def verdicts(rows: Sequence[Row], *, metric: str = "mean_error", confidence: float = 0.95) -> list[Verdict]:

@@ -139,7 +139,7 @@ def test_the_page_names_a_real_best_and_gives_its_ratio_to_the_bound_an_interval
     assert next(one["label"] for one in scoreboard(comparison) if one["role"] == "best") == "gp_mpc"
     cells = [cell for line in tables(comparison)[0]["lines"] for cell in line["means"] if cell["best"]]
     assert len(cells) == 4
-    assert "the best of 4, told apart from the next" in to_markdown(error_table(comparison.rows))
+    assert "the best of 4, significantly less than the next" in to_markdown(error_table(comparison.rows))
 
 
 def test_the_same_flights_twice_are_not_distinguishable():
