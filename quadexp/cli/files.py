@@ -36,19 +36,19 @@ def show(
 
 @guarded
 def compare_two(
-    a: Annotated[Path, typer.Argument(help="A flight, results folder, or checkpoint folder.")],
-    b: Annotated[Path, typer.Argument(help="Another one of the same kind.")],
+    first: Annotated[Path, typer.Argument(help="A flight, results folder, or checkpoint folder.")],
+    others: Annotated[list[Path], typer.Argument(help="Others of the same kind, each compared with the first.")],
     json: Json = False,
 ) -> None:
-    """Say what differs between two flights, results or checkpoints: configuration, outcome, figures.
+    """Say what differs between flights, results or checkpoints: configuration, outcome, figures.
 
     \b
-    quadexp compare runs/a.parquet runs/b.parquet
+    quadexp compare runs/a.parquet runs/b.parquet runs/c.parquet
     quadexp compare results/table1 results/table1_again
     """
     from quadexp.report.compare import compare
 
-    report = compare(a, b)
+    report = compare(first, *others)
     if json:
         emit({key: value for key, value in report.items() if key != "lines"})
     else:

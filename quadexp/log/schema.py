@@ -75,7 +75,7 @@ RESULT_COLUMNS: dict[str, Column] = {
     "saturated_share": Column("1", "", "share of samples with a rotor at its thrust limit"),
     "peak_speed": Column("m/s", "world", "largest speed flown"),
     "duration": Column("s", "", "length of the flight"),
-    "last_resort_count": Column("1", "", "control steps whose subproblem the last resort solved"),
+    "last_resort_count": Column("1", "", "in tables of earlier versions; always 0 in later ones"),
     "unconverged_count": Column("1", "", "1 where the first step ended away from a stationary point"),
     "reference_residual": Column(
         "1",

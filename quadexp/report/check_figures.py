@@ -1,4 +1,4 @@
-"""Figures of a quality check: what one sensor says against what the others imply, over time, faults marked.
+"""Figures of a quality check: each sensor against its value computed from the others, over time, faults marked.
 
 Three columns, three axes: velocity against dp/dt, specific force against R^T (dv/dt + g), body rate against the
 derivative of the attitude, all as means over windows of 0.1 s (quadexp/log/check/windows.py).
@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
 from quadexp.log.check.finding import Finding
 from quadexp.log.check.windows import STREAMS, Pair, cut, pairs, window_starts
 from quadexp.log.schema import Flight
-from quadexp.report.style import COLOURS, STYLE
+from quadexp.report.style import COLOURS, styled
 
 COLUMNS = (
     (("velocity",), "velocity, world (m/s)", "v", "dp/dt"),
@@ -30,34 +29,34 @@ HEADROOM = 0.3  # of the first row of panels, where the legends stand
 QUIET = 0.995  # quantile that sets an axis's limits: one spike must not flatten the rest
 
 
+@styled
 def consistency_figure(name: str, flight: Flight, findings: Sequence[Finding]) -> Figure:
     """Overlays of a flight's streams with the findings beneath the title and their time spans shaded."""
     t, relations = _relations(flight)
-    with matplotlib.rc_context(STYLE):
-        shown = [finding for finding in findings if finding.severity != "info"]
-        figure = Figure(figsize=(11, 6.4 + 0.16 * min(len(shown), MOST_LINES)), layout="constrained")
-        figure.suptitle("\n".join([name, *_lines(shown)]), fontsize=9, ha="left", x=0.01)
-        panels = figure.subplots(3, 3, sharex=True)
-        for column, (names, title, found, expected) in enumerate(COLUMNS):
-            pair = next((relations[key] for key in names if key in relations), None)
-            panels[0, column].set_title(title)
-            for row, axis in enumerate("xyz"):
-                panel = panels[row, column]
-                if pair is None:
-                    panel.text(0.5, 0.5, "not in the flight", transform=panel.transAxes, ha="center", color="#777777")
-                    panel.set_yticks([])
-                else:
-                    _draw(panel, t, pair, row, found, expected)
-                for finding in shown:
-                    if finding.span is not None:
-                        low, high = finding.span
-                        panel.axvspan(low, max(high, low + 0.02), color=MARKS[finding.severity], alpha=0.3, lw=0)
-                if column == 0:
-                    panel.set_ylabel(axis)
-            panels[2, column].set_xlabel("t (s)")
-            if pair is not None:
-                panels[0, column].legend(loc="upper right", ncols=2, fontsize=8)
-        return figure
+    shown = [finding for finding in findings if finding.severity != "info"]
+    figure = Figure(figsize=(11, 6.4 + 0.16 * min(len(shown), MOST_LINES)), layout="constrained")
+    figure.suptitle("\n".join([name, *_lines(shown)]), fontsize=9, ha="left", x=0.01)
+    panels = figure.subplots(3, 3, sharex=True)
+    for column, (names, title, found, expected) in enumerate(COLUMNS):
+        pair = next((relations[key] for key in names if key in relations), None)
+        panels[0, column].set_title(title)
+        for row, axis in enumerate("xyz"):
+            panel = panels[row, column]
+            if pair is None:
+                panel.text(0.5, 0.5, "not in the flight", transform=panel.transAxes, ha="center", color="#777777")
+                panel.set_yticks([])
+            else:
+                _draw(panel, t, pair, row, found, expected)
+            for finding in shown:
+                if finding.span is not None:
+                    low, high = finding.span
+                    panel.axvspan(low, max(high, low + 0.02), color=MARKS[finding.severity], alpha=0.3, lw=0)
+            if column == 0:
+                panel.set_ylabel(axis)
+        panels[2, column].set_xlabel("t (s)")
+        if pair is not None:
+            panels[0, column].legend(loc="upper right", ncols=2, fontsize=8)
+    return figure
 
 
 def _lines(findings: Sequence[Finding]) -> list[str]:
@@ -65,7 +64,7 @@ def _lines(findings: Sequence[Finding]) -> list[str]:
     lines = [line if len(line) < 175 else line[:172] + "..." for line in lines]
     if len(findings) > MOST_LINES:
         lines.append(f"and {len(findings) - MOST_LINES} more")
-    return lines or ["nothing that blocks or warns"]
+    return lines or ["no finding that blocks or warns"]
 
 
 def _relations(flight: Flight) -> tuple[np.ndarray, dict[str, Pair]]:

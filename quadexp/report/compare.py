@@ -1,12 +1,18 @@
-"""What differs between two flights, two results or two checkpoints: in configuration, in outcome, in figures.
+"""What differs between flights, results or checkpoints: in configuration, in outcome, in figures.
 
-Everything is said as b against a: difference = b - a, relative = 100 (b - a) / a (%).
+Every other one is compared with the first, b with a: difference = b - a, relative = 100 (b - a) / a (%).
+
+Flights of two results are paired by condition, contestant and seed. Errors are over the flights that all contestants
+ended well in both (pairing.py): b is compared with a as a contestant is with a baseline in overall.py, by a mean ratio
+with its interval and a paired permutation test; b is "not distinguishable" if that is not significant.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +20,25 @@ import numpy as np
 
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.learn.checkpoint import load_report
+from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_flight, read_metadata
+from quadexp.log.store import read_flight, read_metadata, read_table
 from quadexp.physics.state import POSITION
-from quadexp.report.differences import change, differing, figure_lines, record_of, setting_lines
+from quadexp.report.inference import holm
+from quadexp.report.metrics import METRICS, SHOWN
+from quadexp.report.pairing import common, condition_of, contestant_labels, contestant_of
+from quadexp.report.statistics import overall
 from quadexp.report.summary import MODEL_FILE, RESULTS_FILE, summarise
+from quadexp.report.tables import TITLES, Table, from_columns
+from quadexp.report.text import count, number, p_value, relative, speed_text
 
+ABSENT = "-"
+MOST_LINES = 16  # settings shown; --json has all
+MOST_CONFIGURATIONS = 40  # cells whose configurations are read on either side
+MOST_CONDITIONS = 6  # lines of conditions, the largest changes first
 MEASURED = ("solve_time",)  # columns that two runs of one flight may differ in
-
-# Figures of a flight, with the factor and unit they are shown in.
-FIGURES = {
+EXACT = [name for name in METRICS if not name.startswith("solve_time")]  # the same for the same flight
+FIGURES = {  # of a flight, with the factor and unit in which they are printed
     "mean_error": (1e3, "mm"),
     "rmse": (1e3, "mm"),
     "max_error": (1e3, "mm"),
@@ -31,36 +46,44 @@ FIGURES = {
     "saturated_share": (100.0, "%"),
     "peak_speed": (1.0, "m/s"),
     "duration": (1.0, "s"),
-    "last_resort_count": (1.0, ""),
     "solve_time_median": (1e6, "us"),
     "solve_time_p99": (1e6, "us"),
 }
 
+Row = Mapping[str, Any]
+Key = tuple[Any, ...]  # condition, contestant, seed
 
-def compare(a: str | Path, b: str | Path) -> dict[str, Any]:
+
+def compare(first: str | Path, *others: str | Path) -> dict[str, Any]:
     """What differs; `lines` is for people, the rest for programs (SI units).
 
-    Raises UsageError where there is nothing, where a and b are of two kinds, or of one that cannot be compared.
+    With several others: {"kind", "comparisons": one per other, "lines"}.
+    Raises UsageError if something is not there, not of the same kind, or of a kind that cannot be compared.
     """
-    kinds = [kind_of(Path(path)) for path in (a, b)]
-    for path, kind in zip((a, b), kinds, strict=True):
-        if kind not in ("flight", "results", "checkpoint"):
+    paths = [Path(path) for path in (first, *others)]
+    kinds = [kind_of(path) for path in paths]
+    for path, kind in zip(paths, kinds, strict=True):
+        if kind not in KINDS:
             raise UsageError(f"{path}: holds {kind}; flights, results and checkpoints can be compared")
-    if kinds[0] != kinds[1]:
-        raise UsageError(f"cannot compare {_a(kinds[0])} ({a}) with {_a(kinds[1])} ({b}): give two of one kind")
-    if kinds[0] == "results":
-        from quadexp.report.compare_results import compare_results
-
-        return compare_results(Path(a), Path(b))
-    return (compare_flights if kinds[0] == "flight" else compare_checkpoints)(Path(a), Path(b))
-
-
-def _a(kind: str) -> str:
-    return kind if kind == "results" else f"a {kind}"
+        if kind != kinds[0]:
+            named = [k if k == "results" else f"a {k}" for k in (kinds[0], kind)]
+            raise UsageError(f"cannot compare {named[0]} ({first}) with {named[1]} ({path}): give two of one kind")
+    made = []
+    for other in paths[1:]:
+        found = KINDS[kinds[0]](paths[0], other)
+        made.append({"kind": kinds[0], "a": str(first), "b": str(other), **found})
+    if len(made) == 1:
+        return made[0]
+    lines = [line for one in made for line in ("", *one["lines"])][1:]
+    return {
+        "kind": kinds[0],
+        "comparisons": [{k: v for k, v in one.items() if k != "lines"} for one in made],
+        "lines": lines,
+    }
 
 
 def kind_of(path: Path) -> str:
-    """ "flight", "results", "checkpoint", or whatever else the file says that it holds."""
+    """ "flight", "results", "checkpoint", or another kind that the file records."""
     if not path.exists():
         raise UsageError(f"{path}: no such file or folder")
     if path.name == MODEL_FILE or (path / MODEL_FILE).is_file():
@@ -72,105 +95,143 @@ def kind_of(path: Path) -> str:
     return read_metadata(path)["kind"]
 
 
+# -- settings and figures --
+
+
+def flat(value: Any, prefix: str = "") -> dict[str, Any]:
+    """Nested mappings as dotted keys."""
+    if not isinstance(value, Mapping):
+        return {prefix[:-1]: value}
+    return {key: item for name, inner in value.items() for key, item in flat(inner, f"{prefix}{name}.").items()}
+
+
+def differing(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """Dotted key -> [value in a, value in b], for those that differ; "-" for a missing key."""
+    left, right = flat(a), flat(b)
+    values = {key: [left.get(key, ABSENT), right.get(key, ABSENT)] for key in dict.fromkeys([*left, *right])}
+    return {key: pair for key, pair in values.items() if pair[0] != pair[1]}
+
+
+def change(a: Any, b: Any) -> dict[str, float]:
+    """a, b, difference b - a, relative (%), NaN if not defined."""
+    a, b = (math.nan if value is None else float(value) for value in (a, b))
+    ratio = 100 * (b - a) / a if a else (0.0 if a == b else math.nan)
+    return {"a": a, "b": b, "difference": b - a, "relative": ratio}
+
+
+def record_of(metadata: Mapping[str, Any]) -> dict[str, Any]:
+    """What decides a flight: its configuration, the content of its checkpoint, and the versions that flew it."""
+    git = (metadata.get("provenance") or {}).get("git") or {}
+    return {
+        **(metadata.get("config") or {}),
+        "model_sha256": (metadata.get("model_sha256") or "")[:12],
+        "versions": {
+            **(metadata.get("versions") or {}),
+            "sources": metadata.get("sources") or "",
+            "commit": (git.get("commit") or "")[:10],
+        },
+        "backend": metadata.get("backend", ""),
+    }
+
+
+def setting_lines(settings: Mapping[str, list[Any]]) -> list[str]:
+    """The settings that differ, a line each, at most MOST_LINES."""
+    if not settings:
+        return ["configuration  the same"]
+
+    def short(value: Any) -> str:
+        text = "null" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+        return text if len(text) <= 36 else text[:33] + "..."
+
+    rows = [[f"  {key}", *map(short, pair)] for key, pair in list(settings.items())[:MOST_LINES]]
+    text = count(len(settings), "setting") + (" differ" if len(settings) > 1 else " differs")
+    rest = len(settings) - len(rows)
+    lines = Table(rows[0], rows[1:], left=frozenset(range(3))).lines()
+    return [f"configuration  {text}", *lines, *([f"  and {rest} more (--json has all)"] if rest else [])]
+
+
+def figure_lines(figures: Iterable[tuple[str, Mapping[str, float], float]]) -> list[str]:
+    """A table of changes. figures: name, change, and the factor it is printed with."""
+    rows = [
+        [name, *(number(factor * one[key]) for key in ("a", "b", "difference")), relative(one["relative"])]
+        for name, one, factor in figures
+    ]
+    return Table(["", "a", "b", "b - a", "relative"], rows).lines()
+
+
+# -- flights --
+
+
 def compare_flights(a: Path, b: Path) -> dict[str, Any]:
-    """Two flights: settings, outcome, metrics, and how far apart the paths lie."""
+    """Two flights: settings, outcome, metrics, and the distance between the paths."""
     flights = [read_flight(path, check=False) for path in (a, b)]
     rows = [flight.metadata.get("row") or {} for flight in flights]
     for path, row in zip((a, b), rows, strict=True):
         if not row:
             raise UsageError(f"{path}: a flight without a result row (a recorded one?): it cannot be compared")
     settings = differing(*(record_of(flight.metadata) for flight in flights))
-    outcome = [row["outcome"] for row in rows]
-    causes = [flight.metadata.get("cause") or "" for flight in flights]
     metrics = {name: change(rows[0].get(name), rows[1].get(name)) for name in FIGURES}
     paths = _paths(*flights)
-    heads = [
-        f"{row['controller']} on {row['trajectory']}{_speed(row)}, {row['plant']}, seed {row['seed']}" for row in rows
-    ]
-    lines = [f"a  {a}: {heads[0]}", f"b  {b}: {heads[1]}", "", *setting_lines(settings), ""]
-    said = [f"{word}{f' ({cause})' if cause else ''}" for word, cause in zip(outcome, causes, strict=True)]
-    lines += [f"outcome  {said[0]}" if said[0] == said[1] else f"outcome  {said[0]} -> {said[1]}", ""]
-    lines += [
-        *figure_lines({f"{name} ({unit})" if unit else name: (metrics[name], f) for name, (f, unit) in FIGURES.items()})
-    ]
-    lines += ["", f"samples  {paths['text']}"]
-    return {
-        "kind": "flight",
-        "a": str(a),
-        "b": str(b),
-        "configuration": settings,
-        "outcome": outcome,
-        "metrics": metrics,
-        "paths": paths,
-        "lines": lines,
-    }
-
-
-def _speed(row: Mapping[str, Any]) -> str:
-    return "" if row["speed"] is None or math.isnan(row["speed"]) else f" at {row['speed']:g} m/s"
+    lines, ended = [], []
+    for side, path, row, flight in zip("ab", (a, b), rows, flights, strict=True):
+        speed = f" at {text}" if (text := speed_text(row["speed"])) else ""
+        about = f"{row['controller']} on {row['trajectory']}{speed}, {row['plant']}, seed {row['seed']}"
+        lines.append(f"{side}  {path}: {about}")
+        cause = flight.metadata.get("cause")
+        ended.append(row["outcome"] + (f" ({cause})" if cause else ""))
+    lines += ["", *setting_lines(settings), "", f"outcome  {' -> '.join(dict.fromkeys(ended))}", ""]
+    named = ((f"{name} ({unit})", metrics[name], factor) for name, (factor, unit) in FIGURES.items())
+    lines += [*figure_lines(named), "", f"samples  {paths['text']}"]
+    outcome = [row["outcome"] for row in rows]
+    return {"configuration": settings, "outcome": outcome, "metrics": metrics, "paths": paths, "lines": lines}
 
 
 def _paths(a: Flight, b: Flight) -> dict[str, Any]:
-    """How far apart two flights are at the same times, as far as they have the same times."""
-    count = min(len(a), len(b))
-    if count == 0 or not np.array_equal(a.t[:count], b.t[:count]):
+    """The distance between two flights at the same times, as far as they have the same times."""
+    samples = min(len(a), len(b))
+    if samples == 0 or not np.array_equal(a.t[:samples], b.t[:samples]):
         return {"common": 0, "identical": False, "text": "not at the same times: the paths are not compared"}
     names = [name for name in a.columns if name in b.columns and name not in MEASURED]
     same = len(a) == len(b) and set(a.columns) == set(b.columns)
     if same and all(np.array_equal(a[name], b[name], equal_nan=a[name].dtype.kind == "f") for name in names):
-        return {
-            "common": count,
-            "identical": True,
-            "text": f"all {count} are the same to the last bit, solve times apart",
-        }
-    apart = np.linalg.norm(a.state[:count, POSITION] - b.state[:count, POSITION], axis=1)
+        text = f"all {samples} are the same to the last bit, solve times apart"
+        return {"common": samples, "identical": True, "text": text}
+    apart = np.linalg.norm(a.state[:samples, POSITION] - b.state[:samples, POSITION], axis=1)
     at = int(np.argmax(apart))
     length = "" if len(a) == len(b) else f" of {len(a)} and {len(b)}"
-    text = f"at most {1e3 * apart[at]:.4g} mm apart, at t = {a.t[at]:.2f} s ({count} common samples{length})"
-    return {"common": count, "identical": False, "distance": float(apart[at]), "t": float(a.t[at]), "text": text}
+    text = f"at most {1e3 * apart[at]:.4g} mm apart, at t = {a.t[at]:.2f} s ({samples} common samples{length})"
+    return {"common": samples, "identical": False, "distance": float(apart[at]), "t": float(a.t[at]), "text": text}
+
+
+# -- checkpoints --
 
 
 def compare_checkpoints(a: Path, b: Path) -> dict[str, Any]:
-    """Two checkpoints: what they were fitted to and how, their parameters, and their held-out errors."""
+    """Two checkpoints: their data and settings, their parameters, and their held-out errors."""
     found = [summarise(path) for path in (a, b)]
-    records = [
-        {
-            "kind": one["kind"],
-            **{name: one[name] for name in ("vehicle", "dataset", "settings", "versions")},
-            "outputs": {name: {"features": output["features"]} for name, output in one["outputs"].items()},
-        }
-        for one in found
-    ]
+    names = ("kind", "vehicle", "dataset", "settings", "versions")
+    features = [{n: {"features": output["features"]} for n, output in one["outputs"].items()} for one in found]
+    records = ({**{n: one[n] for n in names}, "outputs": own} for one, own in zip(found, features, strict=True))
     settings = differing(*records)
     left, right = (_parameters(path, one) for path, one in zip((a, b), found, strict=True))
-    names = [name for name in left if name in right]
-    metrics = {name: change(left[name], right[name]) for name in names}
+    metrics = {name: change(left[name], right[name]) for name in left if name in right}
     lines = [f"a  {a}: {found[0]['kind']}", f"b  {b}: {found[1]['kind']}", "", *setting_lines(settings), ""]
-    lines += figure_lines({name: (metrics[name], 1.0) for name in names})
+    lines += figure_lines((name, one, 1.0) for name, one in metrics.items())
     only = {side: [n for n in mine if n not in its] for side, mine, its in (("a", left, right), ("b", right, left))}
     lines += [f"only in {side}: {', '.join(missing)}" for side, missing in only.items() if missing]
-    return {
-        "kind": "checkpoint",
-        "a": str(a),
-        "b": str(b),
-        "configuration": settings,
-        "metrics": metrics,
-        "only": only,
-        "lines": lines,
-    }
+    return {"configuration": settings, "metrics": metrics, "only": only, "lines": lines}
 
 
 def _parameters(path: Path, summary: Mapping[str, Any]) -> dict[str, float]:
-    """The numbers of a checkpoint by name; held-out errors from the report beside it, where there is one."""
-    folder = path.parent if path.name == MODEL_FILE else path
+    """The numbers of a checkpoint by name; held-out errors from its report, if there is one."""
     values: dict[str, float] = {}
     units = {"a": "m/s^2", "t": "N m"}
     try:
-        for row in load_report(folder).get("rows", []):
+        for row in load_report(path.parent if path.name == MODEL_FILE else path).get("rows", []):
             if row.get("predictor") != "zero":
                 name = f"held-out RMSE of {row['output']} by {row['predictor']} ({units[row['output'][0]]})"
                 values[name] = float(row["rmse"])
-    except (QuadexpError, ValueError, TypeError, KeyError, AttributeError):  # the model is whole without it
+    except (QuadexpError, ValueError, TypeError, KeyError, AttributeError):  # the model does not need its report
         values.clear()
     values |= {f"drag_{axis} (1/s)": value for axis, value in zip("xyz", summary["drag"], strict=True)}
     for output, one in summary["outputs"].items():
@@ -178,3 +239,193 @@ def _parameters(path: Path, summary: Mapping[str, Any]) -> dict[str, float]:
         scales = zip(one["features"], one["lengthscale"], strict=True)
         values |= {f"{output} length of {feature}": scale for feature, scale in scales}
     return values
+
+
+# -- results --
+
+
+def compare_results(a: Path, b: Path) -> dict[str, Any]:
+    """Two results folders; see the module. The metric is a's."""
+    tables = [read_table(path / RESULTS_FILE, "results") for path in (a, b)]
+    metric, confidence = tables[0][1].get("metric", "mean_error"), tables[0][1].get("confidence", 0.95)
+    left, right = _matched(*(from_columns(columns) for columns, _ in tables))
+    both = {key: (row, right[key]) for key, row in left.items() if key in right}
+    only = {"a": _missing(left, right), "b": _missing(right, left)}
+    result: dict[str, Any] = {"metric": metric, "pairs": len(both), "only": only}
+    lines = [f"a  {a}: {len(left)} cells", f"b  {b}: {len(right)} cells", ""]
+    for side, missing in only.items():
+        if missing:
+            lines.append(f"only in {side}  " + ", ".join(f"{n} {label}" for label, n in missing.items()))
+    if not both:
+        lines.append("no cell is in both: nothing to compare")
+        return result | {"configuration": {}, "outcome": {}, "metrics": [], "lines": lines}
+    settings = _settings(a, b, list(both.values()))
+    outcomes = Counter((x["outcome"], y["outcome"]) for x, y in both.values())
+    same = sum(x["outcome"] == y["outcome"] and _equal(x, y) for x, y in both.values())
+    labels = contestant_labels(list(dict.fromkeys(contestant for _, contestant, _ in both)))
+    metrics = _contestants(both, labels, metric, confidence)
+    conditions = _conditions(both, labels, metric)
+    unknown = ["configuration  not compared: the cells are not beside both tables"]
+    lines += [*(unknown if settings is None else setting_lines(settings)), ""]
+    lines.append("outcome  " + ", ".join(f"{n} {x if x == y else f'{x} -> {y}'}" for (x, y), n in outcomes.items()))
+    lines.append(f"same     {same} of {len(both)} pairs are the same to the last bit, measured times apart")
+    lines += ["", *_metric_lines(metrics, metric)]
+    if same < len(both):
+        lines += ["", "largest changes", *_condition_lines(conditions, metric)]
+    return result | {
+        "configuration": settings or {},
+        "outcome": {f"{was} -> {now}": n for (was, now), n in outcomes.items()},
+        "identical": same,
+        "metrics": metrics,
+        "conditions": conditions,
+        "lines": lines,
+    }
+
+
+def _matched(*tables: Sequence[Row]) -> list[dict[Key, Row]]:
+    """Rows by condition, contestant and seed; with the checkpoint only where it distinguishes contestants."""
+    contestants = ((side, who) for side, rows in enumerate(tables) for who in set(map(contestant_of, rows)))
+    models = Counter((side, controller, variant) for side, (controller, _, variant) in contestants)
+    several = {who[1:] for who, n in models.items() if n > 1}
+    made: list[dict[Key, Row]] = []
+    for rows in tables:
+        made.append({})
+        for row in rows:
+            controller, model, variant = contestant_of(row)
+            contestant = controller, model if (controller, variant) in several else "", variant
+            made[-1][condition_of(row), contestant, row["seed"]] = row
+    return made
+
+
+def _missing(mine: Mapping[Key, Row], its: Mapping[Key, Row]) -> dict[str, int]:
+    """Label -> number of own cells that are not in the other table."""
+    missing = Counter(key[1] for key in mine if key not in its)
+    labels = contestant_labels(list(dict.fromkeys(key[1] for key in mine)))
+    return {labels[contestant]: n for contestant, n in missing.items()}
+
+
+def _equal(a: Row, b: Row) -> bool:
+    return all(a[name] == b[name] or (a[name] != a[name] and b[name] != b[name]) for name in EXACT)
+
+
+def _settings(a: Path, b: Path, pairs: Sequence[tuple[Row, Row]]) -> dict[str, list[Any]] | None:
+    """Settings that differ between the cells of a pair, one pair per condition and contestant; None without cells."""
+    first: dict[Key, tuple[Row, Row]] = {}
+    for pair in pairs:
+        first.setdefault((condition_of(pair[0]), contestant_of(pair[0])), pair)
+    stores = CellStore(a), CellStore(b)
+    found: dict[str, dict[str, list[Any]]] = {}
+    read = 0
+    for pair in list(first.values())[:MOST_CONFIGURATIONS]:
+        try:
+            records = [read_metadata(store.path(row["key"]), "flight") for store, row in zip(stores, pair, strict=True)]
+        except QuadexpError:  # a failed cell has no file
+            continue
+        read += 1
+        for key, values in differing(*map(record_of, records)).items():
+            found.setdefault(key, {})[repr(values)] = values
+    made: dict[str, list[Any]] = {}
+    for key, several in found.items():
+        made[key] = next(iter(several.values()))
+        if len(several) > 1:
+            made[key] = [" | ".join(sorted({str(values[i]) for values in several.values()})) or ABSENT for i in (0, 1)]
+    return made if read else None
+
+
+def _contestants(
+    both: Mapping[Key, tuple[Row, Row]], labels: Mapping[Any, str], metric: str, confidence: float
+) -> list[dict[str, Any]]:
+    """For each contestant: flights that ended well, means of a and b over the common flights, and b against a."""
+    ended: dict[Any, set[Any]] = {contestant: set() for contestant in labels}
+    for (condition, contestant, seed), (x, y) in both.items():
+        if x["outcome"] == y["outcome"] == "ok":
+            ended[contestant].add((condition, seed))
+    compared, shared = common(ended)
+    made = []
+    for contestant, label in labels.items():
+        pairs = {key[::2]: pair for key, pair in both.items() if key[1] == contestant}
+        own = [pair for at, pair in pairs.items() if at in ended[contestant]]
+        beyond = ended[contestant] - (shared if contestant in compared else frozenset())
+        well = [pair for at, pair in pairs.items() if at in ended[contestant] - beyond]
+        kept = [(condition, *pair) for (condition, seed), pair in pairs.items() if (condition, seed) not in beyond]
+        rows = [
+            dict(row, controller=side, model="", variant=condition[4])
+            for condition, *pair in kept
+            for side, row in zip("ab", pair, strict=True)
+        ]
+        (pooled,) = overall(rows, metric=metric, baseline="a", confidence=confidence)
+        left_out = [pooled.left_out, f"{len(beyond)} not ended well by all" if beyond else ""]
+        made.append(
+            {
+                "label": label,
+                "cells": len(pairs),
+                "flown": {
+                    s: [sum(p[i]["outcome"] == "ok" for p in pairs.values()), len(pairs)] for i, s in enumerate("ab")
+                },
+                **change(*_means(well, metric)),
+                "pairs": pooled.pairs,
+                "left_out": ", ".join(filter(None, left_out)),
+                "ratio": -pooled.reduction,
+                "ratio_low": -pooled.reduction_high,
+                "ratio_high": -pooled.reduction_low,
+                "p": pooled.p,
+                "own": {"pairs": len(own), **change(*_means(own, metric))},
+            }
+        )
+    for one, p in zip(made, holm(np.array([one["p"] for one in made])), strict=True):
+        one |= {"p_holm": float(p), "distinguishable": bool(p < 1 - confidence)}
+    return made
+
+
+def _means(pairs: Sequence[tuple[Row, Row]], metric: str) -> list[float]:
+    return [sum(pair[i][metric] for pair in pairs) / len(pairs) if pairs else math.nan for i in (0, 1)]
+
+
+def _conditions(both: Mapping[Key, tuple[Row, Row]], labels: Mapping[Any, str], metric: str) -> list[dict[str, Any]]:
+    """Means over the seeds that ended well on both sides, for every condition and contestant."""
+    groups: dict[Key, list[tuple[Row, Row]]] = {}
+    for key, (x, y) in both.items():
+        if x["outcome"] == y["outcome"] == "ok":
+            groups.setdefault(key[:2], []).append((x, y))
+    names = ("plant", "vehicle", "trajectory", "speed", "setting")
+    return [
+        {**dict(zip(names, condition, strict=True)), "label": labels[who], **change(*_means(pairs, metric))}
+        for (condition, who), pairs in groups.items()
+    ]
+
+
+def _metric_lines(metrics: Sequence[Mapping[str, Any]], metric: str) -> list[str]:
+    factor, unit = SHOWN[metric]
+    heading = [f"{TITLES[metric]} ({unit})", "flown a", "flown b", "pairs", "a", "b", "b - a", "ratio", "p (Holm)"]
+    rows, left_out, own = [], [], []
+    for one in metrics:
+        limits = "" if math.isnan(one["ratio_low"]) else f" [{one['ratio_low']:+.3g}, {one['ratio_high']:+.3g}]"
+        ratio = relative(one["ratio"]) + ("" if one["ratio"] == 0 or math.isnan(one["ratio"]) else limits)
+        verdict = ("smaller" if one["ratio"] < 0 else "larger") if one["distinguishable"] else "not distinguishable"
+        verdict = {"-": "-", "same": "the same"}.get(ratio, verdict)
+        flown = [f"{k} of {n}" for k, n in (one["flown"][side] for side in "ab")]
+        numbers = [number(factor * one[name]) for name in ("a", "b", "difference")]
+        rows.append([one["label"], *flown, str(one["pairs"]), *numbers, ratio, p_value(one["p_holm"]), verdict])
+        if one["left_out"]:
+            left_out.append(f"  {one['label']}: left out {re.sub(r' by a(?=,|$)', ' in a', one['left_out'])}")
+        if one["own"]["pairs"] > one["pairs"]:
+            means = " and ".join(number(factor * one["own"][side]) for side in "ab")
+            own.append(f"  {one['label']}: over all {one['own']['pairs']} that it ended well in both: {means} {unit}")
+    return Table([*heading, "b is"], rows, notes=[*left_out, *own]).lines()
+
+
+def _condition_lines(conditions: Sequence[Mapping[str, Any]], metric: str) -> list[str]:
+    factor, unit = SHOWN[metric]
+    changed = [one for one in conditions if one["difference"]]
+    changed.sort(key=lambda one: -abs(one["relative"]) if not math.isnan(one["relative"]) else -math.inf)
+    lines = []
+    for one in changed[:MOST_CONDITIONS]:
+        world = f"@{one['plant']}" if len({c["plant"] for c in conditions}) > 1 else ""
+        where = " ".join(filter(None, (one["trajectory"], speed_text(one["speed"]), one["setting"], world)))
+        numbers = f"{number(factor * one['a'])} -> {number(factor * one['b'])} {unit}"
+        lines.append(f"  {one['label']} on {where}: {numbers} ({relative(one['relative'])})")
+    rest = len(changed) - len(lines)
+    return lines + ([f"  and {rest} more (--json has all)"] if rest > 0 else [])
+
+
+KINDS = {"flight": compare_flights, "results": compare_results, "checkpoint": compare_checkpoints}

@@ -1,6 +1,6 @@
 """Figures of a comparison: error against speed, tracked paths coloured by error, time of the control step.
 
-Each function returns a matplotlib Figure and touches no global state. quadexp/report/style.py says who wears what.
+Each function returns a matplotlib Figure and changes no global state. Colours and markers are in style.py.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import math
 import textwrap
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,94 +22,92 @@ from matplotlib.figure import Figure
 from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_bytes, write_text
-from quadexp.report.common import Flights
 from quadexp.report.metrics import SHOWN, position_error
-from quadexp.report.pairing import condition_of
+from quadexp.report.pairing import Flights, condition_of
 from quadexp.report.statistics import CONFIDENCE, Statistic, compute_statistics
-from quadexp.report.style import PLAIN, STYLE, looks, plain_log
-from quadexp.report.tables import TITLES, column_labels, course_labels, table_rows
-from quadexp.report.wording import METHODS
+from quadexp.report.style import PLAIN, entries, looks, plain_log, styled
+from quadexp.report.tables import TITLES, column_labels, course_labels, statistic_labels
+from quadexp.report.text import METHODS, speed_text
 
-# Light for small errors, dark for large ones; without the end that white paper swallows.
+# Light for small errors, dark for large ones; without the end that is invisible on white paper.
 ERROR_COLOURS = LinearSegmentedColormap.from_list(
     "error", matplotlib.colormaps["magma_r"](np.linspace(0.18, 0.97, 256))
 )
 FORMATS = ("svg", "png")
-DRAWN = ".drawn"  # says of which rows the figures beside it are
+DRAWN = ".drawn"  # file with the fingerprint of the statistics that the figures beside it show
 MAX_PANELS = 36  # of tracked paths in one figure
 MAX_ACROSS = 4  # panels of one line
 
 
+@styled
 def error_against_speed(
     rows: Sequence[Mapping[str, Any]], metric: str = "mean_error", confidence: float = CONFIDENCE
 ) -> Figure | None:
     """Error over nominal speed, a panel per trajectory (and setting) and a line per controller.
 
-    Means and intervals are over the flights of a point that all who are compared ended well (common.py); a legend entry
-    says how many of all its flights ended well, where these are not all. None where there is no point at any speed.
+    Means and intervals are over the common flights of a point (pairing.py); a legend entry has the number of flights
+    that ended well, if these are not all. None if there is no point at any speed.
     """
     factor, unit = SHOWN[metric]
     statistics = compute_statistics(rows, metrics=(metric,), baseline="", confidence=confidence)
     courses = course_labels((s.trajectory, s.setting) for s in statistics)
-    labels = column_labels(table_rows(statistics))
+    labels = statistic_labels(statistics)
     points: dict[str, dict[str, list[Statistic]]] = {}
     flown: dict[str, Flights] = {}
     for s, label in zip(statistics, labels, strict=True):
-        before = flown.get(label, Flights(0, 0))
-        flown[label] = Flights(before.ended + s.flown.ended, before.trials + s.flown.trials)
+        flown[label] = flown.get(label, Flights(0, 0)).plus(s.flown)
         if s.common and not math.isnan(s.speed):
             points.setdefault(courses[s.trajectory, s.setting], {}).setdefault(label, []).append(s)
     if not points:
         return None
-    worn = looks(labels)
+    found = looks(labels)
     texts = {x: x if n.ended == n.trials else f"{x} ({n.text()} flown)" for x, n in flown.items()}
     chosen = [s for lines in points.values() for line in lines.values() for s in line]
     methods = {s.common_interval for s in chosen}
-    # A lower limit of zero has no place on a logarithmic axis: the band then ends below the panel.
+    # A logarithmic axis has no zero: a band with a lower limit of zero ends below the panel.
     ends = [v for s in chosen for v in (s.common_mean, s.common_low) if v > 0.1 * s.common_mean]
-    with matplotlib.rc_context(STYLE):
-        across = min(len(points), MAX_ACROSS)
-        lines = math.ceil(len(points) / across)
-        width = max(5.6, 1.4 + 3.1 * across)
-        columns = min(len(worn), max(1, int(13 * width / (max(map(len, texts.values())) + 6))))  # of the legend
-        height = 3.0 * lines + 0.2 * math.ceil(len(worn) / columns)
-        figure = Figure(figsize=(width, height), layout="constrained")
-        panels = figure.subplots(lines, across, sharey=True, squeeze=False)
-        for panel, (name, by_label) in zip(panels.flat, points.items(), strict=False):
-            for label, look in worn.items():
-                line = sorted(by_label.get(label, []), key=lambda s: s.speed)
-                if not line:
-                    continue
-                speed = np.array([s.speed for s in line])
-                mean, low, high = (
-                    factor * np.array([getattr(s, f"common_{end}") for s in line]) for end in ("mean", "low", "high")
-                )
-                panel.fill_between(speed, np.maximum(low, 1e-9), high, color=look.colour, alpha=0.25, linewidth=0)
-                panel.plot(speed, mean, label=texts[label], **look.points())
-            panel.set_yscale("log")
-            panel.set_title(textwrap.fill(name, 34))
-            panel.set_xlabel("nominal speed (m/s)")
-            speeds = sorted({s.speed for line in by_label.values() for s in line})
-            panel.set_xticks(_apart(speeds, 0.22 * across / width * (speeds[-1] - speeds[0])))
-            panel.set_xticks(speeds, minor=True)
-            panel.margins(x=0.08)
-            panel.grid(True, which="minor", axis="y", linewidth=0.3)
-            panel.xaxis.set_major_formatter(PLAIN)
-        for panel in panels.flat[len(points) :]:
-            panel.set_axis_off()
-        panels[0, 0].set_ylim(bottom=0.7 * factor * min(ends))
-        plain_log(panels[0, 0].yaxis, minor=True)
-        for line_of_panels in panels:
-            line_of_panels[0].set_ylabel(f"{TITLES[metric]} ({unit})")
-        handles, names = _legend(panels.flat)
-        all_well = all(n.ended == n.trials for n in flown.values())
-        title = said_interval(methods, confidence, "seeds" if all_well else "the flights that all ended well")
-        figure.legend(handles, names, loc="outside lower center", ncols=columns, title=title, title_fontsize=8)
+    across = min(len(points), MAX_ACROSS)
+    lines = math.ceil(len(points) / across)
+    width = max(5.6, 1.4 + 3.1 * across)
+    columns = min(len(found), max(1, int(13 * width / (max(map(len, texts.values())) + 6))))  # of the legend
+    height = 3.0 * lines + 0.2 * math.ceil(len(found) / columns)
+    figure = Figure(figsize=(width, height), layout="constrained")
+    panels = figure.subplots(lines, across, sharey=True, squeeze=False)
+    for panel, (name, by_label) in zip(panels.flat, points.items(), strict=False):
+        for label, look in found.items():
+            line = sorted(by_label.get(label, []), key=lambda s: s.speed)
+            if not line:
+                continue
+            speed = np.array([s.speed for s in line])
+            mean, low, high = (
+                factor * np.array([getattr(s, f"common_{end}") for s in line]) for end in ("mean", "low", "high")
+            )
+            panel.fill_between(speed, np.maximum(low, 1e-9), high, color=look.colour, alpha=0.25, linewidth=0)
+            panel.plot(speed, mean, label=texts[label], **look.points())
+        panel.set_yscale("log")
+        panel.set_title(textwrap.fill(name, 34))
+        panel.set_xlabel("nominal speed (m/s)")
+        speeds = sorted({s.speed for line in by_label.values() for s in line})
+        panel.set_xticks(_apart(speeds, 0.22 * across / width * (speeds[-1] - speeds[0])))
+        panel.set_xticks(speeds, minor=True)
+        panel.margins(x=0.08)
+        panel.grid(True, which="minor", axis="y", linewidth=0.3)
+        panel.xaxis.set_major_formatter(PLAIN)
+    for panel in panels.flat[len(points) :]:
+        panel.set_axis_off()
+    panels[0, 0].set_ylim(bottom=0.7 * factor * min(ends))
+    plain_log(panels[0, 0].yaxis, minor=True)
+    for line_of_panels in panels:
+        line_of_panels[0].set_ylabel(f"{TITLES[metric]} ({unit})")
+    all_well = all(n.ended == n.trials for n in flown.values())
+    title = interval_text(methods, confidence, "seeds" if all_well else "the flights that all ended well")
+    place: Any = {"loc": "outside lower center", "ncols": columns}
+    figure.legend(*entries(panels.flat), **place, title=title, title_fontsize=8)
     return figure
 
 
 def _apart(values: Sequence[float], least: float) -> list[float]:
-    """Those of sorted values that are `least` or more apart, so that their labels do not run into one another."""
+    """Those of sorted values that are `least` or more apart, so that their labels do not overlap."""
     kept = [values[0]]
     for value in values[1:]:
         if value - kept[-1] >= least:
@@ -117,17 +115,18 @@ def _apart(values: Sequence[float], least: float) -> list[float]:
     return kept
 
 
-def said_interval(methods: Collection[str], confidence: float, over: str = "seeds") -> str:
-    """What lines and bands show, such as "mean over seeds; shaded: its 95 % interval (Student's t)"."""
+def interval_text(methods: Collection[str], confidence: float, over: str = "seeds") -> str:
+    """Caption of lines and bands, such as "mean over seeds; shaded: its 95 % interval (Student's t)"."""
     used = " or ".join(text for name, text in METHODS.items() if name in methods)
     return f"mean over {over}; shaded: its {100 * confidence:g} % interval ({used})" if used else f"mean over {over}"
 
 
+@styled
 def tracked_paths(flights: Sequence[tuple[str, Flight]], title: str = "", missing: Sequence[str] = ()) -> Figure:
     """Flown paths seen from above, coloured by the position error, over the reference; one scale for all panels.
 
-    flights: (heading, flight). missing: who has no panel, and why; said below the title, as are flights beyond
-    MAX_PANELS.
+    flights: (heading, flight). missing: headings without a panel, with the reason; printed below the title, as are
+    flights beyond MAX_PANELS.
     """
     missing = [*missing, *(f"{heading} (no room)" for heading, _ in flights[MAX_PANELS:])]
     flights = flights[:MAX_PANELS]
@@ -138,40 +137,38 @@ def tracked_paths(flights: Sequence[tuple[str, Flight]], title: str = "", missin
     lines = math.ceil(len(flights) / columns)
     across, up = (max(float(np.ptp(f[name])) for _, f in flights) for name in ("p_x", "p_y"))
     height = 3.0 * min(1.2, max(0.35, up / max(across, 1e-9)))
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(1.4 + 3.0 * columns, 0.8 + (0.45 + height) * lines), layout="compressed")
-        grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
-        norm = LogNorm(smallest, largest) if smallest < largest else Normalize(0.0, largest or 1.0)
-        for panel, (heading, flight), error in zip(grid.flat, flights, errors, strict=False):
-            x, y = flight["p_x"], flight["p_y"]
-            panel.plot(flight["ref_p_x"], flight["ref_p_y"], color="#888888", linewidth=0.8, label="reference")
-            segments = np.stack([np.column_stack([x[:-1], y[:-1]]), np.column_stack([x[1:], y[1:]])], axis=1)
-            flown = LineCollection(list(segments), cmap=ERROR_COLOURS, norm=norm, linewidth=1.6)
-            flown.set_array(np.maximum((error[:-1] + error[1:]) / 2, smallest))
-            panel.add_collection(flown)
-            panel.plot(x[0], y[0], marker="o", markersize=4, color="#000000", linestyle="none", label="start")
-            panel.set_title(f"{textwrap.fill(heading, 28)}\nmean {error.mean():.3g} mm", fontsize=9)
-            panel.set_aspect("equal")
-        for panel in grid.flat[len(flights) :]:
-            panel.set_visible(False)
-        for panel in grid[-1]:
-            panel.set_xlabel("x (m)")
-        for panel in grid[:, 0]:
-            panel.set_ylabel("y (m)")
-        shown = ScalarMappable(norm, ERROR_COLOURS)
-        bar = figure.colorbar(shown, ax=grid, label="position error (mm)", shrink=0.85, aspect=20 * lines)
-        if isinstance(norm, LogNorm):
-            plain_log(bar.ax.yaxis)
-        figure.legend(*_legend([grid.flat[0]]), loc="outside lower center", ncols=2)
-        if missing:
-            title = f"{title}\n" + textwrap.fill(
-                f"not drawn: {', '.join(missing)}", int(14 * figure.get_size_inches()[0])
-            )
-        if title:
-            figure.suptitle(title.strip(), fontsize=10)
+    figure = Figure(figsize=(1.4 + 3.0 * columns, 0.8 + (0.45 + height) * lines), layout="compressed")
+    grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
+    norm = LogNorm(smallest, largest) if smallest < largest else Normalize(0.0, largest or 1.0)
+    for panel, (heading, flight), error in zip(grid.flat, flights, errors, strict=False):
+        x, y = flight["p_x"], flight["p_y"]
+        panel.plot(flight["ref_p_x"], flight["ref_p_y"], color="#888888", linewidth=0.8, label="reference")
+        segments = np.stack([np.column_stack([x[:-1], y[:-1]]), np.column_stack([x[1:], y[1:]])], axis=1)
+        flown = LineCollection(list(segments), cmap=ERROR_COLOURS, norm=norm, linewidth=1.6)
+        flown.set_array(np.maximum((error[:-1] + error[1:]) / 2, smallest))
+        panel.add_collection(flown)
+        panel.plot(x[0], y[0], marker="o", markersize=4, color="#000000", linestyle="none", label="start")
+        panel.set_title(f"{textwrap.fill(heading, 28)}\nmean {error.mean():.3g} mm", fontsize=9)
+        panel.set_aspect("equal")
+    for panel in grid.flat[len(flights) :]:
+        panel.set_visible(False)
+    for panel in grid[-1]:
+        panel.set_xlabel("x (m)")
+    for panel in grid[:, 0]:
+        panel.set_ylabel("y (m)")
+    shown = ScalarMappable(norm, ERROR_COLOURS)
+    bar = figure.colorbar(shown, ax=grid, label="position error (mm)", shrink=0.85, aspect=20 * lines)
+    if isinstance(norm, LogNorm):
+        plain_log(bar.ax.yaxis)
+    figure.legend(*entries([grid.flat[0]]), loc="outside lower center", ncols=2)
+    if missing:
+        title = f"{title}\n" + textwrap.fill(f"not drawn: {', '.join(missing)}", int(14 * figure.get_size_inches()[0]))
+    if title:
+        figure.suptitle(title.strip(), fontsize=10)
     return figure
 
 
+@styled
 def solve_times(rows: Sequence[Mapping[str, Any]]) -> Figure | None:
     """Time of the control step per controller: medians over its flights of their median and 99th percentile."""
     groups: dict[str, list[Mapping[str, Any]]] = {}
@@ -181,32 +178,31 @@ def solve_times(rows: Sequence[Mapping[str, Any]]) -> Figure | None:
             groups.setdefault(label, []).append(row)
     if not groups:
         return None
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 1.1 + 0.4 * len(groups)), layout="constrained")
-        panel = figure.subplots()
-        worn = looks(labels)
-        for i, (label, group) in enumerate(groups.items()):
-            median, p99 = (1e6 * float(np.median([row[f"solve_time_{k}"] for row in group])) for k in ("median", "p99"))
-            colour = worn[label].colour
-            panel.plot([median, p99], [i, i], color=colour, linewidth=2, alpha=0.6, zorder=2)
-            panel.plot(median, i, **worn[label].points() | {"markersize": 7})
-            panel.plot(p99, i, marker="|", markersize=11, markeredgewidth=2, color=colour)
-            panel.annotate(
-                f"{median:.0f} / {p99:.0f}", (p99, i), (7, 0), textcoords="offset points", va="center", fontsize=8
-            )
-        backends = sorted({row["backend"] for group in groups.values() for row in group if row.get("backend")})
-        panel.set_xscale("log")
-        panel.set_yticks(range(len(groups)), list(groups))
-        panel.invert_yaxis()
-        panel.grid(True, which="minor", axis="x", linewidth=0.3)
-        panel.grid(False, axis="y")
-        panel.margins(x=0.18, y=0.5 / len(groups))
-        plain_log(panel.xaxis)
-        panel.set_xlabel("time (µs): median (marker) / 99th percentile (bar)")
-        panel.set_title(f"control step, {', '.join(backends)}")
-        gone = [label for label in dict.fromkeys(labels) if label not in groups]
-        if gone:
-            figure.suptitle(textwrap.fill(f"no flight ended well: {', '.join(gone)}", 90), fontsize=8)
+    figure = Figure(figsize=(7.2, 1.1 + 0.4 * len(groups)), layout="constrained")
+    panel = figure.subplots()
+    found = looks(labels)
+    for i, (label, group) in enumerate(groups.items()):
+        median, p99 = (1e6 * float(np.median([row[f"solve_time_{k}"] for row in group])) for k in ("median", "p99"))
+        colour = found[label].colour
+        panel.plot([median, p99], [i, i], color=colour, linewidth=2, alpha=0.6, zorder=2)
+        panel.plot(median, i, **found[label].points() | {"markersize": 7})
+        panel.plot(p99, i, marker="|", markersize=11, markeredgewidth=2, color=colour)
+        panel.annotate(
+            f"{median:.0f} / {p99:.0f}", (p99, i), (7, 0), textcoords="offset points", va="center", fontsize=8
+        )
+    backends = sorted({row["backend"] for group in groups.values() for row in group if row.get("backend")})
+    panel.set_xscale("log")
+    panel.set_yticks(range(len(groups)), list(groups))
+    panel.invert_yaxis()
+    panel.grid(True, which="minor", axis="x", linewidth=0.3)
+    panel.grid(False, axis="y")
+    panel.margins(x=0.18, y=0.5 / len(groups))
+    plain_log(panel.xaxis)
+    panel.set_xlabel("time (µs): median (marker) / 99th percentile (bar)")
+    panel.set_title(f"control step, {', '.join(backends)}")
+    gone = [label for label in dict.fromkeys(labels) if label not in groups]
+    if gone:
+        figure.suptitle(textwrap.fill(f"no flight ended well: {', '.join(gone)}", 90), fontsize=8)
     return figure
 
 
@@ -220,7 +216,7 @@ def draw_results(
 ) -> dict[str, str]:
     """Draw all figures of a sweep into <out>/figures; returns name -> path (of the SVG; a PNG lies beside it).
 
-    fingerprint: of the statistics; figures that are there are kept where all were drawn of the same.
+    fingerprint: of the statistics; existing figures are kept if they all show the same statistics.
     """
     folder, store = Path(out) / "figures", CellStore(out)
     mark, drawn_of = folder / DRAWN, f"{fingerprint} {metric}"
@@ -251,60 +247,45 @@ def _path_figure(
     store: CellStore, trajectory: str, chosen: Sequence[tuple[str, Mapping[str, Any]]], missing: Sequence[str]
 ) -> Figure:
     flights = [(label, read_flight(store.path(row["key"]))) for label, row in chosen]
-    speed = _speed(chosen[0][1])
-    return tracked_paths(flights, trajectory if speed is None else f"{trajectory}, {speed:g} m/s", missing)
+    title = ", ".join(filter(None, (trajectory, speed_text(chosen[0][1]["speed"]))))
+    return tracked_paths(flights, title, missing)
 
 
+@styled
 def save(figure: Figure, path: Path) -> Path:
-    """Write a figure as SVG and PNG, whole or not at all; returns the path of the SVG."""
-    with matplotlib.rc_context(STYLE):
-        for form in FORMATS:
-            metadata = {"Date": None} if form == "svg" else None
-            drawn = functools.partial(figure.savefig, format=form, dpi=150, metadata=metadata)
-            write_bytes(path.with_suffix(f".{form}"), drawn)
+    """Write a figure as SVG and PNG; returns the path of the SVG."""
+    for form in FORMATS:
+        metadata = {"Date": None} if form == "svg" else None
+        drawn = functools.partial(figure.savefig, format=form, dpi=150, metadata=metadata)
+        write_bytes(path.with_suffix(f".{form}"), drawn)
     return path.with_suffix(".svg")
 
 
 def _fastest(
     rows: Sequence[Mapping[str, Any]],
 ) -> dict[str, tuple[list[tuple[str, Mapping[str, Any]]], list[str]]]:
-    """For each trajectory the flights at the highest speed that most controllers flew, one per controller, and who did
-    not end a flight of it well."""
-    chosen: dict[str, tuple[list[tuple[str, Mapping[str, Any]]], list[str]]] = {}
-    by_trajectory: dict[str, dict[float, dict[str, list[Mapping[str, Any]]]]] = {}
+    """For each trajectory the flights at the highest speed of most controllers, one per controller, and the controllers
+    without a flight that ended well."""
+    found: dict[str, dict[float, dict[str, list[Mapping[str, Any]]]]] = {}
     courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in rows)
     for row, label in zip(rows, column_labels(rows), strict=True):
-        setting = courses[row["trajectory"], condition_of(row)[4]].removeprefix(row["trajectory"]).strip()
-        heading = f"{label}, {setting}" if setting else label
-        by_speed = by_trajectory.setdefault(row["trajectory"], {})
-        by_speed.setdefault(_speed(row) or 0.0, {}).setdefault(heading, []).append(row)
-    for name, by_speed in by_trajectory.items():
-        flown = {
-            v: {x: next(filter(_is_flown, own), None) for x, own in found.items()} for v, found in by_speed.items()
+        *_, speed, setting = condition_of(row)
+        name = row["trajectory"]
+        heading = ", ".join(filter(None, (label, courses[name, setting].removeprefix(name).strip())))
+        found.setdefault(name, {}).setdefault(speed or 0.0, {}).setdefault(heading, []).append(row)
+    chosen = {}
+    for name, speeds in found.items():
+        good = {
+            speed: [(x, next(filter(_is_flown, own))) for x, own in by_heading.items() if any(map(_is_flown, own))]
+            for speed, by_heading in speeds.items()
         }
-        count = {v: sum(row is not None for row in found.values()) for v, found in flown.items()}
-        speed = max(flown, key=lambda v: (count[v], v))
-        if count[speed]:
-            outcomes = {
-                x: ", ".join(dict.fromkeys(row["outcome"] for row in own)) for x, own in by_speed[speed].items()
-            }
-            missing = [f"{x} ({outcomes[x]})" for x, row in flown[speed].items() if row is None]
-            chosen[name] = [(x, row) for x, row in flown[speed].items() if row is not None], missing
+        speed = max(good, key=lambda v: (len(good[v]), v))
+        if good[speed]:
+            lost = {x: own for x, own in speeds[speed].items() if not any(map(_is_flown, own))}
+            outcomes = (", ".join(dict.fromkeys(row["outcome"] for row in own)) for own in lost.values())
+            chosen[name] = good[speed], [f"{x} ({text})" for x, text in zip(lost, outcomes, strict=True)]
     return chosen
 
 
 def _is_flown(row: Mapping[str, Any]) -> bool:
     return row["outcome"] == "ok"
-
-
-def _speed(row: Mapping[str, Any]) -> float | None:
-    speed = row["speed"]
-    return None if speed is None or math.isnan(float(speed)) else float(speed)
-
-
-def _legend(panels: Iterable[Any]) -> tuple[list[Any], list[str]]:
-    found: dict[str, Any] = {}
-    for panel in panels:
-        for handle, text in zip(*panel.get_legend_handles_labels(), strict=True):
-            found.setdefault(text, handle)
-    return list(found.values()), list(found)

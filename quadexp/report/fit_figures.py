@@ -1,77 +1,95 @@
 """Figures of a fit: mean and 2-sigma band against held-out data, calibration, error over the number of points.
 
-Each function returns a matplotlib Figure and touches no global state; `quadexp.report.figures.save` writes it.
+Each function returns a matplotlib Figure and changes no global state; `quadexp.report.figures.save` writes it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
-import matplotlib
 import numpy as np
-from matplotlib.colors import LinearSegmentedColormap, LogNorm
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator, PercentFormatter, ScalarFormatter
 
 from quadexp.learn.dataset import ResidualDataset
 from quadexp.learn.model import GPModel, OutputPosterior
 from quadexp.learn.predict import AXIS, Prediction, predict
-from quadexp.report.style import COLOURS, KNOWN, MARKERS, STYLE, plain_log
+from quadexp.report.style import BLUE, COLOURS, COUNTS, GREY, MARKERS, ORANGE, entries, plain_log, styled
 
-ORANGE, BLUE, GREY = KNOWN["linear drag"][0], KNOWN["gp_mpc"][0], "#777777"
-COUNTS = LinearSegmentedColormap.from_list("counts", ["#E4E7EC", "#9AA4B5", "#4A5468"])  # recedes behind the curves
 CURVE_POINTS = 300
 MAX_COLUMNS = 4
 METHOD_COLOURS = {"sgpr": BLUE, "subset": ORANGE, "exact": COLOURS[3]}
 METHOD_NAMES = {"sgpr": "SGPR", "subset": "subset of data", "exact": "exact GP"}
 
 
+@styled
 def fit_figure(model: GPModel, data: ResidualDataset) -> Figure:
-    """Mean of each output over each of its features with the data, and below it what the mean leaves, with 2 sigma.
+    """Mean of each output over each of its features with the data, and below it the data minus mean, with 2 sigma.
 
-    data: rows to show, best held-out ones. Where an output has several features, a panel moves one of them and holds
-    the others at their medians; the data are shifted by what the model says the others' deviations are worth.
+    data: samples to show, best held-out ones. With several features, a panel moves one of them and holds
+    the others at their medians; the data are moved by the model's difference (`moved`).
     """
     shown = [(output, i) for output in model.outputs for i in range(len(output.features))]
     columns = min(len(shown), MAX_COLUMNS)
     blocks = -(-len(shown) // columns)
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(3.3 * columns + 0.4, 4.6 * blocks + 0.4), layout="constrained")
-        panels = figure.subplots(2 * blocks, columns, squeeze=False, height_ratios=(1.7, 1) * blocks)
-        for k, (output, i) in enumerate(shown):
-            row, column = divmod(k, columns)
-            _fit_panels(panels[2 * row, column], panels[2 * row + 1, column], model, output, i, data)
-        for k in range(len(shown), blocks * columns):
-            for row in (0, 1):
-                panels[2 * (k // columns) + row, k % columns].set_axis_off()
-        found: dict[str, Any] = {}
-        for panel in panels.flat:
-            for handle, text in zip(*panel.get_legend_handles_labels(), strict=True):
-                found.setdefault(text, handle)
-        figure.legend(list(found.values()), list(found), loc="outside upper center", ncols=len(found))
+    figure = Figure(figsize=(3.3 * columns + 0.4, 4.6 * blocks + 0.4), layout="constrained")
+    panels = figure.subplots(2 * blocks, columns, squeeze=False, height_ratios=(1.7, 1) * blocks)
+    for k, (output, i) in enumerate(shown):
+        row, column = divmod(k, columns)
+        _fit_panels(panels[2 * row, column], panels[2 * row + 1, column], model, output, i, data)
+    for k in range(len(shown), blocks * columns):
+        for row in (0, 1):
+            panels[2 * (k // columns) + row, k % columns].set_axis_off()
+    handles, labels = entries(panels.flat)
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure
+
+
+class Curve(NamedTuple):
+    """A model of one output over one feature x, (k,). line: linear drag, None for torques. middle: of all features."""
+
+    x: np.ndarray
+    mean: np.ndarray
+    std: np.ndarray
+    line: np.ndarray | None
+    middle: np.ndarray
+
+
+def curve(model: GPModel, output: OutputPosterior, i: int, points: np.ndarray, count: int = CURVE_POINTS) -> Curve:
+    """The model over feature i within its data, the other features at the medians of `points`, (n, features)."""
+    middle = np.median(points, axis=0)
+    low, high = model.feature_range.get(output.features[i], [points[:, i].min(), points[:, i].max()])
+    grid = np.tile(middle, (count, 1))
+    grid[:, i] = np.linspace(low, high, count)
+    made = _predict(model, output, grid)
+    line = None
+    if output.output in AXIS:
+        line = model.linear_drag.acceleration(_table(output.features, grid))[:, AXIS[output.output]]
+    return Curve(grid[:, i], made.mean, made.std, line, middle)
+
+
+def moved(
+    model: GPModel, output: OutputPosterior, i: int, points: np.ndarray, values: np.ndarray, middle: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Values (n,) at `points`, moved by the model's difference between them and the other features at `middle`; and
+    values minus mean."""
+    held = np.tile(middle, (len(points), 1))
+    held[:, i] = points[:, i]
+    left = values - _predict(model, output, points).mean
+    return _predict(model, output, held).mean + left, left
 
 
 def _fit_panels(upper: Any, lower: Any, model: GPModel, output: OutputPosterior, i: int, data: ResidualDataset) -> None:
     """upper: mean and data over feature i. lower: data minus mean, the 2-sigma band, the inducing points."""
     features = data.matrix(output.features)
-    median = np.median(features, axis=0)
-    own = replace(model, outputs=(output,))
-    held = np.tile(median, (len(features), 1))
-    held[:, i] = features[:, i]
-    left = data.matrix([output.output])[:, 0] - _predict(own, features).mean
-    target = _predict(own, held).mean + left
-
-    low, high = model.feature_range.get(output.features[i], [features[:, i].min(), features[:, i].max()])
+    x, mean, std, line, median = curve(model, output, i, features)
+    target, left = moved(model, output, i, features, data.matrix([output.output])[:, 0], median)
+    band, low, high = 2 * std, x[0], x[-1]
     margin = 0.03 * (high - low)
-    grid = np.tile(median, (CURVE_POINTS, 1))
-    grid[:, i] = np.linspace(low, high, CURVE_POINTS)
-    prediction = _predict(own, grid)
-    x, mean, band = grid[:, i], prediction.mean, 2 * prediction.std
-
-    inside = (features[:, i] >= low) & (features[:, i] <= high)  # beyond it the model extrapolates; it sets no limits
+    inside = (features[:, i] >= low) & (features[:, i] <= high)  # beyond, the model extrapolates
     if not inside.any():
         inside[:] = True
     top = _limits(np.concatenate([np.quantile(target[inside], [0.0005, 0.9995]), mean]))
@@ -86,8 +104,7 @@ def _fit_panels(upper: Any, lower: Any, model: GPModel, output: OutputPosterior,
     upper.plot([], [], linestyle="none", marker="h", color="#6B7690", label="data, darker where denser")
     upper.fill_between(x, mean - band, mean + band, color=BLUE, alpha=0.25, linewidth=0, label="2 σ", zorder=2)
     upper.plot(x, mean, color=BLUE, linewidth=1.8, label="GP mean", zorder=4)
-    if output.output in AXIS:
-        line = model.linear_drag.acceleration(_table(output.features, grid))[:, AXIS[output.output]]
+    if line is not None:
         upper.plot(x, line, color=ORANGE, linestyle=(0, (5, 2)), label="linear drag", zorder=3)
     lower.fill_between(x, -band, band, color=BLUE, alpha=0.25, linewidth=0, zorder=2)
     lower.axhline(0, color=BLUE, linewidth=1.4, zorder=3)
@@ -111,79 +128,77 @@ def _fit_panels(upper: Any, lower: Any, model: GPModel, output: OutputPosterior,
     lower.set_xlabel(axis_label(output.features[i]))
 
 
+@styled
 def calibration_figure(model: GPModel, data: ResidualDataset) -> Figure:
-    """Share of held-out rows inside the central interval against the probability the model gives that interval."""
+    """Share of held-out samples inside the central interval against the probability the model gives that interval."""
     from scipy.special import ndtr
 
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(4.4, 4.2), layout="constrained")
-        panel = figure.subplots()
-        panel.plot([0, 1], [0, 1], color=GREY, linewidth=1, linestyle=(0, (4, 3)))
-        panel.text(0.97, 0.04, "overconfident", ha="right", va="center", color=GREY, fontsize=8.5)
-        panel.text(0.03, 0.96, "too careful", ha="left", va="center", color=GREY, fontsize=8.5)
-        for k, (name, prediction) in enumerate(predict(model, data).items()):
-            error = np.abs(data.matrix([name])[:, 0] - prediction.mean) / prediction.std
-            probability = np.sort(2 * ndtr(error) - 1)
-            share = np.arange(1, len(probability) + 1) / len(probability)
-            colour = COLOURS[(k + 1) % len(COLOURS)]
-            panel.plot(probability, share, color=colour)
-            for sigma in (1, 2):
-                at = 2 * ndtr(sigma) - 1
-                panel.plot(at, np.mean(error < sigma), color=colour, marker=MARKERS[k], markersize=5, linestyle="none")
-            panel.plot([], [], color=colour, marker=MARKERS[k], markersize=5, label=symbol(name))
+    figure = Figure(figsize=(4.4, 4.2), layout="constrained")
+    panel = figure.subplots()
+    panel.plot([0, 1], [0, 1], color=GREY, linewidth=1, linestyle=(0, (4, 3)))
+    panel.text(0.97, 0.04, "overconfident", ha="right", va="center", color=GREY, fontsize=8.5)
+    panel.text(0.03, 0.96, "too careful", ha="left", va="center", color=GREY, fontsize=8.5)
+    for k, (name, prediction) in enumerate(predict(model, data).items()):
+        error = np.abs(data.matrix([name])[:, 0] - prediction.mean) / prediction.std
+        probability = np.sort(2 * ndtr(error) - 1)
+        share = np.arange(1, len(probability) + 1) / len(probability)
+        colour = COLOURS[(k + 1) % len(COLOURS)]
+        panel.plot(probability, share, color=colour)
         for sigma in (1, 2):
-            panel.axvline(2 * ndtr(sigma) - 1, color="#BBBBBB", linewidth=0.8, zorder=0)
-            panel.text(
-                2 * ndtr(sigma) - 1, 1.01, f"{sigma} σ", ha="center", va="bottom", fontsize=8.5, color="#444444",
-                transform=panel.get_xaxis_transform(),
-            )  # fmt: skip
-        panel.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
-        panel.set_xlabel("predicted probability of the central interval")
-        panel.set_ylabel("held-out rows inside")
-        for axis in (panel.xaxis, panel.yaxis):
-            axis.set_major_formatter(PercentFormatter(1.0))
-        panel.legend(loc="center right", bbox_to_anchor=(0.94, 0.27))
+            at = 2 * ndtr(sigma) - 1
+            panel.plot(at, np.mean(error < sigma), color=colour, marker=MARKERS[k], markersize=5, linestyle="none")
+        panel.plot([], [], color=colour, marker=MARKERS[k], markersize=5, label=symbol(name))
+    for sigma in (1, 2):
+        panel.axvline(2 * ndtr(sigma) - 1, color="#BBBBBB", linewidth=0.8, zorder=0)
+        panel.text(
+            2 * ndtr(sigma) - 1, 1.01, f"{sigma} σ", ha="center", va="bottom", fontsize=8.5, color="#444444",
+            transform=panel.get_xaxis_transform(),
+        )  # fmt: skip
+    panel.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
+    panel.set_xlabel("predicted probability of the central interval")
+    panel.set_ylabel("held-out samples inside")
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_formatter(PercentFormatter(1.0))
+    panel.legend(loc="center right", bbox_to_anchor=(0.94, 0.27))
     return figure
 
 
+@styled
 def size_figure(rows: Sequence[Mapping[str, Any]], baseline: Sequence[Mapping[str, Any]] = ()) -> Figure:
-    """Held-out error over the number of inducing points, a panel an output and a line a method.
+    """Held-out error over the number of inducing points, a panel per output and a line per method.
 
     rows: of `identify.comparison.compare`. baseline: rows of `identify.evaluation.evaluate`; their linear drag is drawn
     where it lies within three times of the rest.
     """
     outputs = list(dict.fromkeys(row["output"] for row in rows))
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(1.2 + 2.9 * len(outputs), 3.5), layout="constrained")
-        panels = figure.subplots(1, len(outputs), squeeze=False)[0]
-        sizes = sorted({row["inducing"] for row in rows if row["method"] != "exact"})
-        for panel, output in zip(panels, outputs, strict=True):
-            here = [row for row in rows if row["output"] == output]
-            for k, method in enumerate(dict.fromkeys(row["method"] for row in here)):
-                mine = sorted((row["inducing"], row["rmse"]) for row in here if row["method"] == method)
-                colour, label = METHOD_COLOURS.get(method, "black"), METHOD_NAMES.get(method, method)
-                if method == "exact":
-                    panel.axhline(mine[0][1], color=colour, linestyle=(0, (2, 2)), label=f"{label}, {mine[0][0]} rows")
-                else:
-                    panel.plot(*zip(*mine, strict=True), color=colour, marker=MARKERS[k], markersize=5, label=label)
-            top = max(row["rmse"] for row in here)
-            for row in baseline:
-                if row["output"] == output and row["predictor"] == "linear_drag" and row["rmse"] < 3 * top:
-                    panel.axhline(row["rmse"], color=GREY, linestyle=(0, (6, 3)), label="linear drag")
-            panel.set_xscale("log")
-            panel.set_yscale("log")
-            if sizes:
-                panel.xaxis.set_major_locator(FixedLocator(sizes))
-                panel.xaxis.set_minor_locator(NullLocator())
-                panel.xaxis.set_major_formatter(ScalarFormatter())
-            plain_log(panel.yaxis)
-            panel.set_title(symbol(output))
-            panel.set_xlabel("inducing points")
-            panel.set_ylabel(f"held-out RMSE ({unit(output)})")
-        found = {
-            text: handle for panel in panels for handle, text in zip(*panel.get_legend_handles_labels(), strict=True)
-        }
-        figure.legend(list(found.values()), list(found), loc="outside upper center", ncols=len(found))
+    figure = Figure(figsize=(1.2 + 2.9 * len(outputs), 3.5), layout="constrained")
+    panels = figure.subplots(1, len(outputs), squeeze=False)[0]
+    sizes = sorted({row["inducing"] for row in rows if row["method"] != "exact"})
+    for panel, output in zip(panels, outputs, strict=True):
+        here = [row for row in rows if row["output"] == output]
+        for k, method in enumerate(dict.fromkeys(row["method"] for row in here)):
+            mine = sorted((row["inducing"], row["rmse"]) for row in here if row["method"] == method)
+            colour, label = METHOD_COLOURS.get(method, "black"), METHOD_NAMES.get(method, method)
+            if method == "exact":
+                panel.axhline(mine[0][1], color=colour, linestyle=(0, (2, 2)), label=f"{label}, {mine[0][0]} rows")
+            else:
+                panel.plot(*zip(*mine, strict=True), color=colour, marker=MARKERS[k], markersize=5, label=label)
+        top = max(row["rmse"] for row in here)
+        for row in baseline:
+            if row["output"] == output and row["predictor"] == "linear_drag" and row["rmse"] < 3 * top:
+                panel.axhline(row["rmse"], color=GREY, linestyle=(0, (6, 3)), label="linear drag")
+        panel.set_xscale("log")
+        panel.set_yscale("log")
+        if sizes:
+            panel.xaxis.set_major_locator(FixedLocator(sizes))
+            panel.xaxis.set_minor_locator(NullLocator())
+            panel.xaxis.set_major_formatter(ScalarFormatter())
+        plain_log(panel.yaxis)
+        panel.set_title(symbol(output))
+        panel.set_xlabel("inducing points")
+        panel.set_ylabel(f"held-out RMSE ({unit(output)})")
+    handles, labels = entries(panels)
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure
 
 
@@ -216,10 +231,9 @@ def _limits(values: np.ndarray) -> tuple[float, float]:
     return low - 0.06 * (high - low), high + 0.06 * (high - low)
 
 
-def _predict(model: GPModel, features: np.ndarray) -> Prediction:
-    """Prediction of a model of one output at features (k, d)."""
-    (output,) = model.outputs
-    return predict(model, _table(output.features, features))[output.output]
+def _predict(model: GPModel, output: OutputPosterior, features: np.ndarray) -> Prediction:
+    """Prediction of one output at features (k, d)."""
+    return predict(replace(model, outputs=(output,)), _table(output.features, features))[output.output]
 
 
 def _table(names: Sequence[str], features: np.ndarray) -> ResidualDataset:

@@ -1,4 +1,4 @@
-"""Which program flew the rows of a table: versions, sources and libraries as the cells carry them."""
+"""The programs that flew the rows of a table: versions, sources and libraries as recorded in the cells."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ UNKNOWN = "an earlier version that did not say"
 
 
 def flown_by(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Every program that flew some of the rows, the most frequent first: program, sources, libraries, cells."""
+    """The programs that flew the rows, the most frequent first: program, sources, libraries, cells."""
     counts = Counter(tuple(row.get(name) or "" for name in ("program", "sources", "libraries")) for row in rows)
     return [
         {"program": program, "sources": sources, "libraries": libraries, "cells": count}
@@ -36,13 +36,13 @@ def counted(found: Mapping[str, int]) -> str:
 
 
 def mixed_programs(rows: Iterable[Mapping[str, Any]]) -> list[str]:
-    """The line below a table whose flights are not all of one program; empty where they are."""
+    """The line below a table with flights of several programs; else empty."""
     found = programs_of(rows)
     return [] if len(found) < 2 else [f"flights of {len(found)} programs stand side by side: {counted(found)}"]
 
 
 def differing_libraries(texts: Iterable[str | None], here: str) -> str:
-    """One line on the cells whose libraries have other versions than `here` says, "" where none has.
+    """One line on the cells flown with other versions of libraries than those in `here`; "" if there are none.
 
     texts: `libraries` of each row.
     """
@@ -62,7 +62,7 @@ def differing_libraries(texts: Iterable[str | None], here: str) -> str:
 
 
 def versions_of(rows: Iterable[Mapping[str, Any]]) -> dict[str, str]:
-    """Name -> version of the program, its sources and every library, as the rows carry them; several: with " | "."""
+    """Name -> version of the program, its sources and every library in the rows; several are joined by " | "."""
     found: dict[str, dict[str, None]] = {}
     for one in flown_by(rows):
         parts = {"quadexp": one["program"], "sources": one["sources"], **_versions(one["libraries"])}
@@ -72,7 +72,7 @@ def versions_of(rows: Iterable[Mapping[str, Any]]) -> dict[str, str]:
 
 
 def flown_by_lines(rows: Iterable[Mapping[str, Any]]) -> list[str]:
-    """What `show` says of a table of results."""
+    """The lines of `show` on the programs of a table of results."""
     lines = []
     for one in flown_by(rows):
         lines.append(f"flown by    {program_name(one)}: {one['cells']} cells")

@@ -1,6 +1,6 @@
-"""Figures of a vehicle identification: estimates over time with their bands, thrust curve, drag, ladder of models.
+"""Figures of a vehicle identification: estimates over time with their bands, thrust curve, drag, comparison of models.
 
-Each function returns a matplotlib Figure and touches no global state; `quadexp.report.figures.save` writes it.
+Each function returns a matplotlib Figure and changes no global state; `quadexp.report.figures.save` writes it.
 """
 
 from __future__ import annotations
@@ -8,9 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.colors import LinearSegmentedColormap, LogNorm
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from quadexp.learn.recursion import Recursion, VehicleIdentification, elapsed
@@ -18,10 +17,8 @@ from quadexp.learn.regression import half_width
 from quadexp.learn.samples import SIGNALS, Samples
 from quadexp.learn.terms import AXES, UNITS, TermModel
 from quadexp.learn.thrust_curve import ThrustCurve, scaled_signal
-from quadexp.report.style import COLOURS, KNOWN, STYLE
+from quadexp.report.style import BLUE, COLOURS, COUNTS, GREY, KNOWN, ORANGE, styled
 
-BLUE, ORANGE, GREY = COLOURS[2], KNOWN["linear drag"][0], "#777777"
-COUNTS = LinearSegmentedColormap.from_list("counts", ["#E4E7EC", "#9AA4B5", "#4A5468"])
 QUADRATIC = KNOWN["quadratic drag"][0]
 LEVEL_COLOURS = {
     "nominal": KNOWN["nominal"][0],
@@ -31,11 +28,10 @@ LEVEL_COLOURS = {
     "blade_element": KNOWN["blade element"][0],
     "blade_element_still": "#7F8C99",
 }
-SYMBOLS = {"linear": "d", "quadratic": "e", "offset": "b"}
 MAX_COLUMNS = 4
 BINS = 24
 SHOWN_ESTIMATES = 600  # of a series
-SHOWN_WIDTHS = 8.0  # half widths of the final interval around the final estimate; what lies outside says nothing yet
+SHOWN_WIDTHS = 8.0  # half widths of the final interval around the final estimate; early estimates are outside
 
 
 def draw_identification(found: VehicleIdentification) -> dict[str, Figure]:
@@ -50,133 +46,129 @@ def draw_identification(found: VehicleIdentification) -> dict[str, Figure]:
     return figures
 
 
+@styled
 def estimates_figure(
     axes: Mapping[str, Recursion], time: np.ndarray, bounds: Sequence[float], model: TermModel
 ) -> Figure:
-    """Estimates of one model over the samples seen so far, with their 95 % band; a panel a coefficient.
+    """Estimates of one model over the samples seen so far, with their 95 % band; a panel per coefficient.
 
     axes: "x", "y", "z" -> recursion. time: of the samples, (k,) s. bounds: times at which a new flight begins.
     """
     shown = [(axis, one, j) for axis, one in axes.items() for j in range(len(one.names))]
     columns = min(MAX_COLUMNS, len(shown))
     rows = -(-len(shown) // columns)
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(2.9 * columns + 0.3, 2.0 * rows + 0.5), layout="constrained")
-        panels = figure.subplots(rows, columns, squeeze=False, sharex=True)
-        for panel, (axis, one, j) in zip(panels.flat, shown, strict=False):
-            freedom = model.freedom[AXES.index(axis)]
-            value, half = one.coefficients[:, j], half_width(one.errors[:, j], freedom)
-            thin = slice(None, None, max(1, len(one.row) // SHOWN_ESTIMATES))
-            at, value, half = time[one.row][thin], value[thin], half[thin]
-            panel.fill_between(at, value - half, value + half, color=BLUE, alpha=0.25, linewidth=0)
-            panel.plot(at, value, color=BLUE)
-            panel.axhline(value[-1], color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
-            for bound in bounds:
-                panel.axvline(bound, color="#BBBBBB", linewidth=0.8)
-            reach = SHOWN_WIDTHS * max(half[-1], 1e-12)
-            panel.set_ylim(value[-1] - reach, value[-1] + reach)
-            panel.set_title(_title(one.names[j]), fontweight="normal")
-            panel.set_ylabel(UNITS.get(one.names[j].rsplit("_", 1)[0], ""))
-        for panel in panels.flat[len(shown) :]:
-            panel.set_axis_off()
-        for panel in panels[-1]:
-            panel.set_xlabel("time over all flights (s)")
-        figure.suptitle(
-            f"{model.kind.replace('_', ' ')}: estimates from the samples so far, with 95 % band; dashed: from all"
-        )
+    figure = Figure(figsize=(2.9 * columns + 0.3, 2.0 * rows + 0.5), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False, sharex=True)
+    for panel, (axis, one, j) in zip(panels.flat, shown, strict=False):
+        freedom = model.freedom[AXES.index(axis)]
+        value, half = one.coefficients[:, j], half_width(one.errors[:, j], freedom)
+        thin = slice(None, None, max(1, len(one.row) // SHOWN_ESTIMATES))
+        at, value, half = time[one.row][thin], value[thin], half[thin]
+        panel.fill_between(at, value - half, value + half, color=BLUE, alpha=0.25, linewidth=0)
+        panel.plot(at, value, color=BLUE)
+        panel.axhline(value[-1], color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
+        for bound in bounds:
+            panel.axvline(bound, color="#BBBBBB", linewidth=0.8)
+        reach = SHOWN_WIDTHS * max(half[-1], 1e-12)
+        panel.set_ylim(value[-1] - reach, value[-1] + reach)
+        panel.set_title(_title(one.names[j]), fontweight="normal")
+        panel.set_ylabel(UNITS.get(one.names[j].rsplit("_", 1)[0], ""))
+    for panel in panels.flat[len(shown) :]:
+        panel.set_axis_off()
+    for panel in panels[-1]:
+        panel.set_xlabel("time over all flights (s)")
+    figure.suptitle(
+        f"{model.kind.replace('_', ' ')}: estimates from the samples so far, with 95 % band; dashed: from all"
+    )
     return figure
 
 
+@styled
 def thrust_figure(curve: ThrustCurve, samples: Samples) -> Figure:
-    """Specific force along z over the mean signal of the rotors, the curve, and what it leaves over time."""
+    """Specific force along z over the mean signal of the rotors, the curve, and the residual over time."""
     scaled = scaled_signal(samples.signal, samples.voltage, curve.reference_voltage, curve.voltage_exponent)
     mean = scaled.mean(axis=1)
     grid = np.linspace(mean.min(), mean.max(), 100)
     plain = samples.signal.shape[1] if curve.signal != "thrust_acceleration" else 1
     total = curve.of_signal(np.repeat(grid[:, None], plain, axis=1), np.full(100, curve.reference_voltage)).sum(axis=1)
     left = samples.force[:, 2] - curve.of_signal(samples.signal, samples.voltage).sum(axis=1)
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 3.6), layout="constrained")
-        above, below = figure.subplots(1, 2)
-        for i, name in enumerate(samples.names):
-            own = samples.flight == i
-            colour = COLOURS[(i + 1) % len(COLOURS)]
-            thin = max(1, int(own.sum()) // 1500)
-            above.plot(
-                mean[own][::thin], samples.force[own, 2][::thin], ".", color=colour, markersize=1.5, alpha=0.5,
-                rasterized=True,
-            )  # fmt: skip
-            centre, low, high = _binned(mean[own], left[own])
-            below.fill_between(centre, low, high, color=colour, alpha=0.2, linewidth=0)
-            below.plot(centre, (low + high) / 2, color=colour, label=name)
-        above.plot(grid, total, color="#000000", label="thrust curve")
-        unit = SIGNALS[curve.signal]
-        label = f"{curve.signal.replace('_', ' ')}, mean of the rotors" + (f" ({unit})" if unit != "1" else "")
-        if curve.reference_voltage:
-            label += f", times V / {curve.reference_voltage:g} V"
-        above.set(xlabel=label, ylabel="specific force along z (m/s²)", title="thrust curve")
-        above.legend()
-        below.axhline(0, color="#000000", linewidth=0.8)
-        below.set(
-            xlabel=label, ylabel="specific force minus curve (m/s²)", title="what it leaves: mean ± 1 std in bins"
-        )
-        below.legend(fontsize=7)
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    above, below = figure.subplots(1, 2)
+    for i, name in enumerate(samples.names):
+        own = samples.flight == i
+        colour = COLOURS[(i + 1) % len(COLOURS)]
+        thin = max(1, int(own.sum()) // 1500)
+        above.plot(
+            mean[own][::thin], samples.force[own, 2][::thin], ".", color=colour, markersize=1.5, alpha=0.5,
+            rasterized=True,
+        )  # fmt: skip
+        centre, low, high = _binned(mean[own], left[own])
+        below.fill_between(centre, low, high, color=colour, alpha=0.2, linewidth=0)
+        below.plot(centre, (low + high) / 2, color=colour, label=name)
+    above.plot(grid, total, color="#000000", label="thrust curve")
+    unit = SIGNALS[curve.signal]
+    label = f"{curve.signal.replace('_', ' ')}, mean of the rotors" + (f" ({unit})" if unit != "1" else "")
+    if curve.reference_voltage:
+        label += f", times V / {curve.reference_voltage:g} V"
+    above.set(xlabel=label, ylabel="specific force along z (m/s²)", title="thrust curve")
+    above.legend()
+    below.axhline(0, color="#000000", linewidth=0.8)
+    below.set(xlabel=label, ylabel="specific force minus curve (m/s²)", title="residual: mean ± 1 std in bins")
+    below.legend(fontsize=7)
     return figure
 
 
+@styled
 def drag_figure(model: TermModel, curve: ThrustCurve, samples: Samples, quadratic: TermModel | None = None) -> Figure:
     """Specific force beyond the thrust over body velocity, axis by axis, with the fitted drag."""
     rotors = curve.of_signal(samples.signal, samples.voltage)
     target = samples.force - rotors.sum(axis=1)[:, None] * [0, 0, 1]
     usual = np.median(rotors, axis=0)
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(9.6, 3.4), layout="constrained")
-        for i, panel in enumerate(figure.subplots(1, 3)):
-            v, a = samples.velocity[:, i], target[:, i]
-            low, high = np.quantile(a, [0.002, 0.998])
-            margin = 0.15 * (high - low)
-            panel.hexbin(
-                v, a, gridsize=(50, 30), mincnt=1, cmap=COUNTS, norm=LogNorm(), linewidths=0.1,
-                extent=(v.min(), v.max(), low - margin, high + margin),
-            )  # fmt: skip
-            grid = np.zeros((100, 3))
-            grid[:, i] = np.linspace(v.min(), v.max(), 100)
-            for one, colour, dash in ((model, ORANGE, "-"), (quadratic, QUADRATIC, "--")):
-                if one is not None:
-                    line = one.acceleration(grid, np.tile(usual, (100, 1)))[:, i]
-                    panel.plot(grid[:, i], line, color=colour, linestyle=dash, label=one.kind)
-            value, error = model.coefficient(AXES[i], "linear")
-            half = half_width(error, model.freedom[i])
-            panel.set_title(f"$d_{AXES[i]}$ = {value:.3f} ± {half:.3f} 1/s", fontweight="normal")
-            panel.set(xlabel=f"$v_{AXES[i]}$ relative to the air (m/s)", ylim=(low - margin, high + margin))
-            panel.set_ylabel(f"$a_{AXES[i]}$ beyond the thrust (m/s²)")
-            if i == 0:
-                panel.legend()
+    figure = Figure(figsize=(9.6, 3.4), layout="constrained")
+    for i, panel in enumerate(figure.subplots(1, 3)):
+        v, a = samples.velocity[:, i], target[:, i]
+        low, high = np.quantile(a, [0.002, 0.998])
+        margin = 0.15 * (high - low)
+        panel.hexbin(
+            v, a, gridsize=(50, 30), mincnt=1, cmap=COUNTS, norm=LogNorm(), linewidths=0.1,
+            extent=(v.min(), v.max(), low - margin, high + margin),
+        )  # fmt: skip
+        grid = np.zeros((100, 3))
+        grid[:, i] = np.linspace(v.min(), v.max(), 100)
+        for one, colour, dash in ((model, ORANGE, "-"), (quadratic, QUADRATIC, "--")):
+            if one is not None:
+                line = one.acceleration(grid, np.tile(usual, (100, 1)))[:, i]
+                panel.plot(grid[:, i], line, color=colour, linestyle=dash, label=one.kind)
+        value, error = model.coefficient(AXES[i], "linear")
+        half = half_width(error, model.freedom[i])
+        panel.set_title(f"$d_{AXES[i]}$ = {value:.3f} ± {half:.3f} 1/s", fontweight="normal")
+        panel.set(xlabel=f"$v_{AXES[i]}$ relative to the air (m/s)", ylim=(low - margin, high + margin))
+        panel.set_ylabel(f"$a_{AXES[i]}$ beyond the thrust (m/s²)")
+        if i == 0:
+            panel.legend()
     return figure
 
 
+@styled
 def ladder_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """RMSE of every model in sample and on flights left out, axis by axis."""
     rows = [row for row in rows if row["in_sample"]]
     columns = ("x", "y", "z", "norm")
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(9.0, 3.4), layout="constrained")
-        panels = figure.subplots(1, 2, sharey=True)
-        width = 0.8 / max(len(rows), 1)
-        for panel, part, title in zip(
-            panels, ("in_sample", "held_out"), ("in sample", "flights left out"), strict=True
-        ):
-            for k, row in enumerate(rows):
-                if row[part]:
-                    at = np.arange(len(columns)) + (k - (len(rows) - 1) / 2) * width
-                    values = [row[part][name] for name in columns]
-                    panel.bar(at, values, width * 0.9, color=LEVEL_COLOURS[row["level"]], label=row["name"])
-            panel.set_xticks(range(len(columns)), ["$a_x$", "$a_y$", "$a_z$", "vector"])
-            panel.set_title(title)
-        if not any(row["held_out"] for row in rows):
-            panels[1].text(0.5, 0.5, "one flight: nothing left out", ha="center", transform=panels[1].transAxes)
-        panels[0].set_ylabel("RMSE of the specific force (m/s²)")
-        panels[0].legend(fontsize=8)
+    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
+    panels = figure.subplots(1, 2, sharey=True)
+    width = 0.8 / max(len(rows), 1)
+    for panel, part, title in zip(panels, ("in_sample", "held_out"), ("in sample", "flights left out"), strict=True):
+        for k, row in enumerate(rows):
+            if row[part]:
+                at = np.arange(len(columns)) + (k - (len(rows) - 1) / 2) * width
+                values = [row[part][name] for name in columns]
+                panel.bar(at, values, width * 0.9, color=LEVEL_COLOURS[row["level"]], label=row["name"])
+        panel.set_xticks(range(len(columns)), ["$a_x$", "$a_y$", "$a_z$", "vector"])
+        panel.set_title(title)
+    if not any(row["held_out"] for row in rows):
+        panels[1].text(0.5, 0.5, "one flight: nothing left out", ha="center", transform=panels[1].transAxes)
+    panels[0].set_ylabel("RMSE of the specific force (m/s²)")
+    panels[0].legend(fontsize=8)
     return figure
 
 

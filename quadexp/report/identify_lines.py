@@ -1,4 +1,4 @@
-"""What `quadexp identify` prints of a vehicle model: coefficients with their intervals, and the ladder of models."""
+"""Text of `quadexp identify` on a vehicle model: coefficients with their intervals, and the models compared."""
 
 from __future__ import annotations
 
@@ -9,18 +9,16 @@ from quadexp.learn.regression import FLIGHT_CLUSTERS
 from quadexp.learn.terms import TermModel
 from quadexp.learn.torque import torque_lines
 from quadexp.learn.vehicle_model import VehicleModel
+from quadexp.report.tables import Table
+
+NORMS = ("x", "y", "z", "norm")
 
 
 def identification_lines(model: VehicleModel, report: Mapping[str, Any]) -> list[str]:
-    """What was found, for people; report: as in the checkpoint folder."""
+    """The result of an identification. report: as in the checkpoint folder."""
     data, vehicle = model.dataset, model.vehicle
-    lines = [
-        (
-            f"regression on {data['flights']} flights of {vehicle.get('name') or 'an unnamed vehicle'},"
-            f" {data['rows']} samples, {data['duration']:.0f} s"
-        ),
-    ]
-    lines += model_lines(model)
+    of = f"regression on {data['flights']} flights of {vehicle.get('name') or 'an unnamed vehicle'}"
+    lines = [f"{of}, {data['rows']} samples, {data['duration']:.0f} s", *model_lines(model)]
     if report.get("beside_quadratic"):
         lines.append(
             "thrust      its interval holds where drag along z is linear in v_z; beside quadratic drag it is"
@@ -42,13 +40,11 @@ def model_lines(model: VehicleModel) -> list[str]:
     lines.append(f"thrust      {model.thrust}")
     for kind, one in model.models.items():
         lines += _coefficient_lines(kind, one)
-    if model.torque is not None:
-        lines += torque_lines(model.torque)
-    return lines
+    return lines + (torque_lines(model.torque) if model.torque is not None else [])
 
 
 def interval_of(flights: int) -> str:
-    """What the intervals of a fit to so many flights cover (quadexp.learn.regression)."""
+    """The scope of the intervals of a fit to so many flights (quadexp.learn.regression)."""
     if flights >= FLIGHT_CLUSTERS:
         return f"over {flights} flights"
     return (
@@ -62,66 +58,52 @@ def _coefficient_lines(kind: str, model: TermModel) -> list[str]:
     for axis in "xyz":
         terms = [row for row in model.records() if row["axis"] == axis]
         text = ", ".join(f"{r['term']} {r['value']:.4g} +- {r['high'] - r['value']:.2g} {r['unit']}" for r in terms)
-        head = kind.replace("_", " ") if axis == "x" else ""
-        lines.append(f"{head:<14}{axis}: {text}")
+        lines.append(f"{kind.replace('_', ' ') if axis == 'x' else '':<14}{axis}: {text}")
     return lines
 
 
 def _flight_lines(flights: Sequence[Mapping[str, Any]]) -> list[str]:
-    if len(flights) < 2:
-        return []
-    lines = ["each flight alone"]
-    for one in flights:
-        if "note" in one:
-            lines.append(f"  {one['flight']}: {one['note']}")
-            continue
-        drag = [row for row in one["coefficients"] if row["term"] == "linear"]
+    lines = ["each flight alone"] if len(flights) > 1 else []
+    for one in flights if lines else ():
+        drag = [row for row in one.get("coefficients", ()) if row["term"] == "linear"]
         text = ", ".join(f"d_{r['axis']} {r['value']:.4f} +- {r['high'] - r['value']:.2g}" for r in drag)
-        lines.append(f"  {one['flight']}: {text} 1/s")
+        lines.append(f"  {one['flight']}: {one.get('note') or f'{text} 1/s'}")
     return lines
 
 
 def _curve_lines(curves: Sequence[Mapping[str, Any]], model: VehicleModel) -> list[str]:
     if not curves:
         return []
-    halves = any(row.get("halves_out") is not None for row in curves)
-    with_halves = ", and on half a flight left out" if halves else ""
-    lines = [f"thrust curves: RMSE along z (m/s^2), in sample, on flights left out{with_halves}"]
+    curve = model.thrust
+    used = "unused" if not curve.reference_voltage else "V" if curve.voltage_exponent == 1 else "V^g"
+    signals = {"unused": "command", "V": "command V/V_ref", "V^g": "command (V/V_ref)^g"}
+    parts = {"in_sample": "in sample", "held_out": "left out"}
+    parts |= {"halves_out": "half left out"} if any(row.get("halves_out") is not None for row in curves) else {}
+    lines = []
     for row in curves:
-        names = " + ".join(f"c_{p} s^{p}" if p > 1 else "c_1 s" for p in row["powers"])
-        voltage = {"unused": ", s = command", "V": ", s = command V/V_ref", "V^g": ", s = command (V/V_ref)^g"}[
-            row["voltage"]
-        ]
-        used = tuple(row["powers"]) == tuple(model.thrust.powers.astype(int).tolist())
-        used &= row["voltage"] == (("V" if model.thrust.voltage_exponent == 1 else "V^g")
-                                   if model.thrust.reference_voltage else "unused")  # fmt: skip
-        cells = " ".join(
-            "      -" if value is None else f"{value:7.3f}"
-            for value in (row["in_sample"], row["held_out"], *([row["halves_out"]] if halves else []))
-        )
-        lines.append(f"  {names + voltage:<46}{cells}{'  <- used' if used else ''}")
-    return lines
+        name = " + ".join(f"c_{p} s^{p}" if p > 1 else "c_1 s" for p in row["powers"])
+        chosen = row["voltage"] == used and tuple(row["powers"]) == tuple(curve.powers.astype(int).tolist())
+        cells = ["-" if row[part] is None else f"{row[part]:.3f}" for part in parts]
+        lines.append([f"  {name}, s = {signals[row['voltage']]}", *cells, "<- used" if chosen else ""])
+    halves = ", and on half a flight left out" if "halves_out" in parts else ""
+    title = f"thrust curves: RMSE along z (m/s^2), in sample, on flights left out{halves}"
+    return Table(["", *parts.values(), ""], lines, title, left=frozenset({0, len(parts) + 1})).lines()
 
 
 def selection_lines(rows: Sequence[Mapping[str, Any]], best: str) -> list[str]:
-    """The ladder as a table."""
+    """The models from nominal to blade element as a table."""
     held = any(row["held_out"] for row in rows)
-    head = f"{'RMSE (m/s^2)':<24}{'in sample x':>12}{'y':>8}{'z':>8}{'norm':>8}"
-    if held:
-        head += f"{'left out x':>13}{'y':>8}{'z':>8}{'norm':>8}{'trimmed':>9}"
-    lines = [head]
+    lines = []
     for row in rows:
-        if row["in_sample"] is None:
-            lines.append(f"{row['name']:<24} not fitted: {row['note']}")
-            continue
-        text = f"{row['name']:<24}" + _cells(row["in_sample"], 12)
-        if row["held_out"]:
-            text += _cells(row["held_out"], 13) + f"{row['trimmed']['norm']:>9.3f}"
-        elif held:
-            text += f"   {row['note']}"
-        lines.append(text + ("  <- best" if row["level"] == best else ""))
-    return [*lines, "  (nominal: a curve fitted without drag beside it; `validate` takes the curve fitted beside drag)"]
-
-
-def _cells(values: Mapping[str, float], first: int) -> str:
-    return "".join(f"{values[key]:>{first if key == 'x' else 8}.3f}" for key in ("x", "y", "z", "norm"))
+        cells = [f"{row['in_sample'][key]:.3f}" if row["in_sample"] else "" for key in NORMS]
+        if held:
+            cells += [f"{row['held_out'][key]:.3f}" if row["held_out"] else "" for key in NORMS]
+            cells.append(f"{row['trimmed']['norm']:.3f}" if row["held_out"] else "")
+        note = "<- best" if row["level"] == best else ""
+        if not row["in_sample"] or (held and not row["held_out"]):
+            note = f"{'' if row['in_sample'] else 'not fitted: '}{row['note']} {note}".strip()
+        lines.append([row["name"], *cells, note])
+    heads = ["RMSE (m/s^2)", *NORMS, *([*NORMS, "trimmed"] if held else []), ""]
+    left, groups = frozenset({0, len(heads) - 1}), {1: "in sample", **({5: "left out"} if held else {})}
+    note = "  (nominal: a curve fitted without drag beside it; `validate` takes the curve fitted beside drag)"
+    return Table(heads, lines, left=left, groups=groups, notes=[note]).lines()

@@ -4,8 +4,7 @@ With e the position error (m), phi the angle of the rotation between attitude an
 
     rmse = sqrt(mean ||e||^2)    mean_error = mean ||e||    max_error = max ||e||    attitude_rmse = sqrt(mean phi^2)
 
-Torrente et al. 2021 print mean ||e|| under the name RMSE; both stand here under their own names. All samples of the
-flight count, ramps included.
+Torrente et al. 2021 print mean ||e|| under the name RMSE. All samples of the flight count, ramps included.
 """
 
 from __future__ import annotations
@@ -18,9 +17,8 @@ from quadexp.log.schema import Flight
 from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
 
 SATURATION_MARGIN = 1e-6  # share of the thrust range within which a rotor counts as at its limit
-LAST_RESORT = 2  # value of the `status` column
 
-# Columns of a result row that are errors, with the factor and unit they are shown in.
+# Columns of a result row that are errors, with the factor and unit in which they are printed.
 SHOWN = {"rmse": (1e3, "mm"), "mean_error": (1e3, "mm"), "max_error": (1e3, "mm")}
 
 
@@ -52,7 +50,7 @@ def saturated_share(flight: Flight, thrust_min: float, thrust_max: float) -> flo
 def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float) -> dict[str, Any]:
     """The numbers of a result row that come from the flight itself; NaN for a flight without samples."""
     if len(flight) == 0:
-        return dict.fromkeys(METRICS, float("nan")) | {"last_resort_count": 0, "unconverged_count": 0, "duration": 0.0}
+        return dict.fromkeys(METRICS, float("nan")) | {"unconverged_count": 0, "duration": 0.0}
     error, angle, solve_time = position_error(flight), attitude_error(flight), flight["solve_time"]
     t = flight.t
     return {
@@ -63,7 +61,6 @@ def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float) -> dict
         "saturated_share": saturated_share(flight, thrust_min, thrust_max),
         "peak_speed": float(np.linalg.norm(flight.state[:, VELOCITY], axis=1).max()),
         "duration": float(t[-1] - t[0]),
-        "last_resort_count": int(np.sum(flight["status"] == LAST_RESORT)),
         "unconverged_count": int(np.sum(flight.columns.get("unconverged", 0))),
         "solve_time_median": float(np.median(solve_time)),
         "solve_time_p99": float(np.percentile(solve_time, 99)),
@@ -72,16 +69,6 @@ def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float) -> dict
 
 
 METRICS = (
-    "rmse",
-    "mean_error",
-    "max_error",
-    "attitude_rmse",
-    "saturated_share",
-    "peak_speed",
-    "duration",
-    "last_resort_count",
-    "unconverged_count",
-    "solve_time_median",
-    "solve_time_p99",
-    "solve_time_max",
-)
+    "rmse", "mean_error", "max_error", "attitude_rmse", "saturated_share", "peak_speed", "duration",
+    "unconverged_count", "solve_time_median", "solve_time_p99", "solve_time_max",
+)  # fmt: skip

@@ -1,57 +1,111 @@
-"""What a reader of a comparison must know besides its numbers, one sentence each, from the rows alone.
+"""The lines below a table: what its numbers are, who is best, and what else the rows tell; and a flight's use of data.
 
-Shown under the error table (terminal, table.md, table.tex) and on the report's page. A note about another column of the
-rows is another function here; it is called with the rows of each contestant, and may find the column absent.
+Printed under the error table (terminal, table.md, table.tex) and on the report's page. A note about another column of
+the rows is another function in OF_A_CONTESTANT; it is called with the rows of each contestant, and the column may be
+missing in them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from quadexp.learn.support import REPORTED_SHARE
 from quadexp.report.flown_by import mixed_programs
-from quadexp.report.pairing import condition_of, contestant_labels, contestant_of
+from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_bound
+from quadexp.report.text import METHODS, count, speed_text
+
+if TYPE_CHECKING:  # `quadexp show` and `simulate` need no statistics
+    from quadexp.report.statistics import Overall, Statistic
+    from quadexp.report.winner import Verdict
 
 LARGE_ATTITUDE_ERROR = math.radians(10.0)  # rad, RMS over a flight
 UNFLOWN = ("failed", "infeasible")  # outcomes without a sample
+UNITS = {"thrust": "N", "speed": "m/s", "v": "m/s", "w": "rad/s", "u": "N"}  # of a feature, by the start of its name
 
 Row = Mapping[str, Any]
 
 
+def table_notes(
+    statistics: Sequence[Statistic], pooled: Sequence[Overall], found: Sequence[Verdict] = ()
+) -> tuple[str, ...]:
+    """What the numbers of a table are, who is best, and each contestant against the baseline over all conditions."""
+    from quadexp.report.inference import least_p
+
+    used = [text for name, text in METHODS.items() if any(s.common_interval == name for s in statistics)]
+    confidence = statistics[0].confidence
+    interval = f" [{100 * confidence:g} % interval: {' or '.join(used)}]" if used else ""
+    seeds = sorted({s.seeds for s in statistics})
+    seeds_text = count(seeds[0], "seed") if len(seeds) == 1 else f"{seeds[0]} to {seeds[-1]} seeds"
+    all_well = not any(s.failures for s in statistics)
+    over = f"mean over {'' if all_well else 'the flights of a line that all ended well, of '}{seeds_text}"
+    contestants = len({s.contestant for s in statistics})
+    alpha = 1 - confidence
+    bold = (
+        f"; bold: least error of a line, significantly less than every other (p < {alpha:.2g}, corrected for the choice"
+        " among them and for the lines), if no other ended more flights well"
+        + ("; bounds are not ranked" if any(is_bound(s.controller) for s in statistics) else "")
+        + ("" if any(s.best for s in statistics) else "; here: none")
+    )
+    lines = [f"{over}{interval}" + (bold if contestants > 1 else "")]
+    tested = [s for s in statistics if s.comparisons]
+    if tested:
+        comparisons, pairs = tested[0].comparisons, max(s.pairs for s in tested)
+        over = count(comparisons, "comparison")
+        if comparisons * least_p(pairs) < alpha:
+            test = f"p < {alpha:.2g}, paired permutation test, Holm over {over}"
+            lines.append(f"* differs from {tested[0].baseline}: {test}")
+        else:
+            enough = math.floor(2 + math.log2(comparisons / alpha))
+            lines.append(
+                f"{pairs} pairs a line cannot show significance (p is {least_p(pairs):.3g} at least, over {over}):"
+                f" {enough} could"
+            )
+    elif not any(s.baseline for s in statistics) and contestants > 1:
+        lines.append("no comparison: the baseline (evaluate.baseline) is not among these controllers")
+    if any(s.n > s.common for s in statistics):
+        lines.append("own: mean over all own flights that ended well, and their number")
+    lines += [text for one in found if (text := one.text())]
+    return (*lines, *(entry.text() for entry in pooled))
+
+
 def notes(rows: Sequence[Row]) -> list[str]:
-    """The notes on result rows; empty where there is nothing to say."""
+    """The notes on result rows; empty if there are none."""
     groups: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
         groups.setdefault(contestant_of(row), []).append(row)
     labels = contestant_labels(list(groups))
-    said = []
+    lines = []
     for note in OF_A_CONTESTANT:
-        texts = {labels[who]: note(own) for who, own in groups.items()}
-        said += [f"{label}: {text}" for label, text in texts.items() if text]
-    return said + mixed_programs(rows)
+        lines += [f"{labels[who]}: {text}" for who, own in groups.items() if (text := note(own))]
+    return lines + mixed_programs(rows)
+
+
+def _known(rows: Sequence[Row], name: str) -> Iterator[tuple[float, Row]]:
+    """The values of a column with their rows, without those that are missing."""
+    for row in rows:
+        if row.get(name) not in (None, "") and not math.isnan(value := float(row[name])):
+            yield value, row
 
 
 def _outside_data(rows: Sequence[Row]) -> str:
-    """Samples outside the data that a learned model was fitted to, and flights of which that is not known."""
-    shares = [(share, row) for row in rows if not math.isnan(share := _number(row.get("outside_data")))]
-    unknown = sum(
-        bool(row.get("model")) and row["outcome"] not in UNFLOWN and math.isnan(_number(row.get("outside_data")))
-        for row in rows
-    )
+    """Samples outside the data that a learned model was fitted to, and flights for which that is not known."""
+    shares = list(_known(rows, "outside_data"))
+    known = {id(row) for _, row in shares}
+    unknown = sum(bool(row.get("model")) and row["outcome"] not in UNFLOWN and id(row) not in known for row in rows)
     parts = [f"unknown of {unknown} flights whether inside the data of its model (older checkpoint)"] if unknown else []
-    if shares and max(share for share, _ in shares) > REPORTED_SHARE:
+    largest, row = max(shares, key=lambda one: one[0], default=(0.0, {}))
+    if largest > REPORTED_SHARE:
         mean = sum(share for share, _ in shares) / len(shares)
-        largest, row = max(shares, key=lambda one: one[0])
         most = f" (most: {100 * largest:.3g} %, {_place(row)})" if len(shares) > 1 else ""
         parts.insert(0, f"{100 * mean:.3g} % of samples outside the data its model was fitted to{most}")
     return "; ".join(parts)
 
 
 def _reference_residual(rows: Sequence[Row]) -> str:
-    """References that contain the residual in part, or not at all."""
-    known = [value for row in rows if not math.isnan(value := _number(row.get("reference_residual")))]
+    """References that contain the residual only in part, or not at all."""
+    known = [value for value, _ in _known(rows, "reference_residual")]
     partly, without = sum(0 < value < 1 for value in known), sum(value <= 0 for value in known)
     parts = [f"{partly} of {len(known)} references contain the residual only in part"] if partly else []
     parts += [f"{without} of {len(known)} references do not contain the residual"] if without else []
@@ -59,30 +113,52 @@ def _reference_residual(rows: Sequence[Row]) -> str:
 
 
 def _attitude_error(rows: Sequence[Row]) -> str:
-    """Large attitude errors of flights that ended well; of a lost flight the outcome says enough."""
-    errors = [
-        (error, row)
-        for row in rows
-        if row["outcome"] == "ok" and not math.isnan(error := _number(row.get("attitude_rmse")))
-    ]
+    """Large attitude errors of flights that ended well."""
+    errors = [one for one in _known(rows, "attitude_rmse") if one[1]["outcome"] == "ok"]
     large = [one for one in errors if one[0] > LARGE_ATTITUDE_ERROR]
     if not large:
         return ""
     worst, row = max(large, key=lambda one: one[0])
     return (
-        f"attitude error above {math.degrees(LARGE_ATTITUDE_ERROR):.0f} degrees in {len(large)} of {len(errors)}"
-        f" flight{'s' if len(errors) > 1 else ''}"
-        f" (most: {math.degrees(worst):.3g} degrees, {_place(row)})"
+        f"attitude error above {math.degrees(LARGE_ATTITUDE_ERROR):.0f} degrees in {len(large)} of"
+        f" {count(len(errors), 'flight')} (most: {math.degrees(worst):.3g} degrees, {_place(row)})"
     )
 
 
 OF_A_CONTESTANT: tuple[Callable[[Sequence[Row]], str], ...] = (_outside_data, _reference_residual, _attitude_error)
 
 
-def _number(value: Any) -> float:
-    return math.nan if value is None or value == "" else float(value)
-
-
 def _place(row: Row) -> str:
     _, _, trajectory, speed, setting = condition_of(row)
-    return " ".join(part for part in (trajectory, "" if speed is None else f"{speed:g} m/s", setting) if part)
+    return " ".join(part for part in (trajectory, speed_text(speed), setting) if part)
+
+
+def outside_line(record: Mapping[str, Any] | None, *, always: bool = False) -> list[str]:
+    """A line on a flight with more than REPORTED_SHARE of its samples outside its model's data, or unknown; or always."""
+    if record is None:
+        return []
+    share = record["share"]
+    if share is None:
+        return [f"data        unknown whether the flight lay inside the data of {record['model']}: {record['note']}"]
+    if share <= REPORTED_SHARE and not always:
+        return []
+    text = f"data        {100 * share:.1f} % of samples outside the data that {record['model']} was fitted to"
+    worst = sorted(record["shares"], key=lambda name: -record["shares"][name])[:3]
+    parts = [
+        f"{name} {100 * record['shares'][name]:.1f} %, fitted on {_range(name, record['ranges'][name])}"
+        for name in worst
+        if record["shares"][name] > 0
+    ]
+    return [text + (f" ({'; '.join(parts)})" if parts else "")]
+
+
+def range_lines(ranges: Mapping[str, Sequence[float]]) -> list[str]:
+    """The range of each feature in the data of a checkpoint, in one line."""
+    if not ranges:
+        return ["covers      unknown: fitted by an older version; fit it again"]
+    return [f"covers      {', '.join(f'{name} {_range(name, ends)}' for name, ends in ranges.items())}; each by itself"]
+
+
+def _range(name: str, ends: Sequence[float]) -> str:
+    unit = UNITS.get(name, UNITS.get(name.partition("_")[0], ""))
+    return f"{ends[0]:.3g} to {ends[1]:.3g} {unit}"

@@ -1,8 +1,17 @@
-"""Which flights are compared with which: conditions, contestants, and pairs over the seeds.
+"""Which flights are compared: the one rule of every table, statistic, figure and sentence on several controllers.
 
-A condition is what was flown: plant, vehicle, trajectory, speed and any other setting that varies within the sweep; a
-contestant is who flew it: controller, checkpoint and the controller's own settings. Flights of one condition and seed
-met the same noise, whoever flew: they make a pair.
+    condition   what was flown: plant, vehicle, trajectory, speed and any other setting that varies within the sweep
+    contestant  who flew it: controller, checkpoint and the controller's own settings
+    trial       a flight that was requested and that at least one contestant could fly (was not infeasible for all)
+    flown       "k of n": of n trials, k ended well
+    compared    contestants with k > 0
+    common      the flights (condition, seed) that all compared contestants ended well; as long as there are none, the
+                contestants with the smallest k are removed from the comparison
+    pair        two flights of one condition and seed: they have the same noise
+
+Means, intervals and tests that stand beside each other are over the common flights, so they are of the same paths and
+noise. The mean over all own flights is printed beside them, with its count. The contestants with the smallest share of
+flights that ended well are never marked as best.
 """
 
 from __future__ import annotations
@@ -10,19 +19,19 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Hashable, Iterable, Mapping, Sequence, Set
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from quadexp.report.common import Flights, common
-
+Who = TypeVar("Who", bound=Hashable)
+What = TypeVar("What", bound=Hashable)
 Row = Mapping[str, Any]
 Condition = tuple[str, str, str, float | None, str]  # plant, vehicle, trajectory, speed (m/s), other settings
 Contestant = tuple[str, str, str]  # controller, model, its own settings
 World = tuple[str, str]  # plant, vehicle
-BOUNDS = ("perfect_", "oracle_")  # controllers that know what nobody can know: they take part in no ranking
+BOUNDS = ("perfect_", "oracle_")  # controllers that know the true plant: they are not ranked
 
 _BEFORE_KEY = re.compile(r" (?=[\w./@]+=)")  # values may hold blanks
 _KEYS_ABOVE = re.compile(r"^[^=]*\.(?=[^=.]*=)")
@@ -50,31 +59,70 @@ def is_bound(controller: str) -> bool:
 
 
 def contestant_labels(contestants: Sequence[Contestant]) -> dict[Contestant, str]:
-    """The controller's name, and of checkpoint and settings what tells it from the others."""
+    """The controller's name, with checkpoint and settings as far as they distinguish it from the others."""
     models: dict[str, set[str]] = {}
     for controller, model, _ in contestants:
         models.setdefault(controller, set()).add(model)
     paths = set().union(*models.values()) if models else set()
     short = {path: path.rstrip("/").rpartition("/")[2] for path in paths}
-    if len(set(short.values())) < len(paths):  # two checkpoints of one name: say where they lie
+    if len(set(short.values())) < len(paths):  # two checkpoints of one name: the whole path
         short = {path: path for path in paths}
     labels = {}
     for controller, model, variant in contestants:
         parts = [controller, short[model] if len(models[controller]) > 1 and model else "", *variant_parts(variant)]
         labels[controller, model, variant] = " ".join(part for part in parts if part)
     count = Counter(labels.values())
-    for one in (one for one, label in labels.items() if count[label] > 1):  # shortened beyond recognition: say all
+    for one in (one for one, label in labels.items() if count[label] > 1):  # the short label is not unique
         labels[one] = " ".join(part for part in one if part)
     return labels
 
 
 def variant_parts(variant: str) -> list[str]:
-    """The settings of a variant, each without the groups above it: "controller.nodes=20" is said as "nodes=20"."""
+    """The settings of a variant, each without its groups: "controller.nodes=20" becomes "nodes=20"."""
     return [_KEYS_ABOVE.sub("", part) for part in _BEFORE_KEY.split(variant) if part]
 
 
+class Flights(NamedTuple):
+    """How many flights ended well, of how many trials."""
+
+    ended: int
+    trials: int
+
+    @property
+    def share(self) -> float:
+        return self.ended / self.trials if self.trials else float("nan")
+
+    def text(self) -> str:
+        return f"{self.ended} of {self.trials}"
+
+    def plus(self, other: Flights) -> Flights:
+        return Flights(self.ended + other.ended, self.trials + other.trials)
+
+
+def common(ended: Mapping[Who, Set[What]]) -> tuple[list[Who], frozenset[What]]:
+    """Who is compared, and the flights that all of them ended well; nobody if there are no common flights.
+
+    ended: who -> flights that ended well.
+    """
+    compared = [who for who, flights in ended.items() if flights]
+    while compared:
+        shared = frozenset[What].intersection(*(frozenset(ended[who]) for who in compared))
+        if shared:
+            return compared, shared
+        least = min(len(ended[who]) for who in compared)
+        compared = [who for who in compared if len(ended[who]) > least]
+    return [], frozenset()
+
+
+def flew_least(flights: Mapping[Who, Flights]) -> frozenset[Who]:
+    """The contestants with the smallest share of flights that ended well; none if all have the same."""
+    shares = {who: one.share for who, one in flights.items() if one.trials}
+    low, high = min(shares.values(), default=0.0), max(shares.values(), default=0.0)
+    return frozenset(who for who, share in shares.items() if share == low < high)
+
+
 class Flown(NamedTuple):
-    """What statistics need of a row. values: of the metrics, in the order they were asked for."""
+    """One flight as statistics need it. values: of the metrics, in the requested order."""
 
     seed: int
     outcome: str
@@ -108,7 +156,7 @@ class Groups:
 
     @cached_property
     def worlds(self) -> dict[World, list[Condition]]:
-        """Plant and vehicle -> the conditions that were asked for there."""
+        """Plant and vehicle -> their conditions."""
         found: dict[World, dict[Condition, None]] = {}
         for condition, _ in self.cells:
             found.setdefault(condition[:2], {})[condition] = None
@@ -122,7 +170,7 @@ class Groups:
         return found
 
     def flights(self, conditions: Iterable[Condition]) -> dict[Contestant, Flights]:
-        """Everybody that was asked to fly there -> how many of its trials ended well; see common.py."""
+        """Contestant -> how many of its trials in these conditions ended well."""
         counts: dict[Contestant, list[int]] = {}
         for condition in conditions:
             here = self._by_condition.get(condition, {})
@@ -134,7 +182,7 @@ class Groups:
         return {contestant: Flights(*count) for contestant, count in counts.items()}
 
     def common(self, conditions: Iterable[Condition]) -> Common:
-        """Who is compared over these conditions, and over which flights; see common.py."""
+        """Who is compared over these conditions, and over which flights."""
         ended: dict[Contestant, set[tuple[Condition, int]]] = {}
         for condition in conditions:
             for contestant, group in self._by_condition.get(condition, {}).items():
@@ -148,20 +196,20 @@ class Groups:
         return Common(tuple(compared), {at: frozenset(s) for at, s in seeds.items()})
 
     def common_in(self, condition: Condition) -> Common:
-        """As `common`, of one condition: what stands in one line of a table."""
+        """As `common`, of one condition: one line of a table."""
         if condition not in self._common:
             self._common[condition] = self.common([condition])
         return self._common[condition]
 
     def values(self, condition: Condition, contestant: Contestant, place: int, seeds: Set[int]) -> np.ndarray:
-        """Of one metric, one value a seed in ascending order; the mean where a seed was flown more than once."""
+        """One metric, one value per seed in ascending order; the mean if a seed was flown more than once."""
         own, values = self._values(condition, contestant)
         if seeds >= own.keys():
             return values[:, place]
         return values[[i for seed, i in own.items() if seed in seeds], place]
 
     def _values(self, condition: Condition, contestant: Contestant) -> tuple[dict[int, int], np.ndarray]:
-        """Seed -> row, ascending, and the values of all metrics, a row a seed."""
+        """Seed -> index, ascending, and the values of all metrics, (seeds, metrics)."""
         at = condition, contestant
         if at not in self._by_cell:
             group = sorted(self.cells.get(at, []), key=lambda f: f.seed)
@@ -169,12 +217,12 @@ class Groups:
             values = np.array([f.values for f in group], float).reshape(len(group), -1)
             if len(seeds) < len(group):
                 places = {seed: [i for i, f in enumerate(group) if f.seed == seed] for seed in seeds}
-                values = np.array([values[rows].mean(axis=0) for rows in places.values()])
+                values = np.array([values[same].mean(axis=0) for same in places.values()])
             self._by_cell[at] = {seed: i for i, seed in enumerate(seeds)}, values
         return self._by_cell[at]
 
     def baseline(self, contestant: Contestant) -> Contestant | None:
-        """Whom to compare with: the baseline controller; where it flew with several settings, with the same ones."""
+        """The baseline of a contestant; if the baseline flew with several settings, the one with the same settings."""
         if contestant in self._rivals or not self._rivals:
             return None
         if len(self._rivals) == 1:
@@ -185,9 +233,9 @@ class Groups:
     def pairs(
         self, condition: Condition, contestant: Contestant, rival: Contestant, among: Common | None = None
     ) -> tuple[list[tuple[Flown, Flown]], Counter[str]]:
-        """Flights of one seed each that both ended well, and what was left out, by cause.
+        """Flights of the same seed that both ended well, and the number of other seeds by cause.
 
-        among: take only the flights that all who are compared ended well, where these two are among them.
+        among: take only the common flights, if both contestants are among the compared ones.
         """
         shared = among.seeds.get(condition, frozenset()) if among and {contestant, rival} <= {*among.compared} else None
         own, others = (_by_seed(self.cells.get((condition, who), [])) for who in (contestant, rival))
@@ -220,6 +268,6 @@ def _by_seed(flights: Iterable[Flown]) -> dict[int, list[Flown]]:
     return found
 
 
-def said(causes: Mapping[str, int]) -> str:
+def causes_text(causes: Mapping[str, int]) -> str:
     """Such as "2 lost, 1 lost by nominal_mpc"."""
     return ", ".join(f"{count} {cause}" for cause, count in causes.items())

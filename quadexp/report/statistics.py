@@ -1,10 +1,18 @@
-"""Statistics of a comparison: one row per metric, condition and contestant, over the seeds.
+"""Statistics of a comparison: one `Statistic` per metric, condition and contestant, over the seeds.
 
-Two means: `mean` over the contestant's own flights that ended well, `common_mean` over those that all who are compared
-ended well (common.py), which is what tables set side by side. Flights that did not end well are counted, by outcome,
-and lower the success rate. A contestant is compared with the baseline seed by seed, difference = contestant - baseline,
-over the common flights; the others are counted in `left_out`, by cause. p-values are corrected for all comparisons of
-one metric. The equations stand in inference.py, conditions and pairs in pairing.py, who is best in winner.py.
+Two means: `mean` over the contestant's own flights that ended well, and `common_mean` over the common flights, which
+tables show. Flights that did not end well are counted by outcome, and lower the success rate. A contestant is compared
+with the baseline seed by seed, difference = contestant - baseline, over the common flights; the others are counted in
+`left_out` by cause. p-values are corrected for all comparisons of one metric. Equations: inference.py; common flights,
+conditions and pairs: pairing.py; who is best: winner.py.
+
+`Overall` compares a contestant with the baseline over all conditions. Errors differ tenfold between conditions, so
+ratios are averaged, each condition with the same weight (the ratio of inference.py), over the common flights:
+
+    reduction = 100 (1 - ratio)
+    p: paired permutation of the weighted logarithms, corrected by Holm for the number of contestants
+
+The interval is for new seeds of these conditions, not for new trajectories.
 """
 
 from __future__ import annotations
@@ -18,11 +26,11 @@ from typing import Any
 import numpy as np
 
 from quadexp.log.schema import describe
-from quadexp.report.common import Flights
 from quadexp.report.inference import (
     cohen_d,
     holm,
     least_p,
+    log_ratio,
     mean_interval,
     paired_permutation,
     rank_biserial,
@@ -30,7 +38,8 @@ from quadexp.report.inference import (
     success_interval,
 )
 from quadexp.report.metrics import SHOWN
-from quadexp.report.pairing import Condition, Contestant, Flown, Groups, Row, World, said
+from quadexp.report.pairing import Condition, Contestant, Flights, Flown, Groups, Row, World, causes_text
+from quadexp.report.text import count, probability
 from quadexp.report.winner import barred, line_p
 
 COMPARED = tuple(dict.fromkeys((*SHOWN, "attitude_rmse")))
@@ -45,15 +54,15 @@ NAN = math.nan
 class Statistic:
     """One metric of one contestant in one condition.
 
-    mean, low, high, std, baseline_mean, difference*: in `unit`, NaN where not defined. reduction*: percent, positive
-    where the contestant's mean is smaller than the baseline's over the same pairs. effect, cohen_d: of the paired
-    differences, positive where smaller than the baseline.
+    mean, low, high, std, baseline_mean, difference*: in `unit`, NaN if not defined. reduction*: percent, positive if
+    the contestant's mean is smaller than the baseline's over the same pairs. effect, cohen_d: of the paired
+    differences, positive if smaller than the baseline.
 
-    seeds: cells asked for. trials: those of them that somebody could fly. n: flights in the mean. common: flights in
-    the common mean, 0 where it is not compared. best_p: see `winner.line_p`, corrected for the number of lines, NaN for
-    who may not be marked as best. baseline: label of whom it is compared with, "" for nobody.
-    interval: how [low, high] came about. p_least: the least p that so many pairs can give. comparisons: over how many
-    p_holm is corrected. speed: m/s, NaN where the trajectory has none.
+    seeds: cells requested. trials: those that at least one contestant could fly. n: flights in the mean. common:
+    flights in the common mean, 0 if it is not compared. best_p: see `winner.line_p`, corrected for the number of lines,
+    NaN if it cannot be marked as best. baseline: label of the baseline, "" for none. interval: method of [low, high].
+    p_least: the smallest p that so many pairs can give. comparisons: number that p_holm is corrected for. speed: m/s,
+    NaN for a trajectory without one.
     """
 
     metric: str
@@ -127,7 +136,7 @@ class Statistic:
 
     @property
     def best(self) -> bool:
-        """Whether it has the least error of its line, beyond chance, and nobody flew more."""
+        """Whether it has the least error of its line, significantly, and nobody flew more."""
         return self.best_p < 1 - self.confidence  # False for NaN
 
     @property
@@ -138,7 +147,7 @@ class Statistic:
 def tally(flights: Sequence[Flown], trials: int, confidence: float) -> dict[str, Any]:
     """How the flights of a group ended: counts by outcome, and the success rate with its interval.
 
-    trials: how many of them somebody could fly, see `Groups.flights`; a cell without a result (failed) is one.
+    trials: see `Groups.flights`; a cell without a result (failed) is one.
     """
     outcomes = Counter(f.outcome if f.outcome in ("ok", *FAILURES) else "failed" for f in flights)
     low, high = success_interval(outcomes["ok"], trials, confidence)
@@ -173,57 +182,49 @@ def compute_statistics(
         made = []
         best = _best(groups, flights, place, confidence, least) if metric in COMPARED else {}
         for (condition, contestant), group in groups.cells.items():
-            values = np.array([flown.values[place] for flown in group if flown.outcome == "ok"])
-            values = values[np.isfinite(values)]
-            limits = mean_interval(values, confidence, least=0.0, seed=seed)
             among = groups.common_in(condition)
             seeds = among.seeds.get(condition, frozenset()) if contestant in among.compared else frozenset[int]()
+            values = np.array([flown.values[place] for flown in group if flown.outcome == "ok"])
             shared = groups.values(condition, contestant, place, seeds) if seeds else values[:0]
-            shared = shared[np.isfinite(shared)]
-            same = len(shared) == len(values)  # the common flights are among its own
-            common = limits if same else mean_interval(shared, confidence, least=0.0, seed=seed)
-            mean, std = _moments(values)
-            common_mean, common_std = (mean, std) if same else _moments(shared)
+            own = _mean_fields(values, confidence, seed)
+            # The common flights are among its own: as many are the same.
+            common = own if len(shared) == len(values) else _mean_fields(shared, confidence, seed)
             fields: dict[str, Any] = {
                 **dict(zip(("plant", "vehicle", "trajectory", "speed", "setting"), condition, strict=True)),
                 **dict(zip(("controller", "model", "variant"), contestant, strict=True)),
                 "speed": NAN if condition[3] is None else condition[3],
-                "n": len(values),
-                "mean": mean,
-                "std": std,
-                "common": len(shared),
-                "common_mean": common_mean,
-                "common_low": common.low,
-                "common_high": common.high,
-                "common_std": common_std,
-                "common_interval": common.method,
+                **own,
+                **{"common" if name == "n" else f"common_{name}": value for name, value in common.items()},
                 "best_p": best.get((condition, contestant), NAN),
                 **tallies[condition, contestant],
             }
             if metric in COMPARED and (condition, contestant) in paired:
                 rival, pairs, left_out = paired[condition, contestant]
-                fields |= {"baseline": groups.labels[rival], "left_out": said(left_out)}
+                fields |= {"baseline": groups.labels[rival], "left_out": causes_text(left_out)}
                 fields |= _comparison(pairs, place, confidence, seed)
-            made.append(
-                Statistic(
-                    metric=metric,
-                    unit=describe(metric, "results").unit,
-                    label=groups.labels[contestant],
-                    confidence=confidence,
-                    low=limits.low,
-                    high=limits.high,
-                    interval=limits.method,
-                    **fields,
-                )
-            )
-        statistics += _corrected(made)
+            unit, label = describe(metric, "results").unit, groups.labels[contestant]
+            made.append(Statistic(metric=metric, unit=unit, label=label, confidence=confidence, **fields))
+        corrected = holm(np.array([one.p for one in made]))
+        comparisons = int(np.count_nonzero(~np.isnan(corrected)))
+        statistics += [
+            one if math.isnan(p) else replace(one, p_holm=float(p), comparisons=comparisons)
+            for one, p in zip(made, corrected, strict=True)
+        ]
     return statistics
 
 
-def _moments(values: np.ndarray) -> tuple[float, float]:
-    """Mean and standard deviation, NaN where there is none."""
-    mean = float(np.mean(values)) if len(values) else NAN
-    return mean, float(np.std(values, ddof=1)) if len(values) > 1 else NAN
+def _mean_fields(values: np.ndarray, confidence: float, seed: int) -> dict[str, Any]:
+    """Number, mean, its interval and the standard deviation of the finite values; NaN if there are none."""
+    values = values[np.isfinite(values)]
+    limits = mean_interval(values, confidence, least=0.0, seed=seed)
+    return {
+        "n": len(values),
+        "mean": float(np.mean(values)) if len(values) else NAN,
+        "low": limits.low,
+        "high": limits.high,
+        "std": float(np.std(values, ddof=1)) if len(values) > 1 else NAN,
+        "interval": limits.method,
+    }
 
 
 def _best(
@@ -263,13 +264,138 @@ def _comparison(pairs: Sequence[tuple[Flown, Flown]], place: int, confidence: fl
     }
 
 
-def _corrected(statistics: Sequence[Statistic]) -> list[Statistic]:
-    """The same with p corrected for the number of comparisons among them."""
-    p = np.array([statistic.p for statistic in statistics])
-    count = int(np.count_nonzero(~np.isnan(p)))
-    return [
-        replace(statistic, p_holm=float(value), comparisons=count)
-        if count and not math.isnan(statistic.p)
-        else statistic
-        for statistic, value in zip(statistics, holm(p), strict=True)
-    ]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Overall:
+    """One contestant against the baseline over all conditions. reduction*: percent, positive if it is better.
+
+    conditions: number of those with a pair. own_reduction, own_pairs: over all flights that both ended well. left_out:
+    number of missing pairs by cause. seeds and failures as in `Statistic`, over all its flights. p_least: the smallest
+    p that so many pairs can give.
+    """
+
+    metric: str
+    label: str
+    controller: str
+    model: str
+    variant: str
+    baseline: str
+    confidence: float
+    conditions: int
+    pairs: int
+    left_out: str
+    reduction: float
+    reduction_low: float
+    reduction_high: float
+    effect: float
+    p: float
+    p_holm: float
+    p_least: float
+    own_pairs: int
+    own_reduction: float
+    seeds: int
+    trials: int
+    lost: int
+    solver_failed: int
+    infeasible: int
+    failed: int
+    success: float
+    success_low: float
+    success_high: float
+
+    @property
+    def significant(self) -> bool:
+        return self.p_holm < 1 - self.confidence
+
+    def text(self) -> str:
+        """Such as "gp_mpc: 98.7 % [98.6, 98.8] less than nominal_mpc over 4 conditions (20 pairs, p < 0.0001)"."""
+        if not self.pairs:
+            return f"{self.label}: no pair with {self.baseline} ({self.left_out})"
+        low, high = self.reduction_low, self.reduction_high
+        word, (low, high) = ("less", (low, high)) if self.reduction >= 0 else ("more", (-high, -low))
+        limits = "" if math.isnan(low) else f" [{low:.1f}, {high:.1f}]"
+        about = ", ".join(filter(None, [count(self.pairs, "pair"), probability(self.p_holm)]))
+        about += f"; left out: {self.left_out}" if self.left_out else ""
+        if self.own_pairs > self.pairs:
+            own, more = abs(self.own_reduction), "less" if self.own_reduction >= 0 else "more"
+            about += f"; over all {self.own_pairs} that both ended well: {own:.1f} % {more}"
+        over = count(self.conditions, "condition")
+        return f"{self.label}: {abs(self.reduction):.1f} %{limits} {word} than {self.baseline} over {over} ({about})"
+
+
+def overall(
+    rows: Sequence[Row],
+    *,
+    metric: str = "mean_error",
+    baseline: str = BASELINE,
+    confidence: float = CONFIDENCE,
+    seed: int = 0,
+) -> list[Overall]:
+    """Every contestant that has a baseline; see the module's equations."""
+    groups = Groups(rows, baseline, (metric,))
+    among = {world: groups.common(conditions) for world, conditions in groups.worlds.items()}
+    flights = {condition: groups.flights([condition]) for condition in dict.fromkeys(at for at, _ in groups.cells)}
+    made = []
+    for contestant in groups.contestants:
+        rival = groups.baseline(contestant)
+        if rival is None:
+            continue
+        logs: list[np.ndarray] = []
+        every: list[np.ndarray] = []  # also beyond the common flights
+        causes: Counter[str] = Counter()
+        own: list[Flown] = []
+        trials = 0
+        for condition in dict.fromkeys(at for at, who in groups.cells if who in (contestant, rival)):
+            pairs, left_out = groups.pairs(condition, contestant, rival, among[condition[:2]])
+            own += groups.cells.get((condition, contestant), [])
+            trials += flights[condition].get(contestant, Flights(0, 0)).trials
+            causes.update(left_out)
+            found, zeros = _logs(pairs)
+            if zeros:
+                causes["without an error above zero"] += zeros
+            if len(found):
+                logs.append(found)
+            found, _ = _logs(groups.pairs(condition, contestant, rival)[0])
+            if len(found):
+                every.append(found)
+        fields = dict(zip(("controller", "model", "variant"), contestant, strict=True)) | tally(own, trials, confidence)
+        fields |= {"own_pairs": sum(map(len, every)), "own_reduction": _reduction(log_ratio(every).value)}
+        made.append(
+            Overall(
+                metric=metric,
+                label=groups.labels[contestant],
+                baseline=groups.labels[rival],
+                confidence=confidence,
+                left_out=causes_text(causes),
+                **fields,
+                **_weighted(logs, confidence, seed),
+            )
+        )
+    corrected = holm(np.array([one.p for one in made]))
+    return [replace(one, p_holm=float(p)) for one, p in zip(made, corrected, strict=True)]
+
+
+def _weighted(logs: Sequence[np.ndarray], confidence: float, seed: int) -> dict[str, Any]:
+    pairs, ratio = sum(map(len, logs)), log_ratio(logs, confidence)  # NaN without pairs
+    several = pairs > 1
+    return {
+        "conditions": len(logs),
+        "pairs": pairs,
+        "reduction": _reduction(ratio.value),
+        "reduction_low": _reduction(ratio.high),
+        "reduction_high": _reduction(ratio.low),
+        "effect": rank_biserial(np.concatenate(logs)) if pairs else NAN,
+        "p": paired_permutation(np.concatenate([log / len(log) for log in logs]), seed=seed) if several else NAN,
+        "p_least": least_p(pairs) if several else NAN,
+        "p_holm": NAN,
+    }
+
+
+def _logs(pairs: Sequence[tuple[Flown, Flown]]) -> tuple[np.ndarray, int]:
+    """Logarithms of the ratios, and how many pairs have none."""
+    errors = np.array([[flown.values[0] for flown in pair] for pair in pairs]).reshape(-1, 2)
+    positive = np.all(errors > 0, axis=1)
+    return np.log(errors[positive, 0] / errors[positive, 1]), int(np.count_nonzero(~positive))
+
+
+def _reduction(ratio: float) -> float:
+    return 100 * (1 - ratio)

@@ -1,4 +1,4 @@
-"""Statistics on disk, computed again only when the rows behind them change, and the tables made from them.
+"""Statistics on disk, computed again only when their result rows change, and the tables made from them.
 
 <results>/statistics.parquet, .csv    every metric, long
 <results>/table.md, .tex              one metric: the error table, and in table.md the comparisons
@@ -7,9 +7,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -21,12 +19,19 @@ import numpy as np
 
 from quadexp.errors import QuadexpError
 from quadexp.log.store import read_table, read_text, write_table, write_text
-from quadexp.report.comparison_table import comparison_latex, comparison_markdown
 from quadexp.report.notes import notes
-from quadexp.report.overall import Overall, overall
 from quadexp.report.pairing import Row
-from quadexp.report.statistics import BASELINE, COMPARED, CONFIDENCE, DESCRIBED, Statistic, compute_statistics
-from quadexp.report.tables import ErrorTable, csv_value, table_of, to_latex, to_markdown
+from quadexp.report.statistics import (
+    BASELINE,
+    COMPARED,
+    CONFIDENCE,
+    DESCRIBED,
+    Overall,
+    Statistic,
+    compute_statistics,
+    overall,
+)
+from quadexp.report.tables import ErrorTable, comparison_table, csv_text, table_of, to_latex, to_markdown
 from quadexp.report.winner import Verdict, verdicts
 
 FILE = "statistics.parquet"
@@ -38,7 +43,7 @@ _DTYPES = {"int": np.int64, "float": float, "str": object}
 @dataclass(frozen=True)
 class Statistics:
     """rows: per metric, condition and contestant. overall: per metric and contestant, over all conditions. verdicts:
-    per metric, plant and vehicle, who has the least error. notes: see report/notes.py."""
+    per metric, plant and vehicle, the least error. notes: on the result rows, see report/notes.py."""
 
     rows: list[Statistic]
     overall: list[Overall]
@@ -65,7 +70,7 @@ class Statistics:
 def results_statistics(
     root: str | Path | None, rows: Sequence[Row], *, baseline: str = BASELINE, confidence: float = CONFIDENCE
 ) -> Statistics:
-    """The statistics of result rows: those in the folder `root` if they are of these very rows, else computed."""
+    """The statistics of result rows: those in the folder `root` if they are of the same rows, else computed."""
     fingerprint = _fingerprint(rows, baseline, confidence)
     if root is not None:
         try:
@@ -73,8 +78,8 @@ def results_statistics(
         except QuadexpError:
             record = {}
         if record.get("fingerprint") == fingerprint:
-            pooled = [Overall(**_with_nan(entry)) for entry in record["overall"]]
-            found = [Verdict(**_with_nan(entry)) for entry in record["verdicts"]]
+            pooled = [Overall(**_swapped(entry, None, math.nan)) for entry in record["overall"]]
+            found = [Verdict(**_swapped(entry, None, math.nan)) for entry in record["verdicts"]]
             stored = from_statistics_columns(columns)
             return Statistics(stored, pooled, found, notes(rows), baseline, confidence, fingerprint)
     options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
@@ -97,8 +102,8 @@ def write_statistics(root: str | Path, statistics: Statistics) -> dict[str, str]
             "baseline": statistics.baseline,
             "confidence": statistics.confidence,
             "fingerprint": statistics.fingerprint,
-            "overall": [_without_nan(asdict(entry)) for entry in statistics.overall],
-            "verdicts": [_without_nan(asdict(entry)) for entry in statistics.verdicts],
+            "overall": [_swapped(asdict(entry), math.nan, None) for entry in statistics.overall],
+            "verdicts": [_swapped(asdict(entry), math.nan, None) for entry in statistics.verdicts],
         }
         write_table(path, statistics_columns(statistics.rows), record, "statistics")
     if read_text(text) != csv:
@@ -110,9 +115,11 @@ def comparison_texts(statistics: Statistics, metric: str) -> tuple[ErrorTable, d
     """The error table of one metric, and name -> content of the text files made of it."""
     compared = statistics.of(metric)
     table = table_of(compared, statistics.pooled(metric), statistics.verdicts_of(metric), statistics.notes)
-    text = f"{to_markdown(table)}\n{comparison_markdown(compared)}".rstrip() + "\n"
-    files = {"table.md": text, "table.tex": to_latex(table), "comparison.tex": comparison_latex(compared)}
-    return table, {name: text for name, text in files.items() if text}
+    files = {"table.md": to_markdown(table), "table.tex": to_latex(table)}
+    if (comparison := comparison_table(compared)) is not None:
+        files["table.md"] += f"\n{comparison.markdown()}"
+        files["comparison.tex"] = comparison.latex()
+    return table, files
 
 
 def write_comparison(root: str | Path, statistics: Statistics, metric: str) -> tuple[ErrorTable, dict[str, str]]:
@@ -140,11 +147,7 @@ def from_statistics_columns(columns: Mapping[str, np.ndarray]) -> list[Statistic
 
 def statistics_csv(statistics: Sequence[Statistic]) -> str:
     """Numbers in full precision, nothing for NaN."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(_KINDS)
-    writer.writerows([csv_value(getattr(row, name)) for name in _KINDS] for row in statistics)
-    return stream.getvalue()
+    return csv_text(list(_KINDS), ([getattr(row, name) for name in _KINDS] for row in statistics))
 
 
 def _fingerprint(rows: Sequence[Row], baseline: str, confidence: float) -> str:
@@ -164,18 +167,10 @@ def _settled(value: Any) -> Any:
     return "" if value != value else value  # NaN
 
 
-def _without_nan(value: Any) -> Any:
-    """NaN as null, which JSON has."""
+def _swapped(value: Any, old: float | None, new: float | None) -> Any:
+    """The same with NaN (here `old` is NaN) or None replaced in all lists and mappings; JSON has no NaN."""
     if isinstance(value, Mapping):
-        return {name: _without_nan(inner) for name, inner in value.items()}
+        return {name: _swapped(inner, old, new) for name, inner in value.items()}
     if isinstance(value, list):
-        return [_without_nan(inner) for inner in value]
-    return None if value != value else value
-
-
-def _with_nan(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: _with_nan(inner) for name, inner in value.items()}
-    if isinstance(value, list):
-        return [_with_nan(inner) for inner in value]
-    return math.nan if value is None else value
+        return [_swapped(inner, old, new) for inner in value]
+    return new if value is old or (old is not None and value != value) else value

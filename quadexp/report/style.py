@@ -1,18 +1,21 @@
-"""What all figures and the report's page share: who wears which colour and marker, the style, and logarithmic axes.
+"""The look of all figures and of the report's page: colour and marker per controller, style, legends, logarithmic axes.
 
-A controller looks the same in every figure and on the page, whatever its rank and company, and so does a model of the
-air: `gp_mpc` and a fitted GP are blue. Variants of a controller (its settings, its checkpoint) share its hue in another
-shade, with hollow markers and another dash. Every hue has a colour on light ground, which is that of paper, and one on
-dark ground. All keep a contrast of 3:1 and can be told apart by colour-blind readers (tests/report/test_palette.py).
+A controller looks the same in every figure and on the page, and so does a model of the air: `gp_mpc` and a GP are blue.
+Variants of a controller (settings, checkpoint) have its hue in another shade, hollow markers, another dash. Every hue
+has a colour on light ground (also on paper) and one on dark ground. All have a contrast of 3:1 and are distinct for
+colour-blind readers (tests/report/test_palette.py).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from typing import Any
 
+import matplotlib
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
 HUES: dict[str, tuple[str, str]] = {  # hue -> colour on light and on dark ground
@@ -26,8 +29,11 @@ HUES: dict[str, tuple[str, str]] = {  # hue -> colour on light and on dark groun
     "brown": ("#4e1b06", "#906b5a"),
     "grey": ("#5f6773", "#8d97a5"),
 }
-USUAL_SHADES = ((-0.45, 0.25, -0.7), (0.6, 0.35, -0.25))  # of variants on light and dark: share of white, or of black
-OTHER_SHADES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {  # where the usual ones would not be seen
+USUAL_SHADES = (
+    (-0.45, 0.25, -0.7),
+    (0.6, 0.35, -0.25),
+)  # of variants on light and dark ground: share of white, or of black
+OTHER_SHADES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {  # where the usual ones are not distinct
     "ink": ((0.5, 0.25, 0.38), (-0.55, -0.25, -0.4)),
     "orange": ((-0.45, -0.25, -0.7), (0.6, -0.35, 0.35)),
     "pink": (USUAL_SHADES[0], (0.65, 0.3, 0.48)),
@@ -35,7 +41,6 @@ OTHER_SHADES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {  # wher
     "brown": ((0.45, 0.25, -0.6), (0.65, 0.3, 0.48)),
 }
 COLOURS = tuple(HUES[hue][0] for hue in HUES if hue != "grey")
-GREY = HUES["grey"][0]
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "h", "<", ">", "p")
 DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 STYLE: Any = {  # matplotlib types every single key
@@ -53,6 +58,7 @@ STYLE: Any = {  # matplotlib types every single key
     "svg.fonttype": "path",
     "svg.hashsalt": "quadexp",
 }
+styled = matplotlib.rc_context(STYLE)  # decorator of functions that make a Figure
 PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 LOOKS: dict[str, tuple[str, str, Any]] = {  # controller or model of the air -> hue, marker, dash
     "nominal_mpc": ("grey", "o", "-"),
@@ -69,15 +75,15 @@ LOOKS: dict[str, tuple[str, str, Any]] = {  # controller or model of the air -> 
     "quadratic drag": ("green", "X", "--"),
     "blade element": ("vermillion", "D", "-."),
 }
-KNOWN: dict[str, tuple[str, str, Any]] = {  # the same with the colour on paper
-    name: (HUES[hue][0], marker, dash) for name, (hue, marker, dash) in LOOKS.items()
-}
-MOST_VARIANTS = 4  # of one controller that share its hue; of more, every one takes a hue of its own
+KNOWN = {name: (HUES[hue][0], marker, dash) for name, (hue, marker, dash) in LOOKS.items()}  # with the colour on paper
+BLUE, ORANGE, GREY = KNOWN["gp_mpc"][0], KNOWN["linear drag"][0], "#777777"
+COUNTS = LinearSegmentedColormap.from_list("counts", ["#E4E7EC", "#9AA4B5", "#4A5468"])  # of data behind curves
+MOST_VARIANTS = 4  # of one controller that share its hue; with more, each has a hue of its own
 
 
 @dataclass(frozen=True)
 class Look:
-    """How one contestant is drawn everywhere. hue: of HUES. shade: 0, or of its variants. filled: its markers."""
+    """How one contestant is drawn. hue: of HUES. shade: 0, or the number of a variant. filled: its markers."""
 
     hue: str
     marker: str
@@ -87,7 +93,7 @@ class Look:
 
     @property
     def token(self) -> str:
-        """Name of the colour, such as "blue-1": the page has it as a CSS variable."""
+        """Name of the colour, such as "blue-1": a CSS variable of the page."""
         return f"{self.hue}-{self.shade}"
 
     @property
@@ -106,7 +112,7 @@ class Look:
 
 
 def shaded(hue: str, shade: int = 0, *, dark: bool = False) -> str:
-    """The colour of a hue, or of the shade of one of its variants. dark: on dark ground."""
+    """The colour of a hue, or of the shade of a variant. dark: on dark ground."""
     colour = HUES[hue][dark]
     if shade == 0:
         return colour
@@ -119,17 +125,15 @@ def shaded(hue: str, shade: int = 0, *, dark: bool = False) -> str:
 def looks(labels: Sequence[str]) -> dict[str, Look]:
     """Label -> look. The first word of a label is the controller, which decides hue and marker.
 
-    Further variants of a controller have its hue in another shade, hollow markers and another dash; the plain one is
-    that on the plant ("@plant") which most labels share.
+    The plain variant of a controller is the one on the plant ("@plant") of most labels.
     """
     labels = list(dict.fromkeys(labels))
-    plants = [_plant(label) for label in labels]
+    plants = [next((word for word in label.split(" ") if word.startswith("@")), "") for label in labels]
     usual = {label: plants.count(plant) for label, plant in zip(labels, plants, strict=True)}
     variants: dict[str, list[str]] = {}
     for label in sorted(labels, key=lambda label: -usual[label]):
         variants.setdefault(name_of(label), []).append(label)
-    worn = {LOOKS[name][:2] for name, own in variants.items() if name in LOOKS and len(own) <= MOST_VARIANTS}
-    spare = _spare(worn)
+    spare = _spare({LOOKS[name][:2] for name, own in variants.items() if name in LOOKS and len(own) <= MOST_VARIANTS})
     found: dict[str, Look] = {}
     for name, own in variants.items():
         if len(own) > MOST_VARIANTS:
@@ -149,24 +153,26 @@ def name_of(label: str) -> str:
     return label if label in LOOKS else label.split(" ", maxsplit=1)[0]
 
 
-def _plant(label: str) -> str:
-    return next((word for word in label.split(" ") if word.startswith("@")), "")
+def _spare(used: set[tuple[str, str]]) -> Iterator[tuple[str, str]]:
+    """Endless pairs of unused hue and unused marker, as far as there are any."""
+    hues = [hue for hue in HUES if hue not in {hue for hue, _ in used}] or list(HUES)
+    markers = [m for m in MARKERS if m not in {m for _, m in used}] or list(MARKERS)
+    return zip(cycle(hues), cycle(markers), strict=True)
 
 
-def _spare(worn: set[tuple[str, str]]) -> Iterator[tuple[str, str]]:
-    """Pairs of hue and marker without end, those first that nobody wears."""
-    hues = [hue for hue in HUES if hue not in {w[0] for w in worn}] or list(HUES)
-    markers = [m for m in MARKERS if m not in {w[1] for w in worn}] or list(MARKERS)
-    i = 0
-    while True:
-        yield hues[i % len(hues)], markers[i % len(markers)]
-        i += 1
+def entries(panels: Iterable[Any]) -> tuple[list[Any], list[str]]:
+    """Handles and labels of a legend for several panels, each label once."""
+    found: dict[str, Any] = {}
+    for panel in panels:
+        for handle, text in zip(*panel.get_legend_handles_labels(), strict=True):
+            found.setdefault(text, handle)
+    return list(found.values()), list(found)
 
 
 def plain_log(axis: Any, *, minor: bool = False) -> None:
-    """Round ticks of a logarithmic axis as plain numbers, as many as its span has room for; a short span is widened.
+    """Round ticks of a logarithmic axis as plain numbers, as many as fit; a short span is widened.
 
-    minor: unlabelled ticks between them stay.
+    minor: keep unlabelled ticks between them.
     """
     low, high = axis.get_view_interval()
     if high / low < 1.6:

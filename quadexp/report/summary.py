@@ -1,10 +1,11 @@
-"""What is in a file: kind, configuration, units, seed, versions, size, on one screen."""
+"""The content of a file: kind, configuration, units, seed, versions, size, on one screen."""
 
 from __future__ import annotations
 
 import json
 import math
 import textwrap
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,58 +17,52 @@ from quadexp.log.schema import describe
 from quadexp.log.store import check_finite, has_content_hash, read_metadata, read_table
 from quadexp.report.flown_by import flown_by, flown_by_lines, versions_of
 from quadexp.report.metrics import METRICS
-from quadexp.report.notes import LARGE_ATTITUDE_ERROR
+from quadexp.report.notes import LARGE_ATTITUDE_ERROR, outside_line, range_lines
+from quadexp.report.text import speed_text
 
 MODEL_FILE = "model.json"
 RESULTS_FILE = "results.parquet"
-SHOWN_COLUMNS = 40
 
 
 def summarise(path: str | Path) -> dict[str, Any]:
     """The summary of a flight, data set, checkpoint folder, or results (file or folder); `lines` is for people.
 
-    Raises UsageError where there is nothing, DataError where it is none of these or damaged.
+    Raises UsageError if there is no such file, DataError if it is none of these or damaged.
     """
     path = Path(path)
     if not path.exists():
         raise UsageError(f"{path}: no such file or folder")
-    if path.is_dir():
-        if (path / RESULTS_FILE).is_file():
-            return _table(path / RESULTS_FILE)
-        if (path / MODEL_FILE).is_file():
-            return _checkpoint(path)
-        raise UsageError(f"{path}: neither a checkpoint ({MODEL_FILE}) nor results ({RESULTS_FILE}) in this folder")
     if path.name == MODEL_FILE:
         return _checkpoint(path.parent)
-    return _table(path)
+    if not path.is_dir():
+        return _table(path)
+    if (path / RESULTS_FILE).is_file():
+        return _table(path / RESULTS_FILE)
+    if (path / MODEL_FILE).is_file():
+        return _checkpoint(path)
+    raise UsageError(f"{path}: neither a checkpoint ({MODEL_FILE}) nor results ({RESULTS_FILE}) in this folder")
 
 
 def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[str]:
-    """How one flight went, for people. always: also where it lay inside the data of the model that flew it."""
-    from quadexp.report.outside import outside_line
-
+    """The result of one flight. always: also a line on a flight that stayed inside its model's data."""
     row, residual = metadata["row"], metadata.get("residual", {})
-    knows = residual.get("name", "?")
+    name = residual.get("name", "?")
     source = f" from {residual['source']}" if residual.get("source") else ""
-    speed = "" if row["speed"] is None else f" at {row['speed']:g} m/s"
-    lines = [
-        (
-            f"{row['controller']} (residual: {knows}{source}) flew {row['trajectory']}{speed}"
-            f" on {row['plant']}, seed {row['seed']}"
-        )
-    ]
-    cause = f" ({metadata['cause']})" if metadata.get("cause") else ""
-    lines.append(f"outcome     {row['outcome']}{cause}")
-    lines.append(
-        f"error       mean {1e3 * row['mean_error']:.4g} mm, RMSE {1e3 * row['rmse']:.4g} mm,"
-        f" max {1e3 * row['max_error']:.4g} mm, attitude {np.degrees(row['attitude_rmse']):.3g} deg"
+    speed = f" at {text}" if (text := speed_text(row["speed"])) else ""
+    about = f"{row['controller']} (residual: {name}{source}) flew {row['trajectory']}{speed}"
+    errors = ", ".join(
+        f"{n} {1e3 * row[k]:.4g} mm" for n, k in (("mean", "mean_error"), ("RMSE", "rmse"), ("max", "max_error"))
     )
+    times = (1e6 * row[f"solve_time_{name}"] for name in ("median", "p99", "max"))
+    lines = [
+        f"{about} on {row['plant']}, seed {row['seed']}",
+        f"outcome     {row['outcome']}{f' ({cause})' if (cause := metadata.get('cause')) else ''}",
+        f"error       {errors}, attitude {np.degrees(row['attitude_rmse']):.3g} deg",
+    ]
     if row["attitude_rmse"] > LARGE_ATTITUDE_ERROR:
         lines.append("            the attitude is far from the reference's, which an error of position does not show")
-    lines.append(
-        f"step        median {1e6 * row['solve_time_median']:.0f} us, 99 % {1e6 * row['solve_time_p99']:.0f} us,"
-        f" largest {1e6 * row['solve_time_max']:.0f} us ({row['backend']})"
-    )
+    step = "step        median {:.0f} us, 99 % {:.0f} us, largest {:.0f} us"
+    lines.append(f"{step.format(*times)} ({row['backend']})")
     if row.get("unconverged_count"):
         lines.append("            the first step did not converge (controller.initial_iterations): not the optimum")
     lines.append(
@@ -77,28 +72,23 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
     share = row.get("reference_residual")
     if share is not None and share < 1:
         lines.append(
-            f"reference   contains {math.floor(100 * share)} % of the residual ({knows}):"
+            f"reference   contains {math.floor(100 * share)} % of the residual ({name}):"
             " with all of it none was found on this path"
         )
-    return lines + outside_line(metadata.get("outside_data", _unknown(row)), always=always)
-
-
-def _unknown(row: Mapping[str, Any]) -> dict[str, Any] | None:
-    """What a flight of an older version says of its model's data."""
-    note = "flown by an older version"
-    return {"model": row["model"], "share": None, "note": note} if row.get("model") else None
+    unknown = {"model": row["model"], "share": None, "note": "flown by an older version"} if row.get("model") else None
+    return lines + outside_line(metadata.get("outside_data", unknown), always=always)
 
 
 def _table(path: Path) -> dict[str, Any]:
     record = read_metadata(path)
     kind = record["kind"]
     columns, _ = read_table(path, kind)
-    rows = len(next(iter(columns.values()))) if columns else 0
+    count = len(next(iter(columns.values()))) if columns else 0
     summary: dict[str, Any] = {
         "path": str(path),
         "kind": kind,
         "schema": record["schema"],
-        "rows": rows,
+        "rows": count,
         "bytes": path.stat().st_size,
         "columns": {name: describe(name, kind)._asdict() for name in columns},
         "config": record.get("config"),
@@ -108,14 +98,12 @@ def _table(path: Path) -> dict[str, Any]:
         "provenance": record.get("provenance", {}),
         "hashed": has_content_hash(path),
     }
-    lines = [f"{path}: {kind}, {rows} rows, {len(columns)} columns, {_size(summary['bytes'])}"]
+    lines = [f"{path}: {kind}, {count} rows, {len(columns)} columns, {_size(summary['bytes'])}"]
     if kind == "flight" and "row" in record:
         summary["metrics"] = {name: record["row"].get(name) for name in METRICS}
         summary["outcome"] = record.get("outcome")
-        if rows:
-            lines += flight_lines(record, always=True)
-        else:
-            lines.append(f"outcome     {record.get('outcome')}: {record.get('cause')}")
+        not_flown = [f"outcome     {record.get('outcome')}: {record.get('cause')}"]
+        lines += flight_lines(record, always=True) if count else not_flown
     elif kind == "flight" and record.get("recorded"):
         summary |= {"source": record.get("source"), "findings": record.get("findings", [])}
         lines += _recorded_lines(record, columns)
@@ -125,14 +113,13 @@ def _table(path: Path) -> dict[str, Any]:
     elif kind == "results":
         from quadexp.report.tables import from_columns
 
-        rows_of = from_columns(columns)
-        summary |= {"versions": versions_of(rows_of), "flown_by": flown_by(rows_of)}
-        lines += _result_lines(record, rows_of, path.parent)
+        rows = from_columns(columns)
+        summary |= {"versions": versions_of(rows), "flown_by": flown_by(rows)}
+        lines += _result_lines(record, rows, path.parent)
     lines += _config_lines(record.get("config"))
-    if kind == "results":  # the rows say who flew them; the record, who wrote the table
+    if kind == "results":  # the versions of the flights are in the rows; those of the record are of the table
         created = summary["provenance"].get("created")
-        lines += [f"table       written {created}"] if created else []
-        return summary | {"lines": lines}
+        return summary | {"lines": lines + ([f"table       written {created}"] if created else [])}
     lines += _unit_lines(summary["columns"])
     lines += _provenance_lines(record)
     if not summary["hashed"]:
@@ -141,7 +128,7 @@ def _table(path: Path) -> dict[str, Any]:
 
 
 def _recorded_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> list[str]:
-    """Where a recorded flight came from, and what the quality check said of it."""
+    """The source of a recorded flight, and the findings of the quality check."""
     source, t = record.get("source", {}), columns["t"]
     file, form, rate = (source.get(key) for key in ("file", "format", "rate"))
     hertz = f" at {rate:.4g} Hz" if isinstance(rate, (int, float)) else ""
@@ -152,8 +139,7 @@ def _recorded_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]
 
 
 def _residual_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> list[str]:
-    vehicle = record.get("vehicle", {})
-    flights = record.get("flights", [])
+    vehicle, flights = record.get("vehicle", {}), record.get("flights", [])
     lines = [
         f"vehicle     {vehicle.get('name')} ({vehicle.get('fingerprint')}), frame {record.get('frame')}",
         f"flights     {len(flights)}, {float(np.sum(columns['dt'])):.0f} s",
@@ -172,23 +158,19 @@ def _result_lines(record: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], 
     from quadexp.report.statistics_file import comparison_texts, results_statistics
     from quadexp.report.tables import to_markdown
 
-    outcomes: dict[str, int] = {}
-    for row in rows:
-        outcomes[row["outcome"]] = outcomes.get(row["outcome"], 0) + 1
+    outcomes = Counter(row["outcome"] for row in rows)
     lines = ["outcomes    " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items())]
     lines += flown_by_lines(rows)
     if rows:
         options = {name: record[name] for name in ("baseline", "confidence") if name in record}
         statistics, metric = results_statistics(folder, rows, **options), record.get("metric", "mean_error")
-        table = comparison_texts(statistics, metric)[0]
-        lines += ["", *to_markdown(table).splitlines(), ""]
+        lines += ["", *to_markdown(comparison_texts(statistics, metric)[0]).splitlines(), ""]
     return lines
 
 
 def _checkpoint(path: Path) -> dict[str, Any]:
     from quadexp.learn.checkpoint import KINDS, load_model, load_report
     from quadexp.learn.vehicle_model import VehicleModel
-    from quadexp.report.outside import range_lines
 
     model = load_model(path)
     file = path / MODEL_FILE
@@ -196,7 +178,6 @@ def _checkpoint(path: Path) -> dict[str, Any]:
         record = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
         raise DataError(f"{file}: damaged ({error})") from None
-    outputs = getattr(model, "outputs", ())
     summary: dict[str, Any] = {
         "path": str(path),
         "kind": KINDS[type(model)],
@@ -215,17 +196,15 @@ def _checkpoint(path: Path) -> dict[str, Any]:
                 "signal_std": float(np.sqrt(o.signal_variance)),
                 "noise_std": float(np.sqrt(o.noise_variance)),
             }
-            for o in outputs
+            for o in getattr(model, "outputs", ())
         },
+        "feature_range": dict(model.feature_range),
     }
-    dataset = summary["dataset"]
+    data = summary["dataset"]
     lines = [
         f"{path}: checkpoint, {summary['kind']}, {_size(summary['bytes'])}",
         f"vehicle     {model.vehicle.get('name')} ({model.vehicle.get('fingerprint')})",
-        (
-            f"data        {dataset.get('rows')} rows of {dataset.get('flights')} flights,"
-            f" sha256 {str(dataset.get('sha256'))[:12]}"
-        ),
+        f"data        {data.get('rows')} rows of {data.get('flights')} flights, sha256 {str(data.get('sha256'))[:12]}",
     ]
     for name, output in summary["outputs"].items():
         scales = ", ".join(f"{f} {s:.3g}" for f, s in zip(output["features"], output["lengthscale"], strict=True))
@@ -234,32 +213,25 @@ def _checkpoint(path: Path) -> dict[str, Any]:
             f" signal {output['signal_std']:.3g}, noise {output['noise_std']:.3g} {describe(name, 'residuals').unit}"
         )
     if isinstance(model, VehicleModel):
+        from quadexp.report.identify_lines import model_lines, selection_lines
+
         summary |= {"thrust": str(model.thrust), "best": model.best}
         summary["models"] = {kind: one.records() for kind, one in model.models.items()}
-        lines += _vehicle_lines(model, load_report(path))
+        lines += model_lines(model)
+        if (report := load_report(path)).get("selection"):
+            lines += selection_lines(report["selection"], report.get("best_row", model.best))
+        lines += [f"note        {note}" for note in model.notes]
     else:
         lines.append(f"drag        {model.linear_drag}")
-    summary["feature_range"] = dict(model.feature_range)
     lines += range_lines(model.feature_range)
     settings = {k: v for k, v in summary["settings"].items() if k != "features"}
     if settings:
         lines.append("settings    " + ", ".join(f"{k} {v}" for k, v in settings.items()))
-    lines += _provenance_lines(summary)
-    return summary | {"lines": lines}
-
-
-def _vehicle_lines(model: Any, report: Mapping[str, Any]) -> list[str]:
-    """Coefficients with 95 % intervals, and the ladder of models where the report has it."""
-    from quadexp.report.identify_lines import model_lines, selection_lines
-
-    lines = model_lines(model)
-    if report.get("selection"):
-        lines += selection_lines(report["selection"], report.get("best_row", model.best))
-    return lines + [f"note        {note}" for note in model.notes]
+    return summary | {"lines": lines + _provenance_lines(summary)}
 
 
 def _config_lines(config: Mapping[str, Any] | None) -> list[str]:
-    """The configuration, a line per group, numbers only where they are few."""
+    """The configuration, a line per group."""
     lines = []
     for group, values in (config or {}).items():
         if not isinstance(values, Mapping):
@@ -281,7 +253,7 @@ def _short(value: Any) -> str:
 
 
 def _unit_lines(columns: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """Columns that share unit and frame in one line."""
+    """The columns, those of one unit and frame in one line."""
     groups: dict[tuple[str, str], list[str]] = {}
     for name, column in columns.items():
         groups.setdefault((column["unit"] or "-", column["frame"]), []).append(name)

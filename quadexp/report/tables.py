@@ -1,7 +1,11 @@
-"""The error table: trajectory and speed down, controllers across; first how many flights ended well, then the mean over
-the flights of a line that all who are compared ended well (common.py) and its interval in each cell.
+"""Tables: one model with renderers for text, Markdown, LaTeX, the terminal (rich) and HTML; and the tables of a sweep.
 
-One table, four forms: terminal (rich), Markdown, LaTeX (booktabs), and the rows behind it as CSV and Parquet.
+Cells are texts. In a cell, `**x**` marks the best value and a final `*` a significant difference; every renderer
+translates these two marks.
+
+The error table has trajectory and speed down and controllers across; its first row counts the flights that ended well,
+its cells are means over the common flights of a line (pairing.py). The comparison table has one row per contestant and
+condition, against the baseline.
 """
 
 from __future__ import annotations
@@ -9,112 +13,191 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence, Set
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from quadexp.report.common import Flights
 from quadexp.report.metrics import SHOWN
-from quadexp.report.notes import notes as row_notes
-from quadexp.report.overall import Overall, overall
-from quadexp.report.pairing import contestant_labels, contestant_of, variant_parts
-from quadexp.report.statistics import BASELINE, CONFIDENCE, Statistic, compute_statistics
-from quadexp.report.winner import Verdict, verdicts
-from quadexp.report.wording import notes, with_interval
+from quadexp.report.notes import table_notes
+from quadexp.report.pairing import Flights, contestant_labels, contestant_of, variant_parts
+from quadexp.report.statistics import Overall, Statistic
+from quadexp.report.text import p_value, speed_text, with_interval
+from quadexp.report.winner import Verdict
 
 # Columns of a result row, in the order they are written.
 ROW_COLUMNS = (
-    "plant",
-    "vehicle",
-    "trajectory",
-    "speed",
-    "controller",
-    "model",
-    "variant",
-    "seed",
-    "rmse",
-    "mean_error",
-    "max_error",
-    "attitude_rmse",
-    "solve_time_median",
-    "solve_time_p99",
-    "solve_time_max",
-    "saturated_share",
-    "peak_speed",
-    "duration",
-    "last_resort_count",
-    "unconverged_count",
-    "reference_residual",
-    "outside_data",
-    "outcome",
-    "backend",
-    "cause",
-    "program",
-    "sources",
-    "libraries",
-    "key",
-)
+    "plant", "vehicle", "trajectory", "speed", "controller", "model", "variant", "seed", "rmse", "mean_error",
+    "max_error", "attitude_rmse", "solve_time_median", "solve_time_p99", "solve_time_max", "saturated_share",
+    "peak_speed", "duration", "unconverged_count", "reference_residual", "outside_data", "outcome", "backend", "cause",
+    "program", "sources", "libraries", "key",
+)  # fmt: skip
 TEXT_COLUMNS = (
     "plant", "vehicle", "trajectory", "controller", "model", "variant", "outcome", "backend", "cause",
     "program", "sources", "libraries", "key",
 )  # fmt: skip
-INTEGER_COLUMNS = ("seed", "last_resort_count", "unconverged_count")
+INTEGER_COLUMNS = ("seed", "unconverged_count")
+TITLES = {"rmse": "RMSE", "mean_error": "mean error", "max_error": "largest error"}
+NAN = math.nan
 
 _LATEX = str.maketrans({c: f"\\{c}" for c in "&%$#_{}"} | {"\\": r"\textbackslash{}", "<": "$<$"})
+_BEST = re.compile(r"\*\*(.+?)\*\*")
 
-TITLES = {"rmse": "RMSE", "mean_error": "mean error", "max_error": "largest error"}
+
+@dataclass(frozen=True)
+class Table:
+    """columns: headings, with units in parentheses. rows: texts. left: indices of left-aligned columns. head: number
+    of rows that belong to the heading. over: a heading above all columns but the first two. notes: lines below. groups:
+    index of a column -> text above the columns that begin there, in plain text."""
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    title: str = ""
+    left: Set[int] = frozenset({0})
+    head: int = 0
+    over: str = ""
+    notes: Sequence[str] = ()
+    groups: Mapping[int, str] = field(default_factory=dict)
+
+    def lines(self) -> list[str]:
+        """Plain text, columns aligned."""
+        widths = [max(map(len, column)) for column in zip(self.columns, *self.rows, strict=True)]
+        lines = [self.title] if self.title else []
+        above = ""
+        for (i, text), end in zip(self.groups.items(), [*list(self.groups)[1:], len(widths)], strict=False):
+            widths[i] += max(0, len(text) - sum(widths[i:end]) - 2 * (end - i - 1))
+            above = above.ljust(sum(widths[:i]) + 2 * i) + text
+        lines += [above] if above else []
+        for row in (self.columns, *self.rows):
+            cells = (
+                c.ljust(w) if i in self.left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))
+            )
+            lines.append("  ".join(cells).rstrip())
+        return lines + list(self.notes)
+
+    def markdown(self, *, bullets: bool = False) -> str:
+        """Markdown. bullets: notes as a list."""
+        rule = ["---" if i in self.left else "---:" for i in range(len(self.columns))]
+        lines = [self.title, ""] if self.title else []
+        lines += ["| " + " | ".join(row) + " |" for row in (self.columns, rule, *self.rows)]
+        notes = [f"- {note}".replace("* ", "&ast; ") if bullets else note for note in self.notes]  # "* " begins a list
+        return "\n".join([*lines, *(["", *notes] if notes or bullets else [])]) + "\n"
+
+    def latex(self) -> str:
+        """A LaTeX tabular with booktabs rules; with `over`, rows of different first cells are set apart."""
+        columns = "".join("l" if i in self.left else "r" for i in range(len(self.columns)))
+        lines = [rf"% {'' if self.over else f'{self.title}; '}needs \usepackage{{booktabs}}"]
+        lines += [*(f"% {note}" for note in self.notes), rf"\begin{{tabular}}{{{columns}}}", r"\toprule"]
+        if self.over:
+            span = rf"\multicolumn{{{len(columns) - 2}}}{{c}}{{{escape(self.over)}}}"
+            lines.append(rf" & & {span} \\ \cmidrule(l){{3-{len(columns)}}}")
+        lines += [_latex_row(self.columns), r"\midrule", *map(_latex_row, self.rows[: self.head])]
+        lines += [r"\midrule"] if self.head else []
+        for before, row in zip([None, *self.rows[self.head :]], self.rows[self.head :], strict=False):
+            lines += [r"\addlinespace"] if self.over and before and before[0] != row[0] else []
+            lines.append(_latex_row(row))
+        return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
+
+    def rich(self, *, stacked: bool = False) -> Any:
+        """A rich Table for the terminal. stacked: intervals below their values, for a narrow terminal."""
+        from rich import markup, table
+
+        shown = table.Table(title=self.title, title_justify="left")
+        for i, heading in enumerate(self.columns):
+            shown.add_column(markup.escape(heading), justify="left" if i in self.left else "right", overflow="fold")
+        for k, row in enumerate(self.rows):
+            cells = [_BEST.sub(r"[bold]\1[/bold]", markup.escape(cell)) for cell in row]
+            shown.add_row(
+                *(re.sub(r" \[(?=[-\d])", "\n[", c) if stacked else c for c in cells), end_section=k + 1 == self.head
+            )
+        return shown
+
+    def html(self) -> str:
+        """An HTML table without style; also what a notebook shows."""
+        from html import escape as plain
+
+        def line(cells: Sequence[str], tag: str) -> str:
+            texts = (_BEST.sub(r"<b>\1</b>", plain(cell)) for cell in cells)
+            sides = ("left" if i in self.left else "right" for i in range(len(cells)))
+            cells = [f'<{tag} style="text-align:{s}">{t}</{tag}>' for s, t in zip(sides, texts, strict=True)]
+            return f"<tr>{''.join(cells)}</tr>"
+
+        rows = "".join(line(row, "td") for row in self.rows)
+        notes = "".join(f"<p>{plain(note)}</p>" for note in self.notes)
+        caption = f"<caption>{plain(self.title)}</caption>"
+        return f"<table>{caption}<thead>{line(self.columns, 'th')}</thead><tbody>{rows}</tbody></table>{notes}"
+
+    _repr_html_ = html
+
+
+def _latex_row(cells: Sequence[str]) -> str:
+    texts = (_BEST.sub(r"\\textbf{\1}", escape(cell)).replace("*", "$^*$") for cell in cells)
+    return " & ".join(texts) + r" \\"
+
+
+def escape(text: str) -> str:
+    """Text for LaTeX."""
+    return text.translate(_LATEX)
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One cell of the table.
+    """One cell of the error table.
 
-    mean, low, high, spread: over the `flights` that all who are compared ended well, with its interval and standard
-    deviation (shown unit); NaN where there is none. own, own_flights: mean over all that it ended well itself, and
-    their number. lost: outcome -> count of those that did not end well. best: marked, see winner.py. significant:
-    differs from the baseline.
+    mean, low, high, spread: over the common `flights`, with its interval and standard deviation (shown unit); NaN if
+    there are none. own, own_flights: mean over all own flights that ended well, and their number. lost: outcome ->
+    number of those that did not end well. best: see winner.py. significant: differs from the baseline.
     """
 
     mean: float
     spread: float
     flights: int
     lost: Mapping[str, int]
-    low: float = math.nan
-    high: float = math.nan
-    own: float = math.nan
-    own_flights: int = 0
-    success: float = math.nan
-    best: bool = False
-    significant: bool = False
+    low: float
+    high: float
+    own: float
+    own_flights: int
+    best: bool
+    significant: bool
 
-    def text(self, emphasis: str = "{}") -> str:
-        """Such as "12.3", "240.6 [239.9, 241.2]*", "12.3 (own 13.1 of 19; 1 lost)" or "3 lost".
+    @classmethod
+    def of(cls, s: Statistic) -> Entry:
+        """The cell of one statistic, in the unit that tables show."""
+        factor = SHOWN[s.metric][0]
+        values = (factor * v for v in (s.common_mean, s.common_std, s.common_low, s.common_high, s.mean))
+        mean, spread, low, high, own = values
+        return cls(mean, spread, s.common, s.failures, low, high, own, s.n, s.best, s.significant)
 
-        emphasis: of the mean if it is best.
-        """
-        lost = ", ".join(f"{count} {outcome}" for outcome, count in self.lost.items())
-        beside = "; ".join(part for part in (self.own_text(), lost) if part)
-        if math.isnan(self.mean):
+    @property
+    def value(self) -> tuple[str, str]:
+        """Mean and interval as text, ("", "") without common flights."""
+        return ("", "") if math.isnan(self.mean) else with_interval(self.mean, self.low, self.high)
+
+    def text(self) -> str:
+        """Such as "12.3", "**240.6** [239.9, 241.2]*", "12.3 (own 13.1 of 19; 1 lost)" or "3 lost"."""
+        beside = "; ".join(part for part in (self.own_text(), self.lost_text()) if part)
+        mean, limits = self.value
+        if not mean:
             return beside or "-"
-        mean, limits = with_interval(self.mean, self.low, self.high)
-        mean = emphasis.format(mean) if self.best else mean
+        mean = f"**{mean}**" if self.best else mean
         return mean + limits + ("*" if self.significant else "") + (f" ({beside})" if beside else "")
 
     def own_text(self) -> str:
-        """Such as "own 13.1 of 19"; "" where it flew nothing beyond the common flights."""
-        if self.own_flights <= self.flights:
-            return ""
-        return f"own {with_interval(self.own, math.nan, math.nan)[0]} of {self.own_flights}"
+        """Such as "own 13.1 of 19"; "" if all own flights are common ones."""
+        own = self.own_flights > self.flights
+        return f"own {with_interval(self.own, NAN, NAN)[0]} of {self.own_flights}" if own else ""
+
+    def lost_text(self) -> str:
+        return ", ".join(f"{count} {outcome}" for outcome, count in self.lost.items())
 
 
 @dataclass(frozen=True)
 class ErrorTable:
     """rows: (trajectory and what else varies, speed text). columns: controller labels. flown: column -> how many of its
-    flights ended well. entries: (row, column) -> Entry. notes: lines below, what the numbers are, how they compare over
-    all, and what else to know."""
+    flights ended well. entries: (row, column) -> Entry. notes: lines below the table."""
 
     metric: str
     unit: str
@@ -128,22 +211,42 @@ class ErrorTable:
     def title(self) -> str:
         return f"{TITLES[self.metric]} ({self.unit})"
 
+    def table(self, *, speed: str = "m/s", over: bool = False) -> Table:
+        """As texts. speed: heading of that column. over: title above the controllers."""
+        rows = [["flown", "", *(self.flown[column].text() for column in self.columns)]]
+        for line in self.rows:
+            cells = (self.entries.get((line, column)) for column in self.columns)
+            rows.append([*line, *(cell.text() if cell else "-" for cell in cells)])
+        heads = ["trajectory", speed, *self.columns]
+        return Table(heads, rows, self.title, head=1, over=self.title if over else "", notes=self.notes)
+
+    def _repr_html_(self) -> str:
+        return self.table().html()
+
+
+def to_rich(table: ErrorTable, *, stacked: bool = False) -> Any:
+    """The error table for the terminal, without its notes."""
+    return table.table().rich(stacked=stacked)
+
+
+def to_markdown(table: ErrorTable) -> str:
+    """The error table in Markdown."""
+    return table.table().markdown(bullets=True)
+
+
+def to_latex(table: ErrorTable) -> str:
+    """The error table as a LaTeX tabular."""
+    return table.table(speed="speed (m/s)", over=True).latex()
+
 
 def column_labels(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What stands over each row's column: the controller with its settings; plant and vehicle if there are several.
+    """The column of each result row: the controller with its settings; plant and vehicle if there are several.
 
-    What else varies is of the condition: it stands beside the trajectory, see `course_labels`.
+    Other settings belong to the condition: they stand beside the trajectory, see `course_labels`.
     """
     labels = contestant_labels(list(dict.fromkeys(map(contestant_of, rows))))
-    plants = {row["plant"] for row in rows}
-    vehicles = {row["vehicle"] for row in rows}
-    made = []
-    for row in rows:
-        parts = [labels[contestant_of(row)]]
-        parts += [f"@{row['plant']}"] if len(plants) > 1 else []
-        parts += [f"@{row['vehicle']}"] if len(vehicles) > 1 else []
-        made.append(" ".join(parts))
-    return made
+    several = [name for name in ("plant", "vehicle") if len({row[name] for row in rows}) > 1]
+    return [" ".join([labels[contestant_of(row)], *(f"@{row[name]}" for name in several)]) for row in rows]
 
 
 def course_labels(conditions: Iterable[tuple[str, str]]) -> dict[tuple[str, str], str]:
@@ -154,27 +257,12 @@ def course_labels(conditions: Iterable[tuple[str, str]]) -> dict[tuple[str, str]
     return {one: f"{one[0]} {one[1]}".strip() if count[label] > 1 else label for one, label in labels.items()}
 
 
-def table_rows(statistics: Sequence[Statistic]) -> list[dict[str, Any]]:
-    """What `column_labels` asks of a row, of statistics."""
+def statistic_labels(statistics: Sequence[Statistic]) -> list[str]:
+    """`column_labels` of statistics."""
     names = ("plant", "vehicle", "controller", "model")
-    return [
-        {**{name: getattr(s, name) for name in names}, "variant": f"{s.variant} {s.setting}".strip()}
-        for s in statistics
-    ]
-
-
-def error_table(
-    rows: Sequence[Mapping[str, Any]],
-    metric: str = "mean_error",
-    *,
-    baseline: str = BASELINE,
-    confidence: float = CONFIDENCE,
-) -> ErrorTable:
-    """The table of one metric from result rows; see `table_of`."""
-    options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
-    statistics = compute_statistics(rows, metrics=(metric,), **options)
-    found = verdicts(rows, metric=metric, confidence=confidence)
-    return table_of(statistics, overall(rows, metric=metric, **options), found, row_notes(rows))
+    return column_labels(
+        [{**{n: getattr(s, n) for n in names}, "variant": f"{s.variant} {s.setting}".strip()} for s in statistics]
+    )
 
 
 def table_of(
@@ -183,153 +271,86 @@ def table_of(
     found: Sequence[Verdict] = (),
     more: Sequence[str] = (),
 ) -> ErrorTable:
-    """The table of one metric's statistics. pooled, found, more: said in the notes, over all conditions."""
+    """The error table of one metric's statistics. pooled, found, more: for the notes, over all conditions."""
     metric = statistics[0].metric
-    factor, unit = SHOWN[metric]
     courses = course_labels((s.trajectory, s.setting) for s in statistics)
     order: dict[tuple[str, float], tuple[str, str]] = {}
     entries: dict[tuple[tuple[str, str], str], Entry] = {}
     flown: dict[str, Flights] = {}
-    for statistic, label in zip(statistics, column_labels(table_rows(statistics)), strict=True):
-        speed, course = statistic.speed, courses[statistic.trajectory, statistic.setting]
-        line = (course, "" if math.isnan(speed) else f"{speed:g}")
-        order.setdefault((course, -1.0 if math.isnan(speed) else speed), line)
-        before, here = flown.get(label, Flights(0, 0)), statistic.flown
-        flown[label] = Flights(before.ended + here.ended, before.trials + here.trials)
-        entries[line, label] = Entry(
-            mean=factor * statistic.common_mean,
-            spread=factor * statistic.common_std,
-            flights=statistic.common,
-            lost=statistic.failures,
-            low=factor * statistic.common_low,
-            high=factor * statistic.common_high,
-            own=factor * statistic.mean,
-            own_flights=statistic.n,
-            success=statistic.success,
-            best=statistic.best,
-            significant=statistic.significant,
-        )
+    for s, label in zip(statistics, statistic_labels(statistics), strict=True):
+        course = courses[s.trajectory, s.setting]
+        line = (course, speed_text(s.speed, ""))
+        order.setdefault((course, -1.0 if math.isnan(s.speed) else s.speed), line)
+        flown[label] = flown.get(label, Flights(0, 0)).plus(s.flown)
+        entries[line, label] = Entry.of(s)
     names = list(dict.fromkeys(name for name, _ in order))
     lines = tuple(order[key] for key in sorted(order, key=lambda key: (names.index(key[0]), key[1])))
-    said = (*notes(statistics, pooled, found), *more)
-    return ErrorTable(metric, unit, lines, tuple(flown), entries, flown, said)
+    notes = (*table_notes(statistics, pooled, found), *more)
+    return ErrorTable(metric, SHOWN[metric][1], lines, tuple(flown), entries, flown, notes)
 
 
-def to_rich(table: ErrorTable, *, stacked: bool = False) -> Any:
-    """A rich Table for the terminal. stacked: intervals below their means, for a narrow one."""
-    from rich.markup import escape as plain
-    from rich.table import Table
-
-    shown = Table(title=table.title, title_justify="left")
-    for heading in ("trajectory", "m/s"):
-        shown.add_column(heading, justify="left" if heading == "trajectory" else "right")
-    for heading in table.columns:
-        shown.add_column(plain(heading), justify="right", overflow="fold")
-    shown.add_row(*flown_cells(table), end_section=True)
-    for line in table.rows:
-        cells = [_decorated(table, line, column, "[bold]{}[/bold]") for column in table.columns]
-        shown.add_row(*map(plain, line), *(cell.replace(" [", "\n[") if stacked else cell for cell in cells))
-    return shown
-
-
-def to_markdown(table: ErrorTable) -> str:
-    """A Markdown table."""
-    head = ["trajectory", "m/s", *table.columns]
-    lines = [
-        table.title,
-        "",
-        pipes(head),
-        pipes(["---", "---:"] + ["---:"] * len(table.columns)),
-        pipes(flown_cells(table)),
-    ]
-    lines += [
-        pipes([*line, *(_decorated(table, line, column, "**{}**") for column in table.columns)]) for line in table.rows
-    ]
-    # A star would begin a list.
-    lines += ["", *(f"- {note.replace('* ', '&ast; ')}" for note in table.notes)]
-    return "\n".join(lines) + "\n"
+def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
+    """Every contestant against the baseline, condition by condition; None if nobody is compared."""
+    metric = statistics[0].metric
+    factor, unit = SHOWN[metric]
+    heading = ["trajectory", "speed (m/s)", "controller", "pairs", f"difference ({unit})"]
+    heading += ["reduction (%)", "effect", "p", "p (Holm)", "left out"]
+    rows = []
+    for s, label in zip(statistics, statistic_labels(statistics), strict=True):
+        if not s.baseline:
+            continue
+        change = ["-", "-"]
+        if s.pairs:
+            values = (s.difference, s.difference_low, s.difference_high)
+            change = ["".join(with_interval(*(factor * value for value in values)))]
+            change += ["".join(with_interval(s.reduction, s.reduction_low, s.reduction_high))]
+        effect = "-" if math.isnan(s.effect) else f"{s.effect:.2f}"
+        tests = [effect, p_value(s.p), p_value(s.p_holm), s.left_out or "-"]
+        rows.append([s.trajectory, speed_text(s.speed, ""), label, str(s.pairs), *change, *tests])
+    if not rows:
+        return None
+    baselines = dict.fromkeys(s.baseline for s in statistics if s.baseline)
+    note = (
+        "difference: contestant less baseline over the pairs; reduction: positive where better; effect: matched-pairs"
+        " rank-biserial in [-1, 1]; p: paired permutation test, then corrected by Holm over"
+        f" {max(s.comparisons for s in statistics)} comparisons"
+    )
+    title = f"{TITLES[metric]} against {', '.join(baselines)}"
+    return Table(heading, rows, title, left=frozenset({0, 2, len(heading) - 1}), notes=(note,))
 
 
-def to_latex(table: ErrorTable) -> str:
-    """A LaTeX tabular with booktabs rules."""
-    last = len(table.columns) + 2
-    lines = [
-        r"% needs \usepackage{booktabs}",
-        *(f"% {note}" for note in table.notes),
-        r"\begin{tabular}{lr" + "r" * len(table.columns) + "}",
-        r"\toprule",
-        rf" & & \multicolumn{{{last - 2}}}{{c}}{{{escape(table.title)}}} \\ \cmidrule(l){{3-{last}}}",
-        " & ".join(map(escape, ["trajectory", "speed (m/s)", *table.columns])) + r" \\",
-        r"\midrule",
-        " & ".join(flown_cells(table)) + r" \\",
-        r"\midrule",
-    ]
-    previous = None
-    for line in table.rows:
-        if previous not in (None, line[0]):
-            lines.append(r"\addlinespace")
-        previous = line[0]
-        cells = [_decorated(table, line, column, r"\textbf{{{}}}") for column in table.columns]
-        lines.append(" & ".join([*map(escape, line), *cells]) + r" \\")
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
+def csv_text(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """CSV with the shortest digits that give every number back; empty for None and NaN."""
 
+    def text(value: Any) -> str:
+        if value is None or (isinstance(value, float) and math.isnan(value)):
+            return ""
+        return repr(value) if isinstance(value, float) else str(value)
 
-def flown_cells(table: ErrorTable) -> list[str]:
-    """The first line of every form: how many flights of each column ended well."""
-    return ["flown", "", *(table.flown[column].text() for column in table.columns)]
-
-
-def _decorated(table: ErrorTable, line: tuple[str, str], column: str, best: str) -> str:
-    entry = table.entries.get((line, column))
-    if entry is None:
-        return "-"
-    if not best.startswith("\\"):
-        return entry.text(best)
-    return entry.text(best).replace("_", r"\_").replace("*", "$^*$")
-
-
-def pipes(cells: Iterable[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
-
-
-def escape(text: str) -> str:
-    """Text for LaTeX."""
-    return text.translate(_LATEX)
-
-
-def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The rows behind the table, numbers in full precision."""
     stream = io.StringIO()
-    writer = csv.DictWriter(stream, ROW_COLUMNS, lineterminator="\n", extrasaction="ignore")
-    writer.writeheader()
-    for row in rows:
-        writer.writerow({name: csv_value(row.get(name)) for name in ROW_COLUMNS})
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows(map(text, row) for row in rows)
     return stream.getvalue()
 
 
-def csv_value(value: Any) -> str:
-    """Shortest digits that give the number back; nothing for what is not there."""
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return ""
-    return repr(value) if isinstance(value, float) else str(value)
+def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Result rows as CSV, numbers in full precision."""
+    return csv_text(ROW_COLUMNS, ([row.get(name) for name in ROW_COLUMNS] for row in rows))
 
 
 def to_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """The rows as columns with settled types, for Parquet."""
+    """Result rows as columns of fixed types, for Parquet."""
     columns: dict[str, Any] = {}
     for name in ROW_COLUMNS:
-        values = [row.get(name) for row in rows]
-        if name in TEXT_COLUMNS:
-            columns[name] = np.array(["" if v is None else str(v) for v in values], dtype=object)
-        elif name in INTEGER_COLUMNS:
-            columns[name] = np.array([0 if v is None else int(v) for v in values], dtype=np.int64)
-        else:
-            columns[name] = np.array([math.nan if v is None else float(v) for v in values], dtype=float)
+        kind: Any = object if name in TEXT_COLUMNS else np.int64 if name in INTEGER_COLUMNS else float
+        empty = {object: "", np.int64: 0, float: NAN}[kind]
+        values = [empty if (value := row.get(name)) is None else value for row in rows]
+        columns[name] = np.array([str(v) for v in values] if kind is object else values, dtype=kind)
     return columns
 
 
 def from_columns(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Rows from the columns of a results file."""
-    names = list(columns)
-    lists = [columns[name].tolist() for name in names]
-    return [dict(zip(names, values, strict=True)) for values in zip(*lists, strict=True)]
+    """Result rows from the columns of a results file."""
+    lists = [column.tolist() for column in columns.values()]
+    return [dict(zip(columns, values, strict=True)) for values in zip(*lists, strict=True)]

@@ -1,14 +1,14 @@
-"""Who is best, if anybody: the least error over the common flights, told apart from everybody else's.
+"""The best contestant: the one with the least error over the common flights, if all others differ significantly.
 
-    least      the smallest L_k = mean_c mean_i ln x_kci over the common flights i of the conditions c (see common.py)
+    least      the smallest L_k = mean_c mean_i ln x_kci over the common flights i of the conditions c (pairing.py)
     ratio      exp(L_j - L_least) of another to the least, paired, with its interval and p (see inference.log_ratio)
-    p          k max_j p_j, at most 1, for k that are ranked; corrected by Holm over the lines of a table
-    best       p < 1 - confidence = alpha, and nobody ended a larger share of the flights well
+    p          k max_j p_j, at most 1, for k ranked contestants; corrected by Holm over the lines of a table
+    best       p < 1 - confidence = alpha, and no contestant ended a larger share of its flights well
 
-The least of k was chosen for being the least, so each p_j is multiplied by k. That holds the error rate whatever the
-correlation: to name one falsely it must beat a truly equal or better one from the wrong side, which has a probability
-of alpha / (2 k) at most, and there are k of them (Bonferroni): alpha / 2 for the verdict over all conditions and
-alpha / 2 for the marks in a table, alpha together. Bounds (perfect_*, oracle_*) are not ranked.
+The least of k is chosen after the fact, so each p_j is multiplied by k (Bonferroni). This keeps the error rate for any
+correlation: to be named falsely, one of k must beat an equal or better one, with a probability of alpha / (2 k) at
+most: alpha / 2 for the verdict over all conditions, alpha / 2 for the marks in a table, alpha together. Bounds
+(perfect_*, oracle_*) are not ranked.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadexp.report.common import Flights, flew_least
 from quadexp.report.inference import Ratio, log_ratio
-from quadexp.report.pairing import Common, Condition, Contestant, Groups, Row, is_bound
+from quadexp.report.pairing import Common, Condition, Contestant, Flights, Groups, Row, flew_least, is_bound
+from quadexp.report.text import count, probability
 
 NO_RATIO = Ratio(math.nan, math.nan, math.nan, math.nan)
 
 
 class Ranking(NamedTuple):
-    """least: who has the least error. ratios: of everybody else to it, the nearest first. p: see the module."""
+    """least: with the least error. ratios: of all others to it, the nearest first. p: see the module."""
 
     least: Contestant | None
     ratios: dict[Contestant, Ratio]
     p: float
 
     def alike(self, confidence: float) -> list[Contestant]:
-        """Who is not distinguishable from the least."""
-        count = len(self.ratios) + 1
-        return [who for who, ratio in self.ratios.items() if not count * ratio.p < 1 - confidence]
+        """Contestants that are not distinguishable from the least."""
+        ranked = len(self.ratios) + 1
+        return [who for who, ratio in self.ratios.items() if not ranked * ratio.p < 1 - confidence]
 
 
 def rank(groups: Groups, among: Common, who: Sequence[Contestant], place: int, confidence: float) -> Ranking:
-    """The ranking of those of `who` that are compared, by one metric over their common flights."""
+    """The ranking of those in `who` that are compared, by one metric over the common flights."""
     logs = _logs(groups, among, [one for one in who if one in among.compared], place)
     means = {one: float(np.mean([np.mean(log) for log in found])) for one, found in logs.items() if found}
     if not means:
@@ -53,7 +53,7 @@ def rank(groups: Groups, among: Common, who: Sequence[Contestant], place: int, c
 
 
 def _logs(groups: Groups, among: Common, who: Sequence[Contestant], place: int) -> dict[Contestant, list[np.ndarray]]:
-    """ln of the errors of each by condition; flights in which somebody has no error above zero take no part."""
+    """ln of the errors of each by condition; without flights in which one of them has no error above zero."""
     found: dict[Contestant, list[np.ndarray]] = {one: [] for one in who}
     if not who:
         return found
@@ -79,9 +79,9 @@ def ratio_of(groups: Groups, among: Common, who: Contestant, other: Contestant, 
 def line_p(
     groups: Groups, condition: Condition, place: int, confidence: float, barred: Iterable[Contestant] = ()
 ) -> tuple[Contestant | None, float]:
-    """Who may be marked as the best of one condition, and the p that it is not; (None, nan) where nobody may.
+    """The contestant that may be marked as best of one condition, and the p that it is not; (None, nan) for none.
 
-    barred: who flew least of all on this plant and vehicle.
+    barred: those with the smallest share of flights that ended well on this plant and vehicle.
     """
     among = groups.common_in(condition)
     if among.flights < 2:
@@ -96,7 +96,7 @@ def line_p(
         one: float(np.mean(groups.values(condition, one, place, among.seeds[condition]))) for one in ranking.ratios
     }
     own = float(np.mean(groups.values(condition, least, place, among.seeds[condition])))
-    if any(mean < own for mean in means.values()):  # least in the logarithm, not in the mean that the table shows
+    if any(mean < own for mean in means.values()):  # the table shows means, not logarithms
         return None, math.nan
     return least, ranking.p
 
@@ -107,14 +107,13 @@ def _flew_most(who: Contestant, flights: dict[Contestant, Flights]) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """Who has the least error of one metric on one plant and vehicle, over all conditions, and how sure that is.
+    """The contestant with the least error of one metric on one plant and vehicle, over all conditions.
 
-    flown: [label, flights that ended well, trials] of each. compared: labels. common: flights that all of them ended
-    well, in `conditions` conditions. least: "" where nobody is compared. ways: how many rivals were ranked. best:
-    `least` is told apart from all of them and nobody flew more. flew_less: somebody ended a larger share of its flights
-    well. alike: rivals that are not distinguishable from the least. next: the nearest rival, at `ratio` times the
-    error. bound: the first bound; the least has `bound_ratio` times its error. Ratios: [value, low, high, p], NaN where
-    there is none.
+    flown: [label, flights that ended well, trials] of each. compared: labels. common: number of common flights, in
+    `conditions` conditions. least: "" if nobody is compared. ways: number of ranked contestants. best: `least` differs
+    significantly from all of them and no contestant flew more. flew_less: another one ended a larger share of its
+    flights well. alike: those not distinguishable from the least. next: the nearest one, with `ratio` times the error.
+    bound: the first bound; the least has `bound_ratio` times its error. Ratios: [value, low, high, p] or NaN.
     """
 
     metric: str
@@ -137,35 +136,24 @@ class Verdict:
     bound_ratio: list[float]
 
     def text(self) -> str:
-        """Such as "least over the 20 flights that all ended well: gp_mpc, told apart from ..."."""
+        """Such as "least over the 20 flights that all ended well: gp_mpc, the best of 3, ..."."""
         if not self.least or not self.ways > 1:
             return ""
-        over = f"over the {self.common} flight{'s' if self.common != 1 else ''} that all ended well"
+        over = f"over the {count(self.common, 'flight')} that all ended well"
         head = f"least {over}{', bounds aside' if self.bound else ''}: {self.least}"
-        ratio = f"{ratio_text(self.ratio)}, {p_text(self.p)}"
+        value, low, high, _ = self.ratio
+        limits = "" if math.isnan(low) else f" [{low:.3g}, {high:.3g}]"
+        ratio = f"{value:.3g} times{limits}, {probability(self.p) or 'too few flights to tell'}"
         if self.alike:
             return f"{head}, not distinguishable from {', '.join(self.alike)} (nearest: {ratio})"
         if self.flew_less:
             return f"{head}, but others ended more of their flights well (nearest: {self.next}, {ratio})"
-        return f"{head}, the best of {self.ways}, told apart from the next, {self.next} ({ratio})"
+        return f"{head}, the best of {self.ways}, significantly less than the next, {self.next} ({ratio})"
 
 
-def ratio_text(ratio: Sequence[float]) -> str:
-    """Such as "1.05 times [1.01, 1.09]"."""
-    value, low, high, _ = ratio
-    limits = "" if math.isnan(low) else f" [{low:.3g}, {high:.3g}]"
-    return f"{value:.3g} times{limits}"
-
-
-def p_text(p: float) -> str:
-    return "too few flights to tell" if math.isnan(p) else "p < 0.0001" if p < 1e-4 else f"p = {p:.2g}"
-
-
-def verdicts(
-    rows: Sequence[Row], *, metric: str = "mean_error", confidence: float = 0.95, groups: Groups | None = None
-) -> list[Verdict]:
-    """One verdict for every plant and vehicle. groups: of these rows and this metric alone, where there are some."""
-    groups = groups or Groups(rows, "", (metric,))
+def verdicts(rows: Sequence[Row], *, metric: str = "mean_error", confidence: float = 0.95) -> list[Verdict]:
+    """One verdict for every plant and vehicle."""
+    groups = Groups(rows, "", (metric,))
     made = []
     for (plant, vehicle), conditions in groups.worlds.items():
         about: dict[str, Any] = {"metric": metric, "plant": plant, "vehicle": vehicle, "confidence": confidence}
@@ -180,11 +168,8 @@ def _verdict(groups: Groups, among: Common, flights: dict[Contestant, Flights], 
     least, alike = ranking.least, ranking.alike(confidence)
     less = least is not None and not _flew_most(least, flights)
     nearest = next(iter(alike), next(iter(ranking.ratios), None))
-    bound, bound_ratio = None, NO_RATIO
-    if least is not None:
-        bound = next((one for one in among.compared if is_bound(one[0])), None)
-    if least is not None and bound is not None:
-        bound_ratio = ratio_of(groups, among, least, bound, confidence)
+    bound = next((one for one in among.compared if least is not None and is_bound(one[0])), None)
+    bound_ratio = ratio_of(groups, among, least, bound, confidence) if least and bound else NO_RATIO
     return Verdict(
         **about,
         flown=[[labels[one], *count] for one, count in flights.items()],
@@ -205,5 +190,5 @@ def _verdict(groups: Groups, among: Common, flights: dict[Contestant, Flights], 
 
 
 def barred(groups: Groups) -> dict[tuple[str, str], frozenset[Contestant]]:
-    """Plant and vehicle -> who flew least there."""
+    """Plant and vehicle -> those with the smallest share of flights that ended well."""
     return {world: flew_least(groups.flights(conditions)) for world, conditions in groups.worlds.items()}

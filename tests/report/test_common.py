@@ -9,18 +9,18 @@ import pytest
 
 from quadexp.config.compose import expand
 from quadexp.log.store import write_table
-from quadexp.report.common import Flights, common, flew_least
 from quadexp.report.compare import compare
 from quadexp.report.figures import draw_results, error_against_speed
-from quadexp.report.overall import overall
 from quadexp.report.page import make_report
 from quadexp.report.page.answer import answer
 from quadexp.report.page.sections import scoreboard, tables
 from quadexp.report.page.source import read_comparison
-from quadexp.report.statistics import compute_statistics
-from quadexp.report.tables import error_table, to_columns, to_latex, to_markdown
+from quadexp.report.pairing import Flights, common, flew_least
+from quadexp.report.statistics import compute_statistics, overall
+from quadexp.report.tables import to_columns, to_latex, to_markdown
 from quadexp.report.winner import verdicts
 from quadexp.sweep.sweep import run_sweep
+from tests.report.results import error_table
 from tests.report.test_tables import row
 
 TIMES = {"solve_time_median": 3e-5, "solve_time_p99": 6e-5, "backend": "compiled"}

@@ -15,8 +15,7 @@ from quadexp.experiment.evaluate import describe, result_row
 from quadexp.learn.checkpoint import save_model
 from quadexp.learn.linear_drag import LinearDrag
 from quadexp.log.store import write_flight, write_table
-from quadexp.report.compare import compare
-from quadexp.report.differences import change, differing
+from quadexp.report.compare import change, compare, differing
 from quadexp.report.tables import to_columns
 from quadexp.sweep.sweep import run_sweep
 from tests.log.flights import straight_flight
@@ -207,3 +206,16 @@ def test_everything_but_the_lines_is_json(tmp_path):
     a, b = flight(tmp_path / "a.parquet"), flight(tmp_path / "b.parquet", "trajectory.speed=6")
     report = compare(a, b)
     json.dumps({key: value for key, value in report.items() if key != "lines"})
+
+
+def test_several_are_compared_with_the_first(tmp_path):
+    paths = [flight(tmp_path / f"{v}.parquet", f"trajectory.speed={v}") for v in (4, 6, 8)]
+    report = compare(*paths)
+    assert [one["b"] for one in report["comparisons"]] == [str(path) for path in paths[1:]]
+    for one, path in zip(report["comparisons"], paths[1:], strict=True):
+        alone = compare(paths[0], path)
+        assert repr(one) == repr({key: value for key, value in alone.items() if key != "lines"})
+        assert "\n".join(alone["lines"]) in "\n".join(report["lines"])
+    with pytest.raises(UsageError, match="cannot compare"):
+        write_table(tmp_path / "r" / "results.parquet", to_columns([row()]), {}, "results")
+        compare(*paths, tmp_path / "r")

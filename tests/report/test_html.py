@@ -13,7 +13,7 @@ import pytest
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.store import read_table
 from quadexp.report.page import make_report
-from quadexp.report.page.figures import pareto_front
+from quadexp.report.page.panels import pareto_front
 from quadexp.report.page.provenance import sweep_command
 from quadexp.report.page.source import read_comparison
 from quadexp.report.statistics_file import results_statistics

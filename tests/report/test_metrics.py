@@ -10,8 +10,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.log.schema import Flight
+from quadexp.log.store import read_table, write_table
 from quadexp.report.metrics import METRICS, attitude_error, flight_metrics, position_error, saturated_share
+from quadexp.report.tables import ROW_COLUMNS, from_columns, to_columns, to_csv
 from tests.log.flights import straight_flight
+from tests.report.results import error_table
+from tests.report.test_tables import row
 
 
 def test_a_constant_offset_is_every_error_at_once():
@@ -67,10 +71,14 @@ def test_solve_times():
     assert metrics["solve_time_max"] == pytest.approx(100e-6)
 
 
-def test_last_resorts_are_counted():
-    flight = straight_flight(5)
-    flight.columns["status"] = np.array([0, 1, 2, 2, 0], np.int8)
-    assert flight_metrics(flight, 0.0, 20.0)["last_resort_count"] == 2
+def test_rows_have_no_count_of_last_resorts_and_tables_of_earlier_versions_are_read(tmp_path):
+    made = flight_metrics(straight_flight(5), 0.0, 20.0)
+    assert set(made) == set(METRICS) and not any("resort" in name for name in (*made, *ROW_COLUMNS))
+    columns = to_columns([row()]) | {"last_resort_count": np.array([3])}
+    write_table(tmp_path / "results.parquet", columns, {}, "results")
+    (old,) = from_columns(read_table(tmp_path / "results.parquet", "results")[0])
+    assert old["last_resort_count"] == 3 and "resort" not in to_csv([old])
+    assert error_table([old]).columns == ("nominal_mpc",)
 
 
 def test_a_flight_that_did_not_happen_has_no_errors_but_every_column():

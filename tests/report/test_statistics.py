@@ -11,9 +11,8 @@ import pytest
 
 from quadexp.log.store import read_metadata
 from quadexp.report import inference, statistics_file
-from quadexp.report.overall import overall
 from quadexp.report.pairing import contestant_labels, split_variant, variant_parts
-from quadexp.report.statistics import COMPARED, DESCRIBED, compute_statistics
+from quadexp.report.statistics import COMPARED, DESCRIBED, compute_statistics, overall
 from quadexp.report.statistics_file import results_statistics, statistics_csv, write_comparison, write_statistics
 from tests.report.test_tables import row
 

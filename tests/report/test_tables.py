@@ -12,7 +12,6 @@ import pytest
 from quadexp.log.store import read_table, write_table
 from quadexp.report.tables import (
     ROW_COLUMNS,
-    error_table,
     escape,
     from_columns,
     to_columns,
@@ -21,7 +20,8 @@ from quadexp.report.tables import (
     to_markdown,
     to_rich,
 )
-from quadexp.report.wording import significant, with_interval
+from quadexp.report.text import significant, with_interval
+from tests.report.results import error_table
 
 
 def row(controller="nominal_mpc", speed=8.0, seed=0, error=0.24, **more):

@@ -13,8 +13,9 @@ from quadexp.report.page.answer import answer
 from quadexp.report.page.sections import scoreboard, tables
 from quadexp.report.page.source import read_comparison
 from quadexp.report.statistics import compute_statistics
-from quadexp.report.tables import error_table, to_columns, to_markdown
+from quadexp.report.tables import to_columns, to_markdown
 from quadexp.report.winner import verdicts
+from tests.report.results import error_table
 from tests.report.test_tables import row
 
 NOISES = {
@@ -138,7 +139,7 @@ def test_the_page_names_a_real_best_and_gives_its_ratio_to_the_bound_an_interval
     assert next(one["label"] for one in scoreboard(comparison) if one["role"] == "best") == "gp_mpc"
     cells = [cell for line in tables(comparison)[0]["lines"] for cell in line["means"] if cell["best"]]
     assert len(cells) == 4
-    assert "the best of 4, told apart from the next" in to_markdown(error_table(comparison.rows))
+    assert "the best of 4, significantly less than the next" in to_markdown(error_table(comparison.rows))
 
 
 def test_the_same_flights_twice_are_not_distinguishable():

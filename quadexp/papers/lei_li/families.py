@@ -1,7 +1,7 @@
-"""The two families on one bench: every controller on both plants, as a table and as a figure.
+"""The two families of controllers on both plants, as a table and as a figure.
 
-Learned residuals (GP, linear drag) and identified physics (RLS on the blade-element model), under feedback and under
-MPC. `perfect_mpc` and `oracle_feedback` know the plant and bound their kinds.
+Learned residuals (GP, linear drag) and identified physics (RLS on the blade-element model), with feedback and with MPC.
+`perfect_mpc` and `oracle_feedback` know the plant and are the bounds of their kinds.
 """
 
 from __future__ import annotations
@@ -9,109 +9,84 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import matplotlib
-import numpy as np
 from matplotlib.figure import Figure
 
-from quadexp.report.style import STYLE, looks, plain_log
+from quadexp.report.statistics import Statistic, compute_statistics
+from quadexp.report.style import entries, looks, plain_log, styled
+from quadexp.report.tables import Table
+from quadexp.report.text import speed_text
 
 ORDER = (
-    "nominal_mpc",
-    "linear_drag_mpc",
-    "gp_mpc",
-    "rls_mpc",
-    "perfect_mpc",
-    "static_feedback",
-    "rls_feedback",
+    "nominal_mpc", "linear_drag_mpc", "gp_mpc", "rls_mpc", "perfect_mpc", "static_feedback", "rls_feedback",
     "oracle_feedback",
-)
-BOUNDS = ("perfect_mpc", "oracle_feedback")  # know the plant: never the winner
+)  # fmt: skip
 
 Row = Mapping[str, Any]
-Condition = tuple[str, str, float]
+Course = tuple[str, str]  # plant, trajectory
 
 
-def by_condition(rows: Sequence[Row]) -> dict[Condition, dict[str, list[Row]]]:
-    """(plant, trajectory, speed) -> controller -> rows; conditions as they come, by speed within a trajectory."""
-    found: dict[Condition, dict[str, list[Row]]] = {}
-    for row in rows:
-        condition = (row["plant"], row["trajectory"], float(row["speed"]))
-        found.setdefault(condition, {}).setdefault(row["controller"], []).append(row)
-    places = list(dict.fromkeys(condition[:2] for condition in found))
-    return {c: found[c] for c in sorted(found, key=lambda c: (places.index(c[:2]), c[2]))}
-
-
-def mean_error(rows: Sequence[Row]) -> float | None:
-    """Mean position error over the flights (m), None unless all of them ended well."""
-    if not rows or any(row["outcome"] != "ok" for row in rows):
-        return None
-    return float(np.mean([row["mean_error"] for row in rows]))
+def by_course(rows: Sequence[Row]) -> dict[Course, dict[float, dict[str, Statistic]]]:
+    """(plant, trajectory) -> speed, ascending -> controller -> statistic of the mean error."""
+    found: dict[Course, dict[float, dict[str, Statistic]]] = {}
+    for s in compute_statistics(rows, metrics=("mean_error",)):
+        found.setdefault((s.plant, s.trajectory), {}).setdefault(s.speed, {})[s.controller] = s
+    return {course: dict(sorted(speeds.items())) for course, speeds in found.items()}
 
 
 def families_table(rows: Sequence[Row]) -> str:
-    """Markdown: mean position error (mm) by condition and controller; bold: the least of those who had to find out."""
-    conditions = by_condition(rows)
-    flown = {controller for row in conditions.values() for controller in row}
+    """Markdown: mean position error (mm) by condition and controller; bold by the rule of report/winner.py."""
+    courses = by_course(rows)
+    flown = {row["controller"] for row in rows}
     names = [name for name in ORDER if name in flown] + sorted(flown - set(ORDER))
     lines = [
-        "Mean position error over the flight (mm), over seeds; bold: the least but for the two that know the plant",
-        "",
-        "| plant | trajectory | m/s | " + " | ".join(names) + " |",
-        "|---|---|---:|" + "---:|" * len(names),
+        [plant, trajectory, speed_text(speed, ""), *(_cell(found.get(name)) for name in names)]
+        for (plant, trajectory), speeds in courses.items()
+        for speed, found in speeds.items()
     ]
-    for (plant, trajectory, speed), by_controller in conditions.items():
-        errors = {name: mean_error(by_controller.get(name, [])) for name in names}
-        candidates = [error for name, error in errors.items() if error is not None and name not in BOUNDS]
-        least = min(candidates, default=None)
-        cells = [_cell(by_controller.get(name, []), errors[name], least, name) for name in names]
-        lines.append(f"| {plant} | {trajectory} | {speed:g} | " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+    title = (
+        "Mean position error over the flight (mm), over seeds; bold: least error of a line over the flights that all"
+        " ended well, significantly less than every other (corrected for the choice among them and for the lines), by a"
+        " controller with no fewer flights; bounds are not ranked"
+    )
+    return Table(["plant", "trajectory", "m/s", *names], lines, title, left=frozenset({0, 1})).markdown()
 
 
-def _cell(rows: Sequence[Row], error: float | None, least: float | None, name: str) -> str:
-    if not rows:
+def _cell(s: Statistic | None) -> str:
+    """The mean over all flights, or how many of them did not end well."""
+    if s is None:
         return ""
-    if error is None:
-        ended: dict[str, int] = {}
-        for row in rows:
-            if row["outcome"] != "ok":
-                ended[row["outcome"]] = ended.get(row["outcome"], 0) + 1
-        return ", ".join(f"{count} of {len(rows)} {what}" for what, count in ended.items())
-    shown = f"{1e3 * error:.0f}" if error >= 0.1 else f"{1e3 * error:.3g}"
-    return f"**{shown}**" if error == least and name not in BOUNDS else shown
+    if s.failures:
+        return ", ".join(f"{count} of {s.seeds} {outcome}" for outcome, count in s.failures.items())
+    text = f"{1e3 * s.mean:.0f}" if s.mean >= 0.1 else f"{1e3 * s.mean:.3g}"
+    return f"**{text}**" if s.best else text
 
 
+@styled
 def families_figure(rows: Sequence[Row]) -> Figure:
-    """Mean position error (m, logarithmic) over speed; a line of panels per plant, a panel per trajectory.
+    """Mean position error (mm, logarithmic) over speed; a row of panels per plant, a panel per trajectory.
 
-    A condition in which a flight was not finished has no point.
+    A condition has no point if one of its flights did not end well.
     """
-    conditions = by_condition(rows)
-    plants = list(dict.fromkeys(plant for plant, _, _ in conditions))
-    trajectories = list(dict.fromkeys(trajectory for _, trajectory, _ in conditions))
-    present = {row["controller"] for row in rows}
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(1.0 + 2.7 * len(trajectories), 0.9 + 2.6 * len(plants)), layout="constrained")
-        panels = figure.subplots(len(plants), len(trajectories), sharey=True, squeeze=False)
-        worn = looks(ORDER)
-        for line, plant in zip(panels, plants, strict=True):
-            for panel, trajectory in zip(line, trajectories, strict=True):
-                here = {c[2]: v for c, v in conditions.items() if c[:2] == (plant, trajectory)}
-                for name in (name for name in ORDER if name in present):
-                    points = [(speed, mean_error(found.get(name, []))) for speed, found in here.items()]
-                    points = [(speed, 1e3 * error) for speed, error in points if error is not None]
-                    if points:
-                        panel.plot(*zip(*points, strict=True), label=name, linewidth=1.2, **worn[name].points())
-                panel.set(yscale="log", title=f"{trajectory}, {plant}", xticks=sorted(here))
-                panel.margins(x=0.1)
-            line[0].set_ylabel("mean position error (mm)")
-        plain_log(panels[0, 0].yaxis, minor=True)
-        for panel in panels[-1]:
-            panel.set_xlabel("trajectory.speed (m/s)")
-        found: dict[str, Any] = {}
-        for panel in panels.flat:
-            for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
-                found.setdefault(label, handle)
-        shown = [name for name in ORDER if name in found]
-        figure.legend([found[name] for name in shown], shown, loc="outside lower center", ncols=4)
+    courses = by_course(rows)
+    plants, trajectories = (list(dict.fromkeys(course[i] for course in courses)) for i in (0, 1))
+    size = (1.0 + 2.7 * len(trajectories), 0.9 + 2.6 * len(plants))
+    figure = Figure(figsize=size, layout="constrained")
+    panels = figure.subplots(len(plants), len(trajectories), sharey=True, squeeze=False)
+    look = looks(ORDER)
+    for line, plant in zip(panels, plants, strict=True):
+        for panel, trajectory in zip(line, trajectories, strict=True):
+            speeds = courses.get((plant, trajectory), {})
+            for name in ORDER:
+                points = [(v, 1e3 * s.mean) for v, found in speeds.items() if (s := found.get(name)) and not s.failures]
+                if points:
+                    panel.plot(*zip(*points, strict=True), label=name, linewidth=1.2, **look[name].points())
+            panel.set(yscale="log", title=f"{trajectory}, {plant}", xticks=list(speeds))
+            panel.margins(x=0.1)
+        line[0].set_ylabel("mean position error (mm)")
+    plain_log(panels[0, 0].yaxis, minor=True)
+    for panel in panels[-1]:
+        panel.set_xlabel("trajectory.speed (m/s)")
+    found = dict(zip(*reversed(entries(panels.flat)), strict=True))
+    names = [name for name in ORDER if name in found]
+    figure.legend([found[name] for name in names], names, loc="outside lower center", ncols=4)
     return figure

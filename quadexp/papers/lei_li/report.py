@@ -1,7 +1,7 @@
-"""What belongs to the experiments on Lei & Li's system: their figures, and tables against what a faithful build shows.
+"""Figures of the experiments on Lei & Li's system, and tables against an independent implementation.
 
-`expected` stands for an independent implementation of the paper's equations (Euler 1e-4 s, control at 100 Hz, means
-over five seeds where there is noise); the paper prints no table of its own.
+`expected` is from an independent implementation of the paper's equations (Euler 1e-4 s, control at 100 Hz, means over
+five seeds if there is noise); the paper prints no table.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from quadexp.papers.lei_li.families import families_figure, families_table
 from quadexp.physics.rotor import THETA
 from quadexp.report.figures import save
 from quadexp.report.metrics import position_error
+from quadexp.report.tables import Table
+from quadexp.report.text import speed_text
 
 EXPECTED = {  # time average of ||e_xi|| over 60 s, m, by trajectory, speed and controller
     ("rectangle", 5.0, "rls_feedback"): 1.65,
@@ -87,20 +89,15 @@ def _examples(rows: Sequence[Mapping[str, Any]], out: Path) -> dict[str, str]:
 def expected_table(rows: Sequence[Mapping[str, Any]], heights: Mapping[str, float] | None = None) -> str:
     """Markdown: time average of ||e_xi|| measured and expected, the highest point, and outcomes, by case.
 
-    heights: key of a row -> highest altitude of its flight (m). What is expected holds for the law as printed, without
-    the cone.
+    heights: key of a row -> highest altitude of its flight (m). Expected values are for the law as printed, without the
+    cone.
     """
     heights = heights or {}
     groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
     for row in rows:
         speed = None if row["trajectory"] == "lei_li_circle" else row["speed"]
         groups.setdefault((row["trajectory"], speed, row["controller"], row["variant"]), []).append(row)
-    lines = [
-        "Time average of the position error over the flight (m), mean and half range over seeds; highest point (m)",
-        "",
-        "| trajectory | m/s | controller | options | seeds | error | expected | difference | highest | outcome |",
-        "|---|---:|---|---|---:|---:|---:|---:|---:|---|",
-    ]
+    lines = []
     for (trajectory, speed, controller, variant), group in groups.items():
         good = np.array([row["mean_error"] for row in group if row["outcome"] == "ok"])
         printed = "cone=true" not in variant.lower()
@@ -113,12 +110,13 @@ def expected_table(rows: Sequence[Mapping[str, Any]], heights: Mapping[str, floa
         options = " ".join(part.rpartition(".")[2] for part in variant.split(" "))
         reached = [heights[row["key"]] for row in group if row["outcome"] == "ok" and row.get("key") in heights]
         highest = f"{np.mean(reached):.2f}" if reached else ""
-        lines.append(
-            f"| {trajectory} | {'' if speed is None else f'{speed:g}'} | {controller} | {options}"
-            f" | {len(group)} | {shown} |"
-            f" {'' if expected is None else expected} | {against} | {highest} | {ended} |"
-        )
-    return "\n".join(lines) + "\n"
+        case = [trajectory, speed_text(speed, ""), controller, options, str(len(group))]
+        lines.append([*case, shown, "" if expected is None else str(expected), against, highest, ended])
+    heads = (
+        "trajectory", "m/s", "controller", "options", "seeds", "error", "expected", "difference", "highest", "outcome",
+    )  # fmt: skip
+    title = "Time average of the position error over the flight (m), mean and half range over seeds; highest point (m)"
+    return Table(heads, lines, title, left=frozenset({0, 2, 3, 9})).markdown()
 
 
 def identified_table(flights: Sequence[Flight]) -> str:
@@ -129,25 +127,18 @@ def identified_table(flights: Sequence[Flight]) -> str:
     plant = flights[0].metadata["config"]["plant"]
     truth = dict(zip(THETA, [plant["profile_drag"], plant["lift_slope"], *plant["body_drag"]], strict=True))
     times = [t for t in IDENTIFIED_AT if t <= min(flight.t[-1] for flight in flights) + 1e-9]
-    lines = [
-        f"Coefficients in use, mean +- standard deviation over {len(flights)} seeds",
-        "",
-        "| | truth | " + " | ".join(f"at {t:g} s" for t in times) + " |",
-        "|---|---:|" + "---:|" * len(times),
-    ]
+    lines = []
     for name in THETA:
         cells = []
         for t in times:
             values = np.array([flight[name][np.searchsorted(flight.t, t - 1e-9)] for flight in flights])
             cells.append(f"{values.mean():.4f} +- {values.std(ddof=1) if len(values) > 1 else 0.0:.4f}")
-        lines.append(f"| {name} | {truth[name]:g} | " + " | ".join(cells) + " |")
+        lines.append([name, f"{truth[name]:g}", *cells])
     clips = np.array([flight["clips"][-1] for flight in flights])
     samples = max(len(flight) for flight in flights)
-    lines += [
-        "",
-        f"Clips in a flight of {samples} samples: {clips.mean():.0f} ({clips.min():.0f} to {clips.max():.0f})",
-    ]
-    return "\n".join(lines) + "\n"
+    note = f"Clips in a flight of {samples} samples: {clips.mean():.0f} ({clips.min():.0f} to {clips.max():.0f})"
+    title = f"Coefficients in use, mean +- standard deviation over {len(flights)} seeds"
+    return Table(["", "truth", *(f"at {t:g} s" for t in times)], lines, title, notes=[note]).markdown()
 
 
 def _families(rows: Sequence[Mapping[str, Any]], out: Path) -> dict[str, str]:
@@ -175,13 +166,7 @@ def _adaptation(rows: Sequence[Mapping[str, Any]], out: Path) -> dict[str, str]:
 
 def adaptation_table(flights: Mapping[str, Mapping[str, Flight]]) -> str:
     """Markdown: RMSE (mm) in windows of time around the change, by change and controller."""
-    heads = [f"{low:g}..{high:g} s" for low, high in WINDOWS]
-    lines = [
-        "RMSE (mm) in windows of time from the change",
-        "",
-        "| change | controller | " + " | ".join(heads) + " | outcome |",
-        "|---|---|" + "---:|" * len(heads) + "---|",
-    ]
+    lines = []
     for plant, by_controller in flights.items():
         for name, flight in by_controller.items():
             t, error = flight.t - figures.change_time(flight), 1e3 * position_error(flight)
@@ -189,5 +174,7 @@ def adaptation_table(flights: Mapping[str, Mapping[str, Flight]]) -> str:
             for low, high in WINDOWS:
                 inside = error[(t >= low) & (t < high)]
                 cells.append(f"{np.sqrt(np.mean(inside**2)):.2f}" if len(inside) else "-")
-            lines.append(f"| {TITLES.get(plant, plant)} | {name} | " + " | ".join(cells) + f" | {flight.outcome} |")
-    return "\n".join(lines) + "\n"
+            lines.append([TITLES.get(plant, plant), name, *cells, flight.outcome])
+    heads = ["change", "controller", *(f"{low:g}..{high:g} s" for low, high in WINDOWS), "outcome"]
+    left = frozenset({0, 1, len(heads) - 1})
+    return Table(heads, lines, "RMSE (mm) in windows of time from the change", left=left).markdown()

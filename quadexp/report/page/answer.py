@@ -1,7 +1,7 @@
-"""The question, and its answer made from the numbers: who flew, what it buys and who is best; is it in time.
+"""The question and its answer, made from the numbers: who flew, what the model buys, who is best, and real time.
 
-Success comes first. Errors are over the flights that all who are compared ended well (report/common.py). A single best
-is named only where it is told apart from every other way and nobody flew more (report/winner.py).
+Success comes first. Errors are over the common flights (report/pairing.py). A best contestant is named only if it
+differs significantly from every other one and nobody flew more (report/winner.py).
 """
 
 from __future__ import annotations
@@ -9,21 +9,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from quadexp.report.page.names import spoken
-from quadexp.report.page.numbers import (
-    NOBREAK,
-    SPACE,
-    duration,
-    listed,
-    number,
-    percent_with_interval,
-    probability,
-    shown,
-    span,
-    times,
-)
-from quadexp.report.page.source import Comparison
+from quadexp.report.page.source import Comparison, spoken
 from quadexp.report.tables import TITLES
+from quadexp.report.text import count, duration, listed, number, percent, probability, shown, span, typeset
 
 QUESTION = (
     "How much does knowing the aerodynamics buy, which way of knowing it is best, and does it still run in real time?"
@@ -35,7 +23,7 @@ ALONE = "How closely does it track, and does it run in real time?"
 
 @dataclass(frozen=True)
 class Answer:
-    """question; flown, gain, in_time: the answer's parts; note: what they rest on."""
+    """question; flown, gain, in_time: parts of the answer; note: the data behind it."""
 
     question: str
     flown: str
@@ -45,29 +33,30 @@ class Answer:
 
     @property
     def sentences(self) -> tuple[str, str]:
-        """Who flew and what it buys; whether it is in time."""
+        """Who flew and what the model buys; whether it runs in real time."""
         return f"{self.flown} {self.gain}".strip(), self.in_time
 
 
 def answer(comparison: Comparison) -> Answer:
-    """What the numbers say, for any results: with or without a baseline, a winner, or a flight that ended well."""
+    """The answer for any results: with or without a baseline, a winner, or a flight that ended well."""
     question = QUESTION if len(comparison.order) > 1 else ALONE
     gain = _capital(_gain(comparison))
-    return Answer(question, _flown(comparison), gain, _in_time(comparison), _note(comparison))
+    parts = (_flown(comparison), gain, _in_time(comparison), _note(comparison))
+    return Answer(question, *map(typeset, parts))
 
 
 def _flown(comparison: Comparison) -> str:
-    """How many flights of whom ended well."""
-    counts = {label: comparison.success(label)[1:] for label in comparison.order}
-    trials = sum(n for _, n in counts.values())
-    if all(k == n for k, n in counts.values()):
+    """How many flights of each controller ended well."""
+    counts = {label: comparison.success(label) for label in comparison.order}
+    trials = sum(one.trials for one in counts.values())
+    if all(one.ended == one.trials for one in counts.values()):
         return f"All {trials} flights ended well." if trials > 1 else "The flight ended well." if trials else ""
-    groups: dict[tuple[int, int], list[str]] = {}
-    for label, count in counts.items():
-        groups.setdefault(count, []).append(spoken(label))
+    groups: dict[str, list[str]] = {}
+    for label, one in counts.items():
+        groups.setdefault(one.text(), []).append(spoken(label))
     parts = [
-        f"{listed(names) if len(names) <= MOST_NAMES else f'{len(names)} controllers'} {k} of {n}"
-        for (k, n), names in groups.items()
+        f"{listed(names) if len(names) <= MOST_NAMES else f'{len(names)} controllers'} {text}"
+        for text, names in groups.items()
     ]
     if len(parts) > MOST_COUNTS:
         parts = [*parts[: MOST_COUNTS - 1], f"{len(parts) - MOST_COUNTS} more counts in the table", parts[-1]]
@@ -76,15 +65,15 @@ def _flown(comparison: Comparison) -> str:
 
 def _error(comparison: Comparison, label: str) -> str:
     factor, unit = shown(comparison.metric)
-    return f"{number(factor * comparison.geometric_mean(label))}{SPACE}{unit}"
+    return f"{number(factor * comparison.geometric_mean(label))} {unit}"
 
 
 def _gain(comparison: Comparison) -> str:
     lead, base = comparison.lead, comparison.reference
     metric = TITLES.get(comparison.metric, comparison.metric)
-    compared = [label for label in comparison.order if math.isfinite(comparison.geometric_mean(label))]
+    compared = comparison.compared
     if not compared:
-        if any(comparison.success(label)[1] for label in comparison.order):
+        if any(comparison.success(label).ended for label in comparison.order):
             return "no two of them ended the same flight well, so there is no error to compare."
         return "no flight ended well, so there is no error to compare."
     over = _over(comparison)
@@ -100,44 +89,45 @@ def _gain(comparison: Comparison) -> str:
     ratio, p = comparison.to_base
     both = f"{_error(comparison, lead)} against {_error(comparison, base)}"
     less = ratio.value <= 1
-    reduction, limits = (
-        percent_with_interval(100 * (1 - ratio.value), 100 * (1 - ratio.high), 100 * (1 - ratio.low))
-        if less
-        else percent_with_interval(100 * (ratio.value - 1), 100 * (ratio.low - 1), 100 * (ratio.high - 1))
-    )
-    limits = f" {limits}" if limits else ""
+    reduction = "".join(_apart(*ratio[:3]))
     if not p < 1 - comparison.confidence:
         chance = probability(p) if math.isfinite(p) else "so few flights cannot tell"
         return (
             f"{over}{spoken(lead)}{_standing(comparison)} is not distinguishable from {spoken(base)}: its {metric} is"
-            f" {reduction}{limits} {'smaller' if less else 'larger'} ({both}; {chance}){rest}."
+            f" {reduction} {'smaller' if less else 'larger'} ({both}; {chance}){rest}."
         )
     if not less:
         return (
             f"{over}knowing the aerodynamics buys nothing: {spoken(lead)}{_standing(comparison)} has a {metric}"
-            f" {reduction}{limits} larger than {spoken(base)} ({both})."
+            f" {reduction} larger than {spoken(base)} ({both})."
         )
     return (
-        f"{over}knowing the aerodynamics cuts the {metric} by {reduction}{limits}:"
-        f" {spoken(lead)}{_standing(comparison)} tracks {times(1 / ratio.value)} times closer than {spoken(base)}"
+        f"{over}knowing the aerodynamics cuts the {metric} by {reduction}:"
+        f" {spoken(lead)}{_standing(comparison)} tracks {1 / ratio.value:.3g} times closer than {spoken(base)}"
         f" ({both}){rest}."
     )
 
 
+def _apart(value: float, low: float, high: float) -> tuple[str, str]:
+    """How far a ratio is from one, and its interval, as percentages: 1.05 and 0.95 are "5.0 %"."""
+    sign = 100 if value > 1 else -100
+    ends = sorted((sign * (low - 1), sign * (high - 1)))
+    return percent(abs(sign * (value - 1)), *ends)
+
+
 def _over(comparison: Comparison) -> str:
-    """Over which flights errors are compared, where these are not all."""
-    trials = max(comparison.success(label)[2] for label in comparison.order)
-    if len(comparison.order) == 1 or all(comparison.success(x)[1] == trials for x in comparison.order):
+    """The flights that errors are compared over, if these are not all."""
+    flights = [comparison.success(label) for label in comparison.order]
+    if len(flights) == 1 or all(one.ended == max(f.trials for f in flights) for one in flights):
         return ""
     names = [comparison.labels[one] for one in comparison.common.compared]
     who = "all" if len(names) == len(comparison.order) else listed([spoken(name) for name in names])
-    count = comparison.common.flights
-    return f"over the {count} flight{'s' if count != 1 else ''} that {who} ended well, " if len(names) > 1 else ""
+    return f"over the {count(comparison.common.flights, 'flight')} that {who} ended well, " if len(names) > 1 else ""
 
 
 def _standing(comparison: Comparison) -> str:
-    """What the lead is among the ways, as a clause between commas."""
-    ways = len([x for x in comparison.rivals if math.isfinite(comparison.geometric_mean(x))])
+    """The place of the lead among the ways, as a clause between commas."""
+    ways = len([x for x in comparison.rivals if x in comparison.compared])
     if len(comparison.rivals) == 1:
         return ", the one way tried," if comparison.reference or comparison.bounds else ""
     clauses = []
@@ -145,28 +135,25 @@ def _standing(comparison: Comparison) -> str:
         alike = [spoken(x) for x in comparison.alike]
         clauses.append(f"the least of {ways} but not distinguishable from {listed(alike, 'or')}")
     if comparison.flew_more and comparison.lead:
-        _, k, n = comparison.success(comparison.lead)
         least = "with" if clauses else "with the least of these errors but"
-        clauses.append(f"{least} only {k} of {n} flights that ended well")
+        clauses.append(f"{least} only {comparison.success(comparison.lead).text()} flights that ended well")
     if not clauses:
         clauses = [f"the best of {ways} ways" if ways > 1 else "the one way compared"]
     return f", {' and '.join(clauses)},"
 
 
 def _flew_more(comparison: Comparison) -> str:
-    """Who has the least error of those that flew more than the lead."""
-    rivals = [x for x in comparison.flew_more if x in comparison.rivals]
-    errors = {x: comparison.geometric_mean(x) for x in rivals}
-    known = {x: error for x, error in errors.items() if math.isfinite(error)}
-    if not known:
+    """The least error among the rivals that flew more than the lead."""
+    errors = {x: comparison.geometric_mean(x) for x in comparison.flew_more if x in comparison.rivals}
+    least = min((x for x in errors if math.isfinite(errors[x])), key=lambda x: errors[x], default=None)
+    if least is None:
         return ""
-    least = min(known, key=lambda x: known[x])
     return f"; of the ways that ended more flights well, {spoken(least)} has the least ({_error(comparison, least)})"
 
 
 def _bound(comparison: Comparison) -> str:
-    """How near the lead comes to what perfect knowledge would give: the ratio of their errors with its interval."""
-    good = [x for x in comparison.bounds if math.isfinite(comparison.geometric_mean(x))]
+    """The ratio of the lead's error to that of perfect knowledge, with its interval."""
+    good = [x for x in comparison.bounds if x in comparison.compared]
     if not good or comparison.lead is None:
         return ""
     name, (value, low, high, p) = spoken(good[0]), comparison.to_bound(good[0])
@@ -174,22 +161,19 @@ def _bound(comparison: Comparison) -> str:
         return ""
     if not math.isfinite(low):
         return f"; {name} reaches {_error(comparison, good[0])}, which so few flights cannot tell from it"
-    limits = f"[{low:.3g},{NOBREAK}{high:.3g}]"
+    limits = f"[{low:.3g}, {high:.3g}]"
     if not p < 1 - comparison.confidence:
-        return f", not distinguishable from {name} ({value:.3g}{SPACE}times its error {limits})"
+        return f", not distinguishable from {name} ({value:.3g} times its error {limits})"
     if value > 2:
-        return f"; {name} reaches {_error(comparison, good[0])}, {value:.3g}{SPACE}times less {limits}"
-    text, ends = percent_with_interval(100 * (value - 1), 100 * (low - 1), 100 * (high - 1))
-    if value < 1:
-        text, ends = percent_with_interval(100 * (1 - value), 100 * (1 - high), 100 * (1 - low))
-        return f", {text} {ends} closer than {name}"
-    return f", and comes within {text} {ends} of {name}".replace("  ", " ")
+        return f"; {name} reaches {_error(comparison, good[0])}, {value:.3g} times less {limits}"
+    text = "".join(_apart(value, low, high))
+    return f", {text} closer than {name}" if value < 1 else f", and comes within {text} of {name}"
 
 
 def _in_time(comparison: Comparison) -> str:
     label = comparison.lead or next(iter(comparison.order), None)
     if label is None or not math.isfinite(comparison.time(label)):
-        return "No step of a controller was timed."
+        return "No control step was timed."
     median, tail, period = comparison.time(label), comparison.time(label, "p99"), comparison.period(label)
     base = comparison.reference
     beside = f"; {spoken(base)}: {duration(comparison.time(base))}" if base and base != label else ""
@@ -205,32 +189,31 @@ def _in_time(comparison: Comparison) -> str:
 
 
 def _note(comparison: Comparison) -> str:
-    """Over what the answer is averaged, and what is not in it."""
+    """What the answer is averaged over, and what is not in it."""
     conditions = [c for c in comparison.conditions if c[:2] == comparison.world]
     speeds = [c[3] for c in conditions if c[3] is not None]
     trajectories = list(dict.fromkeys(c[2] for c in conditions))
     seeds = {row["seed"] for row in comparison.main_rows}
     plant, vehicle = comparison.world
     flown = listed(trajectories) + (f" at {span(speeds, 'm/s')}" if speeds else "")
-    count = f"{len(seeds)} seed{'s' if len(seeds) > 1 else ''}"
-    count += "" if comparison.common.flights == 0 else f", {comparison.common.flights} flights each"
-    parts = [f"Geometric means over {flown}, {count}, plant {plant}, vehicle {vehicle}."]
+    each = f", {comparison.common.flights} flights each" if comparison.common.flights else ""
+    parts = [f"Geometric means over {flown}, {count(len(seeds), 'seed')}{each}, plant {plant}, vehicle {vehicle}."]
     if comparison.lead is not None and comparison.reference is not None:
         (ratio, p), ways = comparison.to_base, len(comparison.ranking.ratios) + 1
         if math.isfinite(ratio.low):
             corrected = f", corrected for the choice among {ways}" if ways > 1 else ""
             parts.append(f"{comparison.confidence:.0%} intervals; against the baseline {probability(p)}{corrected}.")
     if len(comparison.worlds) > 1:
-        parts.append("Other plants and vehicles stand in the tables.")
+        parts.append("Other plants and vehicles are in the tables.")
     bad = [row for row in comparison.main_rows if row["outcome"] != "ok"]
     total = len(comparison.main_rows)
     kinds = list(dict.fromkeys(row["outcome"].replace("_", " ") for row in bad))
     if comparison.best is not None and comparison.ranking.ratios:
         chance = probability(comparison.ranking.p)
         parts.append(f"Best of {len(comparison.ranking.ratios) + 1}: {chance}, corrected for the choice.")
-    left = [spoken(x) for x in comparison.order if not math.isfinite(comparison.geometric_mean(x))]
+    left = [spoken(x) for x in comparison.order if x not in comparison.compared]
     if left and comparison.common.flights:
-        parts.append(f"Not compared, for want of flights that ended well: {listed(left)}.")
+        parts.append(f"Not compared, because too few flights ended well: {listed(left)}.")
     parts.append(
         f"{len(bad)} of {total} flights did not end well ({listed(kinds)})."
         if bad

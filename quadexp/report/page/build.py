@@ -1,4 +1,4 @@
-"""Put the page together: read, draw, pack, render; and the figures as PDF."""
+"""Make the page: read, draw, pack, render; and write the figures as PDF."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from quadexp.log.store import check_output, write_bytes, write_text
 from quadexp.report.page import palette
 from quadexp.report.page.answer import answer
 from quadexp.report.page.drawing import MAX_COURSES, PageFigures, draw_page, draw_paper
-from quadexp.report.page.figures import courses
-from quadexp.report.page.names import spoken
-from quadexp.report.page.numbers import duration, percent
+from quadexp.report.page.panels import courses
 from quadexp.report.page.provenance import origin, portable
 from quadexp.report.page.replay import BUDGET, MAX_TRACKS, Case, choose_cases, pack_replay
 from quadexp.report.page.sections import scoreboard, tables, worst, worst_rows
-from quadexp.report.page.source import TABLED, Comparison, read_comparison
+from quadexp.report.page.source import TABLED, Comparison, read_comparison, spoken
 from quadexp.report.pairing import condition_of
+from quadexp.report.statistics_file import statistics_csv
 from quadexp.report.style import LOOKS
 from quadexp.report.tables import TITLES, to_csv
+from quadexp.report.text import duration, percent, typeset
 
 LIMIT = 2_000_000  # bytes of the page
-DATA_LIMIT = 250_000  # bytes of a CSV that travels inside it
+DATA_LIMIT = 250_000  # bytes of a CSV inside it
 CARRIED = ("statistics.csv", "results.csv")
 SHAPE_PATHS = {
     "circle": "M-4.4 0A4.4 4.4 0 1 1 4.4 0A4.4 4.4 0 1 1 -4.4 0Z",
@@ -61,9 +61,9 @@ def make_report(
     baseline: str | None = None,
     force: bool = False,
 ) -> dict[str, Any]:
-    """Write the report of a results folder as one HTML file; returns what it says and where it lies.
+    """Write the report of a results folder as one HTML file; returns its answer and the paths of the files.
 
-    figures: folder for the same figures as PDF. baseline: controller that others are compared with.
+    figures: folder for the same figures as PDF. baseline: a controller.
     Raises UsageError or DataError, before anything is written.
     """
     out = check_output(out, force=force)
@@ -74,9 +74,8 @@ def make_report(
     page, left_out = render(comparison, drawn, _report_command(comparison, out, figures, baseline))
     write_text(out, page)
     written = {} if figures is None else _write_paper(Path(figures), draw_paper(comparison, drawn))
-    said = answer(comparison)
-    size = len(page.encode())
-    record = {"path": out, "bytes": size, "answer": list(said.sentences), "note": said.note}
+    made = answer(comparison)
+    record = {"path": out, "bytes": len(page.encode()), "answer": list(made.sentences), "note": made.note}
     return {**record, "left_out": left_out, "figures": written}
 
 
@@ -91,7 +90,7 @@ def _write_paper(folder: Path, figures: Mapping[str, Figure]) -> dict[str, Path]
 
 @dataclass(frozen=True)
 class Extent:
-    """How much goes onto the page. replay: characters of packed flights. metrics, lines: of the tables."""
+    """The amount of data on the page. replay: characters of packed flights. metrics, lines: of the tables."""
 
     replay: int = BUDGET
     metrics: int = len(TABLED)
@@ -106,9 +105,9 @@ EXTENTS = (Extent(), Extent(BUDGET // 3), Extent(0), Extent(0, 1), Extent(0, 1, 
 
 
 def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[str, list[str]]:
-    """The page, with less on it where it would be too large, and what was left out.
+    """The page, with less data if it would be too large, and what was left out.
 
-    First fewer flights to replay, then none and no CSV inside, then only the deciding metric, then fewer conditions.
+    First fewer flights to replay, then none and no CSV inside, then only the main metric, then fewer conditions.
     """
     for extent in EXTENTS:
         page, left_out = _render(comparison, drawn, command, extent)
@@ -125,23 +124,24 @@ def _render(comparison: Comparison, drawn: PageFigures, command: str, extent: Ex
     bad = worst_rows(comparison)
     cases = choose_cases(comparison, bad)
     packed, kept = pack_replay(comparison, cases, extent.replay) if extent.replay else ([], [])
-    said, board, every = answer(comparison), scoreboard(comparison), tables(comparison)
+    every = tables(comparison)
     numbers = [{**table, "lines": table["lines"][: extent.lines]} for table in every[: extent.metrics]]
     downloads = _downloads(comparison) if extent.carries_data else []
     left_out = _left_out(comparison, packed, kept, every, numbers, downloads)
     environment = Environment(autoescape=True, trim_blocks=False)
+    environment.filters["typeset"] = typeset
     light, dark = palette.css_blocks()
     confidence = comparison.confidence
     page = environment.from_string(_template("report.html.j2")).render(
         version=__version__,
         title=comparison.root.resolve().name,
-        answer=said,
+        answer=answer(comparison),
         reduced=extent != EXTENTS[0],
         left_out=left_out,
         sections=_sections(drawn, bool(packed)),
         metric_title=TITLES.get(comparison.metric, comparison.metric),
         baseline=comparison.reference,
-        board=board,
+        board=scoreboard(comparison),
         tables=numbers,
         alpha=1 - confidence,
         looks=comparison.look,
@@ -182,20 +182,20 @@ def _left_out(
     numbers: Sequence[Mapping[str, Any]],
     downloads: Sequence[tuple[str, str]],
 ) -> list[str]:
-    """What the page has no room for, one entry each."""
+    """What is not on the page for its size, one entry each."""
     conditions = len({condition_of(row) for row in comparison.rows if row["outcome"] != "infeasible"})
     shown = len({condition for condition, _ in replayed})
-    said = [f"the replay of {conditions - shown} of {conditions} conditions"] if shown < conditions else []
-    rows, lines = len(every[0]["lines"]), len(numbers[0]["lines"])
-    said += [f"{rows - lines} of {rows} lines of the tables"] if lines < rows else []
-    said += [f"the table of the {table['title']}" for table in every[len(numbers) :]]
+    left = [f"the replay of {conditions - shown} of {conditions} conditions"] if shown < conditions else []
+    all_lines, lines = len(every[0]["lines"]), len(numbers[0]["lines"])
+    left += [f"{all_lines - lines} of {all_lines} lines of the tables"] if lines < all_lines else []
+    left += [f"the table of the {table['title']}" for table in every[len(numbers) :]]
     more = len(courses(comparison)) - MAX_COURSES
-    said += [f"error over speed on {more} more courses"] if more > 0 else []
+    left += [f"error over speed on {more} more courses"] if more > 0 else []
     crowd = max((len(case["left_out"]) for case in packed), default=0)
-    said += [f"in the replay, up to {crowd} controllers of a flight beyond the first {MAX_TRACKS}"] if crowd else []
+    left += [f"in the replay, up to {crowd} controllers of a flight beyond the first {MAX_TRACKS}"] if crowd else []
     there = {name for name, _ in downloads}
-    said += [f"{name}, which lies with the results" for name in CARRIED if name not in there]
-    return said
+    left += [f"{name}, which is in the results folder" for name in CARRIED if name not in there]
+    return left
 
 
 def _template(name: str) -> str:
@@ -222,11 +222,11 @@ def _sections(drawn: PageFigures, replay: bool) -> list[tuple[str, str]]:
 
 
 def _pareto_lines(comparison: Comparison, drawn: PageFigures) -> list[dict[str, str]]:
-    """A line for everyone in the figure: where it stands."""
+    """A line for every contestant in the figure."""
     lines = []
     for label, (time, error, *_) in drawn.points.items():
-        against = f"{percent(error)} of {spoken(comparison.reference)}'s error" if comparison.reference else ""
-        size = "what others are measured by" if label == comparison.reference else against
+        against = f"{percent(error)[0]} of {spoken(comparison.reference)}'s error" if comparison.reference else ""
+        size = "the baseline" if label == comparison.reference else against
         period = comparison.period(label)
         load = f", {_share(100 * time / period)} of its period" if math.isfinite(period) else ""
         where = (
@@ -237,13 +237,11 @@ def _pareto_lines(comparison: Comparison, drawn: PageFigures) -> list[dict[str, 
 
 
 def _share(value: float) -> str:
-    return percent(value) if value >= 0.05 else f"under {percent(0.1)}"
+    return percent(value)[0] if value >= 0.05 else "under 0.1 %"
 
 
 def _downloads(comparison: Comparison) -> list[tuple[str, str]]:
-    """Tables as links that carry them; the rows where they are not too many."""
-    from quadexp.report.statistics_file import statistics_csv
-
+    """CSV tables as data links, those that are small enough."""
     made = zip(CARRIED, (statistics_csv(comparison.statistics), to_csv(comparison.rows)), strict=True)
     return [
         (name, "data:text/csv;base64," + base64.b64encode(text.encode()).decode())

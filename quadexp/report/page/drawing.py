@@ -1,4 +1,4 @@
-"""The report's figures: panel by panel as inline SVG for the page, and put together as Figures for paper."""
+"""The report's figures: each panel as inline SVG for the page, and together as Figures for paper."""
 
 from __future__ import annotations
 
@@ -13,22 +13,24 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from quadexp.log.schema import Flight, describe
-from quadexp.report.page.figures import (
+from quadexp.report.page.palette import PAGE, PAPER, STYLE, inline_svg
+from quadexp.report.page.panels import (
+    Checkpoint,
     course_title,
     courses,
+    estimate_panel,
+    fit_panel,
+    identified,
     labels_on,
-    mark,
     pareto_front,
     pareto_panel,
     pareto_points,
+    read_checkpoint,
     speed_panel,
-)
-from quadexp.report.page.fits import Checkpoint, estimate_panel, fit_panel, identified, read_checkpoint, truth
-from quadexp.report.page.names import spoken
-from quadexp.report.page.numbers import number, percent
-from quadexp.report.page.palette import PAGE, PAPER
-from quadexp.report.page.source import Comparison
-from quadexp.report.page.svg import STYLE, inline_svg
+    truth,
+)  # fmt: skip
+from quadexp.report.page.source import Comparison, spoken
+from quadexp.report.text import number, percent
 
 SIZE = 3.9, 3.0  # inches, of a panel
 WIDE = 6.2, 4.1
@@ -40,8 +42,8 @@ Draw = Callable[..., None]  # (panel, palette=Palette)
 
 @dataclass
 class PageFigures:
-    """SVG of every part, and what the text beside it needs. speed: a panel a course. fits, estimates: as the template
-    takes them. checkpoints, estimated: what they were drawn from."""
+    """SVG of every part, and the data of the text beside it. speed: a panel per course. fits, estimates: for the
+    template. checkpoints, estimated: their sources."""
 
     speed: list[str] = field(default_factory=list)
     speed_labels: list[str] = field(default_factory=list)
@@ -97,87 +99,69 @@ def _fit(checkpoint: Checkpoint, i: int) -> dict[str, Any]:
     path = checkpoint.path.rstrip("/")
     if checkpoint.model is None:
         return {"path": path, "panels": [], "text": f"Not drawn: {checkpoint.note or 'it holds linear drag only'}."}
-    outputs = checkpoint.model.outputs
-    panels = [
-        panel_svg(
-            partial(fit_panel, checkpoint=checkpoint, output=output),
-            f"fit{i}{k}",
-            f"Residual {output.output} over {output.features[0]}",
-        )
-        for k, output in enumerate(outputs)
-    ]
-    chosen = "; ".join(f"{o.output} from {', '.join(o.features)}, {len(o.alpha)} points" for o in outputs)
-    dataset = checkpoint.model.dataset
-    rows = f" Fitted to {dataset['rows']} rows of {dataset['flights']} flights." if dataset.get("rows") else ""
-    return {
-        "path": path,
-        "panels": panels,
-        "text": f"{chosen}.{rows}",
-        "has_data": checkpoint.data is not None,
-        **_scores(checkpoint.report.get("rows", [])),
-    }
+    outputs, data = checkpoint.model.outputs, checkpoint.model.dataset
+    draws = [partial(fit_panel, checkpoint=checkpoint, output=output) for output in outputs]
+    names = [f"Residual {output.output} over {output.features[0]}" for output in outputs]
+    panels = [panel_svg(draw, f"fit{i}{k}", name) for k, (draw, name) in enumerate(zip(draws, names, strict=True))]
+    text = "; ".join(f"{o.output} from {', '.join(o.features)}, {len(o.alpha)} points" for o in outputs) + "."
+    text += f" Fitted to {data['rows']} samples of {data['flights']} flights." if data.get("rows") else ""
+    has_data = checkpoint.data is not None
+    scores = _scores(checkpoint.report.get("rows", []))
+    return {"path": path, "panels": panels, "text": text, "has_data": has_data, **scores}
 
 
 def _scores(rows: list[Mapping[str, Any]]) -> dict[str, Any]:
-    """Held-out errors of a checkpoint's report, a line an output and a column a predictor."""
+    """Held-out errors of a checkpoint's report, a line per output and a column per predictor."""
     predictors = [name for name in dict.fromkeys(row["predictor"] for row in rows) if name in PREDICTORS]
-    found = {(row["output"], row["predictor"]): row for row in rows}
+    texts = {
+        (row["output"], row["predictor"]): {
+            "rmse": f"{row['rmse']:.3g}",
+            "inside": percent(100 * row["inside_2"], least=0)[0],
+        }
+        for row in rows
+        if row["predictor"] in PREDICTORS
+    }
     lines = []
     for output in dict.fromkeys(row["output"] for row in rows):
-        cells = [found.get((output, predictor)) for predictor in predictors]
-        lines.append(
-            {
-                "name": output.partition("_")[0],
-                "index": output.partition("_")[2],
-                "unit": describe(output, "residuals").unit.replace("^2", "²"),
-                "cells": [
-                    {"rmse": f"{cell['rmse']:.3g}", "inside": percent(100 * cell["inside_2"], 0)} if cell else {}
-                    for cell in cells
-                ],
-            }
-        )
+        name, _, index = output.partition("_")
+        unit = describe(output, "residuals").unit.replace("^2", "²")
+        cells = [texts.get((output, predictor), {}) for predictor in predictors]
+        lines.append({"name": name, "index": index, "unit": unit, "cells": cells})
     return {"scores": lines, "predictors": [PREDICTORS[name] for name in predictors]}
 
 
 def estimated(comparison: Comparison) -> list[tuple[str, list[tuple[str, Flight]]]]:
-    """Per trajectory and plant the flights that identified coefficients: fastest speed, one flight a contestant."""
+    """Per trajectory and plant the flights that identified coefficients: fastest speed, one per contestant."""
     chosen: dict[tuple[str, str], dict[str, Mapping[str, Any]]] = {}
     for row in comparison.rows:
-        if "rls" not in row["controller"] and not row["controller"].startswith("literal"):
-            continue
-        if row["outcome"] in ("failed", "infeasible"):
-            continue
-        best = chosen.setdefault((row["plant"], row["trajectory"]), {})
-        label = comparison.label(row)
-        rival = best.get(label)
-        if rival is None or (row["speed"] or 0) > (rival["speed"] or 0):
-            best[label] = row
+        identifies = "rls" in row["controller"] or row["controller"].startswith("literal")
+        if identifies and row["outcome"] not in ("failed", "infeasible"):
+            fastest = chosen.setdefault((row["plant"], row["trajectory"]), {})
+            rival = fastest.setdefault(comparison.label(row), row)
+            if (row["speed"] or 0) > (rival["speed"] or 0):
+                fastest[comparison.label(row)] = row
     made = []
     for (plant, trajectory), rows in chosen.items():
         flights = [(label, f) for label, row in rows.items() if (f := comparison.flight(row)) is not None]
-        flights = [(label, f) for label, f in flights if identified(f)]
-        if flights:
+        if flights := [(label, f) for label, f in flights if identified(f)]:
             made.append((f"{trajectory} on {plant}", flights))
     return made
 
 
 def _estimates(comparison: Comparison, title: str, flights: list[tuple[str, Flight]], i: int) -> dict[str, Any]:
-    names = identified(flights[0][1])
-    draws = _estimate_draws(comparison, flights)
-    panels = [panel_svg(draws[name], f"estimate{i}{name}", f"{name} identified over time") for name in names]
-    known = [(name, true) for name in names if (true := truth(flights[0][1], name)) is not None]
-    last = flights[0][1]
+    (label, last), draws = flights[0], _estimate_draws(comparison, flights)
+    panels = [panel_svg(draw, f"estimate{i}{name}", f"{name} identified over time") for name, draw in draws.items()]
     ends = [
         f"{name} {number(float(last[name][-1]))} of {number(float(true[-1]))}"
-        for name, true in known
-        if math.isfinite(float(last[name][-1]))
+        for name in draws
+        if (true := truth(last, name)) is not None and math.isfinite(float(last[name][-1]))
     ]
-    text = f"Dashed: the plant's own value. At the end, {spoken(flights[0][0])}: {', '.join(ends)}." if ends else ""
+    text = f"Dashed: the plant's own value. At the end, {spoken(label)}: {', '.join(ends)}." if ends else ""
     return {"title": title, "labels": [label for label, _ in flights], "panels": panels, "text": text}
 
 
 def _estimate_draws(comparison: Comparison, flights: list[tuple[str, Flight]]) -> dict[str, Draw]:
-    draw = partial(estimate_panel, flights=flights, worn=comparison.look)
+    draw = partial(estimate_panel, flights=flights, look=comparison.look)
     return {name: partial(draw, name=name) for name in identified(flights[0][1])}
 
 
@@ -218,14 +202,8 @@ def _sheet(draws: list[Draw], handles: list[Line2D], size: tuple[float, float] =
 
 
 def _handles(comparison: Comparison, labels: list[str]) -> list[Line2D]:
-    return [
-        Line2D(
-            [], [], color=PAPER.series[look.token], linestyle=look.dash, label=spoken(label),
-            **mark(look, PAPER.series[look.token], PAPER),
-        )
-        for label in labels
-        if (look := comparison.look[label])
-    ]  # fmt: skip
+    look = comparison.look
+    return [Line2D([], [], linestyle=look[x].dash, label=spoken(x), **PAPER.mark(look[x])) for x in labels]
 
 
 def _file(prefix: str, name: str) -> str:

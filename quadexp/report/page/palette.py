@@ -1,15 +1,23 @@
-"""Colours of the page in its two themes and of its figures on paper; who wears which is in quadexp/report/style.py.
+"""Colours of the page in its two themes and of its figures on paper, and figures as inline SVG.
 
-Figures of the page are drawn once, in stand-in colours that `svg.py` replaces by CSS variables, so one drawing serves
-both themes.
+Colours and markers of contestants are in report/style.py. Figures of the page are drawn once, in stand-in colours that
+`inline_svg` replaces by CSS variables, so one drawing serves both themes.
 """
 
 from __future__ import annotations
 
+import html
+import io
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from quadexp.report.style import HUES, MOST_VARIANTS, shaded
+import matplotlib
+from matplotlib.figure import Figure
+
+from quadexp.report import style
+from quadexp.report.style import HUES, MOST_VARIANTS, Look, shaded
 
 # CSS variable -> (light, dark)
 TOKENS = {
@@ -21,7 +29,7 @@ TOKENS = {
     "accent": ("#0b63a5", "#62b5f5"),
     "wash": ("#eef4f9", "#15222e"),
     "alarm": ("#b3261e", "#ff8a7d"),
-    "shade": ("#c9ccd1", "#3d4652"),  # where a table goes on beyond the edge
+    "shade": ("#c9ccd1", "#3d4652"),  # where a table continues beyond the edge
     **{
         f"series-{hue}-{shade}": (shaded(hue, shade), shaded(hue, shade, dark=True))
         for hue in HUES
@@ -36,7 +44,7 @@ SHAPES = {  # marker -> name of its shape on the page
 
 @dataclass(frozen=True)
 class Palette:
-    """What a figure is drawn with; series: by `Look.token`."""
+    """The colours of a figure. series: by `Look.token`."""
 
     ink: str
     muted: str
@@ -45,6 +53,15 @@ class Palette:
     accent: str
     alarm: str
     series: Mapping[str, str]
+
+    def mark(self, look: Look) -> dict[str, Any]:
+        """Keywords of `plot` for colour and marker of a look: filled, or hollow for the variants of a controller."""
+        colour = self.series[look.token]
+        if look.filled:
+            edge = {"markeredgecolor": self.panel, "markeredgewidth": 0.7}
+        else:
+            edge = {"markerfacecolor": self.panel, "markeredgecolor": colour, "markeredgewidth": 1.3}
+        return {"color": colour, "marker": look.marker, **edge}
 
 
 def _palette(colour: dict[str, str]) -> Palette:
@@ -62,3 +79,56 @@ PAPER = _palette({name: light for name, (light, _) in TOKENS.items()})
 def css_blocks() -> list[str]:
     """Declarations of the light and of the dark theme."""
     return ["".join(f"--{name}:{pair[i]};" for name, pair in TOKENS.items()) for i in (0, 1)]
+
+
+def dress(panel: Any, palette: Palette) -> None:
+    """Colours of frame, ticks and grid."""
+    panel.set_facecolor("none")
+    panel.grid(True, color=palette.rule, linewidth=0.6)
+    for spine in panel.spines.values():
+        spine.set_color(palette.rule)
+    panel.spines["left"].set_visible(False)
+    panel.tick_params(which="both", colors=palette.muted, labelcolor=palette.muted)
+    panel.xaxis.label.set_color(palette.muted)
+    panel.yaxis.label.set_color(palette.muted)
+
+
+STYLE: Any = {
+    **style.STYLE,
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 8.5,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 8,
+    "axes.linewidth": 0.8,
+    "xtick.major.size": 3,
+    "ytick.major.size": 0,
+    "xtick.minor.size": 0,
+    "ytick.minor.size": 0,
+    "lines.linewidth": 1.6,
+    "lines.markersize": 5,
+    "pdf.fonttype": 42,
+}
+_DROPPED = re.compile(r"<\?xml.*?\?>|<!DOCTYPE.*?>|<metadata>.*?</metadata>|<!--.*?-->", re.DOTALL)
+_ID = re.compile(r'(\bid="|xlink:href="#|url\(#)')
+_SIZE = re.compile(r'(<svg\b[^>]*?)\s(?:width|height)="[^"]*"')
+_PATH = re.compile(r'\bd="[^"]*"')
+_DECIMALS = re.compile(r"(\d+\.\d{2})\d+")
+_VARIABLES = {standin: f"var(--{name})" for name, standin in STANDINS.items()}
+_STANDIN = re.compile("|".join(_VARIABLES), re.IGNORECASE)
+
+
+def inline_svg(figure: Figure, name: str, label: str) -> str:
+    """The figure as an <svg> element. name: unique on the page. label: its description for screen readers."""
+    stream = io.StringIO()
+    with matplotlib.rc_context({**STYLE, "svg.fonttype": "none"}):
+        figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
+    text = _DROPPED.sub("", stream.getvalue()).strip()
+    text = _ID.sub(lambda match: f"{match[1]}{name}-", text)
+    for _ in range(2):
+        text = _SIZE.sub(r"\1", text, count=1)
+    text = _STANDIN.sub(lambda match: _VARIABLES[match[0].lower()], text)
+    text = _PATH.sub(lambda match: _DECIMALS.sub(r"\1", match[0]), text)
+    text = re.sub(r"\s*\n\s*", "\n", text)
+    return text.replace("<svg ", f'<svg role="img" aria-label="{html.escape(label, quote=True)}" ', 1)

@@ -1,4 +1,4 @@
-"""Where every number comes from, and the commands that make it again."""
+"""The origin of every number, and the commands that make it again."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.config.cells import Grid
+from quadexp.report.compare import flat
 from quadexp.report.flown_by import versions_of
 from quadexp.report.page.source import Comparison
 
@@ -16,7 +17,7 @@ LOOKED_AT = 500  # flights whose settings are compared
 
 
 def origin(comparison: Comparison) -> dict[str, Any]:
-    """What stands at the foot of the page."""
+    """The last section of the page."""
     record = comparison.record
     flights = comparison.sample(LOOKED_AT)
     made_by = record.get("provenance", {})
@@ -29,7 +30,7 @@ def origin(comparison: Comparison) -> dict[str, Any]:
         "flights": len(comparison.rows),
         "backends": sorted({row["backend"] for row in comparison.rows if row["backend"]}),
         "command": sweep_command(comparison.grids, portable(comparison.root)),
-        "models": _models(flights),
+        "models": sorted({(f.get("model", ""), f.get("model_sha256", "")) for f in flights if f.get("model")}),
         "config": common_config(flights),
         "varied": varied(flights),
         "confidence": f"{comparison.confidence:.0%}",
@@ -38,7 +39,7 @@ def origin(comparison: Comparison) -> dict[str, Any]:
 
 
 def portable(path: Path) -> str:
-    """A path as it may stand in a page that travels: absolute ones by their name alone."""
+    """A path for a page that is passed on: absolute ones by their name alone."""
     return path.name if path.is_absolute() else path.as_posix()
 
 
@@ -51,29 +52,18 @@ def _commit(provenance: Mapping[str, Any]) -> str:
     return f"{git['commit'][:12]}{' with changes' if git.get('dirty') else ''}" if git.get("commit") else ""
 
 
-def _models(flights: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
-    """(path, sha256) of every checkpoint that flew."""
-    found = {(f.get("model", ""), f.get("model_sha256", "")) for f in flights if f.get("model")}
-    return sorted(found)
-
-
-def _flat(config: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
-    """Every value by its dotted key, as text."""
-    flat: dict[str, str] = {}
-    for key, value in config.items():
-        if isinstance(value, Mapping):
-            flat |= _flat(value, f"{prefix}{key}.")
-        else:
-            flat[f"{prefix}{key}"] = value if isinstance(value, str) else json.dumps(value)
-    return flat
+def _flat(flight: Mapping[str, Any]) -> dict[str, str]:
+    """Every setting by its dotted key, as text."""
+    settings = flat(flight.get("config", {}))
+    return {key: value if isinstance(value, str) else json.dumps(value) for key, value in settings.items()}
 
 
 def common_config(flights: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[tuple[str, str]]]]:
     """Settings that all flights share: group -> (key, value)."""
-    flats = [_flat(f.get("config", {})) for f in flights]
+    settings = list(map(_flat, flights))
     groups: dict[str, list[tuple[str, str]]] = {}
-    for key, value in (flats[0] if flats else {}).items():
-        if value != "null" and all(flat.get(key) == value for flat in flats):
+    for key, value in (settings[0] if settings else {}).items():
+        if value != "null" and all(one.get(key) == value for one in settings):
             group, _, rest = key.partition(".")
             groups.setdefault(group if rest else "all", []).append((rest or group, value))
     return list(groups.items())
@@ -81,17 +71,18 @@ def common_config(flights: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[
 
 def varied(flights: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[str]]]:
     """Settings that differ between flights, with their values in order of appearance."""
-    flats = [_flat(f.get("config", {})) for f in flights]
+    settings = list(map(_flat, flights))
     found = []
-    for key in dict.fromkeys(key for flat in flats for key in flat):
-        values = list(dict.fromkeys(flat[key] for flat in flats if key in flat))
-        if len(values) > 1 or any(key not in flat for flat in flats):
-            found.append((key, values[:12] + ["…"] * (len(values) > 12)))
+    for key in dict.fromkeys(key for one in settings for key in one):
+        values = list(dict.fromkeys(one.get(key) for one in settings))
+        if len(values) > 1:
+            known = [value for value in values if value is not None]
+            found.append((key, known[:12] + ["…"] * (len(known) > 12)))
     return found
 
 
 def sweep_command(grids: Sequence[Grid], out: str) -> str:
-    """The sweep in one line: its one grid, or the experiment that its grids come from; "" where neither is."""
+    """The sweep in one line: its one grid, or the experiment of its grids; "" if there is neither."""
     if len(grids) == 1:
         words = []
         for texts in grids[0]:
@@ -104,7 +95,7 @@ def sweep_command(grids: Sequence[Grid], out: str) -> str:
 
 
 def redo_command(overrides: Sequence[str]) -> str:
-    """One flight of a sweep again, by itself; "" where what was asked for is not known."""
+    """The command for one flight of a sweep; "" if its overrides are not known."""
     return f"quadexp simulate {' '.join(map(shlex.quote, overrides))}" if overrides else ""
 
 

@@ -1,7 +1,7 @@
 """Flights packed for the replay: a case is one condition and seed, flown by several controllers over one reference.
 
-Of a track are kept, on a time grid that all tracks of a case share: the position error (so that it can be magnified
-without loss), the attitude and the rotor thrusts, as integers in base64:
+A track has, on a time grid that all tracks of a case share, the position error (so that it can be magnified without
+loss), the attitude and the rotor thrusts, as integers in base64:
 
     error = int16 * error_step (m)      attitude = int16 / 32767      thrust = uint8 / 255 of the range
     position = reference + error        reference = centre + int16 * reference_step (m)
@@ -17,10 +17,9 @@ from typing import Any
 import numpy as np
 
 from quadexp.log.schema import Flight
-from quadexp.report.page.figures import course_title
-from quadexp.report.page.names import spoken
 from quadexp.report.page.palette import SHAPES
-from quadexp.report.page.source import Comparison
+from quadexp.report.page.panels import course_title
+from quadexp.report.page.source import Comparison, spoken
 from quadexp.report.pairing import condition_of
 
 BUDGET = 900_000  # characters of packed tracks
@@ -39,7 +38,7 @@ def case_of(row: Mapping[str, Any]) -> Case:
 
 
 def choose_cases(comparison: Comparison, worst: Sequence[Mapping[str, Any]]) -> list[Case]:
-    """The fastest and hardest condition first, the cases of the worst flights, then the other conditions; each once."""
+    """The fastest condition with the largest error first, the cases of the worst flights, then all other conditions."""
     seeds: dict[tuple[Any, ...], dict[int, int]] = {}
     largest: dict[tuple[Any, ...], float] = {}
     for row in comparison.rows:
@@ -63,7 +62,7 @@ def choose_cases(comparison: Comparison, worst: Sequence[Mapping[str, Any]]) -> 
 def pack_replay(
     comparison: Comparison, cases: Sequence[Case], budget: int = BUDGET
 ) -> tuple[list[dict[str, Any]], list[Case]]:
-    """As many cases as the budget holds, as JSON, and which they are."""
+    """As many cases as fit into the budget, as JSON, and their names."""
     by_case: dict[Case, list[Mapping[str, Any]]] = {}
     for row in comparison.rows:
         by_case.setdefault(case_of(row), []).append(row)

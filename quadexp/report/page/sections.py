@@ -8,26 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.report.common import Flights
 from quadexp.report.metrics import position_error
-from quadexp.report.page.figures import Course, course_title
-from quadexp.report.page.names import KNOWS, spoken
-from quadexp.report.page.numbers import (
-    MINUS,
-    NOBREAK,
-    alike,
-    duration,
-    interval,
-    number,
-    percent_with_interval,
-    probability,
-    shown,
-)
-from quadexp.report.page.source import TABLED, Comparison
-from quadexp.report.pairing import Condition, condition_of
+from quadexp.report.notes import table_notes
+from quadexp.report.page.panels import Course, course_of, course_title
+from quadexp.report.page.provenance import redo_command
+from quadexp.report.page.source import KNOWS, TABLED, Comparison, spoken
+from quadexp.report.pairing import Condition, Flights, condition_of
 from quadexp.report.statistics import Statistic
-from quadexp.report.tables import TITLES
-from quadexp.report.wording import notes, with_interval
+from quadexp.report.tables import TITLES, Entry
+from quadexp.report.text import duration, number, percent, probability, shown, speed_text, with_interval
 
 WORST = 9
 WIDE = 6  # columns; with more, a table is printed across the sheet
@@ -37,20 +26,20 @@ SPARK_POINTS = 120
 
 
 def scoreboard(comparison: Comparison) -> list[dict[str, Any]]:
-    """Everyone in the world of the answer: how flights ended, error over the common ones, against the baseline, time.
+    """Every contestant in the main world: flights that ended well, error, difference to the baseline, computing time.
 
-    Who ended most flights well comes first, then the least error.
+    Sorted by the share of flights that ended well, then by the error over the common flights.
     """
     factor, unit = shown(comparison.metric)
     means = {label: factor * comparison.geometric_mean(label) for label in comparison.order}
     known = [m for m in means.values() if m > 0]
     low, high = (math.log(min(known)), math.log(max(known))) if known else (0.0, 1.0)
-    span = high - low or 1.0
     board = []
     for label in comparison.order:
-        one, mean = comparison.overall.get(label), means[label]
-        _, good, flown = comparison.success(label)
-        own = comparison.own_flights(label)
+        one, mean, flights = comparison.overall.get(label), means[label], comparison.success(label)
+        beyond = flights.ended > (comparison.common.flights if mean == mean else 0)
+        own = f"own {number(factor * comparison.geometric_mean(label, own=True))} of {flights.ended}" if beyond else ""
+        change = _change(one.reduction, one.reduction_low, one.reduction_high) if one else ("", "")
         board.append(
             {
                 "label": label,
@@ -58,17 +47,15 @@ def scoreboard(comparison: Comparison) -> list[dict[str, Any]]:
                 "role": _role(comparison, label),
                 "error": number(mean),
                 "unit": unit,
-                "own": f"own {number(factor * comparison.geometric_mean(label, own=True))} of {own}"
-                if own > (comparison.common.flights if mean == mean else 0)
-                else "",
-                "at": 4 + 92 * (math.log(mean) - low) / span if mean > 0 else None,
-                "change": _change(one.reduction, one.reduction_low, one.reduction_high)[0] if one else "",
-                "limits": _change(one.reduction, one.reduction_low, one.reduction_high)[1] if one else "",
+                "own": own,
+                "at": 4 + 92 * (math.log(mean) - low) / (high - low or 1.0) if mean > 0 else None,
+                "change": change[0],
+                "limits": change[1].strip(),
                 "p": probability(one.p_holm) if one else "",
                 "median": duration(comparison.time(label)),
                 "p99": duration(comparison.time(label, "p99")),
-                "ended": f"{good} of {flown}",
-                "complete": good == flown,
+                "ended": flights.text(),
+                "complete": flights.ended == flights.trials,
             }
         )
     return board
@@ -82,90 +69,72 @@ def _role(comparison: Comparison, label: str) -> str:
 
 
 def _change(reduction: float, low: float = math.nan, high: float = math.nan) -> tuple[str, str]:
-    """A reduction as a change, and its interval: 98.6 % less is −98.6 %."""
+    """A reduction as a change, and its interval: a reduction by 98.6 % is -98.6 %."""
     if not math.isfinite(reduction):
         return "", ""
-    text, limits = percent_with_interval(-reduction, -high, -low)
-    return text if text.startswith(MINUS) else f"+{text}", limits
+    text, limits = percent(-reduction, -high, -low)
+    return text if text.startswith("-") else f"+{text}", limits
 
 
 def tables(comparison: Comparison) -> list[dict[str, Any]]:
-    """One table of means and one of paired differences for every metric; the deciding metric first.
-
-    Means and differences are over the flights of a line that all who are compared ended well.
-    """
+    """One table of means and one of paired differences for every metric, over common flights; the main metric first."""
     metrics = [comparison.metric, *(m for m in TABLED if m != comparison.metric)]
     return [_table(comparison, metric) for metric in metrics if comparison.select(metric)]
 
 
 def _table(comparison: Comparison, metric: str) -> dict[str, Any]:
-    factor, unit = shown(metric)
-    found = {(s.condition, comparison.labels[s.contestant]): s for s in comparison.select(metric)}
-    columns = [label for label in comparison.look if any(label == who for _, who in found)]
-    flown = _flown(comparison, metric)
-    order = list(dict.fromkeys(map(_course, comparison.conditions)))
-    conditions = sorted(comparison.conditions, key=lambda c: (order.index(_course(c)), -1.0 if c[3] is None else c[3]))
+    statistics = comparison.select(metric)
+    found = {(s.condition, comparison.labels[s.contestant]): s for s in statistics}
+    flown: dict[str, Flights] = {}  # on all plants and vehicles
+    for (_, label), s in found.items():
+        flown[label] = flown.get(label, Flights(0, 0)).plus(s.flown)
+    columns = [label for label in comparison.look if label in flown]
+    order = list(dict.fromkeys(map(course_of, comparison.conditions)))
+    conditions = sorted(
+        comparison.conditions, key=lambda c: (order.index(course_of(c)), -1.0 if c[3] is None else c[3])
+    )
     compared = [c for c in columns if any(s.baseline for (_, who), s in found.items() if who == c)]
-    lines = [
-        {
-            "course": course_title(comparison, _course(c)),
-            "speed": "" if c[3] is None else f"{c[3]:g}",
-            "first": i == 0 or _course(conditions[i - 1]) != _course(c),
-            "means": [_mean_cell(found.get((c, x)), factor) for x in columns],
-            "differences": [_difference_cell(found.get((c, x)), factor) for x in compared],
-        }
-        for i, c in enumerate(conditions)
-    ]
-    some = next(iter(found.values()))
-    baseline = next((s.baseline for s in found.values() if s.baseline), "")
+    previous: list[Course | None] = [None, *map(course_of, conditions)]
     return {
         "metric": metric,
         "title": TITLES[metric],
-        "unit": unit,
+        "unit": shown(metric)[1],
         "columns": [{"label": label, "flown": flown[label].text()} for label in columns],
         "compared": compared,
-        "baseline": baseline,
-        "lines": lines,
-        "confidence": f"{some.confidence:.0%}",
-        "notes": notes(list(found.values()), ()),
+        "baseline": next((s.baseline for s in statistics if s.baseline), ""),
+        "lines": [
+            {
+                "course": course_title(comparison, course_of(c)),
+                "speed": speed_text(c[3], ""),
+                "first": course_of(c) != before,
+                "means": [_mean_cell(found.get((c, x))) for x in columns],
+                "differences": [_difference_cell(found.get((c, x))) for x in compared],
+            }
+            for c, before in zip(conditions, previous, strict=False)
+        ],
+        "confidence": f"{statistics[0].confidence:.0%}",
+        "notes": table_notes(statistics, ()),
         "wide": len(columns) > WIDE,
     }
 
 
-def _flown(comparison: Comparison, metric: str) -> dict[str, Flights]:
-    """Label -> how many flights ended well, on all plants and vehicles."""
-    found: dict[str, Flights] = {}
-    for s in comparison.select(metric):
-        label = comparison.labels[s.contestant]
-        before = found.get(label, Flights(0, 0))
-        found[label] = Flights(before.ended + s.flown.ended, before.trials + s.flown.trials)
-    return found
-
-
-def _course(condition: Condition) -> Course:
-    plant, vehicle, trajectory, _, setting = condition
-    return plant, vehicle, trajectory, setting
-
-
-def _mean_cell(s: Statistic | None, factor: float) -> dict[str, Any]:
+def _mean_cell(s: Statistic | None) -> dict[str, Any]:
     if s is None:
-        return {"text": "\u2013", "limits": "", "own": "", "lost": "", "best": False}
-    lost = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in s.failures.items())
-    own = f"own {with_interval(factor * s.mean, math.nan, math.nan)[0]} of {s.n}" if s.n > s.common else ""
-    if not s.common:
-        return {"text": "", "limits": "", "own": own, "lost": lost, "best": False}
-    text, limits = with_interval(factor * s.common_mean, factor * s.common_low, factor * s.common_high)
-    star, limits = "*" if s.significant else "", limits.strip().replace(" ", NOBREAK)
-    return {"text": text + star, "limits": limits, "own": own, "lost": lost, "best": s.best}
+        return {"text": "-"}
+    entry = Entry.of(s)
+    (text, limits), lost = entry.value, entry.lost_text().replace("_", " ")
+    star = "*" if s.significant and text else ""
+    return {"text": text + star, "limits": limits.strip(), "own": entry.own_text(), "lost": lost, "best": s.best}
 
 
-def _difference_cell(s: Statistic | None, factor: float) -> dict[str, Any]:
+def _difference_cell(s: Statistic | None) -> dict[str, Any]:
     if s is None or not s.pairs:
-        return {"text": "\u2013", "limits": "", "change": "", "p": "", "left": s.left_out if s else "", "sure": False}
-    (text,) = alike([factor * s.difference])
+        return {"text": "-", "left": s.left_out if s else ""}
+    factor, _ = shown(s.metric)
+    text, limits = with_interval(*(factor * v for v in (s.difference, s.difference_low, s.difference_high)))
     return {
         "text": text if s.difference < 0 else f"+{text}",
-        "limits": interval(factor * s.difference_low, factor * s.difference_high, factor * s.difference),
+        "limits": limits.strip(),
         "change": _change(s.reduction)[0],
         "p": probability(s.p_holm) if s.comparisons * s.p_least < 1 - s.confidence else "",
         "left": s.left_out,
@@ -173,9 +142,9 @@ def _difference_cell(s: Statistic | None, factor: float) -> dict[str, Any]:
     }
 
 
-def worst_rows(comparison: Comparison, count: int = WORST) -> list[Mapping[str, Any]]:
-    """Flights that did not end well, then the largest errors: of a contestant in one condition only the worst seed, and
-    at most two conditions of each, so that the weakest of all does not fill the list.
+def worst_rows(comparison: Comparison, most: int = WORST) -> list[Mapping[str, Any]]:
+    """Flights that did not end well, then the largest errors: the worst seed of each contestant and condition, at most
+    EACH per contestant.
     """
 
     def badness(row: Mapping[str, Any]) -> tuple[Any, ...]:
@@ -185,45 +154,44 @@ def worst_rows(comparison: Comparison, count: int = WORST) -> list[Mapping[str, 
         return order, -(error if error is not None and math.isfinite(error) else 0.0)
 
     chosen: list[Mapping[str, Any]] = []
-    shown: dict[str, list[Condition]] = {}
+    conditions: dict[str, list[Condition]] = {}
     for row in sorted(comparison.rows, key=badness):
-        seen = shown.setdefault(comparison.label(row), [])
+        seen = conditions.setdefault(comparison.label(row), [])
         if row["outcome"] == "ok" and (condition_of(row) in seen or len(seen) >= EACH):
             continue
         seen.append(condition_of(row))
         chosen.append(row)
-    return chosen[:count]
+    return chosen[:most]
 
 
 def worst(
     comparison: Comparison, rows: Sequence[Mapping[str, Any]], cases: Mapping[tuple[Any, ...], int]
 ) -> list[dict[str, Any]]:
-    """Rows for the template. cases: (condition, seed) -> number in the replay."""
-    from quadexp.report.page.provenance import redo_command
+    """The worst flights for the template. cases: (condition, seed) -> number in the replay."""
     from quadexp.report.page.replay import case_of
 
     made = []
     for row in rows:
         flight = comparison.flight(row)
         error = position_error(flight) if flight is not None and "ref_p_x" in flight.columns else None
-        at = None if error is None else int(np.argmax(error))
-        speed = row["speed"]
+        about = {"largest": "", "at": "", "spark": ""}
+        if flight is not None and error is not None:
+            at = int(np.argmax(error))
+            about = {"largest": number(1e3 * error[at]), "at": f"{flight.t[at]:.1f}", "spark": _spark(error)}
         made.append(
             {
                 "label": comparison.label(row),
                 "name": spoken(comparison.label(row)),
                 "course": row["trajectory"],
-                "speed": "" if speed is None or math.isnan(speed) else f"{speed:g} m/s",
+                "speed": speed_text(row["speed"]),
                 "seed": row["seed"],
                 "world": f"{row['plant']}, {row['vehicle']}",
                 "outcome": row["outcome"].replace("_", " "),
                 "ok": row["outcome"] == "ok",
                 "cause": row.get("cause") or "",
-                "largest": "\u2013" if at is None or error is None else number(1e3 * float(error[at])),
-                "at": "" if at is None or flight is None else f"{flight.t[at]:.1f}",
-                "spark": "" if error is None else _spark(error),
                 "case": cases.get(case_of(row)),
                 "command": redo_command(comparison.asked(row)),
+                **about,
             }
         )
     return made
@@ -232,9 +200,7 @@ def worst(
 def _spark(error: np.ndarray) -> str:
     """The error over the flight as the points of a polyline, the largest of each bin, from zero up."""
     width, height = SPARK
-    bins = np.array_split(error, min(SPARK_POINTS, len(error)))
-    peaks = np.array([float(part.max()) for part in bins])
-    top = float(peaks.max()) or 1.0
+    peaks = np.array([float(part.max()) for part in np.array_split(error, min(SPARK_POINTS, len(error)))])
     x = np.linspace(0, width, len(peaks))
-    y = height - 1.5 - (height - 3) * peaks / top
+    y = height - 1.5 - (height - 3) * peaks / (float(peaks.max()) or 1.0)
     return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
