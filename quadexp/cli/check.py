@@ -97,7 +97,7 @@ def _with_import(findings: list[Any], flight: Any) -> list[Any]:
     known = Finding.__dataclass_fields__
     added = []
     for record in flight.metadata.get("findings") or []:
-        if record.get("name") in names or not set(known) - {"advice", "span"} <= set(record):
+        if record.get("name") in names or not set(known) - {"advice", "span", "correction"} <= set(record):
             continue
         values = {key: record[key] for key in known if key in record and key != "span"}
         # what blocked in the log was mended or accepted when the flight was made

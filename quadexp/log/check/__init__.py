@@ -11,12 +11,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from quadexp.log.check import clock, commands, consistency, rotors, timing
+from quadexp.log.check import clock, commands, rotors, timing
 from quadexp.log.check import rows as row_checks
 from quadexp.log.check.dead import check_dead
 from quadexp.log.check.duplicates import check_duplicates
 from quadexp.log.check.finding import Finding, worst_first
-from quadexp.log.check.windows import STREAMS, Windows, cut, rotation_matrices, window_starts
+from quadexp.log.hypotheses import search
+from quadexp.log.hypotheses.windows import STREAMS, Windows, cut, window_starts
 from quadexp.log.schema import Flight
 from quadexp.log.signal.offset import Offset
 from quadexp.physics.vehicle import Vehicle
@@ -216,13 +217,6 @@ def _spiky(streams: Mapping[str, np.ndarray]) -> np.ndarray:
     return bad if bad.mean() < 0.5 else np.zeros(length, bool)
 
 
-def whole(t: np.ndarray, streams: Mapping[str, np.ndarray]) -> Windows:
-    """The flight as one window, for repairs."""
-    values = {name: streams[name][None] if name in streams else None for name in STREAMS}
-    rotation = None if values["q"] is None else rotation_matrices(values["q"])
-    return Windows(t=t[None], **values, rotation=rotation)
-
-
 def _consistency(
     t: np.ndarray, streams: dict[str, np.ndarray], bad: np.ndarray, segment: np.ndarray | None
 ) -> tuple[dict[str, np.ndarray], list[Finding]]:
@@ -237,8 +231,8 @@ def _consistency(
             if name in streams:
                 columns = np.nan_to_num(streams[name]).T
                 shifted[name] = np.stack([np.interp(t + start.seconds, t, column) for column in columns], axis=-1)
-    explained, windows, doubtful = consistency.explain(cut(t, shifted, starts, half))
-    found = [one.finding() for one in explained] + doubtful + consistency.disagreements(windows)
+    explained, windows, doubtful = search.explain(cut(t, shifted, starts, half))
+    found = [one.finding() for one in explained] + doubtful + search.disagreements(windows)
     repaired = _repaired(t, streams, explained) if explained else streams
     return repaired, found
 
@@ -253,19 +247,19 @@ def _stray(
     for mask in without:
         good &= ~mask
     starts, half = window_starts(t, good, segment)
-    return consistency.stray(cut(t, streams, starts, half)) if len(starts) >= LEAST_WINDOWS else []
+    return search.stray(cut(t, streams, starts, half)) if len(starts) >= LEAST_WINDOWS else []
 
 
 def _repaired(
-    t: np.ndarray, streams: Mapping[str, np.ndarray], explained: list[consistency.Explained]
+    t: np.ndarray, streams: Mapping[str, np.ndarray], explained: list[search.Explained]
 ) -> dict[str, np.ndarray]:
     """The streams with all repairs done, chunk by chunk."""
     made = {name: np.empty_like(values) for name, values in streams.items()}
     for start in range(0, len(t), CHUNK):
         rows = slice(start, start + CHUNK)
-        part = whole(t[rows], {name: values[rows] for name, values in streams.items()})
+        part = Windows.of_streams(t[None, rows], {name: values[None, rows] for name, values in streams.items()})
         for one in explained:
-            part = one.repair.apply(part)
+            part = one.hypothesis.apply(part)
         for name in made:
             made[name][rows] = getattr(part, name)[0]
     return made

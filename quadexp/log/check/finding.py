@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 # What mends rows that cannot be.
@@ -12,9 +12,10 @@ SEVERITIES = ("info", "warning", "blocking")
 
 @dataclass(frozen=True)
 class Finding:
-    """name: of the fault (quadexp/log/check/faults.py). severity: "info", "warning" (use with care) or "blocking"
+    """name: of the fault . severity: "info", "warning" (use with care) or "blocking"
     (what is learned from the flight would be wrong). where: columns and time span or rows. measured, allowed: text
     with units. advice: what to do, or "". span: first and last time that `where` speaks of (s), where it is a stretch.
+    correction: lines of the import's mapping that mend it.
     """
 
     name: str
@@ -24,6 +25,7 @@ class Finding:
     allowed: str
     advice: str = ""
     span: tuple[float, float] | None = None
+    correction: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.severity not in SEVERITIES:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.log.check.finding import LEAVE_OUT, Finding, rows, span
-from quadexp.log.check.windows import STREAMS, attitude_rate
+from quadexp.log.hypotheses.windows import STREAMS, attitude_rate
 from quadexp.log.signal.crop import runs
 
 NORM = 0.01  # of a quaternion: what rounding to two digits leaves

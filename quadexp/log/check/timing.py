@@ -11,7 +11,7 @@ import numpy as np
 
 from quadexp.errors import DataError
 from quadexp.log.check.finding import Finding
-from quadexp.log.check.windows import attitude_rate
+from quadexp.log.hypotheses.windows import attitude_rate
 from quadexp.log.signal import Offset, estimate_offset
 
 BAND = 2.0  # Hz
