@@ -10,8 +10,10 @@
     motor_command: {columns: [m1, m2, m3, m4], range: [0, 65535], layout: [front_right, ...]}
     rotor_speed: {columns: [e1, e2, e3, e4], unit: erpm, pole_pairs: 7}
     crop: {height: 0.5, margin: 1.5}
+    corrections: [{rate: {unit: deg/s}}, {body: FRD}]
 
-Every key may be left out but `time`. mounting: roll, pitch and yaw (deg) of the sensor in the body, after `frame`:
+Every key may be left out but `time`. corrections: made one after the other on what the other keys give, each as if that
+were a log in SI units, ENU and FLU of which its lines are the mapping. mounting: roll, pitch and yaw (deg) of the sensor in the body, after `frame`:
 v_body = R_z(yaw) R_y(pitch) R_x(roll) v_sensor. Read by mapping_reader.py.
 """
 
@@ -56,7 +58,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Mapping:
-    """name, the kind of file ("text" or "hdf5"), its clock, and an entry for every quantity it has."""
+    """name, the kind of file ("text" or "hdf5"), its clock, an entry for every quantity it has, and corrections."""
 
     name: str
     format: str
@@ -65,6 +67,7 @@ class Mapping:
     layout: tuple[str, ...] | None
     crop: Crop
     signature: tuple[str, ...] = ()
+    corrections: tuple[Mapping, ...] = ()
 
     @property
     def columns(self) -> list[str]:

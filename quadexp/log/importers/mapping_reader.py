@@ -11,7 +11,7 @@ import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.log.importers.mapping import Clock, Entry, Mapping
-from quadexp.log.importers.raw import QUANTITIES, ROTORS, Crop
+from quadexp.log.importers.raw import QUANTITIES, ROTORS, Crop, columns_of
 from quadexp.log.importers.units import (
     BODY_FRAMES,
     ELECTRICAL,
@@ -28,7 +28,7 @@ PLACES = ("front_right", "back_right", "back_left", "front_left", "front", "righ
 EULER = "roll pitch yaw"
 DIRECTIONS = ("body_to_world", "world_to_body")
 KINDS = ("specific_force", "coordinate")
-_TOP = ("name", "about", "format", "signature", "world", "body", "time", "crop", *QUANTITIES)
+_TOP = ("name", "about", "format", "signature", "world", "body", "time", "crop", "corrections", *QUANTITIES)
 _ENTRY = ("column", "columns", "unit", "scale", "frame", "time")
 _OWN = {
     "attitude": ("order", "direction"),
@@ -118,16 +118,39 @@ class _Reader:
         return Mapping(
             str(values.get("name", self.path.stem)), form, self.clock("time", values["time"]), entries,
             next(iter(layouts), None), self.crop(values.get("crop", "auto")), tuple(map(str, signature)),
+            self.corrections(values.get("corrections") or [], entries),
         )  # fmt: skip
+
+    def corrections(self, value: Any, entries: dict[str, Entry]) -> tuple[Mapping, ...]:
+        """Each as a mapping whose log is the flight that the other keys give."""
+        if not isinstance(value, list) or not all(isinstance(one, dict) for one in value):
+            raise self.fail("corrections", "must be a list of lines of a mapping, such as `- rate: {unit: deg/s}`")
+        allowed = ("world", "body", "time", *entries)
+        reader = _Reader(self.path, dict.fromkeys(allowed, self.lines.get("corrections", 1)))
+        made = []
+        for one in value:
+            for key, lines in one.items():
+                if key not in allowed:
+                    raise self.fail("corrections", f"{key!r}: allowed are {', '.join(allowed)}")
+                if key not in ("world", "body"):
+                    reader.known(key, lines, (*_ENTRY[2:], *_OWN.get(key, ())))
+            own = {name: list(columns_of(name, len(entry.columns))) for name, entry in entries.items()}
+            streams = {name: {"columns": columns, **one.get(name, {})} for name, columns in own.items()}
+            made.append(reader.mapping({**one, **streams, "time": {"column": "t", **one.get("time", {})}}))
+        return tuple(made)
 
     def axes(self, kind: str, frame: Any, key: str = "") -> np.ndarray:
         return axes_matrix(kind, frame, self.at(key or kind))
 
     def clock(self, key: str, value: Any) -> Clock:
-        self.known(key, value, ("column", "unit"))
+        self.known(key, value, ("column", "unit", "scale"))
         if not isinstance(value.get("column"), (str, int)):
             raise self.fail(f"{key}.column", "must name one column")
-        return Clock(str(value["column"]), unit_factor("time", str(value.get("unit", "s")), self.at(f"{key}.unit")))
+        factor = unit_factor("time", str(value.get("unit", "s")), self.at(f"{key}.unit"))
+        scale = value.get("scale", 1.0)
+        if isinstance(scale, list) or not self.numbers(f"{key}.scale", scale) > 0:
+            raise self.fail(f"{key}.scale", f"{scale!r} must be one positive number")
+        return Clock(str(value["column"]), factor * scale)
 
     def known(self, key: str, value: Any, allowed: tuple[str, ...]) -> None:
         if not isinstance(value, dict):
@@ -224,8 +247,6 @@ class _Reader:
             )  # fmt: skip
         if made["in_body"] and name in ("position", "wind", "reference_position", "reference_velocity"):
             raise self.fail(f"{name}.frame", "must be a world frame")
-        if not made["in_body"] and name == "rate":
-            raise self.fail(f"{name}.frame", "must be a body frame")
         return made
 
     def attitude(
