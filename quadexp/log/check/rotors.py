@@ -98,7 +98,7 @@ def motion_of(
     torques, thrusts = [], []
     for start, stop in runs(good):
         for part in np.split(np.arange(start, stop), np.flatnonzero(_breaks(t, segment, start, stop)) + 1):
-            made = _stretch(t[part], w[part], u[part], vehicle)
+            made = stretch(t[part], w[part], u[part], vehicle.inertia_matrix)
             if made is not None:
                 torques.append(made[0])
                 thrusts.append(made[1])
@@ -120,8 +120,11 @@ def _breaks(t: np.ndarray, segment: np.ndarray, start: int, stop: int) -> np.nda
     return (step <= 0) | (step > 5 * usual) | (np.diff(segment[start:stop]) != 0)
 
 
-def _stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray] | None:
-    """Torque (k, 3) and lagged thrusts (lags, k, n) on a uniform clock, in the band, means taken off."""
+def stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Torque (m, 3) and lagged thrusts (lags, m, n) on a uniform clock, in the band, means taken off.
+
+    t: (k,) s. w: (k, 3) rad/s, body. u: (k, n), any scale. J: inertia, (3, 3). None where it is too short or slow.
+    """
     from scipy.ndimage import gaussian_filter1d
 
     if len(t) < 20 or t[-1] - t[0] < 2 / SLOWEST * 0.5 or np.median(np.diff(t)) > 0.03:
@@ -137,7 +140,7 @@ def _stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, vehicle: Vehicle) -> t
     def at(x: np.ndarray, lag: float = 0.0) -> np.ndarray:
         return np.stack([np.interp(grid - lag, t, column) for column in x.T], axis=1)
 
-    rate, J = at(w), vehicle.inertia_matrix
+    rate = at(w)
     smooth = gaussian_filter1d(rate, scale / BAND, axis=0)
     torque = band(np.gradient(rate, grid, axis=0)) @ J + band(np.cross(smooth, smooth @ J))
     step, edge = max(1, round(fine / RATE)), int(0.2 * fine)
@@ -160,7 +163,7 @@ def judge(motions: Sequence[Motion], vehicle: Vehicle) -> Verdict | None:
     torque, thrust = torque[part], thrust[:, part]
     if seconds < LEAST_SECONDS or not (np.mean(torque**2, axis=0) > 0).all():
         return None
-    fit = _Fit(torque, thrust)
+    fit = Fit(torque, thrust)
     pattern = vehicle.allocation[1:]
     given = fit.explained(pattern)
     n = vehicle.n_rotors
@@ -191,7 +194,7 @@ def _reordered(pattern: np.ndarray, order: Sequence[int]) -> np.ndarray:
     return made
 
 
-class _Fit:
+class Fit:
     """Sums over the rows, so that a hypothesis costs next to nothing."""
 
     def __init__(self, torque: np.ndarray, thrust: np.ndarray) -> None:
@@ -206,24 +209,24 @@ class _Fit:
         share = np.where(along > 0, along**2 / np.maximum(size, 1e-300), 0.0) / self.power
         return np.asarray(share.max(axis=0))
 
-    def columns(self) -> np.ndarray:
-        """Torque of each rotor's signal, (3, n), by regression at the lag that explains most; directions in which the
-        rotors hardly moved are left out."""
-        best, found = -1.0, np.zeros(self.cross.shape[1:])
+    def columns(self) -> tuple[np.ndarray, np.ndarray]:
+        """Torque of each rotor's signal, (3, n), by regression at the lag that explains most, and the share of each
+        axis' variance that it explains, (3,); directions in which the rotors hardly moved are left out."""
+        best, found = np.full(3, -1.0), np.zeros(self.cross.shape[1:])
         for cross, gram in zip(self.cross, self.gram, strict=True):
             inverse = np.linalg.pinv(gram, rcond=RANK**2, hermitian=True)
             made = cross @ inverse
-            value = float(np.mean(np.sum(made * cross, axis=1) / self.power))
-            if value > best:
-                best, found = value, made
-        return found
+            shares = np.sum(made * cross, axis=1) / self.power
+            if shares.mean() > best.mean():
+                best, found = shares, made
+        return found, best
 
 
-def _matched(fit: _Fit, pattern: np.ndarray) -> list[tuple[int, ...]]:
+def _matched(fit: Fit, pattern: np.ndarray) -> list[tuple[int, ...]]:
     """The order given and the one whose columns a regression comes nearest to, with either spin."""
     from scipy.optimize import linear_sum_assignment
 
-    found = fit.columns()
+    found, _ = fit.columns()
     n = pattern.shape[1]
     orders = [tuple(range(n))]
     found = found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-300)

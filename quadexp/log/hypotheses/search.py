@@ -212,9 +212,7 @@ def _candidates(windows: Windows, before: Agreements, taken: list[Explained]) ->
     return sorted(found, key=lambda one: -one.value)
 
 
-def _under_a_mount(
-    windows: Windows, before: Agreements, likely: list[Hypothesis], alone: float
-) -> list[Candidate]:
+def _under_a_mount(windows: Windows, before: Agreements, likely: list[Hypothesis], alone: float) -> list[Candidate]:
     """Faults of a sensor that is turned besides: each is judged with the turn that is left once it is mended too.
 
     alone: what the best single hypothesis explains; two must explain clearly more.
