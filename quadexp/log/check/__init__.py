@@ -17,9 +17,10 @@ from quadexp.log.check.dead import check_dead
 from quadexp.log.check.duplicates import check_duplicates
 from quadexp.log.check.finding import Finding, worst_first
 from quadexp.log.hypotheses import search
+from quadexp.log.hypotheses.hypothesis import KEYS
 from quadexp.log.hypotheses.windows import STREAMS, Windows, cut, window_starts
 from quadexp.log.schema import Flight
-from quadexp.log.signal.offset import Offset
+from quadexp.log.signal import Offset, increasing
 from quadexp.physics.vehicle import Vehicle
 
 __all__ = ["Finding", "check_flight", "check_flights", "inspect_flight"]
@@ -39,13 +40,9 @@ def check_flight(flight: Flight, vehicle: Vehicle | None = None) -> list[Finding
     """
     motions: list[rotors.Motion] = []
     found, _ = inspect_flight(flight, vehicle, motions)
-    return worst_first(found + _rotor_findings(flight, vehicle, motions))
-
-
-def _rotor_findings(flight: Flight, vehicle: Vehicle | None, motions: list[rotors.Motion]) -> list[Finding]:
-    if vehicle is None or not motions:
-        return []
-    return rotors.rotor_findings(rotors.judge(motions, vehicle), rotors.signal_kind(flight), vehicle)
+    if vehicle is not None and motions:
+        found += rotors.rotor_findings(rotors.judge(motions, vehicle), rotors.signal_kind(flight), vehicle)
+    return worst_first(found)
 
 
 def inspect_flight(
@@ -71,7 +68,7 @@ def inspect_flight(
     if "q" in streams:
         found += row_checks.check_quaternion(streams["q"], t)
     if any(one.name in ("clock_repeated", "clock_jump") and one.blocks for one in found):
-        first = first & _later(t)
+        first = first & increasing(t)
     kept = flight
     if not first.all():  # a long flight is not copied without need
         t, streams = t[first], {name: values[first] for name, values in streams.items()}
@@ -109,7 +106,7 @@ def inspect_flight(
     found += timing.offset_findings(imu, motor)
     spikes, spiky = row_checks.check_spikes(repaired, t, _limits(vehicle))
     for name, mask in spiky.items():
-        mark(f"{row_checks.NAMES[name]}_outlier", mask)
+        mark(f"{KEYS[name]}_outlier", mask)
     without = [spiky[name] for name in "pv" if name in spiky]
     for one, when in _stray(t, repaired, segment, [*without, lost]):
         found.append(one)
@@ -148,7 +145,7 @@ def check_flights(
     """Findings of every flight by its name, those about several flights (duplicates, rotors) among them."""
     same = check_duplicates(flights)
     found: dict[str, list[Finding]] = {}
-    silent: dict[tuple[str, str], list[tuple[str, rotors.Motion]]] = {}
+    silent: dict[tuple[Vehicle, str], list[tuple[str, rotors.Motion]]] = {}
     for name, flight in flights.items():
         vehicle = vehicles.get(name) if isinstance(vehicles, Mapping) else vehicles
         motions: list[rotors.Motion] = []
@@ -158,19 +155,14 @@ def check_flights(
         verdict = rotors.judge(motions, vehicle)
         found[name] += rotors.rotor_findings(verdict, rotors.signal_kind(flight), vehicle)
         if verdict is None or not (verdict.sure and verdict.spin):
-            key = (vehicle.fingerprint, rotors.signal_kind(flight))
-            silent.setdefault(key, []).append((name, motions[0]))
-    for (_, kind), members in silent.items():  # what none tells by itself they may tell together
-        if len(members) < 2:
-            continue
-        first = members[0][0]
-        vehicle = vehicles.get(first) if isinstance(vehicles, Mapping) else vehicles
-        assert vehicle is not None
-        verdict = rotors.judge([motion for _, motion in members], vehicle)
-        for name, _ in members:
-            known = {one.name for one in found[name]}
-            made = rotors.rotor_findings(verdict, kind, vehicle)
-            found[name] += [one for one in made if one.name not in known]
+            silent.setdefault((vehicle, rotors.signal_kind(flight)), []).append((name, motions[0]))
+    for (vehicle, kind), members in silent.items():  # what none tells by itself they may tell together
+        if len(members) > 1:
+            verdict = rotors.judge([motion for _, motion in members], vehicle)
+            for name, _ in members:
+                known = {one.name for one in found[name]}
+                made = rotors.rotor_findings(verdict, kind, vehicle)
+                found[name] += [one for one in made if one.name not in known]
     return {name: worst_first(findings) for name, findings in found.items()}
 
 
@@ -194,12 +186,6 @@ def _together(columns: list[np.ndarray]) -> np.ndarray:
         if places == [(c.__array_interface__["data"][0], c.strides) for c in columns]:
             return base
     return np.stack(columns, axis=-1).astype(float, copy=False)
-
-
-def _later(t: np.ndarray) -> np.ndarray:
-    from quadexp.log.signal import increasing
-
-    return increasing(t)
 
 
 def _spiky(streams: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -241,11 +227,9 @@ def _stray(
     t: np.ndarray, streams: dict[str, np.ndarray], segment: np.ndarray | None, without: list[np.ndarray]
 ) -> list[tuple[Finding, np.ndarray]]:
     """Stretches where a sensor leaves the motion, and their times. without: masks of rows of untrue motion."""
-    good = np.ones(len(t), bool)
+    good = ~np.logical_or.reduce([np.zeros(len(t), bool), *without])
     for values in streams.values():
         good &= np.isfinite(values).all(axis=1)
-    for mask in without:
-        good &= ~mask
     starts, half = window_starts(t, good, segment)
     return search.stray(cut(t, streams, starts, half)) if len(starts) >= LEAST_WINDOWS else []
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.log.check.finding import LEAVE_OUT, Finding, rows, span
+from quadexp.log.hypotheses.hypothesis import COLUMNS, KEYS
 from quadexp.log.hypotheses.windows import STREAMS, attitude_rate
 from quadexp.log.signal.crop import runs
 
@@ -20,8 +21,6 @@ MANY_OUTLIERS, LEAST_OUTLIERS = 0.005, 8  # share of the rows, and rows, beyond 
 SPIKE = 12.0  # robust standard deviations
 # The least that counts as a spike: beyond what flying does within a few samples.
 SPIKE_FLOOR = {"p": 0.05, "v": 0.5, "w": 8.0, "f": 30.0}
-NAMES = {"p": "position", "q": "attitude", "v": "velocity", "w": "rate", "f": "acceleration"}
-COLUMNS = {"p": "p_*", "q": "q_*", "v": "v_*", "w": "w_*", "f": "acc_*"}
 
 
 def check_finite(columns: dict[str, np.ndarray], t: np.ndarray) -> list[Finding]:
@@ -251,7 +250,7 @@ def check_spikes(
         where = f"{column}, {rows(start, stop, t)}"
         found.append(
             Finding(
-                f"{NAMES[name]}_outlier",
+                f"{KEYS[name]}_outlier",
                 severity,
                 where,
                 f"{text}; {bad.sum()} rows ({share:.2%})",

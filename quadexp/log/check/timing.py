@@ -12,7 +12,7 @@ import numpy as np
 from quadexp.errors import DataError
 from quadexp.log.check.finding import Finding
 from quadexp.log.hypotheses.windows import attitude_rate
-from quadexp.log.signal import Offset, estimate_offset
+from quadexp.log.signal import Offset, Stream, estimate_offset
 
 BAND = 2.0  # Hz
 ALLOWED = 0.025  # s: a quarter of the time in which a racing quadrotor turns by a radian, and clean logs' 0.02 s
@@ -44,15 +44,28 @@ def imu_offset(t: np.ndarray, streams: dict[str, np.ndarray], good: np.ndarray, 
     own, q, w = t[rows][usable], q[usable], w[usable]
     if len(own) < 50 or np.any(np.diff(own) <= 0):
         return None
-    rate = attitude_rate(own, q)
-    near = np.diff(own) < 3.5 * np.median(np.diff(own))
-    middle, rate = ((own[1:] + own[:-1]) / 2)[near], rate[near]
+    middle, rate = turning(own, q)
     if not vectors:
         rate, w = np.linalg.norm(rate, axis=1), np.linalg.norm(w, axis=1)
     try:
         return estimate_offset((middle, rate), (own, w), largest=LARGEST, band=BAND)
     except DataError:
         return None
+
+
+def turning(t: np.ndarray, q: np.ndarray) -> Stream:
+    """Body rate (rad/s) of an attitude q (k, 4), between samples without a gap."""
+    return _between(t, attitude_rate(t, q))
+
+
+def neighbours(t: np.ndarray, x: np.ndarray) -> Stream:
+    """Rate of change of x (k, m), between samples without a gap."""
+    return _between(t, np.diff(x, axis=0) / np.diff(t)[:, None])
+
+
+def _between(t: np.ndarray, values: np.ndarray) -> Stream:
+    near = np.diff(t) < 3.5 * np.median(np.diff(t))
+    return Stream(((t[1:] + t[:-1]) / 2)[near], values[near])
 
 
 def motor_offset(

@@ -23,7 +23,6 @@ from quadexp.log.hypotheses.hypothesis import (
     attitude_frames,
     attitude_readings,
     chain,
-    each,
     merged,
     to_world,
     turned,
@@ -173,7 +172,7 @@ def fitted(table: Table, columns: list[int], expected: np.ndarray, *, centred: b
 
 
 def quaternion_readings(table: Table, columns: list[int], *, scalar_first: bool) -> list[Reading]:
-    """Four columns as a quaternion in the usual orders and directions. scalar_first: whether their names say w first."""
+    """Four columns as a quaternion in the usual orders and directions. scalar_first: whether the names say so."""
     x = table.windows[..., columns]
     q = continuous(x.reshape(-1, 4)).reshape(x.shape)
     made = []
@@ -285,7 +284,7 @@ def _convention(
             continue
         factor = one.gain if name == "f" else UNITS["rate"][one.rate_unit[0]]
         sensors[name] = table.windows[..., one.columns]
-        changes_.append(each(lambda x, m=factor * body @ one.matrix: x @ m.T, name))
+        changes_.append(turned(name, factor * body @ one.matrix))
         if not one.plain:
             cost += TURNED
             correction = merged(correction, {key: {"frame": f"body {axes_words(body @ one.matrix)}"}})

@@ -1,4 +1,4 @@
-"""What may be wrong with a log: every hypothesis as the transformation that mends it and as a correction of the mapping.
+"""What may be wrong with a log: each hypothesis as the transformation that mends it and as a correction of the mapping.
 
 Frames: world ENU from NED is (y, x, -z), body FLU from FRD is (x, -y, -z); both are their own inverse.
 """
@@ -196,20 +196,20 @@ def hypotheses(present: frozenset[str]) -> tuple[Hypothesis, ...]:
         """What keeps streams as they are where `world` and `body` of the mapping change for the attitude's sake."""
         return {KEYS[name]: {"frame": "ENU" if name in "pv" else "FLU"} for name in streams if name in present}
 
-    for streams in ("v", "p", "pv", "w", "f"):
+    for streams, more in (("v", 0.0), ("p", 0.0), ("pv", 0.2), ("w", 0.0), ("f", 0.0), ("wf", 0.3)):
         if not set(streams) <= present:
             continue
         for matrix, fault, text, cost in signed_permutations():
-            if streams in ("v", "p", "pv") and (matrix == NED).all():
+            if streams[0] in "pv" and (matrix == NED).all():
                 fault, text, cost = "ned_not_converted", "they are in NED (x north, y east, z down), not ENU", 1.2
-            elif streams in ("w", "f") and (matrix == FRD).all():
-                fault, text, cost = "frd_not_converted", "they are in FRD (y right, z down), not FLU", 1.2
+            elif streams[0] in "wf" and (matrix == FRD).all():
+                fault, text = "frd_not_converted", "they are in FRD (y right, z down), not FLU"
+                cost = 1.1 if streams == "wf" else 1.2
             elif streams == "f" and (matrix == -np.eye(3)).all():
                 text, cost = "the sign of all axes is reversed (gravity, not specific force)", 1.1
-            elif (matrix == np.diag([1, 1, -1])).all() and streams in ("p", "pv"):
+            elif streams[0] == "p" and (matrix == np.diag([1, 1, -1])).all():
                 fault, text = "z_down", "z points down, not up"
-            cost = cost + 0.2 * (streams == "pv")
-            add(fault, streams, text, turned(streams, matrix), _in_frame(streams, matrix), cost)
+            add(fault, streams, text, turned(streams, matrix), _in_frame(streams, matrix), cost + more)
     in_units = [("v", "velocity", unit) for unit in SPEEDS] + [("p", "length", unit) for unit in LENGTHS]
     for name, dimension, unit in [*in_units, ("w", "rate", "deg/s"), ("f", "acceleration", "g"),
                                   ("f", "acceleration", "mg")]:  # fmt: skip
@@ -246,7 +246,7 @@ def hypotheses(present: frozenset[str]) -> tuple[Hypothesis, ...]:
         for k, axis in enumerate("xyz"):
             sign = np.ones(4)
             sign[k + 1] = -1
-            add("sign_flip", "q", f"the sign of q_{axis} is reversed", each(lambda q, sign=sign: q * sign, "q"),
+            add("sign_flip", "q", f"the sign of q_{axis} is reversed", turned("q", np.diag(sign)),
                 {"attitude": {"scale": sign.astype(int).tolist()}}, 1.4)  # fmt: skip
         every = chain(turned(motion, NED), ned, turned(sensors, FRD))
         add("ned_not_converted", f"{motion}q{sensors}", "all is in NED and FRD", every,
@@ -256,11 +256,6 @@ def hypotheses(present: frozenset[str]) -> tuple[Hypothesis, ...]:
         if sensors:
             body_of_all = chain(to_frd, turned(sensors, FRD))
             add("frd_not_converted", f"q{sensors}", "the body is FRD, not FLU", body_of_all, {"body": "FRD"}, 1.3)
-    if {"w", "f"} <= present:
-        for matrix, fault, text, cost in signed_permutations():
-            if (matrix == FRD).all():
-                fault, text, cost = "frd_not_converted", "they are in FRD (y right, z down), not FLU", 1.1
-            add(fault, "wf", text, turned("wf", matrix), _in_frame("wf", matrix), cost + 0.3)
     return tuple(found)
 
 

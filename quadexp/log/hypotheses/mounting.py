@@ -2,8 +2,8 @@
 
     min over M in SO(3) of sum_k |x_k - M y_k|^2         (Wahba 1965; Kabsch 1976)
 
-x_k: what the motion says over a window, y_k: what the sensor read (quadexp/log/hypotheses/windows.py). The specific force
-of a multirotor points along the body's z nearly always, so that an accelerometer alone hardly tells a turn about z:
+x_k: what the motion says over a window, y_k: what the sensor read (windows.py). The specific force of
+a multirotor points along the body's z nearly always, so that an accelerometer alone hardly tells a turn about z:
 where its standard error is too large for what it finds, that turn is left out.
 """
 

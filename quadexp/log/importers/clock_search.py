@@ -8,8 +8,9 @@ import numpy as np
 
 from quadexp.errors import DataError
 from quadexp.log.importers.names import groups, unit_of
+from quadexp.log.importers.units import UNITS
 
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+SECONDS = {unit: UNITS["time"][unit] for unit in ("s", "ms", "us", "ns")}
 RATES = (4.0, 8200.0)  # Hz, of loggers
 EPOCHS = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"))  # about now, since 1970
 

@@ -14,8 +14,7 @@ from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.log.importers.assemble import Assembled, assemble
 from quadexp.log.importers.bad_rows import MODES, without_bad_rows
 from quadexp.log.importers.detect import detect
-from quadexp.log.importers.mapping import Mapping
-from quadexp.log.importers.mapping_reader import load_mapping
+from quadexp.log.importers.mapping_reader import Mapping, load_mapping
 from quadexp.log.importers.raw import RawLog
 from quadexp.log.importers.units import mounting_matrix
 from quadexp.log.schema import Flight

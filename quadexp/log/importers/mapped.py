@@ -10,7 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from quadexp.errors import DataError
-from quadexp.log.importers.mapping import Entry, Mapping
+from quadexp.log.hypotheses.windows import multiply
+from quadexp.log.importers.mapping_reader import Entry, Mapping
 from quadexp.log.importers.raw import RawLog, clean_stream
 from quadexp.log.importers.table import Table
 from quadexp.log.signal import Stream
@@ -38,10 +39,10 @@ def read_mapped(table: Table, mapping: Mapping, rows: int | None = None) -> RawL
         columns = {key: value for key, value in columns.items() if key in later}  # a long log fits in memory once
     turn_to_frame(log, mapping.entries)
     for correction in mapping.corrections:
-        clock = correction.clock.factor
+        factor = correction.clock.factor
         for name, entry in correction.entries.items():
             t, values = log.streams[name]
-            log.streams[name] = convert(name, entry, Stream(t if clock == 1.0 else t * clock, values))
+            log.streams[name] = convert(name, entry, Stream(t if factor == 1.0 else t * factor, values))
         turn_to_frame(log, correction.entries)
     return log
 
@@ -86,22 +87,7 @@ def turn_attitude(q: np.ndarray, world: np.ndarray, body: np.ndarray) -> np.ndar
         return turn_attitude(mirrored, world @ mirror, body @ mirror)
     w = Rotation.from_matrix(world).as_quat(scalar_first=True)
     b = Rotation.from_matrix(body.T).as_quat(scalar_first=True)
-    return _product(_product(np.broadcast_to(w, q.shape), q), np.broadcast_to(b, q.shape))
-
-
-def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Hamilton product of quaternions, (k, 4)."""
-    aw, ax, ay, az = a.T
-    bw, bx, by, bz = b.T
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=1,
-    )
+    return multiply(multiply(w, q), b)
 
 
 def turn_to_frame(log: RawLog, entries: dict[str, Entry]) -> None:

@@ -22,7 +22,7 @@ import numpy as np
 
 from quadexp.errors import DataError, QuadexpError
 from quadexp.log.declared import allowed_bytes
-from quadexp.log.importers.extras import missing_package
+from quadexp.log.extras import missing_package
 from quadexp.log.importers.mapped import with_attitude
 from quadexp.log.importers.raw import RawLog, clean_stream
 from quadexp.log.importers.units import UNITS

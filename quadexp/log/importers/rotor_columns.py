@@ -13,12 +13,13 @@ import numpy as np
 
 from quadexp.log.check.rotors import Fit, stretch
 from quadexp.log.hypotheses.conventions import Table
+from quadexp.log.importers.mapping_reader import PLACES
 from quadexp.log.importers.names import unit_of
 from quadexp.log.importers.units import axes_matrix
 from quadexp.log.signal.crop import runs
 
 LEAST_EXPLAINED = 0.08  # of the angular acceleration, for the places of motors to be stated
-PLACES = {(1, -1): "front_right", (-1, -1): "back_right", (-1, 1): "back_left", (1, 1): "front_left"}
+BY_SIGNS = {signs: place for place, signs in PLACES.items()}  # of x and y, FLU
 
 Lines = dict[str, tuple[Any, float, str]]  # by quantity: value in the mapping, confidence, evidence
 
@@ -116,7 +117,7 @@ def _layout(table: Table, columns: list[int], rate: list[int], fields: Mapping[s
     if made is None:
         return None
     found, shares = Fit(*made).columns()
-    places = [PLACES[int(np.sign(x)) or 1, int(np.sign(y)) or 1] for x, y in zip(-found[1], found[0], strict=True)]
+    places = [BY_SIGNS[int(np.sign(x)) or 1, int(np.sign(y)) or 1] for x, y in zip(-found[1], found[0], strict=True)]
     explained = float(shares[:2].min())
     return (places, explained) if len(set(places)) == 4 and explained > LEAST_EXPLAINED else None
 

@@ -229,7 +229,7 @@ def _where(text: str, table: Table) -> str:
 def numbers(table: Table) -> tuple[list[str], np.ndarray]:
     """The columns that hold numbers, and their values (k, N).
 
-    At most DESCRIBED_COLUMNS and DESCRIBED_ROWS are looked at; of datasets of several lengths, the length most columns have.
+    The first DESCRIBED_COLUMNS and DESCRIBED_ROWS are looked at; of datasets of several lengths, the commonest length.
     Raises DataError where no column holds numbers.
     """
     names = list(table.columns[:DESCRIBED_COLUMNS])
@@ -304,7 +304,7 @@ def _h5py(path: Path) -> Any:
     try:
         import h5py
     except ImportError:
-        from quadexp.log.importers.extras import missing_package
+        from quadexp.log.extras import missing_package
 
         raise missing_package(path, "h5py", "logs") from None
     return h5py

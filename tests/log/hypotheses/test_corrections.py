@@ -117,7 +117,7 @@ def test_the_printed_correction_mends_the_import(flights, tmp_path, one):
     mends(tmp_path, flights[0], one)
 
 
-@pytest.mark.parametrize("k", range(8))
+@pytest.mark.parametrize("k", range(6))
 def test_so_do_those_of_axes(flights, tmp_path, k):
     """Axes swapped and reversed, drawn at random, on two vehicles."""
     drawn = np.random.default_rng(k).choice(len(TURNS), 2, replace=False)
@@ -127,10 +127,10 @@ def test_so_do_those_of_axes(flights, tmp_path, k):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("vehicle", "seed"), [("blackbird", 310), ("lei_li", 311), ("crazyflie", 312)])
-def test_every_hypothesis_on_other_vehicles(tmp_path, vehicle, seed):
+def test_every_hypothesis_on_one_of_three_vehicles(tmp_path, vehicle, seed):
     flight = imitated(seed, vehicle, duration=12)
     wrong = []
-    for one in EVERY:
+    for one in EVERY[seed - 310 :: 3]:
         try:
             mends(tmp_path, flight, one)
         except AssertionError as error:
@@ -148,12 +148,12 @@ def test_lines_that_the_mapping_has_not_are_its_own(flights, tmp_path):
                 made = merged(made, lines)
         return flow(made)
 
-    for one in OTHERS[::3]:
+    for one in OTHERS[::6]:
         mends(tmp_path, flights[1], one, in_place)
 
 
 def test_two_faults_under_a_mapping_with_frames_and_units(flights, tmp_path):
-    """The mapping knows that the log is in NED, FRD and degrees a second; it knows not that it has g and a flipped y."""
+    """The mapping knows that the log is in NED, FRD and degrees a second; it knows nothing of g and a flipped y."""
     columns = {key: values.copy() for key, values in flights[0].columns.items()}
     for names, matrix, factor in ((P, NED, 1), (V, NED, 1), (W, FRD, 180 / np.pi)):
         put(columns, names, factor * take(columns, names) @ matrix.T)
