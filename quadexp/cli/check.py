@@ -91,7 +91,7 @@ def _vehicle(flight: Any, name: str | None, conf: Path | None) -> Any:
 
 def _with_import(findings: list[Any], flight: Any) -> list[Any]:
     """Findings now, and those that the import made on the log itself, which the flight no longer shows."""
-    from quadexp.log.check.finding import Finding, worst_first
+    from quadexp.log.finding import Finding, worst_first
 
     names = {one.name for one in findings}
     known = Finding.__dataclass_fields__

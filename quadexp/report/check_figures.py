@@ -13,7 +13,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from quadexp.log.check.finding import Finding
+from quadexp.log.finding import Finding
 from quadexp.log.hypotheses.windows import STREAMS, Pair, cut, pairs, window_starts
 from quadexp.log.schema import Flight
 from quadexp.report.style import COLOURS, STYLE

@@ -15,7 +15,7 @@ from quadexp.log.check import clock, commands, rotors, timing
 from quadexp.log.check import rows as row_checks
 from quadexp.log.check.dead import check_dead
 from quadexp.log.check.duplicates import check_duplicates
-from quadexp.log.check.finding import Finding, worst_first
+from quadexp.log.finding import Finding, worst_first
 from quadexp.log.hypotheses import search
 from quadexp.log.hypotheses.hypothesis import KEYS
 from quadexp.log.hypotheses.windows import STREAMS, Windows, cut, window_starts

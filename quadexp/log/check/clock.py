@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadexp.log.check.finding import Finding, rows, span
+from quadexp.log.finding import Finding, rows, span
 
 GAP = 5.0  # periods
 MISSING = 1.5  # periods: a step longer than that lacks rows

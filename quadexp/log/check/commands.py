@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from quadexp.log.check.finding import LEAVE_OUT, Finding, rows, span
+from quadexp.log.finding import LEAVE_OUT, Finding, rows, span
 from quadexp.log.schema import Flight
 from quadexp.log.signal.crop import runs
 from quadexp.physics.vehicle import Vehicle

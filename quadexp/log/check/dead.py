@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadexp.log.check.finding import Finding, rows, span
+from quadexp.log.finding import Finding, rows, span
 from quadexp.log.signal.crop import runs
 
 STEP = 0.05  # s

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.check.finding import Finding
+from quadexp.log.finding import Finding
 from quadexp.log.hypotheses.windows import STREAMS
 from quadexp.log.schema import Flight
 from quadexp.log.signal import Stream, increasing, resample

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.log.check.finding import LEAVE_OUT, Finding, rows, span
+from quadexp.log.finding import LEAVE_OUT, Finding, rows, span
 from quadexp.log.hypotheses.hypothesis import COLUMNS, KEYS
 from quadexp.log.hypotheses.windows import STREAMS, attitude_rate
 from quadexp.log.signal.crop import runs

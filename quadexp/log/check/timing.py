@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.check.finding import Finding
+from quadexp.log.finding import Finding
 from quadexp.log.hypotheses.windows import attitude_rate
 from quadexp.log.signal import Offset, Stream, estimate_offset
 

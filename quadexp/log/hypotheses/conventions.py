@@ -29,8 +29,8 @@ from quadexp.log.hypotheses.hypothesis import (
 )
 from quadexp.log.hypotheses.search import TIE, agreement
 from quadexp.log.hypotheses.windows import FLOOR, Windows, body_rate, changes, means, pairs, window_starts
-from quadexp.log.importers.units import UNITS, axes_matrix, axes_words
 from quadexp.log.signal import continuous
+from quadexp.log.units import UNITS, axes_matrix, axes_words
 
 UPS = {  # direction of up in the log's world: its frame, a phrase, cost
     "z": ("ENU", "z up; which way x points from north cannot be known from the data", 0.0),

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.log.hypotheses.windows import Windows, multiply
-from quadexp.log.importers.units import UNITS, axes_matrix, axes_words
+from quadexp.log.units import UNITS, axes_matrix, axes_words
 from quadexp.physics.vehicle import GRAVITY
 
 NED = axes_matrix("world", "NED", "")

@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from quadexp.log.check.finding import LEAVE_OUT, Finding
+from quadexp.log.finding import LEAVE_OUT, Finding
 from quadexp.log.hypotheses.hypothesis import COLUMNS, Hypothesis, clock_hypothesis, hypotheses, scale_hypotheses
 from quadexp.log.hypotheses.mounting import mounting_hypotheses
 from quadexp.log.hypotheses.windows import SIDES, STREAMS, Pair, Windows, pairs

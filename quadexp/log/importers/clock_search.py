@@ -8,7 +8,7 @@ import numpy as np
 
 from quadexp.errors import DataError
 from quadexp.log.importers.names import groups, unit_of
-from quadexp.log.importers.units import UNITS
+from quadexp.log.units import UNITS
 
 SECONDS = {unit: UNITS["time"][unit] for unit in ("s", "ms", "us", "ns")}
 RATES = (4.0, 8200.0)  # Hz, of loggers

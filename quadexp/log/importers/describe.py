@@ -37,7 +37,7 @@ from quadexp.log.importers.detect import detect
 from quadexp.log.importers.names import NOT_MEASURED, groups, hint, numbered_quaternion, unit_of
 from quadexp.log.importers.rotor_columns import find_battery, find_motors
 from quadexp.log.importers.table import numbers, open_table
-from quadexp.log.importers.units import UNITS
+from quadexp.log.units import UNITS
 
 Groups = dict[str, list[list[int]]]  # quantity -> groups of columns, the likeliest first
 ORDER = ("time", "world", "body", "position", "attitude", "velocity", "rate", "acceleration")

@@ -30,7 +30,7 @@ import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.log.importers.raw import QUANTITIES, ROTORS, Crop, columns_of
-from quadexp.log.importers.units import (
+from quadexp.log.units import (
     BODY_FRAMES,
     ELECTRICAL,
     UNITS,

@@ -19,8 +19,8 @@ import numpy as np
 from quadexp.errors import DataError
 from quadexp.log.importers.mapped import turn_attitude
 from quadexp.log.importers.raw import RawLog, clean_stream
-from quadexp.log.importers.units import axes_matrix
 from quadexp.log.signal import Stream, increasing
+from quadexp.log.units import axes_matrix
 
 Topic = Mapping[str, np.ndarray]  # field -> (k,); arrays are "q[0]", ...
 Topics = Mapping[str, Sequence[Topic]]  # name -> instances

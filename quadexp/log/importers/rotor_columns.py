@@ -15,8 +15,8 @@ from quadexp.log.check.rotors import Fit, stretch
 from quadexp.log.hypotheses.conventions import Table
 from quadexp.log.importers.mapping_reader import PLACES
 from quadexp.log.importers.names import unit_of
-from quadexp.log.importers.units import axes_matrix
 from quadexp.log.signal.crop import runs
+from quadexp.log.units import axes_matrix
 
 LEAST_EXPLAINED = 0.08  # of the angular acceleration, for the places of motors to be stated
 BY_SIGNS = {signs: place for place, signs in PLACES.items()}  # of x and y, FLU
