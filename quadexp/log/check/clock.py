@@ -39,16 +39,9 @@ def check_clock(
         k = back[np.argmin(steps[back])]
         more = f", {len(back)} times" if len(back) > 1 else ""
         text = f"{steps[k]:+.4g} s{more}: from {t[k]:.4f} to {t[k + 1]:.4f} s"
+        where = f"t, {rows(k + 1, k + 2)}"
         found.append(
-            Finding(
-                "clock_jump",
-                "blocking",
-                f"t, {rows(k + 1, k + 2)}",
-                text,
-                "t increases",
-                "cut the log there",
-                span(t, k, k + 1),
-            )
+            Finding("clock_jump", "blocking", where, text, "t increases", "cut the log there", span(t, k, k + 1))
         )
     same = np.flatnonzero(steps == 0)
     if len(same):
@@ -58,6 +51,7 @@ def check_clock(
     if not len(positive):
         return found
     period = float(np.median(positive))
+    allowed = f"{GAP:g} periods of {period:.4g} s"
     marked = np.zeros(len(steps), bool) if segment is None else np.diff(segment) != 0
     long = np.flatnonzero(steps > GAP * period)
     leaps = [int(k) for k in long if _leaps(int(k), t, period, position, velocity)]
@@ -67,25 +61,13 @@ def check_clock(
         more = f", {len(leaps)} such" if len(leaps) > 1 else ""
         text = f"the clock leaps by {steps[k]:.3g} s at {t[k]:.2f} s, position goes on as if by {period:.3g} s{more}"
         severity = "warning" if marked[leaps].all() else "blocking"
-        found.append(
-            Finding("clock_jump", severity, f"t, {rows(k + 1, k + 2)}", text, f"{GAP:g} periods of {period:.4g} s")
-        )
+        found.append(Finding("clock_jump", severity, f"t, {rows(k + 1, k + 2)}", text, allowed))
     if gaps:
         k = max(gaps, key=lambda k: steps[k])
         text = f"{len(gaps)} {'gap' if len(gaps) == 1 else 'gaps'}, the longest {steps[k]:.3g} s at {t[k]:.2f} s"
         inside = [k for k in gaps if not marked[k]]
         severity, advice = ("info", "") if not inside else ("warning", "import starts a new segment at a gap")
-        found.append(
-            Finding(
-                "gap",
-                severity,
-                f"t, {rows(k + 1, k + 2)}",
-                text,
-                f"{GAP:g} periods of {period:.4g} s",
-                advice,
-                span(t, k, k + 2),
-            )
-        )
+        found.append(Finding("gap", severity, f"t, {rows(k + 1, k + 2)}", text, allowed, advice, span(t, k, k + 2)))
     few = np.flatnonzero((steps > MISSING * period) & (steps <= GAP * period) & ~marked)
     if len(few):
         lost = int(np.sum(np.round(steps[few] / period) - 1))

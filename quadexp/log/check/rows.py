@@ -35,11 +35,8 @@ def check_finite(columns: dict[str, np.ndarray], t: np.ndarray) -> list[Finding]
         bursts = runs(bad)
         start, stop = max(bursts, key=lambda run: run[1] - run[0])
         text = f"{bad.sum()} values in {len(bursts)} {'run' if len(bursts) == 1 else 'runs'}"
-        found.append(
-            Finding(
-                "not_finite", "blocking", f"{name}, {rows(start, stop, t)}", text, "none", span=span(t, start, stop)
-            )
-        )
+        where = f"{name}, {rows(start, stop, t)}"
+        found.append(Finding("not_finite", "blocking", where, text, "none", span=span(t, start, stop)))
     return _gathered(found)
 
 
@@ -64,16 +61,8 @@ def check_quaternion(q: np.ndarray, t: np.ndarray) -> list[Finding]:
         start, stop = max(runs(off > NORM), key=lambda run: run[1] - run[0])
         text = f"norm off by {off.max():.3g}, {np.mean(off > NORM):.2%} of the rows by more than allowed"
         severity = "blocking" if off.max() > NORM_BLOCKS else "warning"
-        found.append(
-            Finding(
-                "quaternion_norm",
-                severity,
-                f"q_*, {rows(start, stop, t)}",
-                text,
-                f"{NORM:g}",
-                span=span(t, start, stop),
-            )
-        )
+        where = f"q_*, {rows(start, stop, t)}"
+        found.append(Finding("quaternion_norm", severity, where, text, f"{NORM:g}", span=span(t, start, stop)))
     flips = np.flatnonzero(np.sum(q[1:] * q[:-1], axis=1) < -0.5)
     if len(flips):
         text = f"the sign flips {len(flips)} times (the same attitude)"
@@ -248,15 +237,6 @@ def check_spikes(
         many = max(LEAST_OUTLIERS, MANY_OUTLIERS * len(t))
         severity = "blocking" if bad.sum() > many or beyond.sum() > max(2, 0.0005 * len(t)) else "warning"
         where = f"{column}, {rows(start, stop, t)}"
-        found.append(
-            Finding(
-                f"{KEYS[name]}_outlier",
-                severity,
-                where,
-                f"{text}; {bad.sum()} rows ({share:.2%})",
-                allowed,
-                LEAVE_OUT,
-                span(t, start, stop),
-            )
-        )
+        text, name = f"{text}; {bad.sum()} rows ({share:.2%})", f"{KEYS[name]}_outlier"
+        found.append(Finding(name, severity, where, text, allowed, LEAVE_OUT, span(t, start, stop)))
     return found, masks
