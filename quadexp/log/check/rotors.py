@@ -1,9 +1,9 @@
-"""Do the rotors stand and turn as the vehicle says? Their thrusts against the angular acceleration that they make.
+"""Order and spin of the rotors: their thrusts against the angular acceleration that they cause.
 
     J w' + w x J w = sum_i (r_i x e_z + c_tau s_i e_z) u_i        w: gyro; u_i: signal of rotor i as a thrust
 
-The rows of a flight are fitted axis by axis with a gain, a lag and an offset of their own (real arms, thrust curves and
-motors are off by those), so what is tested is the pattern over the rotors alone. Four rotors: every order, and every
+A flight is fitted axis by axis with a gain, a lag and an offset of its own (real arms, thrust curves and motors are off
+by those), so what is tested is the pattern over the rotors alone. Four rotors: every order, and every
 order of the reaction torques' signs that is the vehicle's or its opposite. More rotors: a regression on every rotor,
 whose coefficients are matched with the vehicle's columns (Kuhn 1955). Roll and pitch tell the order, yaw the spin.
 """
@@ -77,9 +77,9 @@ class Verdict:
 def motion_of(
     flight: Flight, vehicle: Vehicle, w: np.ndarray | None = None, bad: np.ndarray | None = None
 ) -> Motion | None:
-    """What one flight says of its rotors; None where it has no gyro, no rotor signal or too little of it.
+    """What one flight tells about its rotors; None where it has no gyro, no rotor signal or too little of it.
 
-    w: (k, 3) rad/s, body FLU, in place of the flight's own. bad: rows not to be used, (k,).
+    w: (k, 3) rad/s, body FLU, in place of the flight's own. bad: samples not to be used, (k,).
     """
     signals = command_columns(flight)
     if not signals or (w is None and any(f"w_{axis}" not in flight.columns for axis in "xyz")):
@@ -153,7 +153,7 @@ def stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, J: np.ndarray) -> tuple
 
 
 def judge(motions: Sequence[Motion], vehicle: Vehicle) -> Verdict | None:
-    """The order and spin that flights of one vehicle speak for; None where they say too little."""
+    """The order and spin that fit flights of one vehicle best; None where they tell too little."""
     # a thrust has another scale in every flight (battery), the same for all rotors
     scales = [1 / max(float(np.sqrt(np.mean(one.thrust[0] ** 2))), 1e-12) for one in motions]
     torque = np.concatenate([one.torque for one in motions])
@@ -195,7 +195,7 @@ def _reordered(pattern: np.ndarray, order: Sequence[int]) -> np.ndarray:
 
 
 class Fit:
-    """Sums over the rows, so that a hypothesis costs next to nothing."""
+    """Sums over the samples, of which each order of the rotors is judged at little cost."""
 
     def __init__(self, torque: np.ndarray, thrust: np.ndarray) -> None:
         self.power = np.sum(torque**2, axis=0)

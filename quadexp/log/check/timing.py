@@ -1,8 +1,8 @@
 """Time offsets between the sensors of a flight.
 
-The IMU against the attitude: body rates are seen by both, whatever frame or unit they are in, so their magnitudes are
-correlated first, and the vectors where those agree better. Motors against the accelerometer: the lag of the motors is
-part of that offset. Below 2 Hz, where vehicles turn and motion capture does not shake.
+The IMU against the attitude: both show body rates. Magnitudes, which need no common frame, are correlated first, vectors
+once frames and units are known to agree. Motors against the accelerometer: the lag of the motors is part of that
+offset. Below 2 Hz, where vehicles turn and motion capture does not shake.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PARTS, PART = 6, 20.0  # how many stretches of a long flight are looked at, and 
 
 
 def spread(t: np.ndarray) -> np.ndarray:
-    """Mask (k,) of the rows looked at: all of a short flight, stretches spread over a long one."""
+    """Mask (k,) of the samples looked at: all of a short flight, stretches spread over a long one."""
     length = float(t[-1] - t[0])
     if length <= PARTS * PART:
         return np.ones(len(t), bool)
@@ -32,16 +32,16 @@ def spread(t: np.ndarray) -> np.ndarray:
 
 
 def imu_offset(t: np.ndarray, streams: dict[str, np.ndarray], good: np.ndarray, *, vectors: bool) -> Offset | None:
-    """Offset of the body rates behind the attitude; None where it cannot be estimated. good: rows to use, (k,).
+    """Offset of the body rates behind the attitude; None where it cannot be estimated. good: samples to use, (k,).
 
     vectors: whether frames and units are known to agree; else magnitudes are compared.
     """
     if "q" not in streams or "w" not in streams:
         return None
-    rows = np.flatnonzero(good & spread(t))
-    q, w = streams["q"][rows], streams["w"][rows]
+    samples = np.flatnonzero(good & spread(t))
+    q, w = streams["q"][samples], streams["w"][samples]
     usable = np.isfinite(q).all(axis=1) & np.isfinite(w).all(axis=1)
-    own, q, w = t[rows][usable], q[usable], w[usable]
+    own, q, w = t[samples][usable], q[usable], w[usable]
     if len(own) < 50 or np.any(np.diff(own) <= 0):
         return None
     middle, rate = turning(own, q)

@@ -20,8 +20,8 @@ from quadexp.log.hypotheses.windows import Pair, Windows, pairs
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-LEAST = 2.0  # deg: what is said at all
-WARNS, MOST = 4.0, 20.0  # deg: what a fit's offsets take no more; what a mount that was never calibrated may be off by
+LEAST = 2.0  # deg: smaller turns are not reported
+WARNS, MOST = 4.0, 20.0  # deg: more than the offsets of a fit absorb; the most of a mount that was never calibrated
 LARGEST = 120.0  # deg: beyond, it is a convention of axes, which other hypotheses name
 CERTAIN, CERTAIN_ALONE = 3.0, 5.0  # standard errors; of a turn about z that an accelerometer alone shows
 KEPT = 0.9  # of the windows: knocks are left out

@@ -32,9 +32,9 @@ STRAY = 12.0  # robust standard deviations
 STRAY_FLOOR = {"acceleration_outlier": 8.0, "rate_outlier": 4.0}  # m/s^2 and rad/s, means over a window
 MOVING = 2.0  # floors that a stream must move by to be compared
 TELLING = 0.6  # of a residual that may be left once a factor is undone
-CLEAR = 0.4  # of a residual that may be left where a log without IMU is said to have axes that no convention has
-ALIKE = 0.98  # correlation above which a factor between two streams means something
-DISAGREE = 0.7  # residual over signal above which two streams say different things
+CLEAR = 0.4  # of a residual that may be left for a log without IMU to have axes that no convention has
+ALIKE = 0.98  # correlation above which a factor between two streams is judged
+DISAGREE = 0.7  # residual over signal above which two streams disagree
 WEIGHT = {"force (p)": 0.5, "thrust (p)": 0.5}
 WORDS = {
     "velocity": ("v against dp/dt", "m/s"),

@@ -238,7 +238,7 @@ class _Columns:
             return None
         return self.in_units(Motion(p, v, in_body=True, gain=1 / fit.gain, correlation=fit.correlation))
 
-    # -------------------------------------------------------------------------------------------- what is said of it
+    # ---------------------------------------------------------------------------------------------- what is proposed
     def proved(self, best: Convention, ranked: list[Convention]) -> dict[str, Proposal]:
         """Frames, attitude, gyro and accelerometer of the best convention."""
 
