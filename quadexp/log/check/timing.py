@@ -1,8 +1,8 @@
 """Time offsets between the sensors of a flight.
 
-The IMU against the attitude: both show body rates. Magnitudes, which need no common frame, are correlated first, vectors
-once frames and units are known to agree. Motors against the accelerometer: the lag of the motors is part of that
-offset. Below 2 Hz, where vehicles turn and motion capture does not shake.
+The IMU against the attitude: both show body rates. Magnitudes, which need no common frame, are correlated first, then
+vectors, once frames and units are known to agree. Motors against the accelerometer: the lag of the motors is part of
+that offset. Below 2 Hz, where vehicles turn and motion capture does not shake.
 """
 
 from __future__ import annotations

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from quadexp.config.schema import conf_folder
-from quadexp.errors import DataError, QuadexpError, UsageError
-from quadexp.log.check import check_flight
+from quadexp.errors import DataError, UsageError
 from quadexp.log.importers.assemble import Assembled, assemble
 from quadexp.log.importers.bad_rows import MODES, without_bad_rows
 from quadexp.log.importers.detect import detect
@@ -63,22 +61,8 @@ class Options:
     bad_rows: str = "refuse"
 
 
-@dataclass
-class Imported:
-    """path: of the log. flight, or the error that kept it from being one. findings: of the quality check."""
-
-    path: Path
-    flight: Flight | None = None
-    error: str = ""
-    findings: list[Any] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-
-def import_logs(paths: Sequence[Path], vehicle: Vehicle | None, options: Options) -> Iterator[Imported]:
-    """Import logs one after the other; one that cannot be read is reported and the others go on.
-
-    Raises UsageError where the request itself is wrong (unknown format, mapping that says nothing of use).
-    """
+def checked(options: Options) -> Mapping | None:
+    """The mapping that the options name; raises UsageError where the request itself is wrong."""
     if options.format not in FORMATS:
         raise UsageError(f"--format {options.format}: no such format; there are {', '.join(FORMATS)}")
     mapping = None if options.mapping is None else load_mapping(options.mapping)
@@ -88,15 +72,7 @@ def import_logs(paths: Sequence[Path], vehicle: Vehicle | None, options: Options
         raise UsageError(f"--rate {options.rate:g}: must be in [0.1, 10000] Hz")
     if options.bad_rows not in MODES:
         raise UsageError(f"--bad-rows {options.bad_rows}: no such way; there are {', '.join(MODES)}")
-    for path in paths:
-        try:
-            flight, notes = import_log(path, vehicle, options, mapping)
-        except QuadexpError as error:
-            yield Imported(path, error=str(error))
-        except (MemoryError, RecursionError) as error:
-            yield Imported(path, error=f"{path}: too large or too deeply nested to read ({type(error).__name__})")
-        else:
-            yield Imported(path, flight, findings=check_flight(flight, vehicle), notes=notes)
+    return mapping
 
 
 def import_log(
