@@ -107,7 +107,14 @@ def offset_findings(imu: Offset | None, motor: Offset | None) -> list[Finding]:
             )
             allowed = f"{limit * 1e3:.0f} ms"
             found.append(
-                Finding("time_offset", severity, "w_*, acc_* against q_*, p_*", text, allowed, "import corrects it")
+                Finding(
+                    "time_offset",
+                    severity,
+                    "w_*, acc_* against q_*, p_*",
+                    text,
+                    allowed,
+                    "`import --align` corrects it",
+                )
             )
     if motor is not None and motor.certain and motor.correlation > 0.7:
         low, high = MOTOR_LAG[0] - 3 * motor.error, MOTOR_LAG[1] + 3 * motor.error

@@ -121,13 +121,13 @@ class Reading:
 
 @dataclass(frozen=True)
 class Motion:
-    """position, velocity: columns, None where there is none, and what one unit of them is in SI. in_body: of the
-    velocity. gain: of the velocity over the derivative of the position. correlation: of the two."""
+    """position, velocity: columns, None where there is none. length, speed: their units. in_body: of the velocity.
+    gain: of the velocity over the derivative of the position, as logged. correlation: of the two."""
 
     position: list[int] | None = None
     velocity: list[int] | None = None
-    length: float = 1.0
-    speed: float = 1.0
+    length: str = "m"
+    speed: str = "m/s"
     in_body: bool = False
     gain: float = 1.0
     correlation: float = 0.0
@@ -212,9 +212,9 @@ def _of_reading(
     t = table.times
     streams = {"q": reading.q}
     if motion.position is not None:
-        streams["p"] = table.windows[..., motion.position] * motion.length
+        streams["p"] = table.windows[..., motion.position] * UNITS["length"][motion.length]
     if motion.velocity is not None:
-        streams["v"] = table.windows[..., motion.velocity] * motion.speed
+        streams["v"] = table.windows[..., motion.velocity] * UNITS["velocity"][motion.speed]
     unknown = motion.position is None and motion.velocity is None
     if unknown:  # then gravity alone has to explain the accelerometer
         streams["v"] = np.zeros((*t.shape, 3))

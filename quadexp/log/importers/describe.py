@@ -194,7 +194,7 @@ class _Columns:
             length, speed = str(written), f"{written}/s"
         elif near == 1.0 and large and np.abs(self.table.x[:, one.velocity]).max() > 80:
             length, speed = "mm", "mm/s"
-        return replace(one, length=UNITS["length"][length], speed=UNITS["velocity"][speed])
+        return replace(one, length=length, speed=speed)
 
     def readings(self, taken: list[int]) -> list[Reading]:
         """Every reading of four columns of norm one, those named so if there are any; else of roll, pitch and yaw."""
@@ -286,10 +286,8 @@ class _Columns:
             entry, why = self.entry(columns, order="rpy", unit=best.reading.unit), ["named so"]
         else:
             lines = {"order": "wxyz", "direction": "body_to_world", **best.correction.get("attitude", {})}
-            entry, why = (
-                self.entry(columns, **lines),
-                [f"norm 1 within {np.abs(np.linalg.norm(x, axis=1) - 1).max():.2g}"],
-            )
+            off = np.abs(np.linalg.norm(x, axis=1) - 1).max()
+            entry, why = self.entry(columns, **lines), [f"norm 1 within {off:.2g}"]
         proved = False
         for sensor, least, what in ((best.rate, 0.8, "its rate with the gyro"),
                                     (best.force, 0.97, "gravity and motion with the accelerometer")):  # fmt: skip
@@ -303,23 +301,19 @@ class _Columns:
 
     def motion(self, one: Motion | None) -> dict[str, Proposal]:
         """Position and velocity: as each other's derivative, or by their names."""
-        fields = {}
-        if one is not None and one.correlation > 0:
-            assert one.position is not None and one.velocity is not None
-            clear = abs(one.gain * one.speed / one.length - 1) < 0.1
+        if one is not None and one.position is not None and one.velocity is not None and one.correlation > 0:
+            clear = abs(one.gain * UNITS["velocity"][one.speed] / UNITS["length"][one.length] - 1) < 0.1
             named = self.is_named("position", one.position) or self.is_named("velocity", one.velocity)
             sure = ((0.97 if named else 0.9) if one.correlation > 0.95 else 0.75) if clear else 0.5
             why = f"the velocity is {one.gain:.3g} times its derivative, correlation {one.correlation:.3f}"
             why += "" if clear else "; that factor fits no unit: look at the time's unit too"
-            length, speed = (next(u for u, f in UNITS[d].items() if f == factor)
-                             for d, factor in (("length", one.length), ("velocity", one.speed)))  # fmt: skip
-            in_body = " turned into the body" if one.in_body else ""
-            fields["position"] = Proposal(self.entry(one.position, unit=length), sure, why)
-            fields["velocity"] = Proposal(
-                self.entry(one.velocity, unit=speed, frame="body" if one.in_body else "world"), sure,
-                f"{one.gain:.3g} times the derivative of the position{in_body}",
-            )  # fmt: skip
-            return fields
+            frame, turned = ("body", " turned into the body") if one.in_body else ("world", "")
+            velocity = self.entry(one.velocity, unit=one.speed, frame=frame)
+            return {
+                "position": Proposal(self.entry(one.position, unit=one.length), sure, why),
+                "velocity": Proposal(velocity, sure, f"{one.gain:.3g} times the derivative of the position{turned}"),
+            }
+        fields = {}
         for quantity, units in (("position", ("m", "mm", "cm")), ("velocity", ("m/s", "cm/s", "mm/s"))):
             for columns in self.named.get(quantity, [])[:1]:
                 written = self.written(columns)

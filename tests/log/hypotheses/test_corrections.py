@@ -28,7 +28,7 @@ from quadexp.log.importers import Options
 from quadexp.log.importers.mapping_reader import load_mapping
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_table
-from tests.log.check.faults import FRD, NED, P, V, W, put, take
+from tests.log.check.faults import FRD, NED, P, V, W, inject, put, take
 from tests.log.imitated import imitated
 from tests.log.importers.logs import write_csv
 from tests.log.importers.test_bad_rows import MAPPING
@@ -71,9 +71,9 @@ def broken(flight: Flight, one: Hypothesis) -> Flight:
     return Flight(columns, flight.metadata)
 
 
-def imported(folder, log, mapping: str) -> tuple[Flight, list]:
+def imported(folder, log, mapping: str, *, align: bool = False) -> tuple[Flight, list]:
     (folder / "mapping.yaml").write_text(mapping)
-    options = Options(mapping=folder / "mapping.yaml")
+    options = Options(mapping=folder / "mapping.yaml", align=align)
     (outcome,) = import_files([log], folder / "out", options, force=True, keep=True)
     assert outcome.path is not None, outcome.cause
     return Flight(*read_table(outcome.path, "flight")), outcome.findings
@@ -150,6 +150,15 @@ def test_lines_that_the_mapping_has_not_are_its_own(flights, tmp_path):
 
     for one in OTHERS[::6]:
         mends(tmp_path, flights[1], one, in_place)
+
+
+def test_a_late_sensor_is_moved_by_the_option_that_is_offered(flights, tmp_path):
+    log = write_csv(tmp_path / "log.csv", dict(inject(flights[0], "imu_50_ms_late").columns))
+    _, findings = imported(tmp_path, log, MAPPING)
+    (found,) = [one for one in findings if one.severity != "info"]
+    assert found.name == "time_offset" and "`import --align`" in found.advice
+    _, left = imported(tmp_path, log, MAPPING, align=True)
+    assert not [one.message for one in left if one.severity != "info"]
 
 
 def test_two_faults_under_a_mapping_with_frames_and_units(flights, tmp_path):
