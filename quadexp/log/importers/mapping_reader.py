@@ -204,9 +204,10 @@ class _Reader:
                 if key not in allowed:
                     raise self.fail("corrections", f"{key!r}: allowed are {', '.join(allowed)}")
                 if key not in ("world", "body"):
-                    reader.known(key, lines, (*_ENTRY[2:], *_OWN.get(key, ())))
-            own = {name: list(columns_of(name, len(entry.columns))) for name, entry in entries.items()}
-            streams = {name: {"columns": columns, **one.get(name, {})} for name, columns in own.items()}
+                    own = [name for name in _OWN.get(key, ()) if name != "layout"]
+                    reader.known(key, lines, ("unit", "scale", *(["frame"] if key != "time" else []), *own))
+            columns = {name: list(columns_of(name, len(entry.columns))) for name, entry in entries.items()}
+            streams = {name: {"columns": columns[name], **one.get(name, {})} for name in entries}
             made.append(reader.mapping({**one, **streams, "time": {"column": "t", **one.get("time", {})}}))
         return tuple(made)
 

@@ -188,6 +188,8 @@ def test_two_faults_under_a_mapping_with_frames_and_units(flights, tmp_path):
         ("corrections: [{rate: {unit: rpm}}]", "unit 'rpm' is not known"),
         ("corrections: [{rate: {columns: [a, b, c]}}]", "unknown key"),
         ("corrections: [{time: {scale: -1}}]", "must be one positive number"),
+        ("corrections: [{time: {column: x}}]", "unknown key"),
+        ("corrections: [{rate: }]", "must be a mapping"),
     ],
 )
 def test_one_line_says_what_is_wrong_with_a_correction(tmp_path, lines, message):
