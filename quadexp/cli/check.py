@@ -91,13 +91,13 @@ def _vehicle(flight: Any, name: str | None, conf: Path | None) -> Any:
 
 def _with_import(findings: list[Any], flight: Any) -> list[Any]:
     """Findings now, and those that the import made on the log itself, which the flight no longer shows."""
-    from quadexp.log.check.finding import Finding, worst_first
+    from quadexp.log.finding import Finding, worst_first
 
     names = {one.name for one in findings}
     known = Finding.__dataclass_fields__
     added = []
     for record in flight.metadata.get("findings") or []:
-        if record.get("name") in names or not set(known) - {"advice", "span"} <= set(record):
+        if record.get("name") in names or not set(known) - {"advice", "span", "correction"} <= set(record):
             continue
         values = {key: record[key] for key in known if key in record and key != "span"}
         # what blocked in the log was mended or accepted when the flight was made

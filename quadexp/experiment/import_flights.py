@@ -8,8 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from quadexp.errors import UsageError
-from quadexp.log.importers.importing import Imported, Options, import_logs
+from quadexp.errors import QuadexpError, UsageError
+from quadexp.log.check import Finding, check_flight
+from quadexp.log.importers import Options, checked, import_log
+from quadexp.log.schema import Flight
 from quadexp.log.store import check_output, write_flight
 from quadexp.physics.vehicle import Vehicle
 
@@ -23,7 +25,7 @@ class Outcome:
     cause: str = ""
     summary: str = ""
     notes: list[str] = field(default_factory=list)
-    findings: list[Any] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
 
     def lines(self) -> list[str]:
         """For people: one line on what it became, then what there is to say of it."""
@@ -66,42 +68,45 @@ def import_files(
     for path in paths.values():
         check_output(path, force=force)
     named = None if vehicle is None else _vehicle(vehicle, conf)
+    mapping = checked(options)
     seen: dict[str, str] = {}
-    for one in import_logs(list(logs), named, options):
-        yield _finish(one, paths[one.path], seen, keep)
+    for log, path in paths.items():
+        try:
+            flight, notes = import_log(log, named, options, mapping)
+        except QuadexpError as error:
+            yield Outcome(log, cause=str(error).removeprefix(f"{log}: "))
+        except (MemoryError, RecursionError) as error:
+            yield Outcome(log, cause=f"too large or too deeply nested to read ({type(error).__name__})")
+        else:
+            yield _finish(Outcome(log, notes=notes, findings=check_flight(flight, named)), flight, path, seen, keep)
 
 
-def _finish(one: Imported, path: Path, seen: dict[str, str], keep: bool) -> Outcome:
-    if one.flight is None:
-        return Outcome(one.path, cause=one.error.removeprefix(f"{one.path}: "))
-    source = one.flight.metadata.get("source", {})
-    content = source.get("sha256", str(one.path))
-    findings = list(one.findings)
+def _finish(one: Outcome, flight: Flight, path: Path, seen: dict[str, str], keep: bool) -> Outcome:
+    """Write the flight, unless something blocks."""
+    source = flight.metadata.get("source", {})
+    content = source.get("sha256", str(one.log))
     if content in seen:
-        findings.insert(0, _duplicate(seen[content]))
-    blocking = [finding for finding in findings if finding.severity == "blocking"]
+        one.findings.insert(0, _duplicate(seen[content]))
+    blocking = [finding for finding in one.findings if finding.blocks]
     if blocking and not keep:
         names = ", ".join(dict.fromkeys(finding.name for finding in blocking))
-        cause = f"{names} (below); --keep writes it all the same"
+        one.cause = f"{names} (below); --keep writes it all the same"
         if path.exists():  # --force was given: what an earlier import made must not pass for this one
             path.unlink()
-            cause += f"; the earlier {path} was removed"
-        return Outcome(one.path, cause=cause, notes=one.notes, findings=findings)
-    record = {"findings": [finding.record() for finding in findings]} if source else {}
-    write_flight(path, one.flight, **record)
-    seen.setdefault(content, one.path.name)
-    return Outcome(one.path, path, summary=_summary(one), notes=one.notes, findings=findings)
+            one.cause += f"; the earlier {path} was removed"
+        return one
+    record = {"findings": [finding.record() for finding in one.findings]} if source else {}
+    write_flight(path, flight, **record)
+    seen.setdefault(content, one.log.name)
+    one.path, one.summary = path, _summary(flight)
+    return one
 
 
-def _duplicate(twin: str) -> Any:
-    from quadexp.log.check import Finding
-
+def _duplicate(twin: str) -> Finding:
     return Finding("duplicate", "blocking", "the whole file", f"the same bytes as {twin}", "every flight once")
 
 
-def _summary(one: Imported) -> str:
-    flight = one.flight
-    assert flight is not None
+def _summary(flight: Flight) -> str:
     t = flight.t
     source = flight.metadata.get("source", {})
     text = f"{source.get('format') or 'quadexp'}, {float(t[-1] - t[0]) if len(t) else 0:.1f} s"

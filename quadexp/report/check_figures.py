@@ -1,7 +1,7 @@
 """Figures of a quality check: each sensor against its value computed from the others, over time, faults marked.
 
 Three columns, three axes: velocity against dp/dt, specific force against R^T (dv/dt + g), body rate against the
-derivative of the attitude, all as means over windows of 0.1 s (quadexp/log/check/windows.py).
+derivative of the attitude, all as means over windows of 0.1 s (quadexp/log/hypotheses/windows.py).
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from quadexp.log.check.finding import Finding
-from quadexp.log.check.windows import STREAMS, Pair, cut, pairs, window_starts
+from quadexp.log.finding import Finding
+from quadexp.log.hypotheses.windows import STREAMS, Pair, cut, pairs, window_starts
 from quadexp.log.schema import Flight
 from quadexp.report.style import COLOURS, styled
 

@@ -134,7 +134,7 @@ def _place(row: Row) -> str:
 
 
 def outside_line(record: Mapping[str, Any] | None, *, always: bool = False) -> list[str]:
-    """A line on a flight with more than REPORTED_SHARE of its samples outside its model's data, or unknown; or always."""
+    """A line if more than REPORTED_SHARE of a flight lay outside its model's data, or that is unknown; or always."""
     if record is None:
         return []
     share = record["share"]

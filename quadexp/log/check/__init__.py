@@ -1,8 +1,8 @@
-"""Is a recorded flight what it says it is? Faults by name, with their place, their size and what is allowed.
+"""Quality check of a recorded flight: faults by name, with their place, their size and what is allowed.
 
-The order matters: rows that cannot be are found first and left out of what follows; then units, frames, signs and the
-clock are tried against the motion itself; then, with what was found undone, offsets, spikes and commands. So a log in
-degrees is said to be in degrees, not to spin too fast.
+The order matters. Bad samples are found first and left out of what follows. Then units, frames, signs and the clock are
+tested against the motion. Then, with the faults found so far corrected, come offsets, spikes and commands: a log in
+degrees is reported as such, not as one that spins too fast.
 """
 
 from __future__ import annotations
@@ -11,14 +11,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from quadexp.log.check import clock, commands, consistency, rotors, timing
-from quadexp.log.check import rows as row_checks
+from quadexp.log.check import clock, commands, rotors, timing
+from quadexp.log.check import samples as sample_checks
 from quadexp.log.check.dead import check_dead
 from quadexp.log.check.duplicates import check_duplicates
-from quadexp.log.check.finding import Finding, worst_first
-from quadexp.log.check.windows import STREAMS, Windows, cut, rotation_matrices, window_starts
+from quadexp.log.finding import Finding, worst_first
+from quadexp.log.hypotheses import search
+from quadexp.log.hypotheses.hypothesis import KEYS
+from quadexp.log.hypotheses.windows import STREAMS, Windows, cut, window_starts
 from quadexp.log.schema import Flight
-from quadexp.log.signal.offset import Offset
+from quadexp.log.signal import Offset, increasing
 from quadexp.physics.vehicle import Vehicle
 
 __all__ = ["Finding", "check_flight", "check_flights", "inspect_flight"]
@@ -26,7 +28,7 @@ __all__ = ["Finding", "check_flight", "check_flights", "inspect_flight"]
 LEAST_WINDOWS = 10
 SHORT = 2.0  # s
 MOST_ROWS = 50_000  # that a median is taken over
-CHUNK = 100_000  # rows that are repaired at once
+CHUNK = 100_000  # samples that are corrected at once
 THRUST_MARGIN = 2.0  # times the largest thrust: knocks and vibration besides
 HARD_LIMIT = 320.0  # m/s^2: a 32 g accelerometer
 
@@ -38,39 +40,37 @@ def check_flight(flight: Flight, vehicle: Vehicle | None = None) -> list[Finding
     """
     motions: list[rotors.Motion] = []
     found, _ = inspect_flight(flight, vehicle, motions)
-    return worst_first(found + _rotor_findings(flight, vehicle, motions))
-
-
-def _rotor_findings(flight: Flight, vehicle: Vehicle | None, motions: list[rotors.Motion]) -> list[Finding]:
-    if vehicle is None or not motions:
-        return []
-    return rotors.rotor_findings(rotors.judge(motions, vehicle), rotors.signal_kind(flight), vehicle)
+    if vehicle is not None and motions:
+        found += rotors.rotor_findings(rotors.judge(motions, vehicle), rotors.signal_kind(flight), vehicle)
+    return worst_first(found)
 
 
 def inspect_flight(
     flight: Flight, vehicle: Vehicle | None = None, motions: list[rotors.Motion] | None = None
 ) -> tuple[list[Finding], dict[str, np.ndarray]]:
-    """The findings, but for those of the rotors; and the rows that cannot be, (k,) masks by the name of the finding.
+    """The findings, but for those of the rotors; and the bad samples, (k,) masks by the name of the finding.
 
-    Arguments as check_flight; motions: is given what the flight says of its rotors, where it says anything.
+    Arguments as check_flight; motions: what the flight tells about its rotors is appended to it.
     """
     t = np.asarray(flight.t, float)
     streams = _streams(flight)
     bad_rows: dict[str, np.ndarray] = {}
     if len(t) < 3:
-        return [Finding("no_flight", "blocking", "all rows", f"{len(t)} rows", f"{SHORT:g} s of flight")], bad_rows
+        return [
+            Finding("no_flight", "blocking", "all samples", f"{len(t)} samples", f"{SHORT:g} s of flight")
+        ], bad_rows
     segment = flight.columns.get("segment")
     found = clock.check_clock(t, position=streams.get("p"), velocity=streams.get("v"), segment=segment)
-    found += row_checks.check_finite(flight.columns, t)
-    repeated, first = row_checks.check_repeats(flight.columns, t)
-    if repeated:  # the clock's complaints about those rows are its symptom
+    found += sample_checks.check_finite(flight.columns, t)
+    repeated, first = sample_checks.check_repeats(flight.columns, t)
+    if repeated:  # the clock's complaints about those samples are its symptom
         found = [one for one in found if one.name not in ("clock_repeated", "clock_jump")] + repeated
         found += [one for one in clock.check_clock(t[first]) if one.name == "clock_jump"]
         bad_rows["duplicated_rows"] = ~first
     if "q" in streams:
-        found += row_checks.check_quaternion(streams["q"], t)
+        found += sample_checks.check_quaternion(streams["q"], t)
     if any(one.name in ("clock_repeated", "clock_jump") and one.blocks for one in found):
-        first = first & _later(t)
+        first = first & increasing(t)
     kept = flight
     if not first.all():  # a long flight is not copied without need
         t, streams = t[first], {name: values[first] for name, values in streams.items()}
@@ -92,7 +92,7 @@ def inspect_flight(
     dead, lost = check_dead(streams, t)
     found += dead
     mark("dead_logger", lost)
-    frozen, masks = row_checks.check_frozen(streams, t)
+    frozen, masks = sample_checks.check_frozen(streams, t)
     found += [] if dead and masks and all((mask & ~lost).sum() == 0 for mask in masks.values()) else frozen
     bad = _spiky(streams) | lost
     for mask in masks.values():
@@ -106,9 +106,9 @@ def inspect_flight(
     imu = timing.imu_offset(t, repaired, ~bad, vectors=True)
     motor = _motor_offset(kept, t, repaired)
     found += timing.offset_findings(imu, motor)
-    spikes, spiky = row_checks.check_spikes(repaired, t, _limits(vehicle))
+    spikes, spiky = sample_checks.check_spikes(repaired, t, _limits(vehicle))
     for name, mask in spiky.items():
-        mark(f"{row_checks.NAMES[name]}_outlier", mask)
+        mark(f"{KEYS[name]}_outlier", mask)
     without = [spiky[name] for name in "pv" if name in spiky]
     for one, when in _stray(t, repaired, segment, [*without, lost]):
         found.append(one)
@@ -123,18 +123,18 @@ def inspect_flight(
         if motion is not None:
             motions.append(motion)
     if t[-1] - t[0] < SHORT:
-        found.append(Finding("short", "warning", "all rows", f"{t[-1] - t[0]:.2f} s", f"{SHORT:g} s"))
+        found.append(Finding("short", "warning", "all samples", f"{t[-1] - t[0]:.2f} s", f"{SHORT:g} s"))
     return worst_first(_without_symptoms(found)), bad_rows
 
 
-def _holds(t: np.ndarray, when: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Which of the stretches when (n, 2) (s) hold one of the rows, (n,)."""
-    count = np.concatenate([[0], np.cumsum(rows)])
+def _holds(t: np.ndarray, when: np.ndarray, samples: np.ndarray) -> np.ndarray:
+    """Which of the stretches when (n, 2) (s) hold one of the samples, (n,)."""
+    count = np.concatenate([[0], np.cumsum(samples)])
     return count[np.searchsorted(t, when[:, 1], side="right")] > count[np.searchsorted(t, when[:, 0])]
 
 
 def _within(t: np.ndarray, when: np.ndarray) -> np.ndarray:
-    """Rows in any of the stretches when (n, 2) (s), (k,)."""
+    """Samples in any of the stretches when (n, 2) (s), (k,)."""
     edges = np.zeros(len(t) + 1, int)
     np.add.at(edges, np.searchsorted(t, when[:, 0]), 1)
     np.add.at(edges, np.searchsorted(t, when[:, 1], side="right"), -1)
@@ -147,7 +147,7 @@ def check_flights(
     """Findings of every flight by its name, those about several flights (duplicates, rotors) among them."""
     same = check_duplicates(flights)
     found: dict[str, list[Finding]] = {}
-    silent: dict[tuple[str, str], list[tuple[str, rotors.Motion]]] = {}
+    silent: dict[tuple[Vehicle, str], list[tuple[str, rotors.Motion]]] = {}
     for name, flight in flights.items():
         vehicle = vehicles.get(name) if isinstance(vehicles, Mapping) else vehicles
         motions: list[rotors.Motion] = []
@@ -157,24 +157,19 @@ def check_flights(
         verdict = rotors.judge(motions, vehicle)
         found[name] += rotors.rotor_findings(verdict, rotors.signal_kind(flight), vehicle)
         if verdict is None or not (verdict.sure and verdict.spin):
-            key = (vehicle.fingerprint, rotors.signal_kind(flight))
-            silent.setdefault(key, []).append((name, motions[0]))
-    for (_, kind), members in silent.items():  # what none tells by itself they may tell together
-        if len(members) < 2:
-            continue
-        first = members[0][0]
-        vehicle = vehicles.get(first) if isinstance(vehicles, Mapping) else vehicles
-        assert vehicle is not None
-        verdict = rotors.judge([motion for _, motion in members], vehicle)
-        for name, _ in members:
-            known = {one.name for one in found[name]}
-            made = rotors.rotor_findings(verdict, kind, vehicle)
-            found[name] += [one for one in made if one.name not in known]
+            silent.setdefault((vehicle, rotors.signal_kind(flight)), []).append((name, motions[0]))
+    for (vehicle, kind), members in silent.items():  # flights too short by themselves may tell it together
+        if len(members) > 1:
+            verdict = rotors.judge([motion for _, motion in members], vehicle)
+            for name, _ in members:
+                known = {one.name for one in found[name]}
+                made = rotors.rotor_findings(verdict, kind, vehicle)
+                found[name] += [one for one in made if one.name not in known]
     return {name: worst_first(findings) for name, findings in found.items()}
 
 
 def _streams(flight: Flight) -> dict[str, np.ndarray]:
-    """The motion's streams that the flight has, those without a single finite row left out."""
+    """The motion's streams that the flight has, those without a single finite sample left out."""
     found = {}
     for name, columns in STREAMS.items():
         if all(column in flight.columns for column in columns):
@@ -195,14 +190,8 @@ def _together(columns: list[np.ndarray]) -> np.ndarray:
     return np.stack(columns, axis=-1).astype(float, copy=False)
 
 
-def _later(t: np.ndarray) -> np.ndarray:
-    from quadexp.log.signal import increasing
-
-    return increasing(t)
-
-
 def _spiky(streams: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Rows with a value far from what the stream usually is, in any unit, (k,)."""
+    """Mask (k,) of samples far from the stream's median, whatever its unit."""
     length = len(next(iter(streams.values()))) if streams else 0
     bad = np.zeros(length, bool)
     for name, values in streams.items():
@@ -214,13 +203,6 @@ def _spiky(streams: Mapping[str, np.ndarray]) -> np.ndarray:
         for column, centre in zip(values.T, middle, strict=True):
             bad |= np.abs(column - centre) > 12 * spread
     return bad if bad.mean() < 0.5 else np.zeros(length, bool)
-
-
-def whole(t: np.ndarray, streams: Mapping[str, np.ndarray]) -> Windows:
-    """The flight as one window, for repairs."""
-    values = {name: streams[name][None] if name in streams else None for name in STREAMS}
-    rotation = None if values["q"] is None else rotation_matrices(values["q"])
-    return Windows(t=t[None], **values, rotation=rotation)
 
 
 def _consistency(
@@ -237,8 +219,8 @@ def _consistency(
             if name in streams:
                 columns = np.nan_to_num(streams[name]).T
                 shifted[name] = np.stack([np.interp(t + start.seconds, t, column) for column in columns], axis=-1)
-    explained, windows, doubtful = consistency.explain(cut(t, shifted, starts, half))
-    found = [one.finding() for one in explained] + doubtful + consistency.disagreements(windows)
+    explained, windows, doubtful = search.explain(cut(t, shifted, starts, half))
+    found = [one.finding() for one in explained] + doubtful + search.disagreements(windows)
     repaired = _repaired(t, streams, explained) if explained else streams
     return repaired, found
 
@@ -246,28 +228,26 @@ def _consistency(
 def _stray(
     t: np.ndarray, streams: dict[str, np.ndarray], segment: np.ndarray | None, without: list[np.ndarray]
 ) -> list[tuple[Finding, np.ndarray]]:
-    """Stretches where a sensor leaves the motion, and their times. without: masks of rows of untrue motion."""
-    good = np.ones(len(t), bool)
+    """Stretches where a sensor leaves the motion, and their times. without: masks of samples of a wrong motion."""
+    good = ~np.logical_or.reduce([np.zeros(len(t), bool), *without])
     for values in streams.values():
         good &= np.isfinite(values).all(axis=1)
-    for mask in without:
-        good &= ~mask
     starts, half = window_starts(t, good, segment)
-    return consistency.stray(cut(t, streams, starts, half)) if len(starts) >= LEAST_WINDOWS else []
+    return search.stray(cut(t, streams, starts, half)) if len(starts) >= LEAST_WINDOWS else []
 
 
 def _repaired(
-    t: np.ndarray, streams: Mapping[str, np.ndarray], explained: list[consistency.Explained]
+    t: np.ndarray, streams: Mapping[str, np.ndarray], explained: list[search.Explained]
 ) -> dict[str, np.ndarray]:
     """The streams with all repairs done, chunk by chunk."""
     made = {name: np.empty_like(values) for name, values in streams.items()}
     for start in range(0, len(t), CHUNK):
-        rows = slice(start, start + CHUNK)
-        part = whole(t[rows], {name: values[rows] for name, values in streams.items()})
+        samples = slice(start, start + CHUNK)
+        part = Windows.of_streams(t[None, samples], {name: values[None, samples] for name, values in streams.items()})
         for one in explained:
-            part = one.repair.apply(part)
+            part = one.hypothesis.apply(part)
         for name in made:
-            made[name][rows] = getattr(part, name)[0]
+            made[name][samples] = getattr(part, name)[0]
     return made
 
 
@@ -275,16 +255,16 @@ def _motor_offset(flight: Flight, t: np.ndarray, streams: Mapping[str, np.ndarra
     if "f" not in streams:
         return None
     for kind, names in commands.command_columns(flight).items():
-        rows = timing.spread(t)
-        values = flight.stack(names)[rows].astype(float)
+        samples = timing.spread(t)
+        values = flight.stack(names)[samples].astype(float)
         thrust = np.sum(values if kind == "u" else values**2, axis=1)
         velocity = None
         if "q" in streams and "v" in streams:
             from quadexp.physics.rotation import air_velocity  # CasADi takes a while
 
-            wind = None if flight.wind is None else flight.wind[rows]
-            velocity = air_velocity(streams["q"][rows], streams["v"][rows], wind)
-        return timing.motor_offset(t[rows], thrust, streams["f"][rows, 2], velocity)
+            wind = None if flight.wind is None else flight.wind[samples]
+            velocity = air_velocity(streams["q"][samples], streams["v"][samples], wind)
+        return timing.motor_offset(t[samples], thrust, streams["f"][samples, 2], velocity)
     return None
 
 
@@ -297,7 +277,7 @@ def _limits(vehicle: Vehicle | None) -> dict[str, float]:
 
 
 def _without_symptoms(found: list[Finding]) -> list[Finding]:
-    """What a named fault explains is not said again."""
+    """Leave out `inconsistent` where a broken sensor, which explains it, is named."""
     names = {one.name for one in found if one.blocks}
     broken = {"acceleration_outlier", "rate_outlier", "position_outlier", "velocity_outlier", "frozen_sensor",
               "dead_logger"}  # fmt: skip

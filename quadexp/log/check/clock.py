@@ -1,4 +1,4 @@
-"""The clock of a flight: backwards, repeated, leaping, with rows missing.
+"""The clock of a flight: backwards, repeated, leaping, with samples missing.
 
 A step longer than `GAP` periods is a gap if the flight went on meanwhile, and a leap of the clock if position did not
 move as far as the velocity times the step says.
@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadexp.log.check.finding import Finding, rows, span
+from quadexp.log.finding import Finding, place, span
 
 GAP = 5.0  # periods
-MISSING = 1.5  # periods: a step longer than that lacks rows
-MANY_MISSING = 0.02  # share of the rows
+MISSING = 1.5  # periods: a step longer than that lacks samples
+MANY_MISSING = 0.02  # share of the samples
 
 
 def check_clock(
@@ -29,7 +29,7 @@ def check_clock(
     t = np.asarray(t, float)
     bad = np.flatnonzero(~np.isfinite(t))
     if len(bad):
-        return [Finding("not_finite", "blocking", f"t, {rows(bad[0], bad[0] + 1)}", f"{len(bad)} times", "none")]
+        return [Finding("not_finite", "blocking", f"t, {place(bad[0], bad[0] + 1)}", f"{len(bad)} times", "none")]
     if len(t) < 3:
         return []
     steps = np.diff(t)
@@ -39,25 +39,21 @@ def check_clock(
         k = back[np.argmin(steps[back])]
         more = f", {len(back)} times" if len(back) > 1 else ""
         text = f"{steps[k]:+.4g} s{more}: from {t[k]:.4f} to {t[k + 1]:.4f} s"
+        where = f"t, {place(k + 1, k + 2)}"
         found.append(
-            Finding(
-                "clock_jump",
-                "blocking",
-                f"t, {rows(k + 1, k + 2)}",
-                text,
-                "t increases",
-                "cut the log there",
-                span(t, k, k + 1),
-            )
+            Finding("clock_jump", "blocking", where, text, "t increases", "cut the log there", span(t, k, k + 1))
         )
     same = np.flatnonzero(steps == 0)
     if len(same):
-        text = f"{len(same)} rows have the time of the row before"
-        found.append(Finding("clock_repeated", "blocking", f"t, {rows(same[0] + 1, same[0] + 2)}", text, "t increases"))
+        text = f"{len(same)} samples have the time of the sample before"
+        found.append(
+            Finding("clock_repeated", "blocking", f"t, {place(same[0] + 1, same[0] + 2)}", text, "t increases")
+        )
     positive = steps[steps > 0]
     if not len(positive):
         return found
     period = float(np.median(positive))
+    allowed = f"{GAP:g} periods of {period:.4g} s"
     marked = np.zeros(len(steps), bool) if segment is None else np.diff(segment) != 0
     long = np.flatnonzero(steps > GAP * period)
     leaps = [int(k) for k in long if _leaps(int(k), t, period, position, velocity)]
@@ -67,38 +63,26 @@ def check_clock(
         more = f", {len(leaps)} such" if len(leaps) > 1 else ""
         text = f"the clock leaps by {steps[k]:.3g} s at {t[k]:.2f} s, position goes on as if by {period:.3g} s{more}"
         severity = "warning" if marked[leaps].all() else "blocking"
-        found.append(
-            Finding("clock_jump", severity, f"t, {rows(k + 1, k + 2)}", text, f"{GAP:g} periods of {period:.4g} s")
-        )
+        found.append(Finding("clock_jump", severity, f"t, {place(k + 1, k + 2)}", text, allowed))
     if gaps:
         k = max(gaps, key=lambda k: steps[k])
         text = f"{len(gaps)} {'gap' if len(gaps) == 1 else 'gaps'}, the longest {steps[k]:.3g} s at {t[k]:.2f} s"
         inside = [k for k in gaps if not marked[k]]
         severity, advice = ("info", "") if not inside else ("warning", "import starts a new segment at a gap")
-        found.append(
-            Finding(
-                "gap",
-                severity,
-                f"t, {rows(k + 1, k + 2)}",
-                text,
-                f"{GAP:g} periods of {period:.4g} s",
-                advice,
-                span(t, k, k + 2),
-            )
-        )
+        found.append(Finding("gap", severity, f"t, {place(k + 1, k + 2)}", text, allowed, advice, span(t, k, k + 2)))
     few = np.flatnonzero((steps > MISSING * period) & (steps <= GAP * period) & ~marked)
     if len(few):
         lost = int(np.sum(np.round(steps[few] / period) - 1))
         share = lost / (len(t) + lost)
-        text = f"{lost} rows missing at {len(few)} places ({share:.2%})"
+        text = f"{lost} samples missing at {len(few)} places ({share:.2%})"
         severity = "warning" if share > MANY_MISSING else "info"
-        where = f"t, {rows(few[0] + 1, few[0] + 2)} first"
-        found.append(Finding("dropped_samples", severity, where, text, f"{MANY_MISSING:.0%} of the rows"))
+        where = f"t, {place(few[0] + 1, few[0] + 2)} first"
+        found.append(Finding("dropped_samples", severity, where, text, f"{MANY_MISSING:.0%} of the samples"))
     return found
 
 
 def _leaps(k: int, t: np.ndarray, period: float, position: np.ndarray | None, velocity: np.ndarray | None) -> bool:
-    """Whether between rows k and k + 1 the clock moved and the vehicle did not."""
+    """Whether between samples k and k + 1 the clock moved and the vehicle did not."""
     if position is None or k < 2 or k + 3 > len(t):
         return False
     if velocity is None:

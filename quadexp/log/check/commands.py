@@ -1,4 +1,4 @@
-"""Motor commands that cannot be, or that sit at their limits; and whether anything flew."""
+"""Motor commands out of range, at their limits or with spikes; the battery's voltage; whether there is a flight."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from quadexp.log.check.finding import LEAVE_OUT, Finding, rows, span
+from quadexp.log.finding import LEAVE_OUT, Finding, place, span
 from quadexp.log.schema import Flight
 from quadexp.log.signal.crop import runs
 from quadexp.physics.vehicle import Vehicle
@@ -34,7 +34,7 @@ def command_columns(flight: Flight) -> dict[str, list[str]]:
 
 
 def limits(kind: str, vehicle: Vehicle | None) -> tuple[float, float, str] | None:
-    """Least and largest value that a rotor signal may have, and its unit; None where nobody knows."""
+    """Least and largest value that a rotor signal may have, and its unit; None where it is unknown."""
     if kind == "motor_command":
         return 0.0, 1.0, ""
     if kind == "rotor_speed":
@@ -61,9 +61,9 @@ def check_commands(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
             mask = np.asarray(outside.any(axis=1))
             start, stop = max(runs(mask), key=lambda run: run[1] - run[0])
             columns = " ".join(name for name, bad in zip(names, np.asarray(outside.any(axis=0)), strict=True) if bad)
-            text = f"{finite[outside].min():.4g} to {finite[outside].max():.4g}{unit} in {mask.sum()} rows"
+            text = f"{finite[outside].min():.4g} to {finite[outside].max():.4g}{unit} in {mask.sum()} samples"
             first = int(np.argmax(mask))
-            where = f"{columns}, {rows(start, stop, flight.t)} longest, {rows(first, first + 1, flight.t)} first"
+            where = f"{columns}, {place(start, stop, flight.t)} longest, {place(first, first + 1, flight.t)} first"
             found.append(
                 Finding(
                     "impossible_command", "blocking", where, text, allowed_range, LEAVE_OUT, span(flight.t, start, stop)
@@ -87,7 +87,7 @@ def _outside(values: np.ndarray, low: float, high: float) -> np.ndarray:
 
 
 def impossible_rows(flight: Flight, vehicle: Vehicle | None) -> np.ndarray:
-    """Rows with a command out of its range, (k,)."""
+    """Samples with a command out of its range, (k,)."""
     bad = np.zeros(len(flight), bool)
     for kind, names in command_columns(flight).items():
         allowed = limits(kind, vehicle)
@@ -98,7 +98,7 @@ def impossible_rows(flight: Flight, vehicle: Vehicle | None) -> np.ndarray:
 
 
 def check_voltage(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
-    """Whether the battery's voltage can be one: of lithium cells, and of one for a vehicle as heavy as this."""
+    """Whether the voltage is that of a lithium battery, and of one for a vehicle of this mass."""
     if "battery_voltage" not in flight.columns:
         return []
     values = np.asarray(flight.columns["battery_voltage"], float)
@@ -144,14 +144,14 @@ def _spikes(
         limit = max(SPIKE * 1.4826 * float(np.median(away)), SPIKE_FLOOR * width)
         bad = (away > limit) & ~outside[:, column]
         every |= bad
-        row = int(np.argmax(np.where(bad, away, 0)))
-        worst = max(worst, (float(away[row]) if bad.any() else 0.0, row, column, limit))
+        sample = int(np.argmax(np.where(bad, away, 0)))
+        worst = max(worst, (float(away[sample]) if bad.any() else 0.0, sample, column, limit))
     if not every.any() or every.mean() > 0.02:  # so often, it is how this controller flies
         return []
-    size, row, column, limit = worst
-    text = f"{values[row, column]:.4g}, {size:.3g} from its neighbours, {every.sum()} such rows"
+    size, sample, column, limit = worst
+    text = f"{values[sample, column]:.4g}, {size:.3g} from its neighbours, {every.sum()} such samples"
     allowed = f"{limit:.3g}"
-    return [Finding("command_outlier", "warning", f"{names[column]}, {rows(row, row + 1, t)}", text, allowed)]
+    return [Finding("command_outlier", "warning", f"{names[column]}, {place(sample, sample + 1, t)}", text, allowed)]
 
 
 def check_flown(flight: Flight, streams: dict[str, np.ndarray], vehicle: Vehicle | None) -> list[Finding]:
@@ -186,4 +186,4 @@ def check_flown(flight: Flight, streams: dict[str, np.ndarray], vehicle: Vehicle
     text = f"{', '.join(reasons)} over {t[-1] - t[0]:.1f} s"
     hovers = not stopped and "p" in streams and spread > STANDS and ("v" not in streams or fastest > STANDS)
     severity = "warning" if hovers else "blocking"  # a hover seen by motion capture alone may look like that
-    return [Finding("no_flight", severity, "all rows", text, "motors running or motion", "leave the file out")]
+    return [Finding("no_flight", severity, "all samples", text, "motors running or motion", "leave the file out")]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadexp.log.check.finding import Finding, rows, span
+from quadexp.log.finding import Finding, place, span
 from quadexp.log.signal.crop import runs
 
 STEP = 0.05  # s
@@ -18,12 +18,12 @@ LEAST = 0.4  # s: shorter ones are lost samples that were bridged
 STRAIGHT = 2e-3  # of the usual bend
 KINK = 3.0  # usual bends, at one end at least
 ROUNDED = 0.1  # of the usual bend: coarser digits cannot tell a line
-BLOCKS = 0.005  # share of the rows
+BLOCKS = 0.005  # share of the samples
 CUT = "`import --bad-rows gap` (or drop) cuts it out"
 
 
 def check_dead(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Finding], np.ndarray]:
-    """Stretches where the whole state is a straight line, as one finding; and the mask of their rows, (k,)."""
+    """Stretches where the whole state is a straight line, as one finding; and the mask of their samples, (k,)."""
     dead = np.zeros(len(t), bool)
     step = float(np.median(np.diff(t))) if len(t) > 2 else 0.0
     m = max(1, round(STEP / step)) if step > 0 else 0
@@ -52,18 +52,18 @@ def check_dead(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Find
     lost = [name for name in "qwf" if name in streams and _flat(streams[name][start + 1 : stop - 1])]
     what = "stands still" if still else "is a straight line"
     several = f", {len(found)} such stretches" if len(found) > 1 else ""
-    text = f"the state {what} for {t[stop - 1] - t[start]:.2f} s ({dead.mean():.1%} of the rows{several})"
+    text = f"the state {what} for {t[stop - 1] - t[start]:.2f} s ({dead.mean():.1%} of the samples{several})"
     text += ": nothing was logged, values were filled in"
     columns = ", ".join(f"{'acc' if name == 'f' else name}_*" for name in [*names, *lost])
     severity = "blocking" if dead.mean() > BLOCKS else "warning"
-    when = f"{columns}, {rows(start, stop, t)}"
+    when = f"{columns}, {place(start, stop, t)}"
     return [Finding("dead_logger", severity, when, text, f"{LEAST:g} s", CUT, span(t, start, stop))], dead
 
 
 def _bend(x: np.ndarray, t: np.ndarray, m: int) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Second differences over m samples, (k, columns), what counts as none, and the usual one, (columns,).
 
-    A line may have been drawn over the times or over the rows. Columns that never bend are left out; None where no
+    A line may have been drawn over the times or over the samples. Columns that never bend are left out; None where no
     column could tell.
     """
     bend = np.full(x.shape, np.inf)
@@ -97,7 +97,7 @@ def _digit(column: np.ndarray) -> float:
 
 
 def _flat(values: np.ndarray) -> bool:
-    """Whether a sensor repeats one value, or runs along a line, through these rows."""
+    """Whether a sensor repeats one value, or runs along a line, through these samples."""
     if len(values) < 4:
         return False
     bend = np.abs(np.diff(values, 2, axis=0))

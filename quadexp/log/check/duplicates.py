@@ -1,4 +1,4 @@
-"""One flight under two names: the same bytes, the same rows, or the same motion cropped, shifted or resampled.
+"""One flight under two names: the same bytes, the same samples, or the same motion cropped, shifted or resampled.
 
 Two flights of one trajectory look alike; the noise of their sensors does not. So what is compared is what changes
 quickest, the body rates and specific force (velocity and attitude where there is neither), on one 20 Hz clock: the lag
@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.check.finding import Finding
-from quadexp.log.check.windows import STREAMS
+from quadexp.log.finding import Finding
+from quadexp.log.hypotheses.windows import STREAMS
 from quadexp.log.schema import Flight
 from quadexp.log.signal import Stream, increasing, resample
 
@@ -45,10 +45,10 @@ def check_duplicates(flights: Mapping[str, Flight]) -> dict[str, list[Finding]]:
         if trace is None:
             continue
         for other, earlier in seen:
-            said = _compare(trace, earlier)
-            if said is not None:
-                measured, start, stop = said
-                where = f"all rows, {start:.2f}..{stop:.2f} s"
+            alike = _compare(trace, earlier)
+            if alike is not None:
+                measured, start, stop = alike
+                where = f"all samples, {start:.2f}..{stop:.2f} s"
                 advice = f"leave it out, or keep it on the same side of a split as {other}"
                 text = f"{measured} {other}"
                 found.setdefault(name, []).append(
@@ -75,12 +75,12 @@ def _trace(flight: Flight) -> _Trace | None:
     except DataError:
         return None
     longest = np.argmax(np.bincount(common.segment))
-    rows = common.segment == longest
-    data = np.concatenate([_unit(common.values[name][rows]) for name in chosen], axis=1)
+    samples = common.segment == longest
+    data = np.concatenate([_unit(common.values[name][samples]) for name in chosen], axis=1)
     if len(data) < LEAST * RATE:
         return None
     change = np.diff(data, axis=0)
-    return _Trace(common.t[rows], data, change, "".join(chosen), digest.hexdigest(), source, made)
+    return _Trace(common.t[samples], data, change, "".join(chosen), digest.hexdigest(), source, made)
 
 
 def _unit(x: np.ndarray) -> np.ndarray:
@@ -107,12 +107,12 @@ def _compare(a: _Trace, b: _Trace) -> tuple[str, float, float] | None:
 
 
 def _best_lag(x: np.ndarray, y: np.ndarray) -> tuple[int, float]:
-    """Rows by which y lies behind x at the highest correlation over a long enough overlap, and that correlation."""
+    """Samples by which y lies behind x at the highest correlation over a long enough overlap, and that correlation."""
     from scipy.signal import correlate
 
     dot = sum(correlate(y[:, j], x[:, j], mode="full", method="fft") for j in range(x.shape[1]))
     lags = np.arange(-(len(x) - 1), len(y))
-    start, stop = np.maximum(0, -lags), np.minimum(len(x), len(y) - lags)  # rows of x that have a partner
+    start, stop = np.maximum(0, -lags), np.minimum(len(x), len(y) - lags)  # samples of x that have a partner
     energy_x, energy_y = (np.concatenate([[0.0], np.cumsum(np.sum(z * z, axis=1))]) for z in (x, y))
     both = (energy_x[stop] - energy_x[start]) * (energy_y[stop + lags] - energy_y[start + lags])
     enough = stop - start >= max(LEAST * RATE - 2, LEAST_SHARE * min(len(x), len(y)))
@@ -122,15 +122,15 @@ def _best_lag(x: np.ndarray, y: np.ndarray) -> tuple[int, float]:
 
 
 def _align(a: _Trace, b: _Trace, lag: int) -> tuple[float, float, int, int]:
-    """Shift of b's clock against a's (s), residual over signal, and the rows of a in common."""
+    """Shift of b's clock against a's (s), residual over signal, and the samples of a in common."""
     from scipy.interpolate import CubicSpline
 
     start, stop = max(0, -lag) + 2, min(len(a.values), len(b.values) - lag) - 2
     spline = CubicSpline(np.arange(len(b.values)), b.values)
-    rows = np.arange(start, stop)
+    samples = np.arange(start, stop)
     best = (np.inf, 0.0)
     for fraction in np.linspace(-1, 1, 41):
-        moved = spline(rows + lag + fraction)
+        moved = spline(samples + lag + fraction)
         parts = [_left(a.values[start:stop, k : k + 3], moved[:, k : k + 3]) for k in range(0, moved.shape[1], 3)]
         best = min(best, (float(np.sqrt(np.mean(parts))), float(fraction)))
     residual, fraction = best

@@ -1,9 +1,9 @@
-"""Do the rotors stand and turn as the vehicle says? Their thrusts against the angular acceleration that they make.
+"""Order and spin of the rotors: their thrusts against the angular acceleration that they cause.
 
     J w' + w x J w = sum_i (r_i x e_z + c_tau s_i e_z) u_i        w: gyro; u_i: signal of rotor i as a thrust
 
-The rows of a flight are fitted axis by axis with a gain, a lag and an offset of their own (real arms, thrust curves and
-motors are off by those), so what is tested is the pattern over the rotors alone. Four rotors: every order, and every
+A flight is fitted axis by axis with a gain, a lag and an offset of its own (real arms, thrust curves and motors are off
+by those), so what is tested is the pattern over the rotors alone. Four rotors: every order, and every
 order of the reaction torques' signs that is the vehicle's or its opposite. More rotors: a regression on every rotor,
 whose coefficients are matched with the vehicle's columns (Kuhn 1955). Roll and pitch tell the order, yaw the spin.
 """
@@ -17,7 +17,7 @@ from itertools import permutations
 import numpy as np
 
 from quadexp.log.check.commands import command_columns
-from quadexp.log.check.finding import Finding
+from quadexp.log.finding import Finding
 from quadexp.log.schema import Flight
 from quadexp.log.signal.crop import runs
 from quadexp.physics.vehicle import Vehicle
@@ -77,9 +77,9 @@ class Verdict:
 def motion_of(
     flight: Flight, vehicle: Vehicle, w: np.ndarray | None = None, bad: np.ndarray | None = None
 ) -> Motion | None:
-    """What one flight says of its rotors; None where it has no gyro, no rotor signal or too little of it.
+    """What one flight tells about its rotors; None where it has no gyro, no rotor signal or too little of it.
 
-    w: (k, 3) rad/s, body FLU, in place of the flight's own. bad: rows not to be used, (k,).
+    w: (k, 3) rad/s, body FLU, in place of the flight's own. bad: samples not to be used, (k,).
     """
     signals = command_columns(flight)
     if not signals or (w is None and any(f"w_{axis}" not in flight.columns for axis in "xyz")):
@@ -98,7 +98,7 @@ def motion_of(
     torques, thrusts = [], []
     for start, stop in runs(good):
         for part in np.split(np.arange(start, stop), np.flatnonzero(_breaks(t, segment, start, stop)) + 1):
-            made = _stretch(t[part], w[part], u[part], vehicle)
+            made = stretch(t[part], w[part], u[part], vehicle.inertia_matrix)
             if made is not None:
                 torques.append(made[0])
                 thrusts.append(made[1])
@@ -120,8 +120,11 @@ def _breaks(t: np.ndarray, segment: np.ndarray, start: int, stop: int) -> np.nda
     return (step <= 0) | (step > 5 * usual) | (np.diff(segment[start:stop]) != 0)
 
 
-def _stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray] | None:
-    """Torque (k, 3) and lagged thrusts (lags, k, n) on a uniform clock, in the band, means taken off."""
+def stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Torque (m, 3) and lagged thrusts (lags, m, n) on a uniform clock, in the band, means taken off.
+
+    t: (k,) s. w: (k, 3) rad/s, body. u: (k, n), any scale. J: inertia, (3, 3). None where it is too short or slow.
+    """
     from scipy.ndimage import gaussian_filter1d
 
     if len(t) < 20 or t[-1] - t[0] < 2 / SLOWEST * 0.5 or np.median(np.diff(t)) > 0.03:
@@ -137,7 +140,7 @@ def _stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, vehicle: Vehicle) -> t
     def at(x: np.ndarray, lag: float = 0.0) -> np.ndarray:
         return np.stack([np.interp(grid - lag, t, column) for column in x.T], axis=1)
 
-    rate, J = at(w), vehicle.inertia_matrix
+    rate = at(w)
     smooth = gaussian_filter1d(rate, scale / BAND, axis=0)
     torque = band(np.gradient(rate, grid, axis=0)) @ J + band(np.cross(smooth, smooth @ J))
     step, edge = max(1, round(fine / RATE)), int(0.2 * fine)
@@ -150,7 +153,7 @@ def _stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, vehicle: Vehicle) -> t
 
 
 def judge(motions: Sequence[Motion], vehicle: Vehicle) -> Verdict | None:
-    """The order and spin that flights of one vehicle speak for; None where they say too little."""
+    """The order and spin that fit flights of one vehicle best; None where they tell too little."""
     # a thrust has another scale in every flight (battery), the same for all rotors
     scales = [1 / max(float(np.sqrt(np.mean(one.thrust[0] ** 2))), 1e-12) for one in motions]
     torque = np.concatenate([one.torque for one in motions])
@@ -160,7 +163,7 @@ def judge(motions: Sequence[Motion], vehicle: Vehicle) -> Verdict | None:
     torque, thrust = torque[part], thrust[:, part]
     if seconds < LEAST_SECONDS or not (np.mean(torque**2, axis=0) > 0).all():
         return None
-    fit = _Fit(torque, thrust)
+    fit = Fit(torque, thrust)
     pattern = vehicle.allocation[1:]
     given = fit.explained(pattern)
     n = vehicle.n_rotors
@@ -191,8 +194,8 @@ def _reordered(pattern: np.ndarray, order: Sequence[int]) -> np.ndarray:
     return made
 
 
-class _Fit:
-    """Sums over the rows, so that a hypothesis costs next to nothing."""
+class Fit:
+    """Sums over the samples, of which each order of the rotors is judged at little cost."""
 
     def __init__(self, torque: np.ndarray, thrust: np.ndarray) -> None:
         self.power = np.sum(torque**2, axis=0)
@@ -206,24 +209,24 @@ class _Fit:
         share = np.where(along > 0, along**2 / np.maximum(size, 1e-300), 0.0) / self.power
         return np.asarray(share.max(axis=0))
 
-    def columns(self) -> np.ndarray:
-        """Torque of each rotor's signal, (3, n), by regression at the lag that explains most; directions in which the
-        rotors hardly moved are left out."""
-        best, found = -1.0, np.zeros(self.cross.shape[1:])
+    def columns(self) -> tuple[np.ndarray, np.ndarray]:
+        """Torque of each rotor's signal, (3, n), by regression at the lag that explains most, and the share of each
+        axis' variance that it explains, (3,); directions in which the rotors hardly moved are left out."""
+        best, found = np.full(3, -1.0), np.zeros(self.cross.shape[1:])
         for cross, gram in zip(self.cross, self.gram, strict=True):
             inverse = np.linalg.pinv(gram, rcond=RANK**2, hermitian=True)
             made = cross @ inverse
-            value = float(np.mean(np.sum(made * cross, axis=1) / self.power))
-            if value > best:
-                best, found = value, made
-        return found
+            shares = np.sum(made * cross, axis=1) / self.power
+            if shares.mean() > best.mean():
+                best, found = shares, made
+        return found, best
 
 
-def _matched(fit: _Fit, pattern: np.ndarray) -> list[tuple[int, ...]]:
+def _matched(fit: Fit, pattern: np.ndarray) -> list[tuple[int, ...]]:
     """The order given and the one whose columns a regression comes nearest to, with either spin."""
     from scipy.optimize import linear_sum_assignment
 
-    found = fit.columns()
+    found, _ = fit.columns()
     n = pattern.shape[1]
     orders = [tuple(range(n))]
     found = found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-300)

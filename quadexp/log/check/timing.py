@@ -1,8 +1,8 @@
 """Time offsets between the sensors of a flight.
 
-The IMU against the attitude: body rates are seen by both, whatever frame or unit they are in, so their magnitudes are
-correlated first, and the vectors where those agree better. Motors against the accelerometer: the lag of the motors is
-part of that offset. Below 2 Hz, where vehicles turn and motion capture does not shake.
+The IMU against the attitude: both show body rates. Magnitudes, which need no common frame, are correlated first, then
+vectors, once frames and units are known to agree. Motors against the accelerometer: the lag of the motors is part of
+that offset. Below 2 Hz, where vehicles turn and motion capture does not shake.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.check.finding import Finding
-from quadexp.log.check.windows import attitude_rate
-from quadexp.log.signal import Offset, estimate_offset
+from quadexp.log.finding import Finding
+from quadexp.log.hypotheses.windows import attitude_rate
+from quadexp.log.signal import Offset, Stream, estimate_offset
 
 BAND = 2.0  # Hz
 ALLOWED = 0.025  # s: a quarter of the time in which a racing quadrotor turns by a radian, and clean logs' 0.02 s
@@ -23,7 +23,7 @@ PARTS, PART = 6, 20.0  # how many stretches of a long flight are looked at, and 
 
 
 def spread(t: np.ndarray) -> np.ndarray:
-    """Mask (k,) of the rows looked at: all of a short flight, stretches spread over a long one."""
+    """Mask (k,) of the samples looked at: all of a short flight, stretches spread over a long one."""
     length = float(t[-1] - t[0])
     if length <= PARTS * PART:
         return np.ones(len(t), bool)
@@ -32,27 +32,40 @@ def spread(t: np.ndarray) -> np.ndarray:
 
 
 def imu_offset(t: np.ndarray, streams: dict[str, np.ndarray], good: np.ndarray, *, vectors: bool) -> Offset | None:
-    """Offset of the body rates behind the attitude; None where it cannot be estimated. good: rows to use, (k,).
+    """Offset of the body rates behind the attitude; None where it cannot be estimated. good: samples to use, (k,).
 
     vectors: whether frames and units are known to agree; else magnitudes are compared.
     """
     if "q" not in streams or "w" not in streams:
         return None
-    rows = np.flatnonzero(good & spread(t))
-    q, w = streams["q"][rows], streams["w"][rows]
+    samples = np.flatnonzero(good & spread(t))
+    q, w = streams["q"][samples], streams["w"][samples]
     usable = np.isfinite(q).all(axis=1) & np.isfinite(w).all(axis=1)
-    own, q, w = t[rows][usable], q[usable], w[usable]
+    own, q, w = t[samples][usable], q[usable], w[usable]
     if len(own) < 50 or np.any(np.diff(own) <= 0):
         return None
-    rate = attitude_rate(own, q)
-    near = np.diff(own) < 3.5 * np.median(np.diff(own))
-    middle, rate = ((own[1:] + own[:-1]) / 2)[near], rate[near]
+    middle, rate = turning(own, q)
     if not vectors:
         rate, w = np.linalg.norm(rate, axis=1), np.linalg.norm(w, axis=1)
     try:
         return estimate_offset((middle, rate), (own, w), largest=LARGEST, band=BAND)
     except DataError:
         return None
+
+
+def turning(t: np.ndarray, q: np.ndarray) -> Stream:
+    """Body rate (rad/s) of an attitude q (k, 4), between samples without a gap."""
+    return _between(t, attitude_rate(t, q))
+
+
+def neighbours(t: np.ndarray, x: np.ndarray) -> Stream:
+    """Rate of change of x (k, m), between samples without a gap."""
+    return _between(t, np.diff(x, axis=0) / np.diff(t)[:, None])
+
+
+def _between(t: np.ndarray, values: np.ndarray) -> Stream:
+    near = np.diff(t) < 3.5 * np.median(np.diff(t))
+    return Stream(((t[1:] + t[:-1]) / 2)[near], values[near])
 
 
 def motor_offset(
@@ -94,7 +107,14 @@ def offset_findings(imu: Offset | None, motor: Offset | None) -> list[Finding]:
             )
             allowed = f"{limit * 1e3:.0f} ms"
             found.append(
-                Finding("time_offset", severity, "w_*, acc_* against q_*, p_*", text, allowed, "import corrects it")
+                Finding(
+                    "time_offset",
+                    severity,
+                    "w_*, acc_* against q_*, p_*",
+                    text,
+                    allowed,
+                    "`import --align` corrects it",
+                )
             )
     if motor is not None and motor.certain and motor.correlation > 0.7:
         low, high = MOTOR_LAG[0] - 3 * motor.error, MOTOR_LAG[1] + 3 * motor.error

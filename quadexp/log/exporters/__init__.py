@@ -49,8 +49,3 @@ def export_flight(
     check_output(target, force=force, folder=not chosen.suffix)
     write: Callable[[Flight, Path], dict[str, Path]] = import_module(f"{__name__}.{chosen.module}").write
     return write(loaded, target)
-
-
-def missing_extra(package: str, form: str) -> UsageError:
-    """What to say where an optional package is not there."""
-    return UsageError(f"--to {form}: needs the package {package}; install it with: pip install 'quadexp[viz]'")

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from quadexp import __version__
-from quadexp.log.exporters import missing_extra
+from quadexp.log.extras import missing_package
 from quadexp.log.schema import Flight, describe
 from quadexp.log.store import write_bytes
 
@@ -47,7 +47,7 @@ def write(flight: Flight, path: Path) -> dict[str, Path]:
     try:
         importlib.import_module("mcap")
     except ImportError:
-        raise missing_extra("mcap", "mcap") from None
+        raise missing_package("--to mcap", "mcap", "viz") from None
     return {"mcap": write_bytes(path, lambda temporary: _write(flight, temporary))}
 
 

@@ -15,14 +15,15 @@ import json
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from quadexp.log.exporters.table_csv import write_columns
+from quadexp.log.importers.mapped import turn_attitude
 from quadexp.log.schema import Flight
+from quadexp.log.signal import continuous
 from quadexp.log.store import write_text
+from quadexp.log.units import axes_matrix
 
-NED_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-FRD_FLU = np.diag([1.0, -1.0, -1.0])
+NED_ENU, FRD_FLU = axes_matrix("world", "NED", ""), axes_matrix("body", "FRD", "")
 UNITS = {
     "timestamp": "us",
     "vehicle_local_position": "x y z: m, vx vy vz: m/s (NED), heading: rad from north",
@@ -93,14 +94,8 @@ def _position(flight: Flight, prefix: str, heading: str) -> Topic:
 def _attitude(flight: Flight, prefix: str) -> np.ndarray:
     """Quaternion FRD to NED, (k, 4), w first; without jumps of its sign, w >= 0 at the start."""
     q = flight.stack([f"{prefix}q_{axis}" for axis in "wxyz"])
-    turned = (
-        Rotation.from_matrix(NED_ENU) * Rotation.from_quat(q, scalar_first=True) * Rotation.from_matrix(FRD_FLU)
-    ).as_quat(scalar_first=True)
-    flips = np.sign(np.sum(turned[1:] * turned[:-1], axis=1))
-    return (
-        turned
-        * np.cumprod(np.concatenate([[1.0 if turned[0, 0] >= 0 else -1.0], np.where(flips < 0, -1.0, 1.0)]))[:, None]
-    )
+    turned = continuous(turn_attitude(q, NED_ENU, FRD_FLU))
+    return turned if turned[0, 0] >= 0 else -turned
 
 
 def _body(flight: Flight, quantity: str) -> np.ndarray:

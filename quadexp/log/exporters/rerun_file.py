@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import QuadexpError
-from quadexp.log.exporters import missing_extra
+from quadexp.log.extras import missing_package
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_bytes
 
@@ -29,7 +29,7 @@ def write(flight: Flight, path: Path) -> dict[str, Path]:
     try:
         import rerun
     except ImportError:
-        raise missing_extra("rerun-sdk", "rerun") from None
+        raise missing_package("--to rerun", "rerun-sdk", "viz") from None
     try:
         return {"rerun": write_bytes(path, lambda temporary: _write(flight, temporary, rerun))}
     except RuntimeError as error:  # its writer thread died: what is said above by rerun itself

@@ -5,6 +5,6 @@ read(path) -> RawLog (streams in SI, ENU, FLU, each on its own clock) -> assembl
 
 from __future__ import annotations
 
-from quadexp.log.importers.importing import FORMATS, Imported, Options, import_log, import_logs
+from quadexp.log.importers.importing import FORMATS, Options, checked, import_log
 
-__all__ = ["FORMATS", "Imported", "Options", "import_log", "import_logs"]
+__all__ = ["FORMATS", "Options", "checked", "import_log"]

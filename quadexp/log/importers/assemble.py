@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
+from quadexp.log.importers.mapping_reader import PLACES
 from quadexp.log.importers.raw import ROTORS, Crop, RawLog, columns_of
 from quadexp.log.signal import Stream, continuous, crop, derivative, resample
 from quadexp.log.signal.stream import GAP_PERIODS
@@ -29,11 +30,6 @@ CLEARANCE, AUTO_MARGIN = 0.5, 1.5  # m above the ground; s cut off after take-of
 MOST_ROWS = 8_000_000
 MOST_EMPTY = 20.0  # times as long as what has data: more is no gap, but a clock that jumps
 LONGEST = 7 * 86400.0  # s
-# Where the places of a rotor are, as signs of x and y in FLU.
-SIGNS = {
-    "front_right": (1, -1), "back_right": (-1, -1), "back_left": (-1, 1), "front_left": (1, 1),
-    "front": (1, 0), "right": (0, -1), "back": (-1, 0), "left": (0, 1),
-}  # fmt: skip
 
 
 @dataclass
@@ -286,7 +282,7 @@ def rotor_order(layout: tuple[str, ...], vehicle: Vehicle) -> list[int]:
     for i, (x, y, _) in enumerate(vehicle.rotor_position):
         reach = 0.2 * max(abs(x), abs(y))
         sign = (0 if abs(x) < reach else int(np.sign(x)), 0 if abs(y) < reach else int(np.sign(y)))
-        places = [k for k, place in enumerate(layout) if SIGNS[place] == sign]
+        places = [k for k, place in enumerate(layout) if PLACES[place] == sign]
         if len(places) != 1:
             raise UsageError(
                 f"the log's motors are {', '.join(layout)}, but rotor {i} of {vehicle.name} is at x={x:g}, y={y:g} m"

@@ -1,4 +1,4 @@
-"""Rows that cannot be (repeated, outliers, filled in by a dead logger), left out or made gaps.
+"""Bad samples (repeated, outliers, filled in by a dead logger), left out or made gaps.
 
 "drop": a run of fewer than GAP_PERIODS rows is bridged between its neighbours, as lost samples are; a longer one is a
 gap. "gap": every run is one. A gap starts a new segment.
@@ -27,7 +27,7 @@ HELD = ("motor_command_", "u_", "battery_voltage", "wind_", "segment", "status")
 def without_bad_rows(
     flight: Flight, vehicle: Vehicle | None, mode: str, *, derived: bool = False
 ) -> tuple[Flight, dict[str, int], list[str]]:
-    """The flight without rows that cannot be; how many by the fault's name; and what there is to say of it.
+    """The flight without its bad samples; how many by the fault's name; and notes.
 
     mode: "drop" or "gap". derived: whether the velocity is the derivative of the position, and made anew.
     """
@@ -43,23 +43,17 @@ def without_bad_rows(
         if not bad.any():
             break
         if total + int(bad.sum()) > MOST * length:
-            names = ", ".join(masks)
-            return (
-                flight,
-                counts,
-                [f"{bad.mean():.1%} of the rows are bad ({names}), {MOST:.0%} is the most that is left out: not done"],
-            )
+            text = f"{bad.mean():.1%} of the rows are bad ({', '.join(masks)}), {MOST:.0%} is the most that is left out"
+            return flight, counts, [f"{text}: not done"]
         for name, mask in masks.items():
             counts[name] = counts.get(name, 0) + int(mask.sum())
         total += int(bad.sum())
         flight = _without(flight, bad, mode, derived)
-    said = ", ".join(f"{count} {name}" for name, count in counts.items())
+    if not total:
+        return flight, counts, []
+    by_name = ", ".join(f"{count} {name}" for name, count in counts.items())
     what = "bridged where short, else made a gap" if mode == "drop" else "made gaps"
-    return (
-        flight,
-        counts,
-        [f"left out: {total} of {length} rows ({total / length:.2%}; {said}), {what}"] if total else [],
-    )
+    return flight, counts, [f"left out: {total} of {length} rows ({total / length:.2%}; {by_name}), {what}"]
 
 
 def _without(flight: Flight, bad: np.ndarray, mode: str, derived: bool) -> Flight:

@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from quadexp.errors import DataError, QuadexpError, UsageError
+from quadexp.config.schema import conf_folder
+from quadexp.errors import DataError, UsageError
 from quadexp.log.importers.assemble import Assembled, assemble
 from quadexp.log.importers.bad_rows import MODES, without_bad_rows
 from quadexp.log.importers.detect import detect
-from quadexp.log.importers.mapping import Mapping
-from quadexp.log.importers.mapping_reader import load_mapping
+from quadexp.log.importers.mapped import read_mapped
+from quadexp.log.importers.mapping_reader import Mapping, load_mapping
+from quadexp.log.importers.offsets import REFERENCES, align_streams, find_offsets
+from quadexp.log.importers.own import is_own_mcap, is_own_table, read_own
+from quadexp.log.importers.px4_csv import read_px4_csv
 from quadexp.log.importers.raw import RawLog
-from quadexp.log.importers.units import mounting_matrix
+from quadexp.log.importers.rosbag import read_rosbag
+from quadexp.log.importers.table import open_table
+from quadexp.log.importers.ulog import read_ulog
 from quadexp.log.schema import Flight
 from quadexp.log.signal import Stream
+from quadexp.log.units import mounting_matrix
 from quadexp.physics.vehicle import Vehicle
+from quadexp.provenance import provenance, versions
 
 FORMATS = {
     "auto": "by content",
@@ -54,26 +61,8 @@ class Options:
     bad_rows: str = "refuse"
 
 
-@dataclass
-class Imported:
-    """path: of the log. flight, or the error that kept it from being one. findings: of import and quality check."""
-
-    path: Path
-    flight: Flight | None = None
-    error: str = ""
-    findings: list[Any] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-    @property
-    def blocked(self) -> bool:
-        return any(finding.severity == "blocking" for finding in self.findings)
-
-
-def import_logs(paths: Sequence[Path], vehicle: Vehicle | None, options: Options) -> Iterator[Imported]:
-    """Import logs one after the other; one that cannot be read is said and the others go on.
-
-    Raises UsageError where the request itself is wrong (unknown format, mapping that says nothing of use).
-    """
+def checked(options: Options) -> Mapping | None:
+    """The mapping that the options name; raises UsageError where the request itself is wrong."""
     if options.format not in FORMATS:
         raise UsageError(f"--format {options.format}: no such format; there are {', '.join(FORMATS)}")
     mapping = None if options.mapping is None else load_mapping(options.mapping)
@@ -83,28 +72,13 @@ def import_logs(paths: Sequence[Path], vehicle: Vehicle | None, options: Options
         raise UsageError(f"--rate {options.rate:g}: must be in [0.1, 10000] Hz")
     if options.bad_rows not in MODES:
         raise UsageError(f"--bad-rows {options.bad_rows}: no such way; there are {', '.join(MODES)}")
-    for path in paths:
-        try:
-            flight, notes = import_log(path, vehicle, options, mapping)
-        except QuadexpError as error:
-            yield Imported(path, error=str(error))
-        except (MemoryError, RecursionError) as error:
-            yield Imported(path, error=f"{path}: too large or too deeply nested to read ({type(error).__name__})")
-        else:
-            yield Imported(path, flight, findings=quality(flight, vehicle), notes=notes)
-
-
-def quality(flight: Flight, vehicle: Vehicle | None) -> list[Any]:
-    """Findings of the quality check."""
-    from quadexp.log.check import check_flight
-
-    return check_flight(flight, vehicle)
+    return mapping
 
 
 def import_log(
     path: Path, vehicle: Vehicle | None, options: Options, mapping: Mapping | None = None
 ) -> tuple[Flight, list[str]]:
-    """One log as a flight, and what there is to say of it. Raises UsageError or DataError with one line."""
+    """One log as a flight, and notes. Raises UsageError or DataError with one line."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # absurd numbers are the checks' business
         return _import(path, vehicle, options, mapping)
 
@@ -119,26 +93,26 @@ def _import(path: Path, vehicle: Vehicle | None, options: Options, mapping: Mapp
             raise DataError(f"{path}: --mounting is for logs; this file holds a flight as it is")
         return _mended(log, vehicle, options)
     _unmount(path, log, options)
-    offsets, said = _offsets(path, log, options.align)
+    offsets, found = _offsets(path, log, options.align)
     made = assemble(path, log, vehicle, rate=options.rate, cropping=options.crop)
     log.streams.clear()  # a long log is held once
     metadata = _metadata(path, log, made, vehicle, offsets)
     flight, left_out = _mended(Flight(made.columns, metadata), vehicle, options, made.derived)
-    return flight, [*made.notes, *said, *left_out]
+    return flight, [*made.notes, *found, *left_out]
 
 
 def _mended(
     flight: Flight, vehicle: Vehicle | None, options: Options, derived: bool = False
 ) -> tuple[Flight, list[str]]:
-    """The flight as it is, or without its bad rows where the options say so; and what there is to say of it."""
+    """The flight as it is, or without its bad rows where the options say so; and notes."""
     if options.bad_rows == "refuse":
         return flight, []
-    mended, counts, said = without_bad_rows(flight, vehicle, options.bad_rows, derived=derived)
+    mended, counts, notes = without_bad_rows(flight, vehicle, options.bad_rows, derived=derived)
     if not counts:
-        return mended, said
+        return mended, notes
     record = {"mode": options.bad_rows, "rows": counts}
     source = {**mended.metadata.get("source", {}), "left_out": record}
-    return Flight(mended.columns, {**mended.metadata, "source": source}), said
+    return Flight(mended.columns, {**mended.metadata, "source": source}), notes
 
 
 def _unmount(path: Path, log: RawLog, options: Options) -> None:
@@ -156,49 +130,18 @@ def _unmount(path: Path, log: RawLog, options: Options) -> None:
 def read_log(path: Path, kind: str, form: str, mapping: Mapping | None) -> RawLog | Flight:
     """Streams of one log by the reader of its kind; a Flight where the file holds one as it is."""
     if mapping is not None:
-        return _mapped(path, kind, mapping)
-    if kind in ("parquet", "rerun") or form == "quadexp":
-        from quadexp.log.importers.own import read_own
-
+        if kind != mapping.format:
+            raise DataError(f"{path}: its content is {kind}, the mapping {mapping.name} is for {mapping.format}")
+        return read_mapped(open_table(path, kind), mapping)
+    if kind in ("parquet", "rerun") or form == "quadexp" or (kind == "mcap" and is_own_mcap(path)):
         return read_own(path, kind)
-    if kind == "ulog":
-        from quadexp.log.importers.ulog import read_ulog
-
-        return read_ulog(path)
-    if kind == "px4csv":
-        from quadexp.log.importers.px4_csv import read_px4_csv
-
-        return read_px4_csv(path)
-    if kind == "rosbag":
-        from quadexp.log.importers.rosbag import read_rosbag
-
-        return read_rosbag(path)
-    if kind == "mcap":
-        from quadexp.log.importers.own import is_own_mcap, read_own
-
-        if is_own_mcap(path):
-            return read_own(path, kind)
-        from quadexp.log.importers.rosbag import read_rosbag
-
-        return read_rosbag(path)
-    return _table(path, kind, form)
-
-
-def _mapped(path: Path, kind: str, mapping: Mapping) -> RawLog:
-    from quadexp.log.importers.mapped import read_mapped
-    from quadexp.log.importers.table import open_table
-
-    if kind != mapping.format:
-        raise DataError(f"{path}: its content is {kind}, the mapping {mapping.name} is for {mapping.format}")
-    return read_mapped(open_table(path, kind), mapping)
+    if kind in ("text", "hdf5"):
+        return _table(path, kind, form)
+    return {"ulog": read_ulog, "px4csv": read_px4_csv}.get(kind, read_rosbag)(path)
 
 
 def _table(path: Path, kind: str, form: str) -> RawLog | Flight:
     """A table by the ready mapping whose columns it has."""
-    from quadexp.log.importers.mapped import read_mapped
-    from quadexp.log.importers.own import is_own_table, read_own
-    from quadexp.log.importers.table import open_table
-
     table = open_table(path, kind)
     if form == "auto" and kind == "text" and is_own_table(table):
         return read_own(path, kind)
@@ -220,17 +163,13 @@ def _table(path: Path, kind: str, form: str) -> RawLog | Flight:
 
 def ready_mappings() -> list[Mapping]:
     """The mappings of conf/import/, most particular first."""
-    from quadexp.config.schema import conf_folder
-
     found = [load_mapping(file) for file in sorted((conf_folder() / "import").glob("*.yaml"))]
     return sorted((m for m in found if m.signature), key=lambda m: -len(m.signature))
 
 
 def _offsets(path: Path, log: RawLog, align: bool) -> tuple[dict[str, Any], list[str]]:
-    from quadexp.log.importers.offsets import REFERENCES, align_streams, find_offsets
-
     found = find_offsets(log)
-    said = [
+    notes = [
         f"time offset: {name} {1e3 * o.seconds:+.1f} ms behind {behind} (standard error {1e3 * o.error:.2g} ms,"
         f" correlation {o.correlation:.2f})" + (", removed" if align and behind in REFERENCES else "")
         for (name, behind), o in found.items()
@@ -244,14 +183,12 @@ def _offsets(path: Path, log: RawLog, align: bool) -> tuple[dict[str, Any], list
                "removed": align and o.certain and behind in REFERENCES}
         for (name, behind), o in found.items()
     }  # fmt: skip
-    return record, said
+    return record, notes
 
 
 def _metadata(
     path: Path, log: RawLog, made: Assembled, vehicle: Vehicle | None, offsets: dict[str, Any]
 ) -> dict[str, Any]:
-    from quadexp.provenance import provenance, versions
-
     metadata: dict[str, Any] = {
         "name": path.stem,
         "outcome": "ok",

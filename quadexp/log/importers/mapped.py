@@ -10,7 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from quadexp.errors import DataError
-from quadexp.log.importers.mapping import Entry, Mapping
+from quadexp.log.hypotheses.windows import multiply
+from quadexp.log.importers.mapping_reader import Entry, Mapping
 from quadexp.log.importers.raw import RawLog, clean_stream
 from quadexp.log.importers.table import Table
 from quadexp.log.signal import Stream
@@ -37,6 +38,12 @@ def read_mapped(table: Table, mapping: Mapping, rows: int | None = None) -> RawL
             later |= {*other.columns, *([other.clock.column] if other.clock else [])}
         columns = {key: value for key, value in columns.items() if key in later}  # a long log fits in memory once
     turn_to_frame(log, mapping.entries)
+    for correction in mapping.corrections:
+        factor = correction.clock.factor
+        for name, entry in correction.entries.items():
+            t, values = log.streams[name]
+            log.streams[name] = convert(name, entry, Stream(t if factor == 1.0 else t * factor, values))
+        turn_to_frame(log, correction.entries)
     return log
 
 
@@ -62,6 +69,7 @@ def attitude(entry: Entry, values: np.ndarray) -> np.ndarray:
         roll, pitch, yaw = (values * entry.factor).T
         q = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1)).as_quat(scalar_first=True)
     else:
+        values = values if (entry.factor == 1.0).all() else values * entry.factor
         q = values[:, [entry.order.index(axis) for axis in "wxyz"]]
     if entry.inverse:
         q = q * np.array([1.0, -1.0, -1.0, -1.0])
@@ -79,31 +87,19 @@ def turn_attitude(q: np.ndarray, world: np.ndarray, body: np.ndarray) -> np.ndar
         return turn_attitude(mirrored, world @ mirror, body @ mirror)
     w = Rotation.from_matrix(world).as_quat(scalar_first=True)
     b = Rotation.from_matrix(body.T).as_quat(scalar_first=True)
-    return _product(_product(np.broadcast_to(w, q.shape), q), np.broadcast_to(b, q.shape))
-
-
-def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Hamilton product of quaternions, (k, 4)."""
-    aw, ax, ay, az = a.T
-    bw, bx, by, bz = b.T
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=1,
-    )
+    return multiply(multiply(w, q), b)
 
 
 def turn_to_frame(log: RawLog, entries: dict[str, Entry]) -> None:
-    """Velocities that the log has in the body go to the world, accelerations to the body and to specific force."""
-    velocity, acceleration = entries.get("velocity"), entries.get("acceleration")
+    """Velocities that the log has in the body go to the world, rates and accelerations to the body, accelerations to
+    specific force."""
+    velocity, rate, acceleration = (entries.get(name) for name in ("velocity", "rate", "acceleration"))
     if velocity is not None and velocity.in_body:
-        stream = log.streams["velocity"]
-        stream, R = with_attitude(log, "velocity", stream)
+        stream, R = with_attitude(log, "velocity", log.streams["velocity"])
         log.streams["velocity"] = Stream(stream.t, R.apply(stream.values))
+    if rate is not None and not rate.in_body:
+        stream, R = with_attitude(log, "rate", log.streams["rate"])
+        log.streams["rate"] = Stream(stream.t, R.apply(stream.values, inverse=True))
     if acceleration is not None and not acceleration.in_body:
         stream, R = with_attitude(log, "acceleration", log.streams["acceleration"])
         gravity = np.array([0.0, 0.0, GRAVITY if acceleration.coordinate else 0.0])

@@ -1,18 +1,36 @@
-"""A mapping read from its YAML file, every value checked; errors name file, line and key."""
+"""A mapping: which columns of a log are what, in which unit, frame and order. YAML that a user writes in a few lines:
+
+    world: ENU                  # of the log; ENU, NWU, NED, ..., or axes such as "y x -z"
+    body: FLU
+    time: {column: t, unit: s}
+    position: {columns: [x, y, z], unit: m}
+    attitude: {columns: [qx, qy, qz, qw], order: xyzw, direction: body_to_world}
+    rate: {columns: [gx, gy, gz], unit: deg/s}
+    acceleration: {columns: [ax, ay, az], unit: g, kind: specific_force, mounting: [0.5, -7.8, 0]}
+    motor_command: {columns: [m1, m2, m3, m4], range: [0, 65535], layout: [front_right, ...]}
+    rotor_speed: {columns: [e1, e2, e3, e4], unit: erpm, pole_pairs: 7}
+    crop: {height: 0.5, margin: 1.5}
+    corrections: [{rate: {unit: deg/s}}, {body: FRD}]
+
+Every key may be left out but `time`. corrections: made one after the other on what the other keys give,
+each as if that were a log in SI units, ENU and FLU of which its lines are the mapping. mounting: roll, pitch and yaw
+(deg) of the sensor in the body, after `frame`: v_body = R_z(yaw) R_y(pitch) R_x(roll) v_sensor. Every value is checked;
+errors name file, line and key.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping as Mapped
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.log.importers.mapping import Clock, Entry, Mapping
-from quadexp.log.importers.raw import QUANTITIES, ROTORS, Crop
-from quadexp.log.importers.units import (
+from quadexp.log.importers.raw import QUANTITIES, ROTORS, Crop, columns_of
+from quadexp.log.units import (
     BODY_FRAMES,
     ELECTRICAL,
     UNITS,
@@ -24,11 +42,14 @@ from quadexp.log.importers.units import (
 )
 from quadexp.messages import suggestion
 
-PLACES = ("front_right", "back_right", "back_left", "front_left", "front", "right", "back", "left")
-EULER = "roll pitch yaw"
+# Where the places of a rotor are, as signs of x and y in FLU.
+PLACES = {
+    "front_right": (1, -1), "back_right": (-1, -1), "back_left": (-1, 1), "front_left": (1, 1),
+    "front": (1, 0), "right": (0, -1), "back": (-1, 0), "left": (0, 1),
+}  # fmt: skip
 DIRECTIONS = ("body_to_world", "world_to_body")
 KINDS = ("specific_force", "coordinate")
-_TOP = ("name", "about", "format", "signature", "world", "body", "time", "crop", *QUANTITIES)
+_TOP = ("name", "about", "format", "signature", "world", "body", "time", "crop", "corrections", *QUANTITIES)
 _ENTRY = ("column", "columns", "unit", "scale", "frame", "time")
 _OWN = {
     "attitude": ("order", "direction"),
@@ -45,6 +66,56 @@ _DIMENSION = {
     "battery_voltage": "voltage", "wind": "velocity", "reference_position": "length",
     "reference_velocity": "velocity", "motor_command": "none",
 }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Clock:
+    """column, and factor to seconds."""
+
+    column: str
+    factor: float
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One quantity. factor: to SI (times `scale`). axes: (3, 3) to ENU or FLU. in_body: whether that is FLU.
+
+    order: of a quaternion's columns, or "rpy" for angles. inverse: the log's attitude turns world into body vectors.
+    coordinate: the acceleration is that of the motion, without gravity. low, high: values of commands 0 and 1.
+    """
+
+    columns: tuple[str, ...]
+    factor: np.ndarray
+    axes: np.ndarray = field(default_factory=lambda: np.eye(3))
+    in_body: bool = False
+    clock: Clock | None = None
+    order: str = "wxyz"
+    inverse: bool = False
+    world: np.ndarray = field(default_factory=lambda: np.eye(3))
+    coordinate: bool = False
+    low: float = 0.0
+    high: float = 1.0
+    mounting: np.ndarray = field(default_factory=lambda: np.eye(3))
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """name, the kind of file ("text" or "hdf5"), its clock, an entry for every quantity it has, and corrections."""
+
+    name: str
+    format: str
+    clock: Clock
+    entries: dict[str, Entry]
+    layout: tuple[str, ...] | None
+    crop: Crop
+    signature: tuple[str, ...] = ()
+    corrections: tuple[Mapping, ...] = ()
+
+    @property
+    def columns(self) -> list[str]:
+        """All columns that are read."""
+        clocks = [self.clock, *(entry.clock for entry in self.entries.values() if entry.clock)]
+        return [*(c.column for c in clocks), *(name for e in self.entries.values() for name in e.columns)]
 
 
 def load_mapping(path: Path) -> Mapping:
@@ -118,16 +189,40 @@ class _Reader:
         return Mapping(
             str(values.get("name", self.path.stem)), form, self.clock("time", values["time"]), entries,
             next(iter(layouts), None), self.crop(values.get("crop", "auto")), tuple(map(str, signature)),
+            self.corrections(values.get("corrections") or [], entries),
         )  # fmt: skip
+
+    def corrections(self, value: Any, entries: dict[str, Entry]) -> tuple[Mapping, ...]:
+        """Each as a mapping whose log is the flight that the other keys give."""
+        if not isinstance(value, list) or not all(isinstance(one, dict) for one in value):
+            raise self.fail("corrections", "must be a list of lines of a mapping, such as `- rate: {unit: deg/s}`")
+        allowed = ("world", "body", "time", *entries)
+        reader = _Reader(self.path, dict.fromkeys(allowed, self.lines.get("corrections", 1)))
+        made = []
+        for one in value:
+            for key, lines in one.items():
+                if key not in allowed:
+                    raise self.fail("corrections", f"{key!r}: allowed are {', '.join(allowed)}")
+                if key not in ("world", "body"):
+                    own = [name for name in _OWN.get(key, ()) if name != "layout"]
+                    reader.known(key, lines, ("unit", "scale", *(["frame"] if key != "time" else []), *own))
+            columns = {name: list(columns_of(name, len(entry.columns))) for name, entry in entries.items()}
+            streams = {name: {"columns": columns[name], **one.get(name, {})} for name in entries}
+            made.append(reader.mapping({**one, **streams, "time": {"column": "t", **one.get("time", {})}}))
+        return tuple(made)
 
     def axes(self, kind: str, frame: Any, key: str = "") -> np.ndarray:
         return axes_matrix(kind, frame, self.at(key or kind))
 
     def clock(self, key: str, value: Any) -> Clock:
-        self.known(key, value, ("column", "unit"))
+        self.known(key, value, ("column", "unit", "scale"))
         if not isinstance(value.get("column"), (str, int)):
             raise self.fail(f"{key}.column", "must name one column")
-        return Clock(str(value["column"]), unit_factor("time", str(value.get("unit", "s")), self.at(f"{key}.unit")))
+        factor = unit_factor("time", str(value.get("unit", "s")), self.at(f"{key}.unit"))
+        scale = value.get("scale", 1.0)
+        if isinstance(scale, list) or not self.numbers(f"{key}.scale", scale) > 0:
+            raise self.fail(f"{key}.scale", f"{scale!r} must be one positive number")
+        return Clock(str(value["column"]), factor * scale)
 
     def known(self, key: str, value: Any, allowed: tuple[str, ...]) -> None:
         if not isinstance(value, dict):
@@ -224,8 +319,6 @@ class _Reader:
             )  # fmt: skip
         if made["in_body"] and name in ("position", "wind", "reference_position", "reference_velocity"):
             raise self.fail(f"{name}.frame", "must be a world frame")
-        if not made["in_body"] and name == "rate":
-            raise self.fail(f"{name}.frame", "must be a body frame")
         return made
 
     def attitude(

@@ -1,4 +1,4 @@
-"""What the name of a column says: quantity, axis, unit. Only a hint; the data decides (evidence.py)."""
+"""What the name of a column says: quantity, axis, unit. It only proposes; the data decide (quadexp/log/hypotheses)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 class Hint(NamedTuple):
     """quantity: of raw.QUANTITIES, or "time", "euler", "motor". axis: "x", "0", ... group: the name without its axis.
-    rank: how far down the list of meanings, and how indirect (an estimate, a second source)."""
+    rank: place in the list of patterns, 100 more for an estimate or a second source."""
 
     quantity: str
     axis: str
@@ -115,10 +115,10 @@ def groups(names: Sequence[str]) -> dict[str, list[list[int]]]:
     found: dict[tuple[str, str], dict[str, int]] = defaultdict(dict)
     ranks: dict[tuple[str, str], int] = {}
     for i, name in enumerate(names):
-        said = hint(name)
-        if said is not None:
-            found[said.quantity, said.group].setdefault(said.axis, i)
-            ranks.setdefault((said.quantity, said.group), said.rank)
+        one = hint(name)
+        if one is not None:
+            found[one.quantity, one.group].setdefault(one.axis, i)
+            ranks.setdefault((one.quantity, one.group), one.rank)
     made: dict[str, list[tuple[int, list[int]]]] = defaultdict(list)
     for (quantity, group), axes in found.items():
         rank, columns = ranks[quantity, group], None
@@ -144,5 +144,4 @@ def groups(names: Sequence[str]) -> dict[str, list[list[int]]]:
 
 def numbered_quaternion(names: Sequence[str], columns: Sequence[int]) -> bool:
     """Whether the four columns are told apart by numbers, which say nothing of where w is."""
-    said = [hint(names[i]) for i in columns]
-    return any(h is not None and h.axis.isdigit() for h in said)
+    return any((one := hint(names[i])) is not None and one.axis.isdigit() for i in columns)

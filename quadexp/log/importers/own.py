@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.importers.extras import missing_package
+from quadexp.log.extras import missing_package
 from quadexp.log.importers.raw import Crop, RawLog, clean_stream
 from quadexp.log.importers.table import Table, open_table
 from quadexp.log.schema import FLIGHT_COLUMNS, Flight, describe
@@ -94,36 +94,23 @@ def is_own_mcap(path: Path) -> bool:
 
 def _mcap(path: Path) -> Flight:
     try:
-        from mcap.exceptions import McapError
         from mcap.reader import make_reader
     except ImportError:
         raise missing_package(path, "mcap", "viz") from None
-    rows, record = [], {}
+    samples, record = [], {}
     try:
         with open(path, "rb") as file:
             reader = make_reader(file)
             for _, _, message in reader.iter_messages(topics="/flight"):
-                rows.append(json.loads(message.data))
+                samples.append(json.loads(message.data))
             for item in reader.iter_metadata():
                 if item.name == "quadexp":
                     record = json.loads(item.metadata["record"])
-    except (
-        McapError,
-        ValueError,
-        KeyError,
-        EOFError,
-        OSError,
-        IndexError,
-        TypeError,
-        MemoryError,
-        OverflowError,
-    ) as error:
-        raise DataError(f"{path}: damaged or truncated ({first_line(error)})") from None
-    except Exception as error:  # struct.error and those of the decompressors have no common ancestor
-        raise DataError(f"{path}: damaged ({type(error).__name__}: {first_line(error)})") from None
-    if not rows or not isinstance(rows[0], dict) or "t" not in rows[0]:
+    except Exception as error:  # the reader, struct and the decompressors have no ancestor in common
+        raise DataError(f"{path}: damaged or truncated ({type(error).__name__}: {first_line(error)})") from None
+    if not samples or not isinstance(samples[0], dict) or "t" not in samples[0]:
         raise DataError(f"{path}: has no samples on /flight")
-    if any(not isinstance(row, dict) or row.keys() != rows[0].keys() for row in rows):
+    if any(not isinstance(one, dict) or one.keys() != samples[0].keys() for one in samples):
         raise DataError(f"{path}: samples with different columns on /flight")
-    columns = {name: np.array([row[name] for row in rows], float) for name in rows[0]}
+    columns = {name: np.array([one[name] for one in samples], float) for name in samples[0]}
     return Flight(_typed(columns), record)

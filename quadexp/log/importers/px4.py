@@ -18,10 +18,9 @@ import numpy as np
 
 from quadexp.errors import DataError
 from quadexp.log.importers.mapped import turn_attitude
-from quadexp.log.importers.px4_motors import motor_layout
 from quadexp.log.importers.raw import RawLog, clean_stream
-from quadexp.log.importers.units import axes_matrix
 from quadexp.log.signal import Stream, increasing
+from quadexp.log.units import axes_matrix
 
 Topic = Mapping[str, np.ndarray]  # field -> (k,); arrays are "q[0]", ...
 Topics = Mapping[str, Sequence[Topic]]  # name -> instances
@@ -30,6 +29,7 @@ NED = axes_matrix("world", "NED", "")
 FRD = axes_matrix("body", "FRD", "")
 RPM = 2 * np.pi / 60
 MOST_ROTORS = 12
+QUAD_X = ("front_right", "back_left", "front_left", "back_right")
 _XYZ = tuple(f"xyz[{i}]" for i in range(3))
 _Q = tuple(f"q[{i}]" for i in range(4))
 # quantity -> [(topic, fields)], best first.
@@ -60,10 +60,7 @@ SOURCES: dict[str, list[tuple[str, tuple[str, ...]]]] = {
         ("vehicle_acceleration", _XYZ),
     ],
     "battery_voltage": [("battery_status", ("voltage_v",)), ("battery_status", ("voltage_filtered_v",))],
-    "wind": [
-        ("wind", ("windspeed_north", "windspeed_east")),
-        ("wind_estimate", ("windspeed_north", "windspeed_east")),
-    ],
+    "wind": [("wind", ("windspeed_north", "windspeed_east")), ("wind_estimate", ("windspeed_north", "windspeed_east"))],
     "reference_position": [("vehicle_local_position_setpoint", ("x", "y", "z"))],
     "reference_velocity": [("vehicle_local_position_setpoint", ("vx", "vy", "vz"))],
 }
@@ -223,7 +220,28 @@ def _motors(
     count = max(
         (log.streams[n].values.shape[1] for n in ("motor_command", "rotor_speed") if n in log.streams), default=0
     )
-    log.layout = motor_layout(count, parameters, log.notes)
+    log.layout = _layout(count, parameters, log.notes)
+
+
+def _layout(count: int, parameters: Mapping[str, float], notes: list[str]) -> tuple[str, ...] | None:
+    """Where the motors are: by the control allocation's parameters (FRD), or the order of PX4's quad-x."""
+    if not count:
+        return None
+    places = []
+    for i in range(count):
+        x, y = parameters.get(f"CA_ROTOR{i}_PX"), parameters.get(f"CA_ROTOR{i}_PY")
+        if x is None or y is None or not (x or y):
+            break
+        reach = 0.2 * max(abs(x), abs(y))
+        words = ["front" if x > 0 else "back"] if abs(x) > reach else []
+        words += ["right" if y > 0 else "left"] if abs(y) > reach else []
+        places.append("_".join(words))
+    if len(places) == count and len(set(places)) == count:
+        return tuple(places)
+    if count == 4:
+        notes.append("motors in the order of PX4's quad-x: front right, back left, front left, back right")
+        return QUAD_X
+    return None
 
 
 def _rotor_count(parameters: Mapping[str, float]) -> int:

@@ -54,8 +54,8 @@ class Crop:
 
 @dataclass
 class RawLog:
-    """One log, read. mapping: what said how. layout: position of each of the log's motors ("front_right", ...), or None
-    where they stand in the vehicle's own order. record: of the flight, where the log carries one."""
+    """One log, read. mapping: name of the mapping, or of the reader's convention. layout: position of each of the log's
+    motors ("front_right", ...), or None where they stand in the vehicle's own order. about: for the flight's record."""
 
     format: str
     streams: dict[str, Stream]

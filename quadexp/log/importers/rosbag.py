@@ -22,12 +22,12 @@ import numpy as np
 
 from quadexp.errors import DataError, QuadexpError
 from quadexp.log.declared import allowed_bytes
-from quadexp.log.importers.extras import missing_package
+from quadexp.log.extras import missing_package
 from quadexp.log.importers.mapped import with_attitude
 from quadexp.log.importers.raw import RawLog, clean_stream
-from quadexp.log.importers.units import UNITS
 from quadexp.log.signal import Stream, increasing
 from quadexp.log.store import first_line
+from quadexp.log.units import UNITS
 
 MOST_MESSAGES = 20_000_000
 PER_MESSAGE = 400  # bytes that a message takes once it is read

@@ -21,6 +21,8 @@ from quadexp.log.store import first_line
 HEAD = 1 << 18  # bytes looked at for header and delimiter
 LONGEST_LINE = 1 << 16
 MOST_VALUES = 1 << 30  # numbers read from one file at most: 8 GB would not fit beside what is made of them
+DESCRIBED_ROWS = 300_000
+DESCRIBED_COLUMNS = 400  # looked at for a mapping
 EMPTY = ["", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "null", "None", "#N/A"]
 
 
@@ -224,6 +226,41 @@ def _where(text: str, table: Table) -> str:
     return text
 
 
+def numbers(table: Table) -> tuple[list[str], np.ndarray]:
+    """The columns that hold numbers, and their values (k, N).
+
+    The first DESCRIBED_COLUMNS and DESCRIBED_ROWS are looked at; of datasets of several lengths, the commonest length.
+    Raises DataError where no column holds numbers.
+    """
+    names = list(table.columns[:DESCRIBED_COLUMNS])
+    if not table.hdf5:
+        rows = _head(table)
+        names = [n for i, n in enumerate(names) if all(_is_number(row[i] or "nan") or row[i] in EMPTY for row in rows)]
+    while True:
+        try:
+            columns = table.read(names, [], DESCRIBED_ROWS)
+            break
+        except DataError as error:
+            bad = next((name for name in names if f"column {name!r} holds" in str(error)), None)
+            if bad is None:
+                raise
+            names.remove(bad)
+    lengths = {len(values) for values in columns.values()}
+    if len(lengths) > 1:
+        longest = max(lengths, key=lambda n: sum(len(values) == n for values in columns.values()))
+        names = [name for name in names if len(columns[name]) == longest]
+    if not names:
+        raise DataError(f"{table.path}: no column of numbers")
+    return names, np.stack([columns[name] for name in names], axis=1)
+
+
+def _head(table: Table) -> list[list[str]]:
+    with open(table.path, encoding=table.encoding, errors="replace") as file:
+        lines = [line for _, line in zip(range(table.skip + 200), file, strict=False)][table.skip :]
+    rows = [split(line.rstrip("\r\n"), table.delimiter) for line in lines]
+    return [row for row in rows if len(row) == len(table.columns)]
+
+
 # ------------------------------------------------------------------------------------------------------------ HDF5
 def _open_hdf5(path: Path) -> Table:
     h5py = _h5py(path)
@@ -267,7 +304,7 @@ def _h5py(path: Path) -> Any:
     try:
         import h5py
     except ImportError:
-        from quadexp.log.importers.extras import missing_package
+        from quadexp.log.extras import missing_package
 
         raise missing_package(path, "h5py", "logs") from None
     return h5py

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError, QuadexpError
-from quadexp.log.importers.extras import missing_package
+from quadexp.log.extras import missing_package
 from quadexp.log.importers.px4 import TOPICS, read_topics
 from quadexp.log.importers.raw import RawLog
 from quadexp.log.store import first_line
@@ -28,9 +28,9 @@ def read_ulog(path: Path) -> RawLog:
     size = path.stat().st_size
     if size > LARGEST:
         raise DataError(f"{path}: {size / 2**30:.1f} GB; at most {LARGEST >> 30} GB are read: cut the log into pieces")
-    said = io.StringIO()
+    printed = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said):
+        with contextlib.redirect_stdout(printed):
             log = _reader(path)(str(path), TOPICS)
     except QuadexpError as error:
         raise DataError(f"{path}: {error}") from None
@@ -46,7 +46,7 @@ def read_ulog(path: Path) -> RawLog:
         raise DataError(f"{path}: a ULog without data of {', '.join(TOPICS[-3:])}: truncated, or no flight was logged")
     parameters = {key: value for key, value in log.initial_parameters.items() if isinstance(value, (int, float))}
     raw = read_topics(path, topics, parameters)
-    if log.file_corruption or "corruption" in said.getvalue():
+    if log.file_corruption or "corruption" in printed.getvalue():
         raw.notes.append("the file is damaged in places: what could be read was")
     if log.dropouts:
         lost = sum(one.duration for one in log.dropouts) / 1000

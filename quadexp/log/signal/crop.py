@@ -1,7 +1,7 @@
 """Where a log is in the air: ground phases, take-off and landing left out.
 
 In the air is where the height above the ground exceeds a clearance; of every such stretch a margin is taken off both
-ends, where ground effect and the transients of take-off and landing live.
+ends, because of ground effect and the transients of take-off and landing.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Time offset between two streams of the same quantity: cross-correlation, then a fit that knows what it cannot tell.
+"""Time offset between two streams of the same quantity: cross-correlation, then a fit with a standard error.
 
     tau = argmax_tau  sum_j <a_j(t), b_j(t + tau)> / sqrt(sum_j |a_j|^2 sum_j |b_j|^2)
 
 A positive offset: what `a` shows at t, `b` shows at t + tau, so b's clock is to be moved back by tau. Both streams are
-brought to one clock and to one band (Gaussian low- and high-pass, without phase): above it noise has nothing to say,
-below it drift and drag shift the phase of a slow signal without any delay. The peak of the correlation is refined by
+brought to one clock and to one band (Gaussian low- and high-pass, without phase): above it noise dominates, below it
+drift and drag shift the phase of a slow signal without any delay. The peak of the correlation is refined by
 
     b(t + tau) = g a(t) + k a'(t) + sum_i c_i s_i(t + tau),      tau <- tau - k / g   until k = 0,
 

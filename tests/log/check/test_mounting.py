@@ -40,7 +40,7 @@ def test_a_turned_accelerometer_is_offered_its_correction(vehicle, seed, degrees
 
     The attitude itself is off by 0.3 degrees an axis, and the bias of the accelerometer makes as much.
     """
-    from quadexp.log.importers.units import mounting_matrix
+    from quadexp.log.units import mounting_matrix
 
     mount = random_mounting(seed, degrees)
     flight = imitated(seed, vehicle, mounting=mount, turned_gyro=bool(seed % 2))

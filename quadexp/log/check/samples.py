@@ -1,4 +1,4 @@
-"""Rows that cannot be: not finite, repeated, frozen, spikes, quaternions that are none."""
+"""Bad samples: not finite, repeated, frozen, spikes, quaternions not of norm one."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.log.check.finding import LEAVE_OUT, Finding, rows, span
-from quadexp.log.check.windows import STREAMS, attitude_rate
+from quadexp.log.finding import LEAVE_OUT, Finding, place, span
+from quadexp.log.hypotheses.hypothesis import COLUMNS, KEYS
+from quadexp.log.hypotheses.windows import STREAMS, attitude_rate
 from quadexp.log.signal.crop import runs
 
 NORM = 0.01  # of a quaternion: what rounding to two digits leaves
@@ -16,12 +17,10 @@ FROZEN = 0.2  # s
 LEAST_ROWS = 8
 MOVES = 0.05  # rad/s or m/s: what a frozen sensor would have had to see
 MOST_ROWS = 20_000  # that are looked at for axes that never move
-MANY_OUTLIERS, LEAST_OUTLIERS = 0.005, 8  # share of the rows, and rows, beyond which spikes block
+MANY_OUTLIERS, LEAST_OUTLIERS = 0.005, 8  # share of the samples, and samples, beyond which spikes block
 SPIKE = 12.0  # robust standard deviations
 # The least that counts as a spike: beyond what flying does within a few samples.
 SPIKE_FLOOR = {"p": 0.05, "v": 0.5, "w": 8.0, "f": 30.0}
-NAMES = {"p": "position", "q": "attitude", "v": "velocity", "w": "rate", "f": "acceleration"}
-COLUMNS = {"p": "p_*", "q": "q_*", "v": "v_*", "w": "w_*", "f": "acc_*"}
 
 
 def check_finite(columns: dict[str, np.ndarray], t: np.ndarray) -> list[Finding]:
@@ -36,11 +35,8 @@ def check_finite(columns: dict[str, np.ndarray], t: np.ndarray) -> list[Finding]
         bursts = runs(bad)
         start, stop = max(bursts, key=lambda run: run[1] - run[0])
         text = f"{bad.sum()} values in {len(bursts)} {'run' if len(bursts) == 1 else 'runs'}"
-        found.append(
-            Finding(
-                "not_finite", "blocking", f"{name}, {rows(start, stop, t)}", text, "none", span=span(t, start, stop)
-            )
-        )
+        where = f"{name}, {place(start, stop, t)}"
+        found.append(Finding("not_finite", "blocking", where, text, "none", span=span(t, start, stop)))
     return _gathered(found)
 
 
@@ -63,28 +59,20 @@ def check_quaternion(q: np.ndarray, t: np.ndarray) -> list[Finding]:
     found = []
     if off.max(initial=0) > NORM:
         start, stop = max(runs(off > NORM), key=lambda run: run[1] - run[0])
-        text = f"norm off by {off.max():.3g}, {np.mean(off > NORM):.2%} of the rows by more than allowed"
+        text = f"norm off by {off.max():.3g}, {np.mean(off > NORM):.2%} of the samples by more than allowed"
         severity = "blocking" if off.max() > NORM_BLOCKS else "warning"
-        found.append(
-            Finding(
-                "quaternion_norm",
-                severity,
-                f"q_*, {rows(start, stop, t)}",
-                text,
-                f"{NORM:g}",
-                span=span(t, start, stop),
-            )
-        )
+        where = f"q_*, {place(start, stop, t)}"
+        found.append(Finding("quaternion_norm", severity, where, text, f"{NORM:g}", span=span(t, start, stop)))
     flips = np.flatnonzero(np.sum(q[1:] * q[:-1], axis=1) < -0.5)
     if len(flips):
         text = f"the sign flips {len(flips)} times (the same attitude)"
-        where = f"q_*, {rows(flips[0] + 1, flips[0] + 2, t)} first"
+        where = f"q_*, {place(flips[0] + 1, flips[0] + 2, t)} first"
         found.append(Finding("quaternion_sign", "info", where, text, "none where it is interpolated"))
     return found
 
 
 def check_repeats(columns: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Finding], np.ndarray]:
-    """Rows that occur twice, time aside; and a mask of the first of each, (k,)."""
+    """Samples that occur twice, time aside; and a mask of the first of each, (k,)."""
     names = [name for name in columns if name != "t" and name != "segment" and columns[name].dtype.kind in "fiu"]
     kept = np.ones(len(t), bool)
     if not names or len(t) < LEAST_ROWS:
@@ -102,14 +90,14 @@ def check_repeats(columns: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[F
         return [], kept
     start, stop = max(runs(again), key=lambda run: run[1] - run[0])
     source = int(first[inverse.ravel()[start]])
-    text = f"{again.sum()} rows ({again.mean():.2%}) repeat earlier ones to the last digit, these row {source} and on"
+    text = f"{again.sum()} samples ({again.mean():.2%}) repeat earlier ones to the last digit, these {source} and on"
     severity = "blocking" if again.mean() > 0.001 else "warning"
-    finding = Finding("duplicated_rows", severity, rows(start, stop, t), text, "none", LEAVE_OUT, span(t, start, stop))
+    finding = Finding("duplicated_rows", severity, place(start, stop, t), text, "none", LEAVE_OUT, span(t, start, stop))
     return [finding], kept & ~again
 
 
 def _row_numbers(columns: list[np.ndarray]) -> np.ndarray:
-    """A number for every row, (k,): the same for the same bits, another one (but for 1 in 2^64) for others."""
+    """A number for every sample, (k,): the same for the same bits, another one (but for 1 in 2^64) for others."""
     total = np.zeros(len(columns[0]), np.uint64)
     for column in columns:
         total += np.ascontiguousarray(column, dtype=float).view(np.uint64)
@@ -120,7 +108,7 @@ def _row_numbers(columns: list[np.ndarray]) -> np.ndarray:
 
 
 def check_frozen(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Finding], dict[str, np.ndarray]]:
-    """Sensors that repeat one value while the vehicle moves; masks of those rows by stream."""
+    """Sensors that repeat one value while the vehicle moves; masks of those samples by stream."""
     found, masks = [], {}
     step = float(np.median(np.diff(t))) if len(t) > 2 else 0.0
     least = max(LEAST_ROWS, int(np.ceil(FROZEN / step))) if step > 0 else len(t) + 1
@@ -140,8 +128,8 @@ def check_frozen(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Fi
             text = f"one value for {t[worst[1] - 1] - t[worst[0]]:.2f} s while the vehicle moves, {total} times"
             share = stuck.mean()
             severity = "blocking" if share > 0.02 else "warning"
-            text += f" ({share:.1%} of the rows)"
-            where = f"{COLUMNS[name]}, {rows(*worst, t)}"
+            text += f" ({share:.1%} of the samples)"
+            where = f"{COLUMNS[name]}, {place(*worst, t)}"
             when = span(t, *worst)
             found.append(Finding("frozen_sensor", severity, where, text, f"{FROZEN:g} s", LEAVE_OUT, when))
         elif axes:
@@ -211,7 +199,7 @@ def _length(x: np.ndarray) -> np.ndarray:
 def check_spikes(
     streams: dict[str, np.ndarray], t: np.ndarray, limit: dict[str, float]
 ) -> tuple[list[Finding], dict[str, np.ndarray]]:
-    """Single values far from their neighbours, or beyond a limit; masks of those rows by stream.
+    """Single values far from their neighbours, or beyond a limit; masks of those samples by stream.
 
     limit: largest magnitude that the vehicle allows, by stream.
     """
@@ -248,16 +236,7 @@ def check_spikes(
         column = STREAMS[name][axis]
         many = max(LEAST_OUTLIERS, MANY_OUTLIERS * len(t))
         severity = "blocking" if bad.sum() > many or beyond.sum() > max(2, 0.0005 * len(t)) else "warning"
-        where = f"{column}, {rows(start, stop, t)}"
-        found.append(
-            Finding(
-                f"{NAMES[name]}_outlier",
-                severity,
-                where,
-                f"{text}; {bad.sum()} rows ({share:.2%})",
-                allowed,
-                LEAVE_OUT,
-                span(t, start, stop),
-            )
-        )
+        where = f"{column}, {place(start, stop, t)}"
+        text, name = f"{text}; {bad.sum()} samples ({share:.2%})", f"{KEYS[name]}_outlier"
+        found.append(Finding(name, severity, where, text, allowed, LEAVE_OUT, span(t, start, stop)))
     return found, masks

@@ -62,6 +62,11 @@ def axes_matrix(kind: str, frame: str, where: str) -> np.ndarray:
     return matrix
 
 
+def axes_words(matrix: np.ndarray) -> str:
+    """A signed permutation, (3, 3), in the words of axes_matrix: "y x -z"."""
+    return " ".join(("-" if row.min() < 0 else "") + "xyz"[int(np.argmax(np.abs(row)))] for row in matrix)
+
+
 def mounting_matrix(angles: Sequence[float]) -> np.ndarray:
     """R_z(yaw) R_y(pitch) R_x(roll), (3, 3), of roll, pitch, yaw in degrees: from a sensor's axes to the body's."""
     from scipy.spatial.transform import Rotation

@@ -15,7 +15,6 @@ where there is none, the body x and y components of R^T (a + g e_z) are small (d
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,15 +31,14 @@ STREAMS = {
     "w": ("w_x", "w_y", "w_z"),
     "f": ("acc_x", "acc_y", "acc_z"),
 }
+# The streams that a relation compares.
 SIDES = {
-    "velocity": "pv",
-    "rate": "qw",
-    "push": "f",
-    "force": "vqf",
-    "force (p)": "pqf",
-    "thrust": "vq",
-    "thrust (p)": "pq",
-}  # the streams that a relation compares
+    "velocity": "pv", "rate": "qw", "push": "f", "force": "vqf", "force (p)": "pqf", "thrust": "vq", "thrust (p)": "pq",
+}  # fmt: skip
+# What clean logs differ by, root mean square over an axis: a motion capture of 0.1 mm and its filtered velocity, a
+# hobby gyro's vibration averaged over a window, an attitude wrong by 2 degrees (0.35 m/s^2) and, without an
+# accelerometer, the drag of a fast flight.
+FLOOR = {"velocity": 0.02, "rate": 0.05, "force": 0.3, "force (p)": 0.3, "thrust": 1.5}
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -52,12 +50,18 @@ class Windows:
     """
 
     t: np.ndarray
-    p: np.ndarray | None
-    q: np.ndarray | None
-    v: np.ndarray | None
-    w: np.ndarray | None
-    f: np.ndarray | None
-    rotation: np.ndarray | None
+    p: np.ndarray | None = None
+    q: np.ndarray | None = None
+    v: np.ndarray | None = None
+    w: np.ndarray | None = None
+    f: np.ndarray | None = None
+    rotation: np.ndarray | None = None
+
+    @classmethod
+    def of_streams(cls, t: np.ndarray, streams: dict[str, np.ndarray]) -> Windows:
+        """t: (n, l). streams: (n, l, .) by letter."""
+        rotation = rotation_matrices(streams["q"]) if "q" in streams else None
+        return cls(t=t, **streams, rotation=rotation)
 
     def of(self, name: str) -> np.ndarray:
         """A stream, or the rotation, that is known to be there."""
@@ -90,15 +94,13 @@ class Pair:
 
 
 def cut(t: np.ndarray, streams: dict[str, np.ndarray], starts: np.ndarray, half: int) -> Windows:
-    """Windows of 2 half + 1 samples that begin at the rows `starts`."""
-    rows = starts[:, None] + np.arange(2 * half + 1)
-    found = {name: streams[name][rows] if name in streams else None for name in STREAMS}
-    rotation = None if found["q"] is None else rotation_matrices(found["q"])
-    return Windows(t=t[rows], **found, rotation=rotation)
+    """Windows of 2 half + 1 samples that begin at the samples `starts`."""
+    samples = starts[:, None] + np.arange(2 * half + 1)
+    return Windows.of_streams(t[samples], {name: streams[name][samples] for name in STREAMS if name in streams})
 
 
 def window_starts(t: np.ndarray, good: np.ndarray, segment: np.ndarray | None = None) -> tuple[np.ndarray, int]:
-    """First rows of windows without a gap in the clock or a bad row, and the steps in half a window."""
+    """First samples of windows without a gap in the clock or a bad sample, and the steps in half a window."""
     step = np.diff(t)
     positive = step[np.isfinite(step) & (step > 0)]
     if not len(positive):
@@ -116,8 +118,39 @@ def window_starts(t: np.ndarray, good: np.ndarray, segment: np.ndarray | None = 
     return first, half
 
 
-def pairs(windows: Windows, gravity: float = GRAVITY, touching: str = "tpqvwf") -> list[Pair]:
-    """Every relation that the streams at hand allow and that has one of the streams `touching`."""
+def halves(t: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First and last sample of both halves of windows t (n, 2m + 1)."""
+    half = t.shape[1] // 2
+    return (0, half), (half, 2 * half)
+
+
+def means(t: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Means of x (n, l, m) over both halves of the windows by the trapezoidal rule, (2n, m)."""
+    return np.concatenate([mean(t, x, a, b) for a, b in halves(t)])
+
+
+def changes(t: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Rates of change of x (n, l, m) over both halves of the windows, (2n, m)."""
+    return np.concatenate([(x[:, b] - x[:, a]) / (t[:, b] - t[:, a])[:, None] for a, b in halves(t)])
+
+
+def body_rate(t: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Means of the body rate that an attitude q (n, l, 4) has over both halves of the windows, (2n, 3) (rad/s)."""
+    return _weighted(t, attitude_rate(t, q))
+
+
+def _weighted(t: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Means over both halves of what is given between the samples, (n, l - 1, 3)."""
+    weight = np.diff(t, axis=1)[..., None]
+    parts = [slice(a, b) for a, b in halves(t)]
+    return np.concatenate([np.sum(x[:, s] * weight[:, s], axis=1) / np.sum(weight[:, s], axis=1) for s in parts])
+
+
+def pairs(windows: Windows, up: np.ndarray = UP, touching: str = "tpqvwf") -> list[Pair]:
+    """Every relation that the streams at hand allow and that has one of the streams `touching`.
+
+    up: direction of up in the world, (3,).
+    """
     one = windows
 
     def wanted(relation: str) -> bool:
@@ -125,55 +158,39 @@ def pairs(windows: Windows, gravity: float = GRAVITY, touching: str = "tpqvwf") 
 
     half = one.t.shape[1] // 2
     found = []
-    halves = [(0, half), (half, 2 * half)]
-
-    def both(function: Callable[[int, int], np.ndarray]) -> np.ndarray:
-        return np.concatenate([function(a, b) for a, b in halves])
-
-    def duration(a: int, b: int) -> np.ndarray:
-        return (one.t[:, b] - one.t[:, a])[:, None]
-
     if one.p is not None and one.v is not None and wanted("velocity"):
-        change = both(lambda a, b: (one.of("p")[:, b] - one.of("p")[:, a]) / duration(a, b))
-        found.append(Pair("velocity", change, both(lambda a, b: mean(one.t, one.of("v"), a, b)), FLOOR["velocity"]))
+        found.append(Pair("velocity", changes(one.t, one.p), means(one.t, one.v), FLOOR["velocity"]))
     if one.q is not None and one.w is not None and wanted("rate"):
-        turned = attitude_rate(one.t, one.q)
         middle = (one.w[:, 1:] + one.w[:, :-1]) / 2
-        weight = np.diff(one.t, axis=1)[..., None]
-        spread = [slice(a, b) for a, b in halves]
-        left, right = (
-            np.concatenate([np.sum(x[:, s] * weight[:, s], axis=1) / np.sum(weight[:, s], axis=1) for s in spread])
-            for x in (turned, middle)
-        )
-        found.append(Pair("rate", left, right, FLOOR["rate"]))
+        found.append(Pair("rate", body_rate(one.t, one.q), _weighted(one.t, middle), FLOOR["rate"]))
     if one.f is not None and wanted("push"):
-        read = both(lambda a, b: mean(one.t, one.of("f"), a, b))
+        read = means(one.t, one.f)
         found.append(Pair("push", np.abs(read) * UP + read * (1 - UP), read, FLOOR["thrust"]))
     if one.q is None or (one.v is None and one.p is None) or not set(touching) & set("tpvqf"):
         return found
     push = None if one.f is None else np.einsum("nlij,nlj->nli", one.of("rotation"), one.f)
     if one.v is not None and wanted("force"):
-        change = both(lambda a, b: (one.of("v")[:, b] - one.of("v")[:, a]) / duration(a, b)) + gravity * UP
-        middle = np.concatenate([one.of("rotation")[:, (a + b) // 2] for a, b in halves])
-        expected = np.einsum("nij,ni->nj", middle, change)
+        change = changes(one.t, one.v) + GRAVITY * up
+        turn = np.concatenate([one.of("rotation")[:, (a + b) // 2] for a, b in halves(one.t)])
+        expected = np.einsum("nij,ni->nj", turn, change)
         if push is None:
             found.append(_thrust("thrust", expected))
         else:
-            seen = both(lambda a, b: mean(one.t, push, a, b))
-            found.append(Pair("force", expected, np.einsum("nij,ni->nj", middle, seen), FLOOR["force"]))
+            seen = means(one.t, push)
+            found.append(Pair("force", expected, np.einsum("nij,ni->nj", turn, seen), FLOOR["force"]))
     if one.p is not None and wanted("force (p)"):
-        first, second = duration(0, half), duration(half, 2 * half)
+        first, second = ((one.t[:, b] - one.t[:, a])[:, None] for a, b in halves(one.t))
         change = (one.p[:, -1] - one.p[:, half]) / second - (one.p[:, half] - one.p[:, 0]) / first
-        change = change / ((first + second) / 2) + gravity * UP
-        middle = one.of("rotation")[:, half]
-        expected = np.einsum("nij,ni->nj", middle, change)
+        change = change / ((first + second) / 2) + GRAVITY * up
+        turn = one.of("rotation")[:, half]
+        expected = np.einsum("nij,ni->nj", turn, change)
         if push is None:
             found.append(_thrust("thrust (p)", expected))
         else:
             since = one.t - one.t[:, half : half + 1]
             triangle = np.maximum(0.0, 1 - np.abs(since) / np.where(since < 0, first, second))[..., None]
             seen = np.trapezoid(push * triangle, one.t[..., None], axis=1) / ((first + second) / 2)
-            found.append(Pair("force (p)", expected, np.einsum("nij,ni->nj", middle, seen), FLOOR["force (p)"]))
+            found.append(Pair("force (p)", expected, np.einsum("nij,ni->nj", turn, seen), FLOOR["force (p)"]))
     return found
 
 
@@ -183,14 +200,8 @@ def _thrust(relation: str, expected: np.ndarray) -> Pair:
     return Pair(relation, expected, along, FLOOR["thrust"])
 
 
-# What clean logs differ by, root mean square over an axis: a motion capture of 0.1 mm and its filtered velocity, a
-# hobby gyro's vibration averaged over a window, an attitude wrong by 2 degrees (0.35 m/s^2) and, without an
-# accelerometer, the drag of a fast flight.
-FLOOR = {"velocity": 0.02, "rate": 0.05, "force": 0.3, "force (p)": 0.3, "thrust": 1.5}
-
-
 def mean(t: np.ndarray, x: np.ndarray, a: int, b: int) -> np.ndarray:
-    """Mean of x (n, l, 3) from sample a to b by the trapezoidal rule, (n, 3)."""
+    """Mean of x (n, l, m) from sample a to b by the trapezoidal rule, (n, m)."""
     step = np.diff(t[:, a : b + 1], axis=1)
     weight = np.zeros((len(t), b - a + 1))
     weight[:, :-1] += step
@@ -201,12 +212,12 @@ def mean(t: np.ndarray, x: np.ndarray, a: int, b: int) -> np.ndarray:
 def rotation_matrices(q: np.ndarray) -> np.ndarray:
     """R(q) of quaternions (..., 4), w first, of any length, (..., 3, 3)."""
     w, x, y, z = np.moveaxis(q / np.maximum(np.linalg.norm(q, axis=-1, keepdims=True), 1e-12), -1, 0)
-    rows = [
+    matrix = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return np.stack([np.stack(line, axis=-1) for line in matrix], axis=-2)
 
 
 def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -1,20 +1,21 @@
-"""What a check says: which fault, where, how bad against what is allowed, and whether it blocks."""
+"""One result of a check: which fault, where, how large against what is allowed, and whether it blocks."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
-# What mends rows that cannot be.
+# What mends bad samples.
 LEAVE_OUT = "`import --bad-rows drop` leaves them out, `--bad-rows gap` makes them gaps"
 SEVERITIES = ("info", "warning", "blocking")
 
 
 @dataclass(frozen=True)
 class Finding:
-    """name: of the fault (quadexp/log/check/faults.py). severity: "info", "warning" (use with care) or "blocking"
-    (what is learned from the flight would be wrong). where: columns and time span or rows. measured, allowed: text
-    with units. advice: what to do, or "". span: first and last time that `where` speaks of (s), where it is a stretch.
+    """name: of the fault . severity: "info", "warning" (use with care) or "blocking"
+    (what is learned from the flight would be wrong). where: columns and time span or samples. measured, allowed: text
+    with units. advice: what to do, or "". span: first and last time of `where` (s), for a stretch.
+    correction: lines of the import's mapping that mend it.
     """
 
     name: str
@@ -24,6 +25,7 @@ class Finding:
     allowed: str
     advice: str = ""
     span: tuple[float, float] | None = None
+    correction: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.severity not in SEVERITIES:
@@ -50,13 +52,13 @@ def worst_first(findings: list[Finding]) -> list[Finding]:
 
 
 def span(t: Any, start: int, stop: int) -> tuple[float, float]:
-    """Times of rows start..stop-1."""
+    """Times of samples start..stop-1."""
     return float(t[start]), float(t[min(stop, len(t)) - 1])
 
 
-def rows(start: int, stop: int, t: Any = None) -> str:
-    """Rows start..stop-1 in words, with their times."""
-    text = f"row {start}" if stop - start <= 1 else f"rows {start}..{stop - 1}"
+def place(start: int, stop: int, t: Any = None) -> str:
+    """Samples start..stop-1 in words, with their times."""
+    text = f"sample {start}" if stop - start <= 1 else f"samples {start}..{stop - 1}"
     if t is None:
         return text
     low, high = float(t[start]), float(t[min(stop, len(t)) - 1])

@@ -2,8 +2,8 @@
 
     min over M in SO(3) of sum_k |x_k - M y_k|^2         (Wahba 1965; Kabsch 1976)
 
-x_k: what the motion says over a window, y_k: what the sensor read (quadexp/log/check/windows.py). The specific force
-of a multirotor points along the body's z nearly always, so that an accelerometer alone hardly tells a turn about z:
+x_k: what the motion says over a window, y_k: what the sensor read (windows.py). The specific force of
+a multirotor points along the body's z nearly always, so that an accelerometer alone hardly tells a turn about z:
 where its standard error is too large for what it finds, that turn is left out.
 """
 
@@ -14,20 +14,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quadexp.log.check.repairs import Repair
-from quadexp.log.check.windows import Pair, Windows, pairs
+from quadexp.log.hypotheses.hypothesis import KEYS, Hypothesis, turned
+from quadexp.log.hypotheses.windows import Pair, Windows, pairs
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-LEAST = 2.0  # deg: what is said at all
-WARNS, MOST = 4.0, 20.0  # deg: what a fit's offsets take no more; what a mount that was never calibrated may be off by
+LEAST = 2.0  # deg: smaller turns are not reported
+WARNS, MOST = 4.0, 20.0  # deg: more than the offsets of a fit absorb; the most of a mount that was never calibrated
 LARGEST = 120.0  # deg: beyond, it is a convention of axes, which other hypotheses name
 CERTAIN, CERTAIN_ALONE = 3.0, 5.0  # standard errors; of a turn about z that an accelerometer alone shows
 KEPT = 0.9  # of the windows: knocks are left out
 STRETCHES = 10  # of the flight, for the standard errors
 RELATIONS = {"f": ("force", "force (p)"), "w": ("rate",)}
-KEYS = {"f": "acceleration", "w": "rate"}  # of the import's mapping
 OPTIONS = {"f": "--mounting", "w": "--gyro-mounting"}  # of the import
 LEAST_MOTION = 2.0  # floors that a gyro must turn by to tell how it sits
 
@@ -60,7 +59,7 @@ class Mounting:
         return [round(float(x), 2) + 0.0 for x in (roll, pitch, yaw)]
 
 
-def mounting_repairs(windows: Windows) -> list[Repair]:
+def mounting_hypotheses(windows: Windows) -> list[Hypothesis]:
     """The turn of the accelerometer, of the gyro, and of both together, where the flight tells one."""
     found = {pair.relation: pair for pair in pairs(windows, touching="pqvwf")}
     made = []
@@ -71,7 +70,7 @@ def mounting_repairs(windows: Windows) -> list[Repair]:
             continue
         one = estimate(known, len(windows.t))
         if one is not None:
-            made.append(_repair(streams, one, cost))
+            made.append(_hypothesis(streams, one, cost))
     return made
 
 
@@ -82,10 +81,10 @@ def estimate(known: list[Pair], windows: int) -> Mounting | None:
     for pair in known:
         if pair.relation == "rate" and np.sqrt(np.mean(np.sum(pair.expected**2, axis=1))) < LEAST_MOTION * pair.floor:
             return None
-        rows = _near(pair)
-        expected.append(pair.expected[rows] / pair.floor)
-        found.append(pair.found[rows] / pair.floor)
-        stretch.append((np.arange(len(pair.found)) % windows * STRETCHES // windows)[rows])
+        near = _near(pair)
+        expected.append(pair.expected[near] / pair.floor)
+        found.append(pair.found[near] / pair.floor)
+        stretch.append((np.arange(len(pair.found)) % windows * STRETCHES // windows)[near])
     x, y, part = np.concatenate(expected), np.concatenate(found), np.concatenate(stretch)
     if len(x) < 3 * STRETCHES or not (np.isfinite(x).all() and np.isfinite(y).all()):
         return None
@@ -134,18 +133,13 @@ def _shortest(turn: Rotation) -> Rotation:
     return Rotation.from_rotvec(angle * axis / sine) if sine > 1e-9 else Rotation.identity()
 
 
-def _repair(streams: str, one: Mounting, cost: float) -> Repair:
-    """The mount undone. Turns by less than MOST do not block."""
-    matrix = one.matrix
-
-    def apply(windows: Windows) -> Windows:
-        return windows.having(**{name: windows.of(name) @ matrix.T for name in streams})
-
+def _hypothesis(streams: str, one: Mounting, cost: float) -> Hypothesis:
+    """The mounting undone. Turns by less than MOST do not block."""
     what = {"f": "the accelerometer is", "w": "the gyro is", "wf": "accelerometer and gyro are"}[streams]
     angles, error = ", ".join(f"{x:g}" for x in one.angles), ", ".join(f"{e:.1f}" for e in one.error)
     text = f"{what} turned by {one.angle:.1f} deg: roll, pitch, yaw {angles} deg (standard errors {error})"
-    keys = " and ".join(f"`{KEYS[name]}`" for name in sorted(streams))
-    options = " ".join(f"{OPTIONS[name]}={angles.replace(' ', '')}" for name in sorted(streams))
-    advice = f"`mounting: [{angles}]` in the mapping's {keys} corrects it, or import {options}"
     severity = "info" if one.angle < WARNS else "warning" if one.angle <= MOST else "blocking"
-    return Repair("mounting", streams, text, apply, 2.5 if severity == "blocking" else cost, severity, advice)
+    correction = {KEYS[name]: {"mounting": one.angles} for name in sorted(streams)}
+    options = " ".join(f"{OPTIONS[name]}={angles.replace(' ', '')}" for name in sorted(streams))
+    cost = 2.5 if severity == "blocking" else cost
+    return Hypothesis("mounting", streams, text, turned(streams, one.matrix), correction, cost, severity, options)

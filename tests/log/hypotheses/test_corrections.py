@@ -1,0 +1,199 @@
+"""What check prints mends the import: a fault goes into a sound log, its correction into the mapping, and all is well.
+
+The fault of a hypothesis is the inverse of its transformation, found numerically: every one of them is affine in the
+values of a stream. The correction takes another way back: through the printed text, the YAML reader and the importer.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import yaml
+
+from quadexp.errors import UsageError
+from quadexp.experiment.import_flights import import_files
+from quadexp.log.hypotheses.hypothesis import (
+    Hypothesis,
+    clock_hypothesis,
+    flow,
+    hypotheses,
+    merged,
+    scale_hypotheses,
+)
+from quadexp.log.hypotheses.windows import STREAMS, Windows
+from quadexp.log.importers import Options
+from quadexp.log.importers.mapping_reader import load_mapping
+from quadexp.log.schema import Flight
+from quadexp.log.store import read_table
+from tests.log.check.faults import FRD, NED, P, V, W, inject, put, take
+from tests.log.imitated import imitated
+from tests.log.importers.logs import write_csv
+from tests.log.importers.test_bad_rows import MAPPING
+
+EVERY = [
+    *hypotheses(frozenset("pqvwf")),
+    *map(clock_hypothesis, (1e3, 1.05, 0.5)),  # microseconds are refused by the import itself
+    *scale_hypotheses(1.3, "vp"),
+]
+TURNS = [one for one in EVERY if one.name in ("axis_swap", "sign_flip", "z_down") and one.streams != "q"]
+OTHERS = [one for one in EVERY if one not in TURNS]
+
+
+def named(one: Hypothesis) -> str:
+    return f"{one.name}-{one.streams}-{one.text}"
+
+
+def broken(flight: Flight, one: Hypothesis) -> Flight:
+    """The flight that the hypothesis's transformation makes this one of."""
+    columns = {key: values.copy() for key, values in flight.columns.items()}
+    streams = {name: flight.stack(names)[None] for name, names in STREAMS.items()}
+    t = flight.t[None]
+    if one.streams == "t":
+        gain = t[0, -1] / one.apply(Windows.of_streams(t, streams)).t[0, -1]
+        return Flight({**columns, "t": gain * columns["t"]}, flight.metadata)
+    fixed = {name: values for name, values in streams.items() if name not in one.streams}
+    for name in one.streams:
+        width = streams[name].shape[-1]
+        # a rotation matrix of which the transformation of vectors may make use is that of the attitude as it is found
+        beside = fixed | {"q": streams["q"]}
+
+        def made(x: np.ndarray, name: str = name, beside: dict = beside) -> np.ndarray:
+            probe = {key: beside.get(key, np.zeros_like(values)) for key, values in streams.items()}
+            probe[name] = np.broadcast_to(x, streams[name].shape)
+            return getattr(one.apply(Windows.of_streams(t, probe)), name)[0]
+
+        offset = made(np.zeros(width)) if name != "q" else 0.0
+        matrix = np.stack([made(axis) - offset for axis in np.eye(width)], axis=-1)
+        put(columns, list(STREAMS[name]), np.linalg.solve(matrix, (streams[name][0] - offset)[..., None])[..., 0])
+    return Flight(columns, flight.metadata)
+
+
+def imported(folder, log, mapping: str, *, align: bool = False) -> tuple[Flight, list]:
+    (folder / "mapping.yaml").write_text(mapping)
+    options = Options(mapping=folder / "mapping.yaml", align=align)
+    (outcome,) = import_files([log], folder / "out", options, force=True, keep=True)
+    assert outcome.path is not None, outcome.cause
+    return Flight(*read_table(outcome.path, "flight")), outcome.findings
+
+
+def blocking(findings: list) -> list:
+    return [one for one in findings if one.blocks]
+
+
+def printed(message: str) -> list[dict]:
+    """The lines of a mapping that a finding's message has, one dict each."""
+    return [yaml.safe_load(line) for line in re.findall(r"`([^`]*)`", message.split("correct the mapping")[1])]
+
+
+def corrected(mapping: str, findings: list) -> str:
+    """The mapping with the printed lines under `corrections`, those of one finding together."""
+    steps = [{key: value for line in printed(one.message) for key, value in line.items()} for one in findings]
+    assert steps == [one.correction for one in findings]
+    return f"{mapping}\ncorrections: {flow(steps)}\n"
+
+
+def mends(folder, flight: Flight, one: Hypothesis, change: Callable[[str, list], str] = corrected) -> None:
+    log = write_csv(folder / "log.csv", dict(broken(flight, one).columns))
+    _, findings = imported(folder, log, MAPPING)
+    found = [finding for finding in blocking(findings) if finding.correction]  # the others are symptoms, and go
+    assert found, "not noticed"
+    mended, left = imported(folder, log, change(MAPPING, found))
+    assert not blocking(left), ([x.message for x in found], [x.message for x in left])
+    if [x.correction for x in found] == [one.correction]:
+        for names in STREAMS.values():
+            np.testing.assert_allclose(mended.stack(names), flight.stack(names), atol=3e-3)
+
+
+@pytest.fixture(scope="module")
+def flights():
+    return [imitated(seed, vehicle, duration=12) for vehicle, seed in (("torrente", 300), ("crazyflie", 301))]
+
+
+@pytest.mark.parametrize("one", OTHERS, ids=named)
+def test_the_printed_correction_mends_the_import(flights, tmp_path, one):
+    mends(tmp_path, flights[0], one)
+
+
+@pytest.mark.parametrize("k", range(6))
+def test_so_do_those_of_axes(flights, tmp_path, k):
+    """Axes swapped and reversed, drawn at random, on two vehicles."""
+    drawn = np.random.default_rng(k).choice(len(TURNS), 2, replace=False)
+    for i in drawn:
+        mends(tmp_path, flights[k % 2], TURNS[i])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("vehicle", "seed"), [("blackbird", 310), ("lei_li", 311), ("crazyflie", 312)])
+def test_every_hypothesis_on_one_of_three_vehicles(tmp_path, vehicle, seed):
+    flight = imitated(seed, vehicle, duration=12)
+    wrong = []
+    for one in EVERY[seed - 310 :: 3]:
+        try:
+            mends(tmp_path, flight, one)
+        except AssertionError as error:
+            wrong.append((named(one), str(error)[:300]))
+    assert not wrong, wrong
+
+
+def test_lines_that_the_mapping_has_not_are_its_own(flights, tmp_path):
+    """Where the mapping says nothing of a key yet, the printed lines may as well be put into it as they stand."""
+
+    def in_place(mapping: str, findings: list) -> str:
+        made = yaml.safe_load(mapping)
+        for one in findings:
+            for lines in printed(one.message):
+                made = merged(made, lines)
+        return flow(made)
+
+    for one in OTHERS[::6]:
+        mends(tmp_path, flights[1], one, in_place)
+
+
+def test_a_late_sensor_is_moved_by_the_option_that_is_offered(flights, tmp_path):
+    log = write_csv(tmp_path / "log.csv", dict(inject(flights[0], "imu_50_ms_late").columns))
+    _, findings = imported(tmp_path, log, MAPPING)
+    (found,) = [one for one in findings if one.severity != "info"]
+    assert found.name == "time_offset" and "`import --align`" in found.advice
+    _, left = imported(tmp_path, log, MAPPING, align=True)
+    assert not [one.message for one in left if one.severity != "info"]
+
+
+def test_two_faults_under_a_mapping_with_frames_and_units(flights, tmp_path):
+    """The mapping knows that the log is in NED, FRD and degrees a second; it knows nothing of g and a flipped y."""
+    columns = {key: values.copy() for key, values in flights[0].columns.items()}
+    for names, matrix, factor in ((P, NED, 1), (V, NED, 1), (W, FRD, 180 / np.pi)):
+        put(columns, names, factor * take(columns, names) @ matrix.T)
+    acc = ["acc_x", "acc_y", "acc_z"]
+    put(columns, acc, take(columns, acc) @ FRD * [1, -1, 1] / 9.80665)
+    words = MAPPING.replace("v_z]}", "v_z], frame: NED}").replace("p_z]}", "p_z], frame: NED}")
+    words = words.replace("w_z]}", "w_z], frame: FRD, unit: deg/s}").replace("acc_z]}", "acc_z], frame: FRD}")
+    log = write_csv(tmp_path / "log.csv", columns)
+    _, findings = imported(tmp_path, log, words)
+    found = blocking(findings)
+    assert {one.name for one in found} == {"units", "sign_flip"}
+    mended, left = imported(tmp_path, log, corrected(words, found))
+    assert not blocking(left)
+    for names in STREAMS.values():
+        np.testing.assert_allclose(mended.stack(names), flights[0].stack(names), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ("corrections: {rate: {unit: deg/s}}", "must be a list of lines"),
+        ("corrections: [{wind: {unit: m/s}}]", "'wind': allowed are world, body, time, rate"),
+        ("corrections: [{rate: {unit: rpm}}]", "unit 'rpm' is not known"),
+        ("corrections: [{rate: {columns: [a, b, c]}}]", "unknown key"),
+        ("corrections: [{time: {scale: -1}}]", "must be one positive number"),
+        ("corrections: [{time: {column: x}}]", "unknown key"),
+        ("corrections: [{rate: }]", "must be a mapping"),
+    ],
+)
+def test_one_line_says_what_is_wrong_with_a_correction(tmp_path, lines, message):
+    (tmp_path / "m.yaml").write_text(f"time: {{column: t}}\nrate: {{columns: [a, b, c]}}\n{lines}\n")
+    with pytest.raises(UsageError, match=message) as error:
+        load_mapping(tmp_path / "m.yaml")
+    assert "m.yaml:3:" in str(error.value)
