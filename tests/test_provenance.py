@@ -47,6 +47,11 @@ ASIDE = {
 }
 
 
+# Parsed when the tests are collected: beside threads, which tests of clusters leave for a while, the parser of Python
+# 3.11 may fail ("AST constructor recursion depth mismatch").
+IMPORTS = imports()
+
+
 def flying():
     """Modules that are imported, anywhere in them, by what flies a cell."""
     found, waiting = set(), ["quadexp.experiment.evaluate"]
@@ -55,7 +60,7 @@ def flying():
         if module not in found:
             found.add(module)
             parts = module.split(".")
-            waiting += [*imports()[module], *(".".join(parts[:i]) for i in range(1, len(parts)))]
+            waiting += [*IMPORTS[module], *(".".join(parts[:i]) for i in range(1, len(parts)))]
     return found
 
 
