@@ -192,8 +192,3 @@ def evaluate_cell(config: Config, model: ModelFile | None, path: str, key: str) 
     flight.metadata["row"]["key"] = key
     write_flight(Path(path), flight, key=key)
     return flight.metadata["row"]
-
-
-def plain(config: Config) -> dict[str, Any]:
-    """The whole configuration as a plain dictionary."""
-    return asdict(config)

@@ -13,7 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from quadexp.config.flight import RotorConfig, VehicleConfig
+from quadexp.config.flight import VehicleConfig
+from quadexp.config.settings import made
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.learn.offline import Identification, identify_flight
@@ -134,7 +135,4 @@ def _recorded(flight: Flight, path: Path) -> Vehicle:
     record = (flight.metadata.get("config") or {}).get("vehicle")
     if not record:
         raise DataError(f"{path}: does not say which vehicle flew: pass --vehicle NAME")
-    values = dict(record)
-    if values.get("rotor"):
-        values["rotor"] = RotorConfig(**values["rotor"])
-    return build_vehicle(VehicleConfig(**values))
+    return build_vehicle(made(VehicleConfig, record))

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict
 from typing import Any
 
 from quadexp.config.schema import Config
+from quadexp.config.settings import record
 
 FLIGHT_GROUPS = (
     "vehicle",
@@ -30,8 +30,8 @@ def digest(value: Any) -> str:
 
 def flight_record(config: Config) -> dict[str, Any]:
     """The part of a configuration that decides one flight, as a plain dictionary."""
-    record = {group: asdict(getattr(config, group)) for group in FLIGHT_GROUPS}
-    return {**record, "model": config.model, "seed": config.seed}
+    nodes = {group: record(getattr(config, group)) for group in FLIGHT_GROUPS}
+    return {**nodes, "model": config.model, "seed": config.seed}
 
 
 def flight_entropy(config: Config) -> int:
@@ -40,10 +40,10 @@ def flight_entropy(config: Config) -> int:
     Flights that differ in what the controller knows meet the same noise, so comparisons are paired. What cannot change
     a flight (names, where a file lies, the back end, what a flight may ask for and when it is over) takes no part.
     """
-    record = flight_record(config)
+    nodes = flight_record(config)
     aside = {"name", "backend", "allow_infeasible", "lost_distance", "path"}
     parts = [
-        {k: v for k, v in record[group].items() if k not in aside and v is not None}
+        {k: v for k, v in nodes[group].items() if k not in aside and v is not None}
         for group in ("vehicle", "plant", "trajectory")
     ]
     return int(digest(["noise", *parts, config.seed]), 16)

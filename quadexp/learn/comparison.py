@@ -11,10 +11,11 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 
+from quadexp.config.settings import declared
 from quadexp.learn.dataset import ResidualDataset
 from quadexp.learn.evaluation import Row, score, split_by_flight
 from quadexp.learn.gp_fit import Callback, fit_gp
-from quadexp.learn.model import METHODS, GPSettings
+from quadexp.learn.model import GPSettings
 from quadexp.learn.predict import predict
 
 SIZES = (5, 10, 20, 50, 100)
@@ -26,7 +27,7 @@ def compare(
     settings: GPSettings | None = None,
     *,
     sizes: Sequence[int] = SIZES,
-    methods: Sequence[str] = METHODS,
+    methods: Sequence[str] = declared(GPSettings)["method"].words,
     max_rows: int | None = MAX_ROWS,
     callback: Callback | None = None,
 ) -> list[Row]:

@@ -17,43 +17,26 @@ from functools import cached_property
 
 import numpy as np
 
+from quadexp.config.flight import VehicleConfig
+from quadexp.config.settings import part
 from quadexp.errors import UsageError
 from quadexp.physics.rotor import RotorGeometry
 
-GRAVITY = 9.81  # m/s^2
+GRAVITY = VehicleConfig.gravity  # m/s^2
 # A rigid body's largest principal moment is at most the sum of the others; measured ones may miss that by a little
 # (those of Lei & Li 2017 do by 1.2 %).
 INERTIA_TOLERANCE = 0.02
 
 
 @dataclass(frozen=True)
-class Vehicle:
-    """Physical parameters of a multirotor.
-
-    mass: kg. inertia: (3, 3), body frame, kg m^2. rotor_position: (n, 3), body frame, m.
-    rotor_spin: (n,), sign of the reaction torque about +z_body per unit thrust (+1 or -1).
-    torque_coefficient: reaction torque per thrust, m. thrust_min, thrust_max: per rotor, N.
-    rate_max: largest body rate a reference may ask for, rad/s.
-    rotor: shape of the rotors, for blade-element models; None where nobody needs it.
-    static_thrust: k_T,static of the thrust map u = k_T,static w^2 between a thrust and a rotor speed, N s^2.
+class Vehicle(VehicleConfig):
+    """Physical parameters of a multirotor (see VehicleConfig for each with its unit and range).
 
     Raises UsageError where the numbers describe no rigid body or cannot be controlled.
     """
 
-    name: str
-    mass: float
-    inertia: tuple[tuple[float, float, float], ...]
-    rotor_position: tuple[tuple[float, float, float], ...]
-    rotor_spin: tuple[float, ...]
-    torque_coefficient: float
-    thrust_min: float
-    thrust_max: float
-    rate_max: float
-    gravity: float = GRAVITY
-    rotor: RotorGeometry | None = None
-    static_thrust: float | None = None
-
     def __post_init__(self) -> None:
+        super().__post_init__()
         eigenvalues = np.linalg.eigvalsh(self.inertia_matrix)
         if not np.allclose(self.inertia_matrix, self.inertia_matrix.T):
             raise UsageError("vehicle.inertia: the matrix must be symmetric")
@@ -74,8 +57,6 @@ class Vehicle:
                 f"vehicle.thrust_max: hovering takes {self.hover_thrust:.3g} N per rotor,"
                 f" outside ({self.thrust_min:g}, {self.thrust_max:g}) N"
             )
-        if self.static_thrust is not None and not self.static_thrust > 0:
-            raise UsageError(f"vehicle.static_thrust={self.static_thrust:g}: must be positive (N s^2)")
 
     @property
     def n_rotors(self) -> int:
@@ -92,12 +73,12 @@ class Vehicle:
         x, y, _ = np.array(self.rotor_position, float).T
         return np.stack([np.ones(self.n_rotors), y, -x, self.torque_coefficient * np.array(self.rotor_spin, float)])
 
-    @property
+    @cached_property
     def rotor_geometry(self) -> RotorGeometry:
         """`rotor`, for a model that needs it. Raises UsageError where there is none."""
         if self.rotor is None:
             raise self._without_rotor()
-        return self.rotor
+        return part(RotorGeometry, self.rotor)
 
     @property
     def static_thrust_coefficient(self) -> float:

@@ -10,7 +10,7 @@ import hashlib
 import sys
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from quadexp.config.cells import Cell
@@ -130,7 +130,8 @@ class Plan:
             self._found[reads] = model, input_hashes(config, model)
         model, inputs = self._found[reads]
         if model is None:
-            config.model = None  # a checkpoint that the controller does not use decides nothing
+            config = replace(config, model=None)  # a checkpoint that the controller does not use decides nothing
+            cell = replace(cell, config=config)
         condition = self._condition(config)
         key = f'[{cell_keys.SCHEMA},"evaluate",{condition},{canonical(sorted(inputs.items()))}]'
         believed = self._text(config.plant) if knows_plant(config.controller) else model.sha256 if model else ""
