@@ -74,7 +74,8 @@ class Composer:
     def __init__(self, extra: Path | None = None) -> None:
         self._folders = folders(extra)
         self._options = groups(extra)
-        self._bases: dict[tuple[tuple[str, ...], bool], dict[str, Node]] = {}
+        self._wholes: dict[tuple[str, ...], dict[str, Node]] = {}
+        self._together: dict[tuple[str, ...], dict[str, Node]] = {}
         self._alone: dict[str, dict[str, Node]] = {}
         self._made: dict[tuple[Any, ...], Any] = {}
         self._parsed: dict[str, Given] = {}
@@ -143,9 +144,7 @@ class Composer:
         chosen = [one for one in parsed if one.key in self._options]
         values = [one for one in parsed if one.key not in self._options]
         key = tuple(one.text for one in chosen)
-        if (key, parts) not in self._bases:
-            self._bases[key, parts] = self._in_parts(chosen) if parts else self._composed("config", chosen, key)
-        base = self._bases[key, parts]
+        base = self._put_together(chosen, key) if parts else self._whole(chosen)
         for one in values:
             if (key, one.key) not in self._checked:
                 _check_key({name: node.content for name, node in base.items()}, one.key)
@@ -189,8 +188,10 @@ class Composer:
         """What Hydra composes of a file and a choice of options."""
         own = ",".join(_quoted(f"file://{folder}") for folder in self._folders[1:])
         given = [*(one.text for one in chosen), f"hydra.searchpath=[{own}]"]
+        GlobalHydra.instance().clear()
         try:
-            composed = hydra.compose(name, overrides=given)
+            with hydra.initialize_config_dir(str(conf_folder()), job_name="quadexp", version_base="1.3"):
+                composed = hydra.compose(name, overrides=given)
         except (yaml.YAMLError, UnicodeDecodeError) as error:
             raise self._unreadable(error) from None
         content = OmegaConf.to_container(composed)
@@ -200,21 +201,40 @@ class Composer:
         options = {one.key: one.value for one in chosen}
         return {str(key): _node(str(key), value, options, source) for key, value in content.items()}
 
-    def _in_parts(self, chosen: Sequence[Given]) -> dict[str, Node]:
-        """The same, put together from what the experiment and every option are by themselves, where that is the same."""
+    def _whole(self, chosen: Sequence[Given]) -> dict[str, Node]:
+        """The whole configuration with some options chosen."""
+        key = tuple(one.text for one in chosen)
+        if key not in self._wholes:
+            self._wholes[key] = self._composed("config", chosen, key)
+        return self._wholes[key]
+
+    def _put_together(self, chosen: Sequence[Given], key: tuple[str, ...]) -> dict[str, Node]:
+        """The same, from what the experiment and every option are by themselves, where that is the same."""
+        if key in self._together:
+            return self._together[key]
         experiments = [one for one in chosen if one.key == "experiment"]
         options = {one.key: one for one in chosen if one.key != "experiment"}
         settled = self._spoken_for(experiments)
-        for name, one in options.items():
-            if one.text not in self._alone:
-                self._alone[one.text] = self._composed(f"{name}/{one.value}", (), (one.text,))
-        alone = {name: self._alone[one.text] for name, one in options.items()}
+        alone = {name: self._nodes_of(one) for name, one in options.items()}
         if settled is None or any([*nodes] != [name] or name in settled for name, nodes in alone.items()):
-            return self._composed("config", chosen, tuple(one.text for one in chosen))
-        key = tuple(one.text for one in experiments)
-        if (key, False) not in self._bases:
-            self._bases[key, False] = self._composed("config", experiments, key)
-        return self._bases[key, False] | {name: nodes[name] for name, nodes in alone.items()}
+            base = self._whole(chosen)
+        else:
+            base = self._whole(experiments) | {name: nodes[name] for name, nodes in alone.items()}
+        self._together[key] = base
+        return base
+
+    def _nodes_of(self, option: Given) -> dict[str, Node]:
+        """The nodes that an option decides, as a rule its own."""
+        name, source = option.key, (option.text,)
+        if option.text in self._alone:
+            return self._alone[option.text]
+        if (self._folders[0] / name / f"{option.value}.yaml").is_file():
+            found = self._composed(f"{name}/{option.value}", (), source)
+        else:  # Hydra composes no file by itself that lies elsewhere
+            default, whole = self._whole([]), self._whole([option])
+            found = {k: node for k, node in whole.items() if k == name or node.content != default[k].content}
+        self._alone[option.text] = found
+        return found
 
     def _spoken_for(self, experiments: Sequence[Given]) -> set[str] | None:
         """Nodes in which config.yaml or an experiment sets values itself; None where an experiment chooses options."""
@@ -446,9 +466,7 @@ def session(extra: Path | None = None) -> Iterator[Composer]:
         for name, schema in schemas.items():
             node = {**_required(schema), SCHEMA: f"{group}/{name}"}
             ConfigStore.instance().store(group=f"schema/{group}", name=name, node=node)
-    GlobalHydra.instance().clear()
-    with hydra.initialize_config_dir(str(conf_folder()), job_name="quadexp", version_base="1.3"):
-        yield Composer(extra.resolve() if extra is not None else None)
+    yield Composer(extra.resolve() if extra is not None else None)
 
 
 def compose(overrides: Sequence[str] = (), extra: Path | None = None) -> Config:
