@@ -33,9 +33,9 @@ class ClusterConfig(EngineConfig):
     tls_ca: Annotated[str | None, Setting("file of the certificate authority")] = None
     tls_cert: Annotated[str | None, Setting("file of the certificate")] = None
     tls_key: Annotated[str | None, Setting("file of its key")] = None
-    wait: Annotated[
-        float, Setting("time without a single worker after which the sweep stops", "(0, 604800]", "s")
-    ] = 60.0
+    wait: Annotated[float, Setting("time without a single worker after which the sweep stops", "(0, 604800]", "s")] = (
+        60.0
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

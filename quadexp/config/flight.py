@@ -1,7 +1,7 @@
 """The settings that decide a flight: vehicle, plant, trajectory, controller.
 
-A class `...Keys` declares the settings of one object of the program, which inherits them (`class Vehicle(VehicleConfig)`).
-A class `...Config` is a node of the configuration: those settings with the keys that say what is made and how.
+A class `...Keys` declares the settings of one object of the program, which inherits them (`class MPCSettings(MPCKeys)`).
+A class `...Config` is a node of the configuration: such settings, with the keys that say what is made and how.
 """
 
 from __future__ import annotations
@@ -48,9 +48,7 @@ class RotorConfig(Settings):
     chord: Annotated[float, Setting("chord of a blade", "(0, 1]", "m")]
     twist: Annotated[float, Setting("pitch angle of a blade, constant over the radius", "(0, 1.57]", "rad")]
     air_density: Annotated[float, Setting("density of the air", "(0, 10]", "kg/m^3")]
-    reference_area: Annotated[
-        float, Setting("area that the airframe's drag coefficients refer to", "(0, 100]", "m^2")
-    ]
+    reference_area: Annotated[float, Setting("area that the airframe's drag coefficients refer to", "(0, 100]", "m^2")]
     blades: Annotated[int, Setting("blades of a rotor", "[1, 20]")] = 2
 
 
@@ -316,9 +314,11 @@ class MPCKeys(Settings):
         ),
     ] = 0.0
     rate: Annotated[float, Setting("control steps a second", "[1, 1000]", "Hz")] = 50.0
-    position_weight: Annotated[
-        Triple, Setting("cost of the position error squared, world, m^-2", "[0, 1e6]")
-    ] = (10.0, 10.0, 10.0)
+    position_weight: Annotated[Triple, Setting("cost of the position error squared, world, m^-2", "[0, 1e6]")] = (
+        10.0,
+        10.0,
+        10.0,
+    )
     attitude_weight: Annotated[
         tuple[float, float, float, float],
         Setting("cost of the attitude error squared, a quaternion, w first: see attitude_error", "[0, 1e6]"),
@@ -330,9 +330,11 @@ class MPCKeys(Settings):
             " rotation q_ref^-1 o q, weights of roll, pitch and yaw errors"
         ),
     ] = "plain"
-    velocity_weight: Annotated[
-        Triple, Setting("cost of the velocity error squared, world, s^2 m^-2", "[0, 1e6]")
-    ] = (0.05, 0.05, 0.05)
+    velocity_weight: Annotated[Triple, Setting("cost of the velocity error squared, world, s^2 m^-2", "[0, 1e6]")] = (
+        0.05,
+        0.05,
+        0.05,
+    )
     rate_weight: Annotated[Triple, Setting("cost of the body rate error squared, s^2", "[0, 1e6]")] = (
         0.05,
         0.05,

@@ -22,14 +22,12 @@ class CollectConfig(Settings):
 
     prefix: ClassVar[str] = "collect."
 
-    mode: Annotated[
-        Literal["random", "setpoints"], Setting("smooth random paths, or jumps between random points")
-    ] = "random"
+    mode: Annotated[Literal["random", "setpoints"], Setting("smooth random paths, or jumps between random points")] = (
+        "random"
+    )
     duration: Annotated[float, Setting("time flown altogether", "(0, 86400]", "s")] = 300.0
     flight_duration: Annotated[float, Setting("length of one flight", "[2, 3600]", "s")] = 20.0
-    speed_min: Annotated[
-        float, Setting("least peak speed of a path; they are spread evenly", "(0, 60]", "m/s")
-    ] = 5.0
+    speed_min: Annotated[float, Setting("least peak speed of a path; they are spread evenly", "(0, 60]", "m/s")] = 5.0
     speed_max: Annotated[float, Setting("largest peak speed of a path", "(0, 60]", "m/s")] = 20.0
     extent: Annotated[float, Setting("edge of the cube that the paths stay in", "(0, 1000]", "m")] = 6.0
     clearance: Annotated[float, Setting("height of the lowest point, world", "[-1000, 1000]", "m")] = 1.0

@@ -102,9 +102,11 @@ class SensorConfig(Settings):
     prefix: ClassVar[str] = "sensor."
 
     name: Name
-    accelerometer_bias: Annotated[
-        Triple, Setting("constant error of the specific force", "[-100, 100]", "m/s^2")
-    ] = (0.0, 0.0, 0.0)
+    accelerometer_bias: Annotated[Triple, Setting("constant error of the specific force", "[-100, 100]", "m/s^2")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
     accelerometer_noise: Annotated[
         Triple, Setting("standard deviation of the specific force, white", "[0, 100]", "m/s^2")
     ] = (0.0, 0.0, 0.0)
@@ -153,9 +155,9 @@ class RLSKeys(Settings):
 
     prefix: ClassVar[str] = "controller.rls."
 
-    covariance: Annotated[
-        float, Setting("P_0 is this times the identity, where relative_std is null", "(0, 1e9]")
-    ] = 50.0
+    covariance: Annotated[float, Setting("P_0 is this times the identity, where relative_std is null", "(0, 1e9]")] = (
+        50.0
+    )
     relative_std: Annotated[
         float | None,
         Setting(
@@ -184,9 +186,7 @@ class RLSConfig(RLSKeys, BladeKeys):
 
     change_threshold: Annotated[
         float | None,
-        Setting(
-            "mean square prediction error, over the noise's, at which P goes back to P_0; null: never", "(1, 1e9]"
-        ),
+        Setting("mean square prediction error, over the noise's, at which P goes back to P_0; null: never", "(1, 1e9]"),
     ] = None
 
 

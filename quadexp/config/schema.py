@@ -60,19 +60,13 @@ class EvaluateConfig(Settings):
         Literal["standard", "lei_li", "families", "adaptation"],
         Setting("which figures are drawn beside the standard ones"),
     ] = "standard"
-    baseline: Annotated[
-        str, Setting("controller that the others are compared with, seed by seed")
-    ] = "nominal_mpc"
+    baseline: Annotated[str, Setting("controller that the others are compared with, seed by seed")] = "nominal_mpc"
     confidence: Annotated[float, Setting("confidence level of every interval", "[0.5, 0.9999]")] = 0.95
-    workers: Annotated[
-        int, Setting("processes that fly at a time; 0: one a core", "[0, 1024]", "processes")
-    ] = 0
+    workers: Annotated[int, Setting("processes that fly at a time; 0: one a core", "[0, 1024]", "processes")] = 0
     timeout: Annotated[
         float, Setting("time (monotonic) after which a flight is given up, and tried once more", "(0, 86400]", "s")
     ] = 600.0
-    memory: Annotated[
-        float, Setting("what the process of a flight may take; 0: no limit", "[0, 4096]", "GB")
-    ] = 4.0
+    memory: Annotated[float, Setting("what the process of a flight may take; 0: no limit", "[0, 4096]", "GB")] = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +87,9 @@ class Config(Settings):
     )
     model: Annotated[
         str | None,
-        Setting("checkpoint folder for a controller that needs one; null: the first of controller.models that is there"),
+        Setting(
+            "checkpoint folder for a controller that needs one; null: the first of controller.models that is there"
+        ),
     ] = None
     seed: Annotated[
         int, Setting("draws the noise, and the path of trajectory=random; the same for every controller", SEEDS)

@@ -86,9 +86,13 @@ class Settings:
             object.__setattr__(self, one.name, value)
 
 
-@functools.cache
 def declared(node: type) -> dict[str, Declared]:
     """The settings of a class by name, in the order of its fields; a field without a Setting is none."""
+    return _declared(node)
+
+
+@functools.cache
+def _declared(node: type) -> dict[str, Declared]:
     hints = get_type_hints(node, include_extras=True)
     found = {}
     for f in fields(node):

@@ -12,7 +12,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.config.lei_li import RectangleKeys
-from quadexp.errors import UsageError
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION
 from quadexp.reference.base import N_DERIVATIVES, FlatOutput, flat_output_held, hold_outside
 
