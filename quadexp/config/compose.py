@@ -196,10 +196,10 @@ class Composer:
             raise self._unreadable(error) from None
         content = OmegaConf.to_container(composed)
         assert isinstance(content, dict)
-        if name == "config":
-            content = {**plain(Config), **content}
+        found = plain(Config) if name == "config" else {}
+        found |= {str(key): value for key, value in content.items()}
         options = {one.key: one.value for one in chosen}
-        return {str(key): _node(str(key), value, options, source) for key, value in content.items()}
+        return {key: _node(key, value, options, source) for key, value in found.items()}
 
     def _whole(self, chosen: Sequence[Given]) -> dict[str, Node]:
         """The whole configuration with some options chosen."""

@@ -1,6 +1,6 @@
 """The settings that decide a flight: vehicle, plant, trajectory, controller.
 
-A class `...Keys` declares the settings of one object of the program, which inherits them (`class MPCSettings(MPCKeys)`).
+A class `...Keys` declares the settings of an object of the program, which inherits them: `class MPCSettings(MPCKeys)`.
 A class `...Config` is a node of the configuration: such settings, with the keys that say what is made and how.
 """
 

@@ -154,7 +154,7 @@ def build_residual(config: Config, vehicle: Vehicle, plant: Any, model: ModelFil
     """What the controller believes of the air: nothing, the plant's own equations, or a checkpoint."""
     from quadexp.air.none import no_residual
 
-    kind = cast(MPCConfig, config.controller).residual
+    kind: str = cast(MPCConfig, config.controller).residual
     if kind == "none":
         return no_residual(vehicle)
     if kind == "plant":

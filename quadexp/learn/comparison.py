@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 from quadexp.config.settings import declared
 from quadexp.learn.dataset import ResidualDataset
@@ -44,7 +45,8 @@ def compare(
         if callback is not None:
             callback(f"compare {method}" + (f" M={m}" if m else ""), i / len(cells))
         limit = settings.max_exact_rows if method == "exact" else max_rows
-        chosen = replace(settings, method=method, inducing=m or settings.inducing, max_rows=limit)
+        values: dict[str, Any] = {"method": method, "inducing": m or settings.inducing, "max_rows": limit}
+        chosen = replace(settings, **values)
         start = time.perf_counter()
         model = fit_gp(train, chosen, drag_intervals=False)
         seconds = time.perf_counter() - start

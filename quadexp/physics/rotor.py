@@ -15,9 +15,8 @@ from quadexp.config.lei_li import BladeElementEffects, BladeKeys
 
 THETA = ("C_d0", "C_la", "C_Dx", "C_Dy", "C_Dz")  # order of the coefficients wherever they are one vector
 C_D0, C_LA, C_DX, C_DY, C_DZ = range(5)
-IDLE_SPEED = (
-    BladeElementEffects.rotor_speed_min
-)  # rad/s; rotors in flight do not stop, and the model is not defined where they do
+# rad/s; rotors in flight do not stop, and the model is not defined where they do
+IDLE_SPEED = BladeElementEffects.rotor_speed_min
 STANDING = 1e-6  # rad/s, for zero: below it a rotor stands still; in still air all its forces vanish
 
 
