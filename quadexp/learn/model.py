@@ -48,7 +48,8 @@ class GPSettings(GPKeys):
                 raise UsageError(f"gp.features.{output}: {', '.join(names)} names a feature twice")
 
     def as_dict(self) -> dict[str, Any]:
-        record = asdict(self) | {"features": {output: list(names) for output, names in self.features.items()}}
+        record = {"features": {output: list(names) for output, names in self.features.items()}}
+        record = record | {name: value for name, value in asdict(self).items() if name not in record}
         if self.split == "flight":
             del record["split"]
         return record
