@@ -14,8 +14,8 @@ PACKAGE = ROOT / "quadexp"
 FLOORS = (
     ("",),  # the version
     ("errors", "messages", "progress", "provenance"),
-    ("compile",),
-    ("config", "physics"),
+    ("compile", "config"),
+    ("physics",),
     ("air", "log"),
     ("reference", "learn", "world", "control"),
     ("report",),

@@ -5,21 +5,25 @@ The schemas are imported when a completion is asked for, because `quadexp --help
 
 from __future__ import annotations
 
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import typer
 
 
-def groups(extra: Path | None = None) -> dict[str, list[str]]:
-    """Configuration groups and their options: a listing of the folders."""
+def folders(extra: Path | None = None) -> list[Path]:
+    """Folders of configuration files, in the order in which an option is looked for."""
     from quadexp.config.plugins import plugin_folders
     from quadexp.config.schema import conf_folder
 
+    return [conf_folder(), *plugin_folders().values(), *([extra] if extra else [])]
+
+
+def groups(extra: Path | None = None) -> dict[str, list[str]]:
+    """Configuration groups and their options: a listing of the folders."""
     found: dict[str, set[str]] = {}
-    for root in (conf_folder(), *plugin_folders().values(), extra):
-        for folder in sorted(root.iterdir()) if root and root.is_dir() else ():
+    for root in folders(extra):
+        for folder in sorted(root.iterdir()) if root.is_dir() else ():
             if folder.is_dir():
                 found.setdefault(folder.name, set()).update(path.stem for path in folder.glob("*.yaml"))
     return {group: sorted(options) for group, options in found.items() if options}
@@ -27,18 +31,21 @@ def groups(extra: Path | None = None) -> dict[str, list[str]]:
 
 def keys() -> dict[str, list[str]]:
     """Every key that can be set, of whatever option, with its values where those are a few words."""
-    from quadexp.config.schema import SCHEMAS, Config, EvaluateConfig, GPFeatures
+    from quadexp.config.schema import SCHEMAS, Config
+    from quadexp.config.settings import declared
 
     nodes: list[tuple[str, Any]] = [(f"{group}.", node) for group, made in SCHEMAS.items() for node in made.values()]
-    nodes += [("evaluate.", EvaluateConfig), ("gp.features.", GPFeatures), ("", Config)]
-    aside = {"kind", "evaluate", "features", "rls", "rotor", "sweep", "options", "_target_", *SCHEMAS}
-    found = {}
-    for prefix, node in nodes:
-        for f in fields(node):
-            if f.name not in aside:
-                words = list(f.metadata.get("choices", ()))
-                found[prefix + f.name] = words or (["true", "false"] if f.type == "bool" else [])
-    return dict(sorted(found.items()))
+    nodes.append(("", Config))
+    found: dict[str, dict[str, None]] = {}
+    while nodes:
+        prefix, node = nodes.pop(0)
+        for name, one in declared(node).items():
+            if one.node is not None:
+                nodes.append((f"{prefix}{name}.", one.node))
+            elif name not in ("kind", "options", "_target_"):
+                words = one.words or (("true", "false") if one.type is bool else ())
+                found.setdefault(prefix + name, {}).update(dict.fromkeys(words))
+    return {key: list(words) for key, words in sorted(found.items())}
 
 
 def complete(ctx: typer.Context, incomplete: str) -> list[str]:

@@ -1,58 +1,84 @@
-"""From overrides to typed configurations: the only module that touches Hydra.
+"""From overrides to a configuration: the only module that touches Hydra, by its public functions alone.
 
-Hydra lends its composition and its override grammar (comma lists, range, choice, glob). A full composition costs 50 ms;
-here the group choices are composed once per combination, and the remaining overrides are applied by the very function
-Hydra uses to a copy of the nodes they touch, which gives the same configuration in under a millisecond.
+Hydra lends its composition of files and its override grammar (comma lists, range, choice, glob). It composes a choice
+of options once; an option that nothing else speaks of is composed alone and put in place, so that a sweep over many
+combinations composes every option once. Values are then set in plain dictionaries, and a node is made, and so checked,
+once for every set of values. Configurations share their nodes: these cannot be changed.
 """
 
 from __future__ import annotations
 
 import contextlib
-import functools
+import copy
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from hydra import initialize_config_dir
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra.core.config_search_path import SearchPathQuery
+import hydra
+import yaml
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
-from omegaconf import DictConfig
+from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from quadexp.config.cells import Cell as Cell
 from quadexp.config.cells import Cells, Grid
-from quadexp.config.compose_base import Bases, Repository
-from quadexp.config.plugins import import_from, plugin_folders
+from quadexp.config.completion import folders, groups
+from quadexp.config.plugins import import_from
 from quadexp.config.schema import SCHEMAS, Config, conf_folder
+from quadexp.config.settings import REQUIRED, declared, made, plain
 from quadexp.errors import UsageError
 from quadexp.messages import one_line, suggestion
 
 _INTEGER = re.compile(r"0|-?[1-9]\d{0,17}")
+_REFERENCE = re.compile(r"\$\{(\w+(?=\})|)")
+SCHEMA = "_schema_"  # key of a node that names its schema
 # Keys that hold a path.
 PATHS = {
     "model", "plant.model", "trajectory.path", "collect.identified", "engine.shared", "engine.python",
     "engine.remote_python", "engine.tls_ca", "engine.tls_cert", "engine.tls_key",
 }  # fmt: skip
-PARSED_KEPT = 50_000  # overrides that are remembered at most
+KEPT = 50_000  # parsed overrides, and made nodes, that are remembered at most
+
+
+class Given(NamedTuple):
+    """One override. sweep: Hydra's own, where it stands for several values."""
+
+    key: str
+    value: Any
+    text: str
+    sweep: Override | None = None
+
+    @property
+    def node(self) -> str:
+        return self.key.partition(".")[0]
+
+
+class Node(NamedTuple):
+    """A node before its values are set, or a value of the root. source: what it was composed from."""
+
+    source: tuple[str, ...]
+    content: Any
+    schema: type | None
+    references: tuple[str, ...]
 
 
 class Composer:
-    """Composes configurations from conf/ and, before it, a user's own folder; use `session`."""
+    """Composes configurations from conf/ and a user's own folder (extra); use `session`."""
 
-    def __init__(self, loader: ConfigLoaderImpl) -> None:
-        self._loader = loader
-        self._repository = Repository(loader.repository)
-        self._bases = Bases(loader, self._repository)
-        self._parsed: dict[str, Override] = {}
-        self._groups: dict[str, bool] = {}
-        self._integers: dict[str, Override] = {}
+    def __init__(self, extra: Path | None = None) -> None:
+        self._folders = folders(extra)
+        self._options = groups(extra)
+        self._wholes: dict[tuple[str, ...], dict[str, Node]] = {}
+        self._together: dict[tuple[str, ...], dict[str, Node]] = {}
+        self._alone: dict[str, dict[str, Node]] = {}
+        self._made: dict[tuple[Any, ...], Any] = {}
+        self._parsed: dict[str, Given] = {}
         self._checked: set[tuple[Any, ...]] = set()
 
     def compose(self, overrides: Sequence[str] = ()) -> Config:
@@ -79,33 +105,31 @@ class Composer:
 
     def options(self, group: str) -> list[str]:
         """Names of a group's options."""
-        return [name for name in self._repository.get_group_options(group) if not name.startswith("_")]
+        return [name for name in self._options.get(group, ()) if not name.startswith("_")]
 
-    @functools.cached_property
-    def _controllers(self) -> list[str]:
-        return self.options("controller")
+    def get_group_options(self, group_name: str, *_: Any, **__: Any) -> list[str]:
+        """See `options`; Hydra's glob(...) asks by this name."""
+        return self.options(group_name)
 
+    # ------------------------------------------------------------------------------------------------ configurations
     def _cell_config(self, overrides: Sequence[str]) -> Config:
         with _one_line():
-            config = self._compose(self._parse(overrides), shared=True)
-        config.sweep = None  # a cell is one flight
-        return config
+            config = self._compose(self._parse(overrides), parts=True)
+        return config if config.sweep is None else replace(config, sweep=None)  # a cell is one flight
 
-    def _grids(self, parsed: list[Override]) -> Iterator[list[Override]]:
-        """The parsed overrides of every grid: one, or one for each mapping under `sweep:` of the experiments."""
-        experiments = [o for o in parsed if o.key_or_group == "experiment"]
+    def _grids(self, parsed: list[Given]) -> Iterator[list[Given]]:
+        """The overrides of every grid: one, or one for each mapping under `sweep:` of the experiments."""
+        experiments = [one for one in parsed if one.key == "experiment"]
         if not experiments:
             yield parsed
             return
-        given = {o.key_or_group for o in parsed}
-        names = experiments[-1]
-        values = (
-            list(names.sweep_string_iterator()) if names.is_sweep_override() else [names.get_value_element_as_str()]
-        )
-        rest = [o for o in parsed if o.key_or_group != "experiment"]
+        given = {one.key for one in parsed}
+        chosen = experiments[-1]
+        values = list(chosen.sweep.sweep_string_iterator()) if chosen.sweep else [chosen.text.partition("=")[2]]
+        rest = [one for one in parsed if one.key != "experiment"]
         for value in values:
             choice = self._parse([f"experiment={value}"])
-            sweep = self._compose(choice).sweep
+            sweep = self._compose(choice, parts=True).sweep
             for grid in sweep if isinstance(sweep, list) else [sweep or {}]:
                 if not isinstance(grid, dict):
                     raise UsageError(
@@ -115,60 +139,168 @@ class Composer:
                 own = [f"{key}={_as_override(text)}" for key, text in grid.items() if key not in given]
                 yield choice + self._parse(own, sweep=True) + rest
 
-    def _compose(self, parsed: list[Override], *, shared: bool = False) -> Config:
-        groups = [o for o in parsed if self._is_group(o)]
-        key = tuple(o.input_line or "" for o in groups)
-        base = self._bases.get(key, groups)
-        values = [o for o in parsed if not self._is_group(o)]
-        for override in values:
-            if (key, override.key_or_group) not in self._checked:
-                self._check_key(base.config, override)
-                self._checked.add((key, override.key_or_group))
-        config = base.shared(values) if shared else base.with_values(values)
+    def _compose(self, parsed: Sequence[Given], *, parts: bool = False) -> Config:
+        """parts: compose options one by one, for many configurations with few options."""
+        chosen = [one for one in parsed if one.key in self._options]
+        values = [one for one in parsed if one.key not in self._options]
+        key = tuple(one.text for one in chosen)
+        base = self._put_together(chosen, key) if parts else self._whole(chosen)
+        for one in values:
+            if (key, one.key) not in self._checked:
+                _check_key({name: node.content for name, node in base.items()}, one.key)
+                self._checked.add((key, one.key))
+        config = Config(**self._nodes(base, values))
         baseline = config.evaluate.baseline
-        if baseline not in self._controllers:
-            hint = suggestion(baseline, self._controllers)
+        if baseline not in self._options["controller"]:
+            hint = suggestion(baseline, self.options("controller"))
             raise UsageError(f"evaluate.baseline={baseline}: no such controller{hint}")
         return config
 
-    def _is_group(self, override: Override) -> bool:
-        name = override.key_or_group
-        if name not in self._groups:
-            self._groups[name] = self._repository.group_exists(name)
-        return self._groups[name]
+    def _nodes(self, base: Mapping[str, Node], values: Sequence[Given]) -> dict[str, Any]:
+        """The nodes with their values set, and the values of the root."""
+        touching: dict[str, tuple[str, ...]] = {}
+        references = {name: node.references for name, node in base.items()}
+        for one in values:
+            touching[one.node] = (*touching.get(one.node, ()), one.text)
+            if not isinstance(one.value, (int, float)):
+                references[one.node] += _references(one.value)
+        roots = tuple(name for name, node in base.items() if node.schema is None)
+        found, lacking = {}, {}
+        for name in base:
+            # What else decides a node that refers to others: the values of the root, if it refers to nothing else.
+            others = references[name] and (roots if set(references[name]) <= set(roots) else tuple(base))
+            known = (name, *((base[other].source, touching.get(other)) for other in (name, *others)))
+            if known in self._made:
+                found[name] = self._made[known]
+            else:
+                lacking[name] = known, others
+        contents = {name: _content(name, base, values, others) for name, (_, others) in lacking.items()}
+        if len(self._made) > KEPT:
+            self._made.clear()
+        for name, (known, _) in lacking.items():
+            schema = base[name].schema
+            found[name] = contents[name] if schema is None else made(schema, contents[name], f"{name}.")
+            self._made[known] = found[name]
+        return found
 
-    def _parse(self, overrides: Sequence[str], *, sweep: bool = False) -> list[Override]:
+    # -------------------------------------------------------------------------------------------------- what Hydra does
+    def _composed(self, name: str, chosen: Sequence[Given], source: tuple[str, ...]) -> dict[str, Node]:
+        """What Hydra composes of a file and a choice of options."""
+        own = ",".join(_quoted(f"file://{folder}") for folder in self._folders[1:])
+        given = [*(one.text for one in chosen), f"hydra.searchpath=[{own}]"]
+        GlobalHydra.instance().clear()
+        try:
+            with hydra.initialize_config_dir(str(conf_folder()), job_name="quadexp", version_base="1.3"):
+                composed = hydra.compose(name, overrides=given)
+        except (yaml.YAMLError, UnicodeDecodeError) as error:
+            raise self._unreadable(error) from None
+        content = OmegaConf.to_container(composed)
+        assert isinstance(content, dict)
+        found = plain(Config) if name == "config" else {}
+        found |= {str(key): value for key, value in content.items()}
+        options = {one.key: one.value for one in chosen}
+        return {key: _node(key, value, options, source) for key, value in found.items()}
+
+    def _whole(self, chosen: Sequence[Given]) -> dict[str, Node]:
+        """The whole configuration with some options chosen."""
+        key = tuple(one.text for one in chosen)
+        if key not in self._wholes:
+            self._wholes[key] = self._composed("config", chosen, key)
+        return self._wholes[key]
+
+    def _put_together(self, chosen: Sequence[Given], key: tuple[str, ...]) -> dict[str, Node]:
+        """The same, from what the experiment and every option are by themselves, where that is the same."""
+        if key in self._together:
+            return self._together[key]
+        experiments = [one for one in chosen if one.key == "experiment"]
+        options = {one.key: one for one in chosen if one.key != "experiment"}
+        settled = self._spoken_for(experiments)
+        alone = {name: self._nodes_of(one) for name, one in options.items()}
+        if settled is None or any([*nodes] != [name] or name in settled for name, nodes in alone.items()):
+            base = self._whole(chosen)
+        else:
+            base = self._whole(experiments) | {name: nodes[name] for name, nodes in alone.items()}
+        self._together[key] = base
+        return base
+
+    def _nodes_of(self, option: Given) -> dict[str, Node]:
+        """The nodes that an option decides, as a rule its own."""
+        name, source = option.key, (option.text,)
+        if option.text in self._alone:
+            return self._alone[option.text]
+        if (self._folders[0] / name / f"{option.value}.yaml").is_file():
+            found = self._composed(f"{name}/{option.value}", (), source)
+        else:  # Hydra composes no file by itself that lies elsewhere
+            default, whole = self._whole([]), self._whole([option])
+            found = {k: node for k, node in whole.items() if k == name or node.content != default[k].content}
+        self._alone[option.text] = found
+        return found
+
+    def _spoken_for(self, experiments: Sequence[Given]) -> set[str] | None:
+        """Nodes in which config.yaml or an experiment sets values itself; None where an experiment chooses options."""
+        found: set[str] = set()
+        for name in ("config", *(f"experiment/{one.value}" for one in experiments if one.value is not None)):
+            file = next(path for folder in self._folders if (path := folder / f"{name}.yaml").is_file())
+            try:
+                content = yaml.safe_load(file.read_text(encoding="utf-8")) or {}
+            except (yaml.YAMLError, UnicodeDecodeError) as error:
+                raise self._unreadable(error) from None
+            if name != "config" and len(content.get("defaults") or ()) > 1:
+                return None
+            found |= {str(key) for key in content if key != "defaults"}
+        return found
+
+    def _unreadable(self, error: yaml.YAMLError | UnicodeDecodeError) -> UsageError:
+        """What is wrong with a file, in one line that names it."""
+        mark = getattr(error, "problem_mark", None)
+        file = mark.name if mark else getattr(error, "name", None) or self._undecodable()
+        place = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        reason = getattr(error, "problem", None) or str(error).splitlines()[0]
+        return UsageError(f"{file}{place}: not valid YAML: {reason}")
+
+    def _undecodable(self) -> str:
+        for file in (path for folder in self._folders for path in sorted(folder.rglob("*.yaml"))):
+            try:
+                file.read_text(encoding="utf-8")
+            except UnicodeDecodeError:
+                return str(file)
+        return "a file of the configuration"
+
+    # ---------------------------------------------------------------------------------------------------- the overrides
+    def _parse(self, overrides: Sequence[str], *, sweep: bool = False) -> list[Given]:
         return [self._parse_one(text, sweep) for text in overrides]
 
-    def _parse_one(self, text: str, sweep: bool) -> Override:
+    def _parse_one(self, text: str, sweep: bool) -> Given:
         known = self._parsed.get(text)
         if known is not None:
             return known
-        key, _, value = text.partition("=")
-        if _INTEGER.fullmatch(value) and key in self._integers:  # the grammar costs half a millisecond a text
-            return replace(self._integers[key], _value=int(value), input_line=text)
-        if "=" not in text:
+        key, equals, value = text.partition("=")
+        if _INTEGER.fullmatch(value) and f"{key}=" in self._parsed:  # the grammar costs half a millisecond a text
+            return Given(key, int(value), text)
+        if not equals:
             raise UsageError(f"{text!r}: expected KEY=VALUE, such as trajectory.speed=8")
         override = self._read(text)
         if override.is_add() or override.is_force_add() or override.is_delete():
             raise UsageError(f"{text!r}: keys can be set (KEY=VALUE), not added or deleted")
-        if override.package or override.key_or_group.split("/")[0].split(".")[0] in ("hydra", "schema", "sweep"):
+        name = override.key_or_group
+        if override.package or name.split("/")[0].split(".")[0] in ("hydra", "schema", "sweep"):
             raise UsageError(f"{text!r}: not a key of this program")
         if override.is_sweep_override():
             if not sweep:
                 raise UsageError(f"{text!r}: several values for one key; use `quadexp evaluate --sweep` for that")
-            return override
-        if self._is_group(override):
-            self._check_option(override)
-        if len(self._parsed) > PARSED_KEPT:
+            return Given(name, None, text, override)
+        given = Given(name, override.value(), f"{name}={override.get_value_element_as_str()}")
+        if name in self._options:
+            self._check_option(given)
+        if len(self._parsed) > KEPT:
             self._parsed.clear()
-        self._parsed[text] = override
-        if type(override._value) is int:
-            self._integers[key] = override
-        return override
+        self._parsed[text] = given
+        if type(given.value) is int and name not in PATHS | self._options.keys():
+            self._parsed[f"{key}="] = given
+        return given
 
     def _read(self, text: str) -> Override:
-        parser = OverridesParser.create(config_loader=self._loader)
+        parser = OverridesParser.create(config_loader=self)  # type: ignore[arg-type]  # it asks for get_group_options
         key, _, value = text.partition("=")
         literal = f"{key}={','.join(map(_quoted, value.split(',')))}"
         try:
@@ -180,32 +312,100 @@ class Composer:
                 f"{text!r}: cannot be read as KEY=VALUE: a bracket or quote is left open,"
                 " or the value has signs that need quotes (KEY=\"'VALUE'\")"
             ) from None
-        values = getattr(override._value, "list", [override._value]) if "(" not in value else []
+        found = override.value()
+        values = getattr(found, "list", [found]) if "(" not in value else []
         if key in PATHS and any(isinstance(one, (int, float)) for one in values):  # 2024_01 is not the number 202401
             return parser.parse_overrides([literal])[0]
         return override
 
-    def _check_option(self, override: Override) -> None:
-        group, value = override.key_or_group, override.value()
-        options = self.options(group)
-        if value is None and group == "experiment":
+    def _check_option(self, given: Given) -> None:
+        options = self.options(given.key)
+        if given.value is None and given.key == "experiment":
             return
-        if value not in options:
-            raise UsageError(f"{group}={value}: no such {group}{suggestion(str(value), options)}")
+        if given.value not in options:
+            hint = suggestion(str(given.value), options)
+            raise UsageError(f"{given.key}={given.value}: no such {given.key}{hint}")
 
-    def _check_key(self, config: DictConfig, override: Override) -> None:
-        key = override.key_or_group
-        node: Any = config
-        for i, part in enumerate(parts := key.split(".")):
-            if not isinstance(node, DictConfig) or part not in list(node):  # `in node` denies what has no value yet
-                here = [*map(str, config), "experiment"]
-                everywhere = [*_keys(config), *here]
-                if isinstance(node, DictConfig) and i > 0:
-                    here = everywhere = [f"{'.'.join(parts[:i])}.{name}" for name in map(str, node)]
-                raise UsageError(f"{key}: no such key{suggestion(key, everywhere, here)}")
-            node = node._get_node(part)
-            if isinstance(node, DictConfig) and node._is_missing():
-                return
+
+def _node(name: str, content: Any, options: Mapping[str, Any], source: tuple[str, ...]) -> Node:
+    """A node with the defaults of its schema; UsageError where its option's file names none."""
+    inner = declared(Config)[name].node if name in declared(Config) else None
+    if inner is not None:
+        schema: type = inner
+    elif name in SCHEMAS:
+        known = SCHEMAS[name]
+        chosen = content.pop(SCHEMA, None) if isinstance(content, dict) else None
+        group, _, kind = str(chosen).partition("/")
+        if group != name or kind not in known:
+            option = f"{name}={options[name]}" if name in options else name
+            example = f"defaults: [/schema/{name}/{next(iter(known))}@_here_, _self_]"
+            others = f" (schemas of {name}: {', '.join(known)})" if len(known) > 1 else ""
+            raise UsageError(f"{option}: its file names no schema of {name}; let it begin with `{example}`{others}")
+        schema = known[kind]
+    else:
+        return Node(source, content, None, _references(content))
+    return Node(source, _filled(schema, content, f"{name}."), schema, _references(content))
+
+
+def _references(content: Any) -> tuple[str, ...]:
+    """Names of the values of the root that some content refers to, such as ${seed}; of anything else as it stands."""
+    return tuple(_REFERENCE.findall(str(content)))
+
+
+def _filled(schema: type, content: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+    """A node's content over the defaults of its schema; UsageError where it has a key that the schema has not."""
+    found = plain(schema)
+    for key, value in content.items():
+        if key not in found:
+            raise UsageError(f"{prefix}{key}: no such key{suggestion(str(key), list(found))}")
+        inner = declared(schema)[key].node if key in declared(schema) else None
+        filled = inner is not None and isinstance(value, Mapping)
+        found[key] = _filled(inner, value, f"{prefix}{key}.") if inner and filled else value
+    return found
+
+
+def _content(name: str, base: Mapping[str, Node], values: Sequence[Given], others: Sequence[str]) -> Any:
+    """A node's content with its values set. others: names of what it refers to."""
+    content = {one: copy.deepcopy(base[one].content) for one in {name, *others}}
+    for one in values:
+        if one.node in content:
+            _set(content, one.key.split("."), one.value)
+    if others:
+        resolved = OmegaConf.to_container(OmegaConf.create(content), resolve=True)
+        assert isinstance(resolved, dict)
+        return resolved[name]
+    return content[name]
+
+
+def _set(content: dict[str, Any], parts: Sequence[str], value: Any) -> None:
+    for part in parts[:-1]:
+        content = content[part]
+    old = content.get(parts[-1])
+    if isinstance(old, dict) and isinstance(value, dict):
+        for key, item in value.items():
+            _set(old, [str(key)], item)
+    else:
+        content[parts[-1]] = copy.deepcopy(value)
+
+
+def _check_key(content: Any, key: str) -> None:
+    root, parts = content, key.split(".")
+    for i, part in enumerate(parts):
+        if not isinstance(content, dict) or part not in content:
+            here = [*map(str, root), "experiment"]
+            everywhere = [*_keys(root), *here]
+            if isinstance(content, dict) and i > 0:
+                here = everywhere = [f"{'.'.join(parts[:i])}.{name}" for name in map(str, content)]
+            raise UsageError(f"{key}: no such key{suggestion(key, everywhere, here)}")
+        content = content[part]
+
+
+def _keys(content: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    for name, value in content.items():
+        if isinstance(value, Mapping):
+            yield from _keys(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}"
 
 
 def _quoted(value: str) -> str:
@@ -214,17 +414,16 @@ def _quoted(value: str) -> str:
     return "'" + re.sub(r"\\+$", lambda found: found[0] * 2, escaped) + "'"
 
 
-def _product(overrides: Sequence[Override]) -> Grid:
+def _product(overrides: Sequence[Given]) -> Grid:
     """The values of every key, as overrides; of a key that is given twice the last counts."""
     grid: dict[str, tuple[str, ...]] = {}
-    for override in overrides:
-        key = override.get_key_element()
-        if not override.is_sweep_override():
-            grid[key] = (f"{key}={override.get_value_element_as_str()}",)
-        elif override.is_discrete_sweep():
-            grid[key] = tuple(f"{key}={value}" for value in override.sweep_string_iterator())
+    for one in overrides:
+        if one.sweep is None:
+            grid[one.key] = (one.text,)
+        elif one.sweep.is_discrete_sweep():
+            grid[one.key] = tuple(f"{one.key}={value}" for value in one.sweep.sweep_string_iterator())
         else:
-            raise UsageError(f"{override.input_line!r}: not a list of values; use commas, range, choice or glob")
+            raise UsageError(f"{one.text!r}: not a list of values; use commas, range, choice or glob")
     return tuple(grid.values())
 
 
@@ -233,15 +432,6 @@ def _as_override(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return ",".join(map(str, value))
     return "null" if value is None else str(value)
-
-
-def _keys(config: DictConfig, prefix: str = "") -> Iterator[str]:
-    for name in map(str, config):
-        node = config._get_node(name)
-        if isinstance(node, DictConfig) and not node._is_missing() and not node._is_none():
-            yield from _keys(node, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}"
 
 
 @contextlib.contextmanager
@@ -254,37 +444,29 @@ def _one_line() -> Iterator[None]:
         raise UsageError(one_line(error)) from error
 
 
-def _register() -> None:
-    store = ConfigStore.instance()
-    store.store(group="schema", name="config", package="_global_", node=Config)
-    for group, schemas in SCHEMAS.items():
-        for name, node in schemas.items():
-            store.store(group=f"schema/{group}", name=name, node=node)
+def _required(schema: type) -> dict[str, Any]:
+    """What a schema says before any file: which values have to be given. Defaults are put below the files later, so
+    that an option may extend another one of another schema."""
+    found = {key: value for key, value in plain(schema).items() if value == REQUIRED}
+    nodes = {name: one.node for name, one in declared(schema).items() if one.node and not one.optional}
+    return found | {name: _required(node) for name, node in nodes.items() if node}
 
 
 @contextlib.contextmanager
 def session(extra: Path | None = None) -> Iterator[Composer]:
     """A Composer over conf/, installed plugins and, if given, a user's own folder of the same layout.
 
-    The user's folder goes before all others; modules in it can be named under `_target_`.
+    Modules in the user's folder can be named under `_target_`.
     """
-    if extra is not None and not extra.is_dir():
-        raise UsageError(f"--conf {extra}: no such folder")
-    folders = [*plugin_folders().items(), *([("user", extra.resolve())] if extra is not None else [])]
     if extra is not None:
+        if not extra.is_dir():
+            raise UsageError(f"--conf {extra}: no such folder")
         import_from(extra.resolve())
-    _register()
-    GlobalHydra.instance().clear()
-    with initialize_config_dir(str(conf_folder()), job_name="quadexp", version_base="1.3"):
-        loader, hydra = GlobalHydra.instance().config_loader(), GlobalHydra.instance().hydra
-        assert isinstance(loader, ConfigLoaderImpl) and hydra is not None
-        if folders:
-            path = loader.get_search_path()
-            for provider, folder in folders:
-                path.prepend(provider, f"file://{folder}", anchor=SearchPathQuery(provider="schema"))
-            loader = ConfigLoaderImpl(config_search_path=path)
-            hydra.config_loader = loader
-        yield Composer(loader)
+    for group, schemas in SCHEMAS.items():
+        for name, schema in schemas.items():
+            node = {**_required(schema), SCHEMA: f"{group}/{name}"}
+            ConfigStore.instance().store(group=f"schema/{group}", name=name, node=node)
+    yield Composer(extra.resolve() if extra is not None else None)
 
 
 def compose(overrides: Sequence[str] = (), extra: Path | None = None) -> Config:

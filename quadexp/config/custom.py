@@ -14,46 +14,46 @@ see quadexp/config/plugins.py and, for what is called with what, quadexp/experim
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from quadexp.config.fields import MISSING, choice, number
-from quadexp.config.flight import ControllerConfig, MPCConfig, PlantConfig, TrajectoryConfig
+from quadexp.config.flight import RESIDUAL, SPEED, ControllerConfig, PlantConfig, PredictiveConfig, TrajectoryConfig
+from quadexp.config.settings import Setting, Settings
 
 
-@dataclass
-class CustomPlantConfig(PlantConfig):
+@dataclass(frozen=True, kw_only=True)
+class CustomKeys(Settings):
+    """What is called, and with what."""
+
+    _target_: Annotated[
+        str, Setting("MODULE.NAME of a class of one's own (for an MPC: of a function that makes its residual)")
+    ]
+    options: Annotated[dict[str, Any], Setting("its keyword arguments")] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CustomPlantConfig(CustomKeys, PlantConfig):
     """A plant of one's own: _target_(vehicle, step=..., **options) -> Plant; step: s, of its integrator."""
 
     kind: str = "custom"
-    step: float = number("[1e-5, 0.02]", "s", 1e-3)
-    backend: str = choice("auto", "compiled", "interpreted", default="auto")
-    _target_: str = MISSING
-    options: dict[str, Any] = field(default_factory=dict)
 
 
-@dataclass
-class CustomTrajectoryConfig(TrajectoryConfig):
+@dataclass(frozen=True, kw_only=True)
+class CustomTrajectoryConfig(CustomKeys, TrajectoryConfig):
     """A trajectory of one's own: _target_(**options) -> Trajectory; speed, where it is set, is passed on too."""
 
     kind: str = "custom"
-    speed: float | None = number("(0, 60]", "m/s", None)
-    _target_: str = MISSING
-    options: dict[str, Any] = field(default_factory=dict)
+    speed: Annotated[float | None, SPEED] = None
 
 
-@dataclass
-class CustomControllerConfig(ControllerConfig):
+@dataclass(frozen=True, kw_only=True)
+class CustomControllerConfig(CustomKeys, ControllerConfig):
     """A controller of one's own: _target_(vehicle, **options) -> Controller."""
 
     kind: str = "custom"
-    _target_: str = MISSING
-    options: dict[str, Any] = field(default_factory=dict)
 
 
-@dataclass
-class CustomResidualMPCConfig(MPCConfig):
+@dataclass(frozen=True, kw_only=True)
+class CustomResidualMPCConfig(CustomKeys, PredictiveConfig):
     """The MPC with a residual of one's own: _target_(vehicle, **options) -> Residual."""
 
-    residual: str = choice("custom", default="custom")
-    _target_: str = MISSING
-    options: dict[str, Any] = field(default_factory=dict)
+    residual: Annotated[Literal["custom"], RESIDUAL] = "custom"

@@ -1,57 +1,68 @@
-"""The typed configuration of the engine: where the flights of a sweep run. Nothing here changes a flight."""
+"""Settings of the engine: where the flights of a sweep run. Nothing here changes a flight."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
 
-from quadexp.config.fields import MISSING, Checked, choice, number
+from quadexp.config.flight import Name
+from quadexp.config.settings import Setting, Settings
+from quadexp.errors import UsageError
 
 
-@dataclass
-class EngineConfig(Checked):
+@dataclass(frozen=True, kw_only=True)
+class EngineConfig(Settings):
     """kind: where. How many workers, how long and with how much memory a flight may run stands in `evaluate`."""
 
     prefix: ClassVar[str] = "engine."
 
-    name: str = MISSING
-    kind: str = choice("local", "dask", "slurm")
+    name: Name
+    kind: Annotated[Literal["local", "dask", "slurm"], Setting("where the flights run")] = "local"
 
 
-@dataclass
+@dataclass(frozen=True, kw_only=True)
 class ClusterConfig(EngineConfig):
     """What all clusters share. tls: encrypt and authenticate with certificates; made for the occasion unless given.
     Without it whoever reaches the scheduler can run code as the user. wait: how long a sweep goes on without a single
     worker."""
 
-    tls: bool = True
-    tls_ca: str | None = None
-    tls_cert: str | None = None
-    tls_key: str | None = None
-    wait: float = number("(0, 604800]", "s")
+    tls: Annotated[
+        bool,
+        Setting("encrypt, authenticate (certificates made for it unless given); false: others may run code"),
+    ] = True
+    tls_ca: Annotated[str | None, Setting("file of the certificate authority")] = None
+    tls_cert: Annotated[str | None, Setting("file of the certificate")] = None
+    tls_key: Annotated[str | None, Setting("file of its key")] = None
+    wait: Annotated[float, Setting("time without a single worker after which the sweep stops", "(0, 604800]", "s")] = (
+        60.0
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         given = [value for value in (self.tls_ca, self.tls_cert, self.tls_key) if value is not None]
         if given and len(given) < 3:
-            raise ValueError("engine.tls_ca, engine.tls_cert and engine.tls_key: give all three, or none")
+            raise UsageError("engine.tls_ca, engine.tls_cert and engine.tls_key: give all three, or none")
         if given and not self.tls:
-            raise ValueError("engine.tls=false: contradicts the certificates that are given; leave one of them out")
+            raise UsageError("engine.tls=false: contradicts the certificates that are given; leave one of them out")
 
 
-@dataclass
+@dataclass(frozen=True, kw_only=True)
 class DaskConfig(ClusterConfig):
     """A Dask cluster: one of this machine's own, the scheduler at `address`, or workers on `hosts` over SSH (the first
     host also runs the scheduler)."""
 
-    address: str | None = None
-    hosts: list[str] = field(default_factory=list)
-    remote_python: str | None = None
+    kind: Annotated[Literal["dask"], Setting("where the flights run")] = "dask"
+    address: Annotated[
+        str | None,
+        Setting("of a scheduler that runs, such as tls://head:8786; null: a cluster of this machine's own"),
+    ] = None
+    hosts: Annotated[tuple[str, ...], Setting("workers over SSH; the first also runs the scheduler")] = ()
+    remote_python: Annotated[str | None, Setting("their interpreter; null: the same path as here")] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.address and self.hosts:
-            raise ValueError("engine.address and engine.hosts: give one of them")
+            raise UsageError("engine.address and engine.hosts: give one of them")
         if self.address:
             self._check_address(self.address)
 
@@ -59,20 +70,20 @@ class DaskConfig(ClusterConfig):
         """A scheduler that somebody else started: certificates are given, or going without them is asked for."""
         encrypted = address.startswith("tls://")
         if encrypted and not self.tls:
-            raise ValueError(f"engine.address={address}: contradicts engine.tls=false; leave that out")
+            raise UsageError(f"engine.address={address}: contradicts engine.tls=false; leave that out")
         if self.tls and not encrypted:
-            raise ValueError(
+            raise UsageError(
                 f"engine.address={address}: is not encrypted; give a tls:// address with its certificates, or"
                 " engine.tls=false, with which everybody who reaches that scheduler can run code as you"
             )
         if self.tls and self.tls_ca is None:
-            raise ValueError(
+            raise UsageError(
                 f"engine.address={address}: needs engine.tls_ca, engine.tls_cert and engine.tls_key, as the scheduler"
                 " was given them"
             )
 
 
-@dataclass
+@dataclass(frozen=True, kw_only=True)
 class SlurmConfig(ClusterConfig):
     """Jobs of a Slurm cluster, `evaluate.workers` of them, one worker each.
 
@@ -81,12 +92,16 @@ class SlurmConfig(ClusterConfig):
     interface: network interface by which nodes reach the scheduler. python: of the nodes.
     """
 
-    queue: str | None = None
-    account: str | None = None
-    walltime: str = MISSING
-    job_memory: float = number("[0.5, 4096]", "GB")
-    directives: list[str] = field(default_factory=list)
-    prologue: list[str] = field(default_factory=list)
-    shared: str | None = None
-    interface: str | None = None
-    python: str | None = None
+    kind: Annotated[Literal["slurm"], Setting("where the flights run")] = "slurm"
+    queue: Annotated[str | None, Setting("partition, as sbatch takes it")] = None
+    account: Annotated[str | None, Setting("account, as sbatch takes it")] = None
+    walltime: Annotated[str, Setting("of a job, hh:mm:ss")] = "01:00:00"
+    job_memory: Annotated[float, Setting("memory a job asks for; one worker each", "[0.5, 4096]", "GB")] = 2.0
+    directives: Annotated[tuple[str, ...], Setting("more options of sbatch")] = ()
+    prologue: Annotated[tuple[str, ...], Setting("lines of shell before a worker starts")] = ()
+    shared: Annotated[
+        str | None,
+        Setting("folder that all nodes see, for certificates and logs; needed with engine.tls"),
+    ] = None
+    interface: Annotated[str | None, Setting("network interface by which nodes reach the scheduler")] = None
+    python: Annotated[str | None, Setting("interpreter of the nodes; null: the same path as here")] = None

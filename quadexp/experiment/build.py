@@ -8,18 +8,18 @@ from __future__ import annotations
 import hashlib
 import importlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from quadexp.config.flight import ControllerConfig, MPCConfig, PlantConfig, TrajectoryConfig, VehicleConfig
+from quadexp.config.flight import ControllerConfig, FileConfig, MPCConfig, PlantConfig, TrajectoryConfig, VehicleConfig
 from quadexp.config.lei_li import FeedbackConfig, RLSMPCConfig, SensorConfig
 from quadexp.config.schema import Config
+from quadexp.config.settings import part
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment import build_custom, build_identified, build_lei_li
 from quadexp.experiment.identity import digest
 from quadexp.experiment.inputs import located
-from quadexp.physics.rotor import RotorGeometry
 from quadexp.physics.vehicle import Vehicle
 
 T = TypeVar("T")
@@ -65,10 +65,7 @@ class ModelFile:
 
 def build_vehicle(config: VehicleConfig) -> Vehicle:
     """The vehicle; raises UsageError where the numbers describe none."""
-    numbers = {k: _tuples(v) for k, v in asdict(config).items()}
-    if numbers.get("rotor") is not None:
-        numbers["rotor"] = RotorGeometry(**numbers["rotor"])
-    return _keep(["vehicle", asdict(config)], lambda: Vehicle(**numbers))
+    return _keep(["vehicle", asdict(config)], lambda: part(Vehicle, config))
 
 
 def build_plant(vehicle: Vehicle, config: PlantConfig) -> Any:
@@ -86,8 +83,7 @@ def build_plant(vehicle: Vehicle, config: PlantConfig) -> Any:
 def _simplified_plant(vehicle: Vehicle, config: Any) -> Any:
     from quadexp.world.simplified import PlantEffects, SimplifiedPlant
 
-    values = {f.name: _tuples(getattr(config, f.name)) for f in fields(PlantEffects)}
-    return SimplifiedPlant(vehicle, PlantEffects(**values), step=config.step, backend=config.backend)
+    return SimplifiedPlant(vehicle, part(PlantEffects, config), step=config.step, backend=config.backend)
 
 
 def build_sensor(config: SensorConfig) -> Any:
@@ -97,7 +93,7 @@ def build_sensor(config: SensorConfig) -> Any:
         return None
     from quadexp.world.accelerometer import Accelerometer
 
-    return Accelerometer(_tuples(bias), _tuples(noise))
+    return Accelerometer(bias, noise)
 
 
 def build_trajectory(config: TrajectoryConfig, vehicle: Vehicle | None = None) -> Any:
@@ -108,16 +104,15 @@ def build_trajectory(config: TrajectoryConfig, vehicle: Vehicle | None = None) -
     """
     if config.kind == "custom":
         return build_custom.custom_trajectory(config)
-    aside = ("name", "kind", "allow_infeasible", "lost_distance")
-    arguments = {k: _tuples(v) for k, v in asdict(config).items() if k not in aside}
-    if "path" in arguments:
-        arguments["path"] = str(located(arguments["path"]))
+    others: dict[str, Any] = {}
+    if isinstance(config, FileConfig):
+        others["path"] = str(located(config.path))
     if config.kind in WITHIN_LIMITS:
         if vehicle is None:
             raise UsageError(f"trajectory={config.name}: is timed by the limits of a vehicle, and none was given")
-        arguments["vehicle"] = None if config.allow_infeasible else vehicle
+        others["vehicle"] = None if config.allow_infeasible else vehicle
     module, name = TRAJECTORIES[config.kind]
-    return getattr(importlib.import_module(f"quadexp.reference.{module}"), name)(**arguments)
+    return part(getattr(importlib.import_module(f"quadexp.reference.{module}"), name), config, **others)
 
 
 def find_model(config: Config) -> ModelFile | None:
@@ -159,7 +154,7 @@ def build_residual(config: Config, vehicle: Vehicle, plant: Any, model: ModelFil
     """What the controller believes of the air: nothing, the plant's own equations, or a checkpoint."""
     from quadexp.air.none import no_residual
 
-    kind = cast(MPCConfig, config.controller).residual
+    kind: str = cast(MPCConfig, config.controller).residual
     if kind == "none":
         return no_residual(vehicle)
     if kind == "plant":
@@ -227,11 +222,10 @@ def controller_settings(config: ControllerConfig) -> Any:
     """The controller's settings, None for one's own; raises UsageError where they contradict each other."""
     if config.kind == "custom":
         return None
+    if config.kind == "feedback":
+        from quadexp.control.feedback.settings import FeedbackSettings
+
+        return part(FeedbackSettings, config)
     from quadexp.control.mpc.settings import MPCSettings
 
-    kind = build_lei_li.feedback_settings() if config.kind == "feedback" else MPCSettings
-    return kind(**{f.name: _tuples(getattr(config, f.name)) for f in fields(kind)})
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(_tuples(item) for item in value) if isinstance(value, (list, tuple)) else value
+    return part(MPCSettings, config)

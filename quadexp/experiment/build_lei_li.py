@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import fields
 from typing import Any
 
-from quadexp.config.lei_li import BladeElementPlantConfig, FeedbackConfig, RLSConfig, RLSMPCConfig
+from quadexp.config.lei_li import BladeElementEffects, BladeElementPlantConfig, FeedbackConfig, RLSConfig, RLSMPCConfig
+from quadexp.config.settings import part
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
 
@@ -14,40 +13,25 @@ from quadexp.physics.vehicle import Vehicle
 def blade_element_plant(vehicle: Vehicle, config: BladeElementPlantConfig) -> Any:
     """The blade-element plant; UsageError where the vehicle has no rotors of known shape."""
     from quadexp.physics.rotor import BladeCoefficients
-    from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant, PlantChange
+    from quadexp.world.blade_element import BladeElementPlant, PlantChange
 
     if vehicle.rotor is None:
         raise UsageError(
             f"plant={config.name}: vehicle={vehicle.name} has no vehicle.rotor (its rotors' shape); vehicle=lei_li has"
         )
-    values = {
-        f.name: getattr(config, f.name) for f in fields(BladeElementEffects) if getattr(config, f.name) is not None
-    }
     changes = []
     for change in config.schedule:
         given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in change.items()}
         changes.append(PlantChange(**given))
     return BladeElementPlant(
         vehicle,
-        BladeCoefficients(config.lift_slope, config.profile_drag, _three(config.body_drag)),
-        BladeElementEffects(**values),
+        part(BladeCoefficients, config),
+        part(BladeElementEffects, config),
         step=config.step,
         method=config.method,
         schedule=changes,
         backend=config.backend,
     )
-
-
-def _three(values: Sequence[float]) -> tuple[float, float, float]:
-    x, y, z = values
-    return x, y, z
-
-
-def feedback_settings() -> type:
-    """The class of a feedback controller's settings."""
-    from quadexp.control.feedback.settings import FeedbackSettings
-
-    return FeedbackSettings
 
 
 def variant(config: FeedbackConfig) -> Any:
@@ -94,8 +78,5 @@ def identification(config: RLSConfig, vehicle: Vehicle, backend: str) -> Any:
     from quadexp.learn.rls import BladeElementRLS, RLSSettings
     from quadexp.physics.rotor import BladeCoefficients
 
-    first = BladeCoefficients(config.lift_slope, config.profile_drag, _three(config.body_drag))
-    values = {f.name: getattr(config, f.name) for f in fields(RLSSettings) if hasattr(config, f.name)}
-    values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
-    estimator = BladeElementRLS(vehicle, first, RLSSettings(**values), backend=backend)
+    estimator = BladeElementRLS(vehicle, part(BladeCoefficients, config), part(RLSSettings, config), backend=backend)
     return IdentifiedCoefficients(estimator, config.change_threshold)

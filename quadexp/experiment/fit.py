@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from quadexp.config.schema import Config
+from quadexp.config.settings import part
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
 from quadexp.learn.checkpoint import save_model
@@ -71,9 +72,7 @@ def _fit_gp(data: ResidualDataset, config: Config, *, compare: bool, progress: P
     from quadexp.learn.evaluation import fit_with_report
     from quadexp.learn.model import GPSettings
 
-    values = asdict(config.gp)
-    values["features"] = {output: tuple(names) for output, names in values["features"].items() if names}
-    settings = GPSettings(**{f.name: values[f.name] for f in fields(GPSettings)})
+    settings = part(GPSettings, config.gp, features=asdict(config.gp.features))
     fit = fit_with_report(data, settings, callback=lambda message, done: progress(round(done, 2), 1))
     report = dict(fit.report)
     if data.metadata.get("target"):

@@ -13,7 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from quadexp.config.flight import RotorConfig, VehicleConfig
+from quadexp.config.flight import VehicleConfig
+from quadexp.config.settings import made
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.learn.offline import Identification, identify_flight
@@ -135,7 +136,4 @@ def _recorded(flight: Flight, path: Path) -> Vehicle:
     if not record:
         raise DataError(f"{path}: has no record of its vehicle: pass --vehicle NAME")
     current = {former: name for name, former in FORMER_NAMES.items()}  # flights of earlier versions
-    values = {current.get(key, key): value for key, value in record.items()}
-    if values.get("rotor"):
-        values["rotor"] = RotorConfig(**values["rotor"])
-    return build_vehicle(VehicleConfig(**values))
+    return build_vehicle(made(VehicleConfig, {current.get(key, key): value for key, value in record.items()}))

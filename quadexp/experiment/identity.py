@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict
 from typing import Any
 
 from quadexp.config.schema import Config
+from quadexp.config.settings import record
 from quadexp.physics.vehicle import FORMER_NAMES
 
 FLIGHT_GROUPS = (
@@ -31,8 +31,8 @@ def digest(value: Any) -> str:
 
 def flight_record(config: Config) -> dict[str, Any]:
     """The part of a configuration that determines one flight, as a dictionary."""
-    record = {group: asdict(getattr(config, group)) for group in FLIGHT_GROUPS}
-    return {**record, "model": config.model, "seed": config.seed}
+    nodes = {group: record(getattr(config, group)) for group in FLIGHT_GROUPS}
+    return {**nodes, "model": config.model, "seed": config.seed}
 
 
 def flight_entropy(config: Config) -> int:
@@ -41,10 +41,10 @@ def flight_entropy(config: Config) -> int:
     Flights of different controllers have the same noise, so comparisons are paired. Keys that do not affect the noise
     (names, paths of files, back end, permission of infeasible references, end of a flight) are excluded.
     """
-    record = flight_record(config)
+    nodes = flight_record(config)
     aside = {"name", "backend", "allow_infeasible", "lost_distance", "path"}
     parts = [
-        {FORMER_NAMES.get(k, k): v for k, v in record[group].items() if k not in aside and v is not None}
+        {FORMER_NAMES.get(k, k): v for k, v in nodes[group].items() if k not in aside and v is not None}
         for group in ("vehicle", "plant", "trajectory")
     ]
     return int(digest(["noise", *parts, config.seed]), 16)

@@ -10,11 +10,13 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
+from quadexp.config.settings import declared
 from quadexp.learn.dataset import ResidualDataset
 from quadexp.learn.evaluation import Row, score, split_by_flight
 from quadexp.learn.gp_fit import Callback, fit_gp
-from quadexp.learn.model import METHODS, GPSettings
+from quadexp.learn.model import GPSettings
 from quadexp.learn.predict import predict
 
 SIZES = (5, 10, 20, 50, 100)
@@ -26,7 +28,7 @@ def compare(
     settings: GPSettings | None = None,
     *,
     sizes: Sequence[int] = SIZES,
-    methods: Sequence[str] = METHODS,
+    methods: Sequence[str] = declared(GPSettings)["method"].words,
     max_rows: int | None = MAX_ROWS,
     callback: Callback | None = None,
 ) -> list[Row]:
@@ -43,7 +45,8 @@ def compare(
         if callback is not None:
             callback(f"compare {method}" + (f" M={m}" if m else ""), i / len(cells))
         limit = settings.max_exact_rows if method == "exact" else max_rows
-        chosen = replace(settings, method=method, inducing=m or settings.inducing, max_rows=limit)
+        values: dict[str, Any] = {"method": method, "inducing": m or settings.inducing, "max_rows": limit}
+        chosen = replace(settings, **values)
         start = time.perf_counter()
         model = fit_gp(train, chosen, drag_intervals=False)
         seconds = time.perf_counter() - start

@@ -77,7 +77,7 @@ class ThrustFit(NamedTuple):
 
 def momentum_of(vehicle: Vehicle | None, mass: float | None, radius: float | None) -> float:
     """kappa = 2 rho pi r^2 / m (1/m), 0 where radius or mass is unknown; mass (kg), radius (m) override the vehicle."""
-    geometry = vehicle.rotor if vehicle else None
+    geometry = vehicle.rotor_geometry if vehicle and vehicle.rotor else None
     mass = mass or (vehicle.mass if vehicle else None)
     if radius is None:
         return geometry.momentum_factor / mass if geometry and mass else 0.0

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from quadexp.config.learning import GPKeys
 from quadexp.errors import UsageError
 from quadexp.learn.linear_drag import LinearDrag
 from quadexp.learn.term_mean import TermMean
@@ -24,40 +25,20 @@ from quadexp.physics.correction import OUTPUTS
 if TYPE_CHECKING:
     from quadexp.air.terms import TermStructure
 
-METHODS = ("sgpr", "subset", "exact")
-MEANS = ("zero", "constant", "linear_drag", "quadratic", "blade_element")
-SPLITS = ("flight", "sample")
-INDUCING_RANGE = (2, 1000)
 DEFAULT_FEATURES = {"a_x": ("v_x",), "a_y": ("v_y",), "a_z": ("v_z", "thrust")}
 
 
 @dataclass(frozen=True)
-class GPSettings:
-    """How the Gaussian processes are fitted; the keys of the `gp` configuration group.
+class GPSettings(GPKeys):
+    """How the Gaussian processes are fitted (see GPKeys for the keys of the `gp` configuration group).
 
     features: output -> feature names (B_z); an output that is absent, or has none, is not corrected (B_d).
-    inducing: inducing points per output. method: "sgpr" (variational bound, all rows), "subset" (exact GP on `inducing`
-        chosen rows), "exact" (exact GP on every row, up to max_exact_rows). mean: prior mean of the accelerations.
-    max_rows: use at most that many rows, drawn by the seed. holdout: share of the flights held out for the report.
-    refit: whether the final model is fitted to the held-out flights too, after the report on them.
-    max_iterations: L-BFGS iterations of the last stage. jitter: added to K_ZZ, relative to sigma_f^2.
-    split: what the report holds out: "flight", or "sample" (for comparison; underestimates the error).
     """
 
     features: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: dict(DEFAULT_FEATURES))
-    inducing: int = 20
-    method: str = "sgpr"
-    mean: str = "zero"
-    seed: int = 0
-    max_rows: int | None = None
-    max_exact_rows: int = 1000
-    holdout: float = 0.2
-    refit: bool = True
-    max_iterations: int = 100
-    jitter: float = 1e-8
-    split: str = "flight"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         chosen = {output: tuple(names) for output, names in self.features.items() if names}
         object.__setattr__(self, "features", chosen)
         if not chosen:
@@ -67,23 +48,10 @@ class GPSettings:
                 raise UsageError(f"gp.features.{output}: no such output; allowed are {', '.join(OUTPUTS)}")
             if len(set(names)) < len(names):
                 raise UsageError(f"gp.features.{output}: {', '.join(names)} names a feature twice")
-        for key, allowed in (("method", METHODS), ("mean", MEANS), ("split", SPLITS)):
-            if getattr(self, key) not in allowed:
-                raise UsageError(f"gp.{key}: '{getattr(self, key)}' is none of {', '.join(allowed)}")
-        low, high = INDUCING_RANGE
-        if not low <= self.inducing <= high:
-            raise UsageError(f"gp.inducing: {self.inducing} is outside {low}..{high} (5..100 suits a control step)")
-        if not 0 <= self.holdout < 1:
-            raise UsageError(
-                f"gp.holdout: {self.holdout:g} is outside [0, 1), the share of flights held out of the fit"
-            )
-        if self.max_rows is not None and self.max_rows < 10:
-            raise UsageError(f"gp.max_rows: {self.max_rows} is below 10")
-        if not 0 < self.jitter <= 1e-6:
-            raise UsageError(f"gp.jitter: {self.jitter:g} is outside (0, 1e-6]")
 
     def as_dict(self) -> dict[str, Any]:
-        record = asdict(self) | {"features": {output: list(names) for output, names in self.features.items()}}
+        record = {"features": {output: list(names) for output, names in self.features.items()}}
+        record = record | {name: value for name, value in asdict(self).items() if name not in record}
         if self.split == "flight":
             del record["split"]
         return record

@@ -17,6 +17,7 @@ import numpy as np
 
 from quadexp.air.blade_element import require_rotor
 from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.config.lei_li import RLSKeys
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.learn.rls_step import AXES, rls_step_function
 from quadexp.physics.rotor import C_LA, THETA, BladeCoefficients
@@ -26,34 +27,10 @@ SLOWEST = 1.0  # rad/s; samples with a slower rotor are skipped (the advance rat
 
 
 @dataclass(frozen=True)
-class RLSSettings:
-    """How the estimators are started and weighted; the defaults are the paper's, with clipping.
+class RLSSettings(RLSKeys):
+    """How the estimators are started and weighted (see RLSKeys). printed_coefficients: the misprinted cross terms."""
 
-    covariance: P_0 = covariance * I. relative_std: if given, P_0 = diag((relative_std theta_0)^2) instead.
-    noise: assumed standard deviation sigma of a reading, m/s^2. forgetting: lambda, 1 forgets nothing.
-    lift_weight: beta_la,z, share of the z axis in C_la (26). gauss_newton: see quadexp.learn.rls_step.
-    rotor_range: bounds of the C_d0 and C_la in use, in units of their first values. drag_range: bounds of the C_D.
-    clip: False uses the estimates as they are. printed_coefficients: the misprinted cross terms.
-    """
-
-    covariance: float = 50.0
-    relative_std: float | None = None
-    noise: float = 1.0
-    forgetting: float = 1.0
-    lift_weight: float = 1.0
-    gauss_newton: bool = False
-    rotor_range: tuple[float, float] = (0.5, 4.0)
-    drag_range: tuple[float, float] = (0.0, 0.2)
-    clip: bool = True
     printed_coefficients: bool = False
-
-    def __post_init__(self) -> None:
-        if not 0.5 <= self.forgetting <= 1:
-            raise UsageError(f"rls.forgetting={self.forgetting:g}: must be in [0.5, 1]")
-        if not (self.covariance > 0 and self.noise > 0 and (self.relative_std is None or self.relative_std > 0)):
-            raise UsageError("rls.covariance, rls.noise and rls.relative_std must be positive")
-        if not 0 <= self.lift_weight <= 1:
-            raise UsageError(f"rls.lift_weight={self.lift_weight:g}: must be in [0, 1]")
 
     @classmethod
     def scaled(cls, noise: float = 0.05, relative_std: float = 0.5, **others: Any) -> RLSSettings:

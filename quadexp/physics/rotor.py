@@ -6,37 +6,22 @@ Source: Lei & Li 2017, sections 2 and 3. Equations: quadexp.physics.blade_elemen
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
-from quadexp.errors import UsageError
+from quadexp.config.flight import RotorConfig
+from quadexp.config.lei_li import BladeElementEffects, BladeKeys
 
 THETA = ("C_d0", "C_la", "C_Dx", "C_Dy", "C_Dz")  # order of the coefficients in a vector
 C_D0, C_LA, C_DX, C_DY, C_DZ = range(5)
-IDLE_SPEED = 50.0  # rad/s; rotors in flight do not stop, and the model is not defined for stopped rotors
+IDLE_SPEED = BladeElementEffects.rotor_speed_min  # rad/s; the model is not defined for stopped rotors
 STANDING = 1e-6  # rad/s; slower rotors count as stopped; in still air all their forces vanish
 
 
 @dataclass(frozen=True)
-class RotorGeometry:
-    """Geometry of every rotor of a vehicle, and the air density.
-
-    radius r: m. chord c: m. twist theta_tw: rad. air_density rho: kg/m^3. reference_area S: m^2, of the body drag.
-    blades: N_b.
-    """
-
-    radius: float
-    chord: float
-    twist: float
-    air_density: float
-    reference_area: float
-    blades: int = 2
-
-    def __post_init__(self) -> None:
-        for f in fields(self):
-            if not getattr(self, f.name) > 0:
-                raise UsageError(f"vehicle.rotor.{f.name}={getattr(self, f.name)}: must be positive")
+class RotorGeometry(RotorConfig):
+    """Geometry of every rotor of a vehicle, and the air density (see RotorConfig)."""
 
     @property
     def blade_density(self) -> float:
@@ -50,15 +35,12 @@ class RotorGeometry:
 
 
 @dataclass(frozen=True)
-class BladeCoefficients:
-    """Aerodynamic coefficients, all dimensionless.
+class BladeCoefficients(BladeKeys):
+    """Aerodynamic coefficients C_la, C_d0 and C_D (see BladeKeys). Identified ones may lie outside the ranges of the
+    configuration."""
 
-    lift_slope C_la: 1/rad. profile_drag C_d0. body_drag C_D: (3,), body axes.
-    """
-
-    lift_slope: float
-    profile_drag: float
-    body_drag: tuple[float, float, float]
+    def __post_init__(self) -> None:
+        """Checks no range."""
 
     def parameters(self) -> np.ndarray:
         """theta = (C_d0, C_la, C_Dx, C_Dy, C_Dz), (5,)."""

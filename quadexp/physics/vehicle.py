@@ -17,10 +17,12 @@ from functools import cached_property
 
 import numpy as np
 
+from quadexp.config.flight import VehicleConfig
+from quadexp.config.settings import part
 from quadexp.errors import UsageError
 from quadexp.physics.rotor import RotorGeometry
 
-GRAVITY = 9.81  # m/s^2
+GRAVITY = VehicleConfig.gravity  # m/s^2
 # The largest principal moment of a rigid body is at most the sum of the other two; measured moments may exceed that
 # slightly (those of Lei & Li 2017 by 1.2 %).
 INERTIA_TOLERANCE = 0.02
@@ -28,33 +30,14 @@ FORMER_NAMES = {"thrust_coefficient": "static_thrust"}  # used in hashes, so tha
 
 
 @dataclass(frozen=True)
-class Vehicle:
-    """Physical parameters of a multirotor.
-
-    mass: kg. inertia: (3, 3), body frame, kg m^2. rotor_position: (n, 3), body frame, m.
-    rotor_spin: (n,), sign of the reaction torque about +z_body per unit thrust (+1 or -1).
-    torque_coefficient: reaction torque per thrust, m. thrust_min, thrust_max: per rotor, N.
-    rate_max: largest body rate of a reference, rad/s.
-    rotor: geometry of the rotors, for blade-element models, or None.
-    thrust_coefficient: k_T,static of u = k_T,static w^2, thrust over squared rotor speed at rest, N s^2.
+class Vehicle(VehicleConfig):
+    """Physical parameters of a multirotor (see VehicleConfig for each with its unit and range).
 
     Raises UsageError where the parameters are not those of a rigid body, or the vehicle cannot be controlled.
     """
 
-    name: str
-    mass: float
-    inertia: tuple[tuple[float, float, float], ...]
-    rotor_position: tuple[tuple[float, float, float], ...]
-    rotor_spin: tuple[float, ...]
-    torque_coefficient: float
-    thrust_min: float
-    thrust_max: float
-    rate_max: float
-    gravity: float = GRAVITY
-    rotor: RotorGeometry | None = None
-    thrust_coefficient: float | None = None
-
     def __post_init__(self) -> None:
+        super().__post_init__()
         eigenvalues = np.linalg.eigvalsh(self.inertia_matrix)
         if not np.allclose(self.inertia_matrix, self.inertia_matrix.T):
             raise UsageError("vehicle.inertia: the matrix must be symmetric")
@@ -75,8 +58,6 @@ class Vehicle:
                 f"vehicle.thrust_max: hovering takes {self.hover_thrust:.3g} N per rotor,"
                 f" outside ({self.thrust_min:g}, {self.thrust_max:g}) N"
             )
-        if self.thrust_coefficient is not None and not self.thrust_coefficient > 0:
-            raise UsageError(f"vehicle.thrust_coefficient={self.thrust_coefficient:g}: must be positive (N s^2)")
 
     @property
     def n_rotors(self) -> int:
@@ -93,12 +74,12 @@ class Vehicle:
         x, y, _ = np.array(self.rotor_position, float).T
         return np.stack([np.ones(self.n_rotors), y, -x, self.torque_coefficient * np.array(self.rotor_spin, float)])
 
-    @property
+    @cached_property
     def rotor_geometry(self) -> RotorGeometry:
         """`rotor`, for a model that needs it. Raises UsageError where there is none."""
         if self.rotor is None:
             raise self._without_rotor()
-        return self.rotor
+        return part(RotorGeometry, self.rotor)
 
     @property
     def static_thrust_coefficient(self) -> float:

@@ -6,9 +6,8 @@ held, with all derivatives zero.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -83,14 +82,3 @@ def check_finite(**values: float | None) -> None:
     for key, value in values.items():
         if value is not None and not np.isfinite(value):
             raise UsageError(f"trajectory.{key}: {value!r} is not allowed, it must be a finite number")
-
-
-def check_point(key: str, value: Iterable[Any]) -> tuple[float, float, float]:
-    """A point in the world as three finite numbers (m); UsageError naming the configuration key otherwise."""
-    try:
-        point = tuple(float(v) for v in value)
-    except (TypeError, ValueError):
-        point = ()
-    if len(point) != 3 or not np.all(np.isfinite(point)):
-        raise UsageError(f"trajectory.{key}: {value!r} is not a point, three finite numbers [x, y, z] in m are needed")
-    return point

@@ -19,19 +19,19 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
+from quadexp.config.flight import FileKeys
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.base import (
     N_DERIVATIVES,
     FlatOutput,
     Trajectory,
-    check_positive,
     flat_output_held,
     hold_outside,
     sampled_peak_speed,
 )
 from quadexp.reference.minimum_snap import minimum_snap
-from quadexp.reference.time_scale import MARGIN, ScaledPath, time_scale
+from quadexp.reference.time_scale import ScaledPath, time_scale
 from quadexp.reference.track_file import Positions, read_positions
 
 DEGREE = 7
@@ -39,23 +39,18 @@ POWERS = (0.5, 0.75, 1.0)  # 0.5 suits a limited acceleration, 1 a limited speed
 
 
 @dataclass(frozen=True, kw_only=True)
-class FileTrajectory:
-    """The track or the waypoints in a CSV or TUM file; it is read when first used.
+class FileTrajectory(FileKeys):
+    """The track or the waypoints in a CSV or TUM file; it is read when first used. Settings: see FileKeys.
 
-    path: file. speed: largest speed of waypoints, m/s; None: limited by the vehicle only. vehicle: its limits apply to
-    waypoints without times; None: no limits. margin: unused share of the range to the limits, [0, 1).
+    vehicle: its limits apply to waypoints without times; None: no limits.
     Raises UsageError for a missing file, for contradicting times and speed, or where the limits allow no flight;
     DataError (with the line number) for a file without positions.
     """
 
-    path: str
-    speed: float | None = None
     vehicle: Vehicle | None = None
-    margin: float = MARGIN
 
     def __post_init__(self) -> None:
-        if self.speed is not None:
-            check_positive(speed=self.speed)
+        super().__post_init__()
         if not Path(self.path).is_file():
             raise UsageError(f"trajectory.path: there is no file {str(self.path)!r}")
 

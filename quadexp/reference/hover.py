@@ -6,25 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quadexp.reference.base import N_DERIVATIVES, FlatOutput, check_finite, check_point, check_positive
+from quadexp.config.flight import HoverKeys
+from quadexp.reference.base import N_DERIVATIVES, FlatOutput
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hover:
-    """A constant position and heading.
-
-    position: (3,), world, m. duration: s. yaw: rad.
-    Raises UsageError where position is not a point or duration not positive.
-    """
-
-    position: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    duration: float = 10.0
-    yaw: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_positive(duration=self.duration)
-        check_finite(yaw=self.yaw)
-        object.__setattr__(self, "position", check_point("position", self.position))
+class Hover(HoverKeys):
+    """A constant position and heading; settings: see HoverKeys. Raises UsageError where one is out of range."""
 
     @property
     def peak_speed(self) -> float:

@@ -11,32 +11,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quadexp.reference.base import N_DERIVATIVES, FlatOutput, check_positive, flat_output_held, hold_outside
-from quadexp.reference.rectangle import NORTH, check_start, resting
+from quadexp.config.lei_li import LeiLiCircleKeys
+from quadexp.reference.base import N_DERIVATIVES, FlatOutput, flat_output_held, hold_outside
+from quadexp.reference.rectangle import NORTH, resting
 
 START_POSITION = (0.0, 0.0, 0.0)  # ENU, m: the centre of the circle, on the ground
 START_EULER = (0.0, 0.0, 90.0)  # roll, pitch, yaw of FLU in ENU, deg
 
 
 @dataclass(frozen=True, kw_only=True)
-class LeiLiCircle:
+class LeiLiCircle(LeiLiCircleKeys):
     """A circle with two speeds, clockwise seen from above, started at its southernmost point.
 
-    radius: m. slow_half: duration of the slow half of a lap, s (the fast one takes half of that).
-    duration, height: s, m.
-    start: "printed", the paper's initial state (at rest in the middle of the circle, on the ground), or "reference".
+    Settings: see LeiLiCircleKeys; the fast half of a lap takes half as long as the slow one. start: "printed", the
+    paper's initial state (at rest in the middle of the circle, on the ground), or "reference".
     Raises UsageError where a number is out of range.
     """
-
-    radius: float = 28.0
-    slow_half: float = 20.0
-    duration: float = 60.0
-    height: float = 5.0
-    start: str = "printed"
-
-    def __post_init__(self) -> None:
-        check_positive(radius=self.radius, slow_half=self.slow_half, duration=self.duration, height=self.height)
-        check_start(self.start)
 
     @property
     def peak_speed(self) -> float:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from quadexp.config.flight import CircleKeys
 from quadexp.errors import UsageError
 from quadexp.reference.base import N_DERIVATIVES, check_finite, check_positive
 
@@ -98,22 +99,18 @@ class SpeedProfile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProfiledPath:
+class ProfiledPath(CircleKeys):
     """A closed path at constant height from (radius, 0, height), with the path angle of the profile.
 
-    speed: nominal speed v of the profile, m/s. acceleration: a, m/s^2. radius, height: m.
-    yaw: heading held, rad; None: free, body yaw rate zero (Torrente et al. 2021).
+    Settings: see CircleKeys. yaw: heading held, rad; None: free, body yaw rate zero (Torrente et al. 2021).
     Raises UsageError where the numbers are out of range or speed / acceleration is below 2 s.
     """
 
-    speed: float
-    acceleration: float = 1.0
-    radius: float = 5.0
-    height: float = 1.0
     yaw: float | None = None
 
     def __post_init__(self) -> None:
-        check_finite(height=self.height, yaw=self.yaw)
+        super().__post_init__()
+        check_finite(yaw=self.yaw)
         _ = self.profile
 
     @property

@@ -28,11 +28,12 @@ import numpy as np
 from scipy.interpolate import PPoly
 from scipy.special import ive
 
+from quadexp.config.flight import RandomKeys
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
-from quadexp.reference.base import FlatOutput, check_finite, check_positive
+from quadexp.reference.base import FlatOutput, check_finite
 from quadexp.reference.minimum_snap import minimum_snap
-from quadexp.reference.time_scale import MARGIN, ScaledPath, TimeScale, time_scale
+from quadexp.reference.time_scale import ScaledPath, TimeScale, time_scale
 
 KERNELS = (  # per axis: (length scale, cycles per loop), summed
     ((4.5, 2), (4.5, 1)),
@@ -44,32 +45,20 @@ N_PATH = 100  # points for measuring the path's extent
 
 
 @dataclass(frozen=True, kw_only=True)
-class RandomPolynomial:
-    """A random closed path; the same seed gives the same path for any speed and vehicle.
+class RandomPolynomial(RandomKeys):
+    """A random closed path; the same seed gives the same path for any speed and vehicle. Settings: see RandomKeys.
 
-    speed: largest speed, m/s; lower where the vehicle's limits require it. vehicle: its limits apply; None: no limits.
-    margin: unused share of the range between hover and the limits, [0, 1).
-    keypoints: number of keypoints, including the closing one. extent: mean range of the three axes, m.
-    clearance: height of the lowest point, m. yaw: constant heading, rad; None: free, body yaw rate zero.
+    vehicle: its limits apply, and lower the speed where they require it; None: no limits.
+    yaw: constant heading, rad; None: free, body yaw rate zero.
     Raises UsageError where a number is out of range, or where the vehicle cannot fly the path at any speed.
     """
 
-    speed: float
-    seed: int = 0
-    keypoints: int = 10
-    extent: float = 6.0
-    clearance: float = 1.0
     yaw: float | None = None
     vehicle: Vehicle | None = None
-    margin: float = MARGIN
 
     def __post_init__(self) -> None:
-        check_positive(speed=self.speed, extent=self.extent)
-        check_finite(clearance=self.clearance, yaw=self.yaw)
-        if int(self.keypoints) != self.keypoints or self.keypoints < 4:
-            raise UsageError(f"trajectory.keypoints: {self.keypoints!r} is not allowed, 4 or more are needed")
-        if int(self.seed) != self.seed or self.seed < 0:
-            raise UsageError(f"trajectory.seed: {self.seed!r} is not allowed, it must be a whole number of 0 or more")
+        super().__post_init__()
+        check_finite(yaw=self.yaw)
 
     @property
     def duration(self) -> float:

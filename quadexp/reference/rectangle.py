@@ -11,34 +11,23 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadexp.errors import UsageError
+from quadexp.config.lei_li import RectangleKeys
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION
-from quadexp.reference.base import N_DERIVATIVES, FlatOutput, check_positive, flat_output_held, hold_outside
+from quadexp.reference.base import N_DERIVATIVES, FlatOutput, flat_output_held, hold_outside
 
 NORTH = np.pi / 2  # yaw, rad
-STARTS = ("printed", "reference")
 # xi_0 = (.2, -.2, -.1) m NED, eta_0 = (1, -1, 5) deg, at rest
 START_POSITION = (-0.2, 0.2, 0.1)  # ENU, m
 START_EULER = (1.0, 1.0, 85.0)  # roll, pitch, yaw of FLU in ENU, deg
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rectangle:
+class Rectangle(RectangleKeys):
     """A square flown once, started and ended at its south-west corner, clockwise seen from above.
 
-    speed: v0, m/s. duration: T, s. height: m.
-    start: "printed", the paper's initial state (on the ground, at rest, slightly turned), or "reference".
-    Raises UsageError where a number is out of range.
+    Settings: see RectangleKeys. start: "printed", the paper's initial state (on the ground, at rest, slightly turned),
+    or "reference". Raises UsageError where a number is out of range.
     """
-
-    speed: float = 5.0
-    duration: float = 60.0
-    height: float = 5.0
-    start: str = "printed"
-
-    def __post_init__(self) -> None:
-        check_positive(speed=self.speed, duration=self.duration, height=self.height)
-        check_start(self.start)
 
     @property
     def peak_speed(self) -> float:
@@ -61,12 +50,6 @@ class Rectangle:
         position[:, 0, 2] = self.height
         position[:, 1, :2] = velocity
         return flat_output_held(position, NORTH, inside)
-
-
-def check_start(start: str) -> None:
-    """Raise UsageError unless `start` is one of STARTS."""
-    if start not in STARTS:
-        raise UsageError(f"trajectory.start={start}: must be one of {', '.join(STARTS)}")
 
 
 def resting(position: tuple[float, ...], euler: tuple[float, ...]) -> np.ndarray:

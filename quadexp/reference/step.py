@@ -9,31 +9,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from quadexp.config.flight import StepKeys
 from quadexp.errors import UsageError
-from quadexp.reference.base import N_DERIVATIVES, FlatOutput, check_point, check_positive
+from quadexp.reference.base import N_DERIVATIVES, FlatOutput
 
 
 @dataclass(frozen=True, kw_only=True)
-class Step:
-    """A jump of the set-point.
+class Step(StepKeys):
+    """A jump of the set-point; settings: see StepKeys.
 
-    start, target: (3,), world, m. step_time, duration: s.
     Raises UsageError where a point is malformed or step_time does not lie in 0 .. duration.
     """
 
-    start: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    target: tuple[float, float, float] = (1.0, 0.0, 1.0)
-    step_time: float = 1.0
-    duration: float = 5.0
-
     def __post_init__(self) -> None:
-        check_positive(duration=self.duration)
+        super().__post_init__()
         if not 0 <= self.step_time <= self.duration:
             raise UsageError(
                 f"trajectory.step_time: {self.step_time!r} s is not allowed, it must lie in 0 .. {self.duration:g} s"
             )
-        object.__setattr__(self, "start", check_point("start", self.start))
-        object.__setattr__(self, "target", check_point("target", self.target))
 
     @property
     def peak_speed(self) -> float:

@@ -2,24 +2,23 @@
 
     python -m quadexp.report.config_reference > docs/configuration.md
 
-Type, range and unit are the schemas' own, the meaning is that of quadexp/config/meaning.py, and the value is what the
-option sets that is taken by default, or else the one of the schema's own name, or the first that extends it.
+All of it is declared with the settings (quadexp/config/settings.py). The value is the default, or what the option sets
+that is taken by default, or else the one of the schema's own name, or the first that extends it.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Iterator
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_origin
 
 import yaml
 
-from quadexp.config.meaning import MEANINGS
-from quadexp.config.schema import SCHEMAS, Config, EvaluateConfig, conf_folder
+from quadexp.config.schema import SCHEMAS, Config, conf_folder
+from quadexp.config.settings import REQUIRED, Declared, declared, lists
 
 ASIDE = {"name", "kind", "sweep"}  # set by the option, not by its user
-WORDS = {"float": "number", "int": "whole number", "bool": "true, false", "str": "text", "None": "null", "Any": "rows"}
+WORDS = {float: "number", int: "whole number", bool: "true, false"}
 HEAD = """# Configuration reference
 
 A configuration is one option of every group (`vehicle=torrente`, `plant=simplified`, ...), each a file in
@@ -56,7 +55,7 @@ def reference() -> str:
     """The whole page, Markdown."""
     chosen = _chosen()
     groups = ", ".join(f"[{name}](#{name.lower()})" for name in ("Run", *SCHEMAS))
-    parts = [HEAD.replace("GROUPS", groups), "## Run\n", _table(_root_keys())]
+    parts = [HEAD.replace("GROUPS", groups), "## Run\n", _table(_keys(Config, "", {}))]
     for group, schemas in SCHEMAS.items():
         options = _options(group)
         listed = ", ".join(f"`{name}`" for name in options)
@@ -75,66 +74,44 @@ def reference() -> str:
 
 def keys() -> list[str]:
     """Every key there is, without what options of one's own add."""
-    found = [key.name for key in _root_keys()]
+    found = [key.name for key in _keys(Config, "", {})]
     for group, schemas in SCHEMAS.items():
         found += [key.name for node in schemas.values() for key in _keys(node, f"{group}.", {})]
     return sorted(set(found))
 
 
-def _root_keys() -> Iterator[Key]:
-    values = yaml.safe_load((conf_folder() / "config.yaml").read_text(encoding="utf-8"))
-    groups = set(SCHEMAS)
-    for f in dataclasses.fields(Config):
-        if f.name == "evaluate":
-            yield from _keys(EvaluateConfig, "evaluate.", values["evaluate"])
-        elif f.name not in groups | ASIDE:
-            yield _key(f, "", Config, values.get(f.name))
-
-
 def _keys(node: type, prefix: str, values: Any) -> Iterator[Key]:
-    """The keys of a node and of those inside it."""
-    hints = get_type_hints(node)
-    for f in dataclasses.fields(node):
-        if f.name in ASIDE:
+    """The keys of a node and of those inside it. values: what the option's file sets."""
+    for name, one in declared(node).items():
+        if name in ASIDE:
             continue
-        inner = _node(hints[f.name])
-        value = values.get(f.name) if isinstance(values, dict) else None
-        if inner is not None:
-            yield from _keys(inner, f"{prefix}{f.name}.", value or {})
+        value = values.get(name, one.default)
+        if one.node is not None:
+            yield from _keys(one.node, f"{prefix}{name}.", values.get(name) or {})
         else:
-            yield _key(f, prefix, node, value)
+            yield _key(f"{prefix}{name}", one, value)
 
 
-def _node(hint: Any) -> type | None:
-    """The dataclass that a type hint names, alone or beside None."""
-    parts = getattr(hint, "__args__", (hint,))
-    found = [part for part in parts if isinstance(part, type) and dataclasses.is_dataclass(part)]
-    return found[0] if found else None
+def _key(name: str, one: Declared, value: Any) -> Key:
+    allowed = ", ".join(f"`{word}`" for word in one.words)
+    if one.setting.interval:
+        allowed = f"{one.setting.interval} {one.setting.unit}".strip()
+        if one.length:
+            allowed = f"{one.length} numbers in {allowed}"
+    value = _short(lists(value))
+    shown = "" if value == REQUIRED else yaml.safe_dump(value, default_flow_style=True, width=1e6)
+    return Key(name, _type(one), shown.replace("\n...", "").strip(), allowed, one.setting.meaning)
 
 
-def _key(f: Any, prefix: str, node: type, value: Any) -> Key:
-    kind = _said(str(get_type_hints(node)[f.name]))
-    allowed = ", ".join(f"`{word}`" for word in f.metadata.get("choices", ()))
-    if f.metadata.get("interval"):
-        allowed = f"{f.metadata['interval']} {f.metadata.get('unit', '')}".strip()
-        if f.metadata.get("length"):
-            allowed = f"{f.metadata['length']} numbers in {allowed}"
-    if value is None and f.default not in (dataclasses.MISSING, "???"):
-        value = f.default
-    if value is None and f.default_factory is not dataclasses.MISSING:
-        value = f.default_factory()
-    value = _short(value)
-    shown = "" if f.default == "???" and value is None else yaml.safe_dump(value, default_flow_style=True, width=1e6)
-    shown = shown.replace("\n...", "").strip()
-    return Key(f"{prefix}{f.name}", kind, shown, allowed, MEANINGS.get(f"{prefix}{f.name}", ""))
-
-
-def _said(hint: str) -> str:
-    """A type hint in words: "float | None" is "number or null", "list[float]" is "list of number"."""
-    hint = re.sub(r"<class '(\w+)'>", r"\1", hint.replace("typing.", ""))
-    hint = re.sub(r"dict\[.*\]", "keys and values", hint)
-    hint = re.sub(r"list\[(.*)\]", r"list of \1", hint).replace(" | ", " or ")
-    return re.sub(r"\w+", lambda word: WORDS.get(word[0], word[0]), hint)
+def _type(one: Declared) -> str:
+    """A type in words, such as "number or null" or "list of text"."""
+    kind = get_args(one.type)[0] if get_origin(one.type) is tuple else one.type
+    if kind is Any or get_origin(kind) is tuple:
+        words = "rows"
+    else:
+        words = "keys and values" if get_origin(kind) is dict else WORDS.get(kind, "text")
+        words = f"list of {words}" if kind is not one.type else words
+    return f"{words} or null" if one.optional else words
 
 
 def _short(value: Any) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from quadexp.config.cells import Cell
@@ -52,7 +52,8 @@ def plan_cells(cells: Iterable[Cell]) -> dict[str, Job]:
             known[reads] = model, input_hashes(config, model)
         model, inputs = known[reads]
         if model is None:
-            config.model = record["model"] = None  # a checkpoint that the controller does not use decides nothing
+            cell = replace(cell, config=replace(config, model=None))  # a checkpoint that is not used decides nothing
+            record["model"] = None
         key = cell_key(record, inputs)
         if key not in jobs:
             jobs[key] = Job(key, digest(condition(record)), cell, model)

@@ -24,33 +24,14 @@ import numpy as np
 from quadexp.air.base import Residual, feature_names
 from quadexp.air.blade_element import blade_element_correction, require_rotor, residual_from_correction
 from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.config.lei_li import BladeElementEffects
 from quadexp.errors import ModelDomainError, UsageError
 from quadexp.physics.induced_velocity import REASONS, Defined
-from quadexp.physics.rotor import C_D0, IDLE_SPEED, STANDING, BladeCoefficients
+from quadexp.physics.rotor import C_D0, STANDING, BladeCoefficients
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.blade_element_period import PeriodModel, checked_period, fast_period
 from quadexp.world.period import even_steps
-
-
-@dataclass(frozen=True)
-class BladeElementEffects:
-    """What differs from the paper's plant, or the options it has.
-
-    printed_coefficients: the misprinted cross terms of (14), (15), for comparison only.
-    rotor_local_velocity: every rotor meets v + omega x r_i, not v. motor_lag: time constant of the rotor speeds, s.
-    rotor_speed_min: idle speed, rad/s; with zero rotors may stop, which the model allows in still air only.
-    rotor_speed_max: rad/s, None: no limit. thrust_limits: clip commands to the vehicle's limits (the paper has none).
-    payload: kg.
-    """
-
-    printed_coefficients: bool = False
-    rotor_local_velocity: bool = False
-    motor_lag: float = 0.0
-    rotor_speed_min: float = IDLE_SPEED
-    rotor_speed_max: float | None = None
-    thrust_limits: bool = False
-    payload: float = 0.0
 
 
 @dataclass(frozen=True)

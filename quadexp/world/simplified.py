@@ -13,13 +13,13 @@ normalised thrust, 0.02 sqrt(u / u_max) u_max at h = 0.5 ms: density 4.472e-4.
 
 from __future__ import annotations
 
-import math
 from dataclasses import astuple, dataclass
 
 import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual, feature_names, symbolic_residual
+from quadexp.config.flight import SimplifiedKeys
 from quadexp.physics.drag import linear_drag_force, quadratic_drag_force
 from quadexp.physics.expression import Expression
 from quadexp.physics.integrator import rk4_step
@@ -31,21 +31,8 @@ from quadexp.world.period import NoisyPeriod, unit_attitude
 
 
 @dataclass(frozen=True)
-class PlantEffects:
-    """What acts on the vehicle besides its rotors and gravity; all zero is the ideal plant.
-
-    linear_drag: (3,) N s/m. quadratic_drag: (3,) N s^2/m^2. motor_loss: share k of the normalised thrust squared.
-    motor_noise_density: of the normalised thrust at full thrust, 1/sqrt(Hz). force_noise_density: N/sqrt(Hz).
-    torque_noise_density: N m/sqrt(Hz). payload: kg.
-    """
-
-    linear_drag: tuple[float, float, float] = (0.3, 0.3, 0.0)
-    quadratic_drag: tuple[float, float, float] = (0.08, 0.08, 0.08)
-    motor_loss: float = 0.1 / 1.3**2
-    motor_noise_density: float = 0.02 * math.sqrt(5e-4)
-    force_noise_density: float = 0.005 * math.sqrt(5e-4)
-    torque_noise_density: float = 0.005 * math.sqrt(5e-4)
-    payload: float = 0.0
+class PlantEffects(SimplifiedKeys):
+    """What acts on the vehicle besides its rotors and gravity (see SimplifiedKeys); all zero is the ideal plant."""
 
     @classmethod
     def none(cls) -> PlantEffects:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import textwrap
-from dataclasses import asdict
+from dataclasses import FrozenInstanceError, asdict
 
+import hydra
 import pytest
 from omegaconf import OmegaConf
 
+from quadexp.config.completion import groups
 from quadexp.config.compose import compose, conf_folder, expand, session
-from quadexp.config.compose_base import Bases
-from quadexp.config.schema import SCHEMAS, Config
+from quadexp.config.schema import SCHEMAS, EvaluateConfig
+from quadexp.config.settings import plain, record
 from quadexp.errors import UsageError
 from quadexp.experiment.identity import digest, flight_entropy
 
@@ -30,21 +32,35 @@ OVERRIDES = [
 
 
 def hydra_composes(overrides):
-    """The configuration by Hydra's own public function, from the start."""
-    import hydra
+    """What Hydra makes of all overrides together, values too, over the defaults of the schemas that it chose."""
 
-    with session():
-        return OmegaConf.to_object(hydra.compose("config", overrides=list(overrides)))
+    def over(defaults, content):
+        nested = {k: over(v, content.get(k, {})) for k, v in defaults.items() if isinstance(v, dict)}
+        return defaults | content | nested
+
+    with session(), hydra.initialize_config_dir(str(conf_folder()), version_base="1.3"):
+        options = groups()  # a value that no file states is added, because defaults are the schemas'
+        given = [text if text.partition("=")[0] in options else f"++{text}" for text in overrides]
+        composed = hydra.compose("config", overrides=given)
+        schemas = {group: SCHEMAS[group][composed[group]._schema_.split("/")[1]] for group in SCHEMAS}
+        composed = OmegaConf.to_container(composed)
+        for group, schema in schemas.items():
+            del composed[group]["_schema_"]
+            composed[group] = over(plain(schema), composed[group])
+        whole = over({"evaluate": plain(EvaluateConfig), "model": None, "seed": 0, "sweep": None}, composed)
+        return OmegaConf.to_container(OmegaConf.create(whole), resolve=True)
 
 
 @pytest.mark.parametrize("overrides", OVERRIDES, ids=lambda o: " ".join(o) or "defaults")
 def test_the_quick_way_equals_hydras(overrides):
     expected = hydra_composes(overrides)
-    assert isinstance(expected, Config)
-    assert compose(overrides) == expected
+    assert record(compose(overrides)) == expected
     with session() as composer:  # and once more, when everything is kept already
         composer.compose(overrides[:1])
-        assert composer.compose(overrides) == composer.compose(overrides) == expected
+        assert record(composer.compose(overrides)) == record(composer.compose(overrides)) == expected
+    if not overrides or not overrides[0].startswith("experiment"):  # and put together from single options
+        (cell,) = expand(overrides)
+        assert record(cell.config) == expected | {"sweep": None}
 
 
 def test_every_option_of_every_group_composes():
@@ -65,19 +81,22 @@ def test_every_experiment_expands():
             assert len(composer.expand([f"experiment={name}"])) > 1
 
 
-def test_configurations_share_nothing():
+def test_configurations_share_what_nobody_can_change():
     with session() as composer:
         first, second = composer.compose(["seed=1"]), composer.compose(["seed=2"])
-    first.controller.attitude_weight[0] = 99.0
-    assert second.controller.attitude_weight[0] != 99.0
+    assert first.controller is second.controller
+    with pytest.raises(FrozenInstanceError):
+        first.controller.nodes = 99
+    with pytest.raises(TypeError):
+        first.controller.attitude_weight[0] = 99.0
 
 
-def test_hydra_composes_once_for_all_cells_that_choose_the_same_options(monkeypatch):
-    """The full composition costs fifty milliseconds; what varies by value alone is set in a copy."""
+def test_hydra_composes_every_option_once_for_all_cells(monkeypatch):
+    """A composition costs tens of milliseconds; what varies by value alone is set in a copy."""
     with session() as composer:
         composed = []
-        load = Bases._load
-        monkeypatch.setattr(Bases, "_load", lambda *given: composed.append(given[1]) or load(*given))
+        whole = hydra.compose
+        monkeypatch.setattr(hydra, "compose", lambda name, overrides: composed.append(name) or whole(name, overrides))
         cells = composer.expand(["trajectory=circle,lemniscate", "seed=range(100)", "trajectory.speed=4"])
         assert len({cell.config.seed for cell in cells}) == 100 and len(cells) == 200
         assert sorted(composed) == ["config", "trajectory/circle", "trajectory/lemniscate"]
@@ -262,4 +281,4 @@ def test_conf_lies_in_the_checkout_or_the_package():
 def test_asdict_is_json(tmp_path):
     import json
 
-    assert json.loads(json.dumps(asdict(compose([])))) == asdict(compose([]))
+    assert json.loads(json.dumps(asdict(compose([])))) == record(compose([]))

@@ -4,14 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from quadexp.config.meaning import MEANINGS
-from quadexp.report.config_reference import keys, reference
+from quadexp.report.config_reference import reference
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "configuration.md"
-
-
-def test_every_key_has_a_meaning_and_no_meaning_is_left_over():
-    assert sorted(MEANINGS) == keys()
 
 
 def test_the_page_is_made_from_the_schemas_of_today():

@@ -2,40 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
-from quadexp.errors import UsageError
-
-PAPER_TILT = math.radians(60.0)
+from quadexp.config.lei_li import FeedbackKeys
 
 
 @dataclass(frozen=True)
-class FeedbackSettings:
-    """Gains, observer and safety options.
+class FeedbackSettings(FeedbackKeys):
+    """Gains, observer and safety options (see FeedbackKeys for each with its unit and range).
 
-    rate: control steps per second, 1/h (Hz). *_proportional, *_derivative: diagonals of K_p (1/s^2) and K_d (1/s).
-    observer_bandwidth: w0 (rad/s). cone: keep the desired thrust in the cone that a multirotor can hold: a downward
-    demand of at least thrust_share_min m g, tilted by at most tilt_max (rad).
-    rotor_speed_min: no rotor is commanded below it (rad/s), so that no speed squared is negative.
-    inner_iterations: limit of the fixed point that replaces the one-sample delay where a variant has none.
+    *_proportional, *_derivative: diagonals of K_p (1/s^2) and K_d (1/s). cone: keep the desired thrust in the cone that
+    a multirotor can hold: an upward demand of at least thrust_share_min m g, tilted by at most tilt_max.
     """
-
-    rate: float = 100.0
-    position_proportional: tuple[float, ...] = (0.3, 0.3, 0.3)
-    position_derivative: tuple[float, ...] = (0.9, 0.9, 0.9)
-    attitude_proportional: tuple[float, ...] = (0.8, 0.8, 0.8)
-    attitude_derivative: tuple[float, ...] = (2.4, 2.4, 2.4)
-    observer_bandwidth: float = 6.0
-    cone: bool = True
-    thrust_share_min: float = 0.3
-    tilt_max: float = PAPER_TILT
-    rotor_speed_min: float = 50.0
-    inner_iterations: int = 50
-
-    def __post_init__(self) -> None:
-        if not 0 < self.tilt_max < math.pi / 2:
-            raise UsageError(f"controller.tilt_max={self.tilt_max:g}: must be between 0 and pi/2 rad")
 
     @property
     def control_period(self) -> float:

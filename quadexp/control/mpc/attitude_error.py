@@ -21,7 +21,6 @@ from quadexp.physics.rotation import left_matrix
 from quadexp.physics.scalars import as_scalars
 from quadexp.physics.state import ATTITUDE, N_STATE
 
-ATTITUDE_ERRORS = ("plain", "body")
 N_BEFORE, N_AFTER = ATTITUDE.start, N_STATE - ATTITUDE.stop  # of the state, around the quaternion
 
 

@@ -6,49 +6,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quadexp.control.mpc.attitude_error import ATTITUDE_ERRORS
+from quadexp.config.flight import MPCKeys
 from quadexp.errors import UsageError
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
-class MPCSettings:
-    """Horizon, weights and iteration limits.
+class MPCSettings(MPCKeys):
+    """Horizon, weights and iteration limits (see MPCKeys for each with its unit and range).
 
-    horizon: s. nodes: shooting intervals N. rate: control steps per second (Hz).
-    first_node: length of the first interval, from which the others grow (s; see `node_periods`); 0: all are alike, as
-    published. Every node weighs as much as its share of the horizon.
-    *_weight: diagonal of Q on deviations in SI units; attitude on a quaternion (w, x, y, z), which is the plain
-    difference or the error's rotation in the reference's body frame, as attitude_error says ("plain" or "body").
-    input_weight: diagonal of R on thrusts normalised by the largest one.
-    terminal_weight: factor on Q at the last node. feedforward: let the reference's attitude, rates and thrusts contain
-    the residual. initial_iterations: SQP iterations allowed on the first step (one on every later step): full ones
-    first, and where these do not converge, more with a line search (first_solve.py).
-    distance_limit: m, largest position error that the controller acts on; see PredictiveController.
+    Every node weighs as much as its share of the horizon. *_weight: diagonal of Q on deviations in SI units.
+    input_weight: diagonal of R on thrusts normalised by the largest one. terminal_weight: factor on Q at the last node.
+    Raises UsageError where the periods contradict each other.
     """
 
-    horizon: float = 1.0
-    nodes: int = 10
-    first_node: float = 0.0
-    rate: float = 50.0
-    position_weight: tuple[float, ...] = (10.0, 10.0, 10.0)
-    attitude_weight: tuple[float, ...] = (0.0, 0.1, 0.1, 0.1)
-    attitude_error: str = "plain"
-    velocity_weight: tuple[float, ...] = (0.05, 0.05, 0.05)
-    rate_weight: tuple[float, ...] = (0.05, 0.05, 0.05)
-    input_weight: float = 0.1
-    terminal_weight: float = 0.0
-    feedforward: bool = True
-    initial_iterations: int = 400
-    distance_limit: float = 10.0
-
     def __post_init__(self) -> None:
-        if self.nodes < 2:
-            raise UsageError(f"controller.nodes={self.nodes}: must be at least 2")
-        if self.attitude_error not in ATTITUDE_ERRORS:
-            allowed = ", ".join(ATTITUDE_ERRORS)
-            raise UsageError(f"controller.attitude_error={self.attitude_error}: allowed are {allowed}")
+        super().__post_init__()
         if self.control_period > self.node_period + 1e-12:
             raise UsageError(
                 f"controller.rate={self.rate:g}: a control period of {self.control_period:g} s must not exceed the node"

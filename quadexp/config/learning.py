@@ -1,0 +1,138 @@
+"""Settings of learning: how a data set is flown, how Gaussian processes and linear drag are fitted."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import Annotated, ClassVar, Literal
+
+from quadexp.config.flight import SEEDS
+from quadexp.config.settings import Setting, Settings, declared
+from quadexp.errors import UsageError
+
+_FEATURE = re.compile(r"[vw]_[xyz]|u_\d+|thrust")
+HOLDOUT = Setting("flights kept out of the fit to report on", "[0, 0.9]", "of the flights")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CollectConfig(Settings):
+    """How a data set is flown: flights of `flight_duration` until `duration` is reached, speeds spread evenly over
+    [speed_min, speed_max]. mode: random (smooth random paths) or setpoints (jumps between random points).
+    target, identified: of recorded flights; see quadexp/learn/recorded.py."""
+
+    prefix: ClassVar[str] = "collect."
+
+    mode: Annotated[Literal["random", "setpoints"], Setting("smooth random paths, or jumps between random points")] = (
+        "random"
+    )
+    duration: Annotated[float, Setting("time flown altogether", "(0, 86400]", "s")] = 300.0
+    flight_duration: Annotated[float, Setting("length of one flight", "[2, 3600]", "s")] = 20.0
+    speed_min: Annotated[float, Setting("least peak speed of a path; they are spread evenly", "(0, 60]", "m/s")] = 5.0
+    speed_max: Annotated[float, Setting("largest peak speed of a path", "(0, 60]", "m/s")] = 20.0
+    extent: Annotated[float, Setting("edge of the cube that the paths stay in", "(0, 1000]", "m")] = 6.0
+    clearance: Annotated[float, Setting("height of the lowest point, world", "[-1000, 1000]", "m")] = 1.0
+    frame: Annotated[
+        Literal["midpoint", "start"],
+        Setting(
+            "where in a transition features and target belong: its middle (second order), or its start as in the paper"
+            " (first order)"
+        ),
+    ] = "midpoint"
+    target: Annotated[
+        Literal["auto", "specific_force", "velocity"],
+        Setting("of recorded flights: the accelerometer's specific force (auto), or the velocity's derivative"),
+    ] = "auto"
+    identified: Annotated[
+        str | None, Setting("folder of `quadexp identify`, whose thrust curve recorded flights need")
+    ] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.speed_min > self.speed_max:
+            raise UsageError(f"collect.speed_min={self.speed_min}: must not exceed collect.speed_max={self.speed_max}")
+
+
+def _features(output: str) -> Setting:
+    return Setting(f"features of the GP of {output}; []: left uncorrected")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GPFeatures(Settings):
+    """For every output the features of its GP; an empty list leaves the output uncorrected."""
+
+    prefix: ClassVar[str] = "gp.features."
+
+    a_x: Annotated[tuple[str, ...], _features("a_x")] = ()
+    a_y: Annotated[tuple[str, ...], _features("a_y")] = ()
+    a_z: Annotated[tuple[str, ...], _features("a_z")] = ()
+    tau_x: Annotated[tuple[str, ...], _features("tau_x")] = ()
+    tau_y: Annotated[tuple[str, ...], _features("tau_y")] = ()
+    tau_z: Annotated[tuple[str, ...], _features("tau_z")] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for output in declared(type(self)):
+            for feature in getattr(self, output):
+                if not _FEATURE.fullmatch(feature):
+                    raise UsageError(
+                        f"{self.prefix}{output}: unknown feature {feature!r}; allowed are v_x v_y v_z w_x w_y w_z"
+                        " thrust u_0 u_1 ..."
+                    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GPKeys(Settings):
+    """How the Gaussian processes are fitted; see quadexp/learn/gp_fit.py."""
+
+    prefix: ClassVar[str] = "gp."
+
+    inducing: Annotated[int, Setting("inducing points of an output", "[2, 1000]", "points")] = 20
+    method: Annotated[
+        Literal["sgpr", "subset", "exact"],
+        Setting("variational bound of Titsias 2009, exact GP on a subset as in the paper, or exact GP on all rows"),
+    ] = "sgpr"
+    mean: Annotated[
+        Literal["zero", "constant", "linear_drag", "quadratic", "blade_element"],
+        Setting("mean function under the GP"),
+    ] = "zero"
+    seed: Annotated[int, Setting("draws the held-out flights and the first inducing points", SEEDS)] = 0
+    max_rows: Annotated[
+        int | None,
+        Setting("use at most so many rows, drawn by the seed; null: all", "[10, 10000000]", "rows"),
+    ] = None
+    max_exact_rows: Annotated[int, Setting("limit of gp.method=exact", "[10, 100000]", "rows")] = 1000
+    holdout: Annotated[float, HOLDOUT] = 0.2
+    refit: Annotated[bool, Setting("fit once more to all flights after the report")] = True
+    max_iterations: Annotated[int, Setting("of L-BFGS", "[1, 10000]")] = 60
+    jitter: Annotated[float, Setting("added to K_ZZ, relative to the signal variance", "(0, 1e-6]")] = 1e-8
+    split: Annotated[
+        Literal["flight", "sample"],
+        Setting("held out are whole flights, or (misleading, to show it) single samples"),
+    ] = "flight"
+
+
+@dataclass(frozen=True, kw_only=True)
+class GPConfig(GPKeys):
+    """How the Gaussian processes are fitted; see quadexp/learn/gp_fit.py."""
+
+    features: Annotated[GPFeatures, Setting("features of every output")] = field(default_factory=GPFeatures)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DragConfig(Settings):
+    """How linear drag is fitted; see quadexp/learn/linear_drag.py."""
+
+    prefix: ClassVar[str] = "drag."
+
+    intercept: Annotated[bool, Setting("fit a constant acceleration beside the drag")] = True
+    thrust: Annotated[bool, Setting("fit a share of the collective thrust on the z axis")] = True
+    errors: Annotated[
+        Literal["flight", "hc1"],
+        Setting("95 % intervals over flights, or as if rows were independent, which rows of a flight are not"),
+    ] = "flight"
+    loss: Annotated[
+        Literal["huber", "squares"],
+        Setting("Huber's, which the few fastest rows do not bend, or least squares as published"),
+    ] = "huber"
+    holdout: Annotated[float, HOLDOUT] = 0.2
+    seed: Annotated[int, Setting("draws the held-out flights", SEEDS)] = 0

@@ -1,0 +1,270 @@
+"""A setting is declared once: its type, range, unit and meaning beside its name, its default behind it.
+
+    horizon: Annotated[float, Setting("length of the prediction", "(0, 10]", "s")] = 1.0
+
+The keys of the configuration, their checks, the completion and docs/configuration.md are made from these declarations,
+and the object that is configured inherits them: `class MPCSettings(MPCKeys)`. So a value is checked by the same rule
+whether it is given on the command line, in a file, or in Python:
+
+    trajectory.speed=-3: must be in (0, 60] m/s
+
+Nothing heavy is imported here: worker processes and the completion of the command line load this module.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, asdict, dataclass, fields
+from types import NoneType
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+from quadexp.errors import UsageError
+from quadexp.messages import suggestion
+
+REQUIRED = "???"  # stands in a configuration file for a value that its user has to give
+_INTERVAL = re.compile(r"([\[(])\s*(\S+?),\s*(\S+?)\s*([\])])")
+_WORDS = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
+
+S = TypeVar("S")
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a value means, the interval it must lie in (of a list: each number), and its unit."""
+
+    meaning: str
+    interval: str = ""
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Declared:
+    """A setting with the type of its value. optional: may be None. words: the only values allowed, if not empty.
+    length: of a list, 0 for any."""
+
+    name: str
+    type: Any
+    setting: Setting
+    optional: bool
+    words: tuple[str, ...]
+    length: int
+    field: Field[Any]
+
+    @property
+    def required(self) -> bool:
+        return self.field.default is MISSING and self.field.default_factory is MISSING
+
+    @property
+    def default(self) -> Any:
+        """The default; REQUIRED where there is none."""
+        if self.field.default is not MISSING:
+            return self.field.default
+        return REQUIRED if self.field.default_factory is MISSING else self.field.default_factory()
+
+    @property
+    def node(self) -> type[Settings] | None:
+        """The class of the settings that stand below this key, None for a plain value."""
+        return self.type if isinstance(self.type, type) and issubclass(self.type, Settings) else None
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Base of all that declares settings. prefix: how the keys of this node begin.
+
+    Lists become tuples and numbers get the declared type. Raises UsageError where a value is none that is allowed.
+    """
+
+    prefix: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        for one in declared(type(self)).values():
+            value = _checked(f"{self.prefix}{one.name}", getattr(self, one.name), one)
+            object.__setattr__(self, one.name, value)
+
+
+def declared(node: type) -> dict[str, Declared]:
+    """The settings of a class by name, in the order of its fields; a field without a Setting is none."""
+    return _declared(node)
+
+
+@functools.cache
+def _declared(node: type) -> dict[str, Declared]:
+    hints = get_type_hints(node, include_extras=True)
+    found = {}
+    for f in fields(node):
+        extras = [extra for extra in get_args(hints[f.name])[1:] if isinstance(extra, Setting)]
+        if get_origin(hints[f.name]) is not Annotated or not extras:
+            continue
+        kinds = get_args(hints[f.name])[0]
+        optional = NoneType in get_args(kinds)
+        kind = next(k for k in get_args(kinds) if k is not NoneType) if optional else kinds
+        arguments = get_args(kind)
+        listed = get_origin(kind) is tuple
+        found[f.name] = Declared(
+            f.name,
+            kind,
+            extras[0],
+            optional,
+            arguments if get_origin(kind) is Literal else (),
+            0 if not listed or arguments[-1] is Ellipsis else len(arguments),
+            f,
+        )
+    return found
+
+
+def made(node: type[S], values: Mapping[str, Any], prefix: str | None = None) -> S:
+    """Settings from plain values, as they are in a configuration file.
+
+    Raises UsageError where there is no such key, a value is missing, or a value is none that is allowed.
+    """
+    prefix = getattr(node, "prefix", "") if prefix is None else prefix
+    names = [f.name for f in fields(node)]  # type: ignore[arg-type]
+    for name in values:
+        if name not in names:
+            raise UsageError(f"{prefix}{name}: no such key{suggestion(str(name), names)}")
+    lacking = _lacking(node, values, prefix)
+    if len(lacking) == 1:
+        raise UsageError(f"{lacking[0]}: has no value; give {lacking[0]}=VALUE")
+    if lacking:
+        raise UsageError(f"{', '.join(lacking)}: have no value; give each as KEY=VALUE, or in the option's file")
+    given = dict(values)
+    for name, one in declared(node).items():
+        if one.node and isinstance(given.get(name), Mapping):
+            given[name] = made(one.node, given[name])
+    return node(**given)
+
+
+def _lacking(node: type, values: Mapping[str, Any], prefix: str) -> list[str]:
+    """Keys that have to be given and are not, those of inner nodes too, sorted."""
+    found = []
+    for name, one in declared(node).items():
+        value = values.get(name, REQUIRED if one.required else None)
+        if one.node and isinstance(value, Mapping):
+            found += _lacking(one.node, value, f"{prefix}{name}.")
+        elif isinstance(value, str) and value == REQUIRED:
+            found.append(f"{prefix}{name}")
+    return sorted(found)
+
+
+def plain(node: type) -> dict[str, Any]:
+    """The defaults of a class as a configuration file would state them; REQUIRED where there is none."""
+    names = [f.name for f in fields(node)]
+    found: dict[str, Any] = {}
+    for name in names:
+        one = declared(node).get(name)
+        if one and one.node and not one.optional:
+            found[name] = plain(one.node)
+        else:
+            default = one.default if one else next(f.default for f in fields(node) if f.name == name)
+            found[name] = REQUIRED if default is MISSING else lists(default)
+    return found
+
+
+def part(node: type[S], settings: Any, **others: Any) -> S:
+    """The object that some settings configure, from all those of its fields that the settings have, and others."""
+    found = {f.name: getattr(settings, f.name) for f in fields(node) if hasattr(settings, f.name)}  # type: ignore[arg-type]
+    return node(**found | others)
+
+
+def record(settings: Any) -> dict[str, Any]:
+    """Settings as plain dictionaries and lists, for files and hashes."""
+    found: dict[str, Any] = lists(asdict(settings))
+    return found
+
+
+def lists(value: Any) -> Any:
+    """A value with lists for tuples, at any depth."""
+    if isinstance(value, Mapping):
+        return {key: lists(item) for key, item in value.items()}
+    return [lists(item) for item in value] if isinstance(value, (list, tuple)) else value
+
+
+# ------------------------------------------------------------------------------------------------------------ checks
+def _checked(key: str, value: Any, one: Declared) -> Any:
+    """The value in its declared type; UsageError where it is none that is allowed."""
+    if value is None and one.optional:
+        return None
+    value = _typed(key, value, one.type)
+    if one.words and value not in one.words:
+        raise UsageError(f"{key}={value}: must be one of {', '.join(one.words)}")
+    if one.length and len(value) != one.length and not _is_rows(one.type):
+        raise UsageError(f"{key}={_shown(value)}: must be a list of {one.length} numbers")
+    interval, unit = one.setting.interval, one.setting.unit
+    for item in value if isinstance(value, tuple) else [value] if interval else ():
+        if interval and not inside(item, interval):
+            raise UsageError(f"{key}={_shown(value)}: must be in {interval} {unit}".rstrip())
+    return value
+
+
+def _typed(key: str, value: Any, kind: Any) -> Any:
+    if get_origin(kind) is tuple:
+        if _is_rows(kind):
+            return _rows(key, value, kind)
+        if isinstance(value, (str, Mapping)) or not hasattr(value, "__iter__"):
+            length = "" if get_args(kind)[-1] is Ellipsis else f"{len(get_args(kind))} "
+            of = f" of {length}numbers" if get_args(kind)[0] is float else ""
+            raise UsageError(f"{key}={_shown(value)}: must be a list{of}")
+        return tuple(_typed(f"{key}[{i}]", item, get_args(kind)[0]) for i, item in enumerate(value))
+    if kind is bool:
+        return _truth(key, value)
+    if kind in (int, float):
+        return _number(key, value, kind)
+    if kind is str or get_origin(kind) is Literal:
+        if value is None or isinstance(value, (list, tuple, Mapping)):
+            raise UsageError(f"{key}={_shown(value)}: must be a text")
+        return value if isinstance(value, str) else str(value)
+    if isinstance(kind, type) and issubclass(kind, Settings) and not isinstance(value, kind):
+        raise UsageError(f"{key}={_shown(value)}: must hold keys and values")
+    return value
+
+
+def _number(key: str, value: Any, kind: type) -> Any:
+    try:
+        if isinstance(value, bool) or (kind is int and isinstance(value, float)):
+            raise ValueError
+        return kind(value)
+    except (TypeError, ValueError):
+        words = "a whole number" if kind is int else "a number"
+        raise UsageError(f"{key}={_shown(value)}: must be {words}") from None
+
+
+def _truth(key: str, value: Any) -> bool:
+    found = _WORDS.get(str(value).lower())
+    if found is None:
+        raise UsageError(f"{key}={_shown(value)}: must be true or false")
+    return found
+
+
+def _is_rows(kind: Any) -> bool:
+    """Whether a type is that of rows of numbers, such as a matrix."""
+    return get_origin(kind) is tuple and get_origin(get_args(kind)[0]) is tuple
+
+
+def _rows(key: str, value: Any, kind: Any) -> tuple[tuple[float, ...], ...]:
+    count = None if get_args(kind)[-1] is Ellipsis else len(get_args(kind))
+    try:
+        found = tuple(tuple(float(item) for item in row) for row in value)
+    except (TypeError, ValueError):
+        found = ()
+    right = all(len(row) == 3 and all(map(math.isfinite, row)) for row in found)
+    if not found or not right or (count is not None and len(found) != count):
+        raise UsageError(f"{key}={_shown(value)}: must be {count or 'some'} rows of 3 numbers each")
+    return found
+
+
+def inside(value: float, interval: str) -> bool:
+    """Whether a number lies in an interval such as "(0, 60]"."""
+    match = _INTERVAL.fullmatch(interval)
+    assert match is not None, interval
+    left, low, high, right = match[1], float(match[2]), float(match[3]), match[4]
+    above = value >= low if left == "[" else value > low
+    below = value <= high if right == "]" else value < high
+    return above and below and not math.isnan(value)
+
+
+def _shown(value: Any) -> str:
+    return "null" if value is None else str(lists(value)).replace(" ", "") if not isinstance(value, str) else value

@@ -1,0 +1,184 @@
+"""Each setting is declared once, completely, and its value is stated once."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import importlib
+import pkgutil
+import re
+from pathlib import Path
+from typing import Any, get_origin
+
+import pytest
+import yaml
+
+import quadexp
+from quadexp.config.compose import compose, conf_folder
+from quadexp.config.flight import MPCKeys
+from quadexp.config.schema import SCHEMAS, Config
+from quadexp.config.settings import REQUIRED, Setting, Settings, declared, inside, lists, plain
+from quadexp.control.mpc.settings import MPCSettings
+from quadexp.errors import UsageError
+from quadexp.experiment.build import controller_settings
+
+PACKAGE = Path(quadexp.__file__).parent
+CONFIGURED = {"physics", "air", "reference", "learn", "world", "control"}  # rooms of what a configuration describes
+SET_BY_THE_SCHEMA = {"kind"}  # a schema gives its own value to what its base declares
+# Dataclasses that share three or more names with a node and configure nothing: why.
+NOT_SETTINGS = {
+    "SpeedProfile": "a function of three numbers, made by the path that has them",
+    "PeriodModel": "the part of a plant that is compiled, made by the plant that has its options",
+    "LinearDrag": "the result of a fit, with how it was fitted",
+    "ThrustCurve": "the result of a fit, with how it was fitted",
+}
+
+
+def dataclasses_of_the_package() -> list[type]:
+    found = []
+    for module in pkgutil.walk_packages(quadexp.__path__, "quadexp."):
+        if module.name.endswith("__main__"):
+            continue
+        try:
+            members = vars(importlib.import_module(module.name)).values()
+        except ImportError:  # an extra that is not installed
+            continue
+        found += [m for m in members if isinstance(m, type) and m.__module__ == module.name]
+    return [one for one in found if dataclasses.is_dataclass(one)]
+
+
+ALL = dataclasses_of_the_package()
+
+
+def nodes() -> dict[str, type]:
+    """Every node of the configuration, those inside others too, by its schema or key."""
+    waiting = {f"{group}/{name}": node for group, made in SCHEMAS.items() for name, node in made.items()}
+    waiting[""] = Config
+    found = {}
+    while waiting:
+        name, node = waiting.popitem()
+        found[name] = node
+        waiting |= {f"{name}.{key}": one.node for key, one in declared(node).items() if one.node}
+    return found
+
+
+NODES = nodes()
+
+
+def test_the_search_finds_settings_and_what_they_configure():
+    names = {one.__name__ for one in ALL}
+    assert {"MPCSettings", "Vehicle", "Circle", "PlantEffects", "GPSettings", "MPCConfig", *NOT_SETTINGS} <= names
+    assert len(NODES) > 25
+
+
+@pytest.mark.parametrize("one", [one for one in ALL if issubclass(one, Settings)], ids=lambda one: one.__name__)
+def test_a_name_is_declared_by_one_class_of_a_hierarchy(one):
+    for name in {f.name for f in dataclasses.fields(one)} - SET_BY_THE_SCHEMA:
+        places = [base.__name__ for base in one.__mro__ if name in base.__dict__.get("__annotations__", {})]
+        assert len(places) == 1, f"{one.__name__}.{name} is declared by {' and by '.join(places)}"
+
+
+def test_nothing_declares_the_settings_of_a_node_again():
+    again = {}
+    for one in (one for one in ALL if one.__module__.split(".")[1] in CONFIGURED):
+        if issubclass(one, Settings) or one.__name__ in NOT_SETTINGS:
+            continue
+        own = {f.name for f in dataclasses.fields(one)}
+        shared = max((own & declared(node).keys() for node in NODES.values()), key=len)
+        if len(shared) >= 3:
+            again[one.__name__] = sorted(shared)
+    assert not again, "inherit the settings instead"
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_every_key_has_a_type_a_meaning_and_a_number_its_range(name):
+    node = NODES[name]
+    aside = {"name", "kind", "sweep", *SCHEMAS} if name == "" else {"kind"}
+    assert {f.name for f in dataclasses.fields(node)} - aside == declared(node).keys() - aside
+    for key, one in declared(node).items():
+        assert isinstance(one.setting, Setting) and one.setting.meaning, key
+        kind = one.type if get_origin(one.type) is not tuple else one.type.__args__[0]
+        if kind in (int, float):
+            assert one.setting.interval, f"{node.prefix}{key}: a number needs a range"
+        if one.setting.interval and not one.required and one.default is not None:
+            for value in one.default if isinstance(one.default, tuple) else [one.default]:
+                assert inside(value, one.setting.interval), f"{node.prefix}{key}: the default lies outside its range"
+
+
+def stated(content: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Leaves of a configuration file by their dotted key."""
+    found = {}
+    for key, value in content.items():
+        found |= stated(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return found
+
+
+def holds_anyway(group: str, option: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What an option would be without what its own file states, and that."""
+    content = yaml.safe_load((conf_folder() / group / f"{option}.yaml").read_text()) or {}
+    values: dict[str, Any] = {}
+    for default in content.pop("defaults", []):
+        if default.startswith("/schema/"):
+            schema = default.removeprefix(f"/schema/{group}/").partition("@")[0]
+            values = stated(plain(SCHEMAS[group][schema])) | values
+        elif default != "_self_":
+            inherited, own = holds_anyway(group, default)
+            values |= inherited | own
+    return values, stated(content)
+
+
+# Vehicles are measured: their files are complete.
+OPTIONS = [
+    (group, file.stem)
+    for group in SCHEMAS
+    if group != "vehicle"
+    for file in sorted((conf_folder() / group).glob("*.yaml"))
+]
+
+
+@pytest.mark.parametrize(("group", "option"), OPTIONS, ids=lambda text: text)
+def test_a_file_states_only_what_differs(group, option):
+    anyway, own = holds_anyway(group, option)
+    again = {key: value for key, value in own.items() if lists(anyway.get(key, REQUIRED)) == value}
+    assert not again, f"conf/{group}/{option}.yaml states again what holds anyway"
+    assert own.keys() - anyway.keys() <= {"kind"}
+
+
+def test_what_is_configured_has_the_values_of_the_configuration():
+    config = compose(["controller.nodes=17", "controller.attitude_weight=[0,1,2,3]"]).controller
+    settings = controller_settings(config)
+    assert type(settings) is MPCSettings
+    assert {name: getattr(settings, name) for name in declared(MPCKeys)} == {
+        name: getattr(config, name) for name in declared(MPCKeys)
+    }
+    assert settings.nodes == 17 and settings.attitude_weight == (0.0, 1.0, 2.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("nodes", 1), ("nodes", 2.5), ("rate", "fast"), ("rate_weight", [1, 2]), ("horizon", float("nan"))],
+)
+def test_python_and_the_command_line_refuse_alike(key, value):
+    """One rule, one line: from MPCSettings(...) as from controller....=..."""
+    with pytest.raises(UsageError) as python:
+        MPCSettings(**{key: value})
+    with pytest.raises(UsageError) as line:
+        compose([f"controller.{key}={str(value).replace(' ', '')}"])
+    assert str(python.value) == str(line.value)
+
+
+def test_hydra_and_omegaconf_are_used_by_their_public_names():
+    private = []
+    for file in sorted(PACKAGE.rglob("*.py")):
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        modules = [(n.module or "", [a.name for a in n.names]) for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)]
+        modules += [(a.name, []) for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names]
+        ours = [(module, names) for module, names in modules if module.split(".")[0] in ("hydra", "omegaconf")]
+        for module, names in ours:
+            if any(part.startswith("_") for part in [*module.split("."), *names]):
+                private.append(f"{file.name}: import of {module}")
+        for n in ast.walk(tree) if ours else ():
+            mine = isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name) and n.value.id in ("self", "cls")
+            if isinstance(n, ast.Attribute) and re.match(r"_[^_]", n.attr) and not mine:
+                private.append(f"{file.name}:{n.lineno}: {ast.unparse(n)}")
+    assert not private
