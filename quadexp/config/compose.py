@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import functools
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -43,6 +44,7 @@ PATHS = {
     "model", "plant.model", "trajectory.path", "collect.identified", "engine.shared", "engine.python",
     "engine.remote_python", "engine.tls_ca", "engine.tls_cert", "engine.tls_key",
 }  # fmt: skip
+_VERSION = {"version_base": "1.3"} if hydra.__version__.startswith("1.3.") else {}  # later versions take none
 KEPT = 50_000  # parsed overrides, and made nodes, that are remembered at most
 
 
@@ -190,7 +192,7 @@ class Composer:
         given = [*(one.text for one in chosen), f"hydra.searchpath=[{own}]"]
         GlobalHydra.instance().clear()
         try:
-            with hydra.initialize_config_dir(str(conf_folder()), job_name="quadexp", version_base="1.3"):
+            with hydra.initialize_config_dir(str(conf_folder()), **_VERSION):
                 composed = hydra.compose(name, overrides=given)
         except (yaml.YAMLError, UnicodeDecodeError) as error:
             raise self._unreadable(error) from None
@@ -452,6 +454,14 @@ def _required(schema: type) -> dict[str, Any]:
     return found | {name: _required(node) for name, node in nodes.items() if node}
 
 
+@functools.cache
+def _register() -> None:
+    for group, schemas in SCHEMAS.items():
+        for name, schema in schemas.items():
+            node = {**_required(schema), SCHEMA: f"{group}/{name}"}
+            ConfigStore.instance().store(group=f"schema/{group}", name=name, node=node)
+
+
 @contextlib.contextmanager
 def session(extra: Path | None = None) -> Iterator[Composer]:
     """A Composer over conf/, installed plugins and, if given, a user's own folder of the same layout.
@@ -462,10 +472,7 @@ def session(extra: Path | None = None) -> Iterator[Composer]:
         if not extra.is_dir():
             raise UsageError(f"--conf {extra}: no such folder")
         import_from(extra.resolve())
-    for group, schemas in SCHEMAS.items():
-        for name, schema in schemas.items():
-            node = {**_required(schema), SCHEMA: f"{group}/{name}"}
-            ConfigStore.instance().store(group=f"schema/{group}", name=name, node=node)
+    _register()
     yield Composer(extra.resolve() if extra is not None else None)
 
 

@@ -221,9 +221,9 @@ class TestOwnFolder:
         [
             (
                 "name: racer\nmass: [1.0\n",
-                r"vehicle/racer.yaml, line 3, column 1: not valid YAML: expected ',' or '\]'",
+                r"vehicle/racer.yaml, line 3, column 1: not valid YAML: .*expected ',' or '\]'",
             ),
-            ("name: racer\n\tmass: 1.0\n", r"vehicle/racer.yaml, line 2, column 1: not valid YAML: found character"),
+            ("name: racer\n\tmass: 1.0\n", r"vehicle/racer.yaml, line 2, column 1: not valid YAML: found "),
             (b"name: \xff\n", r"vehicle/racer.yaml: not valid YAML: 'utf-8' codec"),
             ("name: racer\nmass: 1.0\n", "vehicle=racer: its file names no schema of vehicle; let it begin with"),
             ("- name\n", "vehicle=racer: its file names no schema of vehicle"),
