@@ -15,13 +15,15 @@ from tests.test_layout import PACKAGE, ROOT, imports, modules
 # Imported by what flies a cell, and not among the sources that decide a flight: name -> why.
 ASIDE = {
     "quadexp": "the version, which a row names beside the sources",
-    "quadexp.config.schema": "what it holds is in the key of the cell, like the next four",
+    "quadexp.config.schema": "what it holds is in the key of the cell, like the next five",
     "quadexp.config.custom": "",
     "quadexp.config.flight": "",
     "quadexp.config.lei_li": "",
-    "quadexp.config.fields": "",
+    "quadexp.config.settings": "",
+    "quadexp.config.learning": "",
     "quadexp.config.engine": "where flights run",
     "quadexp.errors": "words",
+    "quadexp.messages": "words",
     "quadexp.provenance": "what is said of a flight",
     "quadexp.config": "empty",
     "quadexp.experiment": "empty",
