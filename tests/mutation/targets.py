@@ -45,7 +45,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/properties/test_mechanics.py",
         "tests/properties/test_symmetry.py",
     ),
-    "quadexp/world/period.py": (
+    "quadexp/world/integrator.py": (
         "tests/world/test_simplified.py",
         "tests/world/test_blade_element.py",
         "tests/properties/test_mechanics.py",
