@@ -14,7 +14,7 @@ solution wherever there is one and says where there is not: then `advance` raise
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -22,6 +22,7 @@ import numpy as np
 
 from quadexp.air.base import Residual, feature_names
 from quadexp.air.blade_element import blade_element_correction, require_rotor, residual_from_correction
+from quadexp.compile.backend import BufferedFunction
 from quadexp.errors import ModelDomainError, UsageError
 from quadexp.physics.induced_velocity import REASONS, Defined
 from quadexp.physics.rotor import C_D0, BladeCoefficients
@@ -141,8 +142,14 @@ class BladeElementPlant(SimulatedPlant):
             if change.profile_drag_scale is not None:
                 self._drag_scale = change.profile_drag_scale
 
-    def in_doubt(self, steps: int, arguments: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    @property
+    def next_change(self) -> float:
+        """See SimulatedPlant."""
+        return self._pending[0].t if self._pending else math.inf
+
+    def in_doubt(self, function: BufferedFunction) -> dict[str, np.ndarray]:
         """The period with the safe solver. Raises ModelDomainError at the first step without an answer."""
+        arguments, steps = function.arguments, function.function.size2_in("noise")
         found = period(checked_equations(self._model), steps)(**arguments)
         found = {name: np.array(value.full()) for name, value in found.items()}
         status = found["status"]

@@ -11,7 +11,7 @@ What stands in brackets lies outside the integrator and acts once a control peri
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -111,26 +111,33 @@ class SimulatedPlant:
         self, x: np.ndarray, u: np.ndarray, duration: float, rng: np.random.Generator | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """See Plant.advance. rng: may be None where the equations have no noise."""
-        steps = max(1, math.ceil(duration / self.step - 1e-9))
-        function = self._period(steps)
+        function = self.prepared(duration)
         arguments, results = function.arguments, function.results
         arguments["x"][:], arguments["inner"][:], arguments["u"][:] = x, self.inner, u
-        arguments["step"][0] = duration / steps
-        arguments["parameters"][:] = self.parameters(duration / steps)
         if rng is not None:
             rng.standard_normal(out=arguments["noise"])
         function()
         if results["doubt"].any() or not math.isfinite(results["x_next"] @ results["x_next"]):
-            results = self.in_doubt(steps, arguments)
+            results = self.in_doubt(function)
         self.inner = results["inner_next"].copy()
         self.time += duration
         return results["x_next"].copy(), results["specific_force"].copy()
 
-    def in_doubt(self, steps: int, arguments: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """What to take for the results of a period that are in doubt or not finite; here: as they are."""
-        return self._period(steps).results
-
-    def _period(self, steps: int) -> BufferedFunction:
+    def prepared(self, duration: float) -> BufferedFunction:
+        """The function of a period of this duration (s), with the parameters of the next one."""
+        steps = max(1, math.ceil(duration / self.step - 1e-9))
         if steps not in self._periods:
             self._periods[steps] = BufferedFunction(realise(period(self._equations, steps), self._backend))
+        arguments = self._periods[steps].arguments
+        arguments["step"][0] = duration / steps
+        arguments["parameters"][:] = self.parameters(duration / steps)
         return self._periods[steps]
+
+    @property
+    def next_change(self) -> float:
+        """Time (s) at which the parameters change; they hold until a period begins then or later."""
+        return math.inf
+
+    def in_doubt(self, function: BufferedFunction) -> dict[str, np.ndarray]:
+        """What to take for the results of the period flown last where they are in doubt or not finite: as they are."""
+        return function.results

@@ -84,9 +84,7 @@ def test_back_ends_and_the_safe_solver_agree(lei_li, blade, rng):
         (one, read_one), (two, read_two) = (plant.advance(x, u, 0.01) for plant in plants)
         assert two == pytest.approx(one, rel=1e-11, abs=1e-11)
         assert read_two == pytest.approx(read_one, rel=1e-10, abs=1e-10)
-        values = {"x": x, "inner": plants[0].inner, "u": u, "noise": np.zeros((100, 0))}
-        values |= {"parameters": plants[0].parameters(1e-4), "step": np.array([1e-4])}
-        checked = plants[0].in_doubt(100, values)
+        checked = plants[0].in_doubt(plants[0].prepared(0.01))
         assert checked["x_next"] == pytest.approx(one, rel=1e-12, abs=1e-12)
         assert checked["specific_force"] == pytest.approx(read_one, rel=1e-11, abs=1e-11)
 

@@ -19,9 +19,9 @@ class Watched(BladeElementPlant):
 
     again = 0
 
-    def in_doubt(self, steps, arguments):
+    def in_doubt(self, function):
         self.again += 1
-        return super().in_doubt(steps, arguments)
+        return super().in_doubt(function)
 
 
 def moving(velocity) -> np.ndarray:
