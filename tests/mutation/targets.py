@@ -81,6 +81,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/properties/test_flatness.py",
     ),
     "quadexp/reference/air_step.py": ("tests/reference/test_air_step.py", "tests/reference/test_fixed_point.py"),
+    "quadexp/experiment/flight.c": ("tests/experiment/test_compiled_flight.py",),
     "quadexp/learn/rls_step.py": ("tests/learn/test_rls.py", "tests/properties/test_identification.py"),
 }
 COMPILED = ("*.c", "quadexp/control/mpc/riccati.py")
