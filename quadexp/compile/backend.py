@@ -260,12 +260,27 @@ class BufferedFunction:
     def __call__(self) -> None:
         self._trigger()
 
+    def each(self, values: np.ndarray) -> np.ndarray:
+        """First result at many values of the first argument, (k, size) -> (k, result size); only of a compiled one."""
+        argument, result = next(iter(self.arguments.values())), next(iter(self.results.values()))
+        given, results = np.ascontiguousarray(values, float), np.empty((len(values), result.size))
+        if given.shape != (len(values), argument.size) or self.for_c is None:
+            raise ValueError(f"{self.function.name()}: must be compiled, the values (k, {argument.size})")
+        places = (given.ctypes.data, argument.size, results.ctypes.data, result.size, len(given))
+        _each().each(ctypes.byref(self.for_c), *map(ctypes.c_ssize_t, places))
+        return results
+
     @cached_property
     def for_c(self) -> CFunction | None:
         """The same function on the same arrays, to be called from C; None where it is not compiled."""
         if not isinstance(self.function, LibraryFunction):
             return None
         return CFunction(self.function, self.arguments.values(), self.results.values())
+
+
+@cache
+def _each() -> ctypes.CDLL:
+    return strict_library("each", Path(__file__).with_name("each.c"))
 
 
 class CFunction(ctypes.Structure):

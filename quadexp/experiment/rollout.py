@@ -41,7 +41,7 @@ class SampledReference:
     def __init__(self, trajectory: Trajectory, controller: Controller | ModelPredictiveController) -> None:
         controller = as_controller(controller)
         controller.forget()
-        self._trajectory, self._vehicle = trajectory, controller.vehicle
+        self._trajectory, self._vehicle, self._backend = trajectory, controller.vehicle, controller.backend
         samples = int(np.floor(trajectory.duration / controller.control_period + 1e-6)) + 1
         self.t = np.arange(samples) * controller.control_period
         times = self.t[:, None] + controller.node_times
@@ -64,7 +64,9 @@ class SampledReference:
             return
         self._believed = residual
         times = self._grid * TIME_RESOLUTION
-        self.reference = flat_reference(self._trajectory, times, self._vehicle, residual=residual)
+        self.reference = flat_reference(
+            self._trajectory, times, self._vehicle, residual=residual, backend=self._backend
+        )
         self.reference.state.flags.writeable = self.reference.input.flags.writeable = False  # horizons are views
 
     @property

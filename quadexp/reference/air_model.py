@@ -1,17 +1,21 @@
 """A residual at many points, as the flatness iteration needs it: outputs, and their gradients by velocity and thrusts.
 
-The residual's function becomes one of z alone, its parameters constants, in scalar operations, without the rest of the
-Jacobian, and is mapped over the points on numpy's memory: an order of magnitude quicker on thousands of points.
+Compiled, the residual's function with its parameters is called point by point from C. Interpreted, it becomes one of z
+alone, its parameters constants, in scalar operations, without the rest of the Jacobian, and is mapped over the points
+on numpy's memory: an order of magnitude quicker on thousands of points than calling it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
 from quadexp.air.base import FEATURES, N_OUTPUTS, Residual
+from quadexp.compile.backend import BufferedFunction, realise
+from quadexp.physics.expression import Expression
 
 N_FEATURES = len(FEATURES)  # of z, before the thrusts
 N_VELOCITY = 3
@@ -38,30 +42,52 @@ class AirModel:
 
     share = 1.0  # of the residual
 
-    def __init__(self, residual: Residual) -> None:
+    def __init__(self, residual: Residual, backend: str = "interpreted") -> None:
         self.name = residual.name
-        z = ca.SX.sym("z", residual.function.size1_in(0))
-        y, dy_dz = residual.function(z, residual.theta)
-        gradients = ca.vertcat(ca.vec(dy_dz[:, :N_VELOCITY].T), ca.vec(dy_dz[:, N_FEATURES:].T))
-        self._function = ca.Function("air", [z], [ca.densify(ca.vertcat(y, gradients))])
+        self._compiled: BufferedFunction | None = None
         self._mapped: dict[int, ca.Function] = {}
+        if backend == "compiled":
+            self._compiled = BufferedFunction(_compiled(residual.to_compile or residual.function))
+            self._compiled.arguments["theta"].ravel()[:] = residual.theta
+        else:
+            z = ca.SX.sym("z", residual.function.size1_in(0))
+            self._function = ca.Function("air", [z], [_outputs_and_gradients(residual.function, z, residual.theta)])
 
     def __call__(self, z: np.ndarray) -> AirResponse:
         """The response at z = [v_body, w, u], (6 + n, k)."""
         k = z.shape[1]
-        if k not in self._mapped:
-            self._mapped[k] = self._function.map(k)
-        points, values = np.ascontiguousarray(z.T), np.empty((k, self._function.size1_out(0)))
-        memory, evaluate = self._mapped[k].buffer()
-        memory.set_arg(0, points.reshape(-1).data)
-        memory.set_res(0, values.reshape(-1).data)
-        evaluate()
+        values = self._interpreted(z.T) if self._compiled is None else self._compiled.each(z.T)
         values = np.ascontiguousarray(values.T)
         split = N_OUTPUTS + N_OUTPUTS * N_VELOCITY
         by_velocity, by_thrust = values[N_OUTPUTS:split], values[split:]
         return AirResponse(
             values[:N_OUTPUTS], by_velocity.reshape(N_OUTPUTS, N_VELOCITY, k), by_thrust.reshape(N_OUTPUTS, -1, k)
         )
+
+    def _interpreted(self, points: np.ndarray) -> np.ndarray:
+        k = len(points)
+        if k not in self._mapped:
+            self._mapped[k] = self._function.map(k)
+        points, values = np.ascontiguousarray(points), np.empty((k, self._function.size1_out(0)))
+        memory, evaluate = self._mapped[k].buffer()
+        memory.set_arg(0, points.reshape(-1).data)
+        memory.set_res(0, values.reshape(-1).data)
+        evaluate()
+        return values
+
+
+def _outputs_and_gradients(function: ca.Function, z: Expression, theta: Expression) -> Expression:
+    """y, dy/dv_body and dy/du one after the other."""
+    y, dy_dz = function(z, theta)
+    return ca.densify(ca.vertcat(y, ca.vec(dy_dz[:, :N_VELOCITY].T), ca.vec(dy_dz[:, N_FEATURES:].T)))
+
+
+@lru_cache(maxsize=64)
+def _compiled(function: ca.Function) -> ca.Function:
+    """(z, theta) -> _outputs_and_gradients."""
+    z, theta = ca.MX.sym("z", function.size1_in(0)), ca.MX.sym("theta", function.size1_in(1))
+    outputs = _outputs_and_gradients(function, z, theta)
+    return realise(ca.Function("air", [z, theta], [outputs], ["z", "theta"], ["response"]), "compiled")
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,9 @@ def newton_step(
     if by_rest.any():
         system = np.eye(4) - by_rest[2:].transpose(2, 0, 1)
         solved = np.linalg.solve(system, right.transpose(2, 0, 1)).transpose(1, 2, 0)
-    through_rest = np.einsum("irk,rjk->ijk", by_rest[:2], solved)  # A_lr [X, x]
+    through_rest = np.zeros((2, 3, solved.shape[2]))  # A_lr [X, x]
+    if by_rest.any():
+        through_rest = np.einsum("irk,rjk->ijk", by_rest[:2], solved)
     system = np.eye(2)[..., None] - by_lateral[:2] - through_rest[:, :2]
     step = _lateral_step(system, difference[:2] + through_rest[:, 2], difference[:2])
     lateral = turned(motion.frame.force, step)
@@ -59,7 +61,9 @@ def _gradients(
 ) -> tuple[np.ndarray, np.ndarray]:
     """dr/dl, (6, 2, k), and dr/d[a_air,z, tau_air], (6, 4, k); r's lateral part in the tilt frame."""
     by_velocity, by_thrust = (_rows_untwisted(d, motion.chi) for d in (response.by_velocity, response.by_thrust))
-    by_wrench = -np.einsum("onk,nw->owk", by_thrust, allocation_inverse(vehicle))
+    by_wrench = np.zeros((len(by_thrust), 4, by_thrust.shape[2]))
+    if by_thrust.any():  # few models know the thrusts
+        by_wrench = -np.einsum("onk,nw->owk", by_thrust, allocation_inverse(vehicle))
     by_wrench[:, 0] *= vehicle.mass
     force = motion.frame.force
     columns = []
