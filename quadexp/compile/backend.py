@@ -17,7 +17,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from functools import cache, cached_property
 from pathlib import Path
 
@@ -276,6 +276,11 @@ class BufferedFunction:
         if not isinstance(self.function, LibraryFunction):
             return None
         return CFunction(self.function, self.arguments.values(), self.results.values())
+
+    def lean(self, names: Container[str]) -> CFunction:
+        """As `for_c`, leaving the results of these names only."""
+        results = [array if name in names else np.empty(0) for name, array in self.results.items()]
+        return CFunction(self.function, self.arguments.values(), results)
 
 
 @cache

@@ -34,6 +34,7 @@ KNOWN_SETTINGS = {
     "horizon", "nodes", "first_node", "rate", "position_weight", "attitude_weight", "attitude_error", "velocity_weight",
     "rate_weight", "input_weight", "terminal_weight", "feedforward", "initial_iterations", "distance_limit",
 }  # fmt: skip
+LEAN = {"X_new", "U_new", "checks"}  # results of a step that meets no bound
 KNOWN_ATTRIBUTES = {"mpc", "vehicle", "settings", "backend", "control_period", "node_times", "name", "source"}
 KNOWN_ARGUMENTS = {
     "X", "U", "x0", "X_ref", "U_ref", "theta", "Q", "Q_end", "R", "u_min", "u_max", "dt", "shift",
@@ -46,7 +47,7 @@ class _Flight(ctypes.Structure):
     _fields_ = [
         (name, kind)
         for kind, names in (
-            (CFunction, "step bounded plant"),
+            (CFunction, "step lean bounded plant"),
             (ctypes.c_longlong, "samples nodes inputs inner_size noise_size noise_argument doubt_size"),
             (ctypes.c_double, "near tolerance max_turn period"),
             (ctypes.c_void_p, "states thrusts along where"),
@@ -56,7 +57,7 @@ class _Flight(ctypes.Structure):
             (ctypes.c_longlong, "first_drawn end_drawn"),
             (ctypes.c_void_p, "x reading inner"),
             (ctypes.c_double, "time next_change"),
-            (ctypes.c_longlong, "commanded"),
+            (ctypes.c_longlong, "met commanded"),
             (ctypes.c_void_p, "log_state log_input log_reading log_inner log_record"),
         )
         for name in names.split()
@@ -157,10 +158,12 @@ class CompiledFlight:
         arrays |= {"x": self._x, "reading": self._reading, "inner": self._inner}
         arrays |= {f"log_{name}": array for name, array in log.items()}
         self._arrays = arrays  # which must live as long as their addresses
+        self._lean = step.lean(LEAN)
         near = min(lost_distance, controller.settings.distance_limit) * INSIDE
         finite = max(np.abs(states).max(), np.abs(thrusts).max()) < LARGEST
         self._flight = _Flight(
             step=step.for_c,
+            lean=self._lean,
             bounded=bounded.for_c,
             plant=period.for_c,
             samples=len(along),

@@ -24,7 +24,7 @@ typedef struct { /* a function that CasADi has generated, its arrays and its mem
 } function;
 
 typedef struct {
-    function step, bounded, plant;
+    function step, lean, bounded, plant; /* lean: the step without what only a bounded subproblem needs */
     integer samples, nodes, inputs, inner_size, noise_size, noise_argument, doubt_size;
     double near, tolerance, max_turn, period;
     /* reference: its states and inputs, the rows of each horizon (samples, nodes + 1), the states at control instants */
@@ -44,6 +44,7 @@ typedef struct {
     /* now */
     double *x, *reading, *inner;
     double time, next_change;
+    integer met;       /* whether a bound was met in the last step: then the next is likely to meet one too */
     integer commanded; /* whether the control step of the instant has been made, and its period not yet flown */
     /* log, a row a control instant */
     double *log_state, *log_input, *log_reading, *log_inner, *log_record;
@@ -101,10 +102,13 @@ static int control(flight *f, integer k) {
     for (integer i = 0; i <= f->nodes; i++) copy(f->X_ref + STATES * i, f->states + STATES * rows[i], STATES);
     for (integer i = 0; i < f->nodes; i++) copy(f->U_ref + f->inputs * i, f->thrusts + f->inputs * rows[i], f->inputs);
     if (!to_side(f->X_ref, f->nodes + 1, x) || !to_side(f->X, f->nodes + 1, x)) return 0;
-    if (run(&f->step)) return 0;
+    if (run(f->met ? &f->step : &f->lean)) return 0;
+    const int all = f->met || f->checks[0] > f->tolerance || f->checks[1] > f->max_turn;
+    if (all && !f->met && run(&f->step)) return 0;
     const double excess = f->checks[0], kkt = f->checks[2];
     double turn = f->checks[1];
     if (!isfinite(excess + turn)) return 0;
+    f->met = excess > f->tolerance;
     if (excess <= f->tolerance) {
         memset(f->guess, 0, sizeof(double) * (size_t)U_size);
     } else {
