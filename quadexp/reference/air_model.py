@@ -1,20 +1,19 @@
 """A residual at many points, as the flatness iteration needs it: outputs, and their gradients by velocity and thrusts.
 
-Compiled, the residual's function with its parameters is called point by point from C. Interpreted, it becomes one of z
-alone, its parameters constants, in scalar operations, without the rest of the Jacobian, and is mapped over the points
-on numpy's memory: an order of magnitude quicker on thousands of points than calling it.
+Interpreted, the residual's function becomes one of z alone, its parameters constants, in scalar operations, without the
+rest of the Jacobian, and is mapped over the points on numpy's memory: an order of magnitude quicker on thousands of
+points. Compiled, it is a part of traced.py's functions.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
 from quadexp.air.base import FEATURES, N_OUTPUTS, Residual
-from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.physics.expression import Expression
 
 N_FEATURES = len(FEATURES)  # of z, before the thrusts
@@ -43,20 +42,24 @@ class AirModel:
     share = 1.0  # of the residual
 
     def __init__(self, residual: Residual, backend: str = "interpreted") -> None:
-        self.name = residual.name
-        self._compiled: BufferedFunction | None = None
+        self.name, self.residual, self.backend = residual.name, residual, backend
         self._mapped: dict[int, ca.Function] = {}
-        if backend == "compiled":
-            self._compiled = BufferedFunction(_compiled(residual.to_compile or residual.function))
-            self._compiled.arguments["theta"].ravel()[:] = residual.theta
-        else:
-            z = ca.SX.sym("z", residual.function.size1_in(0))
-            self._function = ca.Function("air", [z], [_outputs_and_gradients(residual.function, z, residual.theta)])
+
+    @cached_property
+    def _function(self) -> ca.Function:
+        z = ca.SX.sym("z", self.residual.function.size1_in(0))
+        return ca.Function("air", [z], [outputs_and_gradients(self.residual.function, z, self.residual.theta)])
 
     def __call__(self, z: np.ndarray) -> AirResponse:
-        """The response at z = [v_body, w, u], (6 + n, k)."""
+        """The response at z = [v_body, w, u], (6 + n, k), interpreted."""
         k = z.shape[1]
-        values = self._interpreted(z.T) if self._compiled is None else self._compiled.each(z.T)
+        if k not in self._mapped:
+            self._mapped[k] = self._function.map(k)
+        points, values = np.ascontiguousarray(z.T), np.empty((k, self._function.size1_out(0)))
+        memory, evaluate = self._mapped[k].buffer()
+        memory.set_arg(0, points.reshape(-1).data)
+        memory.set_res(0, values.reshape(-1).data)
+        evaluate()
         values = np.ascontiguousarray(values.T)
         split = N_OUTPUTS + N_OUTPUTS * N_VELOCITY
         by_velocity, by_thrust = values[N_OUTPUTS:split], values[split:]
@@ -64,30 +67,11 @@ class AirModel:
             values[:N_OUTPUTS], by_velocity.reshape(N_OUTPUTS, N_VELOCITY, k), by_thrust.reshape(N_OUTPUTS, -1, k)
         )
 
-    def _interpreted(self, points: np.ndarray) -> np.ndarray:
-        k = len(points)
-        if k not in self._mapped:
-            self._mapped[k] = self._function.map(k)
-        points, values = np.ascontiguousarray(points), np.empty((k, self._function.size1_out(0)))
-        memory, evaluate = self._mapped[k].buffer()
-        memory.set_arg(0, points.reshape(-1).data)
-        memory.set_res(0, values.reshape(-1).data)
-        evaluate()
-        return values
 
-
-def _outputs_and_gradients(function: ca.Function, z: Expression, theta: Expression) -> Expression:
+def outputs_and_gradients(function: ca.Function, z: Expression, theta: Expression) -> Expression:
     """y, dy/dv_body and dy/du one after the other."""
     y, dy_dz = function(z, theta)
     return ca.densify(ca.vertcat(y, ca.vec(dy_dz[:, :N_VELOCITY].T), ca.vec(dy_dz[:, N_FEATURES:].T)))
-
-
-@lru_cache(maxsize=64)
-def _compiled(function: ca.Function) -> ca.Function:
-    """(z, theta) -> _outputs_and_gradients."""
-    z, theta = ca.MX.sym("z", function.size1_in(0)), ca.MX.sym("theta", function.size1_in(1))
-    outputs = _outputs_and_gradients(function, z, theta)
-    return realise(ca.Function("air", [z, theta], [outputs], ["z", "theta"], ["response"]), "compiled")
 
 
 @dataclass(frozen=True)
@@ -100,6 +84,14 @@ class PartialAir:
     @property
     def name(self) -> str:
         return self.model.name
+
+    @property
+    def residual(self) -> Residual:
+        return self.model.residual
+
+    @property
+    def backend(self) -> str:
+        return self.model.backend
 
     def __call__(self, z: np.ndarray) -> AirResponse:
         """See AirModel."""

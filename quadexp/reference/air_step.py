@@ -18,16 +18,33 @@ Arrays are component first, (d, k) at k times; SI.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.air_model import AirResponse
+from quadexp.reference.demand import Demand
 from quadexp.reference.flat_map import cross, twisted, untwisted
-from quadexp.reference.motion import Motion, allocation_inverse
+from quadexp.reference.motion import Air, Calculus, Motion, allocation_inverse, flat_motion, within_limits
 
 MAX_TURN = 0.3  # rad, by which one step may turn the specific force in the tilt frame
 MIN_SHARE = 0.02  # share of the specific force that a step leaves to the rotors' axis
 MIN_DETERMINANT = 0.3  # of the system in dl: below it the step is the plain one, l <- r_l
+
+
+def asked_and_next(
+    demand: Demand, vehicle: Vehicle, model: Callable[[np.ndarray], AirResponse], air: Air, calculus: Calculus
+) -> tuple[np.ndarray, np.ndarray]:
+    """What the model asks for in the motion under an air, and the next outputs, (6, k) each."""
+    motion = flat_motion(demand, vehicle, air, calculus)
+    velocity = motion.frame.into_frame(demand.path[1])
+    thrusts, free = within_limits(motion.thrusts, vehicle)
+    response = model(np.concatenate([twisted(velocity, motion.chi), motion.rate, thrusts]))
+    asked = np.concatenate([untwisted(response.outputs[:2], motion.chi), response.outputs[2:]])
+    response = replace(response, by_thrust=response.by_thrust * free)  # a rotor at its limit answers no more
+    return asked, newton_step(air.outputs, asked, motion, velocity, response, vehicle)
 
 
 def newton_step(

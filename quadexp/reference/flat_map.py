@@ -32,7 +32,9 @@ import numpy as np
 
 def stacked(*components: np.ndarray) -> np.ndarray:
     """Components, (k,) each, as one array (d, k); several times quicker than np.stack."""
-    result = np.empty((len(components), *np.shape(components[0])))
+    if any(type(component) is not np.ndarray for component in components):
+        return np.stack(components)
+    result = np.empty((len(components), *components[0].shape))
     for row, component in zip(result, components, strict=True):
         row[...] = component
     return result
