@@ -25,6 +25,7 @@ from quadexp.world.from_model import FromModelPlant
 from tests.air.models import BLADE, make_residual, with_rotors
 from tests.properties.paths import Wander, near
 
+Q = ("q_w", "q_x", "q_y", "q_z")
 compiled = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 
 
@@ -109,6 +110,7 @@ def draw(seed, vehicle):
     options["lost_distance"] = float(rng.choice([0.4, 10.0]))
     if rng.integers(2):
         options["start"] = near(np.r_[path.flat_output(np.zeros(1)).position[0, 0], 1, np.zeros(9)], rng, 0.1)
+        options["start"][3:7] *= rng.choice([-1, 1])
     return plant, controller, path, options
 
 
@@ -171,6 +173,19 @@ class TestWhereItHandsOver:
             flights.append(fly(plant, controller, reference, np.random.default_rng(0), start=start))
         for name in flights[0].columns:
             assert name == "solve_time" or flights[0][name].tobytes() == flights[1][name].tobytes(), name
+
+    @pytest.mark.parametrize("sign", [1, -1])
+    def test_either_side_of_the_quaternions(self, monkeypatch, vehicle, sign):
+        """q and -q are one attitude: the reference is turned to the vehicle's side at every step, or at none."""
+        path = Wander(np.random.default_rng(3), size=2.0)
+        path.amplitude[3], path.rate[3] = 2.0, 1.5
+        flat = path.flat_output(np.zeros(1))
+        half = flat.yaw[0, 0] / 2
+        start = np.r_[flat.position[0, 0], sign * np.r_[np.cos(half), 0, 0, np.sin(half)], flat.position[0, 1], 0, 0, 0]
+        found = both(monkeypatch, self.plant(vehicle), mpc(vehicle, "linear_drag"), path, start=start)
+        assert found.flight.outcome == "ok" and found.handed_over[-1] == (len(found.flight.t), False)
+        sides = (found.flight.stack(list(Q)) * found.flight.stack([f"ref_{q}" for q in Q])).sum(axis=1)
+        assert (sign * sides > 0).mean() > 0.9
 
     def test_lost_in_flight(self, monkeypatch, vehicle):
         path = Step(target=(3.0, 0.0, 0.0), duration=2.0, step_time=0.5)
