@@ -141,11 +141,7 @@ class BladeElementPlant(SimulatedPlant):
                 self._lift_scale = np.array(change.lift_scale, float)
             if change.profile_drag_scale is not None:
                 self._drag_scale = change.profile_drag_scale
-
-    @property
-    def next_change(self) -> float:
-        """See SimulatedPlant."""
-        return self._pending[0].t if self._pending else math.inf
+        self.next_change = self._pending[0].t if self._pending else math.inf
 
     def in_doubt(self, function: BufferedFunction) -> dict[str, np.ndarray]:
         """The period with the safe solver. Raises ModelDomainError at the first step without an answer."""

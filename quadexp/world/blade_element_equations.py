@@ -181,20 +181,16 @@ def checked_equations(model: BladeElementModel) -> Equations:
 def _begin(model: BladeElementModel, first: Callable[..., ca.MX]) -> ca.Function:
     """Equations.begin. first: (x, w, held, parameters) -> s."""
     n = model.vehicle.n_rotors
-    sizes = {"x": N_STATE, "inner": 2 * n, "u": n, "parameters": _n_parameters(n)}
-    x, inner, u, parameters = arguments = [ca.MX.sym(name, size) for name, size in sizes.items()]
+    x, _, _, parameters, _ = _symbols(model, ca.MX)
+    inner, u = ca.MX.sym("inner", 2 * n), ca.MX.sym("u", n)
     held = model.commanded(u, parameters)
-    return ca.Function("begin_period", arguments, [first(x, inner[:n], held, parameters), held])
-
-
-def _n_parameters(n: int) -> int:
-    return len(THETA) + n + 1 + n + 1
+    return ca.Function("begin_period", [x, inner, u, parameters], [first(x, inner[:n], held, parameters), held])
 
 
 def _symbols(model: BladeElementModel, kind: type[Expression]) -> list[Expression]:
     """x, w, held, parameters, h."""
     n = model.vehicle.n_rotors
-    sizes = {"x": N_STATE, "w": n, "held": n + 1, "parameters": _n_parameters(n), "h": 1}
+    sizes = {"x": N_STATE, "w": n, "held": n + 1, "parameters": len(THETA) + 2 * n + 2, "h": 1}
     return [kind.sym(name, size) for name, size in sizes.items()]
 
 

@@ -84,8 +84,10 @@ class SimulatedPlant:
     """A Plant (see base) that is its equations.
 
     parameters: (p,). step: largest integration step (s); a control period is divided evenly.
-    `time`: s since `reset`. `inner`: the inner states, (m,), now.
+    `time`: s since `reset`. `inner`: inner states now, (m,). `next_change`: s, until which the parameters hold.
     """
+
+    next_change = math.inf
 
     def __init__(
         self, vehicle: Vehicle, equations: Equations, parameters: npt.ArrayLike = (), *, step: float, backend: str
@@ -132,11 +134,6 @@ class SimulatedPlant:
         arguments["step"][0] = duration / steps
         arguments["parameters"][:] = self.parameters(duration / steps)
         return self._periods[steps]
-
-    @property
-    def next_change(self) -> float:
-        """Time (s) at which the parameters change; they hold until a period begins then or later."""
-        return math.inf
 
     def in_doubt(self, function: BufferedFunction) -> dict[str, np.ndarray]:
         """What to take for the results of the period flown last where they are in doubt or not finite: as they are."""
