@@ -2,7 +2,7 @@
 
     T_i' = (u_i - T_i) / tau,        a_body = -D v_body
 
-The rotors' thrust is a state of the plant in addition to the 13 that a controller measures; `reset` sets it to hover.
+The rotors' thrusts are inner states of the plant, integrated with the 13 states that a controller measures.
 """
 
 import casadi as ca
@@ -10,43 +10,34 @@ import numpy as np
 
 from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.physics.drag import linear_drag_force
-from quadexp.physics.integrator import rk4_step
 from quadexp.physics.rigid_body import body_features, state_derivative
-from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.physics.state import N_STATE
+from quadexp.world.integrator import Equations, SimulatedPlant, integrate
 
 
-class MotorLagPlant:
+class MotorLagPlant(SimulatedPlant):
     """time_constant: tau, s. drag: (3,) 1/s. step: of the integrator, s."""
 
     def __init__(self, vehicle, *, step, time_constant=0.03, drag=(0.3, 0.3, 0.1)):
-        self.vehicle, self.drag, self.step = vehicle, drag, step
-        n = vehicle.n_rotors
-        x, u, dt = ca.SX.sym("x", N_STATE + n), ca.SX.sym("u", n), ca.SX.sym("dt")
+        self.drag, n = drag, vehicle.n_rotors
+        s, u, dt = ca.SX.sym("s", N_STATE + n), ca.SX.sym("u", n), ca.SX.sym("dt")
+        noise, parameters = ca.SX.sym("noise", 0), ca.SX.sym("parameters", 0)
 
-        def derivative(x):
-            state, thrust = x[:N_STATE], x[N_STATE:]
-            air = linear_drag_force(body_features(state, thrust)[:3], ca.DM(list(drag)))
-            correction = ca.vertcat(air, 0, 0, 0)
+        def air(s):
+            return linear_drag_force(body_features(s[:N_STATE], u)[:3], ca.DM(list(drag)))
+
+        def slope(s):
+            state, thrust = s[:N_STATE], s[N_STATE:]
+            correction = ca.vertcat(air(s), 0, 0, 0)
             return ca.vertcat(state_derivative(state, thrust, vehicle, correction), (u - thrust) / time_constant)
 
-        after = rk4_step(derivative, x, dt)
-        after[ATTITUDE] /= ca.norm_2(after[ATTITUDE])
-        air = linear_drag_force(body_features(x[:N_STATE], u)[:3], ca.DM(list(drag)))
-        reading = air + ca.vertcat(0, 0, ca.sum1(x[N_STATE:]) / vehicle.mass)
-        self._step = ca.Function("motor_lag_step", [x, u, dt], [after])
-        self._reading = ca.Function("motor_lag_reading", [x], [reading])
-        self.reset()
+        after = integrate("rk4", slope, s, dt)
+        reading = air(after) + ca.vertcat(0, 0, ca.sum1(after[N_STATE:]) / vehicle.mass)
+        one = ca.Function("motor_lag_step", [s, u, noise, parameters, dt], [after, reading])
+        super().__init__(vehicle, Equations(one), step=step, backend="auto")
 
-    def reset(self):
-        self.thrust = np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust)
-
-    def advance(self, x, u, duration, rng):
-        steps = max(1, round(duration / self.step))
-        full = np.concatenate([x, self.thrust])
-        for _ in range(steps):
-            full = self._step(full, u, duration / steps).full().ravel()
-        self.thrust = full[N_STATE:]
-        return full[:N_STATE], self._reading(full).full().ravel()
+    def initial(self):
+        return np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust)
 
     def residual(self):
         return linear_drag_residual(self.vehicle, self.drag, source="motor_lag plant, without its lag")

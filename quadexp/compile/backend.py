@@ -17,14 +17,22 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from functools import cache
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from functools import cache, cached_property
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
-from quadexp.compile.compiler import compile_flags, compiler, not_found, required_compiler, run_compiler, toolchain
+from quadexp.compile.compiler import (
+    STRICT_FLAGS,
+    compile_flags,
+    compiler,
+    not_found,
+    required_compiler,
+    run_compiler,
+    toolchain,
+)
 from quadexp.errors import DEVICE, QuadexpError, UsageError, WriteError
 
 BACKENDS = ("auto", "compiled", "interpreted")
@@ -101,9 +109,26 @@ def realise_together(functions: Sequence[ca.Function], backend: str) -> list[ca.
         return list(functions)
     library = _compile(functions)
     try:
-        return [ca.external(function.name(), str(library)) for function in functions]
+        return [LibraryFunction(function.name(), library) for function in functions]
     except RuntimeError:  # a file system that executes nothing, for one
         raise QuadexpError(f"{_refusal(library)}; set QUADEXP_CACHE to another folder") from None
+
+
+class LibraryFunction(ca.Function):
+    """A function of a compiled library, the file `library`."""
+
+    def __init__(self, name: str, library: Path) -> None:
+        super().__init__(ca.external(name, str(library)))
+        self.library = library
+
+
+def strict_library(name: str, body: Path) -> ctypes.CDLL:
+    """C of our own, compiled without any liberty in its arithmetic. Raises QuadexpError where that fails."""
+    library = _library(name, body.read_text(encoding="utf-8"), STRICT_FLAGS)
+    try:
+        return ctypes.CDLL(str(library))
+    except OSError as error:
+        raise QuadexpError(f"{error}; set QUADEXP_CACHE to another folder") from None
 
 
 def _refusal(library: Path) -> str:
@@ -136,7 +161,12 @@ def _compile(functions: Sequence[ca.Function]) -> Path:
     for function in functions:
         generator.add(function)
     source = generator.dump()
-    key = hashlib.sha256(f"{toolchain()}\n{source}".encode()).hexdigest()[:24]
+    return _library(name, source, compile_flags())
+
+
+def _library(name: str, source: str, flags: Sequence[str]) -> Path:
+    """Path of the shared library of a C source, compiled unless the cache has it."""
+    key = hashlib.sha256("\n".join([toolchain(), *flags, source]).encode()).hexdigest()[:24]
     folder = cache_folder()
     library = folder / f"{name}_{key}.so"
     if _intact(library):
@@ -145,7 +175,7 @@ def _compile(functions: Sequence[ca.Function]) -> Path:
         with _lock(folder / f"{key}.lock"):
             if not _intact(library):
                 _sweep_up(folder)
-                _build(name, source, library)
+                _build(name, source, flags, library)
     except OSError as error:
         raise _unusable(folder, error) from None
     return library
@@ -163,11 +193,11 @@ def _lock(path: Path) -> Iterator[None]:
             path.unlink(missing_ok=True)
 
 
-def _build(name: str, source: str, library: Path) -> None:
+def _build(name: str, source: str, flags: Sequence[str], library: Path) -> None:
     with tempfile.TemporaryDirectory(dir=library.parent, prefix=".build-", ignore_cleanup_errors=True) as scratch:
         code, unlinked, built = (str(Path(scratch) / f"built{suffix}") for suffix in (".c", ".o", ".so"))
         Path(code).write_text(source, encoding="utf-8")
-        run_compiler([*compile_flags(), "-c", code, "-o", unlinked], f"compile {name}")
+        run_compiler([*flags, "-c", code, "-o", unlinked], f"compile {name}")
         run_compiler(["-shared", unlinked, "-o", built, "-lm"], f"compile {name}")
         digest = Path(scratch) / "sha256"
         digest.write_text(_sha256(Path(built)))
@@ -229,3 +259,48 @@ class BufferedFunction:
 
     def __call__(self) -> None:
         self._trigger()
+
+    def each(self, values: np.ndarray) -> np.ndarray:
+        """First result at many values of the first argument, (k, size) -> (k, result size); only of a compiled one."""
+        argument, result = next(iter(self.arguments.values())), next(iter(self.results.values()))
+        given, results = np.ascontiguousarray(values, float), np.empty((len(values), result.size))
+        if given.shape != (len(values), argument.size) or self.for_c is None:
+            raise ValueError(f"{self.function.name()}: must be compiled, the values (k, {argument.size})")
+        places = (given.ctypes.data, argument.size, results.ctypes.data, result.size, len(given))
+        _each().each(ctypes.byref(self.for_c), *map(ctypes.c_ssize_t, places))
+        return results
+
+    @cached_property
+    def for_c(self) -> CFunction | None:
+        """The same function on the same arrays, to be called from C; None where it is not compiled."""
+        if not isinstance(self.function, LibraryFunction):
+            return None
+        return CFunction(self.function, self.arguments.values(), self.results.values())
+
+    def lean(self, names: Container[str]) -> CFunction:
+        """As `for_c`, leaving the results of these names only."""
+        results = [array if name in names else np.empty(0) for name, array in self.results.items()]
+        return CFunction(self.function, self.arguments.values(), results)
+
+
+@cache
+def _each() -> ctypes.CDLL:
+    return strict_library("each", Path(__file__).with_name("each.c"))
+
+
+class CFunction(ctypes.Structure):
+    """A compiled function as C calls it: `call(arguments, results, iw, w, 0)`."""
+
+    _fields_ = [(name, ctypes.c_void_p) for name in ("call", "arguments", "results", "iw", "w")]
+
+    def __init__(
+        self, function: LibraryFunction, arguments: Iterable[np.ndarray], results: Iterable[np.ndarray]
+    ) -> None:
+        code = getattr(ctypes.CDLL(str(function.library)), function.name())
+        pointers = []
+        for arrays, size in ((arguments, function.sz_arg()), (results, function.sz_res())):
+            pointers.append(np.zeros(size, np.uintp))
+            for i, array in enumerate(arrays):
+                pointers[-1][i] = array.ctypes.data if array.size else 0
+        self.arrays = [*pointers, np.zeros(function.sz_iw() + 1, np.int64), np.zeros(function.sz_w() + 1)]
+        super().__init__(ctypes.cast(code, ctypes.c_void_p), *(array.ctypes.data for array in self.arrays))

@@ -19,6 +19,7 @@ from quadexp.errors import QuadexpError, UsageError
 # nobody may interpose them.
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-fno-tree-slp-vectorize", "-fno-semantic-interposition", "-fPIC")
 GCC_FLAGS = ("-fno-tree-reassoc",)  # CasADi's order of operations is the better one; clang refuses the flag
+STRICT_FLAGS = ("-O2", "-ffp-contract=off", "-fPIC")  # for C of our own whose every operation is meant
 PATIENCE = 1800.0  # s that the compiler may take
 
 

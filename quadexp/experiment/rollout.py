@@ -11,8 +11,9 @@ from quadexp.air.base import Residual
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.controller import as_controller
-from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
 from quadexp.errors import ModelDomainError, QuadexpError, UsageError
+from quadexp.experiment.compiled_flight import CompiledFlight, covers
 from quadexp.log.schema import Flight
 from quadexp.physics.state import POSITION, STATE_COLUMNS, input_columns
 from quadexp.reference.base import Trajectory
@@ -40,7 +41,7 @@ class SampledReference:
     def __init__(self, trajectory: Trajectory, controller: Controller | ModelPredictiveController) -> None:
         controller = as_controller(controller)
         controller.forget()
-        self._trajectory, self._vehicle = trajectory, controller.vehicle
+        self._trajectory, self._vehicle, self._backend = trajectory, controller.vehicle, controller.backend
         samples = int(np.floor(trajectory.duration / controller.control_period + 1e-6)) + 1
         self.t = np.arange(samples) * controller.control_period
         times = self.t[:, None] + controller.node_times
@@ -63,7 +64,9 @@ class SampledReference:
             return
         self._residual = residual
         times = self._grid * TIME_RESOLUTION
-        self.reference = flat_reference(self._trajectory, times, self._vehicle, residual=residual)
+        self.reference = flat_reference(
+            self._trajectory, times, self._vehicle, residual=residual, backend=self._backend
+        )
         self.reference.state.flags.writeable = self.reference.input.flags.writeable = False  # horizons are views
 
     @property
@@ -81,6 +84,10 @@ class SampledReference:
             first, last = where.item(0), where.item(-1)
             return self.reference.state[first : last + 1 : stride], self.reference.input[first:last:stride]
         return self.reference.state[where], self.reference.input[where[:-1]]
+
+    def horizons(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """States (g, 13) and inputs (g, n) on a grid, and which of its rows make each horizon, (k, N + 1)."""
+        return self.reference.state, self.reference.input, self._where
 
     def window(self, k: int) -> Window:
         """The reference for the controller at control instant k."""
@@ -122,45 +129,62 @@ def fly(
     outcome and the mean share of the residual in the reference (None without feed-forward of a residual).
     """
     controller = as_controller(controller)
-    period, rotors = controller.control_period, plant.vehicle.n_rotors
+    period = controller.control_period
     renewal = _Renewal(round(controller.reference_period / period))
-    log = _Log(len(reference), rotors)
     sensor_rng = rng.spawn(1)[0] if sensor is not None else rng
     plant.reset()
     inner_names = [name for name in INNER_STATES if hasattr(plant, name)]
+    log = _Log(len(reference), plant.vehicle.n_rotors, [len(getattr(plant, name)) for name in inner_names])
     x = reference.at(0)[0].copy() if start is None else np.array(start, float)
     reading = np.array([0.0, 0.0, plant.vehicle.gravity])
     measured, speed = None, None
     controller.reset(x, reference.window(0))
-    outcome, cause, shares = "ok", "", []
-    for k in range(len(reference)):
-        t = float(reference.t[k])
-        if renewal.due(k):
-            renewal.renew(k, reference, controller.residual)
-        state_reference, input_reference = reference.at(k)
-        shares.append(reference.residual_share)
-        error = x[POSITION] - state_reference[POSITION]
-        distance = math.sqrt(error.dot(error))
-        if not distance <= lost_distance:
-            outcome, cause = "lost", f"{distance:.1f} m from the reference at t={t:.2f} s"
-            break
-        u, record = controller.step(Measurement(t, x, measured, speed), reference.window(k))
-        inner = [getattr(plant, name) for name in inner_names]
-        log.add(x, u, state_reference, input_reference, reading, inner, record, controller.log())
-        if record.status == Status.FAILED:
-            outcome, cause = "solver_failed", f"the control step failed at t={t:.2f} s"
-            break
+    compiled: CompiledFlight | None = None
+    noise: Any = rng
+    if covers(plant, controller, rng):
+        log.state_reference[:], log.input_reference[:] = along = reference.along()
+        compiled = CompiledFlight(plant, controller, reference.horizons(), along[0], log.arrays(), rng, lost_distance)
+        noise = compiled.drawn
+    outcome, cause, shares = "ok", "", np.full(len(reference), reference.residual_share)
+    k, commanded = 0, False
+    while k < len(reference):
+        if not commanded:
+            t = float(reference.t[k])
+            if renewal.due(k):
+                renewal.renew(k, reference, controller.residual)
+            state_reference, input_reference = reference.at(k)
+            shares[k] = reference.residual_share
+            error = x[POSITION] - state_reference[POSITION]
+            distance = math.sqrt(error.dot(error))
+            if not distance <= lost_distance:
+                outcome, cause = "lost", f"{distance:.1f} m from the reference at t={t:.2f} s"
+                break
+            u, record = controller.step(Measurement(t, x, measured, speed), reference.window(k))
+            inner = [getattr(plant, name) for name in inner_names]
+            log.add(x, u, state_reference, input_reference, reading, inner, record, controller.log())
+            if record.status == Status.FAILED:
+                outcome, cause = "solver_failed", f"the control step failed at t={t:.2f} s"
+                break
         try:
-            x, reading = plant.advance(x, u, period, rng)
+            x, reading = plant.advance(x, u, period, noise)
         except ModelDomainError as error:
             outcome, cause = "lost", str(error)
             break
+        k += 1
+        if compiled is not None:  # its controller does not read the sensor
+            k, commanded, x, reading = compiled.go_on(k, x, reading)
+            log.rows = k + commanded
+            u = log.input[log.rows - 1].copy()
+            continue
         if sensor is not None:
             reading = sensor.read(reading, sensor_rng)
         measured, speed = reading, getattr(plant, "rotor_speed", None)
-    if not log.records:
+    if compiled is not None:
+        compiled.drawn.give_back()
+        log.measure(sensor, sensor_rng)
+    if not log.rows:
         raise QuadexpError(f"the flight ended before its first sample: {cause}")
-    share = float(np.mean(shares))  # it may change where references are recomputed in flight
+    share = float(np.mean(shares[: k + 1]))  # it may change where references are recomputed in flight
     details: dict[str, Any] = {"outcome": outcome, "cause": cause, "backend": controller.backend}
     details["reference_residual"] = None if math.isnan(share) else share
     if renewal.failed:
@@ -192,15 +216,19 @@ class _Renewal:
 
 
 class _Log:
-    """The rows of a flight."""
+    """The samples of a flight; inner: sizes of the inner states that are logged."""
 
-    def __init__(self, samples: int, rotors: int) -> None:
+    def __init__(self, samples: int, rotors: int, inner: list[int]) -> None:
+        self.rows = 0
         self.state, self.state_reference = np.empty((2, samples, len(STATE_COLUMNS)))
         self.input, self.input_reference = np.empty((2, samples, rotors))
-        self.reading = np.empty((samples, 3))
-        self.inner: list[np.ndarray] = []
-        self.records: list[Any] = []
+        self.reading, self.record = np.empty((samples, 3)), np.empty((samples, len(StepRecord._fields)))
+        self.inner, self._inner_sizes = np.empty((samples, sum(inner))), inner
         self.extra: list[dict[str, float]] = []
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What flight.c fills."""
+        return {name: getattr(self, name) for name in ("state", "input", "reading", "inner", "record")}
 
     def add(
         self,
@@ -210,36 +238,37 @@ class _Log:
         input_reference: np.ndarray,
         reading: np.ndarray,
         inner: list[np.ndarray],
-        record: Any,
+        record: StepRecord,
         extra: dict[str, float],
     ) -> None:
-        k = len(self.records)
-        self.state[k], self.input[k], self.reading[k] = x, u, reading
+        k, self.rows = self.rows, self.rows + 1
+        self.state[k], self.input[k], self.reading[k], self.record[k] = x, u, reading, record
         self.state_reference[k], self.input_reference[k] = state_reference, input_reference
         if inner:
-            self.inner.append(np.array(inner))
-        self.records.append(record)
+            self.inner[k] = np.concatenate(inner)
         self.extra.append(extra)
 
+    def measure(self, sensor: Sensor | None, rng: np.random.Generator) -> None:
+        """Put what a sensor makes of them in place of the specific forces; the first is not measured."""
+        if sensor is not None:
+            for k in range(1, self.rows):
+                self.reading[k] = sensor.read(self.reading[k], rng)
+
     def columns(self, t: np.ndarray, inner_names: list[str]) -> dict[str, np.ndarray]:
-        """Named columns of the flown rows."""
-        flown, inputs = len(self.records), input_columns(self.input.shape[1])
-        columns = {"t": t[:flown]}
-        columns |= dict(zip(STATE_COLUMNS, self.state[:flown].T, strict=True))
-        columns |= dict(zip(inputs, self.input[:flown].T, strict=True))
-        columns |= {f"ref_{n}": v for n, v in zip(STATE_COLUMNS, self.state_reference[:flown].T, strict=True)}
-        columns |= {f"ref_{n}": v for n, v in zip(inputs, self.input_reference[:flown].T, strict=True)}
-        columns |= {f"acc_{axis}": values for axis, values in zip("xyz", self.reading[:flown].T, strict=True)}
-        columns |= {
-            "solve_time": np.array([record.solve_time for record in self.records]),
-            "status": np.array([record.status for record in self.records], np.int8),
-            "sweeps": np.array([record.sweeps for record in self.records], np.int16),
-            "active": np.array([record.active for record in self.records], np.int16),
-            "kkt": np.array([record.kkt for record in self.records]),
-            "unconverged": np.array([not record.converged for record in self.records], np.int8),
-        }
-        inner = np.array(self.inner)
-        for i, name in enumerate(inner_names):
-            columns |= {f"{name}_{j}": inner[:, i, j] for j in range(inner.shape[2])}
+        """Named columns of the flown samples."""
+        flown, inputs = slice(self.rows), input_columns(self.input.shape[1])
+        columns = {"t": t[flown]}
+        columns |= dict(zip(STATE_COLUMNS, self.state[flown].T, strict=True))
+        columns |= dict(zip(inputs, self.input[flown].T, strict=True))
+        columns |= {f"ref_{n}": v for n, v in zip(STATE_COLUMNS, self.state_reference[flown].T, strict=True)}
+        columns |= {f"ref_{n}": v for n, v in zip(inputs, self.input_reference[flown].T, strict=True)}
+        columns |= {f"acc_{axis}": values for axis, values in zip("xyz", self.reading[flown].T, strict=True)}
+        record = dict(zip(StepRecord._fields, self.record[flown].T, strict=True))
+        counts = {"status": np.int8, "sweeps": np.int16, "active": np.int16}
+        columns["solve_time"] = record["solve_time"]
+        columns |= {name: record[name].astype(kind) for name, kind in counts.items()}
+        columns |= {"kkt": record["kkt"], "unconverged": (record["converged"] == 0).astype(np.int8)}
+        names = [f"{name}_{j}" for name, size in zip(inner_names, self._inner_sizes, strict=True) for j in range(size)]
+        columns |= dict(zip(names, self.inner[flown].T, strict=True))
         columns |= {name: np.array([row[name] for row in self.extra], float) for name in self.extra[0]}
         return {name: np.ascontiguousarray(values) for name, values in columns.items()}

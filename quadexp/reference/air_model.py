@@ -1,18 +1,21 @@
 """A residual at many points, for the flatness iteration: outputs, and their derivatives by velocity and thrusts.
 
-The residual's function is rebuilt for z alone (parameters as constants, scalar operations, only the needed part of the
-Jacobian) and mapped over the points in numpy's memory, which is ten times faster for thousands of points.
+Interpreted, the residual's function is rebuilt for z alone (parameters as constants, scalar operations, only the needed
+part of the Jacobian) and mapped over the points in numpy's memory, which is ten times faster for thousands of points.
+Compiled, it is a part of the functions of traced.py.
 """
 
 from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
 from quadexp.air.base import FEATURES, N_OUTPUTS, Residual
+from quadexp.physics.expression import Expression
 
 N_FEATURES = len(FEATURES)  # of z, before the thrusts
 N_VELOCITY = 3
@@ -33,12 +36,8 @@ class AirResponse:
 class AirModel:
     """y = h r(z), dy/dv_body and dy/du at many points, with a share h of the residual r (1 at first)."""
 
-    def __init__(self, residual: Residual) -> None:
-        self.name, self.share = residual.name, 1.0
-        z = ca.SX.sym("z", residual.function.size1_in(0))
-        y, dy_dz = residual.function(z, residual.theta)
-        gradients = ca.vertcat(ca.vec(dy_dz[:, :N_VELOCITY].T), ca.vec(dy_dz[:, N_FEATURES:].T))
-        self._function = ca.Function("air", [z], [ca.densify(ca.vertcat(y, gradients))])
+    def __init__(self, residual: Residual, backend: str = "interpreted") -> None:
+        self.name, self.residual, self.backend, self.share = residual.name, residual, backend, 1.0
         self._mapped: dict[int, ca.Function] = {}
 
     def scaled(self, share: float) -> AirModel:
@@ -47,8 +46,13 @@ class AirModel:
         model.share = share
         return model
 
+    @cached_property
+    def _function(self) -> ca.Function:
+        z = ca.SX.sym("z", self.residual.function.size1_in(0))
+        return ca.Function("air", [z], [outputs_and_gradients(self.residual.function, z, self.residual.theta)])
+
     def __call__(self, z: np.ndarray) -> AirResponse:
-        """The response at z = [v_body, w, u], (6 + n, k)."""
+        """The response at z = [v_body, w, u], (6 + n, k), interpreted."""
         k = z.shape[1]
         if k not in self._mapped:
             self._mapped[k] = self._function.map(k)
@@ -65,3 +69,9 @@ class AirModel:
         return AirResponse(
             values[:N_OUTPUTS], by_velocity.reshape(N_OUTPUTS, N_VELOCITY, k), by_thrust.reshape(N_OUTPUTS, -1, k)
         )
+
+
+def outputs_and_gradients(function: ca.Function, z: Expression, theta: Expression) -> Expression:
+    """y, dy/dv_body and dy/du of a residual's function, one after the other."""
+    y, dy_dz = function(z, theta)
+    return ca.densify(ca.vertcat(y, ca.vec(dy_dz[:, :N_VELOCITY].T), ca.vec(dy_dz[:, N_FEATURES:].T)))

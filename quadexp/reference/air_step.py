@@ -18,16 +18,33 @@ Arrays are component first, (d, k) at k times; SI.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.air_model import AirResponse
+from quadexp.reference.demand import Demand
 from quadexp.reference.flat_map import cross, twisted, untwisted
-from quadexp.reference.motion import Motion, allocation_inverse
+from quadexp.reference.motion import Air, Calculus, Motion, allocation_inverse, flat_motion, within_limits
 
 MAX_TURN = 0.3  # rad, largest rotation of the specific force in the tilt frame per step
 MIN_SHARE = 0.02  # least component of the specific force along the rotors' axis, relative to its norm
 MIN_DETERMINANT = 0.3  # of the system in dl; below it the step is the fixed-point step l <- r_l
+
+
+def predicted_and_next(
+    demand: Demand, vehicle: Vehicle, model: Callable[[np.ndarray], AirResponse], air: Air, calculus: Calculus
+) -> tuple[np.ndarray, np.ndarray]:
+    """The model's outputs for the motion under given outputs, and the next iterate, (6, k) each."""
+    motion = flat_motion(demand, vehicle, air, calculus)
+    velocity = motion.frame.into_frame(demand.path[1])
+    thrusts, free = within_limits(motion.thrusts, vehicle)
+    response = model(np.concatenate([twisted(velocity, motion.chi), motion.rate, thrusts]))
+    predicted = np.concatenate([untwisted(response.outputs[:2], motion.chi), response.outputs[2:]])
+    response = replace(response, by_thrust=response.by_thrust * free)  # zero for a rotor at its limit
+    return predicted, newton_step(air.outputs, predicted, motion, velocity, response, vehicle)
 
 
 def newton_step(
@@ -51,7 +68,9 @@ def newton_step(
     if by_rest.any():
         system = np.eye(4) - by_rest[2:].transpose(2, 0, 1)
         solved = np.linalg.solve(system, right.transpose(2, 0, 1)).transpose(1, 2, 0)
-    through_rest = np.einsum("irk,rjk->ijk", by_rest[:2], solved)  # A_lr [X, x]
+    through_rest = np.zeros((2, 3, solved.shape[2]))  # A_lr [X, x]
+    if by_rest.any():
+        through_rest = np.einsum("irk,rjk->ijk", by_rest[:2], solved)
     system = np.eye(2)[..., None] - by_lateral[:2] - through_rest[:, :2]
     step = _lateral_step(system, difference[:2] + through_rest[:, 2], difference[:2])
     lateral = turned(motion.frame.force, step)
@@ -64,7 +83,9 @@ def _gradients(
 ) -> tuple[np.ndarray, np.ndarray]:
     """dr/dl, (6, 2, k), and dr/d[a_air,z, tau_air], (6, 4, k); r's lateral part in the tilt frame."""
     by_velocity, by_thrust = (_in_tilt_frame(d, motion.chi) for d in (response.by_velocity, response.by_thrust))
-    by_wrench = -np.einsum("onk,nw->owk", by_thrust, allocation_inverse(vehicle))
+    by_wrench = np.zeros((len(by_thrust), 4, by_thrust.shape[2]))
+    if by_thrust.any():  # few models depend on the thrusts
+        by_wrench = -np.einsum("onk,nw->owk", by_thrust, allocation_inverse(vehicle))
     by_wrench[:, 0] *= vehicle.mass
     force = motion.frame.force
     columns = []

@@ -10,6 +10,7 @@ World ENU, SI. Arrays are component first, (d, k) at k times.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -41,11 +42,15 @@ class Demand:
         yaw = None if flat.yaw is None else np.ascontiguousarray(flat.yaw.T)
         return cls(t, path, path[2] + [[0.0], [0.0], [gravity]], yaw)
 
+    @cached_property
+    def size(self) -> np.ndarray:
+        """Of the specific force, (k,) (m/s^2), or NO_ATTITUDE where that is more."""
+        return np.maximum(np.linalg.norm(self.specific_force, axis=0), NO_ATTITUDE)
+
     def tilt(self, lateral: np.ndarray) -> Tilt:
         """Tilt frames for the lateral accelerations l, (2, k) (m/s^2); raises UsageError where there are none."""
         frame = tilt(self.specific_force, lateral)
-        size = np.maximum(np.linalg.norm(self.specific_force, axis=0), NO_ATTITUDE)
-        undefined = ~((frame.force[2] > NO_ATTITUDE * size) & (frame.quaternion[0] > NO_ATTITUDE))
+        undefined = ~((frame.force[2] > NO_ATTITUDE * self.size) & (frame.quaternion[0] > NO_ATTITUDE))
         if undefined.any():
             i = int(np.argmax(undefined))
             raise UsageError(

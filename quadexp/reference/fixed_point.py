@@ -15,18 +15,20 @@ World ENU, body FLU, SI. Arrays are component first, (d, k) at k times.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import cached_property
 
 import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.air_model import AirModel
-from quadexp.reference.air_step import newton_step, reachable
+from quadexp.reference.air_step import predicted_and_next, reachable
 from quadexp.reference.demand import Demand
-from quadexp.reference.flat_map import twisted, untwisted
-from quadexp.reference.motion import Air, Calculus, Motion, flat_motion, within_limits
+from quadexp.reference.motion import Air, Calculus, Motion, flat_motion
+from quadexp.reference.traced import CompiledStep
 
 KINK = 0.5  # m/s^2, N m: change accepted where a rotor reaches its limit, for the whole residual
 SETTLED = 0.3  # m/s^2: until l changes by less per iteration its time derivatives are noise, and set to zero
@@ -53,10 +55,10 @@ class Settings:
 
 @dataclass(frozen=True)
 class Iterated:
-    """The last air of an iteration, its motion, and its last change at every time, (k,) (m/s^2, N m)."""
+    """The last air of an iteration, the one before, and its last change at every time, (k,) (m/s^2, N m)."""
 
     air: Air
-    motion: Motion
+    used: Air
     change: np.ndarray
     iterations: int
     outcome: Outcome
@@ -86,7 +88,7 @@ def consistent_air(
     if result.outcome is not Outcome.CONVERGED and settings.corners:
         result = iteration.run(air, decoupled=True)
     if result.outcome is Outcome.CONVERGED or (settings.corners and result.change.max() < KINK * model.share):
-        return result.air, result.motion
+        return result.air, flat_motion(demand, vehicle, result.used, calculus)
     worst = int(np.argmax(result.change))
     raise UsageError(
         f"the reference with residual {model.name!r} does not converge: {result.outcome.value} after"
@@ -125,9 +127,9 @@ class _Iteration:
         if decoupled:
             air = Air.of_outputs(air.outputs)
         change, share = np.full(len(self.demand.t), np.inf), np.ones(len(self.demand.t))
-        settled, stall = decoupled, _Stall()
+        settled, stall, step = decoupled, _Stall(), self._step
         for i in range(self.settings.max_iterations):
-            motion, predicted, outputs = self._step(air)
+            used, (predicted, outputs) = air, step(air)
             before, change = change, np.abs(predicted - air.outputs).max(axis=0)
             if decoupled:
                 longer = np.minimum(2 * share, 1) if i < PATIENCE else share  # later not: the iteration could cycle
@@ -138,19 +140,16 @@ class _Iteration:
             air = Air.of_outputs(outputs)
             if settled and not decoupled:
                 air = Air(outputs, *self.calculus.differentiate(outputs[:2]))
-            result = Iterated(air, motion, change, i + 1, Outcome.EXHAUSTED)
+            result = Iterated(air, used, change, i + 1, Outcome.EXHAUSTED)
             if settled and change.max() < self.settings.tolerance:
                 return replace(result, outcome=Outcome.CONVERGED)
             if stall.after(change.max()):
                 return replace(result, outcome=Outcome.STALLED)
         return result
 
-    def _step(self, air: Air) -> tuple[Motion, np.ndarray, np.ndarray]:
-        """The motion for given outputs; the model's outputs for it, and the next iterate, (6, k) each."""
-        motion = flat_motion(self.demand, self.vehicle, air, self.calculus)
-        velocity = motion.frame.into_frame(self.demand.path[1])
-        thrusts, free = within_limits(motion.thrusts, self.vehicle)
-        response = self.model(np.concatenate([twisted(velocity, motion.chi), motion.rate, thrusts]))
-        predicted = np.concatenate([untwisted(response.outputs[:2], motion.chi), response.outputs[2:]])
-        response = replace(response, by_thrust=response.by_thrust * free)  # zero for a rotor at its limit
-        return motion, predicted, newton_step(air.outputs, predicted, motion, velocity, response, self.vehicle)
+    @cached_property
+    def _step(self) -> Callable[[Air], tuple[np.ndarray, np.ndarray]]:
+        """From an air to the model's outputs for it and the next iterate, (6, k) each."""
+        if self.model.backend == "compiled":
+            return CompiledStep(self.demand, self.vehicle, self.model, self.calculus)
+        return lambda air: predicted_and_next(self.demand, self.vehicle, self.model, air, self.calculus)

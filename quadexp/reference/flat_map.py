@@ -30,15 +30,25 @@ from dataclasses import dataclass
 import numpy as np
 
 
+def stacked(*components: np.ndarray) -> np.ndarray:
+    """Components, (k,) each, as one array (d, k); several times quicker than np.stack."""
+    if any(type(component) is not np.ndarray for component in components):
+        return np.stack(components)
+    result = np.empty((len(components), *components[0].shape))
+    for row, component in zip(result, components, strict=True):
+        row[...] = component
+    return result
+
+
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a x b, (3, k); several times faster than np.cross."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return stacked(a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 def untwisted(vector: np.ndarray, chi: np.ndarray) -> np.ndarray:
     """R_z(chi) vector: a body vector in tilt-frame coordinates; (2, k) or (3, k), chi (k,) rad."""
     cosine, sine = np.cos(chi), np.sin(chi)
-    return np.stack([cosine * vector[0] - sine * vector[1], sine * vector[0] + cosine * vector[1], *vector[2:]])
+    return stacked(cosine * vector[0] - sine * vector[1], sine * vector[0] + cosine * vector[1], *vector[2:])
 
 
 def twisted(vector: np.ndarray, chi: np.ndarray) -> np.ndarray:
@@ -62,12 +72,10 @@ class Tilt:
         a, b, c = vector
         upright = 1 - 2 * (x * x + y * y)
         around, up = 2 * (x * a + y * b), 2 * w * c
-        return np.stack(
-            [
-                a * upright + x * around - y * up,
-                b * upright + y * around + x * up,
-                c * upright + 2 * w * (y * a - x * b),
-            ]
+        return stacked(
+            a * upright + x * around - y * up,
+            b * upright + y * around + x * up,
+            c * upright + 2 * w * (y * a - x * b),
         )
 
     def solve(self, p_x: np.ndarray | float, p_y: np.ndarray | float) -> np.ndarray:
@@ -75,7 +83,7 @@ class Tilt:
         w, x, y = self.quaternion
         l_x, l_y, c = self.force
         o_z = -(x * p_x + y * p_y) / (w * c + x * l_y - y * l_x)
-        return np.stack([(l_x * o_z - p_y) / c, (l_y * o_z + p_x) / c, o_z])
+        return stacked((l_x * o_z - p_y) / c, (l_y * o_z + p_x) / c, o_z)
 
     def rates(
         self, jerk: np.ndarray, snap: np.ndarray, lateral_1: np.ndarray, lateral_2: np.ndarray

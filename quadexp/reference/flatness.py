@@ -59,19 +59,21 @@ def flat_reference(
     *,
     tolerance: float = 1e-9,
     max_iterations: int = 100,
+    backend: str = "interpreted",
 ) -> Reference:
     """Reference states and inputs of a trajectory, with the largest possible share of a residual model.
 
     t: (k,), s; outside 0 .. trajectory.duration the end is held, at rest.
     tolerance: on the last change of the residual's outputs, m/s^2 and N m; the error is some tenths of it.
     max_iterations: for each of the two iterations of fixed_point.py, which also end when they stall.
+    backend: of the residual's evaluation, "compiled" or "interpreted" (see compile/backend.py).
     Raises UsageError where the trajectory requires free fall.
     """
     t = np.atleast_1d(np.asarray(t, float))
     demand = Demand.of(trajectory, t, vehicle.gravity)
     path, share = _Path(trajectory, demand, vehicle, Settings(tolerance, max_iterations)), math.nan
     if residual is not None and not residual.is_zero:
-        motion, share = path.with_largest_share(AirModel(residual))
+        motion, share = path.with_largest_share(AirModel(residual, backend))
     else:
         motion = path.under(None)
     quaternion = motion.frame.body_quaternion(motion.chi)

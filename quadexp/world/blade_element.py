@@ -15,23 +15,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual, feature_names
 from quadexp.air.blade_element import blade_element_correction, require_rotor, residual_from_correction
-from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.compile.backend import BufferedFunction
 from quadexp.config.lei_li import BladeElementEffects
 from quadexp.errors import ModelDomainError, UsageError
 from quadexp.physics.induced_velocity import REASONS, Defined
-from quadexp.physics.rotor import C_D0, STANDING, BladeCoefficients
+from quadexp.physics.rotor import C_D0, BladeCoefficients
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
-from quadexp.world.blade_element_period import PeriodModel, checked_period, fast_period
-from quadexp.world.period import even_steps
+from quadexp.world.blade_element_equations import BladeElementModel, checked_equations, fast_equations
+from quadexp.world.integrator import OUTPUTS, SimulatedPlant, period
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class PlantChange:
     profile_drag_scale: float | None = None
 
 
-class BladeElementPlant:
+class BladeElementPlant(SimulatedPlant):
     """The blade-element simulation as a Plant; `reset` begins a flight.
 
     vehicle: with rotor and thrust_coefficient. coefficients: true ones. step: largest integration step (s); a control
@@ -68,72 +67,51 @@ class BladeElementPlant:
         backend: str = "auto",
     ) -> None:
         require_rotor(vehicle)
-        self.vehicle, self.coefficients = vehicle, coefficients
-        self.effects = effects or BladeElementEffects()
-        self.step, self.method = step, method
+        self.coefficients, self.effects = coefficients, effects or BladeElementEffects()
         self.schedule = tuple(sorted(schedule, key=lambda change: change.t))
         for change in self.schedule:
             if change.lift_scale is not None and len(change.lift_scale) != vehicle.n_rotors:
                 raise UsageError(f"plant.schedule: lift_scale needs {vehicle.n_rotors} factors, one for every rotor")
-        local, printed = self.effects.rotor_local_velocity, self.effects.printed_coefficients
-        self._model = PeriodModel(vehicle, method, local, printed)
-        self._backend = resolve(backend)
-        self._fast: dict[int, BufferedFunction] = {}
-        self.reset()
+        structure = replace(self.effects, motor_lag=0.0, payload=0.0)  # which are parameters
+        self._model = BladeElementModel(vehicle, method, structure)
+        super().__init__(vehicle, fast_equations(self._model), step=step, backend=backend)
 
     def reset(self) -> None:
         """Begin a flight: time zero, rotors at the speed of hover, nothing changed yet."""
-        self.time = 0.0
-        n = self.vehicle.n_rotors
-        self.rotor_speed = np.full(n, math.sqrt(self.vehicle.hover_thrust / self.vehicle.static_thrust_coefficient))
-        self.induced_velocity = (
-            self.rotor_speed * static_coefficients(self.vehicle.rotor_geometry, self.coefficients).inflow
-        )
         self._pending = list(self.schedule)
-        self._payload, self._drag_scale, self._lift_scale = self.effects.payload, 1.0, np.ones(n)
+        self._payload, self._drag_scale, self._lift_scale = self.effects.payload, 1.0, np.ones(self.vehicle.n_rotors)
+        super().reset()
         self._apply_changes()
 
-    def advance(
-        self, x: np.ndarray, u: np.ndarray, duration: float, rng: np.random.Generator | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """See Plant.advance; there is no process noise, rng is not used.
+    def initial(self) -> np.ndarray:
+        """See SimulatedPlant."""
+        n = self.vehicle.n_rotors
+        speed = np.full(n, math.sqrt(self.vehicle.hover_thrust / self.vehicle.static_thrust_coefficient))
+        inflow = static_coefficients(self.vehicle.rotor_geometry, self.coefficients).inflow
+        return np.concatenate([speed, speed * inflow])
 
-        Raises ModelDomainError where the model has no answer (see quadexp.physics.induced_velocity).
-        """
+    @property
+    def rotor_speed(self) -> np.ndarray:
+        """(n,), rad/s."""
+        return self.inner[: self.vehicle.n_rotors]
+
+    @property
+    def induced_velocity(self) -> np.ndarray:
+        """(n,), m/s."""
+        return self.inner[self.vehicle.n_rotors :]
+
+    def parameters(self, step: float) -> np.ndarray:
+        """See SimulatedPlant; changes that are due take effect."""
         self._apply_changes()
-        steps = even_steps(duration, self.step)
-        h = duration / steps
-        values: dict[str, Any] = {
-            "x": x,
-            "w": self.rotor_speed,
-            "w_command": self.commanded_speed(u),
-            "parameters": self._parameters(),
-            "step": h,
-            "blend": 1.0 - math.exp(-h / self.effects.motor_lag) if self.effects.motor_lag > 0 else 1.0,
-        }
-        function = self._function(steps)
-        for name, value in values.items():
-            function.arguments[name][...] = value
-        function()
-        x_next, results = function.results["x_next"], function.results
-        trusted = results["doubt"][0] == 0.0 and math.isfinite(x_next @ x_next)
-        if not trusted or values["w_command"].min() <= STANDING:
-            results = self._fly_checked(steps, values)
-        self.rotor_speed, self.induced_velocity = results["w_next"].copy(), results["induced_velocity"].copy()
-        self.time += duration
-        return results["x_next"].copy(), results["specific_force"].copy()
-
-    def commanded_speed(self, u: np.ndarray) -> np.ndarray:
-        """Rotor speeds (n,) (rad/s) that the commanded static thrusts u (n,) (N) ask for, within the limits."""
-        if self.effects.thrust_limits:
-            u = np.clip(u, self.vehicle.thrust_min, self.vehicle.thrust_max)
-        w = np.sqrt(np.maximum(u, 0.0) / self.vehicle.static_thrust_coefficient)
-        return np.clip(w, max(self.effects.rotor_speed_min, STANDING), self.effects.rotor_speed_max)
+        lag, n = self.effects.motor_lag, self.vehicle.n_rotors
+        thrust_coefficient = np.full(n, self.vehicle.static_thrust_coefficient)
+        blend = 1.0 - math.exp(-step / lag) if lag > 0 else 1.0
+        return np.concatenate([self._air_parameters(), thrust_coefficient, [blend]])
 
     def residual(self) -> Residual:
         """See Plant.residual: as things stand now; motor lag and the upper limits are left out."""
         n = self.vehicle.n_rotors
-        z, parameters = ca.SX.sym("z", len(feature_names(n))), ca.SX.sym("theta", self._model.n_parameters)
+        z, parameters = ca.SX.sym("z", len(feature_names(n))), ca.SX.sym("theta", len(self._air_parameters()))
         theta, lift_scale, mass = self._model.split(parameters)
         y, dy_dz = blade_element_correction(
             self.vehicle,
@@ -145,9 +123,9 @@ class BladeElementPlant:
             terms=self._model.terms,
             rotor_speed_min=self.effects.rotor_speed_min,
         )
-        return residual_from_correction("plant", z, parameters, y, dy_dz, self._parameters(), "plant equations")
+        return residual_from_correction("plant", z, parameters, y, dy_dz, self._air_parameters(), "plant equations")
 
-    def _parameters(self) -> np.ndarray:
+    def _air_parameters(self) -> np.ndarray:
         """theta (5,), lift_scale (n,), mass with payload: what holds now."""
         theta = self.coefficients.parameters()
         theta[C_D0] *= self._drag_scale
@@ -162,24 +140,21 @@ class BladeElementPlant:
                 self._lift_scale = np.array(change.lift_scale, float)
             if change.profile_drag_scale is not None:
                 self._drag_scale = change.profile_drag_scale
+        self.next_change = self._pending[0].t if self._pending else math.inf
 
-    def _function(self, steps: int) -> BufferedFunction:
-        if steps not in self._fast:
-            self._fast[steps] = BufferedFunction(realise(fast_period(self._model, steps), self._backend))
-        return self._fast[steps]
-
-    def _fly_checked(self, steps: int, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def in_doubt(self, function: BufferedFunction) -> dict[str, np.ndarray]:
         """The period with the safe solver. Raises ModelDomainError at the first step without an answer."""
-        found = checked_period(self._model, steps)(**values)
+        arguments, steps = function.arguments, function.function.size2_in("noise")
+        found = period(checked_equations(self._model), steps)(**arguments)
         found = {name: np.array(value.full()) for name, value in found.items()}
-        status = found.pop("status")
+        status = found["status"]
         bad = np.argwhere(status.T != Defined.OK)
         if len(bad):
             step, rotor = bad[0]
             flow = found["flow"][:, step * self.vehicle.n_rotors + rotor]
             raise ModelDomainError(
-                f"blade-element model, rotor {rotor} at t={self.time + step * float(values['step']):.4f} s: "
+                f"blade-element model, rotor {rotor} at t={self.time + step * float(arguments['step'][0]):.4f} s: "
                 f"{REASONS[Defined(int(status[rotor, step]))]} (V_h={flow[0]:.3g} m/s,"
                 f" V_z={flow[1]:.3g} m/s, w={flow[2]:.4g} rad/s)"
             )
-        return {name: found[name].ravel() for name in ("x_next", "w_next", "induced_velocity", "specific_force")}
+        return {name: found[name].ravel() for name in OUTPUTS}

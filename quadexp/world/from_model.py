@@ -15,14 +15,13 @@ import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
-from quadexp.physics.integrator import rk4_step
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
-from quadexp.world.period import NoisyPeriod, unit_attitude
+from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, SimulatedPlant, integrate
 
 
-class FromModelPlant:
+class FromModelPlant(SimulatedPlant):
     """An identified model as a Plant.
 
     vehicle: the rigid body. model: forces and torques beyond it. step: largest integration step (s).
@@ -39,28 +38,18 @@ class FromModelPlant:
         torque_noise_density: float = 0.0,
         backend: str = "auto",
     ) -> None:
-        self.vehicle, self.step = vehicle, step
         self._model = model
         density = np.array([force_noise_density / vehicle.mass] * 3 + [torque_noise_density] * 3)
         parameters = np.concatenate([density, model.theta])
-        self._period = NoisyPeriod(_one_step(vehicle, model), parameters, step, backend)
-
-    def reset(self) -> None:
-        """See Plant.reset; this plant remembers nothing."""
-
-    def advance(
-        self, x: np.ndarray, u: np.ndarray, duration: float, rng: np.random.Generator
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """See Plant.advance; RK4 with the noise held over each step."""
-        return self._period.advance(x, u, duration, rng)
+        super().__init__(vehicle, _equations(vehicle, model), parameters, step=step, backend=backend)
 
     def residual(self) -> Residual:
         """See Plant.residual: the model itself; noise and clipping left out."""
         return self._model
 
 
-def _one_step(vehicle: Vehicle, model: Residual) -> ca.Function:
-    """(x, u, noise (6,) standard normal, [densities (6,) of a and tau, theta], step (s)) -> x_next, specific force."""
+def _equations(vehicle: Vehicle, model: Residual) -> Equations:
+    """RK4 with the noise, (6,), held over each step; the parameters are [densities (6,) of a and tau, theta]."""
     n = vehicle.n_rotors
     x, u, y = ca.SX.sym("x", N_STATE), ca.SX.sym("u", n), ca.SX.sym("y", 6)
     features = ca.Function("features", [x, u], [body_features(x, u)])
@@ -75,6 +64,10 @@ def _one_step(vehicle: Vehicle, model: Residual) -> ca.Function:
     def correction(state: ca.MX) -> ca.MX:
         return ca.densify(model.function(features(state, thrusts), theta)[0]) + held
 
-    x_next = unit_attitude(rk4_step(lambda state: derivative(state, thrusts, correction(state)), x, step))
-    reading = ca.vertcat(0, 0, ca.sum1(thrusts) / vehicle.mass) + correction(x_next)[:3]
-    return ca.Function("model_step", [x, command, noise, parameters, step], [x_next, reading])
+    def slope(state: ca.MX) -> ca.MX:
+        return derivative(state, thrusts, correction(state))
+
+    after = integrate("rk4", slope, x, step)
+    reading = ca.vertcat(0, 0, ca.sum1(thrusts) / vehicle.mass) + correction(after)[:3]
+    arguments = [x, command, noise, parameters, step]
+    return Equations(ca.Function("model_step", arguments, [after, reading], STEP_INPUTS, STEP_OUTPUTS))

@@ -22,12 +22,11 @@ from quadexp.air.base import Residual, feature_names, symbolic_residual
 from quadexp.config.flight import SimplifiedKeys
 from quadexp.physics.drag import linear_drag_force, quadratic_drag_force
 from quadexp.physics.expression import Expression
-from quadexp.physics.integrator import rk4_step
 from quadexp.physics.motor import thrust_loss
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
-from quadexp.world.period import NoisyPeriod, unit_attitude
+from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, SimulatedPlant, integrate
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ LINEAR_DRAG, QUADRATIC_DRAG, LOSS, MOTOR_NOISE, FORCE_NOISE, TORQUE_NOISE, PAYLO
 )  # fmt: skip
 
 
-class SimplifiedPlant:
+class SimplifiedPlant(SimulatedPlant):
     """The simplified simulation as a Plant.
 
     vehicle: true vehicle (without payload). step: largest integration step (s); a control period is divided evenly.
@@ -59,19 +58,8 @@ class SimplifiedPlant:
     def __init__(
         self, vehicle: Vehicle, effects: PlantEffects | None = None, *, step: float = 5e-4, backend: str = "auto"
     ) -> None:
-        self.vehicle = vehicle
         self.effects = effects or PlantEffects()
-        self.step = step
-        self._period = NoisyPeriod(_one_step(vehicle), self.effects.parameters(), step, backend)
-
-    def reset(self) -> None:
-        """See Plant.reset; this plant remembers nothing."""
-
-    def advance(
-        self, x: np.ndarray, u: np.ndarray, duration: float, rng: np.random.Generator
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """See Plant.advance; RK4 with the noise held over each step."""
-        return self._period.advance(x, u, duration, rng)
+        super().__init__(vehicle, _equations(vehicle), self.effects.parameters(), step=step, backend=backend)
 
     def residual(self) -> Residual:
         """See Plant.residual: drag, mean motor loss and payload; noise and clipping left out."""
@@ -99,8 +87,8 @@ def _body_acceleration(
     return (force + ca.vertcat(0, 0, ca.sum1(delivered))) / (vehicle.mass + effects[PAYLOAD])
 
 
-def _one_step(vehicle: Vehicle) -> ca.Function:
-    """(x, u, noise (n + 6,) standard normal, effects, step (s)) -> x_next, specific force then; see NoisyPeriod."""
+def _equations(vehicle: Vehicle) -> Equations:
+    """RK4 with the noise, (n + 6,), held over each step; the parameters are PlantEffects.parameters."""
     n = vehicle.n_rotors
     x, u, noise = ca.SX.sym("x", N_STATE), ca.SX.sym("u", n), ca.SX.sym("noise", n + 6)
     effects, step = ca.SX.sym("effects", N_EFFECTS), ca.SX.sym("step")
@@ -110,14 +98,15 @@ def _one_step(vehicle: Vehicle) -> ca.Function:
     force_noise = effects[FORCE_NOISE] * scaled[n : n + 3] / (vehicle.mass + effects[PAYLOAD])
     torque_noise = effects[TORQUE_NOISE] * scaled[n + 3 :]
 
-    def correction(state: Expression) -> tuple[Expression, Expression]:
-        """What the rigid body must be told beyond the delivered thrust: drag, payload and noise."""
+    def specific_force(state: Expression) -> Expression:
         body_velocity = body_features(state, delivered)[:3]
-        nominal = ca.vertcat(0, 0, ca.sum1(delivered) / vehicle.mass)
-        specific_force = _body_acceleration(body_velocity, delivered, effects, vehicle) + force_noise
-        return specific_force, ca.vertcat(specific_force - nominal, torque_noise)
+        return _body_acceleration(body_velocity, delivered, effects, vehicle) + force_noise
 
-    after = rk4_step(lambda state: state_derivative(state, delivered, vehicle, correction(state)[1]), x, step)
-    x_next = unit_attitude(after)
-    reading, _ = correction(x_next)
-    return ca.Function("plant_step", [x, u, noise, effects, step], ca.cse([x_next, reading]))
+    def slope(state: Expression) -> Expression:
+        """The rigid body is told what goes beyond the delivered thrust: drag, payload and noise."""
+        nominal = ca.vertcat(0, 0, ca.sum1(delivered) / vehicle.mass)
+        return state_derivative(state, delivered, vehicle, ca.vertcat(specific_force(state) - nominal, torque_noise))
+
+    after = integrate("rk4", slope, x, step)
+    results = ca.cse([after, specific_force(after)])
+    return Equations(ca.Function("plant_step", [x, u, noise, effects, step], results, STEP_INPUTS, STEP_OUTPUTS))

@@ -41,3 +41,20 @@ def test_the_library_is_compiled_once(tmp_path, monkeypatch):
     for _ in range(2):
         realise(smooth_function(0.125), "compiled")
     assert sorted(path.suffix for path in tmp_path.iterdir()) == [".sha256", ".so"]
+
+
+def test_each_calls_it_at_every_point(tmp_path, monkeypatch, rng):
+    """The first result at many values of the first argument; the other arguments stand."""
+    monkeypatch.setenv("QUADEXP_CACHE", str(tmp_path))
+    x, a = ca.MX.sym("x", 3), ca.MX.sym("a", 2)
+    function = ca.Function("weighed", [x, a], [ca.vertcat(a[0] * x[1], a[1] + x[2]), x[0]], ["x", "a"], ["y", "z"])
+    called = BufferedFunction(realise(function, "compiled"))
+    called.arguments["a"][:] = 2.0, 5.0
+    values = rng.normal(size=(7, 3))
+    assert np.array_equal(called.each(values), np.stack([2.0 * values[:, 1], 5.0 + values[:, 2]], axis=1))
+    assert np.array_equal(called.each(values[:, ::-1])[:, 1], 5.0 + values[:, 0])  # not contiguous
+    for wrong in (values[:, :2], values[0]):
+        with pytest.raises(ValueError, match="weighed: must be compiled, the values"):
+            called.each(wrong)
+    with pytest.raises(ValueError, match="must be compiled"):
+        BufferedFunction(function).each(values)

@@ -45,7 +45,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/properties/test_mechanics.py",
         "tests/properties/test_symmetry.py",
     ),
-    "quadexp/world/period.py": (
+    "quadexp/world/integrator.py": (
         "tests/world/test_simplified.py",
         "tests/world/test_blade_element.py",
         "tests/properties/test_mechanics.py",
@@ -81,9 +81,11 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/properties/test_flatness.py",
     ),
     "quadexp/reference/air_step.py": ("tests/reference/test_air_step.py", "tests/reference/test_fixed_point.py"),
+    "quadexp/reference/traced.py": ("tests/reference/test_air_model.py",),
+    "quadexp/experiment/flight.c": ("tests/experiment/test_compiled_flight.py",),
     "quadexp/learn/rls_step.py": ("tests/learn/test_rls.py", "tests/properties/test_identification.py"),
 }
-COMPILED = ("*.c", "quadexp/control/mpc/riccati.py")
+COMPILED = ("*.c", "quadexp/control/mpc/riccati.py", "quadexp/reference/traced.py")
 
 
 def runs_compiled(file: str) -> bool:

@@ -15,7 +15,7 @@ from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.sensitivity import rk4_sensitivity_function
 from quadexp.world import SimplifiedPlant
 from quadexp.world.blade_element import BladeElementPlant
-from quadexp.world.blade_element_period import METHODS
+from quadexp.world.integrator import METHODS
 from tests.properties.strategies import (
     few,
     generators,

@@ -84,9 +84,7 @@ def test_back_ends_and_the_safe_solver_agree(lei_li, blade, rng):
         (one, read_one), (two, read_two) = (plant.advance(x, u, 0.01) for plant in plants)
         assert two == pytest.approx(one, rel=1e-11, abs=1e-11)
         assert read_two == pytest.approx(read_one, rel=1e-10, abs=1e-10)
-        speed = plants[0].rotor_speed
-        values = {"x": x, "w": speed, "w_command": speed, "parameters": plants[0]._parameters()}
-        checked = plants[0]._fly_checked(100, {**values, "step": 1e-4, "blend": 1.0})
+        checked = plants[0].in_doubt(plants[0].prepared(0.01))
         assert checked["x_next"] == pytest.approx(one, rel=1e-12, abs=1e-12)
         assert checked["specific_force"] == pytest.approx(read_one, rel=1e-11, abs=1e-11)
 
@@ -165,13 +163,17 @@ class TestOptions:
         assert changed.advance(x, u, 0.01)[0] == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
     def test_limits(self, lei_li, blade):
+        def commanded_speed(plant, u):
+            plant.advance(LEVEL, np.array(u), 1e-4)
+            return plant.rotor_speed
+
         free = BladeElementPlant(lei_li, blade, backend="interpreted")
-        assert free.commanded_speed(np.array([-1.0, 0.0, 2.0, 80.0])) == pytest.approx(
+        assert commanded_speed(free, [-1.0, 0.0, 2.0, 80.0]) == pytest.approx(
             [50, 50, np.sqrt(2 / lei_li.thrust_coefficient), np.sqrt(80 / lei_li.thrust_coefficient)]
         )
         effects = BladeElementEffects(thrust_limits=True, rotor_speed_min=100, rotor_speed_max=1200)
         limited = BladeElementPlant(lei_li, blade, effects, backend="interpreted")
-        assert limited.commanded_speed(np.array([0.0, 80.0, 12.0, 20.0])) == pytest.approx(
+        assert commanded_speed(limited, [0.0, 80.0, 12.0, 20.0]) == pytest.approx(
             [100, 1200, np.sqrt(12 / lei_li.thrust_coefficient), 1200]
         )
 

@@ -19,9 +19,9 @@ class Watched(BladeElementPlant):
 
     again = 0
 
-    def _fly_checked(self, steps, values):
+    def in_doubt(self, function):
         self.again += 1
-        return super()._fly_checked(steps, values)
+        return super().in_doubt(function)
 
 
 def moving(velocity) -> np.ndarray:

@@ -56,7 +56,7 @@ class ActiveSet:
     """
 
     def __init__(self, solver: Solver) -> None:
-        self._solver = solver
+        self.solver = solver
         self.side = solver.arguments["guess"]
         self.X_new, self.U_new, self._side, self._checks = (
             solver.results[name] for name in ("X_new", "U_new", "side", "checks")
@@ -70,7 +70,7 @@ class ActiveSet:
 
     def solve(self) -> Status:
         """Solve, and say how it went."""
-        self._solver()
+        self.solver()
         solved, exchanges, active, self.error, self.turn = self._checks.tolist()
         self.exchanges = int(exchanges)
         if not (solved and math.isfinite(self.error + self.turn)):

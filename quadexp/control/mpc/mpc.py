@@ -11,7 +11,7 @@ import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise_together, resolve
-from quadexp.control.mpc.active_set import Status, make_active_set
+from quadexp.control.mpc.active_set import Solver, Status, make_active_set
 from quadexp.control.mpc.first_solve import CONVERGED, Direction, FirstSolve, rollout_function
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.mpc.step import step_function
@@ -82,6 +82,11 @@ class ModelPredictiveController:
     def set_parameters(self, theta: np.ndarray) -> None:
         """New residual parameters, (p,), from the next step on; nothing is rebuilt."""
         self._step.arguments["theta"].ravel()[:] = theta
+
+    @property
+    def functions(self) -> tuple[BufferedFunction, Solver]:
+        """The control step and the bounded subproblem that it leaves, with the arrays that `command` works on."""
+        return self._step, self._active_set.solver
 
     @property
     def prediction(self) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,176 @@
+"""The flatness iteration compiled: its numpy equations, run once on symbols, become functions of one instant.
+
+`Symbols` is an array of CasADi scalars that goes through the numpy code of flat_map.py, motion.py and air_step.py as an
+array of one instant, (d, 1), would: the equations are written there and nowhere else. Two functions come of it, called
+at every instant from C: the twist's rates, which must be integrated along the path before the rest can be known, and
+the whole step, with the model of the air inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from quadexp.air.base import FEATURES, N_OUTPUTS
+from quadexp.compile.backend import BufferedFunction, realise_together
+from quadexp.physics.vehicle import Vehicle
+from quadexp.reference.air_model import AirModel, AirResponse, outputs_and_gradients
+from quadexp.reference.air_step import predicted_and_next
+from quadexp.reference.demand import NO_ATTITUDE, Demand
+from quadexp.reference.flat_map import Tilt, tilt
+from quadexp.reference.motion import Air, Calculus, Constant
+
+N_DEMAND = 15  # rows of `demand_rows`
+N_AIR = N_OUTPUTS + 2 + 2
+
+
+class Symbols(np.ndarray):
+    """An object array of SX scalars that numpy's comparisons, choices and norms work on too."""
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        plain, into = [np.asarray(value) for value in inputs], options.pop("out", None)
+        if ufunc in (np.minimum, np.maximum) and method == "reduce":
+            return _symbols(_BY_ELEMENT[ufunc].reduce(plain[0], **options))
+        if ufunc is np.logical_or and method == "reduce":  # any(): what may not be zero
+            return any(not (value.is_zero() if isinstance(value, ca.SX) else value == 0) for value in plain[0].ravel())
+        found = _symbols(getattr(_BY_ELEMENT.get(ufunc, ufunc), method)(*plain, **options))
+        if into is None:
+            return found
+        into[0][...] = found
+        return into[0]
+
+    def __array_function__(self, function: Callable[..., Any], types: Any, given: Any, options: Any) -> Any:
+        if function in _FUNCTIONS:
+            return _symbols(_FUNCTIONS[function](*map(np.asarray, given), **options))
+        return _symbols(super().__array_function__(function, types, given, options))
+
+
+def _element(function: Callable[..., Any], inputs: int) -> np.ufunc:
+    identity = {"identity": None} if inputs == 2 else {}
+    return np.frompyfunc(function, inputs, 1, **identity)
+
+
+_BY_ELEMENT: dict[Any, np.ufunc] = {
+    np.minimum: _element(ca.fmin, 2),
+    np.maximum: _element(ca.fmax, 2),
+    np.greater: _element(lambda a, b: a > b, 2),
+    np.less: _element(lambda a, b: a < b, 2),
+    np.greater_equal: _element(lambda a, b: a >= b, 2),
+    np.equal: _element(lambda a, b: a == b, 2),
+    np.bitwise_and: _element(ca.logic_and, 2),
+    np.arctan2: _element(ca.atan2, 2),
+}
+_CHOICE = _element(ca.if_else, 3)
+_FUNCTIONS: dict[Callable[..., Any], Callable[..., Any]] = {
+    np.where: lambda condition, one, other: _CHOICE(condition, one, other),
+    np.clip: lambda value, low, high: _BY_ELEMENT[np.minimum](_BY_ELEMENT[np.maximum](value, low), high),
+    np.linalg.norm: lambda value, axis: np.sqrt((value * value).sum(axis=axis)),
+    np.linalg.solve: lambda system, right: _solve(system[0], right[0])[None],
+}
+
+
+def _solve(system: np.ndarray, right: np.ndarray) -> np.ndarray:
+    found = ca.solve(*(ca.vertcat(*(ca.horzcat(*row) for row in matrix)) for matrix in (system, right)))
+    return np.array([[found[i, j] for j in range(found.shape[1])] for i in range(found.shape[0])], dtype=object)
+
+
+def _symbols(array: Any) -> Any:
+    return array.astype(object).view(Symbols) if isinstance(array, np.ndarray) else array
+
+
+def _column(vector: ca.SX, shape: Sequence[int]) -> Symbols:
+    """A vector of symbols as an array of one instant, (.., 1)."""
+    return _symbols(np.array(ca.vertsplit(vector), dtype=object).reshape(*shape, 1))
+
+
+class _DemandOfSymbols(Demand):
+    """A demand whose attitude nobody checks: whoever calls the function has done so."""
+
+    def tilt(self, lateral: np.ndarray) -> Tilt:
+        return tilt(self.specific_force, lateral)
+
+
+class CompiledStep:
+    """`predicted_and_next` of a demand under a compiled model of the air, for one air after another.
+
+    calculus: of the demand's times; it integrates the twist of a free heading.
+    """
+
+    def __init__(self, demand: Demand, vehicle: Vehicle, model: AirModel, calculus: Calculus) -> None:
+        residual, self._demand, self._calculus = model.residual, demand, calculus
+        functions = compiled_steps(vehicle, residual.to_compile or residual.function, demand.yaw is None)
+        self._first, self._step = map(BufferedFunction, functions)
+        self._step.arguments["theta"].ravel()[:], self._step.arguments["share"][:] = residual.theta, model.share
+        self._rows = np.zeros((len(demand.t), N_DEMAND + N_AIR + 1))
+        self._rows[:, :N_DEMAND] = demand_rows(demand).T
+
+    def __call__(self, air: Air) -> tuple[np.ndarray, np.ndarray]:
+        """The model's outputs and the next iterate, (6, k) each; UsageError where the attitude is not determined."""
+        rows = self._rows
+        rows[:, N_DEMAND:-1] = np.concatenate([air.outputs, air.lateral_1, air.lateral_2]).T
+        upright, axial, o_z, o_dot_z = self._first.each(rows).T
+        if not (upright.min() > NO_ATTITUDE and (axial > NO_ATTITUDE * self._demand.size).all()):
+            self._demand.tilt(air.outputs[:2])  # says where
+        if self._demand.yaw is None:
+            rows[:, -1] = self._calculus.integrate(-o_z, -o_dot_z)
+        found = np.ascontiguousarray(self._step.each(rows).T)
+        return found[:N_OUTPUTS], found[N_OUTPUTS:]
+
+
+def demand_rows(demand: Demand) -> np.ndarray:
+    """The rows of a demand, (15, k): velocity, jerk, snap, specific force, yaw (0: free)."""
+    yaw = np.zeros((3, len(demand.t))) if demand.yaw is None else demand.yaw
+    return np.concatenate([demand.path[1], demand.path[3], demand.path[4], demand.specific_force, yaw])
+
+
+@lru_cache(maxsize=64)
+def compiled_steps(vehicle: Vehicle, residual: ca.Function, free_heading: bool) -> tuple[ca.Function, ca.Function]:
+    """(row) -> q_w, f_z of the tilt frame, o_z, o_z'; and (row, theta, share) -> predicted, next (12,).
+
+    row: demand_rows, an Air's outputs, l', l'', and the twist at one instant, (26,).
+    """
+    row, chi = ca.SX.sym("row", N_DEMAND + N_AIR), ca.SX.sym("chi")
+    rows = _column(row, (N_DEMAND + N_AIR,))
+    velocity, jerk, snap, force, yaw = (rows[3 * i : 3 * i + 3] for i in range(5))
+    outputs = rows[N_DEMAND:]
+    air = Air(outputs[:N_OUTPUTS], outputs[N_OUTPUTS : N_OUTPUTS + 2], outputs[N_OUTPUTS + 2 :])
+    path = _symbols(np.stack([np.asarray(v) for v in (0 * velocity, velocity, 0 * velocity, jerk, snap)]))
+    demand = _DemandOfSymbols(np.zeros(1), path, force, None if free_heading else yaw)
+    frame = demand.tilt(air.outputs[:2])
+    o, o_dot = frame.rates(jerk, snap, air.lateral_1, air.lateral_2)
+    first = _vector([frame.quaternion[0], frame.force[2], o[2], o_dot[2]])
+
+    n = vehicle.n_rotors
+    sizes = [N_OUTPUTS, 3 * N_OUTPUTS, n * N_OUTPUTS]
+    parts = [ca.SX.sym("response", size) for size in sizes]
+    features: list[ca.SX] = []
+
+    def model(z: np.ndarray) -> AirResponse:
+        features.append(_vector(z))
+        y, by_velocity, by_thrust = (_column(v, (N_OUTPUTS, *m)) for v, m in zip(parts, ((), (3,), (n,)), strict=True))
+        knows_thrust = ca.DM(residual.sparsity_out(1), 1)[:, len(FEATURES) :].nnz()
+        return AirResponse(y, by_velocity, by_thrust if knows_thrust else np.zeros((N_OUTPUTS, n, 1)))
+
+    predicted, after = predicted_and_next(demand, vehicle, model, air, Constant(_column(chi, ())))
+    last = ca.Function("last", [row, chi, ca.vertcat(*parts)], [ca.cse(_vector([*predicted, *after]))])
+    middle = ca.Function("middle", [row, chi], [ca.cse(features[0])])
+
+    given, theta = ca.MX.sym("row", N_DEMAND + N_AIR + 1), ca.MX.sym("theta", residual.size1_in(1))
+    share = ca.MX.sym("share")
+    split = [given[:-1], given[-1]]
+    response = share * outputs_and_gradients(residual, middle(*split), theta)
+    functions = [
+        ca.Function("air_first", [ca.vertcat(row, chi)], [ca.cse(first)], ["row"], ["first"]),
+        ca.Function("air_step", [given, theta, share], [last(*split, response)], ["row", "theta", "share"], ["step"]),
+    ]
+    one, two = realise_together(functions, "compiled")
+    return one, two
+
+
+def _vector(values: Any) -> ca.SX:
+    """Scalars, or arrays of one, one after the other."""
+    return ca.vertcat(*(np.asarray(value, dtype=object).item() for value in values))

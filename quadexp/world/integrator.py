@@ -1,0 +1,140 @@
+"""The integrator that all plants share: one control period over [x, inner states] in one compiled call.
+
+A plant is its `Equations`. Rotor speeds, a battery or a filter of wind are inner states beside the rigid body's x. The
+period is divided into even steps, each with noise of its own that is held over the step. Where an effect belongs:
+
+    command -> [link] -> begin: actuators, battery -> step: airframe, wind -> end: truth -> [sensor, estimator]
+
+What stands in brackets lies outside the integrator and acts once a control period.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.errors import UsageError
+from quadexp.physics.expression import Expression
+from quadexp.physics.integrator import euler_step, rk4_step
+from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.physics.vehicle import Vehicle
+
+METHODS = {"euler": euler_step, "rk4": rk4_step}
+INPUTS = ("x", "inner", "u", "noise", "parameters", "step")
+OUTPUTS = ("x_next", "inner_next", "specific_force", "doubt")
+STEP_INPUTS = ("s", "held", "noise", "parameters", "step")
+STEP_OUTPUTS = ("s_next", "specific_force")
+
+
+@dataclass(frozen=True)
+class Equations:
+    """A plant as CasADi functions of s = [x, inner states, what is iterated from step to step].
+
+    step: STEP_INPUTS, s, held, noise (d,) standard normal, parameters (p,), step (s) -> s_next after the step, and what
+    is kept of every step: without an `end` the specific force then (3,) (m/s^2).
+    begin: (x, inner (m,), u (n,) (N), parameters) -> s, held: what the command asks for all the period; None: [x,
+    inner] and u. end: (s, held, parameters) after the last step -> x, inner, specific force, and a doubt, not zero
+    where all this may be wrong; None: s is [x, inner], and the last specific force holds.
+    """
+
+    step: ca.Function
+    begin: ca.Function | None = None
+    end: ca.Function | None = None
+
+    @property
+    def inner_size(self) -> int:
+        """Inner states m."""
+        return self.end.size1_out(1) if self.end else self.step.size1_in(0) - N_STATE
+
+
+def integrate(method: str, slope: Callable[[Expression], Expression], s: Expression, step: Expression) -> Expression:
+    """s' = slope(s) over a step (s), its quaternion brought back to unit length; UsageError for an unknown method."""
+    if method not in METHODS:
+        raise UsageError(f"plant.method={method}: must be one of {', '.join(METHODS)}")
+    s = METHODS[method](slope, s, step)
+    q = s[ATTITUDE]
+    return ca.vertcat(s[: ATTITUDE.start], q / ca.norm_2(q), s[ATTITUDE.stop :])
+
+
+def period(equations: Equations, steps: int) -> ca.Function:
+    """INPUTS -> OUTPUTS over `steps` steps of length `step` (s), noise (d, steps); then what is kept of the steps."""
+    one, begin, end = equations.step, equations.begin, equations.end
+    x, inner, step = ca.MX.sym("x", N_STATE), ca.MX.sym("inner", equations.inner_size), ca.MX.sym("step")
+    u = ca.MX.sym("u", begin.size1_in(2) if begin else one.size1_in(1))
+    noise, parameters = ca.MX.sym("noise", one.size1_in(2), steps), ca.MX.sym("parameters", one.size1_in(3))
+    s, held = begin(x, inner, u, parameters) if begin else (ca.vertcat(x, inner), u)
+    again = [ca.repmat(value, 1, steps) for value in (held, parameters, step)]
+    found = one.mapaccum(steps)(s, again[0], noise, *again[1:])
+    states, *kept = found if isinstance(found, tuple) else (found,)
+    if end:
+        results = [*end(states[:, -1], held, parameters), *kept]
+    else:
+        results = [states[:N_STATE, -1], states[N_STATE:, -1], kept[0][:, -1], ca.MX(1, 1)]
+    arguments, names = [x, inner, u, noise, parameters, step], one.name_out()[1:] if end else []
+    return ca.Function(f"{one.name()}_period", arguments, results, INPUTS, [*OUTPUTS, *names])
+
+
+class SimulatedPlant:
+    """A Plant (see base) that is its equations.
+
+    parameters: (p,). step: largest integration step (s); a control period is divided evenly.
+    `time`: s since `reset`. `inner`: inner states now, (m,). `next_change`: s, until which the parameters hold.
+    """
+
+    next_change = math.inf
+
+    def __init__(
+        self, vehicle: Vehicle, equations: Equations, parameters: npt.ArrayLike = (), *, step: float, backend: str
+    ) -> None:
+        self.vehicle, self.step = vehicle, step
+        self._equations, self._parameters, self._backend = equations, np.asarray(parameters), resolve(backend)
+        self._periods: dict[int, BufferedFunction] = {}
+        self.reset()
+
+    def reset(self) -> None:
+        """See Plant.reset."""
+        self.time, self.inner = 0.0, self.initial()
+
+    def initial(self) -> np.ndarray:
+        """Inner states at the beginning of a flight, (m,)."""
+        return np.zeros(self._equations.inner_size)
+
+    def parameters(self, step: float) -> np.ndarray:
+        """Parameters of the equations during the next period, whose steps are that long (s); (p,)."""
+        return self._parameters
+
+    def advance(
+        self, x: np.ndarray, u: np.ndarray, duration: float, rng: np.random.Generator | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See Plant.advance. rng: may be None where the equations have no noise."""
+        function = self.prepared(duration)
+        arguments, results = function.arguments, function.results
+        arguments["x"][:], arguments["inner"][:], arguments["u"][:] = x, self.inner, u
+        if rng is not None:
+            rng.standard_normal(out=arguments["noise"])
+        function()
+        if results["doubt"].any() or not math.isfinite(results["x_next"] @ results["x_next"]):
+            results = self.in_doubt(function)
+        self.inner = results["inner_next"].copy()
+        self.time += duration
+        return results["x_next"].copy(), results["specific_force"].copy()
+
+    def prepared(self, duration: float) -> BufferedFunction:
+        """The function of a period of this duration (s), with the parameters of the next one."""
+        steps = max(1, math.ceil(duration / self.step - 1e-9))
+        if steps not in self._periods:
+            self._periods[steps] = BufferedFunction(realise(period(self._equations, steps), self._backend))
+        arguments = self._periods[steps].arguments
+        arguments["step"][0] = duration / steps
+        arguments["parameters"][:] = self.parameters(duration / steps)
+        return self._periods[steps]
+
+    def in_doubt(self, function: BufferedFunction) -> dict[str, np.ndarray]:
+        """What to take for the results of the period flown last where they are in doubt or not finite: as they are."""
+        return function.results

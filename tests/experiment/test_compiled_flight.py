@@ -1,0 +1,330 @@
+"""The flight in C is the flight of the Python loop: every column and the record, to the last bit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from quadexp.air.base import symbolic_residual
+from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.compile.compiler import compiler
+from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.settings import MPCSettings
+from quadexp.experiment import compiled_flight, rollout
+from quadexp.experiment.compiled_flight import CompiledFlight, Drawn, covers
+from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.reference import Circle, Hover, Lemniscate, Step
+from quadexp.world import PlantEffects, SimplifiedPlant
+from quadexp.world.accelerometer import LEI_LI
+from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant, PlantChange
+from quadexp.world.from_model import FromModelPlant
+from tests.air.models import BLADE, make_residual, with_rotors
+from tests.properties.paths import Wander, near
+
+Q = ("q_w", "q_x", "q_y", "q_z")
+compiled = pytest.mark.skipif(compiler() is None, reason="no C compiler")
+
+
+@dataclass
+class Both:
+    """A flight in C and by the Python loop, where C left off, and what each leaves of the random numbers."""
+
+    flight: object
+    handed_over: list
+    periods_in_c: int
+
+
+def both(monkeypatch, plant, controller, path, *, seed=0, **options) -> Both:
+    """Fly it twice and compare."""
+    assert covers(plant, controller, np.random.default_rng())
+    found, stops, flown = [], [], [0]
+
+    def go_on(self, k, x, reading):
+        result = original(self, k, x, reading)
+        flown[0] += result[0] - k
+        stops.append(result[:2])
+        return result
+
+    original = CompiledFlight.go_on
+    monkeypatch.setattr(CompiledFlight, "go_on", go_on)
+    for covering in (covers, lambda *_: False):
+        monkeypatch.setattr(rollout, "covers", covering)
+        reference, rng = SampledReference(path, controller), np.random.default_rng(seed)
+        flight = fly(plant, controller, reference, rng, metadata={"name": "both"}, **options)
+        found.append((flight, rng.bit_generator.state, plant.time, plant.inner.tobytes()))
+    monkeypatch.undo()
+    (one, *left), (two, *right) = found
+    assert list(one.columns) == list(two.columns)
+    for name in one.columns:
+        assert one[name].dtype == two[name].dtype
+        if name != "solve_time":
+            assert one[name].tobytes() == two[name].tobytes(), name
+    assert one.metadata == two.metadata and left == right
+    assert np.all(one["solve_time"] > 0)
+    return Both(one, stops, flown[0])
+
+
+def draw(seed, vehicle):
+    """A plant, a controller, a path and the rest of a flight, all at random but for what would be compiled anew."""
+    rng = np.random.default_rng(seed)
+    vehicle = with_rotors(vehicle)
+    settings = MPCSettings(
+        nodes=6,
+        horizon=rng.uniform(0.5, 1.2),
+        rate=float(rng.choice([20, 37, 50, 100])),
+        first_node=float(rng.choice([0.0, 0.06])),
+        position_weight=tuple(rng.uniform(5, 200, 3)),
+        attitude_error=str(rng.choice(["plain", "body"])),
+        distance_limit=float(rng.choice([0.3, 10.0])),
+        feedforward=bool(rng.integers(2)),
+    )
+    residual = make_residual(str(rng.choice(["none", "linear_drag", "gp_per_axis"])), vehicle)
+    believed = vehicle
+    if rng.integers(2):  # bounds that are met, in the controller only: the plant is not compiled anew
+        believed = replace(vehicle, thrust_max=vehicle.hover_thrust * rng.uniform(1.1, 1.6), thrust_min=1.0)
+    controller = PredictiveController(ModelPredictiveController(believed, residual, settings, backend="compiled"))
+    kind = rng.choice(["simplified", "blade_element", "from_model"])
+    if kind == "simplified":
+        effects = PlantEffects() if rng.integers(2) else PlantEffects(payload=rng.uniform(0, 0.3))
+        plant = SimplifiedPlant(vehicle, effects, step=1e-3, backend="compiled")
+    elif kind == "blade_element":
+        changes = [PlantChange(float(t), payload=float(rng.uniform(0, 0.2))) for t in rng.uniform(0, 1.5, 2)]
+        effects = BladeElementEffects(motor_lag=float(rng.choice([0.0, 0.02])))
+        plant = BladeElementPlant(vehicle, BLADE, effects, step=2e-3, schedule=changes, backend="compiled")
+    else:
+        drag = linear_drag_residual(vehicle, (0.4, 0.3, 0.1))
+        plant = FromModelPlant(vehicle, drag, step=1e-3, force_noise_density=0.02, backend="compiled")
+    speed = rng.uniform(2, 6)
+    paths = [
+        Wander(rng, yaw=bool(rng.integers(2))),
+        Circle(speed=speed, acceleration=speed / 2),
+        Lemniscate(speed=speed, acceleration=speed / 2),
+        Step(target=tuple(rng.normal(size=3)), step_time=0.3, duration=1.5),
+    ]
+    path = paths[rng.integers(len(paths))]
+    options = {"seed": int(rng.integers(100)), "sensor": LEI_LI if rng.integers(2) else None}
+    options["lost_distance"] = float(rng.choice([0.4, 10.0]))
+    if rng.integers(2):
+        options["start"] = near(np.r_[path.flat_output(np.zeros(1)).position[0, 0], 1, np.zeros(9)], rng, 0.1)
+        options["start"][3:7] *= rng.choice([-1, 1])
+    return plant, controller, path, options
+
+
+@compiled
+@pytest.mark.parametrize("seed", range(24))
+def test_any_flight(monkeypatch, vehicle, seed):
+    plant, controller, path, options = draw(seed, vehicle)
+    both(monkeypatch, plant, controller, path, **options)
+
+
+@compiled
+@pytest.mark.slow
+def test_any_flight_of_many(monkeypatch, vehicle):
+    outcomes, active, in_c = set(), 0, 0
+    for seed in range(24, 174):
+        plant, controller, path, options = draw(seed, vehicle)
+        found = both(monkeypatch, plant, controller, path, **options)
+        outcomes.add(found.flight.outcome)
+        active += int((found.flight["active"] > 0).sum())
+        in_c += found.periods_in_c
+    assert {"ok", "lost"} <= outcomes and active > 500 and in_c > 5_000
+
+
+def mpc(vehicle, residual="none", **settings):
+    settings = MPCSettings(nodes=6, **settings)
+    air = make_residual(residual, vehicle) if isinstance(residual, str) else residual
+    return PredictiveController(ModelPredictiveController(vehicle, air, settings, backend="compiled"))
+
+
+@compiled
+class TestWhereItHandsOver:
+    def plant(self, vehicle, **effects):
+        return SimplifiedPlant(vehicle, replace(PlantEffects.none(), **effects), step=1e-3, backend="compiled")
+
+    def test_an_ordinary_flight_is_flown_in_one_piece(self, monkeypatch, vehicle):
+        """All but the first control period, over several blocks of noise."""
+        path = Circle(speed=4.0, acceleration=2.0)
+        found = both(monkeypatch, SimplifiedPlant(vehicle, step=1e-3, backend="compiled"), mpc(vehicle), path)
+        samples = len(found.flight.t)
+        assert samples > compiled_flight.DRAWN_AT_ONCE and found.handed_over == [(samples, False)]
+
+    def test_bounds_are_met_in_c(self, monkeypatch, vehicle):
+        """A jump of three metres at thrusts of at most 1.3 of hover."""
+        weak = replace(vehicle, thrust_max=1.3 * vehicle.hover_thrust)
+        path = Step(target=(2.0, 1.0, 2.0), duration=2.0, step_time=0.3)
+        found = both(monkeypatch, self.plant(vehicle), mpc(weak), path)
+        assert found.handed_over == [(len(found.flight.t), False)]
+        assert (found.flight["active"] > 0).sum() > 10 and set(found.flight["status"]) <= {0, 1}
+
+    def test_large_turns_are_shortened_in_c(self, monkeypatch, vehicle):
+        """Upside down at the start: the guess turns further than its model holds for some steps."""
+        start = np.r_[0, 0, 2.0, 0.05, 0.9987, 0, 0, np.zeros(6)]
+        monkeypatch.setattr(compiled_flight, "MAX_TURN", turn := 0.02)
+        monkeypatch.setattr("quadexp.control.mpc.mpc.MAX_TURN", turn)
+        plant, controller = self.plant(vehicle), mpc(vehicle)
+        reference = SampledReference(Hover(duration=1.0), controller)
+        flights = []
+        for covering in (covers, lambda *_: False):
+            monkeypatch.setattr(rollout, "covers", covering)
+            flights.append(fly(plant, controller, reference, np.random.default_rng(0), start=start))
+        for name in flights[0].columns:
+            assert name == "solve_time" or flights[0][name].tobytes() == flights[1][name].tobytes(), name
+
+    @pytest.mark.parametrize("sign", [1, -1])
+    def test_either_side_of_the_quaternions(self, monkeypatch, vehicle, sign):
+        """q and -q are one attitude: the reference is turned to the vehicle's side at every step, or at none."""
+        path = Wander(np.random.default_rng(3), size=2.0)
+        path.amplitude[3], path.rate[3] = 2.0, 1.5
+        flat = path.flat_output(np.zeros(1))
+        half = flat.yaw[0, 0] / 2
+        start = np.r_[flat.position[0, 0], sign * np.r_[np.cos(half), 0, 0, np.sin(half)], flat.position[0, 1], 0, 0, 0]
+        found = both(monkeypatch, self.plant(vehicle), mpc(vehicle, "linear_drag"), path, start=start)
+        assert found.flight.outcome == "ok" and found.handed_over[-1] == (len(found.flight.t), False)
+        sides = (found.flight.stack(list(Q)) * found.flight.stack([f"ref_{q}" for q in Q])).sum(axis=1)
+        assert (sign * sides > 0).mean() > 0.9
+
+    def test_lost_in_flight(self, monkeypatch, vehicle):
+        path = Step(target=(3.0, 0.0, 0.0), duration=2.0, step_time=0.5)
+        found = both(monkeypatch, self.plant(vehicle), mpc(vehicle), path, lost_distance=2.0)
+        assert found.flight.outcome == "lost"
+        assert found.flight.metadata["cause"].endswith(" m from the reference at t=0.50 s")
+        assert found.handed_over == [(25, False)]
+
+    def test_beyond_the_reach_python_shifts_the_reference(self, monkeypatch, vehicle):
+        path = Step(target=(3.0, 0.0, 0.0), duration=2.0, step_time=0.5)
+        found = both(monkeypatch, self.plant(vehicle), mpc(vehicle, distance_limit=2.0), path)
+        stops = [k for k, _ in found.handed_over]
+        assert found.flight.outcome == "ok" and stops[:2] == [25, 26] and stops[-1] == len(found.flight.t)
+
+    def test_a_step_that_fails(self, monkeypatch, vehicle):
+        """A residual that is no number above 2 m/s."""
+        z, theta = ca.SX.sym("z", 10), ca.SX.sym("theta", 0)
+        outputs = ca.vertcat(ca.sqrt(2.0 - z[0]) - 1.2, 0, 0, 0, 0, 0)
+        ends = symbolic_residual("ends", outputs, z, theta, np.empty(0))
+        controller = mpc(vehicle, ends, feedforward=False)
+        found = both(monkeypatch, self.plant(vehicle), controller, Circle(speed=6.0, acceleration=2.0))
+        assert found.flight.outcome == "solver_failed" and found.flight["status"][-1] == 3
+        assert found.handed_over == [(len(found.flight.t) - 1, False)] and len(found.flight.t) > 10
+
+    def test_changes_of_the_plant_come_in_their_time(self, monkeypatch, lei_li, blade):
+        changes = [PlantChange(0.5, payload=0.2), PlantChange(0.9, lift_scale=(1, 1, 1, 0.9))]
+        plant = BladeElementPlant(lei_li, blade, step=1e-3, schedule=changes, backend="compiled")
+        found = both(monkeypatch, plant, mpc(lei_li), Hover(duration=2.0))
+        assert found.handed_over == [(25, True), (45, True), (len(found.flight.t), False)]
+
+    @pytest.mark.parametrize(
+        ("sink", "target", "weight", "outcome"), [(11.0, 10.0, 10.0, "ok"), (8.0, 30.0, 100.0, "lost")]
+    )
+    def test_a_plant_in_doubt(self, monkeypatch, lei_li, blade, sink, target, weight, outcome):
+        """A fall through the rotors' own wake: the safe solver flies, or the model has no answer."""
+        plant = BladeElementPlant(lei_li, blade, step=1e-3, backend="compiled")
+        path = Step(start=(0, 0, 0), target=(0.0, 0.0, -target), duration=3.0, step_time=0.1)
+        start = np.r_[0, 0, 0, 1, 0, 0, 0, 1.5, 0, -sink, 0, 0, 0]
+        controller = mpc(lei_li, distance_limit=100.0, position_weight=(weight,) * 3)
+        found = both(monkeypatch, plant, controller, path, lost_distance=200.0, start=start)
+        assert found.flight.outcome == outcome and (5, True) in found.handed_over
+        assert outcome == "ok" or "blade-element model, rotor" in found.flight.metadata["cause"]
+        assert outcome == "lost" or found.periods_in_c > 50
+
+    def test_a_reference_beyond_all_numbers_is_left_to_python(self, vehicle):
+        controller, plant = mpc(vehicle), self.plant(vehicle)
+        reference = SampledReference(Hover(duration=0.2), controller)
+        with pytest.raises(Exception, match="the reference is not finite"):
+            fly(plant, controller, Broken(reference), np.random.default_rng(0))
+
+
+class Broken:
+    """A reference whose last instant is not finite."""
+
+    def __init__(self, reference):
+        state = reference.reference.state.copy()
+        state[-1, 8] = np.nan
+        reference.reference = replace(reference.reference, state=state)
+        self.reference = reference
+
+    def __getattr__(self, name):
+        return getattr(self.reference, name)
+
+    def __len__(self):
+        return len(self.reference)
+
+
+class TestWhatItCovers:
+    def test_compiled_parts_of_this_program(self, vehicle):
+        rng, plant, controller = np.random.default_rng(0), SimplifiedPlant(vehicle, step=1e-3), mpc_of_any_kind(vehicle)
+        assert covers(plant, controller, rng) == (compiler() is not None)
+        assert not covers(SimplifiedPlant(vehicle, backend="interpreted"), controller, rng)
+        assert not covers(plant, mpc_of_any_kind(vehicle, backend="interpreted"), rng)
+
+    @compiled
+    def test_nothing_that_it_does_not_know(self, vehicle):
+        rng, plant, controller = np.random.default_rng(0), SimplifiedPlant(vehicle, step=1e-3), mpc(vehicle)
+
+        class OwnPlant(SimplifiedPlant):
+            def advance(self, x, u, duration, rng):
+                return super().advance(x, 0.9 * u, duration, rng)
+
+        class OwnController(PredictiveController):
+            pass
+
+        class Settings(MPCSettings):
+            pass
+
+        assert covers(plant, controller, rng)
+        assert not covers(OwnPlant(vehicle, step=1e-3), controller, rng)
+        assert not covers(plant, OwnController(controller.mpc), rng)
+        assert not covers(plant, controller, object())
+        controller.ahead = 0.0  # something that is off
+        assert covers(plant, controller, rng)
+        controller.ahead = 0.02
+        assert not covers(plant, controller, rng)
+        other = mpc(vehicle)
+        other.settings = Settings(nodes=6)
+        object.__setattr__(other.settings, "dead_time", 0.03)
+        assert not covers(plant, other, rng)
+
+    def test_parts_from_outside_fly_as_before(self, vehicle):
+        """A plant that only looks like one, under a controller that only looks like one."""
+
+        class Still:
+            def __init__(self, vehicle):
+                self.vehicle = vehicle
+
+            def reset(self):
+                pass
+
+            def advance(self, x, u, duration, rng):
+                return x + 1e-3 * rng.standard_normal(13), np.zeros(3)
+
+            def residual(self):
+                raise NotImplementedError
+
+        controller = mpc_of_any_kind(vehicle)
+        flight = fly(
+            Still(vehicle), controller, SampledReference(Hover(duration=0.5), controller), np.random.default_rng(0)
+        )
+        rng, x = np.random.default_rng(0), flight.stack(["p_x", "p_y", "p_z"])[0]
+        for row in flight.stack(["p_x", "p_y", "p_z"])[1:]:
+            x = x + 1e-3 * rng.standard_normal(13)[:3]
+            assert np.array_equal(row, x)
+
+
+def mpc_of_any_kind(vehicle, backend="auto"):
+    return PredictiveController(
+        ModelPredictiveController(vehicle, make_residual("none", vehicle), MPCSettings(nodes=6), backend=backend)
+    )
+
+
+def test_noise_drawn_in_blocks_is_the_same_noise():
+    """Taken a period at a time, and given back where a flight ended early."""
+    size, one, two = 7, np.random.default_rng(5), np.random.default_rng(5)
+    drawn, out = Drawn(one, 300, size), np.empty((7, 1))
+    for _ in range(200):
+        drawn.standard_normal(out=out)
+        assert np.array_equal(out.ravel(), two.standard_normal(size))
+    drawn.give_back()
+    assert np.array_equal(one.standard_normal(5), two.standard_normal(5))
