@@ -204,6 +204,8 @@ class MPCConfig(ControllerConfig):
     horizon: float = number("(0, 10]", "s")
     nodes: int = number("[2, 200]", "nodes")
     first_node: float = number("[0, 10]", "s", 0.0)
+    dead_time: float = number("[0, 0.5]", "s", 0.0)
+    motor_lag: float = number("[0, 0.5]", "s", 0.0)
     rate: float = number("[1, 1000]", "Hz")
     position_weight: list[float] = number("[0, 1e6]", "", length=3)
     attitude_weight: list[float] = number("[0, 1e6]", "", length=4)

@@ -98,6 +98,9 @@ MEANINGS: dict[str, str] = {
     "controller.nodes": "intervals of the prediction",
     "controller.first_node": "first interval, from which the others grow; 0: all alike, as published. A short one"
     " tracks closer and leaves less room for a delay that nobody predicts",
+    "controller.dead_time": "known time between a command and its thrust, over which the state is predicted with the"
+    " commands already sent; a lag that motor_lag does not model counts too",
+    "controller.motor_lag": "known time constant of the rotors' thrust, which is then a state of the model; 0: none",
     "controller.rate": "control steps a second",
     "controller.position_weight": "cost of the position error squared, world, m^-2",
     "controller.attitude_weight": "cost of the attitude error squared, a quaternion, w first: see attitude_error",

@@ -11,6 +11,8 @@ from quadexp.errors import UsageError
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
+LONGEST_LAG = 0.5  # s, of dead_time and motor_lag: far beyond what any multirotor flies with
+
 
 @dataclass(frozen=True)
 class MPCSettings:
@@ -19,6 +21,8 @@ class MPCSettings:
     horizon: s. nodes: shooting intervals N. rate: control steps per second (Hz).
     first_node: length of the first interval, from which the others grow (s; see `node_periods`); 0: all are alike, as
     published. Every node weighs as much as its share of the horizon.
+    dead_time: s between a command and its thrust over which the state is predicted (dead_time.py).
+    motor_lag: s, time constant of a first-order lag of the thrusts, which are then states of the model; 0: none.
     *_weight: diagonal of Q on deviations in SI units; attitude on a quaternion (w, x, y, z), which is the plain
     difference or the error's rotation in the reference's body frame, as attitude_error says ("plain" or "body").
     input_weight: diagonal of R on thrusts normalised by the largest one.
@@ -32,6 +36,8 @@ class MPCSettings:
     nodes: int = 10
     first_node: float = 0.0
     rate: float = 50.0
+    dead_time: float = 0.0
+    motor_lag: float = 0.0
     position_weight: tuple[float, ...] = (10.0, 10.0, 10.0)
     attitude_weight: tuple[float, ...] = (0.0, 0.1, 0.1, 0.1)
     attitude_error: str = "plain"
@@ -55,6 +61,9 @@ class MPCSettings:
                 f" period of {self.node_period:g} s (horizon / nodes)"
             )
 
+        for name in ("dead_time", "motor_lag"):
+            if not 0 <= getattr(self, name) <= LONGEST_LAG:
+                raise UsageError(f"controller.{name}={getattr(self, name):g}: must be in [0, {LONGEST_LAG:g}] s")
         if self.first_node and not self.control_period - 1e-12 <= self.first_node <= self.node_period + 1e-12:
             raise UsageError(
                 f"controller.first_node={self.first_node:g}: must be 0 or between the control period of"
