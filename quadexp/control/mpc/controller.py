@@ -24,7 +24,7 @@ class PredictiveController:
         self.vehicle, self.settings, self.backend = mpc.vehicle, mpc.settings, mpc.backend
         self.control_period = mpc.settings.control_period
         self.node_times = mpc.settings.dead_time + mpc.node_times  # the command of now begins to act at the first
-        self._under_way = CommandsUnderWay(mpc) if mpc.settings.dead_time or mpc.settings.motor_lag else None
+        self.under_way = CommandsUnderWay(mpc) if mpc.settings.dead_time or mpc.settings.motor_lag else None
         self.name, self.source = mpc.residual.name, mpc.residual.source
 
     @property
@@ -38,18 +38,18 @@ class PredictiveController:
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
-        if self._under_way is not None:
-            self._under_way.reset(np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max))
-            x = self._under_way.ahead(x)
+        if self.under_way is not None:
+            self.under_way.reset(np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max))
+            x = self.under_way.ahead(x)
         self.mpc.reset(x, self._within_reach(x, window.state), window.input)
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
-        if self._under_way is None:
+        if self.under_way is None:
             return self._answer(measurement.state, window)
         began = time.perf_counter()
-        thrust, record = self._answer(self._under_way.ahead(measurement.state), window)
-        self._under_way.sent(thrust)
+        thrust, record = self._answer(self.under_way.ahead(measurement.state), window)
+        self.under_way.sent(thrust)
         return thrust, record._replace(solve_time=time.perf_counter() - began)
 
     def _answer(self, x: np.ndarray, window: Window) -> tuple[np.ndarray, StepRecord]:
