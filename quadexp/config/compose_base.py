@@ -8,19 +8,24 @@ it, and shared.
 
 from __future__ import annotations
 
+import contextlib
 import copy
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.config_repository import CachingConfigRepository
 from hydra._internal.defaults_list import create_defaults_list
+from hydra.core.default_element import GroupDefault
 from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
 from hydra.plugins.config_source import ConfigResult
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from quadexp.config.schema import SCHEMAS, Config
+from quadexp.config.schema import PRESETS, SCHEMAS, Config
 from quadexp.errors import UsageError
 
 NODES_KEPT = 20_000  # made nodes that a sweep keeps at most
@@ -62,10 +67,25 @@ class Bases:
     def _composed(self, groups: Sequence[Override]) -> DictConfig:
         experiments = [o for o in groups if o.key_or_group == "experiment"]
         options = {o.key_or_group: o for o in groups if o.key_or_group != "experiment"}
-        nodes = {name: self._alone(name, str(o.value())) for name, o in options.items()}
+        usual = self._usual() | {name: str(o.value()) for name, o in options.items()}
+        presets = {name: self._alone(name, usual[name]) for name in PRESETS}
+        # A node that a preset writes into begins as its own option has it.
+        chosen = {name for name in options if name not in PRESETS} | {
+            PRESETS[name] for name in options & PRESETS.keys()
+        }
+        nodes = {name: self._alone(name, usual[name]) for name in chosen}
         settled = self._spoken_for(experiments)
-        if not nodes or settled is None or any(list(node) != [name] or name in settled for name, node in nodes.items()):
-            return self._load("config", groups)
+        alone = [list(node) == [name] for name, node in nodes.items()]
+        alone += [list(node) == [PRESETS[name]] for name, node in presets.items()]
+        with _refused_by_name({name: usual[name] for name in PRESETS}, usual):
+            if not options or not all(alone) or settled is None or settled & {*nodes, *PRESETS.values()}:
+                return self._load("config", groups)
+            for name, preset in presets.items():
+                target = PRESETS[name]
+                if target in nodes:
+                    whole = OmegaConf.merge(nodes[target]._get_node(target), preset._get_node(target))
+                    nodes[target] = OmegaConf.create({})
+                    nodes[target]._set_item_impl(target, whole)
         whole = self.get(tuple(o.input_line or "" for o in experiments), experiments).config
         config = _without(whole, list(nodes))
         OmegaConf.set_struct(config, False)
@@ -73,6 +93,12 @@ class Bases:
             config._set_item_impl(name, copy.deepcopy(node._get_node(name)))
         OmegaConf.set_struct(config, True)
         return config
+
+    def _usual(self) -> dict[str, str]:
+        """The option of every group that config.yaml chooses."""
+        loaded = self._repository.load_config("config")
+        defaults = (loaded.defaults_list or []) if loaded else []
+        return {d.group: str(d.value) for d in defaults if isinstance(d, GroupDefault) and d.group is not None}
 
     def _alone(self, group: str, option: str) -> DictConfig:
         """What an option composes to by itself."""
@@ -203,6 +229,22 @@ def _refuse_missing(config: DictConfig) -> None:
         if len(missing) == 1:
             raise UsageError(f"{missing[0]}: has no value; give {missing[0]}=VALUE")
         raise UsageError(f"{', '.join(missing)}: have no value; give each as KEY=VALUE, or in the option's file")
+
+
+@contextlib.contextmanager
+def _refused_by_name(presets: Mapping[str, str], chosen: Mapping[str, str]) -> Iterator[None]:
+    """UsageError in one line where a preset sets what the option that it acts on does not have."""
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException) as error:
+        key = re.search(r"[Kk]ey '(\w+)' (?:is )?not in", str(error))
+        for name, option in presets.items():
+            if key and ("In '" not in str(error) or f"In '{name}/{option}'" in str(error)):
+                target = PRESETS[name]
+                raise UsageError(
+                    f"{name}={option}: sets {target}.{key[1]}, which {target}={chosen[target]} does not have"
+                ) from None
+        raise
 
 
 def _refuse_untyped(config: DictConfig, chosen: Mapping[str, str]) -> None:
