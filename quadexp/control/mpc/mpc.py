@@ -65,6 +65,7 @@ class ModelPredictiveController:
         arguments["R"][...] = share * settings.thrust_weight(vehicle)
         arguments["u_min"][...], arguments["u_max"][...] = vehicle.thrust_min, vehicle.thrust_max
         arguments["dt"][...] = settings.node_periods
+        self._shift = settings.control_period / settings.node_periods  # share of each node between two steps
         if settings.motor_lag:
             arguments["tau"][...] = settings.motor_lag
         self._x0, self._X_ref, self._U_ref = (arguments[name] for name in ("x0", "X_ref", "U_ref"))
@@ -154,7 +155,7 @@ class ModelPredictiveController:
                 self._X[...], self._U[...] = reached
             else:
                 outcome = found
-        shift[...] = self.settings.control_period / self.settings.node_periods
+        shift[...] = self._shift
         self._cold = False
         return outcome
 

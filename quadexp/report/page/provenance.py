@@ -10,6 +10,7 @@ from typing import Any
 
 from quadexp.config.cells import Grid
 from quadexp.report.flown_by import versions_of
+from quadexp.report.margin_line import margin_line
 from quadexp.report.page.source import Comparison
 
 LOOKED_AT = 500  # flights whose settings are compared
@@ -30,6 +31,7 @@ def origin(comparison: Comparison) -> dict[str, Any]:
         "backends": sorted({row["backend"] for row in comparison.rows if row["backend"]}),
         "command": sweep_command(comparison.grids, portable(comparison.root)),
         "models": _models(flights),
+        "margins": _margins(flights),
         "config": common_config(flights),
         "varied": varied(flights),
         "confidence": f"{comparison.confidence:.0%}",
@@ -55,6 +57,12 @@ def _models(flights: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
     """(path, sha256) of every checkpoint that flew."""
     found = {(f.get("model", ""), f.get("model_sha256", "")) for f in flights if f.get("model")}
     return sorted(found)
+
+
+def _margins(flights: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """(controller, what its loop stands); several lines for one whose settings vary."""
+    lines = [(f.get("controller", ""), margin_line(f.get("margins"))) for f in flights]
+    return list(dict.fromkeys((name, line) for name, line in lines if line))
 
 
 def _flat(config: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
