@@ -68,24 +68,21 @@ class Bases:
         experiments = [o for o in groups if o.key_or_group == "experiment"]
         options = {o.key_or_group: o for o in groups if o.key_or_group != "experiment"}
         usual = self._usual() | {name: str(o.value()) for name, o in options.items()}
-        presets = {name: self._alone(name, usual[name]) for name in PRESETS}
         # A node that a preset writes into begins as its own option has it.
-        chosen = {name for name in options if name not in PRESETS} | {
-            PRESETS[name] for name in options & PRESETS.keys()
-        }
+        written = {name: target for name, target in PRESETS.items() if options.keys() & {name, target}}
+        presets = {name: self._alone(name, usual[name]) for name in written}
+        chosen = {name for name in options if name not in PRESETS} | set(written.values())
         nodes = {name: self._alone(name, usual[name]) for name in chosen}
         settled = self._spoken_for(experiments)
         alone = [list(node) == [name] for name, node in nodes.items()]
         alone += [list(node) == [PRESETS[name]] for name, node in presets.items()]
         with _refused_by_name({name: usual[name] for name in PRESETS}, usual):
-            if not options or not all(alone) or settled is None or settled & {*nodes, *PRESETS.values()}:
+            if not options or not all(alone) or settled is None or settled & nodes.keys():
                 return self._load("config", groups)
-            for name, preset in presets.items():
-                target = PRESETS[name]
-                if target in nodes:
-                    whole = OmegaConf.merge(nodes[target]._get_node(target), preset._get_node(target))
-                    nodes[target] = OmegaConf.create({})
-                    nodes[target]._set_item_impl(target, whole)
+            for name, target in written.items():
+                merged = OmegaConf.merge(nodes[target]._get_node(target), presets[name]._get_node(target))
+                nodes[target] = OmegaConf.create({})
+                nodes[target]._set_item_impl(target, merged)
         whole = self.get(tuple(o.input_line or "" for o in experiments), experiments).config
         config = _without(whole, list(nodes))
         OmegaConf.set_struct(config, False)
