@@ -194,7 +194,7 @@ def residual_dataset(
     if not any(len(table["t"]) for table in tables):
         raise DataError(f"dataset: {len(flights)} flights hold no transition (two consecutive samples make one)")
     columns = {column: np.concatenate([table[column] for table in tables]) for column in tables[0]}
-    vehicle_record = {"name": vehicle.name, "fingerprint": vehicle.fingerprint}
+    vehicle_record = {"name": vehicle.name, "fingerprint": vehicle.fingerprint, "mass": vehicle.mass}
     return ResidualDataset(columns, {"vehicle": vehicle_record, "frame": frame, "flights": records})
 
 
