@@ -71,7 +71,10 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/control/mpc/first_solve.py": ("tests/control/mpc/test_first_solve.py", *STEP),
     "quadexp/control/mpc/mpc.py": STEP[1:] + STEP[:1],
     "quadexp/control/mpc/dead_time.py": ("tests/control/mpc/test_dead_time.py",),
-    "quadexp/control/mpc/prediction.py": ("tests/control/mpc/test_dead_time.py", "tests/control/mpc/test_first_solve.py"),
+    "quadexp/control/mpc/prediction.py": (
+        "tests/control/mpc/test_dead_time.py",
+        "tests/control/mpc/test_first_solve.py",
+    ),
     "quadexp/control/mpc/margins.py": ("tests/control/mpc/test_margins.py", "tests/control/mpc/test_dead_time.py"),
     "quadexp/reference/flat*.py": (
         "tests/reference/test_flat_map.py",
