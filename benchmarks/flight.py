@@ -25,7 +25,8 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment import rollout
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference
-from quadexp.reference import Circle, flat_reference
+from quadexp.reference.circle import Circle
+from quadexp.reference.flatness import flat_reference
 from quadexp.world import SimplifiedPlant
 
 CASES = ("none", "gp20")

@@ -31,7 +31,7 @@ from quadexp.config.cells import Cell as Cell
 from quadexp.config.cells import Cells, Grid
 from quadexp.config.completion import folders, groups
 from quadexp.config.plugins import import_from
-from quadexp.config.schema import SCHEMAS, Config, conf_folder
+from quadexp.config.schema import PRESETS, SCHEMAS, Config, conf_folder
 from quadexp.config.settings import REQUIRED, declared, made, plain
 from quadexp.errors import UsageError
 from quadexp.messages import one_line, suggestion
@@ -198,10 +198,28 @@ class Composer:
             raise self._unreadable(error) from None
         content = OmegaConf.to_container(composed)
         assert isinstance(content, dict)
+        if name == "config":
+            self._check_presets(content, chosen)
         found = plain(Config) if name == "config" else {}
         found |= {str(key): value for key, value in content.items()}
         options = {one.key: one.value for one in chosen}
         return {key: _node(key, value, options, source) for key, value in found.items()}
+
+    def _check_presets(self, content: Mapping[Any, Any], chosen: Sequence[Given]) -> None:
+        """UsageError where a preset sets a key that the option of its group does not have."""
+        options = {one.key: one.value for one in chosen}
+        for group, target in PRESETS.items():
+            if group not in options:
+                continue
+            file = next(
+                path for folder in self._folders if (path := folder / group / f"{options[group]}.yaml").is_file()
+            )
+            kind = str(content[target].get(SCHEMA)).rpartition("/")[2]
+            known = declared(SCHEMAS[target][kind]) if kind in SCHEMAS[target] else {}
+            for key in yaml.safe_load(file.read_text(encoding="utf-8")) or {}:
+                if known and key not in known:
+                    option = f"{target}={options[target]}" if target in options else f"the {target}"
+                    raise UsageError(f"{group}={options[group]}: sets {target}.{key}, which {option} does not have")
 
     def _whole(self, chosen: Sequence[Given]) -> dict[str, Node]:
         """The whole configuration with some options chosen."""
@@ -214,14 +232,19 @@ class Composer:
         """The same, from what the experiment and every option are by themselves, where that is the same."""
         if key in self._together:
             return self._together[key]
-        experiments = [one for one in chosen if one.key == "experiment"]
-        options = {one.key: one for one in chosen if one.key != "experiment"}
-        settled = self._spoken_for(experiments)
+        # A preset sets values of another group's node: the two are composed together, with the experiment.
+        joined = {
+            "experiment",
+            *(g for pair in PRESETS.items() if pair[0] in (one.key for one in chosen) for g in pair),
+        }
+        together = [one for one in chosen if one.key in joined]
+        options = {one.key: one for one in chosen if one.key not in joined}
+        settled = self._spoken_for([one for one in together if one.key == "experiment"])
         alone = {name: self._nodes_of(one) for name, one in options.items()}
         if settled is None or any([*nodes] != [name] or name in settled for name, nodes in alone.items()):
             base = self._whole(chosen)
         else:
-            base = self._whole(experiments) | {name: nodes[name] for name, nodes in alone.items()}
+            base = self._whole(together) | {name: nodes[name] for name, nodes in alone.items()}
         self._together[key] = base
         return base
 

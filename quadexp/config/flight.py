@@ -313,6 +313,21 @@ class MPCKeys(Settings):
             "s",
         ),
     ] = 0.0
+    dead_time: Annotated[
+        float,
+        Setting(
+            "known time between a command and its thrust, over which the state is predicted with the commands already"
+            " sent; a lag that motor_lag does not model counts too",
+            "[0, 0.5]",
+            "s",
+        ),
+    ] = 0.0
+    motor_lag: Annotated[
+        float,
+        Setting(
+            "known time constant of the rotors' thrust, which is then a state of the model; 0: none", "[0, 0.5]", "s"
+        ),
+    ] = 0.0
     rate: Annotated[float, Setting("control steps a second", "[1, 1000]", "Hz")] = 50.0
     position_weight: Annotated[Triple, Setting("cost of the position error squared, world, m^-2", "[0, 1e6]")] = (
         10.0,

@@ -131,6 +131,9 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "engine": {"local": EngineConfig, "dask": DaskConfig, "slurm": SlurmConfig},
 }
 
+# Groups of presets, and the group whose values their options set (`# @package controller`).
+PRESETS = {"horizon": "controller"}
+
 
 def conf_folder() -> Path:
     """The configuration folder: beside the package when installed, above it in a checkout."""

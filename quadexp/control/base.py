@@ -44,8 +44,8 @@ class Controller(Protocol):
     """Tracks a reference: `forget` before the reference is made, `reset` once, then `step` every control period.
 
     vehicle: what the controller believes it flies. control_period: s. node_times: (N + 1,), s from now, where it wants
-    the reference. residual: what references should contain of the air, None for nothing. reference_period: s, after
-    which the reference is made anew where `residual` is another object than before; 0: never.
+    the reference; the first need not be 0. residual: what references should contain of the air, None for nothing.
+    reference_period: s, after which the reference is made anew where `residual` is another object; 0: never.
     name, source: what it knows of the air, and from where. backend: what its functions run on.
     """
 

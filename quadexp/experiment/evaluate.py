@@ -21,6 +21,7 @@ from quadexp.experiment.build import (
     find_model,
 )
 from quadexp.experiment.identity import digest, flight_entropy, flight_record
+from quadexp.experiment.loop_margins import loop_margins
 from quadexp.experiment.outside import outside_data
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
@@ -105,6 +106,7 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     note = check_feasible(config, trajectory, vehicle)
     plant = build_plant(vehicle, config.plant)
     controller = build_controller(config, vehicle, plant, model)
+    margins = loop_margins(controller, config.plant)
     reference = SampledReference(trajectory, controller)
     flight = fly(
         plant,
@@ -118,6 +120,7 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     )
     flight.metadata["reference_note"] = note
     flight.metadata["residual"] = {"name": controller.name, "source": controller.source}
+    flight.metadata["margins"] = margins
     flight.metadata["outside_data"] = outside_data(flight, model, controller)
     flight.metadata["row"] = result_row(config, flight)
     return flight

@@ -44,9 +44,10 @@ class SampledReference:
         self._trajectory, self._vehicle, self._backend = trajectory, controller.vehicle, controller.backend
         samples = int(np.floor(trajectory.duration / controller.control_period + 1e-6)) + 1
         self.t = np.arange(samples) * controller.control_period
-        times = self.t[:, None] + controller.node_times
+        times = self.t[:, None] + np.concatenate([[0.0], controller.node_times])
         self._grid, where = np.unique(np.round(times / TIME_RESOLUTION).astype(np.int64), return_inverse=True)
-        self._where = where.reshape(times.shape)
+        where = where.reshape(times.shape)
+        self._now, self._where = where[:, 0], where[:, 1:]  # a horizon need not begin now
         self._stride = _common_stride(self._where)
         flat = trajectory.flat_output(self.t)
         self._position = flat.position
@@ -95,12 +96,12 @@ class SampledReference:
 
     def along(self) -> tuple[np.ndarray, np.ndarray]:
         """States (k, 13) and inputs (k, n) at the control instants."""
-        where = self._where[:, 0]
+        where = self._now
         return self.reference.state[where], self.reference.input[where]
 
     def at(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """State (13,) and input (n,) at control instant k."""
-        where = self._where[k, 0]
+        where = self._now[k]
         return self.reference.state[where], self.reference.input[where]
 
 

@@ -183,7 +183,7 @@ def residual_dataset(
     for record, flight in zip(records, flights, strict=True):
         record["left_out"] = max(len(np.asarray(flight.columns["t"])) - 1, 0) - record["rows"]
         record["seed"] = flight.metadata.get("seed")
-    vehicle_record = {"name": vehicle.name, "fingerprint": vehicle.fingerprint}
+    vehicle_record = {"name": vehicle.name, "fingerprint": vehicle.fingerprint, "mass": vehicle.mass}
     return ResidualDataset(columns, {"vehicle": vehicle_record, "frame": frame, "flights": records})
 
 

@@ -8,6 +8,11 @@ S_i = d k_i / d(s, u), (10, 10 + n), of the four slopes k_i = f(s + c_i k_{i-1},
 
 Differentiating the whole step at once gives the same numbers from an expression three to ten times larger. The
 residual's own Jacobian enters by the chain rule through z(x, u).
+
+With rotors that lag, the thrusts T are states behind the 13 of the body, and the thrust of a stage is
+T_i = u + a_i (T - u), a_i = exp(-c_i / tau) (physics.motor). Then S_i is taken by (s, T, u), (10, 10 + 2 n):
+
+    S_i = [f_s, a_i f_T, (1 - a_i) f_T] + c_i f_s S_{i-1},        dT_next = a dT + (1 - a) du
 """
 
 from __future__ import annotations
@@ -18,6 +23,7 @@ import casadi as ca
 
 from quadexp.physics.correction import N_OUTPUTS, Correction
 from quadexp.physics.expression import Expression
+from quadexp.physics.motor import lagging_thrust
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.scalars import as_scalars
 from quadexp.physics.state import N_STATE
@@ -28,36 +34,73 @@ MOTION_VELOCITY = slice(4, 7)  # v within s
 FLAT_LIMIT = 100  # scalar operations of a residual; above, one function called four times is faster than four copies
 
 
-def rk4_sensitivity_function(vehicle: Vehicle, residual: Correction, *, scalar: bool = True) -> ca.Function:
+def rk4_sensitivity_function(
+    vehicle: Vehicle, residual: Correction, *, scalar: bool = True, lag: bool = False
+) -> ca.Function:
     """(x (13,), u (n,), theta (p,), dt (s)) -> x_next (13,), A (13, 13), B (13, n).
 
+    lag: rotors lag behind their commands; x (13 + n,) then ends with their thrusts (N), and the last input is the time
+    constant tau (s).
     scalar: scalar operations without structural zeros, fastest when compiled; otherwise dense matrix products, fastest
     in CasADi's virtual machine. A residual that is large or in matrix operations remains a function call.
     """
     flat = scalar and residual.function.is_a("SXFunction") and residual.function.n_instructions() < FLAT_LIMIT
     kind = ca.SX if flat else ca.MX
-    x, u = kind.sym("x", N_STATE), kind.sym("u", vehicle.n_rotors)
-    theta, dt = kind.sym("theta", residual.function.size1_in(1)), kind.sym("dt")
+    n = vehicle.n_rotors
+    start, u = kind.sym("x", N_STATE + n * lag), kind.sym("u", n)
+    theta, dt, tau = kind.sym("theta", residual.function.size1_in(1)), kind.sym("dt"), kind.sym("tau")
+    x, thrust = (start[:N_STATE], start[N_STATE:]) if lag else (start, u)
     slope = _slope_function(vehicle, residual, dense=not scalar)
 
     def chained_stage(
-        x_stage: Expression, u: Expression, y: Expression, dy_dz: Expression, S: Expression, c: Expression
+        x_stage: Expression,
+        u: Expression,
+        y: Expression,
+        dy_dz: Expression,
+        S: Expression,
+        c: Expression,
+        *a: Expression,
     ) -> tuple[Expression, Expression]:
         k, G = slope(x_stage, u, y, dy_dz)
-        return k, G + c * ca.mtimes(G[:, :N_MOTION], S)
+        return k, _by_command(G, *a) + c * ca.mtimes(G[:, :N_MOTION], S)
 
     parts: tuple[Callable[..., Expression], ...] = (chained_stage, _combine)
     stage, combine = (as_scalars(f) if scalar else f for f in parts)
-    k, S = slope(x, u, *residual.function(as_scalars(body_features)(x, u), theta))
-    slopes, sensitivities = [k], [S]
+    k, S = slope(x, thrust, *residual.function(as_scalars(body_features)(x, thrust), theta))
+    slopes, sensitivities = [k], [ca.horzcat(S, kind(N_MOTION, n)) if lag else S]
     for c in (dt / 2, dt / 2, dt):
-        x_stage, z = as_scalars(_stage_point)(x, u, slopes[-1], c)
-        k, S = stage(x_stage, u, *residual.function(z, theta), sensitivities[-1], c)
+        share = [ca.exp(-c / tau)] if lag else []
+        delivered = lagging_thrust(thrust, u, c, tau) if lag else u
+        x_stage, z = as_scalars(_stage_point)(x, delivered, slopes[-1], c)
+        k, S = stage(x_stage, delivered, *residual.function(z, theta), sensitivities[-1], c, *share)
         slopes.append(k)
         sensitivities.append(S)
     outputs = combine(x, dt, *slopes, *sensitivities)
+    if lag:
+        x_next, A, by_inputs = outputs
+        outputs = _with_thrusts(x_next, A, by_inputs, delivered, ca.exp(-dt / tau))
     outputs = ca.cse(outputs) if flat else outputs if scalar else [ca.densify(output) for output in outputs]
-    return ca.Function("node", [x, u, theta, dt], outputs, ["x", "u", "theta", "dt"], ["x_next", "A", "B"])
+    arguments, names = [start, u, theta, dt], ["x", "u", "theta", "dt"]
+    if lag:
+        arguments, names = [*arguments, tau], [*names, "tau"]
+    return ca.Function("node", arguments, outputs, names, ["x_next", "A", "B"])
+
+
+def _by_command(G: Expression, a: Expression | None = None) -> Expression:
+    """[f_s, f_T] of a stage, by what the step begins with: where rotors lag, a is the share of the first thrust."""
+    if a is None:
+        return G
+    by_thrust = G[:, N_MOTION:]
+    return ca.horzcat(G[:, :N_MOTION], a * by_thrust, (1 - a) * by_thrust)
+
+
+def _with_thrusts(
+    x_next: Expression, A: Expression, by_inputs: Expression, thrust: Expression, a: Expression
+) -> list[Expression]:
+    """x_next, A, B with the thrusts as states; by_inputs (13, 2 n): by the first thrusts and by the commands."""
+    n, unit = thrust.size1(), type(thrust).eye(thrust.size1())
+    A = ca.vertcat(ca.horzcat(A, by_inputs[:, :n]), ca.horzcat(type(A)(n, N_STATE), a * unit))
+    return [ca.vertcat(x_next, thrust), A, ca.vertcat(by_inputs[:, n:], (1 - a) * unit)]
 
 
 def _stage_point(x: Expression, u: Expression, k: Expression, c: Expression) -> tuple[Expression, Expression]:

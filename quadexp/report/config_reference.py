@@ -14,7 +14,7 @@ from typing import Any, get_args, get_origin
 
 import yaml
 
-from quadexp.config.schema import SCHEMAS, Config, conf_folder
+from quadexp.config.schema import PRESETS, SCHEMAS, Config, conf_folder
 from quadexp.config.settings import REQUIRED, Declared, declared, lists
 
 ASIDE = {"name", "kind", "sweep"}  # set by the option, not by its user
@@ -69,7 +69,22 @@ def reference() -> str:
             values = _values(group, using[0]) if using else {}
             parts.append("\n".join(filter(None, [title, "", f"{doc}{example}"])) + "\n")
             parts.append(_table(_keys(node, f"{group}.", values)))
+        parts += [_preset(name) for name, target in PRESETS.items() if target == group]
     return "\n".join(parts)
+
+
+def _preset(group: str) -> str:
+    """A group of presets: what each of its options sets."""
+    folder = conf_folder() / group
+    lines = [f"### {group}: presets\n", f"A choice beside `{PRESETS[group]}=` that sets several of its keys at once.\n"]
+    lines += ["| option | sets | meaning |", "|---|---|---|"]
+    for path in sorted(folder.glob("*.yaml")):
+        text = path.read_text(encoding="utf-8")
+        said = [line[2:] for line in text.splitlines() if line.startswith("# ") and "@package" not in line]
+        values = yaml.safe_load(text) or {}
+        sets = ", ".join(f"`{PRESETS[group]}.{key}={value}`" for key, value in values.items()) or "nothing"
+        lines.append(f"| `{group}={path.stem}` | {sets} | {' '.join(said)} |")
+    return "\n".join(lines) + "\n"
 
 
 def keys() -> list[str]:

@@ -16,6 +16,7 @@ from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import describe
 from quadexp.log.store import check_finite, has_content_hash, read_metadata, read_table
 from quadexp.report.flown_by import flown_by, flown_by_lines, versions_of
+from quadexp.report.margin_line import margin_line
 from quadexp.report.metrics import METRICS
 from quadexp.report.notes import LARGE_ATTITUDE_ERROR, outside_line, range_lines
 from quadexp.report.text import speed_text
@@ -69,6 +70,8 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
         f"flight      {row['duration']:.2f} s, peak speed {row['peak_speed']:.2f} m/s,"
         f" {100 * row['saturated_share']:.1f} % of samples at a thrust limit"
     )
+    if line := margin_line(metadata.get("margins")):
+        lines.append(f"loop        {line}")
     share = row.get("reference_residual")
     if share is not None and share < 1:
         lines.append(

@@ -28,7 +28,7 @@ SET_BY_THE_SCHEMA = {"kind"}  # a schema gives its own value to what its base de
 # Dataclasses that share three or more names with a node and configure nothing: why.
 NOT_SETTINGS = {
     "SpeedProfile": "a function of three numbers, made by the path that has them",
-    "PeriodModel": "the part of a plant that is compiled, made by the plant that has its options",
+    "BladeElementModel": "the part of a plant that is compiled, made by the plant that has its options",
     "LinearDrag": "the result of a fit, with how it was fitted",
     "ThrustCurve": "the result of a fit, with how it was fitted",
 }

@@ -17,7 +17,10 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment import compiled_flight, rollout
 from quadexp.experiment.compiled_flight import CompiledFlight, Drawn, covers
 from quadexp.experiment.rollout import SampledReference, fly
-from quadexp.reference import Circle, Hover, Lemniscate, Step
+from quadexp.reference.circle import Circle
+from quadexp.reference.hover import Hover
+from quadexp.reference.lemniscate import Lemniscate
+from quadexp.reference.step import Step
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.accelerometer import LEI_LI
 from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant, PlantChange

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError, UsageError
 from quadexp.learn.dataset import ResidualDataset, residual_dataset, transitions
+from quadexp.learn.term_mean import fit_term_mean
 from quadexp.log.schema import Flight
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
@@ -169,9 +170,23 @@ def test_flights_are_not_joined_and_rows_say_where_they_came_from():
     assert list(dataset.columns["flight"]) == [0] * 5 + [1] * 7
     assert set(dataset.columns["flight_name"][5:]) == {"b.parquet"}
     assert [record["rows"] for record in dataset.metadata["flights"]] == [5, 7]
-    assert dataset.metadata["vehicle"] == {"name": "test", "fingerprint": VEHICLE.fingerprint}
+    assert dataset.metadata["vehicle"] == {"name": "test", "fingerprint": VEHICLE.fingerprint, "mass": 1.2}
     columns, metadata = dataset
     assert ResidualDataset(columns, metadata).sha256 == dataset.sha256
+
+
+def test_simulated_rows_carry_what_a_mean_of_terms_needs():
+    """gp.mean=quadratic asks for the vehicle's mass: the drag that acted comes back from rows of simulated flights."""
+
+    def drag(v, w):
+        return -(0.3 * v + 0.08 * v * np.abs(v))
+
+    flights = [simulate(0.02, steps=150, force=drag, seed=seed) for seed in range(6)]
+    dataset = residual_dataset(flights, VEHICLE)
+    mean = fit_term_mean(dataset, "quadratic")
+    found, true = mean.acceleration(dataset), np.array([drag(v, None) for v in dataset.matrix(("v_x", "v_y", "v_z"))])
+    assert mean.mass == 1.2
+    assert np.abs(found * 1.2 - true).max() < 0.05 * np.abs(true).max()
 
 
 def test_bad_flights_are_named():

@@ -35,7 +35,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/physics/scalars.py": JACOBIANS,
     "quadexp/physics/sensitivity.py": JACOBIANS,
     "quadexp/physics/drag.py": (*RESIDUAL, "tests/world/test_simplified.py"),
-    "quadexp/physics/motor.py": (*RESIDUAL, "tests/world/test_simplified.py"),
+    "quadexp/physics/motor.py": ("tests/physics/test_motor.py", *RESIDUAL, "tests/world/test_simplified.py"),
     "quadexp/physics/blade_element.py": AIR,
     "quadexp/physics/aerodynamic_point.py": AIR,
     "quadexp/physics/induced_velocity.py": ("tests/physics/test_induced_velocity.py", *AIR),
@@ -70,6 +70,12 @@ TARGETS: dict[str, tuple[str, ...]] = {
     ),
     "quadexp/control/mpc/first_solve.py": ("tests/control/mpc/test_first_solve.py", *STEP),
     "quadexp/control/mpc/mpc.py": STEP[1:] + STEP[:1],
+    "quadexp/control/mpc/dead_time.py": ("tests/control/mpc/test_dead_time.py",),
+    "quadexp/control/mpc/prediction.py": (
+        "tests/control/mpc/test_dead_time.py",
+        "tests/control/mpc/test_first_solve.py",
+    ),
+    "quadexp/control/mpc/margins.py": ("tests/control/mpc/test_margins.py", "tests/control/mpc/test_dead_time.py"),
     "quadexp/reference/flat*.py": (
         "tests/reference/test_flat_map.py",
         "tests/reference/test_flatness.py",

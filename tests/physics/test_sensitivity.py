@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from quadexp.physics.integrator import rk4_step
+from quadexp.physics.motor import lagging_rk4_step
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.sensitivity import rk4_sensitivity_function
 from tests.air.models import RESIDUALS, make_residual
@@ -43,3 +44,19 @@ def test_any_layout(odd_vehicle, rng):
     assert np.allclose(x_next.reshape(-1), step(x0, u0), atol=1e-13)
     assert np.allclose(A, numeric_A, atol=1e-7)
     assert np.allclose(B, numeric_B, atol=1e-7)
+
+
+@pytest.mark.parametrize("scalar", [True, False])
+@pytest.mark.parametrize("name", ["none", "gp_with_mean", "plant", "blade_element"])
+def test_lagging_rotors_equal_automatic_differentiation(vehicle, rng, name, scalar):
+    """17 states: the thrusts at the stages of the step follow the command with a lag."""
+    residual, tau, dt = make_residual(name, vehicle), 0.03, 0.07
+    corrected = corrected_function(vehicle, residual)
+    x, u = ca.MX.sym("x", 17), ca.MX.sym("u", 4)
+    x_next = lagging_rk4_step(lambda s, thrust: corrected(s, thrust, residual.theta), x, u, dt, tau)
+    whole = ca.Function("whole", [x, u], [x_next, ca.jacobian(x_next, x), ca.jacobian(x_next, u)])
+    chained = rk4_sensitivity_function(vehicle, residual, scalar=scalar, lag=True)
+    for _ in range(5):
+        x0, u0 = np.r_[random_state(rng), rng.uniform(0.5, 10, 4)], rng.uniform(0.5, 10, 4)
+        for expected, found in zip(whole(x0, u0), chained(x0, u0, residual.theta, dt, tau), strict=True):
+            assert np.allclose(expected, found, rtol=1e-11, atol=1e-11)

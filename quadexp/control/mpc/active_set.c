@@ -1,9 +1,9 @@
 /* The bounded subproblem by a dual active set on the Riccati factorisation, as the body of a compiled function (see
    active_set.py for the method; dual_active_set.py is the second part in numpy, with the same steps in the same order).
 
-   Declared before: N_INPUTS = n, NODES = N; in: rows (of every node, as in riccati_backward.c), K (n, 13 N), factor
-   (n, n N: L below the diagonal, D^-1 on it, of H_k = L D L'), q (13, N + 1), r (n, N), Q (13, N: of the nodes 1..N),
-   R (n, N), start, low, high, guess (n, N); out: dX (13, N), dU (n, N), side (n, N), checks (4). All are stored by
+   Declared before: N_INPUTS = n, STATES = m, NODES = N; in: rows (of every node, as in riccati_backward.c), K (n, m N), factor
+   (n, n N: L below the diagonal, D^-1 on it, of H_k = L D L'), q (m, N + 1), r (n, N), Q (m, N: of the nodes 1..N),
+   R (n, N), start, low, high, guess (n, N); out: dX (m, N), dU (n, N), side (n, N), checks (4). All are stored by
    columns: the numbers of one node lie side by side.
 
    S is symmetric: it is kept in panels of eight columns with the rows down to the diagonal, (8 J + 8, 8) for panel J,
@@ -16,7 +16,7 @@ enum { LANES = 4 };
 enum { LANES = 2 };
 #endif
 typedef double vector __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
-enum { PLACE = 3, MOTION = 10, STATES = PLACE + MOTION, AFFINE = MOTION + N_INPUTS, ROW = (AFFINE / 8 + 1) * 8 };
+enum { PLACE = 3, MOTION = STATES - PLACE, AFFINE = MOTION + N_INPUTS, ROW = (AFFINE / 8 + 1) * 8 };
 enum { SIZE = NODES * N_INPUTS, PANELS = (SIZE + 7) / 8, LINE = 8 * PANELS, MOST = 10 * SIZE, ROUNDS = 4 };
 const double tolerance = 1e-10, loose = 1e-7, none = 1e300;
 

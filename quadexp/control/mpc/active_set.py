@@ -25,7 +25,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.control.mpc.dual_active_set import bounded_minimum
-from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.physics.state import ATTITUDE
 
 
 class Status(IntEnum):
@@ -50,7 +50,7 @@ class Solver(Protocol):
 class ActiveSet:
     """Solver of the bounded subproblem that a control step leaves behind, with the set of the last one as a guess.
 
-    After `solve`: X_new (13, N + 1), U_new (n, N) stored as numpy (N + 1, 13), (N, n), overwritten by the next; side
+    After `solve`: X_new (m, N + 1), U_new (n, N) stored as numpy (N + 1, m), (N, n), overwritten by the next; side
     (N, n), -1 at the lower, 1 at the upper bound, 0 free; exchanges of the set; active, how many inputs are at a bound;
     turn, the largest change of a quaternion (length).
     """
@@ -98,8 +98,9 @@ class InterpretedSolver:
         self._data = data
         self._places = {name: _places(step.sparsity_out(step.index_out(name))) for name in ("A", "B")}
         nodes, n = data["U_lin"].shape
+        self._states = states = data["Q"].shape[1]
         self.arguments = {"guess": np.zeros((nodes, n))}
-        self.results = {"X_new": np.zeros((nodes + 1, N_STATE)), "U_new": np.zeros((nodes, n))}
+        self.results = {"X_new": np.zeros((nodes + 1, states)), "U_new": np.zeros((nodes, n))}
         self.results |= {"side": np.zeros((nodes, n)), "checks": np.zeros(5)}
 
     def __call__(self) -> None:
@@ -112,16 +113,16 @@ class InterpretedSolver:
         A, B = (self._transposed(name) for name in ("A", "B"))
         U, weights = data["U_lin"], np.vstack([data["Q"][1:], data["Q_end"]])
 
-        d_state = np.zeros((nodes, N_STATE))
+        d_state = np.zeros((nodes, self._states))
 
         def gradient(flat: np.ndarray) -> np.ndarray:
             """Of the cost in all inputs' changes, by the states that follow: they are in d_state then."""
-            d_input, d = flat.reshape(nodes, n), np.zeros(N_STATE)
+            d_input, d = flat.reshape(nodes, n), np.zeros(self._states)
             pushed = np.einsum("ki,kij->kj", d_input, B) + data["b"]
             for k in range(nodes):
                 d_state[k] = d = d @ A[k] + pushed[k]
             slopes = data["q"][1:] + weights * d_state
-            result, p = data["r"] + data["R"] * d_input, np.zeros(N_STATE)
+            result, p = data["r"] + data["R"] * d_input, np.zeros(self._states)
             for k in range(nodes - 1, -1, -1):
                 p += slopes[k]
                 result[k] += B[k] @ p
@@ -148,29 +149,29 @@ class InterpretedSolver:
         results["checks"][...] = found.solved, found.exchanges, np.count_nonzero(found.side), found.error, turn
 
     def _transposed(self, name: str) -> np.ndarray:
-        """A' or B' of every node, dense: (N, 13, 13) or (N, n, 13)."""
+        """A' or B' of every node, dense: (N, m, m) or (N, n, m)."""
         nodes = len(self._data["U_lin"])
-        dense = np.zeros((self._places[name][1], N_STATE))
+        dense = np.zeros((self._places[name][1], self._states))
         dense.ravel()[self._places[name][0]] = self._data[name].ravel()
-        return dense.reshape(nodes, -1, N_STATE)
+        return dense.reshape(nodes, -1, self._states)
 
     def _inverse_hessian(self, A: np.ndarray, B: np.ndarray) -> np.ndarray:
         """M, (n N, n N), from A', B' and the step's factorisation."""
         nodes, n = self.arguments["guess"].shape
-        K = self._data["K"].reshape(nodes, N_STATE, n)  # transposed, as it is stored
+        K = self._data["K"].reshape(nodes, self._states, n)  # transposed, as it is stored
         factors = self._data["factor"].reshape(nodes, n, n).transpose(0, 2, 1)
         from_L = np.linalg.inv(np.tril(factors, -1) + np.eye(n))
         from_D = np.diagonal(factors, axis1=1, axis2=2)
         at_nodes = from_L.transpose(0, 2, 1) @ (from_D[:, :, None] * from_L)  # H_k^-1
-        inverse, p = np.zeros((nodes * n, nodes * n)), np.zeros((N_STATE, 0))
+        inverse, p = np.zeros((nodes * n, nodes * n)), np.zeros((self._states, 0))
         for k in range(nodes - 1, -1, -1):
             h = np.hstack([np.eye(n), B[k] @ p])
             inverse[k * n :, k * n :] += h.T @ (at_nodes[k] @ h)
-            p = np.hstack([np.zeros((N_STATE, n)), A[k] @ p]) - K[k] @ h
+            p = np.hstack([np.zeros((self._states, n)), A[k] @ p]) - K[k] @ h
         return inverse
 
 
 def _places(pattern: ca.Sparsity) -> tuple[np.ndarray, int]:
-    """Where the non-zeros of a matrix with 13 rows stand in it, stored by columns; and how many columns it has."""
+    """Where the non-zeros of a matrix stand in it, stored by columns; and how many columns it has."""
     rows, columns = pattern.get_triplet()
-    return np.array(columns) * N_STATE + np.array(rows), pattern.size2()
+    return np.array(columns) * pattern.size1() + np.array(rows), pattern.size2()

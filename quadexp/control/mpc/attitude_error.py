@@ -19,19 +19,17 @@ import casadi as ca
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import left_matrix
 from quadexp.physics.scalars import as_scalars
-from quadexp.physics.state import ATTITUDE, N_STATE
-
-N_BEFORE, N_AFTER = ATTITUDE.start, N_STATE - ATTITUDE.stop  # of the state, around the quaternion
+from quadexp.physics.state import ATTITUDE
 
 
 class AttitudeError(Protocol):
     """Coordinates of the quaternion's deviation at the nodes 0..N of a horizon."""
 
     def deviation(self, k: int, dx: Expression) -> Expression:
-        """State deviation (13,) at node k in the cost's coordinates."""
+        """State deviation at node k in the cost's coordinates."""
 
     def change(self, k: int, dx: Expression) -> Expression:
-        """The way back: from the cost's coordinates to a change of the state, (13,)."""
+        """The way back: from the cost's coordinates to a change of the state."""
 
     def linearisation(
         self, k: int, A: Expression, B: Expression, b: Expression
@@ -97,8 +95,8 @@ def _frame(q: Expression) -> Expression:
 
 
 def _into(L: Expression, rows: Expression) -> Expression:
-    """Rows of a state-sized matrix, (13, m), from the quaternion's coordinates into the error's."""
-    before, attitude, after = ca.vertsplit(rows, [0, N_BEFORE, N_STATE - N_AFTER, N_STATE])
+    """Rows of a state-sized matrix, from the quaternion's coordinates into the error's."""
+    before, attitude, after = ca.vertsplit(rows, [0, ATTITUDE.start, ATTITUDE.stop, rows.size1()])
     return ca.vertcat(before, ca.mtimes(L.T, attitude), after)
 
 

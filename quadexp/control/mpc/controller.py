@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import time
 
 import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.mpc.dead_time import CommandsUnderWay
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
 from quadexp.physics.state import POSITION
 
@@ -20,7 +22,9 @@ class PredictiveController:
     def __init__(self, mpc: ModelPredictiveController) -> None:
         self.mpc = mpc
         self.vehicle, self.settings, self.backend = mpc.vehicle, mpc.settings, mpc.backend
-        self.control_period, self.node_times = mpc.settings.control_period, mpc.node_times
+        self.control_period = mpc.settings.control_period
+        self.node_times = mpc.settings.dead_time + mpc.node_times  # the command of now begins to act at the first
+        self.under_way = CommandsUnderWay(mpc) if mpc.settings.dead_time or mpc.settings.motor_lag else None
         self.name, self.source = mpc.residual.name, mpc.residual.source
 
     @property
@@ -34,12 +38,23 @@ class PredictiveController:
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
+        if self.under_way is not None:
+            self.under_way.reset(np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max))
+            x = self.under_way.ahead(x)
         self.mpc.reset(x, self._within_reach(x, window.state), window.input)
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
-        reference = self._within_reach(measurement.state, window.state)
-        return self.mpc.command(measurement.state, reference, window.input)
+        if self.under_way is None:
+            return self._answer(measurement.state, window)
+        began = time.perf_counter()
+        thrust, record = self._answer(self.under_way.ahead(measurement.state), window)
+        self.under_way.sent(thrust)
+        return thrust, record._replace(solve_time=time.perf_counter() - began)
+
+    def _answer(self, x: np.ndarray, window: Window) -> tuple[np.ndarray, StepRecord]:
+        """To the state in which the command begins to act, along the reference from there on."""
+        return self.mpc.command(x, self._within_reach(x, window.state), window.input)
 
     def _within_reach(self, x: np.ndarray, reference: np.ndarray) -> np.ndarray:
         """The reference (N + 1, 13), brought towards the vehicle where it is further away than distance_limit.

@@ -23,8 +23,7 @@ from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.attitude_error import attitude_error_in, reference_frames
-from quadexp.physics.integrator import rk4_step
-from quadexp.physics.rigid_body import corrected_function
+from quadexp.control.mpc.prediction import node_function
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 
@@ -45,29 +44,32 @@ class Direction(NamedTuple):
     kkt: float
 
 
-def rollout_function(vehicle: Vehicle, residual: Residual, nodes: int, *, attitude_error: str = "plain") -> ca.Function:
+def rollout_function(
+    vehicle: Vehicle, residual: Residual, nodes: int, *, attitude_error: str = "plain", lag: bool = False
+) -> ca.Function:
     """The trajectory of given inputs, and its cost.
 
-    Inputs, named as the step's: x0 (13,), U (n, N), X_ref (13, N + 1), U_ref (n, N), theta (p,), Q (13, N),
-    Q_end (13,), R (n, N), dt (N,) (s). Outputs: X (13, N + 1); cost, half of control.step's weighted sum of squares.
+    Inputs, named as the step's: x0 (m,), U (n, N), X_ref (m, N + 1), U_ref (n, N), theta (p,), Q (m, N), Q_end (m,),
+    R (n, N), dt (N,) (s), with `lag` also tau (s). Outputs: X (m, N + 1); cost, half of control.step's weighted sum of
+    squares.
     """
     n = vehicle.n_rotors
-    dynamics = corrected_function(vehicle, residual)
-    names = {"x0": (N_STATE, 1), "U": (n, nodes), "X_ref": (N_STATE, nodes + 1), "U_ref": (n, nodes)}
+    m = N_STATE + n * lag
+    names = {"x0": (m, 1), "U": (n, nodes), "X_ref": (m, nodes + 1), "U_ref": (n, nodes)}
     names |= {
         "theta": residual.function.size_in(1),
-        "Q": (N_STATE, nodes),
-        "Q_end": (N_STATE, 1),
+        "Q": (m, nodes),
+        "Q_end": (m, 1),
         "R": (n, nodes),
         "dt": (nodes, 1),
     }
+    names |= {"tau": (1, 1)} if lag else {}
     a = {name: ca.MX.sym(name, *shape) for name, shape in names.items()}
-    x, u, theta, dt = ca.MX.sym("x", N_STATE), ca.MX.sym("u", n), ca.MX.sym("theta", *names["theta"]), ca.MX.sym("dt")
-    node = ca.Function("node", [x, u, theta, dt], [rk4_step(lambda s: dynamics(s, u, theta), x, dt)])
+    node = node_function(vehicle, residual, lag=lag)
 
     states = [a["x0"]]
     for u_k, dt_k in zip(ca.horzsplit(a["U"]), ca.vertsplit(a["dt"]), strict=True):
-        states.append(node(states[-1], u_k, a["theta"], dt_k))
+        states.append(node(states[-1], u_k, a["theta"], dt_k, *([a["tau"]] if lag else [])))
     X = ca.horzcat(*states)
     error = attitude_error_in(reference_frames(a["X_ref"]) if attitude_error == "body" else None)
     deviation = [error.deviation(k, d) for k, d in enumerate(ca.horzsplit(X - a["X_ref"]))]

@@ -17,7 +17,7 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.mpc.step import step_function
 from quadexp.control.mpc.subproblem import TOLERANCE, bounded_function
 from quadexp.errors import QuadexpError
-from quadexp.physics.state import ATTITUDE
+from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.physics.vehicle import Vehicle
 
 MAX_TURN = 0.25  # largest change of a quaternion, its length, that one iteration may make
@@ -60,14 +60,18 @@ class ModelPredictiveController:
         self._active_set = make_active_set(bounded, self._step)
 
         share = settings.node_share[:, None]
-        arguments["Q"][...] = share * settings.state_weight()
-        arguments["Q_end"][...] = settings.terminal_weight * settings.state_weight()
+        arguments["Q"][:, :N_STATE] = share * settings.state_weight()  # thrusts that are states weigh nothing
+        arguments["Q_end"][:N_STATE] = settings.terminal_weight * settings.state_weight()
         arguments["R"][...] = share * settings.thrust_weight(vehicle)
         arguments["u_min"][...], arguments["u_max"][...] = vehicle.thrust_min, vehicle.thrust_max
         arguments["dt"][...] = settings.node_periods
+        self._shift = settings.control_period / settings.node_periods  # share of each node between two steps
+        if settings.motor_lag:
+            arguments["tau"][...] = settings.motor_lag
         self._x0, self._X_ref, self._U_ref = (arguments[name] for name in ("x0", "X_ref", "U_ref"))
         self._X_ref_flat, self._U_ref_flat = self._X_ref.ravel(), self._U_ref.ravel()
         self._X, self._U = arguments["X"], arguments["U"]
+        self._X_ref_body = self._X_ref[:, :N_STATE]
         self._X_new, self._U_new = (self._step.results[name] for name in ("X_new", "U_new"))
         self._checks, self._thrust = self._step.results["checks"], self._U[0]
         self._attitude, self._attitude_ref = self._x0[ATTITUDE], self._X_ref[0, ATTITUDE]
@@ -78,6 +82,11 @@ class ModelPredictiveController:
         self._first_solve: FirstSolve | None = None  # few flights need it
         self.set_parameters(residual.theta)
         self.node_times = settings.node_times  # s from now, for sampling references
+
+    @property
+    def parameters(self) -> np.ndarray:
+        """Residual parameters in use, (p,); `set_parameters` writes into this array."""
+        return self._step.arguments["theta"]
 
     def set_parameters(self, theta: np.ndarray) -> None:
         """New residual parameters, (p,), from the next step on; nothing is rebuilt."""
@@ -90,18 +99,20 @@ class ModelPredictiveController:
 
     @property
     def prediction(self) -> tuple[np.ndarray, np.ndarray]:
-        """Predicted states (N + 1, 13) and inputs (N, n) of the last step; overwritten by the next."""
+        """Predicted states (N + 1, m) and inputs (N, n) of the last step; overwritten by the next."""
         return self._X, self._U
 
     def reset(self, x0: np.ndarray, state_reference: np.ndarray, input_reference: np.ndarray) -> None:
         """Start anew from a guess on the reference; the next `command` iterates to convergence.
 
-        x0: (13,). state_reference: (N + 1, 13). input_reference: (N, n), N.
+        x0: see `command`. state_reference: (N + 1, 13). input_reference: (N, n), N.
         """
-        self._X[...] = state_reference
+        self._X[:, :N_STATE] = state_reference
         if state_reference[0, ATTITUDE] @ x0[ATTITUDE] < 0:
             self._X[:, ATTITUDE] *= -1
         self._U[...] = np.clip(input_reference, self.vehicle.thrust_min, self.vehicle.thrust_max)
+        self._X[:-1, N_STATE:] = self._U[:, : self._X.shape[1] - N_STATE]
+        self._X[-1, N_STATE:] = self._X[-2, N_STATE:]
         self._active_set.reset()
         self._cold = True
 
@@ -110,7 +121,8 @@ class ModelPredictiveController:
     ) -> tuple[np.ndarray, StepRecord]:
         """Rotor thrusts (n,) (N) for the measured state, and how the step went.
 
-        x0: (13,), unit quaternion. state_reference: (N + 1, 13) at `node_times` from now; input_reference: (N, n).
+        x0: (13,), unit quaternion; with settings.motor_lag (13 + n,), the rotors' thrusts (N) behind it.
+        state_reference: (N + 1, 13) at `node_times` from now; input_reference: (N, n).
         Raises QuadexpError for a measurement or a reference that is not finite. A step that fails returns the last
         prediction's input with status FAILED; whoever flies decides what to do.
         """
@@ -118,7 +130,7 @@ class ModelPredictiveController:
         if not math.isfinite(sum(x0.tolist())):
             raise QuadexpError("the measured state is not finite")
         self._x0[...] = x0
-        self._X_ref[...] = state_reference
+        self._X_ref_body[...] = state_reference
         self._U_ref[...] = input_reference
         if not math.isfinite(self._X_ref_flat.dot(self._X_ref_flat) + self._U_ref_flat.dot(self._U_ref_flat)):
             raise QuadexpError("the reference is not finite")
@@ -148,7 +160,7 @@ class ModelPredictiveController:
                 self._X[...], self._U[...] = reached
             else:
                 outcome = found
-        shift[...] = self.settings.control_period / self.settings.node_periods
+        shift[...] = self._shift
         self._cold = False
         return outcome
 
@@ -158,8 +170,9 @@ class ModelPredictiveController:
         None where neither has a finite trajectory.
         """
         if self._first_solve is None:
-            error = self.settings.attitude_error
-            rollout = rollout_function(self.vehicle, self.residual, self.settings.nodes, attitude_error=error)
+            settings = self.settings
+            form: dict[str, Any] = {"attitude_error": settings.attitude_error, "lag": bool(settings.motor_lag)}
+            rollout = rollout_function(self.vehicle, self.residual, settings.nodes, **form)
             self._first_solve = FirstSolve(rollout, self._step, self._direction)
         reached = np.clip(self._U, self.vehicle.thrust_min, self.vehicle.thrust_max)
         found = self._first_solve.solve([reached, guess], iterations)
@@ -213,10 +226,10 @@ def _functions(
     vehicle: Vehicle, residual: Residual, settings: MPCSettings, backend: str
 ) -> tuple[ca.Function, ca.Function | None]:
     """Step and bounded subproblem on the resolved back end (None: numpy); built once per process and structure."""
-    nodes, error = settings.nodes, settings.attitude_error
-    key = (vehicle.fingerprint, residual.function.serialize(), nodes, error, backend)
+    nodes, error, lag = settings.nodes, settings.attitude_error, bool(settings.motor_lag)
+    key = (vehicle.fingerprint, residual.function.serialize(), nodes, error, lag, backend)
     if key not in _built:
-        step = step_function(vehicle, residual, nodes, attitude_error=error, scalar=backend == "compiled")
+        step = step_function(vehicle, residual, nodes, attitude_error=error, scalar=backend == "compiled", lag=lag)
         if backend == "compiled":
             step, bounded = realise_together([step, bounded_function(step, nodes)], backend)
             _built[key] = step, bounded

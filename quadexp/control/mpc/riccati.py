@@ -24,7 +24,6 @@ import casadi as ca
 
 from quadexp.compile.backend import handwritten
 from quadexp.physics.expression import Expression
-from quadexp.physics.state import N_STATE
 
 N_PLACE = 3  # of the state, which comes first and on which nothing depends: A's first columns are [I; 0]
 Node = tuple[list[Expression], Expression, Expression, Expression]  # cost to go, K, k, factor
@@ -42,7 +41,7 @@ class MatrixPasses:
     def build(cls, a: ca.Sparsity, b: ca.Sparsity) -> MatrixPasses:
         """The passes where A and B have the patterns a and b."""
         n = b.size2()
-        functions = (_backward_function(n), _first_node_function(n), *_vector_passes(ca.MX, a, b))
+        functions = (_backward_function(n, a.size1()), _first_node_function(n, a.size1()), *_vector_passes(ca.MX, a, b))
         return cls({function.name(): function for function in functions}.__getitem__)
 
     def terminal(self, Q_end: Expression, p: Expression) -> list[Expression]:
@@ -71,7 +70,8 @@ class CompiledPasses:
     def build(cls, a: ca.Sparsity, b: ca.Sparsity) -> CompiledPasses:
         """The passes where A and B have the patterns a and b."""
         n = b.size2()
-        functions = (_rows_function(a, b), _terminal_function(n), kernel_function(n), *_vector_passes(ca.SX, a, b))
+        own = (_rows_function(a, b), _terminal_function(n, a.size1()), kernel_function(n, a.size1()))
+        functions = (*own, *_vector_passes(ca.SX, a, b))
         return cls({function.name(): function for function in functions}.__getitem__)
 
     def terminal(self, Q_end: Expression, p: Expression) -> list[Expression]:
@@ -95,39 +95,39 @@ class CompiledPasses:
 Passes = MatrixPasses | CompiledPasses
 
 
-def solve_function(n_inputs: int) -> ca.Function:
+def solve_function(n_inputs: int, states: int) -> ca.Function:
     """(H, G, h) -> K = H^-1 G, k = H^-1 h, factor by an unrolled LDL' factorisation; H's upper triangle is read."""
-    H, G, h = ca.SX.sym("H", n_inputs, n_inputs), ca.SX.sym("G", n_inputs, N_STATE), ca.SX.sym("h", n_inputs)
+    H, G, h = ca.SX.sym("H", n_inputs, n_inputs), ca.SX.sym("G", n_inputs, states), ca.SX.sym("h", n_inputs)
     D, LT, order = ca.ldl(ca.triu2symm(ca.triu(H)), False)
     gains = ca.ldl_solve(ca.horzcat(G, h), D, LT, order)
     factor = ca.densify(LT.T + ca.diag(1 / D))
-    return ca.Function("solve", [H, G, h], ca.cse([gains[:, :N_STATE], gains[:, N_STATE], factor]))
+    return ca.Function("solve", [H, G, h], ca.cse([gains[:, :states], gains[:, states], factor]))
 
 
-def _node_symbols(n: int) -> list[ca.MX]:
-    shapes = {"P": (N_STATE, N_STATE), "p": (N_STATE, 1), "A": (N_STATE, N_STATE), "B": (N_STATE, n)}
-    shapes |= {"b": (N_STATE, 1), "q": (N_STATE, 1), "r": (n, 1), "Q": (N_STATE, 1), "R": (n, 1)}
+def _node_symbols(n: int, m: int) -> list[ca.MX]:
+    shapes = {"P": (m, m), "p": (m, 1), "A": (m, m), "B": (m, n)}
+    shapes |= {"b": (m, 1), "q": (m, 1), "r": (n, 1), "Q": (m, 1), "R": (n, 1)}
     return [ca.MX.sym(name, *shape) for name, shape in shapes.items()]
 
 
-def _backward_function(n: int) -> ca.Function:
-    """(P, p, A, B, b, q, r, Q, R) of a node -> P, p, K, k, factor; Q and R as diagonals."""
-    P, p, A, B, b, q, r, Q, R = symbols = _node_symbols(n)
+def _backward_function(n: int, m: int) -> ca.Function:
+    """For n inputs and m states: (P, p, A, B, b, q, r, Q, R) of a node -> P, p, K, k, factor; Q and R as diagonals."""
+    P, p, A, B, b, q, r, Q, R = symbols = _node_symbols(n, m)
     products = ca.mtimes(P, ca.horzcat(A, B, b))
-    PA, PB, Pb = ca.horzsplit(products, [0, N_STATE, N_STATE + n, N_STATE + n + 1])
+    PA, PB, Pb = ca.horzsplit(products, [0, m, m + n, m + n + 1])
     H, G, h = ca.mtimes(PB.T, B) + ca.diag(R), ca.mtimes(PB.T, A), r + ca.mtimes(B.T, Pb + p)
-    K, k, factor = solve_function(n)(H, G, h)
+    K, k, factor = solve_function(n, m)(H, G, h)
     P_next = ca.mtimes(A.T, PA) - ca.mtimes(G.T, K) + ca.diag(Q)
     p_next = q + ca.mtimes(A.T, Pb + p) - ca.mtimes(G.T, k)
     return _function("backward", symbols, [P_next, p_next, K, k, factor])
 
 
-def _first_node_function(n: int) -> ca.Function:
+def _first_node_function(n: int, m: int) -> ca.Function:
     """(P, p, A, B, b, q, r, Q, R) of node 0 -> k, factor."""
-    P, p, _, B, b, _, r, _, R = symbols = _node_symbols(n)
+    P, p, _, B, b, _, r, _, R = symbols = _node_symbols(n, m)
     H = ca.mtimes(B.T, ca.mtimes(P, B)) + ca.diag(R)
     h = r + ca.mtimes(B.T, ca.mtimes(P, b) + p)
-    _, k, factor = solve_function(n)(H, ca.MX(n, N_STATE), h)
+    _, k, factor = solve_function(n, m)(H, ca.MX(n, m), h)
     return _function("first_node", symbols, [k, factor])
 
 
@@ -136,9 +136,9 @@ def _vector_passes(kind: type[Expression], a: ca.Sparsity, b: ca.Sparsity) -> tu
 
     adjoint: (lambda of the next node, A, B, q, r) -> lambda = q + A'lambda, gradient by u = r + B'lambda.
     """
-    n = b.size2()
-    x, A, B, gap = kind.sym("x", N_STATE), kind.sym("A", a), kind.sym("B", b), kind.sym("b", N_STATE)
-    K, k, q, r = kind.sym("K", n, N_STATE), kind.sym("k", n), kind.sym("q", N_STATE), kind.sym("r", n)
+    m, n = b.shape
+    x, A, B, gap = kind.sym("x", m), kind.sym("A", a), kind.sym("B", b), kind.sym("b", m)
+    K, k, q, r = kind.sym("K", n, m), kind.sym("k", n), kind.sym("q", m), kind.sym("r", n)
     du = -k - ca.mtimes(K, x)
     forward = _function("forward", [x, A, B, gap, K, k], [du, ca.mtimes(A, x) + ca.mtimes(B, du) + gap])
     return forward, _function("adjoint", [x, A, B, q, r], [q + ca.mtimes(A.T, x), r + ca.mtimes(B.T, x)])
@@ -148,32 +148,35 @@ def _function(name: str, arguments: list[Expression], results: list[Expression])
     return ca.Function(name, arguments, ca.cse([ca.densify(result) for result in results]))
 
 
-def line_length(n: int) -> int:
+def line_length(n: int, states: int) -> int:
     """Length of a row in riccati_backward.c: motion, inputs, the affine column, padding to whole vectors."""
-    return 8 * ((N_STATE - N_PLACE + n) // 8 + 1)
+    return 8 * ((states - N_PLACE + n) // 8 + 1)
 
 
 def _rows_function(a: ca.Sparsity, b: ca.Sparsity) -> ca.Function:
     """(A, B, b) -> the kernel's rows, one in each column."""
-    n = b.size2()
-    A, B, gap = ca.SX.sym("A", a), ca.SX.sym("B", b), ca.SX.sym("b", N_STATE)
-    padding = ca.SX(line_length(n) - (N_STATE - N_PLACE + n + 1), N_STATE)
+    m, n = b.shape
+    A, B, gap = ca.SX.sym("A", a), ca.SX.sym("B", b), ca.SX.sym("b", m)
+    padding = ca.SX(line_length(n, m) - (m - N_PLACE + n + 1), m)
     return _function("riccati_rows", [A, B, gap], [ca.vertcat(A[:, N_PLACE:].T, B.T, gap.T, padding)])
 
 
-def _terminal_function(n: int) -> ca.Function:
+def _terminal_function(n: int, m: int) -> ca.Function:
     """(Q_end, p) -> the kernel's cost at the last node."""
-    Q_end, p = ca.SX.sym("Q_end", N_STATE), ca.SX.sym("p", N_STATE)
-    rows, affine = ca.SX(line_length(n), N_STATE), N_STATE - N_PLACE + n
-    rows[: N_STATE - N_PLACE, N_PLACE:] = ca.diag(Q_end[N_PLACE:])
+    Q_end, p = ca.SX.sym("Q_end", m), ca.SX.sym("p", m)
+    rows, affine = ca.SX(line_length(n, m), m), m - N_PLACE + n
+    rows[: m - N_PLACE, N_PLACE:] = ca.diag(Q_end[N_PLACE:])
     rows[affine, :] = p.T
     return _function("riccati_terminal", [Q_end, p], [ca.vertcat(ca.vec(rows), ca.vec(ca.diag(Q_end[:N_PLACE])))])
 
 
-def kernel_function(n: int) -> ca.Function:
-    """riccati_backward.c for n inputs: (cost, rows, q, r, Q, R) -> cost of this node, K, k, factor; compiled only."""
+def kernel_function(n: int, m: int) -> ca.Function:
+    """riccati_backward.c for n inputs and m states: (cost, rows, q, r, Q, R) -> cost of this node, K, k, factor.
+
+    It can only be compiled.
+    """
     dense = ca.Sparsity.dense
-    cost, state, inputs = dense(line_length(n) * N_STATE + N_PLACE**2, 1), dense(N_STATE, 1), dense(n, 1)
-    arguments = {"cost": cost, "rows": dense(line_length(n), N_STATE), "q": state, "r": inputs, "Q": state, "R": inputs}
-    results = {"cost_next": cost, "K": dense(n, N_STATE), "k": inputs, "factor": dense(n, n)}
-    return handwritten("riccati_kernel", KERNEL, {"N_INPUTS": n}, arguments, results)
+    cost, state, inputs = dense(line_length(n, m) * m + N_PLACE**2, 1), dense(m, 1), dense(n, 1)
+    arguments = {"cost": cost, "rows": dense(line_length(n, m), m), "q": state, "r": inputs, "Q": state, "R": inputs}
+    results = {"cost_next": cost, "K": dense(n, m), "k": inputs, "factor": dense(n, n)}
+    return handwritten("riccati_kernel", KERNEL, {"N_INPUTS": n, "STATES": m}, arguments, results)

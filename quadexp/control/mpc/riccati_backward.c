@@ -1,12 +1,12 @@
 /* One node of the backward Riccati recursion, as the body of a compiled function (see riccati.py for the equations).
 
-   Declared before: N_INPUTS = n; in: cost, rows, q (13), r (n), Q (13), R (n); out: cost_next, K, k (n), factor, each
-   null where it is not asked for. K (n, 13) and factor (n, n: L below the diagonal, D^-1 on it) are stored by columns,
+   Declared before: N_INPUTS = n, STATES = m; in: cost, rows, q (m), r (n), Q (m), R (n); out: cost_next, K, k (n), factor, each
+   null where it is not asked for. K (n, m) and factor (n, n: L below the diagonal, D^-1 on it) are stored by columns,
    all else by rows. A row is a few vector registers wide:
 
-       LINE          motion s = [q, v, w] (10) | inputs u (n) | affine (1) | padding
-       rows          (13, LINE)              M, x_next = p + M [s, u, 1]: [A, B, b] less A's first columns, [I; 0]
-       cost          (13, LINE), (3, 3)      P's columns of s, with p in the affine column; then P's block of positions
+       LINE          motion s (m - 3) | inputs u (n) | affine (1) | padding
+       rows          (m, LINE)               M, x_next = p + M [s, u, 1]: [A, B, b] less A's first columns, [I; 0]
+       cost          (m, LINE), (3, 3)       P's columns of s, with p in the affine column; then P's block of positions
 
    With S = [A B b]' P [A B b] + costs the inputs are eliminated by S_uu = L D L', Y = L^-1 S_u: the cost to go of this
    node is S - Y' D^-1 Y, and its gains are L^-T D^-1 Y. What cost holds in the columns of u and beyond is never read. */
@@ -18,7 +18,7 @@ enum { LANES = 4 };
 enum { LANES = 2 };
 #endif
 typedef double vector __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
-enum { PLACE = 3, MOTION = 10, STATES = PLACE + MOTION, AFFINE = MOTION + N_INPUTS, LINE = (AFFINE / 8 + 1) * 8 };
+enum { PLACE = 3, MOTION = STATES - PLACE, AFFINE = MOTION + N_INPUTS, LINE = (AFFINE / 8 + 1) * 8 };
 
 const double(*P)[LINE] = (const double(*)[LINE])cost, (*M)[LINE] = (const double(*)[LINE])rows;
 const double(*P_place)[PLACE] = (const double(*)[PLACE])(cost + STATES * LINE);

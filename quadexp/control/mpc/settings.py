@@ -28,7 +28,6 @@ class MPCSettings(MPCKeys):
                 f"controller.rate={self.rate:g}: a control period of {self.control_period:g} s must not exceed the node"
                 f" period of {self.node_period:g} s (horizon / nodes)"
             )
-
         if self.first_node and not self.control_period - 1e-12 <= self.first_node <= self.node_period + 1e-12:
             raise UsageError(
                 f"controller.first_node={self.first_node:g}: must be 0 or between the control period of"

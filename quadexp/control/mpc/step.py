@@ -25,35 +25,44 @@ LENGTH_MIN, LENGTH_MAX = 0.5, 2.0  # of a quaternion at a shooting node
 
 
 def step_function(
-    vehicle: Vehicle, residual: Residual, nodes: int, *, attitude_error: str = "plain", scalar: bool = True
+    vehicle: Vehicle,
+    residual: Residual,
+    nodes: int,
+    *,
+    attitude_error: str = "plain",
+    scalar: bool = True,
+    lag: bool = False,
 ) -> ca.Function:
     """One iteration for N = nodes; scalar: the form to compile, otherwise the form that the virtual machine runs.
 
     attitude_error: what Q weighs of the attitude, see control.attitude_error.
+    lag: rotors lag behind their commands, and their thrusts are states: m = 13 + n of them; otherwise m = 13.
 
-    Inputs: X (13, N + 1), U (n, N) last solution; x0 (13,) measured; X_ref, U_ref; theta (p,) residual parameters;
-    Q (13, N), Q_end (13,), R (n, N) weights; u_min, u_max (n,) N; dt (N,) node periods (s); shift (N,), the share of
-    each node by which to move the last solution forward.
+    Inputs: X (m, N + 1), U (n, N) last solution; x0 (m,) measured; X_ref, U_ref; theta (p,) residual parameters;
+    Q (m, N), Q_end (m,), R (n, N) weights; u_min, u_max (n,) N; dt (N,) node periods (s); shift (N,), the share of
+    each node by which to move the last solution forward; tau, the lag's time constant (s), with `lag` only.
     Outputs: X_new, U_new; checks (3,): the largest bound violation (N), the largest change of a quaternion (length),
     and the optimality residual of the shifted guess (the largest of the gaps of the dynamics and of the projected
-    gradient step in u); then the subproblem: A (13, 13 N), B (13, n N), b (13, N), q (13, N + 1), r (n, N), its
-    factorisation K (n, 13 N), factor (n, n N), the linearisation point X_lin, U_lin, and frames, (4, 4 (N + 1)), where
+    gradient step in u); then the subproblem: A (m, m N), B (m, n N), b (m, N), q (m, N + 1), r (n, N), its
+    factorisation K (n, m N), factor (n, n N), the linearisation point X_lin, U_lin, and frames, (4, 4 (N + 1)), where
     the subproblem is in the coordinates of "body".
     """
     n = vehicle.n_rotors
     if scalar and residual.to_compile is not None:
         residual = replace(residual, function=residual.to_compile)
-    node = rk4_sensitivity_function(vehicle, residual, scalar=scalar)
-    X, U = ca.MX.sym("X", N_STATE, nodes + 1), ca.MX.sym("U", n, nodes)
-    x0, theta = ca.MX.sym("x0", N_STATE), ca.MX.sym("theta", residual.function.size1_in(1))
-    X_ref, U_ref = ca.MX.sym("X_ref", N_STATE, nodes + 1), ca.MX.sym("U_ref", n, nodes)
-    Q, Q_end, R = ca.MX.sym("Q", N_STATE, nodes), ca.MX.sym("Q_end", N_STATE), ca.MX.sym("R", n, nodes)
+    m = N_STATE + n * lag
+    node = rk4_sensitivity_function(vehicle, residual, scalar=scalar, lag=lag)
+    X, U = ca.MX.sym("X", m, nodes + 1), ca.MX.sym("U", n, nodes)
+    x0, theta = ca.MX.sym("x0", m), ca.MX.sym("theta", residual.function.size1_in(1))
+    X_ref, U_ref = ca.MX.sym("X_ref", m, nodes + 1), ca.MX.sym("U_ref", n, nodes)
+    Q, Q_end, R = ca.MX.sym("Q", m, nodes), ca.MX.sym("Q_end", m), ca.MX.sym("R", n, nodes)
     u_min, u_max = ca.MX.sym("u_min", n), ca.MX.sym("u_max", n)
     dt, shift = ca.MX.sym("dt", nodes), ca.MX.sym("shift", nodes)
+    time_constant = [ca.MX.sym("tau")] if lag else []
     Q_at, R_at, dt_at, along = ca.horzsplit(Q), ca.horzsplit(R), ca.vertsplit(dt), shift.T
 
-    moved = X[:, :nodes] + ca.repmat(along, N_STATE, 1) * (X[:, 1:] - X[:, :nodes])
-    guard = _attitude_guard()
+    moved = X[:, :nodes] + ca.repmat(along, m, 1) * (X[:, 1:] - X[:, :nodes])
+    guard = _attitude_guard(m)
     X_lin = ca.horzcat(x0, *(guard(x_k) for x_k in ca.horzsplit(ca.horzcat(moved[:, 1:], X[:, nodes]))))
     U_lin = ca.horzcat(U[:, :-1] + ca.repmat(along[:-1], n, 1) * (U[:, 1:] - U[:, :-1]), U[:, -1])
     x, u = ca.horzsplit(X_lin), ca.horzsplit(U_lin)
@@ -62,7 +71,7 @@ def step_function(
     error = attitude_error_in(frames)
     A, B, b = [], [], []
     for k in range(nodes):
-        x_next, A_k, B_k = node(x[k], u[k], theta, dt_at[k])
+        x_next, A_k, B_k = node(x[k], u[k], theta, dt_at[k], *time_constant)
         A_k, B_k, b_k = error.linearisation(k, A_k, B_k, x_next - x[k + 1])
         A.append(A_k)
         B.append(B_k)
@@ -87,18 +96,33 @@ def step_function(
     results |= {name: ca.horzcat(*m) for name, m in {"A": A, "B": B, "b": b, "q": q, "r": r}.items()}
     results |= {"K": ca.horzcat(*K), "factor": ca.horzcat(*factor)}
     results |= {"X_lin": X_lin, "U_lin": U_lin} | ({} if frames is None else {"frames": frames})
-    arguments = [X, U, x0, X_ref, U_ref, theta, Q, Q_end, R, u_min, u_max, dt, shift]
-    names = ["X", "U", "x0", "X_ref", "U_ref", "theta", "Q", "Q_end", "R", "u_min", "u_max", "dt", "shift"]
+    arguments = [X, U, x0, X_ref, U_ref, theta, Q, Q_end, R, u_min, u_max, dt, shift, *time_constant]
+    names = [
+        "X",
+        "U",
+        "x0",
+        "X_ref",
+        "U_ref",
+        "theta",
+        "Q",
+        "Q_end",
+        "R",
+        "u_min",
+        "u_max",
+        "dt",
+        "shift",
+        *(["tau"] if lag else []),
+    ]
     return ca.Function("mpc_step", arguments, [*results.values()], names, [*results])
 
 
-def _attitude_guard() -> ca.Function:
-    """State with its quaternion's length brought back between LENGTH_MIN and LENGTH_MAX.
+def _attitude_guard(m: int) -> ca.Function:
+    """State (m,) with its quaternion's length brought back between LENGTH_MIN and LENGTH_MAX.
 
     Integration alone leaves the length within half a percent of one; Newton steps far from the solution do not, and at
     a length of zero a quaternion is no attitude.
     """
-    x = ca.SX.sym("x", N_STATE)
+    x = ca.SX.sym("x", m)
     length = ca.norm_2(x[ATTITUDE])
     scale = ca.fmin(ca.fmax(length, LENGTH_MIN), LENGTH_MAX) / length
     return ca.Function("attitude_guard", [x], [ca.vertcat(x[:3], x[ATTITUDE] * scale, x[7:])])

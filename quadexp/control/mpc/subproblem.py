@@ -18,7 +18,7 @@ from quadexp.compile.backend import handwritten
 from quadexp.control.mpc.attitude_error import attitude_error_in
 from quadexp.control.mpc.riccati import CompiledPasses, Passes, line_length
 from quadexp.physics.expression import Expression
-from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.physics.state import ATTITUDE
 
 KERNEL = Path(__file__).with_name("active_set.c")
 TOLERANCE = 1e-9  # N: how far beyond a bound is still on it
@@ -77,7 +77,7 @@ def bounded_function(step: ca.Function, nodes: int) -> ca.Function:
 
     Inputs, as `step` has or returns them: A, B, b, q, r, K, factor, X_lin, U_lin, Q, Q_end, R, u_min, u_max, frames
     where the step has them; U_free (n, N), the inputs without bounds (N); guess (n, N), the side on which inputs are
-    expected: -1 at the lower, 1 at the upper bound, 0 free. Outputs: X_new (13, N + 1), U_new (n, N); side (n, N), on
+    expected: -1 at the lower, 1 at the upper bound, 0 free. Outputs: X_new (m, N + 1), U_new (n, N); side (n, N), on
     which the inputs are; checks (5,): whether it is solved, exchanges of the active set, inputs at a bound, the error
     left in the inputs (N), the largest change of a quaternion (length).
     """
@@ -85,16 +85,16 @@ def bounded_function(step: ca.Function, nodes: int) -> ca.Function:
     names += ["frames"] if "frames" in step.name_out() else []
     given = {name: ca.MX.sym(name, step.sparsity_out(step.index_out(name))) for name in names}
     given |= {name: ca.MX.sym(name, *step.size_in(name)) for name in ("Q", "Q_end", "R", "u_min", "u_max")}
-    n = step.size1_in("R")
+    n, m = step.size1_in("R"), step.size1_in("Q")
     given |= {name: ca.MX.sym(name, n, nodes) for name in ("U_free", "guess")}
     passes = CompiledPasses(step.get_function)
-    blocks = zip(ca.horzsplit(given["A"], N_STATE), ca.horzsplit(given["B"], n), ca.horzsplit(given["b"]), strict=True)
+    blocks = zip(ca.horzsplit(given["A"], m), ca.horzsplit(given["B"], n), ca.horzsplit(given["b"]), strict=True)
     rows = ca.horzcat(*(passes.rows(*node) for node in blocks))
     weights = ca.horzcat(given["Q"][:, 1:], given["Q_end"])
     U, low, high = given["U_lin"], ca.repmat(given["u_min"], 1, nodes), ca.repmat(given["u_max"], 1, nodes)
     arguments = [rows, *(given[name] for name in ("K", "factor", "q", "r")), weights, given["R"]]
     arguments += [given["U_free"] - U, low - U, high - U, given["guess"]]
-    dX, dU, side, checks = kernel_function(n, nodes)(*arguments)
+    dX, dU, side, checks = kernel_function(n, m, nodes)(*arguments)
 
     error = attitude_error_in(given.get("frames"))
     x = ca.horzsplit(given["X_lin"])
@@ -105,12 +105,12 @@ def bounded_function(step: ca.Function, nodes: int) -> ca.Function:
     return ca.Function("mpc_bounded", [*given.values()], [*results.values()], [*given], [*results])
 
 
-def kernel_function(n: int, nodes: int) -> ca.Function:
-    """active_set.c for n inputs and N nodes, its arguments named there. It can only be compiled."""
+def kernel_function(n: int, m: int, nodes: int) -> ca.Function:
+    """active_set.c for n inputs, m states and N nodes, its arguments named there. It can only be compiled."""
     dense = ca.Sparsity.dense
-    states, inputs = dense(N_STATE, nodes), dense(n, nodes)
-    arguments = {"rows": dense(line_length(n), N_STATE * nodes), "K": dense(n, N_STATE * nodes)}
-    arguments |= {"factor": dense(n, n * nodes), "q": dense(N_STATE, nodes + 1), "r": inputs}
+    states, inputs = dense(m, nodes), dense(n, nodes)
+    arguments = {"rows": dense(line_length(n, m), m * nodes), "K": dense(n, m * nodes)}
+    arguments |= {"factor": dense(n, n * nodes), "q": dense(m, nodes + 1), "r": inputs}
     arguments |= {"Q": states, "R": inputs, "start": inputs, "low": inputs, "high": inputs, "guess": inputs}
     results = {"dX": states, "dU": inputs, "side": inputs, "checks": dense(4, 1)}
-    return handwritten("active_set", KERNEL, {"N_INPUTS": n, "NODES": nodes}, arguments, results)
+    return handwritten("active_set", KERNEL, {"N_INPUTS": n, "STATES": m, "NODES": nodes}, arguments, results)

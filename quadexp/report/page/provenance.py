@@ -11,6 +11,7 @@ from typing import Any
 from quadexp.config.cells import Grid
 from quadexp.report.compare import flat
 from quadexp.report.flown_by import versions_of
+from quadexp.report.margin_line import margin_line
 from quadexp.report.page.source import Comparison
 
 LOOKED_AT = 500  # flights whose settings are compared
@@ -31,6 +32,7 @@ def origin(comparison: Comparison) -> dict[str, Any]:
         "backends": sorted({row["backend"] for row in comparison.rows if row["backend"]}),
         "command": sweep_command(comparison.grids, portable(comparison.root)),
         "models": sorted({(f.get("model", ""), f.get("model_sha256", "")) for f in flights if f.get("model")}),
+        "margins": _margins(flights),
         "config": common_config(flights),
         "varied": varied(flights),
         "confidence": f"{comparison.confidence:.0%}",
@@ -50,6 +52,12 @@ def _machine(provenance: Mapping[str, Any]) -> str:
 def _commit(provenance: Mapping[str, Any]) -> str:
     git = provenance.get("git") or {}
     return f"{git['commit'][:12]}{' with changes' if git.get('dirty') else ''}" if git.get("commit") else ""
+
+
+def _margins(flights: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """(controller, margins of its loop); several lines for one whose settings vary."""
+    lines = [(f.get("controller", ""), margin_line(f.get("margins"))) for f in flights]
+    return list(dict.fromkeys((name, line) for name, line in lines if line))
 
 
 def _flat(flight: Mapping[str, Any]) -> dict[str, str]:

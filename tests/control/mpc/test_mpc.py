@@ -93,6 +93,37 @@ def test_saturated_step_converges_to_the_bounded_optimum(vehicle, first_node):
     assert u == pytest.approx(expected, abs=1e-4)
 
 
+@pytest.mark.parametrize("attitude_error", ["plain", "body"])
+@pytest.mark.parametrize("backend", ["interpreted", "auto"])
+def test_with_lagging_rotors_the_first_step_is_the_bounded_optimum_of_17_states(vehicle, backend, attitude_error):
+    """From thrusts that are not the commanded ones, with and without saturated rotors; IPOPT's answer."""
+    settings = MPCSettings(first_node=0.04, motor_lag=0.03, attitude_error=attitude_error)
+    residual = make_residual("linear_drag", vehicle)
+    controller = ModelPredictiveController(vehicle, residual, settings, backend=backend)
+    expected, x0 = ConvergedProblem(vehicle, residual, settings), np.r_[HOVER, 2.6, 2.2, 2.5, 2.4]
+    for target, saturated in (((0.02, -0.01, 0.01), False), ((4.0, 3.0, 3.0), True)):
+        state, thrust = hover_reference(controller, vehicle, target)
+        controller.reset(x0, np.tile(HOVER, (11, 1)), thrust)
+        u, record = controller.command(x0, state, thrust)
+        assert (record.active > 0) == saturated and record.converged
+        assert u == pytest.approx(expected.first_input(x0, state, thrust, controller.prediction), abs=1e-4)
+
+
+@pytest.mark.parametrize("name", ["none", "gp_with_mean", "plant"])
+def test_back_ends_agree_with_lagging_rotors(vehicle, name):
+    """Also where bounds are active: the compiled active set and the one in numpy."""
+    residual, thrusts = make_residual(name, vehicle), []
+    for backend in ("interpreted", "auto"):
+        controller = ModelPredictiveController(vehicle, residual, MPCSettings(motor_lag=0.03), backend=backend)
+        state, thrust = hover_reference(controller, vehicle, (2.5, -2.0, 2.0))
+        x0 = np.r_[HOVER, 4.0, 1.0, 2.0, 3.0]
+        controller.reset(x0, state, thrust)
+        answers = [controller.command(x0, state, thrust) for _ in range(4)]
+        assert answers[0][1].active and answers[0][1].converged
+        thrusts.append([u for u, _ in answers])
+    assert np.allclose(*thrusts, rtol=1e-5, atol=1e-5)
+
+
 def test_a_step_without_bounds_says_so(vehicle):
     controller = ModelPredictiveController(vehicle, make_residual("none", vehicle), backend="interpreted")
     state, thrust = hover_reference(controller, vehicle)

@@ -29,12 +29,12 @@ def textbook(A, B, b, q, r, Q, Q_end, R):
     return (np.array(part[::-1]) for part in zip(*gains, strict=True))
 
 
-def gains_function(kind, n: int) -> ca.Function:
+def gains_function(kind, n: int, m: int = N_STATE) -> ca.Function:
     """All gains by the passes of a kind: A, B, b, q, r side by side, then Q, Q_end, R -> K, k, factor side by side."""
-    A_all, B_all = ca.MX.sym("A", N_STATE, N_STATE * NODES), ca.MX.sym("B", N_STATE, n * NODES)
-    b_all, q_all, r_all = (ca.MX.sym(*shape) for shape in (("b", 13, NODES), ("q", 13, NODES + 1), ("r", n, NODES)))
-    Q, Q_end, R = ca.MX.sym("Q", N_STATE), ca.MX.sym("Q_end", N_STATE), ca.MX.sym("R", n)
-    A, B = ca.horzsplit(A_all, N_STATE), ca.horzsplit(B_all, n)
+    A_all, B_all = ca.MX.sym("A", m, m * NODES), ca.MX.sym("B", m, n * NODES)
+    b_all, q_all, r_all = (ca.MX.sym(*shape) for shape in (("b", m, NODES), ("q", m, NODES + 1), ("r", n, NODES)))
+    Q, Q_end, R = ca.MX.sym("Q", m), ca.MX.sym("Q_end", m), ca.MX.sym("R", n)
+    A, B = ca.horzsplit(A_all, m), ca.horzsplit(B_all, n)
     b, q, r = ca.horzsplit(b_all), ca.horzsplit(q_all), ca.horzsplit(r_all)
     passes = kind.build(A[0].sparsity(), B[0].sparsity())
     cost, K, k, factors = passes.terminal(Q_end, q[NODES]), *([None] * NODES for _ in range(3))
@@ -48,26 +48,27 @@ def gains_function(kind, n: int) -> ca.Function:
     return ca.Function("gains", arguments, results, names, ["K", "k", "factor"])
 
 
-@pytest.mark.parametrize("n", [4, 3, 6, 8])
+@pytest.mark.parametrize(("n", "m"), [(4, 13), (3, 13), (6, 13), (8, 13), (4, 17), (6, 19)])
 @pytest.mark.parametrize("kind", [MatrixPasses, CompiledPasses])
-def test_gains_are_the_textbook_ones(kind, n, rng):
-    """Random stable and unstable nodes, for as many rotors as fill a row of registers and more."""
+def test_gains_are_the_textbook_ones(kind, n, m, rng):
+    """Random stable and unstable nodes, for as many rotors as fill a row of registers and more; with thrusts as states,
+    there are 13 + n of these."""
     if kind is CompiledPasses and compiler() is None:
         pytest.skip("no C compiler")
-    A = np.eye(N_STATE) + 0.3 * rng.normal(size=(NODES, N_STATE, N_STATE))
-    A[:, :, :3] = np.eye(N_STATE)[:, :3]  # nothing depends on the position
-    B, b = rng.normal(size=(NODES, N_STATE, n)), rng.normal(size=(NODES, N_STATE))
-    q, r = rng.normal(size=(NODES + 1, N_STATE)), rng.normal(size=(NODES, n))
-    Q, Q_end, R = rng.uniform(0, 2, N_STATE), rng.uniform(0, 2, N_STATE), rng.uniform(0.1, 1, n)
+    A = np.eye(m) + 0.3 * rng.normal(size=(NODES, m, m))
+    A[:, :, :3] = np.eye(m)[:, :3]  # nothing depends on the position
+    B, b = rng.normal(size=(NODES, m, n)), rng.normal(size=(NODES, m))
+    q, r = rng.normal(size=(NODES + 1, m)), rng.normal(size=(NODES, n))
+    Q, Q_end, R = rng.uniform(0, 2, m), rng.uniform(0, 2, m), rng.uniform(0.1, 1, n)
     function = BufferedFunction(
-        realise(gains_function(kind, n), "compiled" if kind is CompiledPasses else "interpreted")
+        realise(gains_function(kind, n, m), "compiled" if kind is CompiledPasses else "interpreted")
     )
     a = function.arguments
     a["A"][...], a["B"][...] = (np.concatenate(m.transpose(0, 2, 1)) for m in (A, B))
     a["b"][...], a["q"][...], a["r"][...], a["Q"][...], a["Q_end"][...], a["R"][...] = b, q, r, Q, Q_end, R
     function()
     K, k, H = textbook(A, B, b, q, r, Q, Q_end, R)
-    assert np.allclose(function.results["K"].reshape(NODES, N_STATE, n).transpose(0, 2, 1), K, rtol=1e-9, atol=1e-10)
+    assert np.allclose(function.results["K"].reshape(NODES, m, n).transpose(0, 2, 1), K, rtol=1e-9, atol=1e-10)
     both = function.results["k"].reshape(NODES, 2, n)
     assert np.allclose(both[:, 0], k, rtol=1e-9, atol=1e-9) and np.allclose(both[:, 1], k, rtol=1e-9, atol=1e-9)
     for stored in np.split(function.results["factor"].reshape(2 * NODES, n, n), NODES):

@@ -1,0 +1,106 @@
+"""The state in which a command that is sent now begins to act, predicted with the commands already sent.
+
+Between a command and its thrust lies a dead time d: transport, computation, and a lag that is counted as dead time. A
+command sent at t_j acts over [t_j + d, t_j + d + T], T the control period, so at t_k the last K = ceil(d / T) are still
+to act, the oldest of them over the first d - (K - 1) T only. With F(x, u, h) the model's state after u held for h,
+
+    x(t_k + d) = F( .. F(F(x_k, u_{k-K}, d - (K - 1) T), u_{k-K+1}, T) .., u_{k-1}, T)
+
+and the step is solved from there, along the reference from t_k + d on: what the vehicle cannot be told any more is not
+its problem (Smith 1957). Where rotors lag behind their commands by a known time constant their thrusts are states too.
+No sensor measures them: they follow from the commands by the same lag (physics.motor).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from quadexp.air.base import Residual
+from quadexp.compile.backend import BufferedFunction, realise
+from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.prediction import node_function
+from quadexp.physics.motor import lagging_thrust
+from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.physics.vehicle import Vehicle
+
+
+class CommandsUnderWay:
+    """The commands that have been sent and do not act yet, and what they will do to the vehicle.
+
+    mpc: whose model, parameters, dead_time and motor_lag count. Call `reset`, then at every control instant `ahead` and
+    `sent`, in this order.
+
+    commands: (K, n) (N), the oldest first. thrust: (n,) (N) at the control instant, where rotors lag.
+    """
+
+    def __init__(self, mpc: ModelPredictiveController) -> None:
+        settings, n = mpc.settings, mpc.vehicle.n_rotors
+        self._period, self._lag, dead_time = settings.control_period, settings.motor_lag, settings.dead_time
+        under_way = math.ceil(dead_time / self._period - 1e-9)
+        self.commands, self.thrust = np.zeros((under_way, n)), np.zeros(n)
+        self._first = dead_time - (under_way - 1) * self._period  # s, for which the oldest command still acts
+        self._predict: BufferedFunction | None = None
+        if under_way:
+            function = _function(mpc.vehicle, mpc.residual, under_way, bool(self._lag), mpc.backend)
+            self._predict = BufferedFunction(function, {"theta": mpc.parameters})
+            self.commands = self._predict.arguments["U"].reshape(under_way, n)  # a view: what is sent is read there
+            durations = self._predict.arguments["dt"]
+            durations[...], durations[0] = self._period, self._first
+            if self._lag:
+                self._predict.arguments["tau"][...] = self._lag
+
+    def reset(self, thrust: np.ndarray) -> None:
+        """Begin as if this command, (n,) (N), had been sent for long."""
+        self.commands[...] = self.thrust[...] = thrust
+
+    def ahead(self, x: np.ndarray) -> np.ndarray:
+        """State, (13,) or with lagging rotors (13 + n,), in which a command sent now begins to act; x: now, (13,)."""
+        full = np.concatenate([x, self.thrust]) if self._lag else x
+        if self._predict is None:
+            return full
+        self._predict.arguments["x"][...] = full
+        self._predict()
+        return self._predict.results["x_next"].copy()
+
+    def sent(self, command: np.ndarray) -> None:
+        """The command, (n,) (N), that was sent at this control instant: one control period passes."""
+        acting = np.vstack([self.commands, command])
+        if self._lag:
+            durations = [self._first, self._period - self._first] if len(self.commands) else [self._period]
+            for u, duration in zip(acting, durations, strict=False):
+                self.thrust[...] = np.array(lagging_thrust(self.thrust, u, duration, self._lag))
+        self.commands[...] = acting[1:]
+
+
+_built: dict[tuple[Any, ...], ca.Function] = {}
+
+
+def _function(vehicle: Vehicle, residual: Residual, under_way: int, lag: bool, backend: str) -> ca.Function:
+    """`prediction_function` on a resolved back end; built once per process and structure."""
+    key = (vehicle.fingerprint, residual.function.serialize(), under_way, lag, backend)
+    if key not in _built:
+        _built[key] = realise(prediction_function(vehicle, residual, under_way, lag=lag), backend)
+    return _built[key]
+
+
+def prediction_function(vehicle: Vehicle, residual: Residual, commands: int, *, lag: bool = False) -> ca.Function:
+    """The model's state after K = commands held inputs.
+
+    Inputs: x (m,), m = 13, with `lag` 13 + n; U (n, K) (N), the first to act first; dt (K,), for how long each acts
+    (s); theta (p,); with `lag` tau (s). Output: x_next (m,), its quaternion of unit length.
+    """
+    n = vehicle.n_rotors
+    node = node_function(vehicle, residual, lag=lag)
+    arguments = {"x": ca.MX.sym("x", N_STATE + n * lag), "U": ca.MX.sym("U", n, commands)}
+    arguments |= {"dt": ca.MX.sym("dt", commands), "theta": ca.MX.sym("theta", residual.function.size1_in(1))}
+    arguments |= {"tau": ca.MX.sym("tau")} if lag else {}
+    x, time_constant = arguments["x"], [arguments["tau"]] if lag else []
+    for u, dt in zip(ca.horzsplit(arguments["U"]), ca.vertsplit(arguments["dt"]), strict=True):
+        x = node(x, u, arguments["theta"], dt, *time_constant)
+    q = x[ATTITUDE]
+    x = ca.vertcat(x[: ATTITUDE.start], q / ca.norm_2(q), x[ATTITUDE.stop :])
+    return ca.Function("mpc_prediction", [*arguments.values()], [x], [*arguments], ["x_next"])

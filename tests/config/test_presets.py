@@ -1,0 +1,75 @@
+"""Presets of the horizon's grid: what they set, over what, and what they cannot be given to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from quadexp.config.compose import compose, expand, session
+from quadexp.config.settings import record
+from quadexp.errors import UsageError
+from tests.config.test_compose import hydra_composes
+
+MPCS = ["nominal_mpc", "linear_drag_mpc", "gp_mpc", "perfect_mpc", "rls_mpc"]
+GRID = ("first_node", "horizon", "nodes")
+
+
+def grid(*overrides: str, conf: Path | None = None) -> tuple[float, ...]:
+    controller = compose(list(overrides), conf).controller
+    return tuple(getattr(controller, name) for name in GRID)
+
+
+@pytest.mark.parametrize("controller", MPCS)
+def test_the_presets(controller):
+    """Published is the paper's grid, for every MPC, and what is flown when nothing is said."""
+    assert grid(f"controller={controller}") == grid(f"controller={controller}", "horizon=published") == (0.0, 1.0, 10)
+    assert grid(f"controller={controller}", "horizon=precise") == (0.02, 0.6, 10)
+    assert grid(f"controller={controller}", "horizon=robust") == (0.04, 0.8, 10)
+
+
+def test_a_key_of_ones_own_is_over_the_preset():
+    assert grid("horizon=precise", "controller.first_node=0.04", "controller.nodes=12") == (0.04, 0.6, 12)
+    assert grid("controller.horizon=0.9", "horizon=robust") == (0.04, 0.9, 10)
+
+
+@pytest.mark.parametrize("others", [[], ["experiment=quick"], ["experiment=torrente_table1"], ["vehicle=crazyflie"]])
+@pytest.mark.parametrize("horizon", ["published", "precise", "robust"])
+def test_composed_as_hydra_itself_does(others, horizon):
+    """Putting nodes together option by option is a shortcut: what comes out is Hydra's own composition."""
+    choices = [*others, "controller=gp_mpc", f"horizon={horizon}"]
+    expected = hydra_composes(choices)
+    assert record(compose(choices)) == expected
+    if not others or not others[0].startswith("experiment"):
+        (cell,) = expand(choices)
+        assert record(cell.config) == expected | {"sweep": None}
+
+
+def test_what_has_no_horizon_takes_none():
+    assert compose(["controller=rls_feedback", "horizon=published"]).controller.kind == "feedback"
+    for others in ([], ["experiment=families"]):
+        with pytest.raises(
+            UsageError, match=r"^horizon=precise: sets controller\.\w+, which controller=rls_feedback does"
+        ):
+            compose([*others, "controller=rls_feedback", "horizon=precise"])
+    with pytest.raises(UsageError, match=r"horizon=precize: no such horizon; did you mean precise"):
+        compose(["horizon=precize"])
+
+
+def test_sweeps_vary_it_and_say_so():
+    cells = expand(["horizon=published,precise", "controller=nominal_mpc,gp_mpc", "seed=0,1"])
+    assert len(cells) == 8
+    assert {cell.varied for cell in cells} == {"horizon=published", "horizon=precise"}
+    for cell in cells:
+        assert cell.config.controller.first_node == (0.02 if "horizon=precise" in cell.overrides else 0.0)
+
+
+def test_a_preset_of_ones_own(tmp_path):
+    (tmp_path / "horizon").mkdir()
+    (tmp_path / "horizon" / "long.yaml").write_text("# @package controller\nhorizon: 2.0\nnodes: 20\n")
+    assert grid("horizon=long", "controller=gp_mpc", conf=tmp_path) == (0.0, 2.0, 20)
+
+
+def test_options_are_listed():
+    with session() as composer:
+        assert composer.options("horizon") == ["precise", "published", "robust"]

@@ -1,0 +1,204 @@
+"""The dead time: the model integrated over the commands sent, and a delayed loop that is the undelayed one, later."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.mpc.margins import HoverLoop
+from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.settings import MPCSettings
+from quadexp.errors import UsageError
+from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.physics.rigid_body import corrected_function
+from quadexp.reference.circle import Circle
+from quadexp.reference.hover import Hover
+from quadexp.world import PlantEffects, SimplifiedPlant
+from tests.air.models import RESIDUALS, make_residual
+from tests.control.mpc.delayed import DelayedPlant
+from tests.states import random_state
+
+QUIET = PlantEffects(motor_noise_density=0.0, force_noise_density=0.0, torque_noise_density=0.0)
+
+
+def controller_of(vehicle, residual, backend="interpreted", **settings) -> PredictiveController:
+    return PredictiveController(ModelPredictiveController(vehicle, residual, MPCSettings(**settings), backend=backend))
+
+
+def integrated(vehicle, residual, x, thrust, commands, dead_time, lag, period=0.02):
+    """The same by SciPy's integrator: command j of the K last begins to act dead_time after it was sent."""
+    model = corrected_function(vehicle, residual)
+    begins = dead_time - period * np.arange(len(commands), 0, -1)  # s from now
+    state = np.concatenate([x, thrust])
+    for command, start, end in zip(commands, begins, [*begins[1:], dead_time], strict=True):
+
+        def slope(_, z, u=command):
+            acting = z[13:] if lag else u
+            body = model(z[:13], acting, residual.theta).full().ravel()
+            return np.concatenate([body, (u - z[13:]) / lag if lag else np.zeros(len(u))])
+
+        state = solve_ivp(slope, (max(start, 0.0), end), state, rtol=1e-10, atol=1e-12).y[:, -1]
+    state[3:7] /= np.linalg.norm(state[3:7])
+    return state if lag else state[:13]
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.03])
+@pytest.mark.parametrize("dead_time", [0.013, 0.02, 0.047])
+@pytest.mark.parametrize("name", RESIDUALS)
+def test_the_prediction_is_the_model_integrated_over_the_commands_sent(vehicle, rng, name, dead_time, lag):
+    """With dead times that are no multiples of the control period too."""
+    residual = make_residual(name, vehicle)
+    under_way = controller_of(vehicle, residual, dead_time=dead_time, motor_lag=lag).under_way
+    x, thrust = random_state(rng, speed=3.0, rate=1.0), rng.uniform(1, 5, 4)
+    commands = rng.uniform(1, 5, (int(np.ceil(dead_time / 0.02)), 4))
+    under_way.reset(thrust)
+    under_way.commands[...] = commands
+    expected = integrated(vehicle, residual, x, thrust, commands, dead_time, lag)
+    error = 5e-4 if lag or name == "gp_thrust" else 3e-6  # of one Runge-Kutta step over a control period
+    assert under_way.ahead(x) == pytest.approx(expected, rel=error, abs=error)
+
+
+@pytest.mark.parametrize("dead_time", [0.0, 0.013, 0.02, 0.047])
+def test_the_thrust_follows_the_commands_as_they_arrive(vehicle, rng, dead_time):
+    """No sensor measures it: the filter on the commands, against the lag integrated over a late step-wise input."""
+    lag, period = 0.03, 0.02
+    under_way = controller_of(vehicle, make_residual("none", vehicle), dead_time=dead_time, motor_lag=lag).under_way
+    first, commands = rng.uniform(1, 5, 4), rng.uniform(1, 5, (6, 4))
+    under_way.reset(first)
+    for command in commands:
+        under_way.sent(command)
+    thrust, fine = first.copy(), 1e-3
+    for i in range(round(len(commands) * period / fine)):
+        sent = int(np.floor((i * fine - dead_time) / period + 1e-9))
+        acting = commands[sent] if sent >= 0 else first
+        thrust = acting + (thrust - acting) * np.exp(-fine / lag)
+    assert under_way.thrust == pytest.approx(thrust)
+
+
+@pytest.mark.parametrize("settings", [{}, {"motor_lag": 0.03}], ids=["thrusts", "lagging rotors"])
+@pytest.mark.parametrize("dead_time", [0.02, 0.04, 0.031])
+@pytest.mark.parametrize("name", ["none", "linear_drag"])
+def test_a_predicted_dead_time_leaves_the_poles_where_they_are(vehicle, name, dead_time, settings):
+    """Smith's predictor in a linear loop: the poles are those without the dead time, the others are zero. The lag's
+    prediction has the error of one Runge-Kutta step."""
+    residual, first_node = make_residual(name, vehicle), 0.04
+
+    def poles(dead_time):
+        loop = HoverLoop(controller_of(vehicle, residual, dead_time=dead_time, first_node=first_node, **settings))
+        found = np.linalg.eigvals(loop.matrix())
+        return found[np.abs(found) > 0.1]  # a multiple pole at zero is found only to a root of the error
+
+    with_it, without = poles(dead_time), poles(0.0)
+    assert len(with_it) == len(without)
+    left = list(without)
+    for pole in with_it:
+        nearest = int(np.argmin(np.abs(np.array(left) - pole)))
+        assert abs(left.pop(nearest) - pole) < (3e-3 if settings else 2e-4)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.03])
+@pytest.mark.parametrize("dead_time", [0.02, 0.04])
+def test_the_flight_is_the_undelayed_one_later(vehicle, dead_time, lag):
+    """From rest beside the set-point, where nothing happens until the first command acts."""
+    plant, flown = SimplifiedPlant(vehicle, PlantEffects.none(), step=1e-3), []
+    start = np.r_[0.3, -0.2, 0.1, 1, np.zeros(9)]
+    hover = np.full(4, vehicle.hover_thrust)
+    for delay in (0.0, dead_time):
+        world = DelayedPlant(plant, latency=delay, lag=lag)
+        controller = controller_of(
+            vehicle, make_residual("none", vehicle), dead_time=delay, motor_lag=lag, first_node=0.02
+        )
+        reference = SampledReference(Hover(position=(0, 0, 0), duration=2.0), controller)
+        world.command = world.thrust = hover
+        world.reset = lambda: None
+        flown.append(fly(world, controller, reference, np.random.default_rng(0), start=start).state)
+    late = round(dead_time / 0.02)
+    assert np.abs(flown[0] - flown[0][0]).max() > 0.2
+    assert flown[1][late:] == pytest.approx(flown[0][: len(flown[0]) - late], abs=1e-3 if lag else 2e-5)
+
+
+def test_the_reference_begins_where_the_command_acts_and_the_log_now(vehicle):
+    controller = controller_of(vehicle, make_residual("none", vehicle), dead_time=0.03)
+    trajectory, node_times = Circle(speed=4.0), MPCSettings().node_times
+    reference = SampledReference(trajectory, controller)
+    for k in (0, 7, len(reference) - 1):
+        expected = trajectory.flat_output(reference.t[k] + 0.03 + node_times).position[:, 0]
+        assert reference.window(k).state[:, :3] == pytest.approx(expected, abs=1e-9)
+        assert reference.at(k)[0][:3] == pytest.approx(trajectory.flat_output(reference.t[k : k + 1]).position[0, 0])
+    assert reference.along()[0][:, :3] == pytest.approx(trajectory.flat_output(reference.t).position[:, 0])
+
+
+def test_parameters_that_change_in_flight_enter_the_prediction(vehicle, rng):
+    """As those do that are identified in flight."""
+    residual = make_residual("linear_drag", vehicle)
+    changed = replace(residual, theta=residual.theta * 2)
+    x = random_state(rng)
+    controllers = [controller_of(vehicle, made, dead_time=0.05) for made in (residual, changed)]
+    controllers[0].mpc.set_parameters(changed.theta)
+    for controller in controllers:
+        controller.under_way.reset(np.full(4, 3.0))
+    one, other = (controller.under_way.ahead(x) for controller in controllers)
+    assert np.array_equal(one, other)
+
+
+def test_back_ends_predict_alike(vehicle, rng):
+    x = random_state(rng)
+    found = []
+    for backend in ("interpreted", "auto"):
+        made = controller_of(vehicle, make_residual("gp_with_mean", vehicle), backend, dead_time=0.05, motor_lag=0.03)
+        made.under_way.reset(np.array([2.0, 3.0, 4.0, 5.0]))
+        found.append(made.under_way.ahead(x))
+    assert found[0] == pytest.approx(found[1], rel=1e-12, abs=1e-12)
+
+
+def test_without_dead_time_and_lag_nothing_is_predicted(vehicle):
+    controller = controller_of(vehicle, make_residual("none", vehicle))
+    assert controller.under_way is None and controller.node_times[0] == 0
+
+
+@pytest.mark.parametrize("key", ["dead_time", "motor_lag"])
+@pytest.mark.parametrize("value", [-0.01, 0.6, np.nan])
+def test_a_time_out_of_range_is_refused(key, value):
+    with pytest.raises(UsageError, match=rf"controller.{key}=.*: must be in \[0, 0.5\] s"):
+        MPCSettings(**{key: value})
+
+
+@pytest.mark.parametrize("trajectory", [Circle(speed=8.0)])
+@pytest.mark.parametrize(
+    ("settings", "latency", "lag", "most"),
+    [
+        ({"dead_time": 0.05}, 0.02, 0.03, 0.05),  # measured .028 mm
+        ({"dead_time": 0.02, "motor_lag": 0.03}, 0.02, 0.03, 0.04),  # .026
+        ({"dead_time": 0.02, "motor_lag": 0.03, "first_node": 0.02, "horizon": 0.6}, 0.02, 0.03, 0.02),  # .001
+        ({"dead_time": 0.033}, 0.033, 0.0, 0.05),
+    ],
+)
+def test_known_delays_cost_no_accuracy(vehicle, trajectory, settings, latency, lag, most):
+    """The circle at 8 m/s with the grid of horizon=robust, mean error in mm; not predicted, these are lost."""
+    plant = SimplifiedPlant(vehicle, QUIET)
+    controller = controller_of(vehicle, plant.residual(), "auto", **{"first_node": 0.04, "horizon": 0.8, **settings})
+    flight = fly(
+        DelayedPlant(plant, latency=latency, lag=lag),
+        controller,
+        SampledReference(trajectory, controller),
+        np.random.default_rng(0),
+    )
+    assert flight.metadata["outcome"] == "ok"
+    error = flight.stack(["p_x", "p_y", "p_z"]) - flight.stack(["ref_p_x", "ref_p_y", "ref_p_z"])
+    assert 1e3 * np.linalg.norm(error, axis=1).mean() < most
+    assert np.abs(np.diff(flight.input, axis=0)).max() < 1  # no chatter
+
+
+@pytest.mark.parametrize("wrong", [-0.02, 0.02])
+def test_a_wrong_dead_time_is_survived_where_the_lag_is_modelled(vehicle, wrong):
+    """30 ms of lag and 20 ms of latency, the latter taken for none or for 40 ms: no lost flight and no chatter."""
+    plant = SimplifiedPlant(vehicle, QUIET)
+    settings = {"first_node": 0.04, "horizon": 0.8, "dead_time": 0.02 + wrong, "motor_lag": 0.03}
+    controller = controller_of(vehicle, plant.residual(), "auto", **settings)
+    reference = SampledReference(Circle(speed=8.0), controller)
+    flight = fly(DelayedPlant(plant, latency=0.02, lag=0.03), controller, reference, np.random.default_rng(0))
+    assert flight.metadata["outcome"] == "ok" and np.abs(np.diff(flight.input, axis=0)).max() < 1
