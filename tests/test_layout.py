@@ -21,6 +21,7 @@ FLOORS = (
     ("report",),
     ("experiment", "papers"),
     ("sweep",),
+    ("api",),
     ("cli",),
     ("__main__",),
 )

@@ -170,7 +170,7 @@ class Composer:
     def _read(self, text: str) -> Override:
         parser = OverridesParser.create(config_loader=self._loader)
         key, _, value = text.partition("=")
-        literal = f"{key}={','.join(map(_quoted, value.split(',')))}"
+        literal = f"{key}={','.join(map(quoted, value.split(',')))}"
         try:
             (override,) = parser.parse_overrides([text])
         except HydraException:
@@ -208,7 +208,7 @@ class Composer:
                 return
 
 
-def _quoted(value: str) -> str:
+def quoted(value: str) -> str:
     """A value that stands for itself in Hydra's grammar: backslashes count double before a quote only."""
     escaped = re.sub(r"(\\*)'", lambda found: f"{found[1] * 2}\\'", value)
     return "'" + re.sub(r"\\+$", lambda found: found[0] * 2, escaped) + "'"

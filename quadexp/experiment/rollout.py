@@ -124,7 +124,7 @@ def fly(
     """
     controller = as_controller(controller)
     period, rotors = controller.control_period, plant.vehicle.n_rotors
-    renewal = _Renewal(round(controller.reference_period / period))
+    renewal = Renewal(round(controller.reference_period / period))
     log = _Log(len(reference), rotors)
     sensor_rng = rng.spawn(1)[0] if sensor is not None else rng
     plant.reset()
@@ -169,7 +169,7 @@ def fly(
     return Flight(log.columns(reference.t, inner_names), {**(metadata or {}), **details})
 
 
-class _Renewal:
+class Renewal:
     """When a reference is made anew from what has been identified: every `period` control steps (0: never).
 
     Where the new belief admits no reference the earlier one stays. After that, and after a reference that contains a
