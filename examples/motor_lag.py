@@ -1,4 +1,4 @@
-"""A plant of one's own: rotors whose thrust follows the command with a lag, and linear drag on the airframe.
+"""A plant of your own: rotors whose thrust follows the command with a lag, and linear drag on the airframe.
 
     T_i' = (u_i - T_i) / tau,        a_body = -D v_body
 
@@ -18,6 +18,7 @@ from quadexp.physics.state import ATTITUDE, N_STATE
 class MotorLagPlant:
     """time_constant: tau, s. drag: (3,) 1/s. step: of the integrator, s."""
 
+    # Arguments: the vehicle, `step`, and the keys under `options` of plant/motor_lag.yaml.
     def __init__(self, vehicle, *, step, time_constant=0.03, drag=(0.3, 0.3, 0.1)):
         self.vehicle, self.drag, self.step = vehicle, drag, step
         n = vehicle.n_rotors
@@ -38,9 +39,11 @@ class MotorLagPlant:
         self.reset()
 
     def reset(self):
+        """Begin a flight: forget what an earlier one left behind."""
         self.thrust = np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust)
 
     def advance(self, x, u, duration, rng):
+        """State (13,) after holding the thrusts u (n,) N for `duration` s, and the accelerometer's reading then."""
         steps = max(1, round(duration / self.step))
         full = np.concatenate([x, self.thrust])
         for _ in range(steps):
@@ -49,4 +52,5 @@ class MotorLagPlant:
         return full[:N_STATE], self._reading(full).full().ravel()
 
     def residual(self):
+        """What perfect_mpc is told: these equations as a Residual, as far as it can know them."""
         return linear_drag_residual(self.vehicle, self.drag, source="motor_lag plant, without its lag")

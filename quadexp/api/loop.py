@@ -65,7 +65,16 @@ class ControlLoop:
     @property
     def start(self) -> np.ndarray:
         """State of the reference at its start, (13,)."""
-        return self._reference.at(0)[0].copy()
+        return self.reference_state(0.0)
+
+    def reference_state(self, t: float) -> np.ndarray:
+        """State of the reference at the control instant nearest to t (s), (13,)."""
+        return self._reference.at(self._instant(t))[0].copy()
+
+    def _instant(self, t: float) -> int:
+        if not np.isfinite(t):
+            raise UsageError(f"t={t}: must be a finite time (s)")
+        return min(max(round(t / self.period), 0), len(self._reference) - 1)
 
     @property
     def failed(self) -> bool:
@@ -114,9 +123,7 @@ class ControlLoop:
             measured = Measurement(t, _state(measured), None, None)
         elif t is not None:
             measured = measured._replace(t=t)
-        if not np.isfinite(measured.t):
-            raise UsageError(f"step: t={measured.t}: must be a finite time (s)")
-        k = min(max(round(measured.t / self.period), 0), len(self._reference) - 1)
+        k = self._instant(measured.t)
         if not self._begun:
             self._begin(measured.state, reference or self._reference.window(k))
         if reference is None and self._renewal.due(k):
