@@ -19,6 +19,7 @@ from quadexp.cli.fit import fit_drag, fit_gp
 from quadexp.cli.fly import collect, evaluate, simulate
 from quadexp.cli.identify import identify
 from quadexp.cli.importing import import_flights
+from quadexp.cli.new import new
 from quadexp.cli.results import results
 from quadexp.cli.terminal import fail, prepare, settled, unwritten
 from quadexp.cli.validate import validate
@@ -62,6 +63,7 @@ def root(
     quadexp validate    models against flights not seen
     quadexp evaluate    controllers compared                -> results/*
     quadexp report      results as one page                 -> report.html
+    quadexp new         a part of your own                  -> my_parts/
     """
 
 
@@ -81,6 +83,7 @@ COMMANDS = {
     "compare": compare_two,
     "report": report,
     "export": export,
+    "new": new,
 }
 for name, command in COMMANDS.items():
     app.command(name)(command)
