@@ -66,7 +66,8 @@ class Checkpoint:
         """Kind, vehicle, data, outputs and range of validity, in a few lines."""
         from quadexp.report.summary import summarise
 
-        return list(summarise(self.path)["lines"])
+        lines = list(summarise(self.path)["lines"])
+        return lines if self._folder is None else [lines[0].replace(str(self.path), "not saved"), *lines[1:]]
 
     def __repr__(self) -> str:
         return "\n".join(self.summary())

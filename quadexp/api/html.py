@@ -52,5 +52,5 @@ def displayed(figure: Any) -> Any:
 
 def _png(figure: Any) -> bytes:
     stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=100, bbox_inches="tight")
+    figure.savefig(stream, format="png", dpi=72, bbox_inches="tight")
     return stream.getvalue()
