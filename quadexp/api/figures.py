@@ -54,7 +54,7 @@ def overview(flight: Any) -> Figure:
             upper.set_ylabel("speed (m/s)")
         path.plot(flight["p_x"], flight["p_y"], color=COLOURS[2], label="flown")
         path.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", adjustable="datalim")
-        path.legend(loc="upper right")
+        figure.legend(*path.get_legend_handles_labels(), loc="outside lower left", ncols=2)
         for i, name in enumerate(thrusts or ["p_z"]):
             lower.plot(flight["t"], flight[name], color=COLOURS[i % len(COLOURS)], linewidth=0.8)
         lower.set(xlabel="t (s)", ylabel="rotor thrusts (N)" if thrusts else "z (m)")

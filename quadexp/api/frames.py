@@ -66,7 +66,7 @@ class Frame(pd.DataFrame):
         return [f"{self.kind}: {len(self)} rows"]
 
     def _repr_html_(self) -> str:
-        units = self.attrs.get("units", {})
+        units = {name: unit for name, unit in self.attrs.get("units", {}).items() if unit != "1"}
         shown = pd.DataFrame(self).rename(columns=lambda name: f"{name} ({units[name]})" if name in units else name)
         table = shown.to_html(max_rows=SHOWN_ROWS, max_cols=SHOWN_COLUMNS, show_dimensions=True)
         return html.preformatted(self.summary()) + table

@@ -39,8 +39,8 @@ def _row(cells: Sequence[Any], tag: str = "td") -> str:
     made = []
     for i, cell in enumerate(cells):
         text, bold = cell if isinstance(cell, tuple) else (cell, False)
-        align = "left" if i == 0 else "right"
-        made.append(f'<{tag} style="text-align: {align}">{f"<b>{safe(text)}</b>" if bold else safe(text)}</{tag}>')
+        style = f"text-align: {'right' if i else 'left'}; padding: 0 0.7em"
+        made.append(f'<{tag} style="{style}">{f"<b>{safe(text)}</b>" if bold else safe(text)}</{tag}>')
     return f"<tr>{''.join(made)}</tr>"
 
 

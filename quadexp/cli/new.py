@@ -19,8 +19,8 @@ WORDS = {"null", "true", "false", "yes", "no", "on", "off", "inf", "nan", "conft
 
 
 class Template(NamedTuple):
-    """The example that a part begins as. example: its name. group: of its option. ending: of the option's name.
-    module: whether it has code. words: of the class, in the code."""
+    """The example that a new part is copied from. example: its name. group: configuration group of its option. ending:
+    what the option's name has after NAME. module: whether there is a Python file. words: the example's class name."""
 
     example: str
     group: str
