@@ -43,7 +43,7 @@ def identify(
             "--signal",
             metavar="COLUMNS",
             rich_help_panel=REGRESSION,
-            help="Thrust signal: rotor_speed, motor_command, thrust_acceleration or u; default: the first in all flights.",
+            help="Thrust signal: rotor_speed, motor_command, thrust_acceleration or u; default: the first in all.",
         ),
     ] = None,
     curve: Annotated[
