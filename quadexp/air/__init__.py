@@ -10,7 +10,3 @@ so that v' = R (T e_z / m + a_body) + g and J w' = tau + tau_body - w x J w. The
 learned model knows a cheaper one than automatic differentiation finds. theta is an input of every compiled function:
 new coefficients never recompile anything.
 """
-
-from quadexp.air.base import FEATURES, OUTPUTS, Residual, feature_names
-
-__all__ = ["FEATURES", "OUTPUTS", "Residual", "feature_names"]

@@ -155,7 +155,7 @@ class TestMistakes:
 
     def test_no_compiler(self, here, monkeypatch):
         for module in ("backend", "compiler"):
-            monkeypatch.setattr(f"quadexp.{module}.compiler", lambda: None)
+            monkeypatch.setattr(f"quadexp.compile.{module}.compiler", lambda: None)
         arguments = ["trajectory=hover", "trajectory.duration=0.2", "--out", "a.parquet"]
         code, _, err = run("simulate", *arguments, "controller.backend=compiled")
         assert code == 2 and "no C compiler found" in err and files(here) == []

@@ -19,9 +19,9 @@ from quadexp.report.compare import compare
 from quadexp.report.differences import change, differing
 from quadexp.report.tables import to_columns
 from quadexp.sweep.sweep import run_sweep
-from tests.experiment import cells
 from tests.log.flights import straight_flight
 from tests.report.test_tables import row
+from tests.sweep import cells
 
 
 def flight(path, *overrides, offset=0.1, samples=5, **metadata):

@@ -22,9 +22,9 @@ from quadexp.config.compose import compose, expand
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.sweep.cluster.engines import build_engine
 from quadexp.sweep.sweep import run_sweep
-from tests.experiment import cells
 from tests.experiment.same import same_results
 from tests.faults.command import FLY, one_line, run
+from tests.sweep import cells
 from tests.sweep.dask_cluster import ROOT, Cluster, descendants
 
 pytestmark = pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs /proc")

@@ -23,8 +23,8 @@ from quadexp.sweep.cluster.engines import build_engine
 from quadexp.sweep.cluster.start import open_cluster
 from quadexp.sweep.engine import LocalEngine
 from quadexp.sweep.sweep import run_sweep
-from tests.experiment import cells
 from tests.experiment.same import same_results
+from tests.sweep import cells
 from tests.sweep.dask_cluster import ROOT, Cluster
 from tests.sweep.test_sweep import files
 
@@ -203,7 +203,7 @@ DRIVER = """
 import sys
 from quadexp.config.compose import expand
 from quadexp.sweep.sweep import run_sweep
-from tests.experiment import cells
+from tests.sweep import cells
 from tests.sweep.test_dask import at
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from quadexp.sweep.engine import CellFailed, run_cells
-from tests.experiment import cells
+from tests.sweep import cells
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -92,7 +92,7 @@ int clock_gettime(clockid_t clock, struct timespec *now) {
 DRIVER = """
 import sys, time
 from quadexp.sweep.engine import run_cells
-from tests.experiment import cells
+from tests.sweep import cells
 
 if __name__ == "__main__":
     begun, there = time.time(), time.monotonic()

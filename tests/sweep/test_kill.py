@@ -15,8 +15,8 @@ import pytest
 from quadexp.config.compose import expand
 from quadexp.log.cell_store import CellStore
 from quadexp.sweep.sweep import run_sweep
-from tests.experiment import cells
 from tests.experiment.same import same_results
+from tests.sweep import cells
 from tests.sweep.dask_cluster import ROOT, descendants
 from tests.sweep.test_sweep import files
 
@@ -28,7 +28,7 @@ SCRIPT = textwrap.dedent(
     import sys
     from quadexp.config.compose import expand
     from quadexp.sweep.sweep import run_sweep
-    from tests.experiment import cells
+    from tests.sweep import cells
 
     if __name__ == "__main__":
         say = lambda done, total: print(done, flush=True)

@@ -13,7 +13,7 @@ from quadexp.sweep.engine import LocalEngine
 from quadexp.sweep.results import list_results, prune
 from quadexp.sweep.sweep import run_sweep
 from tests.cli.command import run
-from tests.experiment import cells
+from tests.sweep import cells
 from tests.sweep.test_sweep import GRID, files, fly
 
 

@@ -16,8 +16,8 @@ from quadexp.config.compose import compose, expand
 from quadexp.errors import QuadexpError
 from quadexp.sweep.cluster.engines import build_engine
 from quadexp.sweep.sweep import run_sweep
-from tests.experiment import cells
 from tests.experiment.same import same_results
+from tests.sweep import cells
 from tests.sweep.dask_cluster import ROOT, descendants
 from tests.sweep.slurm import Slurm, missing
 

@@ -22,7 +22,7 @@ from quadexp.sweep.engine import LocalEngine
 from quadexp.sweep.keys import cell_key
 from quadexp.sweep.plan import Plan
 from quadexp.sweep.sweep import SweepInterrupted, run_sweep
-from tests.experiment import cells
+from tests.sweep import cells
 
 GRID = ["trajectory.speed=4,8", "controller=nominal_mpc,perfect_mpc", "seed=range(3)"]
 ROOT = Path(__file__).resolve().parents[2]

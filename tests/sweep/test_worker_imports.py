@@ -19,7 +19,7 @@ from quadexp.errors import QuadexpError
 from quadexp.experiment.evaluate import program_record
 from quadexp.log.cell_store import CellStore
 from quadexp.sweep.sweep import run_sweep
-from tests.experiment import cells
+from tests.sweep import cells
 from tests.sweep.test_sweep import files
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -38,7 +38,7 @@ def copy_of_the_package(folder, *, drag=False):
     shutil.copytree(ROOT / "quadexp", folder / "quadexp", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copytree(ROOT / "conf", folder / "conf")
     if drag:
-        file = folder / "quadexp" / "plant" / "simplified.py"
+        file = folder / "quadexp" / "world" / "simplified.py"
         assert "drag" in file.read_text()
         file.write_text(file.read_text() + "\n_simplified_step = SimplifiedPlant.__init__\n")
     return folder
