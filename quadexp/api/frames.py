@@ -40,7 +40,7 @@ class Frame(pd.DataFrame):
     def of(cls, columns: Mapping[str, np.ndarray], record: Mapping[str, Any], folder: Any = None) -> Self:
         """columns: name -> (k,). folder: where the files lie that it names, if any."""
         made = cls(dict(columns))
-        described = {name: describe(name, cls.kind) for name in columns}
+        described = {name: describe(name, record.get("kind") or cls.kind) for name in columns}
         made.attrs["units"] = {name: column.unit for name, column in described.items() if column.unit}
         made.attrs["frames"] = {name: column.frame for name, column in described.items() if column.frame}
         made.attrs["record"] = dict(record)
@@ -52,18 +52,21 @@ class Frame(pd.DataFrame):
         return dict(self.attrs.get("record", {}))
 
     def columns_as_arrays(self) -> dict[str, np.ndarray]:
-        """Name -> (k,) of every column."""
-        return {
-            str(name): self[name].to_numpy(object if self[name].dtype.kind not in "biuf" else None) for name in self
-        }
+        """Name -> (k,) of every column; truth values as 0 and 1."""
+        found = {}
+        for name in self:
+            kind = self[name].dtype.kind
+            found[str(name)] = self[name].to_numpy({"b": np.int8}.get(kind, None if kind in "iuf" else object))
+        return found
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
         """Write it as a file that the commands read, and return its path. force: replace what is there."""
-        return write_table(check_output(Path(path), force=force), self.columns_as_arrays(), self.record, self.kind)
+        kind = self.record.get("kind") or self.kind
+        return write_table(check_output(Path(path), force=force), self.columns_as_arrays(), self.record, kind)
 
     def summary(self) -> list[str]:
         """What it is, in a few lines."""
-        return [f"{self.kind}: {len(self)} rows"]
+        return [f"{self.record.get('kind') or self.kind}: {len(self)} rows"]
 
     def _repr_html_(self) -> str:
         units = {name: unit for name, unit in self.attrs.get("units", {}).items() if unit != "1"}
@@ -134,21 +137,29 @@ class Results(Frame):
         return list(self.attrs.get("notes", ()))
 
     def rows(self) -> Any:
+        """The rows as the library's own functions take them."""
         from quadexp.sweep.rows import Rows
 
+        if not self._is_whole():
+            raise UsageError("tables and figures need all columns of results, and a row at least")
         return Rows.of(self.columns_as_arrays())
+
+    def _is_whole(self) -> bool:
+        from quadexp.report.tables import ROW_COLUMNS
+
+        return len(self) > 0 and set(ROW_COLUMNS) <= set(self)
 
     def table(self, metric: str | None = None) -> ErrorTableView:
         """The error table of a metric, "mean_error", "rmse" or "max_error": the command's own unless given."""
         from quadexp.report.tables import error_table
 
-        return ErrorTableView(error_table(self.rows(), _metric(metric or self.record["metric"]), **self._options()))
+        return ErrorTableView(error_table(self.rows(), self._metric(metric), **self._options()))
 
     def statistics(self, metric: str | None = None) -> pd.DataFrame:
         """Means, intervals and paired comparisons of a metric, a row a condition and controller; in its SI unit."""
         from quadexp.report.statistics import compute_statistics
 
-        chosen = (_metric(metric or self.record["metric"]),)
+        chosen = (self._metric(metric),)
         return pd.DataFrame([asdict(row) for row in compute_statistics(self.rows(), metrics=chosen, **self._options())])
 
     def plot(self, metric: str | None = None) -> Any:
@@ -156,7 +167,7 @@ class Results(Frame):
         from quadexp.report.figures import error_against_speed
 
         options = {"confidence": self._options()["confidence"]}
-        figure = error_against_speed(self.rows(), _metric(metric or self.record["metric"]), **options)
+        figure = error_against_speed(self.rows(), self._metric(metric), **options)
         if figure is None:
             raise UsageError("no flight that ended well has a speed to draw its error against")
         return html.displayed(figure)
@@ -173,10 +184,21 @@ class Results(Frame):
         return Flight.of(flown.columns, flown.metadata)
 
     def _options(self) -> dict[str, Any]:
-        return {name: self.record[name] for name in ("baseline", "confidence")}
+        from quadexp.report.statistics import BASELINE, CONFIDENCE
+
+        settled = {name: self.record[name] for name in ("baseline", "confidence") if name in self.record}
+        return {"baseline": BASELINE, "confidence": CONFIDENCE} | settled
+
+    def _metric(self, name: str | None) -> str:
+        from quadexp.report.metrics import SHOWN
+
+        name = name or str(self.record.get("metric", "mean_error"))
+        if name not in SHOWN:
+            raise UsageError(f"metric {name!r}: there are {', '.join(SHOWN)}")
+        return name
 
     def _repr_html_(self) -> str:
-        return self.table()._repr_html_() if {"controller", "outcome"} <= set(self) else super()._repr_html_()
+        return self.table()._repr_html_() if self._is_whole() else super()._repr_html_()
 
 
 class ErrorTableView:
@@ -194,11 +216,3 @@ class ErrorTableView:
 
     def _repr_html_(self) -> str:
         return html.error_table(self.content)
-
-
-def _metric(name: str) -> str:
-    from quadexp.report.metrics import SHOWN
-
-    if name not in SHOWN:
-        raise UsageError(f"metric {name!r}: there are {', '.join(SHOWN)}")
-    return name

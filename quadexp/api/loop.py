@@ -121,8 +121,8 @@ class ControlLoop:
             if t is None:
                 raise UsageError("step: t is needed, the time since the start of the reference (s)")
             measured = Measurement(t, _state(measured), None, None)
-        elif t is not None:
-            measured = measured._replace(t=t)
+        else:
+            measured = measured._replace(state=_state(measured.state), t=measured.t if t is None else t)
         k = self._instant(measured.t)
         if not self._begun:
             self._begin(measured.state, reference or self._reference.window(k))

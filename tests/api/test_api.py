@@ -240,6 +240,25 @@ class TestSweep:
         with pytest.raises(qx.UsageError, match="no column 'p_x' to draw"):
             results.flight(0)[["t", "v_x"]].plot()
 
+    def test_parts_of_results_are_tables_too(self, here):
+        """Columns, no rows, two sweeps after each other, a column of one's own: shown, and said where it cannot be."""
+        results = qx.sweep(*QUICK, seed=[0, 1])
+        for part in (results[["controller", "mean_error"]], results[results["seed"] > 5]):
+            assert "<pre>results: " in part._repr_html_()
+            with pytest.raises(qx.UsageError, match="need all columns"):
+                part.table()
+        both = pd.concat([results, qx.sweep(*QUICK, seed=[2])])
+        assert "3 of 3" in both._repr_html_() and both.table("rmse").content.flown
+        results["late"] = results["seed"] > 0
+        results.save("results.parquet")
+        assert qx.load("results.parquet")["late"].tolist() == [0, 1]
+
+    def test_other_tables_are_read_with_their_units(self, here):
+        qx.sweep(*QUICK, seed=[0, 1], out="r")
+        statistics = qx.load("r/statistics.parquet")
+        assert statistics.attrs["units"]["speed"] == "m/s" and statistics.summary()[0].startswith("statistics: ")
+        assert qx.load(statistics.save("copy.parquet")).equals(statistics)
+
     @pytest.mark.parametrize("values", [[], range(0)])
     def test_nothing_to_fly(self, values):
         with pytest.raises(qx.UsageError, match="seed: an empty list"):
