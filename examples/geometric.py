@@ -1,4 +1,4 @@
-"""A controller of your own: geometric tracking on SE(3) (Lee, Leok & McClamroch 2010), reference rates fed forward.
+"""A controller of your own: tracking on SE(3) (Lee, Leok & McClamroch 2010), reference rates fed forward.
 
 f = m (a_ref + g e_z - k_p e_p - k_v e_v),   T = f . R e_z
 tau = J (-k_R e_R - k_w (w - w_ref)) + w x J w,   e_R = 1/2 vee(R_d' R - R' R_d)
@@ -18,20 +18,22 @@ class GeometricController:
     """Gains: 1/s^2 and 1/s. rate: of control, Hz. See quadexp/control/base.py for the interface of a controller."""
 
     residual, reference_period, backend = None, 0.0, "interpreted"
-    name, source = "none", ""
+    name, source = "none", ""  # what it knows of the air, and from where
 
+    # Arguments: the vehicle, and the keys under `options` of controller/geometric.yaml.
     def __init__(self, vehicle, *, rate=200.0, position=6.0, velocity=4.0, attitude=120.0, angular=16.0):
         self.vehicle, self.control_period, self.node_times = vehicle, 1.0 / rate, np.zeros(1)
         self.gains = position, velocity, attitude, angular
         self.mixer = np.linalg.pinv(vehicle.allocation)
 
     def forget(self):
-        pass
+        """Unlearn what earlier flights taught: nothing here, and nothing to reset."""
 
     def reset(self, x, window):
         pass
 
     def step(self, measurement, window):
+        """Rotor thrusts (n,) N from what is measured and the reference, and how the step went."""
         began = time.perf_counter()
         x, reference, vehicle = measurement.state, window.state[0], self.vehicle
         k_p, k_v, k_R, k_w = self.gains

@@ -1,4 +1,4 @@
-"""A trajectory of your own: an upward helix from rest to rest.
+"""A trajectory of your own: a circle that climbs, from rest to rest.
 
     p = (r cos th, r sin th, z0 + pitch th / 2 pi),    th(t) = 2 pi turns s(t / duration)
 
@@ -18,9 +18,10 @@ SMOOTH = Polynomial([0, 0, 0, 0, 0, 126, -420, 540, -315, 70])
 
 
 @dataclass(frozen=True, kw_only=True)
-class Helix:
+class HelixTrajectory:
     """speed: largest speed, m/s. radius, height (of the start): m. pitch: climb per turn, m. turns: how many."""
 
+    # Arguments: `speed` and the keys under `options` of trajectory/helix.yaml.
     speed: float
     radius: float = 3.0
     pitch: float = 1.0
@@ -40,6 +41,7 @@ class Helix:
         return self.speed
 
     def flat_output(self, t: np.ndarray) -> FlatOutput:
+        """Position with its derivatives up to snap at the times t, (k,) s; beyond the ends the vehicle rests there."""
         t, inside = hold_outside(t, self.duration)
         share = t / self.duration
         shape = [SMOOTH(share), *(SMOOTH.deriv(n)(share) / self.duration**n for n in range(1, 5))]
@@ -47,4 +49,5 @@ class Helix:
         point = self.radius * phasor(angle)
         climb = self.pitch / (2 * np.pi) * angle
         climb[:, 0] += self.height
-        return flat_output_held(np.stack([point.real, point.imag, climb], axis=2), None, inside)
+        position = np.stack([point.real, point.imag, climb], axis=2)  # (k, 5, 3): m .. m/s^4, world
+        return flat_output_held(position, None, inside)  # None: the heading is free

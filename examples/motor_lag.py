@@ -18,6 +18,7 @@ from quadexp.world.integrator import Equations, SimulatedPlant, integrate
 class MotorLagPlant(SimulatedPlant):
     """time_constant: tau, s. drag: (3,) 1/s. step: of the integrator, s."""
 
+    # Arguments: the vehicle, `step`, and the keys under `options` of plant/motor_lag.yaml.
     def __init__(self, vehicle, *, step, time_constant=0.03, drag=(0.3, 0.3, 0.1)):
         self.drag, n = drag, vehicle.n_rotors
         s, u, dt = ca.SX.sym("s", N_STATE + n), ca.SX.sym("u", n), ca.SX.sym("dt")
@@ -37,7 +38,9 @@ class MotorLagPlant(SimulatedPlant):
         super().__init__(vehicle, Equations(one), step=step, backend="auto")
 
     def initial(self):
+        """The inner states at the beginning of a flight: thrusts (n,), N."""
         return np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust)
 
     def residual(self):
+        """What perfect_mpc is told: these equations as a Residual, as far as it can know them."""
         return linear_drag_residual(self.vehicle, self.drag, source="motor_lag plant, without its lag")

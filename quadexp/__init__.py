@@ -1,3 +1,43 @@
-"""quadexp: an experiment pipeline for aerodynamics-aware quadrotor trajectory tracking."""
+"""quadexp: an experiment pipeline for aerodynamics-aware quadrotor trajectory tracking.
+
+    import quadexp as qx
+
+The names of the Python API (docs/api.md) are imported when they are first used, so that `import quadexp` stays light.
+"""
+
+from importlib import import_module
 
 __version__ = "0.1.0"
+
+_API = {
+    "simulate": "api.calls",
+    "collect": "api.calls",
+    "fit_gp": "api.calls",
+    "fit_drag": "api.calls",
+    "sweep": "sweep",  # the package itself, which can be called
+    "load": "api.calls",
+    "controller": "api.loop",
+    "ControlLoop": "api.loop",
+    "Flight": "api.frames",
+    "Dataset": "api.frames",
+    "Results": "api.frames",
+    "Checkpoint": "api.checkpoint",
+    "Measurement": "control.base",
+    "Window": "control.base",
+    "QuadexpError": "errors",
+    "UsageError": "errors",
+    "DataError": "errors",
+}
+__all__ = ["__version__", *_API]  # noqa: PLE0604
+
+
+def __getattr__(name: str) -> object:
+    if name not in _API:
+        raise AttributeError(f"module 'quadexp' has no attribute {name!r}")
+    module = import_module(f"quadexp.{_API[name]}")
+    found = globals()[name] = module if _API[name] == name else getattr(module, name)
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_API})

@@ -3,76 +3,11 @@
 from __future__ import annotations
 
 import ast
-from functools import cache
-from pathlib import Path
 
-ROOT = Path(__file__).parent.parent
-PACKAGE = ROOT / "quadexp"
-
-# Floors of the house, the lowest first: a module imports from its own room and from floors below. A name is a folder of
-# quadexp (a room) or a file beside the rooms; rooms on one floor do not import each other.
-FLOORS = (
-    ("",),  # the version
-    ("errors", "messages", "progress", "provenance"),
-    ("compile", "config"),
-    ("physics",),
-    ("air", "log"),
-    ("reference", "learn", "world", "control"),
-    ("report",),
-    ("experiment", "papers"),
-    ("sweep",),
-    ("cli",),
-    ("__main__",),
-)
+from tests.house import FLOORS, PACKAGE, ROOT, arrows, floor, imports, is_room, modules, picture, place, rooms
 
 # Imports against the flow that stand for a reason: (module, imported).
 CROSSINGS: dict[tuple[str, str], str] = {}
-
-
-@cache
-def modules() -> dict[str, Path]:
-    """Name -> file of every module; a package is its __init__."""
-    found = {}
-    for path in PACKAGE.rglob("*.py"):
-        parts = path.relative_to(ROOT).with_suffix("").parts
-        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
-    return found
-
-
-@cache
-def imports() -> dict[str, frozenset[str]]:
-    """Module -> modules of quadexp that it imports, anywhere in it."""
-    graph = {}
-    for name, path in modules().items():
-        found = set()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Import):
-                wanted = [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom):
-                assert node.level == 0, f"{path}: imports are absolute"
-                wanted = [f"{node.module}.{alias.name}" for alias in node.names]
-            else:
-                continue
-            for target in wanted:
-                while target and target not in modules():  # a name inside a module
-                    target = target.rpartition(".")[0]
-                if target:
-                    found.add(target)
-        graph[name] = frozenset(found - {name})
-    return graph
-
-
-def place(module: str) -> str:
-    """The package below quadexp that a module is in, or its own name."""
-    return module.split(".")[1] if "." in module else ""
-
-
-def floor(module: str) -> int:
-    own = place(module)
-    for level, names in enumerate(FLOORS):
-        if own in names:
-            return level
-    raise AssertionError(f"{module}: has no floor yet: add it to FLOORS in {Path(__file__).name}")
 
 
 def in_circles(graph: dict[str, frozenset[str]]) -> list[str]:
@@ -123,6 +58,35 @@ def test_imports_go_along_the_data_flow():
 def both_modules(module: str, target: str) -> bool:
     """Whether both are single modules, which may share a floor; two packages on one floor do not know of each other."""
     return all(name.count(".") <= 1 and modules()[name].name != "__init__.py" for name in (module, target))
+
+
+def test_few_files_stand_beside_the_rooms():
+    """What is no room is used by all of them; an idea of its own gets a room."""
+    assert len([path for path in PACKAGE.iterdir() if path.is_file() and not path.name.startswith(".")]) <= 8
+
+
+def test_every_room_says_in_a_sentence_what_its_idea_is():
+    for name in rooms():
+        said = ast.get_docstring(ast.parse((PACKAGE / name / "__init__.py").read_text(encoding="utf-8")))
+        assert said and said.splitlines()[0][0].isupper(), name
+
+
+def test_an_arrow_that_follows_from_others_is_left_out():
+    """And every import between rooms can be followed along the arrows that stay."""
+    drawn = set(arrows())
+    follows = {name: {below for above, below in drawn if above == name} for name in rooms()}
+    for _ in follows:
+        follows = {name: below.union(*(follows[one] for one in below)) for name, below in follows.items()}
+    assert all(below <= follows[name] for name, below in rooms().items())
+    for above, below in drawn:
+        rest = {other for other in follows if other != above and below in follows[other] and other in rooms()[above]}
+        assert not rest, (above, below)
+
+
+def test_the_picture_is_of_the_imports_of_today():
+    stored = (ROOT / "docs" / "figures" / "house.svg").read_text(encoding="utf-8")
+    assert stored == picture(), "make it anew: python -m tests.house > docs/figures/house.svg"
+    assert all(f">{name}/</text>" in stored for name in rooms()) and is_room("world") and not is_room("errors")
 
 
 def test_no_test_holds_a_clock_against_a_limit():

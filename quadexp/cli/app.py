@@ -1,7 +1,7 @@
-"""The command line: every command parses, composes the configuration, calls one function, prints where the result lies.
+"""The command line: every command parses, composes the configuration, calls one function, prints where the result is.
 
-Each command stands in a module of this room. Those import only typer and light modules at the top; the rest inside the
-commands, so that --help is there at once.
+Each command is a module of this room. At the top it imports only typer and light modules, and the rest inside the
+command, so that --help takes no time.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from quadexp.cli.fit import fit_drag, fit_gp
 from quadexp.cli.fly import collect, evaluate, simulate
 from quadexp.cli.identify import identify
 from quadexp.cli.importing import import_flights
+from quadexp.cli.new import new
 from quadexp.cli.results import results
-from quadexp.cli.terminal import fail, prepare, settled, unwritten
+from quadexp.cli.terminal import fail, flush_output, output_failed, prepare
 from quadexp.cli.validate import validate
 
 app = typer.Typer(
@@ -55,13 +56,14 @@ def root(
     \b
     quadexp simulate    one flight                          -> runs/*.parquet
     quadexp import      logs of real flights                -> flights/*.parquet
-    quadexp check       what is wrong with flights, by name
+    quadexp check       wrong units, frames or clocks in flights
     quadexp collect     flights for learning                -> data/residuals.parquet
     quadexp fit-gp      Gaussian processes from a data set  -> models/gp
     quadexp identify    thrust, drag and air from flights   -> models/*
-    quadexp validate    models against flights not seen
+    quadexp validate    models against flights left out of the fit
     quadexp evaluate    controllers compared                -> results/*
     quadexp report      results as one page                 -> report.html
+    quadexp new         a part of your own                  -> my_parts/
     """
 
 
@@ -81,27 +83,28 @@ COMMANDS = {
     "compare": compare_two,
     "report": report,
     "export": export,
+    "new": new,
 }
 for name, command in COMMANDS.items():
     app.command(name)(command)
 
 
 def main() -> None:
-    """Entry point: wrong options too are one line and exit code 2."""
+    """Entry point. Wrong options, too, give one line and exit code 2."""
     prepare()
-    sys.exit(settled(_run()))
+    sys.exit(flush_output(_run()))
 
 
 def _run() -> int:
     code: object
     try:
         code = app(standalone_mode=False, prog_name="quadexp")
-        if code == INTERRUPTED:  # before the command itself began
+        if code == INTERRUPTED:  # Ctrl-C before the command began
             code = fail("interrupted", 1).exit_code
     except typer.Abort:
         code = 1
     except OSError as error:
-        code = unwritten(error).exit_code  # help or version: what a command does is guarded
+        code = output_failed(error).exit_code  # from help or version; the commands themselves are guarded
     except Exception as error:
         if not hasattr(error, "format_message"):
             raise

@@ -19,7 +19,7 @@ def show(
     path: Annotated[Path, typer.Argument(help="A flight, data set, checkpoint folder, or results.")],
     json: Json = False,
 ) -> None:
-    """Say what is in a file: its kind, configuration, units, seed, versions, size.
+    """Show what a file holds: its kind, configuration, units, seed, versions, size.
 
     \b
     quadexp show runs/a.parquet
@@ -40,7 +40,7 @@ def compare_two(
     others: Annotated[list[Path], typer.Argument(help="Others of the same kind, each compared with the first.")],
     json: Json = False,
 ) -> None:
-    """Say what differs between flights, results or checkpoints: configuration, outcome, figures.
+    """Show how flights, results or checkpoints differ: configuration, outcome, figures.
 
     \b
     quadexp compare runs/a.parquet runs/b.parquet runs/c.parquet
@@ -63,7 +63,8 @@ def report(
         Path | None, typer.Option("--figures", metavar="DIR", help="Write the figures as PDF too, for a paper.")
     ] = None,
     baseline: Annotated[
-        str | None, typer.Option("--baseline", metavar="CONTROLLER", help="Whom the others are compared with.")
+        str | None,
+        typer.Option("--baseline", metavar="CONTROLLER", help="Controller to compare the others with."),
     ] = None,
     force: Force = False,
     json: Json = False,

@@ -55,7 +55,7 @@ def collect(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Fly for data, or take recorded flights, and write what the rigid body does not explain.
+    """Fly random paths, or take recorded flights, and write the residual: what the rigid body does not explain.
 
     \b
     quadexp collect plant=simplified collect.duration=300 --out data/residuals.parquet
@@ -84,7 +84,7 @@ def evaluate(
     sweep: Annotated[bool, typer.Option("--sweep", help="Fly every combination of the values given.")] = False,
     out: OptionalOut = None,
     figures: Annotated[
-        bool | None, typer.Option("--figures/--no-figures", help="Draw figures (a sweep does unless told).")
+        bool | None, typer.Option("--figures/--no-figures", help="Draw figures (default: only for a sweep).")
     ] = None,
     conf: Conf = None,
     refly: Annotated[
@@ -96,8 +96,8 @@ def evaluate(
 ) -> None:
     """Fly one cell, or every cell of a sweep, and write the table of results.
 
-    A sweep that was interrupted goes on where it stopped; one that is done only prints its table. Cells that were
-    flown by other sources of this program are neither kept nor flown again unless --keep-old or --refly says so.
+    An interrupted sweep continues where it stopped; a finished one only prints its table. If cells were flown by
+    another version of the program's sources, the command stops and asks for --keep-old or --refly.
 
     \b
     quadexp evaluate --sweep trajectory=circle,lemniscate trajectory.speed=4,8,12 \\

@@ -1,4 +1,4 @@
-"""`quadexp identify`: what a vehicle's flights say of its thrust and its air. Only light modules are imported here."""
+"""`quadexp identify`: thrust curve and drag of a vehicle from its flights. Only light modules are imported here."""
 
 from __future__ import annotations
 
@@ -24,12 +24,18 @@ def identify(
         typer.Option("--method", metavar="rls|regression", help="rls where rotor speeds and geometry are known."),
     ] = None,
     vehicle: Annotated[
-        str | None, typer.Option("--vehicle", metavar="NAME", help="Of the configuration, not the flight's own.")
+        str | None,
+        typer.Option("--vehicle", metavar="NAME", help="Of the configuration, instead of the flight's own."),
     ] = None,
     paper: Annotated[bool, typer.Option("--paper", help="rls: P_0 = 50 and unit noise, as Lei & Li.")] = False,
     drag: Annotated[
         str,
-        typer.Option("--drag", metavar="MODELS", help="Of linear,quadratic,blade_element.", rich_help_panel=REGRESSION),
+        typer.Option(
+            "--drag",
+            metavar="MODELS",
+            help="Drag models to fit, of linear,quadratic,blade_element.",
+            rich_help_panel=REGRESSION,
+        ),
     ] = "linear,quadratic,blade_element",
     signal: Annotated[
         str | None,
@@ -37,7 +43,7 @@ def identify(
             "--signal",
             metavar="COLUMNS",
             rich_help_panel=REGRESSION,
-            help="rotor_speed, motor_command, thrust_acceleration or u; the first that all flights have.",
+            help="Thrust signal: rotor_speed, motor_command, thrust_acceleration or u; default: the first in all.",
         ),
     ] = None,
     curve: Annotated[
@@ -46,35 +52,47 @@ def identify(
             "--thrust-curve",
             metavar="s+s2|s|s2|auto",
             rich_help_panel=REGRESSION,
-            help="On motor commands; auto: as flights left out say, with the voltage.",
+            help="Terms of the thrust curve on motor commands; auto: chosen on flights left out, with the voltage.",
         ),
     ] = "auto",
     voltage: Annotated[
         float | None,
-        typer.Option("--reference-voltage", metavar="V", help="0 leaves the voltage out.", rich_help_panel=REGRESSION),
+        typer.Option(
+            "--reference-voltage",
+            metavar="V",
+            help="Voltage the curve is stated at; 0: the voltage is not used.",
+            rich_help_panel=REGRESSION,
+        ),
     ] = None,
     exponent: Annotated[
         str,
         typer.Option(
-            "--voltage-exponent", metavar="G|fit", help="Of the voltage, beside a command.", rich_help_panel=REGRESSION
+            "--voltage-exponent",
+            metavar="G|fit",
+            help="Exponent of the voltage; fit: estimated.",
+            rich_help_panel=REGRESSION,
         ),
     ] = "1",
     intercept: Annotated[
         bool | None,
-        typer.Option("--thrust-intercept/--no-thrust-intercept", rich_help_panel=REGRESSION, help="Along z."),
+        typer.Option(
+            "--thrust-intercept/--no-thrust-intercept", rich_help_panel=REGRESSION, help="Fit an offset along z."
+        ),
     ] = None,
     per_rotor: Annotated[
         bool, typer.Option("--per-rotor", help="A thrust curve for each rotor.", rich_help_panel=REGRESSION)
     ] = False,
     radius: Annotated[
         float | None,
-        typer.Option("--rotor-radius", metavar="M", help="For the induced velocity.", rich_help_panel=REGRESSION),
+        typer.Option(
+            "--rotor-radius", metavar="M", help="Rotor radius for the induced velocity.", rich_help_panel=REGRESSION
+        ),
     ] = None,
     loss: Annotated[
-        str, typer.Option("--loss", metavar="squares|huber", rich_help_panel=REGRESSION, help="What is minimised.")
+        str, typer.Option("--loss", metavar="squares|huber", rich_help_panel=REGRESSION, help="Loss that is minimised.")
     ] = "squares",
     figures: Annotated[
-        bool, typer.Option("--figures/--no-figures", help="Draw them.", rich_help_panel=REGRESSION)
+        bool, typer.Option("--figures/--no-figures", help="Draw figures.", rich_help_panel=REGRESSION)
     ] = True,
     conf: Conf = None,
     force: Force = False,
@@ -82,9 +100,9 @@ def identify(
 ) -> None:
     """Identify a vehicle from its flights: thrust curve, drag, blade-element coefficients, with 95 % intervals.
 
-    Flights with rotor speeds, of a vehicle whose rotors are known, go through recursive least squares one by one: C_d0,
-    C_la and C_D, and their time series, one file a flight (--method rls). All others together give a vehicle model, a
-    folder that collect, validate and evaluate read (--method regression).
+    --method rls: recursive least squares, flight by flight, for flights with rotor speeds of a vehicle whose rotors are
+    known; gives time series of C_d0, C_la and C_D, one file a flight. --method regression: all other flights together;
+    gives a vehicle model, a folder that collect, validate and evaluate read.
 
     \b
     quadexp identify flights/a.parquet flights/b.parquet --out models/crazyflie

@@ -1,4 +1,4 @@
-"""`quadexp results`: what lies in a folder of results. Only light modules are imported here; see cli/app.py."""
+"""`quadexp results`: list and check a folder of results. Only light modules are imported here; see cli/app.py."""
 
 from __future__ import annotations
 
@@ -21,23 +21,27 @@ def results(
         list[str] | None,
         typer.Argument(metavar="KEY=VALUE", help="Only these rows, such as controller='gp_*' or seed=0,1"),
     ] = None,
-    sort: Annotated[str | None, typer.Option("--sort", metavar="KEY", help="By this column; -KEY: descending.")] = None,
-    limit: Annotated[int | None, typer.Option("--limit", "-n", min=1, help="At most so many rows.")] = None,
-    failures: Annotated[bool, typer.Option("--failures", help="What did not end well, with its cause.")] = False,
-    prune: Annotated[bool, typer.Option("--prune", help="Remove cells: see above.")] = False,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do remove them.")] = False,
+    sort: Annotated[
+        str | None, typer.Option("--sort", metavar="KEY", help="Sort by this column; -KEY for descending order.")
+    ] = None,
+    limit: Annotated[int | None, typer.Option("--limit", "-n", min=1, help="Show at most this many rows.")] = None,
+    failures: Annotated[
+        bool, typer.Option("--failures", help="Show only flights that did not end well, with the cause.")
+    ] = False,
+    prune: Annotated[bool, typer.Option("--prune", help="Remove cells (see above).")] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Really remove them.")] = False,
     verify: Annotated[
-        bool, typer.Option("--verify", help="Read every file and say which no longer holds what was written.")
+        bool, typer.Option("--verify", help="Read every file and list those that were changed since they were written.")
     ] = False,
     json: Json = False,
 ) -> None:
     """List, filter, sort and prune the flights of a sweep.
 
     --verify compares every flight and table with its hashes, rows with their flights, and texts with their rows; exit
-    code 1 where something is wrong. The next run of the sweep flies such cells again and writes such tables anew.
+    code 1 if something is wrong. The next run of the sweep flies such cells again and writes such tables again.
 
-    --prune removes the cells that the last sweep did not ask for or, with KEY=VALUE, those that match; without --yes it
-    only says which.
+    --prune removes the cells that are not part of the last sweep or, with KEY=VALUE, those that match; without --yes it
+    only lists them.
 
     \b
     quadexp results results/table1 --sort -mean_error --limit 10
@@ -62,8 +66,8 @@ def results(
         if json:
             emit({"keys": done.keys, "bytes": done.size, "removed": done.removed})
         else:
-            said = "removed" if done.removed else "would be removed (--yes removes them)"
-            print(f"{len(done.keys)} cells, {done.size / 1e6:.1f} MB, {said}")
+            state = "removed" if done.removed else "would be removed (--yes removes them)"
+            print(f"{len(done.keys)} cells, {done.size / 1e6:.1f} MB, {state}")
         return
     rows = list_results(folder, chosen, sort=sort, failures=failures)
     shown = rows[:limit]

@@ -1,4 +1,4 @@
-"""What the command line says and how it ends: results on standard output, everything else on the error stream."""
+"""Output, errors and exit codes of the command line: results go to standard output, all else to the error stream."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from quadexp.errors import QuadexpError
 from quadexp.messages import CleanStream, clean, raw
 
 PLAIN = {"\u00a0": " ", "\u202f": " ", "\u2013": "-", "\u2212": "-", "\u00b5": "u", "\u00b1": "+-", "\u00b7": "."}
-NO_MEMORY = re.compile("can't allocate memory|Cannot allocate memory|bad_alloc")  # as libraries say it
-_signals: list[int] = []  # that asked this process to end
+NO_MEMORY = re.compile("can't allocate memory|Cannot allocate memory|bad_alloc")  # messages of libraries
+_signals: list[int] = []  # received signals that ask this process to end
 
 
 def prepare() -> None:
-    """Before any command: SIGTERM ends it as Ctrl-C does, a terminal gets what letters it can show, and no control
-    characters from a file."""
+    """Set up the process before any command: SIGTERM ends it as Ctrl-C does, letters that a terminal cannot show are
+    replaced, and control characters (which a file may contain) are written out."""
     usual = {signal.SIGTERM: signal.SIG_DFL, signal.SIGINT: signal.default_int_handler}
     for number, handler in usual.items():
         if signal.getsignal(number) is handler:
@@ -46,7 +46,7 @@ def _interrupt(number: int, frame: Any) -> None:
 
 
 def _plain(error: UnicodeError) -> tuple[str | bytes, int]:
-    """Bytes of a path that are no text as they came, other letters in plain ones."""
+    """Replacement for a letter that the output cannot encode; bytes of a path that is not UTF-8 are kept."""
     assert isinstance(error, UnicodeEncodeError)
     letter = error.object[error.start]
     if "\udc80" <= letter <= "\udcff":
@@ -54,19 +54,19 @@ def _plain(error: UnicodeError) -> tuple[str | bytes, int]:
     return PLAIN.get(letter, "?"), error.start + 1
 
 
-def settled(code: int) -> int:
-    """The exit code of a command, once what it printed has been taken; 1 where that could not be."""
+def flush_output(code: int) -> int:
+    """Flush standard output and return the exit code of the command; 1 where the output could not be written."""
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
     except OSError as error:
-        unwritten(error)
+        output_failed(error)
         return code or 1
     return code
 
 
-def unwritten(error: OSError) -> typer.Exit:
-    """Standard output takes no more: nothing else is sent there, and who reads no further knows why."""
+def output_failed(error: OSError) -> typer.Exit:
+    """End after a failed write to standard output. A broken pipe needs no message: the reader has stopped reading."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if isinstance(error, BrokenPipeError):
         return typer.Exit(1)
@@ -74,7 +74,7 @@ def unwritten(error: OSError) -> typer.Exit:
 
 
 def guarded(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Turn what goes wrong in a command into one line and an exit code: 2 usage, 1 failure."""
+    """Turn every exception of a command into one line and an exit code: 2 for a wrong request, 1 for a failure."""
 
     @functools.wraps(function)
     def command(*args: Any, **kwargs: Any) -> Any:
@@ -85,15 +85,15 @@ def guarded(function: Callable[..., Any]) -> Callable[..., Any]:
         except KeyboardInterrupt as error:
             raise fail("interrupted", 1) from error
         except BrokenPipeError as error:
-            raise unwritten(error) from None
+            raise output_failed(error) from None
         except (typer.Exit, typer.Abort):
             raise
         except OSError as error:
-            raise fail(of_system(error), 1) from error
+            raise fail(system_error(error), 1) from error
         except Exception as error:
             if isinstance(error, MemoryError) or NO_MEMORY.search(str(error)):
                 raise fail("not enough memory", 1) from error
-            if _signals:  # which a library took for an error of its own
+            if _signals:  # the signal that a library has turned into an error of its own
                 raise fail("interrupted", 1) from error
             if os.environ.get("QUADEXP_DEBUG"):
                 raise
@@ -104,8 +104,8 @@ def guarded(function: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def of_system(error: OSError) -> str:
-    """What the system refused, and of which file."""
+def system_error(error: OSError) -> str:
+    """The message of a system error, with the file it is about."""
     reason = error.strerror or str(error) or type(error).__name__
     return reason if error.filename is None else f"{os.fsdecode(error.filename)}: {reason}"
 
@@ -120,7 +120,7 @@ def fail(message: object, code: int) -> typer.Exit:
 
 
 def say(text: str) -> None:
-    """A message: to the error stream, so that standard output holds results only."""
+    """Print a message to the error stream, so that standard output holds results only."""
     print(text, file=sys.stderr, flush=True)
 
 
@@ -129,7 +129,7 @@ def emit(record: dict[str, Any]) -> None:
 
 
 def _finite(value: Any) -> Any:
-    """JSON has no NaN: null stands for it."""
+    """The value as JSON types; NaN and infinity, which JSON lacks, become null."""
     if isinstance(value, dict):
         return {str(key): _finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -142,7 +142,7 @@ def _finite(value: Any) -> Any:
 
 
 def console() -> Any:
-    """A rich console on standard output, wide where that is no terminal; what it prints is clean like all the rest."""
+    """A rich console on standard output, 200 columns wide without a terminal; it writes out control characters."""
     from rich.console import Console
 
     made = Console(file=raw(sys.stdout))
@@ -153,14 +153,14 @@ def console() -> Any:
 
 
 class _CleanHook:
-    """Has every piece of text cleaned before rich adds its colours."""
+    """Writes out control characters of every text before rich adds its colours."""
 
     def process_renderables(self, renderables: list[Any]) -> list[Any]:
         return [_Clean(one) for one in renderables]
 
 
 class _Clean:
-    """renderable: of rich."""
+    """A rich renderable whose text has its control characters written out."""
 
     def __init__(self, renderable: Any) -> None:
         self.renderable = renderable

@@ -1,4 +1,4 @@
-"""`quadexp validate`: models against flights that they have not seen. Only light modules are imported here."""
+"""`quadexp validate`: models against flights that they were not fitted to. Only light modules are imported here."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def validate(
         typer.Option("--flights", metavar="FLIGHT...", help="Flights to predict; several may follow."),
     ] = None,
     horizons: Annotated[
-        str, typer.Option("--horizons", metavar="S,S,...", help="Of the open-loop predictions.")
+        str, typer.Option("--horizons", metavar="S,S,...", help="Horizons of the open-loop predictions (s).")
     ] = "0.1,0.5,1",
     leave_one_out: Annotated[
         bool, typer.Option("--leave-one-out", help="Predict each flight by models refitted to all the others.")
@@ -33,7 +33,7 @@ def validate(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="DIR", help="Write report and figures there.")
     ] = None,
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw them (with --out).")] = True,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures (with --out).")] = True,
     conf: Conf = None,
     force: Force = False,
     json: Json = False,

@@ -188,7 +188,7 @@ class Composer:
     # -------------------------------------------------------------------------------------------------- what Hydra does
     def _composed(self, name: str, chosen: Sequence[Given], source: tuple[str, ...]) -> dict[str, Node]:
         """What Hydra composes of a file and a choice of options."""
-        own = ",".join(_quoted(f"file://{folder}") for folder in self._folders[1:])
+        own = ",".join(quoted(f"file://{folder}") for folder in self._folders[1:])
         given = [*(one.text for one in chosen), f"hydra.searchpath=[{own}]"]
         GlobalHydra.instance().clear()
         try:
@@ -327,7 +327,7 @@ class Composer:
     def _read(self, text: str) -> Override:
         parser = OverridesParser.create(config_loader=self)  # type: ignore[arg-type]  # it asks for get_group_options
         key, _, value = text.partition("=")
-        literal = f"{key}={','.join(map(_quoted, value.split(',')))}"
+        literal = f"{key}={','.join(map(quoted, value.split(',')))}"
         try:
             (override,) = parser.parse_overrides([text])
         except HydraException:
@@ -433,7 +433,7 @@ def _keys(content: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
             yield f"{prefix}{name}"
 
 
-def _quoted(value: str) -> str:
+def quoted(value: str) -> str:
     """A value that stands for itself in Hydra's grammar: backslashes count double before a quote only."""
     escaped = re.sub(r"(\\*)'", lambda found: f"{found[1] * 2}\\'", value)
     return "'" + re.sub(r"\\+$", lambda found: found[0] * 2, escaped) + "'"

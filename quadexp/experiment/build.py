@@ -5,9 +5,10 @@ What is costly is made once per process and kept: a worker flies many cells with
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -53,6 +54,18 @@ def _keep(record: Any, make: Callable[[], T]) -> T:
         del _kept[next(iter(_kept))]
     _kept[key] = made
     return made
+
+
+@contextlib.contextmanager
+def unshared() -> Iterator[None]:
+    """What is built inside is new, and nobody else gets it: parts have states, such as what a controller identified."""
+    kept = dict(_kept)
+    _kept.clear()
+    try:
+        yield
+    finally:
+        _kept.clear()
+        _kept.update(kept)
 
 
 @dataclass(frozen=True)

@@ -131,7 +131,7 @@ def fly(
     """
     controller = as_controller(controller)
     period = controller.control_period
-    renewal = _Renewal(round(controller.reference_period / period))
+    renewal = Renewal(round(controller.reference_period / period))
     sensor_rng = rng.spawn(1)[0] if sensor is not None else rng
     plant.reset()
     inner_names = [name for name in INNER_STATES if hasattr(plant, name)]
@@ -193,7 +193,7 @@ def fly(
     return Flight(log.columns(reference.t, inner_names), {**(metadata or {}), **details})
 
 
-class _Renewal:
+class Renewal:
     """Recomputes the reference with the identified residual every `period` control steps (0: never).
 
     Where that fails, the previous reference is kept. After a failure, and after a reference with only a share of the

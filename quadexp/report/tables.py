@@ -220,6 +220,9 @@ class ErrorTable:
         heads = ["trajectory", speed, *self.columns]
         return Table(heads, rows, self.title, head=1, over=self.title if over else "", notes=self.notes)
 
+    def __str__(self) -> str:
+        return to_markdown(self)
+
     def _repr_html_(self) -> str:
         return self.table().html()
 

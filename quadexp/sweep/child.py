@@ -110,6 +110,24 @@ def same_imports() -> Iterator[None]:
         yield
 
 
+@contextlib.contextmanager
+def without_main() -> Iterator[None]:
+    """Processes started inside do not import this program's main module: a script may start them without a guard.
+
+    What they call lies in modules of quadexp, so they have no need of it.
+    """
+    main = sys.modules["__main__"]
+    names = [name for name in ("__file__", "__spec__") if hasattr(main, name)]
+    saved = {name: getattr(main, name) for name in names}
+    for name in names:
+        setattr(main, name, None)
+    try:
+        yield
+    finally:
+        for name, value in saved.items():
+            setattr(main, name, value)
+
+
 class _MonotonicTasks(TaskManager):
     """Pebble's tasks with time limits by the monotonic clock, which a suspended computer or a changed clock does not
     affect. (Pebble 5 uses wall time.)"""

@@ -46,7 +46,7 @@ def test_what_a_controller_sees_cannot_be_changed_by_it(vehicle):
 def test_a_renewal_that_fails_is_tried_again_after_twice_the_time():
     """And after the usual time once it has succeeded."""
     from quadexp.errors import UsageError
-    from quadexp.experiment.rollout import _Renewal
+    from quadexp.experiment.rollout import Renewal
 
     made = []
 
@@ -58,10 +58,10 @@ def test_a_renewal_that_fails_is_tried_again_after_twice_the_time():
             if k < 60:
                 raise UsageError("no reference")
 
-    renewal = _Renewal(10)
+    renewal = Renewal(10)
     for k in range(160):
         if renewal.due(k):
             renewal.renew(k, Reference(), None)
     assert made == [10, 30, 70, 80, 90, 100, 110, 120, 130, 140, 150]
     assert renewal.failed == 2
-    assert not _Renewal(0).due(0)
+    assert not Renewal(0).due(0)

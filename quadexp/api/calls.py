@@ -1,0 +1,194 @@
+"""The commands as functions. What each takes, and the same results to the last bit, is that of its command.
+
+Settings are given as on the command line ("trajectory.speed=8"), as dictionaries ({"trajectory.speed": 8}, or nested
+{"trajectory": {"speed": 8}}), or as keywords; see quadexp/api/overrides.py. Nothing is written unless `out` is given.
+conf: a configuration folder of your own, as --conf. force: replace what is at `out`. progress: show it on the error
+stream. Errors are QuadexpError and its kinds (quadexp/errors.py) with a one-line message.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Literal
+
+import pandas as pd
+
+from quadexp.api.checkpoint import Checkpoint
+from quadexp.api.frames import Dataset, Flight, Frame, Results
+from quadexp.api.overrides import Given, overrides
+from quadexp.api.scratch import Scratch
+from quadexp.config.compose import compose, session
+from quadexp.errors import UsageError
+from quadexp.experiment.collect import collect_dataset
+from quadexp.experiment.evaluate import fly_one
+from quadexp.experiment.fit import fit_checkpoint
+from quadexp.log.store import check_output, read_flight, read_metadata, read_table, write_flight, write_table
+from quadexp.progress import Progress
+
+Place = str | os.PathLike[str]
+RESULTS, MODEL = "results.parquet", "model.json"
+
+
+def simulate(
+    *settings: Given, out: Place | None = None, conf: Place | None = None, force: bool = False, **keywords: Any
+) -> Flight:
+    """Fly one configuration, as `quadexp simulate`.
+
+    A keyword that is no key of the configuration is one of the trajectory: speed=8 is trajectory.speed=8 (m/s).
+    Returns the flight, a row a control instant; how it went is its `outcome`, no error.
+    Raises UsageError for wrong settings, a missing model, or a path that the vehicle cannot fly.
+    """
+    config = compose(overrides(settings, keywords), _conf(conf))
+    path = None if out is None else check_output(Path(out), force=force)
+    flight = fly_one(config)
+    if path is not None:
+        write_flight(path, flight)
+    return Flight.of(flight.columns, flight.metadata)
+
+
+def collect(
+    *settings: Given,
+    flights: Iterable[Place | Flight] = (),
+    out: Place | None = None,
+    conf: Place | None = None,
+    force: bool = False,
+    progress: bool = False,
+    **keywords: Any,
+) -> Dataset:
+    """Fly for data, or take `flights`, and return what the rigid body does not explain, as `quadexp collect`.
+
+    A keyword that is no key of the configuration is one of `collect`: duration=60 is collect.duration=60 (s).
+    """
+    config = compose(overrides(settings, keywords, "collect"), _conf(conf))
+    scratch = Scratch()
+    path = scratch / "residuals.parquet" if out is None else check_output(Path(out), force=force)
+    given = [_file(one, scratch, f"flight_{i:03d}") for i, one in enumerate(flights)]
+    with _Shown("seconds of flight", progress) as shown:
+        collect_dataset(config, path, flights=given, progress=shown)
+    return Dataset.of(*read_table(path, "residuals"))
+
+
+def fit_gp(data: Place | Dataset, *settings: Given, **keywords: Any) -> Checkpoint:
+    """Fit Gaussian processes, and linear drag to the same rows, as `quadexp fit-gp`.
+
+    data: a data set, or its file. A keyword that is no key of the configuration is one of `gp`: inducing=40;
+    out (a folder), conf, force and progress as elsewhere.
+    Raises DataError where the data are of another vehicle than the configuration.
+    """
+    return _fit("gp", data, settings, **keywords)
+
+
+def fit_drag(data: Place | Dataset, *settings: Given, **keywords: Any) -> Checkpoint:
+    """Fit linear rotor drag, as `quadexp fit-drag`; see fit_gp. Other keywords are keys of `drag`."""
+    return _fit("drag", data, settings, **keywords)
+
+
+def _fit(
+    kind: str,
+    data: Place | Dataset,
+    settings: tuple[Given, ...],
+    *,
+    out: Place | None = None,
+    conf: Place | None = None,
+    force: bool = False,
+    progress: bool = False,
+    **keywords: Any,
+) -> Checkpoint:
+    config = compose(overrides(settings, keywords, kind), _conf(conf))
+    scratch = Scratch()
+    path = scratch / kind if out is None else check_output(Path(out), force=force, folder=True)
+    file = _file(data, scratch, "residuals")
+    with _Shown("fit", progress) as shown:
+        fit_checkpoint(kind, config, file, path, force=force, figures=False, progress=shown)
+    return Checkpoint(path, scratch if out is None else None)
+
+
+def sweep(
+    *settings: Given,
+    out: Place | None = None,
+    conf: Place | None = None,
+    force: bool = False,
+    old: Literal["ask", "refly", "keep"] = "ask",
+    progress: bool = False,
+    **keywords: Any,
+) -> Results:
+    """Fly every combination of the values given, on all cores, as `quadexp evaluate --sweep`.
+
+    A list is several values, controller=["nominal_mpc", "gp_mpc"] or seed=range(3); a value that is itself a list
+    stands in a list. out: a folder of results, where a sweep goes on that was interrupted; else the flights are kept
+    for as long as the table. old: cells at `out` flown by other sources than these: refuse, fly again, or keep.
+    Returns a row a flight; of one that could not be flown `outcome` and `cause` say why.
+    """
+    from quadexp.sweep.child import without_main
+    from quadexp.sweep.cluster.engines import build_engine
+    from quadexp.sweep.sweep import run_sweep
+
+    with session(_conf(conf)) as composer:
+        cells = composer.expand(overrides(settings, keywords, lists=True), check=False)
+    first = cells[0].config
+    folder = Scratch() if out is None else Path(out)
+    chosen = first.evaluate
+    with without_main(), _Shown("flights", progress) as shown:
+        made = run_sweep(
+            cells, os.fspath(folder), metric=chosen.metric, baseline=chosen.baseline, confidence=chosen.confidence,
+            engine=build_engine(first), force=force, old=old, progress=shown,
+        )  # fmt: skip
+    results = _results(folder)
+    results.attrs["notes"] = made.notes
+    return results
+
+
+def load(path: Place) -> Flight | Dataset | Results | Checkpoint | Frame:
+    """Read what a command wrote: a flight, a data set, the folder of a checkpoint or of results.
+
+    Raises UsageError where there is nothing of that kind, DataError where it is damaged.
+    """
+    path = Path(path)
+    if path.is_dir():
+        if (path / RESULTS).is_file():
+            return _results(path)
+        if (path / MODEL).is_file():
+            return Checkpoint(path)
+        raise UsageError(f"{path}: neither a checkpoint ({MODEL}) nor results ({RESULTS}) in this folder")
+    if path.name == MODEL:
+        return Checkpoint(path.parent)
+    kind = read_metadata(path)["kind"]
+    if kind == "results":
+        return _results(path.parent)
+    if kind == "flight":
+        flight = read_flight(path)
+        return Flight.of(flight.columns, flight.metadata)
+    return {"residuals": Dataset}.get(kind, Frame).of(*read_table(path, kind))
+
+
+def _results(folder: Path | Scratch) -> Results:
+    return Results.of(*read_table(folder / RESULTS, "results"), folder)
+
+
+def _conf(folder: Place | None) -> Path | None:
+    return None if folder is None else Path(folder)
+
+
+def _file(given: Place | pd.DataFrame, scratch: Scratch, name: str) -> Path:
+    """The file of what is given as one, or as a table."""
+    if not isinstance(given, pd.DataFrame):
+        return Path(given)
+    if not isinstance(given, Frame):
+        raise UsageError("a table without its record: give what quadexp returned, or the path of a file")
+    return write_table(scratch / f"{name}.parquet", given.columns_as_arrays(), given.record, given.kind)
+
+
+class _Shown:
+    """Progress where it is asked for."""
+
+    def __init__(self, label: str, wanted: bool) -> None:
+        self._progress = Progress(label) if wanted else None
+
+    def __enter__(self) -> Any:
+        return self._progress.__enter__() if self._progress else lambda done, total: None
+
+    def __exit__(self, *error: Any) -> None:
+        if self._progress:
+            self._progress.__exit__(*error)

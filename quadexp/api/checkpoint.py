@@ -1,0 +1,76 @@
+"""A fitted model as the API hands it out."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from quadexp.api import html
+from quadexp.errors import UsageError
+from quadexp.learn.checkpoint import load_model, load_report
+
+
+class Checkpoint:
+    """A checkpoint folder; goes wherever a path does: qx.simulate("controller=gp_mpc", model=checkpoint).
+
+    path: the folder. model: what was fitted (quadexp/learn/model.py, linear_drag.py, vehicle_model.py). report: what
+    the fit says of flights that it has not seen.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], folder: Any = None) -> None:
+        self.path = Path(path)
+        self.model, self.report = load_model(self.path), load_report(self.path)
+        self._folder = folder  # a temporary one lives as long as this object
+
+    def __fspath__(self) -> str:
+        return str(self.path)
+
+    def predict(self, data: pd.DataFrame) -> pd.DataFrame:
+        """Mean and standard deviation of the residual at every row of `data`, which has the features as columns.
+
+        Columns a_x .. (body, m/s^2), tau_x .. (body, N m), as far as the model has them, and a_x_std ..; of linear
+        drag the means alone. Raises DataError where a feature is missing, UsageError for an identified vehicle.
+        """
+        from quadexp.learn.dataset import ResidualDataset
+        from quadexp.learn.linear_drag import LinearDrag
+        from quadexp.learn.model import GPModel
+        from quadexp.learn.predict import predict
+
+        rows = ResidualDataset({str(name): data[name].to_numpy() for name in data}, {})
+        made: dict[str, np.ndarray] = {}
+        if isinstance(self.model, GPModel):
+            for output, found in predict(self.model, rows).items():
+                made |= {output: found.mean, f"{output}_std": found.std}
+        elif isinstance(self.model, LinearDrag):
+            made = dict(zip(("a_x", "a_y", "a_z"), self.model.acceleration(rows).T, strict=True))
+        else:
+            raise UsageError(f"{self.path}: an identified vehicle; `quadexp validate` predicts flights with it")
+        return pd.DataFrame(made, index=data.index)
+
+    def plot(self, data: pd.DataFrame) -> Any:
+        """A matplotlib figure: the Gaussian processes over their features, with the rows of `data`."""
+        from quadexp.learn.dataset import ResidualDataset
+        from quadexp.learn.model import GPModel
+        from quadexp.report.fit_figures import fit_figure
+
+        if not isinstance(self.model, GPModel):
+            raise UsageError(f"{self.path}: holds no Gaussian processes to draw")
+        rows = ResidualDataset({str(name): data[name].to_numpy() for name in data}, {})
+        return html.displayed(fit_figure(self.model, rows))
+
+    def summary(self) -> list[str]:
+        """Kind, vehicle, data, outputs and range of validity, in a few lines."""
+        from quadexp.report.summary import summarise
+
+        lines = list(summarise(self.path)["lines"])
+        return lines if self._folder is None else [lines[0].replace(str(self.path), "not saved"), *lines[1:]]
+
+    def __repr__(self) -> str:
+        return "\n".join(self.summary())
+
+    def _repr_html_(self) -> str:
+        return html.preformatted(self.summary())

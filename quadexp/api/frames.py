@@ -1,0 +1,210 @@
+"""Flights, data sets and results as pandas tables: units in `attrs`, figures by `plot()`, HTML in notebooks.
+
+attrs["units"] and attrs["frames"] name the unit and the frame of every column that has one (world ENU, body FLU);
+attrs["record"] is what the file carries beside its columns: configuration, seed, outcome, versions, provenance.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+import pandas as pd
+
+from quadexp.api import html
+from quadexp.errors import UsageError
+from quadexp.log.cell_store import CellStore
+from quadexp.log.schema import Flight as Log
+from quadexp.log.schema import describe
+from quadexp.log.store import check_output, read_flight, write_table
+
+if TYPE_CHECKING:
+    from quadexp.report.tables import ErrorTable
+
+SHOWN_ROWS, SHOWN_COLUMNS = 6, 12  # of a table in a notebook
+
+
+class Frame(pd.DataFrame):
+    """A table with units; slices of it are of the same kind. kind: of file, see quadexp/log/store.py."""
+
+    _metadata = ["_folder"]  # what pandas hands on beside attrs
+    _folder: os.PathLike[str] | None = None
+    kind = ""
+
+    @property
+    def _constructor(self) -> Any:
+        return type(self)
+
+    @classmethod
+    def of(cls, columns: Mapping[str, np.ndarray], record: Mapping[str, Any], folder: Any = None) -> Self:
+        """columns: name -> (k,). folder: where the files lie that it names, if any."""
+        made = cls(dict(columns))
+        described = {name: describe(name, record.get("kind") or cls.kind) for name in columns}
+        made.attrs["units"] = {name: column.unit for name, column in described.items() if column.unit}
+        made.attrs["frames"] = {name: column.frame for name, column in described.items() if column.frame}
+        made.attrs["record"] = dict(record)
+        made._folder = folder
+        return made
+
+    @property
+    def record(self) -> dict[str, Any]:
+        return dict(self.attrs.get("record", {}))
+
+    def columns_as_arrays(self) -> dict[str, np.ndarray]:
+        """Name -> (k,) of every column; truth values as 0 and 1."""
+        found = {}
+        for name in self:
+            kind = self[name].dtype.kind
+            found[str(name)] = self[name].to_numpy({"b": np.int8}.get(kind, None if kind in "iuf" else object))
+        return found
+
+    def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
+        """Write it as a file that the commands read, and return its path. force: replace what is there."""
+        kind = self.record.get("kind") or self.kind
+        return write_table(check_output(Path(path), force=force), self.columns_as_arrays(), self.record, kind)
+
+    def summary(self) -> list[str]:
+        """What it is, in a few lines."""
+        return [f"{self.record.get('kind') or self.kind}: {len(self)} rows"]
+
+    def _repr_html_(self) -> str:
+        units = {name: unit for name, unit in self.attrs.get("units", {}).items() if unit != "1"}
+        shown = pd.DataFrame(self).rename(columns=lambda name: f"{name} ({units[name]})" if name in units else name)
+        table = shown.to_html(max_rows=SHOWN_ROWS, max_cols=SHOWN_COLUMNS, show_dimensions=True)
+        return html.preformatted(self.summary()) + table
+
+
+class Flight(Frame):
+    """One flight, a row a control instant: `flight["p_x"]`, `flight.outcome`, `flight.metrics["mean_error"]` (m).
+
+    Columns: t (s), state p v (world; m, m/s) q (body to world, w first) w (body, rad/s), commanded thrusts u_i (N),
+    the reference as ref_*, accelerometer acc_* (body, m/s^2), how the control step went; docs/guide.md has all.
+    """
+
+    kind = "flight"
+
+    @property
+    def outcome(self) -> str:
+        """ "ok", "lost" or "solver_failed"."""
+        return str(self.record.get("outcome", "ok"))
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """The row of results: errors (m, rad), times (s), shares; {} for a recorded flight."""
+        return dict(self.record.get("row", {}))
+
+    def arrays(self) -> Log:
+        """The flight as the library's own functions take it."""
+        return Log(self.columns_as_arrays(), self.record)
+
+    def summary(self) -> list[str]:
+        from quadexp.report.summary import flight_lines
+
+        return flight_lines(self.record) if self.metrics and len(self) else super().summary()
+
+    def plot(self, *columns: str) -> Any:
+        """A matplotlib figure: the named columns over time, or path, position error and thrusts."""
+        from quadexp.api.figures import over_time, overview
+
+        missing = [name for name in columns or ("t", "p_x", "p_y", "p_z", "v_x", "v_y", "v_z") if name not in self]
+        if missing:
+            raise UsageError(f"the flight has no column {missing[0]!r} to draw")
+        return html.displayed(over_time(self, columns) if columns else overview(self))
+
+
+class Dataset(Frame):
+    """Residuals for learning, a row a transition: body velocity, rates, thrusts, and what the rigid body leaves.
+
+    Columns: v_* (body, m/s), w_* (body, rad/s), u_i and thrust (N), a_* (body, m/s^2), tau_* (body, N m), dt (s).
+    """
+
+    kind = "residuals"
+
+    def summary(self) -> list[str]:
+        flights = self["flight"].nunique() if "flight" in self else 0
+        return [f"residual data: {len(self)} transitions of {flights} flights"]
+
+
+class Results(Frame):
+    """A sweep, a row a flight: settings, outcome, errors (m), times (s). In a notebook it shows its error table."""
+
+    kind = "results"
+
+    @property
+    def notes(self) -> list[str]:
+        """What to know of the sweep, a line each."""
+        return list(self.attrs.get("notes", ()))
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows as the library's own functions take them."""
+        from quadexp.report.tables import from_columns
+
+        if not self._is_whole():
+            raise UsageError("tables and figures need all columns of results, and a row at least")
+        return from_columns(self.columns_as_arrays())
+
+    def _is_whole(self) -> bool:
+        from quadexp.report.tables import ROW_COLUMNS
+
+        return len(self) > 0 and set(ROW_COLUMNS) <= set(self)
+
+    def table(self, metric: str | None = None) -> ErrorTable:
+        """The error table of a metric, "mean_error", "rmse" or "max_error": the command's own unless given."""
+        from quadexp.report.notes import notes
+        from quadexp.report.statistics import compute_statistics, overall
+        from quadexp.report.tables import table_of
+        from quadexp.report.winner import verdicts
+
+        rows, name, options = self.rows(), self._metric(metric), self._options()
+        best = verdicts(rows, metric=name, confidence=options["confidence"])
+        statistics = compute_statistics(rows, metrics=(name,), **options)
+        return table_of(statistics, overall(rows, metric=name, **options), best, notes(rows))
+
+    def statistics(self, metric: str | None = None) -> pd.DataFrame:
+        """Means, intervals and paired comparisons of a metric, a row a condition and controller; in its SI unit."""
+        from quadexp.report.statistics import compute_statistics
+
+        chosen = (self._metric(metric),)
+        return pd.DataFrame([asdict(row) for row in compute_statistics(self.rows(), metrics=chosen, **self._options())])
+
+    def plot(self, metric: str | None = None) -> Any:
+        """A matplotlib figure: error against speed, a panel a trajectory, a line a controller."""
+        from quadexp.report.figures import error_against_speed
+
+        options = {"confidence": self._options()["confidence"]}
+        figure = error_against_speed(self.rows(), self._metric(metric), **options)
+        if figure is None:
+            raise UsageError("no flight that ended well has a speed to draw its error against")
+        return html.displayed(figure)
+
+    def flight(self, row: int = 0) -> Flight:
+        """The flight of a row, counted from 0 in this table: results[results["controller"] == "gp_mpc"].flight(0)."""
+        if not -len(self) <= row < len(self):
+            raise UsageError(f"row {row}: the table has {len(self)} rows")
+        if self._folder is None:
+            raise UsageError("these results do not say where their flights lie; load them by qx.load(FOLDER)")
+        if self["outcome"].iloc[row] in ("infeasible", "failed"):
+            raise UsageError(f"row {row} was not flown: {self['cause'].iloc[row]}")
+        flown = read_flight(CellStore(os.fspath(self._folder)).path(self["key"].iloc[row]))
+        return Flight.of(flown.columns, flown.metadata)
+
+    def _options(self) -> dict[str, Any]:
+        from quadexp.report.statistics import BASELINE, CONFIDENCE
+
+        settled = {name: self.record[name] for name in ("baseline", "confidence") if name in self.record}
+        return {"baseline": BASELINE, "confidence": CONFIDENCE} | settled
+
+    def _metric(self, name: str | None) -> str:
+        from quadexp.report.metrics import SHOWN
+
+        name = name or str(self.record.get("metric", "mean_error"))
+        if name not in SHOWN:
+            raise UsageError(f"metric {name!r}: there are {', '.join(SHOWN)}")
+        return name
+
+    def _repr_html_(self) -> str:
+        return self.table()._repr_html_() if self._is_whole() else super()._repr_html_()

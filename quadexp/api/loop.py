@@ -1,0 +1,139 @@
+"""A controller in a loop of one's own: measured state in, rotor thrusts out.
+
+World ENU, body FLU, quaternion body to world with w first, SI units; see quadexp/physics/state.py.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from quadexp.api.overrides import Given, overrides
+from quadexp.config.compose import compose
+from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.mpc.active_set import Status
+from quadexp.control.mpc.mpc import StepRecord
+from quadexp.errors import UsageError
+from quadexp.experiment.build import (
+    build_controller,
+    build_plant,
+    build_trajectory,
+    build_vehicle,
+    find_model,
+    unshared,
+)
+from quadexp.experiment.rollout import Renewal, SampledReference
+from quadexp.physics.state import N_STATE, RATE
+from quadexp.reference.base import Trajectory
+
+
+def controller(*settings: Given, conf: str | os.PathLike[str] | None = None, **keywords: Any) -> ControlLoop:
+    """The configured controller with the configured trajectory; settings as for qx.simulate.
+
+    Builds everything, which compiles on first use: do it before take-off.
+    """
+    config = compose(overrides(settings, keywords), None if conf is None else Path(conf))
+    with unshared():  # two loops of the same settings are two controllers
+        vehicle = build_vehicle(config.vehicle)
+        plant = build_plant(vehicle, config.plant)
+        made = build_controller(config, vehicle, plant, find_model(config))
+    return ControlLoop(made, build_trajectory(config.trajectory, vehicle), plant)
+
+
+class ControlLoop:
+    """A controller, what it tracks, and how its last step went.
+
+    controller: see quadexp/control/base.py. plant: the configured simulated vehicle (quadexp/world/base.py), for a
+    loop without a real one. period: s, between steps. times: (k,), s, the control instants of the trajectory.
+    record: StepRecord of the last step, None before the first.
+    """
+
+    def __init__(self, controller: Controller, trajectory: Trajectory, plant: Any) -> None:
+        self.controller, self.plant, self.vehicle = controller, plant, controller.vehicle
+        self.period = controller.control_period
+        self.record: StepRecord | None = None
+        self.follow(trajectory)
+
+    @property
+    def times(self) -> np.ndarray:
+        return self._reference.t
+
+    @property
+    def start(self) -> np.ndarray:
+        """State of the reference at its start, (13,)."""
+        return self.reference_state(0.0)
+
+    def reference_state(self, t: float) -> np.ndarray:
+        """State of the reference at the control instant nearest to t (s), (13,)."""
+        return self._reference.at(self._instant(t))[0].copy()
+
+    def _instant(self, t: float) -> int:
+        if not np.isfinite(t):
+            raise UsageError(f"t={t}: must be a finite time (s)")
+        return min(max(round(t / self.period), 0), len(self._reference) - 1)
+
+    @property
+    def failed(self) -> bool:
+        """Whether the last step found no answer, so that its thrusts are those of an earlier prediction."""
+        return self.record is not None and self.record.status == Status.FAILED
+
+    @property
+    def rates(self) -> np.ndarray | None:
+        """Body rates (3,) that an MPC predicts for its next node (rad/s), for stacks that take rates; None without."""
+        mpc = getattr(self.controller, "mpc", None)
+        return None if mpc is None or self.record is None else mpc.prediction[0][1, RATE]
+
+    def follow(self, trajectory: Trajectory) -> None:
+        """Track another trajectory (quadexp/reference/base.py), in a flight that begins with the next step."""
+        if not isinstance(trajectory, Trajectory):
+            raise UsageError(
+                f"a {type(trajectory).__name__} is no trajectory: it lacks duration, peak_speed or flat_output"
+            )
+        self.trajectory = trajectory
+        self._reference = SampledReference(trajectory, self.controller)
+        self._renewal = Renewal(round(self.controller.reference_period / self.period))
+        self._begun, self.record = False, None
+
+    def reset(self, state: npt.ArrayLike | None = None, reference: Window | None = None) -> None:
+        """Begin a flight in the state (13,), or where the reference starts; the first `step` does it unasked."""
+        self.follow(self.trajectory)
+        self._begin(self.start if state is None else _state(state), reference or self._reference.window(0))
+
+    def _begin(self, state: np.ndarray, window: Window) -> None:
+        self.controller.reset(state, window)
+        self._begun = True
+
+    def step(
+        self, measured: npt.ArrayLike | Measurement, t: float | None = None, reference: Window | None = None
+    ) -> np.ndarray:
+        """Rotor thrusts (n,) (N), in the order of vehicle.rotor_position, to be held for one `period`.
+
+        measured: state (13,), or a Measurement with accelerometer and rotor speeds, which identifying controllers need.
+        t: s, since the start of the reference; that of the Measurement unless given. The reference is the one at the
+        nearest control instant, and after its end the last. reference: of a planner of your own, for this step.
+        A step that fails says so in `failed`. Raises QuadexpError for a state that is not finite.
+        """
+        if not isinstance(measured, Measurement):
+            if t is None:
+                raise UsageError("step: t is needed, the time since the start of the reference (s)")
+            measured = Measurement(t, _state(measured), None, None)
+        else:
+            measured = measured._replace(state=_state(measured.state), t=measured.t if t is None else t)
+        k = self._instant(measured.t)
+        if not self._begun:
+            self._begin(measured.state, reference or self._reference.window(k))
+        if reference is None and self._renewal.due(k):
+            self._renewal.renew(k, self._reference, self.controller.residual)
+        thrusts, self.record = self.controller.step(measured, reference or self._reference.window(k))
+        return thrusts
+
+
+def _state(values: Any) -> np.ndarray:
+    state = np.asarray(values, float)
+    if state.shape != (N_STATE,):
+        raise UsageError(f"state: {state.shape} numbers are given, ({N_STATE},) are needed: p, q (w first), v, w")
+    return state

@@ -1,0 +1,122 @@
+"""`quadexp new`: a start for a part of your own, made from the examples. Only light modules are imported here."""
+
+from __future__ import annotations
+
+import keyword
+import re
+import shlex
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import typer
+
+from quadexp.cli.options import Json
+from quadexp.cli.terminal import emit, guarded
+from quadexp.errors import UsageError
+
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
+WORDS = {"null", "true", "false", "yes", "no", "on", "off", "inf", "nan", "conftest"}  # of YAML, overrides and pytest
+
+
+class Template(NamedTuple):
+    """The example that a new part is copied from. example: its name. group: configuration group of its option. ending:
+    what the option's name has after NAME. module: whether there is a Python file. words: the example's class name."""
+
+    example: str
+    group: str
+    ending: str = ""
+    module: bool = True
+    words: str = ""
+
+
+TEMPLATES = {
+    "vehicle": Template("hexacopter", "vehicle", module=False),
+    "trajectory": Template("helix", "trajectory", words="Helix"),
+    "plant": Template("motor_lag", "plant", words="MotorLag"),
+    "residual": Template("cubic_drag", "controller", "_mpc"),
+    "controller": Template("geometric", "controller", words="Geometric"),
+}
+
+
+@guarded
+def new(
+    part: Annotated[str, typer.Argument(metavar="PART", help="vehicle, trajectory, plant, residual or controller.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Of module, option and test: a Python identifier.")],
+    to: Annotated[
+        Path, typer.Option("--to", metavar="DIR", help="A configuration folder, given to other commands by --conf.")
+    ] = Path("my_parts"),
+    json: Json = False,
+) -> None:
+    """Begin a part of your own: a module, its option, and a test that passes, to be changed step by step.
+
+    \b
+    quadexp new trajectory spiral --to my_parts
+    quadexp new residual flapping
+    """
+    from quadexp.log.store import check_output, write_text
+
+    if part not in TEMPLATES:
+        raise UsageError(f"new: {part!r} is none of {', '.join(TEMPLATES)}")
+    template = TEMPLATES[part]
+    texts = _texts(template, name)
+    option = name + template.ending
+    _check_name(part, name, option, template, to)
+    for path in texts:
+        check_output(to / path)
+    for path, text in texts.items():
+        write_text(to / path, text)
+    files = [to / path for path in texts]
+    commands = [
+        f"python -m pytest {shlex.quote(str(files[-1]))}",
+        f"quadexp simulate --conf {shlex.quote(str(to))} {template.group}={option} --out runs/{option}.parquet",
+    ]
+    if json:
+        emit({"part": part, "name": name, "option": f"{template.group}={option}", "files": files, "commands": commands})
+        return
+    print("\n".join([*map(str, files), "", "test it, fly it, then make it yours:", *(f"    {c}" for c in commands)]))
+
+
+def examples_folder() -> Path:
+    """The folder of examples: in the package when installed, beside it in a checkout."""
+    package = Path(__file__).resolve().parent.parent
+    for folder in (package / "examples", package.parent / "examples"):
+        if (folder / "helix.py").is_file():
+            return folder
+    raise UsageError(f"no examples beside {package}: the installation is incomplete")
+
+
+def _texts(template: Template, name: str) -> dict[str, str]:
+    """File -> text: the example's files with its names replaced; the test comes last."""
+    old = template.example
+    files = [f"{old}.py"] if template.module else []
+    files += [f"{template.group}/{old}{template.ending}.yaml", f"test_{old}.py"]
+    names = {old: name}
+    if template.words:
+        names[template.words] = "".join(word[:1].upper() + word[1:] for word in name.split("_"))
+
+    def renamed(text: str) -> str:
+        return re.sub("|".join(names), lambda found: names[found[0]], text)
+
+    folder = examples_folder()
+    return {renamed(file): renamed((folder / file).read_text(encoding="utf-8")) for file in files}
+
+
+def _check_name(part: str, name: str, option: str, template: Template, to: Path) -> None:
+    """Raise UsageError where the name cannot be one of a module, of an option and of a test, or is taken."""
+    from importlib.util import find_spec
+
+    from quadexp.config.completion import groups
+
+    if not NAME.fullmatch(name) or keyword.iskeyword(name) or keyword.issoftkeyword(name):
+        raise UsageError(f"new {part}: {name!r} is no name for a module: a letter, then letters, digits or _")
+    if name.lower() in WORDS:
+        raise UsageError(f"new {part}: {name!r} means something else in YAML, on the command line or to pytest")
+    if option in groups().get(template.group, ()):
+        raise UsageError(f"new {part}: there is {template.group}={option} already: choose another name")
+    if not template.module:
+        return
+    if find_spec(name) is not None and not (to / f"{name}.py").exists():
+        raise UsageError(f"new {part}: there is a Python module {name} already, which would be taken: choose another")
+    code = (examples_folder() / f"{template.example}.py").read_text(encoding="utf-8")
+    if name in re.findall(r"\b[A-Za-z_]\w*", code) and name != template.example:
+        raise UsageError(f"new {part}: {name!r} has a meaning in the code that is written: choose another name")

@@ -1,0 +1,110 @@
+"""`quadexp new`: a part of one's own whose test passes at once, and which flies."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from quadexp.cli.new import TEMPLATES
+from quadexp.errors import UsageError
+from quadexp.log.store import read_metadata
+from tests.cli.command import run
+
+ROOT = Path(__file__).resolve().parents[2]
+NAMES = {
+    "vehicle": "racer",
+    "trajectory": "loop_up",
+    "plant": "soft_arms",
+    "residual": "flapping",
+    "controller": "Pid2",
+}
+
+
+@pytest.mark.parametrize("part", TEMPLATES)
+def test_its_test_passes_and_it_flies(part, here):
+    name = NAMES[part]
+    code, out, errors = run("new", part, name, "--to", "parts")
+    assert code == 0, errors
+    files, _, rest = out.partition("\n\n")
+    assert sorted(files.splitlines()) == sorted(str(path) for path in Path("parts").rglob("*.*"))
+    for path in Path("parts").rglob("*.*"):
+        assert TEMPLATES[part].example not in path.read_text() and name in path.read_text()
+
+    _, tested, flown = (line.split() for line in rest.splitlines())
+    assert tested[:3] == ["python", "-m", "pytest"] and flown[0] == "quadexp"
+    done = subprocess.run([sys.executable, *tested[1:], "-q"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    quick = ["trajectory=circle", "trajectory.speed=2"] if part != "trajectory" else []
+    code, _, errors = run(*flown[1:], *quick)
+    assert code == 0, errors
+    record = read_metadata(flown[-1], "flight")
+    option = flown[4].partition("=")[2]
+    assert record["outcome"] == "ok" and record["config"][TEMPLATES[part].group]["name"] == option
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "message"),
+    [
+        ("rotor", "mine", "new: 'rotor' is none of vehicle, trajectory, plant, residual, controller"),
+        ("plant", "my-plant", "'my-plant' is no name for a module"),
+        ("plant", "2nd", "'2nd' is no name"),
+        ("plant", "", "'' is no name"),
+        ("plant", "../up", "'../up' is no name"),
+        ("plant", "größe", "'größe' is no name"),
+        ("plant", "class", "'class' is no name"),
+        ("plant", "match", "'match' is no name"),
+        ("plant", "_mine", "'_mine' is no name"),
+        ("vehicle", "null", "'null' means something else"),
+        ("trajectory", "circle", "there is trajectory=circle already"),
+        ("residual", "gp", "there is controller=gp_mpc already"),
+        ("controller", "random", "there is a Python module random already"),
+        ("controller", "numpy", "there is a Python module numpy already"),
+        ("controller", "quadexp", "there is a Python module quadexp already"),
+        ("residual", "theta", "'theta' has a meaning in the code"),
+        ("residual", "ca", "'ca' has a meaning in the code"),
+    ],
+)
+def test_a_name_that_cannot_be_is_one_line(part, name, message, here):
+    code, out, errors = run("new", part, name, "--to", "parts")
+    assert (code, out, list(here.iterdir())) == (2, "", [])
+    assert message in errors and errors.count("\n") == 1
+
+
+def test_nothing_is_overwritten_and_nothing_written_half(here):
+    assert run("new", "plant", "mine", "--to", "parts")[0] == 0
+    (here / "parts" / "test_mine.py").write_text("my own")
+    before = {path: path.read_bytes() for path in here.rglob("*.*")}
+    for _ in range(2):
+        code, _, errors = run("new", "plant", "mine", "--to", "parts")
+        assert code == 2 and "exists already" in errors and errors.count("\n") == 1
+        assert {path: path.read_bytes() for path in here.rglob("*.*")} == before
+        (here / "parts" / "mine.py").unlink(missing_ok=True)
+        before = {path: path.read_bytes() for path in here.rglob("*.*")}
+    (here / "file").write_text("")
+    code, _, errors = run("new", "plant", "other", "--to", "file")
+    assert code == 2 and "file" in errors and errors.count("\n") == 1
+
+
+def test_two_parts_share_a_folder(here):
+    """With names that contain those of the examples."""
+    names = {"vehicle": "hexacopter2", "trajectory": "HelixUp", "plant": "my_motor_lag", "residual": "xcubic_drag"}
+    for part, name in names.items():
+        assert run("new", part, name, "--to", "my parts")[0] == 0
+    assert "class HelixUpTrajectory:" in Path("my parts/HelixUp.py").read_text()
+    code, _, errors = run(
+        "simulate", "--conf", "my parts", "vehicle=hexacopter2", "plant=my_motor_lag", "controller=xcubic_drag_mpc",
+        "trajectory=HelixUp", "trajectory.options.turns=1", "--out", "a.parquet",
+    )  # fmt: skip
+    assert code == 0, errors
+    assert "'my parts/test_more.py'" in run("new", "vehicle", "more", "--to", "my parts")[1]
+
+
+def test_an_installation_without_examples_says_so(monkeypatch, tmp_path):
+    monkeypatch.setattr("quadexp.cli.new.__file__", str(tmp_path / "quadexp" / "cli" / "new.py"))
+    from quadexp.cli.new import examples_folder
+
+    with pytest.raises(UsageError, match="the installation is incomplete"):
+        examples_folder()

@@ -1,0 +1,46 @@
+"""Execute the example notebooks; `python -m tests.docs.notebooks [NAME ...]` stores what they then show."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import nbformat
+from nbclient import NotebookClient
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "examples" / "notebooks"
+NOTEBOOKS = sorted(path.stem for path in FOLDER.glob("*.ipynb"))
+
+
+def environment() -> dict[str, str]:
+    """Commands of this installation, the checkout's examples, and no colours in what is printed."""
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    return {"PATH": path, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "PY_COLORS": "0", "TERM": "dumb"}
+
+
+def read(name: str) -> Any:
+    return nbformat.read(FOLDER / f"{name}.ipynb", 4)
+
+
+def execute(name: str, folder: Path) -> Any:
+    """The notebook with new outputs, executed in `folder`; an error of a cell is raised."""
+    notebook = read(name)
+    resources = {"metadata": {"path": str(folder)}}
+    NotebookClient(notebook, timeout=900, resources=resources, record_timing=False).execute()
+    return notebook
+
+
+def main(names: list[str]) -> None:
+    os.environ.update(environment())
+    for name in names or NOTEBOOKS:
+        with tempfile.TemporaryDirectory() as folder:
+            nbformat.write(execute(name, Path(folder)), FOLDER / f"{name}.ipynb")
+        print(name)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
