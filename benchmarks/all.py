@@ -41,8 +41,8 @@ from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.circle import Circle
 from quadexp.reference.random_polynomial import RandomPolynomial
-from quadexp.sweep.engine import run_cells
-from quadexp.sweep.sweep import run_sweep
+from quadexp.sweeps.engine import run_cells
+from quadexp.sweeps.sweep import run_sweep
 from quadexp.world import SimplifiedPlant
 from quadexp.world.blade_element import BladeElementPlant
 

@@ -34,9 +34,9 @@ import numpy as np
 from benchmarks.scaling_cells import processor_seconds, resident, timed_cell, trivial_cell
 from quadexp.config.compose import compose, expand, session
 from quadexp.log.cell_store import CellStore
-from quadexp.sweep.engine import Engine, LocalEngine, Task
-from quadexp.sweep.plan import Job, flying_order, plan_cells
-from quadexp.sweep.sweep import run_sweep
+from quadexp.sweeps.engine import Engine, LocalEngine, Task
+from quadexp.sweeps.plan import Job, flying_order, plan_cells
+from quadexp.sweeps.sweep import run_sweep
 
 SHORT = ["trajectory=step", "trajectory.duration=0.4", "trajectory.step_time=0.2"]
 CONTROLLERS = "controller=nominal_mpc,perfect_mpc"
@@ -219,7 +219,7 @@ def store(cells: int) -> Record:
 
 
 def dask_engine(workers: int) -> Engine:
-    from quadexp.sweep.cluster.engines import build_engine
+    from quadexp.sweeps.cluster.engines import build_engine
 
     return build_engine(compose(["engine=dask", f"evaluate.workers={workers}"]))
 

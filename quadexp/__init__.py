@@ -14,7 +14,7 @@ _API = {
     "collect": "api.calls",
     "fit_gp": "api.calls",
     "fit_drag": "api.calls",
-    "sweep": "sweep",  # the package itself, which can be called
+    "sweep": "api.calls",
     "load": "api.calls",
     "controller": "api.loop",
     "ControlLoop": "api.loop",
@@ -34,8 +34,7 @@ __all__ = ["__version__", *_API]  # noqa: PLE0604
 def __getattr__(name: str) -> object:
     if name not in _API:
         raise AttributeError(f"module 'quadexp' has no attribute {name!r}")
-    module = import_module(f"quadexp.{_API[name]}")
-    found = globals()[name] = module if _API[name] == name else getattr(module, name)
+    found = globals()[name] = getattr(import_module(f"quadexp.{_API[name]}"), name)
     return found
 
 

@@ -28,7 +28,7 @@ FLOORS = (
     ("reference", "learn", "world", "control"),
     ("report",),
     ("experiment", "papers"),
-    ("sweep",),
+    ("sweeps",),
     ("api",),
     ("cli",),
     ("__main__",),

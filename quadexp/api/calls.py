@@ -121,9 +121,9 @@ def sweep(
     for as long as the table. old: cells at `out` flown by other sources than these: refuse, fly again, or keep.
     Returns a row a flight; of one that could not be flown `outcome` and `cause` say why.
     """
-    from quadexp.sweep.child import without_main
-    from quadexp.sweep.cluster.engines import build_engine
-    from quadexp.sweep.sweep import run_sweep
+    from quadexp.sweeps.child import without_main
+    from quadexp.sweeps.cluster.engines import build_engine
+    from quadexp.sweeps.sweep import run_sweep
 
     with session(_conf(conf)) as composer:
         cells = composer.expand(overrides(settings, keywords, lists=True), check=False)

@@ -107,8 +107,8 @@ def evaluate(
     from quadexp.config.compose import Cell, session
     from quadexp.errors import UsageError
     from quadexp.progress import Progress
-    from quadexp.sweep.cluster.engines import build_engine
-    from quadexp.sweep.sweep import run_sweep
+    from quadexp.sweeps.cluster.engines import build_engine
+    from quadexp.sweeps.sweep import run_sweep
 
     if refly and keep_old:
         raise UsageError("--refly and --keep-old: give one of them")

@@ -53,8 +53,8 @@ def results(
     """
     from quadexp.errors import UsageError
     from quadexp.report.flown_by import flown_by, flown_by_lines
-    from quadexp.sweep.results import list_results
-    from quadexp.sweep.results import prune as prune_results
+    from quadexp.sweeps.results import list_results
+    from quadexp.sweeps.results import prune as prune_results
 
     if verify:
         if filters or prune:
@@ -93,7 +93,7 @@ def results(
 def _verify(folder: Path, json: bool) -> None:
     from quadexp.errors import QuadexpError
     from quadexp.progress import Progress
-    from quadexp.sweep.verify import verify_results
+    from quadexp.sweeps.verify import verify_results
 
     with Progress("files") as progress:
         found = verify_results(folder, progress)

@@ -58,13 +58,13 @@ class TestImport:
             _ = qx.simulat
 
     def test_a_package_and_a_function_share_a_name(self):
-        """Importing quadexp.sweep sets `quadexp.sweep`: it must still be callable, and its modules be found."""
+        """Importing quadexp.sweeps sets `quadexp.sweeps`: it must still be callable, and its modules be found."""
         code = (
-            "import quadexp as qx\nfirst = callable(qx.sweep)\nimport quadexp.sweep.plan as plan\n"
+            "import quadexp as qx\nfirst = callable(qx.sweep)\nimport quadexp.sweeps.plan as plan\n"
             "print(first, callable(qx.sweep), plan is qx.sweep.plan, qx.sweep.__name__)"
         )
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
-        assert done.stdout == "True True True quadexp.sweep\n", done.stderr
+        assert done.stdout == "True True True quadexp.sweeps\n", done.stderr
 
     def test_type_checkers_see_the_same_names(self):
         stub = ast.parse((ROOT / "quadexp" / "__init__.pyi").read_text())

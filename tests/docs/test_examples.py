@@ -10,7 +10,7 @@ import numpy as np
 from quadexp.config.compose import compose
 from quadexp.experiment.evaluate import fly_one
 from quadexp.report.metrics import position_error
-from quadexp.sweep.sweep import run_sweep
+from quadexp.sweeps.sweep import run_sweep
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 INTERPRETED = ("plant.backend=interpreted", "controller.backend=interpreted")

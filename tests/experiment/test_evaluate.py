@@ -18,7 +18,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.reference.base import Trajectory
-from quadexp.sweep.sweep import run_sweep
+from quadexp.sweeps.sweep import run_sweep
 
 INTERPRETED = ["controller.backend=interpreted", "plant.backend=interpreted"]
 SHORT = ["trajectory=step", "trajectory.duration=1", "trajectory.step_time=0.2", *INTERPRETED]

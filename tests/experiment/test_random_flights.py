@@ -122,7 +122,7 @@ class TestFlownByAll:
     def test_the_share_is_a_column_of_results(self, tmp_path):
         from quadexp.config.compose import expand
         from quadexp.log.store import read_table
-        from quadexp.sweep.sweep import run_sweep
+        from quadexp.sweeps.sweep import run_sweep
 
         grid = ["trajectory=random", "trajectory.extent=20", "trajectory.speed=60", "seed=2"]
         result = run_sweep(expand([*grid, "controller=nominal_mpc,perfect_mpc"]), tmp_path / "r", workers=1)

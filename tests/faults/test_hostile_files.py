@@ -28,7 +28,7 @@ from quadexp.messages import clean
 from quadexp.physics.state import STATE_COLUMNS, input_columns
 from tests.faults.command import ROOT, START, apart, one_line, run
 from tests.learn.synthetic import synthetic_dataset
-from tests.sweep.test_dask import make_checkpoint
+from tests.sweeps.test_dask import make_checkpoint
 
 MEMORY = """
 import atexit

@@ -12,8 +12,8 @@ from quadexp.config.compose import expand
 from quadexp.errors import DataError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.report.figures import draw_results
-from quadexp.sweep.sweep import run_sweep
-from tests.sweep.cells import quick_cell
+from quadexp.sweeps.sweep import run_sweep
+from tests.sweeps.cells import quick_cell
 
 
 def fly(out, seeds=2, **options):

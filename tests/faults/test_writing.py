@@ -14,10 +14,10 @@ from quadexp.config.compose import compose, expand
 from quadexp.errors import QuadexpError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight
-from quadexp.sweep.cluster.engines import build_engine
-from quadexp.sweep.sweep import run_sweep
+from quadexp.sweeps.cluster.engines import build_engine
+from quadexp.sweeps.sweep import run_sweep
 from tests.faults.command import FLY, apart, one_line, run
-from tests.sweep.cells import CountedCell
+from tests.sweeps.cells import CountedCell
 
 
 def files(folder):

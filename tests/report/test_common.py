@@ -19,7 +19,7 @@ from quadexp.report.pairing import Flights, common, flew_least
 from quadexp.report.statistics import compute_statistics, overall
 from quadexp.report.tables import to_columns, to_latex, to_markdown
 from quadexp.report.winner import verdicts
-from quadexp.sweep.sweep import run_sweep
+from quadexp.sweeps.sweep import run_sweep
 from tests.report.results import error_table
 from tests.report.test_tables import row
 

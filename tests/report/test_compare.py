@@ -17,10 +17,10 @@ from quadexp.learn.linear_drag import LinearDrag
 from quadexp.log.store import write_flight, write_table
 from quadexp.report.compare import change, compare, differing
 from quadexp.report.tables import to_columns
-from quadexp.sweep.sweep import run_sweep
+from quadexp.sweeps.sweep import run_sweep
 from tests.log.flights import straight_flight
 from tests.report.test_tables import row
-from tests.sweep import cells
+from tests.sweeps import cells
 
 
 def flight(path, *overrides, offset=0.1, samples=5, **metadata):
@@ -113,7 +113,7 @@ class TestKinds:
 class TestResults:
     @staticmethod
     def sweep(folder, *overrides):
-        """Flights whose error is 10 mm times the seed (tests/sweep/cells.py)."""
+        """Flights whose error is 10 mm times the seed (tests/sweeps/cells.py)."""
         run_sweep(expand(list(overrides)), folder, function=cells.quick_cell, isolate=False)
         return folder
 

@@ -19,8 +19,8 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_metadata
 from quadexp.messages import suggestion
 from quadexp.report.tables import ROW_COLUMNS
-from quadexp.sweep.keys import condition
-from quadexp.sweep.sweep_table import RESULTS, Row, open_results, read_rows, table_row, write_results
+from quadexp.sweeps.keys import condition
+from quadexp.sweeps.sweep_table import RESULTS, Row, open_results, read_rows, table_row, write_results
 
 WANTED = "wanted"  # beside the columns of a result row: whether the last sweep asked for the cell
 FAILURES = ("failed", "infeasible", "lost", "solver_failed", "damaged")

@@ -13,10 +13,10 @@ from quadexp.config.schema import Config
 from quadexp.experiment.build import find_model, input_hashes
 from quadexp.experiment.identity import FLIGHT_GROUPS
 from quadexp.log.store import read_table, write_table
-from quadexp.sweep import keys as cell_keys
-from quadexp.sweep.plan import plan_cells
-from quadexp.sweep.results import list_results
-from tests.sweep.test_sweep import fly, key_of
+from quadexp.sweeps import keys as cell_keys
+from quadexp.sweeps.plan import plan_cells
+from quadexp.sweeps.results import list_results
+from tests.sweeps.test_sweep import fly, key_of
 
 OPTIONS = [
     [],
@@ -74,7 +74,7 @@ def test_every_setting_of_a_flight_is_in_the_key_and_no_other(overrides):
 
 
 def test_the_plan_knows_the_same_keys(tmp_path, monkeypatch):
-    from tests.sweep.test_dask import make_checkpoint
+    from tests.sweeps.test_dask import make_checkpoint
 
     monkeypatch.chdir(tmp_path)
     make_checkpoint(tmp_path / "models/drag")
@@ -88,7 +88,7 @@ def test_the_plan_knows_the_same_keys(tmp_path, monkeypatch):
 
 
 def test_another_content_of_a_checkpoint_is_another_cell(tmp_path):
-    from tests.sweep.test_dask import make_checkpoint
+    from tests.sweeps.test_dask import make_checkpoint
 
     grid = expand(["controller=linear_drag_mpc", f"model={tmp_path}/m"])
     make_checkpoint(tmp_path / "m")

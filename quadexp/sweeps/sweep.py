@@ -27,9 +27,9 @@ from quadexp.report.flown_by import counted, differing_libraries, flown_by, prog
 from quadexp.report.statistics import BASELINE, CONFIDENCE
 from quadexp.report.statistics_file import Statistics
 from quadexp.report.tables import ErrorTable
-from quadexp.sweep.engine import CellFailed, CellFunction, Engine, LocalEngine, Task
-from quadexp.sweep.plan import Job, check_jobs, flying_order, plan_cells
-from quadexp.sweep.sweep_table import RESULTS, Row, table_row, write_results
+from quadexp.sweeps.engine import CellFailed, CellFunction, Engine, LocalEngine, Task
+from quadexp.sweeps.plan import Job, check_jobs, flying_order, plan_cells
+from quadexp.sweeps.sweep_table import RESULTS, Row, table_row, write_results
 
 Old = Literal["ask", "refly", "keep"]  # what to do with cells that other sources have flown
 NOT_FLOWN = ("failed", "infeasible")  # outcomes that make a sweep end with exit code 1

@@ -20,12 +20,12 @@ from distributed.security import Security
 
 from quadexp.config.compose import compose, expand
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.sweep.cluster.engines import build_engine
-from quadexp.sweep.sweep import run_sweep
+from quadexp.sweeps.cluster.engines import build_engine
+from quadexp.sweeps.sweep import run_sweep
 from tests.experiment.same import same_results
 from tests.faults.command import FLY, apart, one_line
-from tests.sweep import cells
-from tests.sweep.dask_cluster import ROOT, Cluster, descendants
+from tests.sweeps import cells
+from tests.sweeps.dask_cluster import ROOT, Cluster, descendants
 
 pytestmark = pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs /proc")
 

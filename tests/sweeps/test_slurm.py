@@ -1,4 +1,4 @@
-"""A sweep in jobs of a real Slurm; a check by hand: QUADEXP_SLURM=1 python -m pytest tests/sweep/test_slurm.py"""
+"""A sweep in jobs of a real Slurm; a check by hand: QUADEXP_SLURM=1 python -m pytest tests/sweeps/test_slurm.py"""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ if not os.environ.get("QUADEXP_SLURM"):
 
 from quadexp.config.compose import compose, expand
 from quadexp.errors import QuadexpError
-from quadexp.sweep.cluster.engines import build_engine
-from quadexp.sweep.sweep import run_sweep
+from quadexp.sweeps.cluster.engines import build_engine
+from quadexp.sweeps.sweep import run_sweep
 from tests.experiment.same import same_results
-from tests.sweep import cells
-from tests.sweep.dask_cluster import ROOT, descendants
-from tests.sweep.slurm import Slurm, missing
+from tests.sweeps import cells
+from tests.sweeps.dask_cluster import ROOT, descendants
+from tests.sweeps.slurm import Slurm, missing
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing() or "there is a Slurm")
 

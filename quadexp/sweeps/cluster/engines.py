@@ -7,7 +7,7 @@ import importlib
 from quadexp.config.engine import ClusterConfig, DaskConfig, SlurmConfig
 from quadexp.config.schema import Config
 from quadexp.errors import UsageError
-from quadexp.sweep.engine import Engine, LocalEngine, default_workers
+from quadexp.sweeps.engine import Engine, LocalEngine, default_workers
 
 EXTRA = "pip install 'quadexp[cluster]'"
 
@@ -31,8 +31,8 @@ def build_engine(config: Config) -> Engine:
             importlib.import_module(name)
         except ImportError:
             raise UsageError(f"engine={engine.name} needs {name}, which is not (wholly) installed: {EXTRA}") from None
-    from quadexp.sweep.cluster.driver import DaskEngine
-    from quadexp.sweep.cluster.start import open_cluster
+    from quadexp.sweeps.cluster.driver import DaskEngine
+    from quadexp.sweeps.cluster.start import open_cluster
 
     workers = settings.workers or default_workers()
     return DaskEngine(lambda: open_cluster(engine, workers), settings.timeout, memory, engine.wait)

@@ -13,10 +13,10 @@ import pytest
 from quadexp.errors import DataError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, read_table, write_flight, write_table
-from quadexp.sweep.results import list_results
-from quadexp.sweep.verify import verify_results
+from quadexp.sweeps.results import list_results
+from quadexp.sweeps.verify import verify_results
 from tests.cli.command import run
-from tests.sweep.test_old_cells import contents, fly
+from tests.sweeps.test_old_cells import contents, fly
 
 
 @pytest.fixture(scope="module")

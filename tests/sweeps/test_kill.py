@@ -14,11 +14,11 @@ import pytest
 
 from quadexp.config.compose import expand
 from quadexp.log.cell_store import CellStore
-from quadexp.sweep.sweep import run_sweep
+from quadexp.sweeps.sweep import run_sweep
 from tests.experiment.same import same_results
-from tests.sweep import cells
-from tests.sweep.dask_cluster import ROOT, descendants
-from tests.sweep.test_sweep import files
+from tests.sweeps import cells
+from tests.sweeps.dask_cluster import ROOT, descendants
+from tests.sweeps.test_sweep import files
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 
@@ -27,8 +27,8 @@ SCRIPT = textwrap.dedent(
     """
     import sys
     from quadexp.config.compose import expand
-    from quadexp.sweep.sweep import run_sweep
-    from tests.sweep import cells
+    from quadexp.sweeps.sweep import run_sweep
+    from tests.sweeps import cells
 
     if __name__ == "__main__":
         say = lambda done, total: print(done, flush=True)

@@ -18,12 +18,12 @@ from quadexp.errors import UsageError
 from quadexp.experiment.identity import flight_record
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, read_table
-from quadexp.sweep import keys as cell_keys
-from quadexp.sweep.engine import LocalEngine
-from quadexp.sweep.keys import cell_key
-from quadexp.sweep.plan import flying_order, plan_cells
-from quadexp.sweep.sweep import SweepInterrupted, run_sweep
-from tests.sweep import cells
+from quadexp.sweeps import keys as cell_keys
+from quadexp.sweeps.engine import LocalEngine
+from quadexp.sweeps.keys import cell_key
+from quadexp.sweeps.plan import flying_order, plan_cells
+from quadexp.sweeps.sweep import SweepInterrupted, run_sweep
+from tests.sweeps import cells
 
 GRID = ["trajectory.speed=4,8", "controller=nominal_mpc,perfect_mpc", "seed=range(3)"]
 ROOT = Path(__file__).resolve().parents[2]
@@ -231,8 +231,8 @@ class TestInterrupt:
         import sys
         from quadexp.config.compose import expand
         from quadexp.errors import QuadexpError
-        from quadexp.sweep.sweep import run_sweep
-        from tests.sweep.cells import slow_cell
+        from quadexp.sweeps.sweep import run_sweep
+        from tests.sweeps.cells import slow_cell
 
         if __name__ == "__main__":
             say = lambda done, total: print(done, flush=True)

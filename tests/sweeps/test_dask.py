@@ -18,15 +18,15 @@ from distributed import Client
 from quadexp.config.compose import compose, expand
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
-from quadexp.sweep.cluster.driver import DaskEngine
-from quadexp.sweep.cluster.engines import build_engine
-from quadexp.sweep.cluster.start import open_cluster
-from quadexp.sweep.engine import LocalEngine
-from quadexp.sweep.sweep import run_sweep
+from quadexp.sweeps.cluster.driver import DaskEngine
+from quadexp.sweeps.cluster.engines import build_engine
+from quadexp.sweeps.cluster.start import open_cluster
+from quadexp.sweeps.engine import LocalEngine
+from quadexp.sweeps.sweep import run_sweep
 from tests.experiment.same import same_results
-from tests.sweep import cells
-from tests.sweep.dask_cluster import ROOT, Cluster
-from tests.sweep.test_sweep import files
+from tests.sweeps import cells
+from tests.sweeps.dask_cluster import ROOT, Cluster
+from tests.sweeps.test_sweep import files
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 
@@ -147,7 +147,7 @@ class TestKill:
         same_results(undisturbed, result)
 
     def test_the_scheduler_killed(self, tmp_path, monkeypatch):
-        monkeypatch.setattr("quadexp.sweep.cluster.start.CONNECT", 2.0)
+        monkeypatch.setattr("quadexp.sweeps.cluster.start.CONNECT", 2.0)
         cluster = Cluster(tmp_path / "cluster", workers=1)
         engine = on(cluster)
 
@@ -204,9 +204,9 @@ def test_two_sweeps_on_one_cluster(cluster, tmp_path):
 DRIVER = """
 import sys
 from quadexp.config.compose import expand
-from quadexp.sweep.sweep import run_sweep
-from tests.sweep import cells
-from tests.sweep.test_dask import at
+from quadexp.sweeps.sweep import run_sweep
+from tests.sweeps import cells
+from tests.sweeps.test_dask import at
 
 if __name__ == "__main__":
     say = lambda done, total: print(done, flush=True)
@@ -251,7 +251,7 @@ class TestMistakes:
         ],
     )
     def test_one_line_says_what_is_wrong(self, overrides, says, tmp_path, monkeypatch):
-        monkeypatch.setattr("quadexp.sweep.cluster.start.CONNECT", 0.5)
+        monkeypatch.setattr("quadexp.sweeps.cluster.start.CONNECT", 0.5)
         engine = build_engine(compose(["engine=dask", *overrides]))
         with pytest.raises(QuadexpError, match=says) as caught:
             run_sweep(expand(SHORT), tmp_path / "r", engine=engine)

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 from quadexp.config.schema import Config
 from quadexp.errors import stops_all
 from quadexp.experiment.build import ModelFile
-from quadexp.sweep.child import GONE, PRELOAD, cause, one_thread, start_pool
+from quadexp.sweeps.child import GONE, PRELOAD, cause, one_thread, start_pool
 
 ATTEMPTS = 2  # for a cell whose process died or took too long
 QUEUED = 4  # cells handed out per worker, so that no worker waits

@@ -19,8 +19,8 @@ from quadexp.errors import QuadexpError, stops_all
 from quadexp.experiment.build_custom import source_hashes
 from quadexp.experiment.inputs import use_copies
 from quadexp.provenance import identity
-from quadexp.sweep.child import GONE, PRELOAD, cause, one_thread, start_pool
-from quadexp.sweep.engine import ATTEMPTS, CellFailed, Task
+from quadexp.sweeps.child import GONE, PRELOAD, cause, one_thread, start_pool
+from quadexp.sweeps.engine import ATTEMPTS, CellFailed, Task
 
 FOLDER = "quadexp-"  # prefix of the names of a worker's temporary folders
 

@@ -18,7 +18,7 @@ from quadexp.experiment.build import (
     knows_plant,
 )
 from quadexp.experiment.identity import canonical, digest, flight_record
-from quadexp.sweep.keys import cell_key, condition
+from quadexp.sweeps.keys import cell_key, condition
 
 BUILDS_AT_ONCE = 32  # compiled structures that every worker surely keeps, see experiment.build.KEPT
 FILES = ("trajectory", "plant")  # groups, beside the controller, whose settings may name a file

@@ -15,10 +15,10 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, read_metadata, write_flight
 from quadexp.report.flown_by import differing_libraries, flown_by, versions_of
 from quadexp.report.summary import summarise
-from quadexp.sweep.results import list_results
-from quadexp.sweep.sweep import SweepInterrupted, run_sweep
+from quadexp.sweeps.results import list_results
+from quadexp.sweeps.sweep import SweepInterrupted, run_sweep
 from tests.cli.command import run
-from tests.sweep.cells import quick_cell
+from tests.sweeps.cells import quick_cell
 
 HERE = provenance.sources()
 SWEEP = ["trajectory.speed=2", "controller=nominal_mpc,perfect_mpc", "seed=0,1"]

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from quadexp.sweep.engine import CellFailed, run_cells
-from tests.sweep import cells
+from quadexp.sweeps.engine import CellFailed, run_cells
+from tests.sweeps import cells
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -91,8 +91,8 @@ int clock_gettime(clockid_t clock, struct timespec *now) {
 """
 DRIVER = """
 import sys, time
-from quadexp.sweep.engine import run_cells
-from tests.sweep import cells
+from quadexp.sweeps.engine import run_cells
+from tests.sweeps import cells
 
 if __name__ == "__main__":
     begun, there = time.time(), time.monotonic()

@@ -18,9 +18,9 @@ from quadexp.config.plugins import own_folders
 from quadexp.errors import QuadexpError
 from quadexp.experiment.evaluate import program_record
 from quadexp.log.cell_store import CellStore
-from quadexp.sweep.sweep import run_sweep
-from tests.sweep import cells
-from tests.sweep.test_sweep import files
+from quadexp.sweeps.sweep import run_sweep
+from tests.sweeps import cells
+from tests.sweeps.test_sweep import files
 
 ROOT = Path(__file__).resolve().parents[2]
 FIXED = ["controller.backend=interpreted", "plant.backend=interpreted", "--no-figures"]
@@ -121,8 +121,8 @@ def test_a_pool_of_another_quadexp_is_refused_by_name(tmp_path):
     copy_of_the_package(tmp_path, drag=True)
     code = textwrap.dedent(
         f"""
-        from quadexp.sweep import child
-        from quadexp.sweep.engine import run_cells
+        from quadexp.sweeps import child
+        from quadexp.sweeps.engine import run_cells
         child.same_imports = lambda: child.environment({{"PYTHONPATH": {str(tmp_path)!r}}})
         print(list(run_cells(max, {{"a": (1, 2)}}, workers=1, preload=["quadexp.provenance"])))
         """
@@ -137,7 +137,7 @@ def test_a_pool_of_another_quadexp_is_refused_by_name(tmp_path):
 def test_children_have_the_path_and_the_environment_of_their_parent(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", "mine")
-    from quadexp.sweep.engine import run_cells
+    from quadexp.sweeps.engine import run_cells
 
     (found,) = dict(run_cells(cells.surroundings, {"a": ()}, workers=1, preload=())).values()
     given = [folder for folder in own_folders() if folder not in sys.path]  # with --conf, by tests before this one
@@ -180,8 +180,8 @@ class TestDask:
         pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 
     def test_a_worker_of_another_quadexp_is_refused_by_name(self, tmp_path):
-        from tests.sweep.dask_cluster import Cluster
-        from tests.sweep.test_dask import on
+        from tests.sweeps.dask_cluster import Cluster
+        from tests.sweeps.test_dask import on
 
         copy = copy_of_the_package(tmp_path / "copy", drag=True)
         cluster = Cluster(tmp_path / "cluster", workers=0)
@@ -194,8 +194,8 @@ class TestDask:
         assert not [name for name in files(tmp_path / "r") if name.endswith(".parquet")]
 
     def test_a_worker_with_another_part_of_the_users_is_refused_by_name(self, tmp_path, monkeypatch):
-        from tests.sweep.dask_cluster import Cluster
-        from tests.sweep.test_dask import on
+        from tests.sweeps.dask_cluster import Cluster
+        from tests.sweeps.test_dask import on
 
         for name, more in (("mine", ""), ("theirs", "# theirs\n")):
             (tmp_path / name / "trajectory").mkdir(parents=True)
@@ -219,7 +219,7 @@ class TestDask:
     def test_jobs_of_slurm_do_not_import_from_the_folder_they_start_in(self, tmp_path, monkeypatch):
         """The script that is submitted is run here in such a folder, up to its worker."""
         pytest.importorskip("dask_jobqueue")
-        from quadexp.sweep.cluster.engines import build_engine
+        from quadexp.sweeps.cluster.engines import build_engine
 
         programs = tmp_path / "programs"
         programs.mkdir()

@@ -8,8 +8,8 @@ import pytest
 
 from quadexp.compile.backend import compiler
 from quadexp.config.compose import expand
-from quadexp.sweep.engine import LocalEngine
-from quadexp.sweep.sweep import SweepInterrupted, run_sweep
+from quadexp.sweeps.engine import LocalEngine
+from quadexp.sweeps.sweep import SweepInterrupted, run_sweep
 from tests.experiment.same import same_results
 
 # Controllers that learn in flight keep the most between two steps, and a worker flies many cells with one of each.

@@ -22,8 +22,8 @@ from quadexp.experiment.build import MODEL_FILE
 from quadexp.experiment.build_custom import source_hashes
 from quadexp.log.store import write_bytes
 from quadexp.provenance import identity
-from quadexp.sweep.cluster.worker import CellRunner, InputFile, run_cell
-from quadexp.sweep.engine import CellFailed, Task
+from quadexp.sweeps.cluster.worker import CellRunner, InputFile, run_cell
+from quadexp.sweeps.engine import CellFailed, Task
 
 QUEUED = 3  # cells submitted per thread of the cluster
 LOSSES = 4  # times that the worker of a cell may be lost before the cell is taken for the cause

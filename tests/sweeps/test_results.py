@@ -10,12 +10,12 @@ import pytest
 from quadexp.config.compose import expand
 from quadexp.errors import UsageError
 from quadexp.log.cell_store import CellStore
-from quadexp.sweep.engine import LocalEngine
-from quadexp.sweep.results import list_results, prune
-from quadexp.sweep.sweep import run_sweep
+from quadexp.sweeps.engine import LocalEngine
+from quadexp.sweeps.results import list_results, prune
+from quadexp.sweeps.sweep import run_sweep
 from tests.cli.command import run
-from tests.sweep import cells
-from tests.sweep.test_sweep import GRID, files, fly
+from tests.sweeps import cells
+from tests.sweeps.test_sweep import GRID, files, fly
 
 
 @pytest.fixture(scope="module")
