@@ -48,7 +48,7 @@ class _Flight(ctypes.Structure):
         (name, kind)
         for kind, names in (
             (CFunction, "step lean bounded plant"),
-            (ctypes.c_longlong, "samples nodes inputs inner_size noise_size noise_argument doubt_size"),
+            (ctypes.c_longlong, "samples nodes inputs inner_size logged_size noise_size noise_argument doubt_size"),
             (ctypes.c_double, "near tolerance max_turn period"),
             (ctypes.c_void_p, "states thrusts along where"),
             (ctypes.c_void_p, "x0 X_ref U_ref X U checks X_new U_new X_lin U_lin"),
@@ -104,11 +104,17 @@ class Drawn:
             self._rng.standard_normal((self.taken - self.first, self._size))
 
 
-def covers(plant: Plant, controller: Controller, rng: Any) -> bool:
-    """Whether flight.c does all that these do in an ordinary step: compiled, of this program, with nothing unknown."""
+def covers(plant: Plant, controller: Controller, rng: Any, logged: int = 0) -> bool:
+    """Whether flight.c does all that these do in an ordinary step: compiled, of this program, with nothing unknown.
+
+    logged: how many numbers of the plant's inner states are columns of the flight; a plant from outside may have others
+    under the same names.
+    """
     if type(controller) is not PredictiveController or type(controller.mpc) is not ModelPredictiveController:
         return False
     if not isinstance(plant, SimulatedPlant) or type(plant).advance is not SimulatedPlant.advance:
+        return False
+    if logged and not (logged == len(plant.inner) and type(plant).__module__.startswith("quadexp.world.")):
         return False
     step, bounded = controller.mpc.functions
     period = plant.prepared(controller.control_period)
@@ -170,6 +176,7 @@ class CompiledFlight:
             nodes=where.shape[1] - 1,
             inputs=thrusts.shape[1],
             inner_size=len(plant.inner),
+            logged_size=log["inner"].shape[1],
             noise_size=period.arguments["noise"].size,
             noise_argument=list(period.arguments).index("noise"),
             doubt_size=period.results["doubt"].size,

@@ -25,7 +25,7 @@ typedef struct { /* a function that CasADi has generated, its arrays and its mem
 
 typedef struct {
     function step, lean, bounded, plant; /* lean: the step without what only a bounded subproblem needs */
-    integer samples, nodes, inputs, inner_size, noise_size, noise_argument, doubt_size;
+    integer samples, nodes, inputs, inner_size, logged_size, noise_size, noise_argument, doubt_size;
     double near, tolerance, max_turn, period;
     /* reference: its states and inputs, the rows of each horizon (samples, nodes + 1), the states at control instants */
     const double *states, *thrusts, *along;
@@ -125,7 +125,7 @@ static int control(flight *f, integer k) {
     copy(f->log_state + STATES * k, x, STATES);
     copy(f->log_input + f->inputs * k, f->U, f->inputs);
     copy(f->log_reading + 3 * k, f->reading, 3);
-    copy(f->log_inner + f->inner_size * k, f->inner, f->inner_size);
+    copy(f->log_inner + f->logged_size * k, f->inner, f->logged_size); /* all of the inner states, or none */
     const double record[RECORD] = {seconds() - began, status, sweeps, active, kkt, 1};
     copy(f->log_record + RECORD * k, record, RECORD);
     return 1;

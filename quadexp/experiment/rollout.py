@@ -142,7 +142,7 @@ def fly(
     controller.reset(x, reference.window(0))
     compiled: CompiledFlight | None = None
     noise: Any = rng
-    if covers(plant, controller, rng):
+    if covers(plant, controller, rng, log.inner.shape[1]):
         log.state_reference[:], log.input_reference[:] = along = reference.along()
         compiled = CompiledFlight(plant, controller, reference.horizons(), along[0], log.arrays(), rng, lost_distance)
         noise = compiled.drawn

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -289,6 +290,22 @@ class TestWhatItCovers:
         other.settings = Settings(nodes=6)
         object.__setattr__(other.settings, "dead_time", 0.03)
         assert not covers(plant, other, rng)
+
+    @compiled
+    def test_inner_states_that_are_no_columns_are_not_logged(self, vehicle, monkeypatch):
+        """A plant from outside on the shared integrator, with inner states: the same flight, and no memory overrun."""
+        monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "examples"))
+        from motor_lag import MotorLagPlant
+
+        class Named(MotorLagPlant):
+            @property
+            def rotor_speed(self):
+                return 100.0 + self.inner
+
+        assert covers(MotorLagPlant(vehicle, step=1e-3), mpc(vehicle), np.random.default_rng(0))
+        assert not covers(Named(vehicle, step=1e-3), mpc(vehicle), np.random.default_rng(0), logged=4)
+        flown = both(monkeypatch, MotorLagPlant(vehicle, step=1e-3), mpc(vehicle), Circle(speed=4.0))
+        assert flown.periods_in_c > 100 and "rotor_speed_0" not in flown.flight.columns
 
     def test_parts_from_outside_fly_as_before(self, vehicle):
         """A plant that only looks like one, under a controller that only looks like one."""
