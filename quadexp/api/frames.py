@@ -154,15 +154,9 @@ class Results(Frame):
 
     def table(self, metric: str | None = None) -> ErrorTable:
         """The error table of a metric, "mean_error", "rmse" or "max_error": the command's own unless given."""
-        from quadexp.report.notes import notes
-        from quadexp.report.statistics import compute_statistics, overall
-        from quadexp.report.tables import table_of
-        from quadexp.report.winner import verdicts
+        from quadexp.report.tables import error_table
 
-        rows, name, options = self.rows(), self._metric(metric), self._options()
-        best = verdicts(rows, metric=name, confidence=options["confidence"])
-        statistics = compute_statistics(rows, metrics=(name,), **options)
-        return table_of(statistics, overall(rows, metric=name, **options), best, notes(rows))
+        return error_table(self.rows(), self._metric(metric), **self._options())
 
     def statistics(self, metric: str | None = None) -> pd.DataFrame:
         """Means, intervals and paired comparisons of a metric, a row a condition and controller; in its SI unit."""

@@ -145,9 +145,9 @@ def console() -> Any:
     """A rich console on standard output, 200 columns wide without a terminal; it writes out control characters."""
     from rich.console import Console
 
-    made = Console(file=raw(sys.stdout))
+    made = Console(file=raw(sys.stdout), highlight=False)
     if not made.is_terminal:
-        made = Console(file=raw(sys.stdout), width=200)
+        made = Console(file=raw(sys.stdout), width=200, highlight=False)
     made.push_render_hook(cast(Any, _CleanHook()))
     return made
 

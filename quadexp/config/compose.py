@@ -481,7 +481,8 @@ def _required(schema: type) -> dict[str, Any]:
 def _register() -> None:
     for group, schemas in SCHEMAS.items():
         for name, schema in schemas.items():
-            node = {**_required(schema), SCHEMA: f"{group}/{name}"}
+            only = {one.name: one.words[0] for one in declared(schema).values() if len(one.words) == 1}
+            node = {**_required(schema), **only, SCHEMA: f"{group}/{name}"}
             ConfigStore.instance().store(group=f"schema/{group}", name=name, node=node)
 
 

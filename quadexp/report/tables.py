@@ -21,12 +21,14 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.messages import clean
 from quadexp.report.metrics import SHOWN
+from quadexp.report.notes import notes as row_notes
 from quadexp.report.notes import table_notes
 from quadexp.report.pairing import Flights, contestant_labels, contestant_of, variant_parts
-from quadexp.report.statistics import Overall, Statistic
+from quadexp.report.statistics import BASELINE, CONFIDENCE, Overall, Statistic, compute_statistics, overall
 from quadexp.report.text import p_value, speed_text, with_interval
-from quadexp.report.winner import Verdict
+from quadexp.report.winner import Verdict, verdicts
 
 # Columns of a result row, in the order they are written.
 ROW_COLUMNS = (
@@ -117,7 +119,10 @@ class Table:
 
     def html(self) -> str:
         """An HTML table without style; also what a notebook shows."""
-        from html import escape as plain
+        from html import escape
+
+        def plain(text: str) -> str:
+            return escape(clean(text))
 
         def line(cells: Sequence[str], tag: str) -> str:
             texts = (_BEST.sub(r"<b>\1</b>", plain(cell)) for cell in cells)
@@ -290,6 +295,20 @@ def table_of(
     lines = tuple(order[key] for key in sorted(order, key=lambda key: (names.index(key[0]), key[1])))
     notes = (*table_notes(statistics, pooled, found), *more)
     return ErrorTable(metric, SHOWN[metric][1], lines, tuple(flown), entries, flown, notes)
+
+
+def error_table(
+    rows: Sequence[Mapping[str, Any]],
+    metric: str = "mean_error",
+    *,
+    baseline: str = BASELINE,
+    confidence: float = CONFIDENCE,
+) -> ErrorTable:
+    """The error table of one metric from result rows; see `table_of`."""
+    options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
+    statistics = compute_statistics(rows, metrics=(metric,), **options)
+    found = verdicts(rows, metric=metric, confidence=confidence)
+    return table_of(statistics, overall(rows, metric=metric, **options), found, row_notes(rows))
 
 
 def comparison_table(statistics: Sequence[Statistic]) -> Table | None:

@@ -57,19 +57,10 @@ class TestImport:
         with pytest.raises(AttributeError, match="no attribute 'simulat'"):
             _ = qx.simulat
 
-    def test_a_package_and_a_function_share_a_name(self):
-        """Importing quadexp.sweeps sets `quadexp.sweeps`: it must still be callable, and its modules be found."""
-        code = (
-            "import quadexp as qx\nfirst = callable(qx.sweep)\nimport quadexp.sweeps.plan as plan\n"
-            "print(first, callable(qx.sweep), plan is qx.sweep.plan, qx.sweep.__name__)"
-        )
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
-        assert done.stdout == "True True True quadexp.sweeps\n", done.stderr
-
     def test_type_checkers_see_the_same_names(self):
         stub = ast.parse((ROOT / "quadexp" / "__init__.pyi").read_text())
         found = {(node.names[0].asname, node.module) for node in stub.body if isinstance(node, ast.ImportFrom)}
-        assert found == {(name, f"quadexp.{module}") for name, module in (qx._API | {"sweep": "api.calls"}).items()}
+        assert found == {(name, f"quadexp.{module}") for name, module in qx._API.items()}
 
 
 class TestSimulate:
@@ -208,7 +199,7 @@ class TestSweep:
         same(qx.load("r/results.parquet"), columns)
         assert str(results.table()).strip() in Path("r/table.md").read_text().strip()
         assert os.listdir(here) == ["r"]
-        assert results.table("rmse").content.metric == "rmse"
+        assert results.table("rmse").metric == "rmse"
 
         chosen = results[(results["controller"] == "perfect_mpc") & (results["seed"] == 1)]
         flight = chosen.flight(-1)
@@ -248,7 +239,7 @@ class TestSweep:
             with pytest.raises(qx.UsageError, match="need all columns"):
                 part.table()
         both = pd.concat([results, qx.sweep(*QUICK, seed=[2])])
-        assert "3 of 3" in both._repr_html_() and both.table("rmse").content.flown
+        assert "3 of 3" in both._repr_html_() and both.table("rmse").flown
         results["late"] = results["seed"] > 0
         results.save("results.parquet")
         assert qx.load("results.parquet")["late"].tolist() == [0, 1]

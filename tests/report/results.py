@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight, write_table
 from quadexp.report.metrics import flight_metrics
-from quadexp.report.notes import notes as row_notes
-from quadexp.report.statistics import BASELINE, CONFIDENCE, compute_statistics, overall
-from quadexp.report.tables import ErrorTable, table_of, to_columns
-from quadexp.report.winner import verdicts
+from quadexp.report.tables import to_columns
 from tests.log.flights import straight_flight
 
 ROTORS = [[0.17, -0.17, 0.0], [-0.17, -0.17, 0.0], [-0.17, 0.17, 0.0], [0.17, 0.17, 0.0]]
@@ -92,17 +88,3 @@ def many_results(root: Path, conditions: int) -> Path:
     record = {"metric": "mean_error", "grids": [], "conditions": [], "versions": {}, "provenance": {}}
     write_table(root / "results.parquet", to_columns(rows), record, "results")
     return root
-
-
-def error_table(
-    rows: Sequence[Mapping[str, Any]],
-    metric: str = "mean_error",
-    *,
-    baseline: str = BASELINE,
-    confidence: float = CONFIDENCE,
-) -> ErrorTable:
-    """The error table of one metric from result rows; see `table_of`."""
-    options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
-    statistics = compute_statistics(rows, metrics=(metric,), **options)
-    found = verdicts(rows, metric=metric, confidence=confidence)
-    return table_of(statistics, overall(rows, metric=metric, **options), found, row_notes(rows))

@@ -17,10 +17,9 @@ from quadexp.report.page.sections import scoreboard, tables
 from quadexp.report.page.source import read_comparison
 from quadexp.report.pairing import Flights, common, flew_least
 from quadexp.report.statistics import compute_statistics, overall
-from quadexp.report.tables import to_columns, to_latex, to_markdown
+from quadexp.report.tables import error_table, to_columns, to_latex, to_markdown
 from quadexp.report.winner import verdicts
 from quadexp.sweeps.sweep import run_sweep
-from tests.report.results import error_table
 from tests.report.test_tables import row
 
 TIMES = {"solve_time_median": 3e-5, "solve_time_p99": 6e-5, "backend": "compiled"}

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from quadexp.report.notes import notes
-from quadexp.report.tables import to_latex, to_markdown
-from tests.report.results import error_table
+from quadexp.report.tables import error_table, to_latex, to_markdown
 from tests.report.test_tables import row
 
 

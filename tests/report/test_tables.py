@@ -12,6 +12,7 @@ import pytest
 from quadexp.log.store import read_table, write_table
 from quadexp.report.tables import (
     ROW_COLUMNS,
+    error_table,
     escape,
     from_columns,
     to_columns,
@@ -21,7 +22,6 @@ from quadexp.report.tables import (
     to_rich,
 )
 from quadexp.report.text import significant, with_interval
-from tests.report.results import error_table
 
 
 def row(controller="nominal_mpc", speed=8.0, seed=0, error=0.24, **more):

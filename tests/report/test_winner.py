@@ -13,9 +13,8 @@ from quadexp.report.page.answer import answer
 from quadexp.report.page.sections import scoreboard, tables
 from quadexp.report.page.source import read_comparison
 from quadexp.report.statistics import compute_statistics
-from quadexp.report.tables import to_columns, to_markdown
+from quadexp.report.tables import error_table, to_columns, to_markdown
 from quadexp.report.winner import verdicts
-from tests.report.results import error_table
 from tests.report.test_tables import row
 
 NOISES = {
