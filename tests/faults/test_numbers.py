@@ -7,6 +7,7 @@ import dataclasses
 import pytest
 
 from quadexp.config.compose import session
+from quadexp.config.settings import declared
 from quadexp.errors import UsageError
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.evaluate import fly_one
@@ -30,11 +31,12 @@ def composer():
 
 def numbers(node, prefix=""):
     """Keys of all fields that declare an interval."""
+    settings = declared(type(node))
     for field in dataclasses.fields(node):
         value = getattr(node, field.name)
         if dataclasses.is_dataclass(value):
             yield from numbers(value, f"{prefix}{field.name}.")
-        elif field.metadata.get("interval"):
+        elif field.name in settings and settings[field.name].setting.interval:
             yield f"{prefix}{field.name}"
 
 

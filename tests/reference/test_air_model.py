@@ -13,9 +13,9 @@ from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
 from quadexp.experiment.rollout import SampledReference
-from quadexp.reference import Circle
-from quadexp.reference.air_model import AirModel, PartialAir
-from quadexp.reference.air_step import asked_and_next
+from quadexp.reference.air_model import AirModel
+from quadexp.reference.air_step import predicted_and_next
+from quadexp.reference.circle import Circle
 from quadexp.reference.demand import Demand
 from quadexp.reference.flatness import flat_reference
 from quadexp.reference.motion import Air
@@ -52,7 +52,7 @@ def test_outputs_and_gradients_are_the_residuals(vehicle, rng, name):
 def test_drag_by_hand(vehicle, rng):
     z = points(rng, 50)
     model = AirModel(linear_drag_residual(vehicle, (0.5, 0.25, 0.1)))
-    response, half = model(z), PartialAir(model, 0.5)(z)
+    response, half = model(z), model.scaled(0.5)(z)
     assert np.allclose(response.outputs[:3], -np.array([[0.5], [0.25], [0.1]]) * z[:3], rtol=1e-14)
     assert np.all(response.outputs[3:] == 0) and np.all(response.by_thrust == 0)
     assert np.allclose(response.by_velocity[:3], -np.diag([0.5, 0.25, 0.1])[:, :, None], rtol=1e-14)
@@ -76,11 +76,11 @@ def test_the_compiled_step_is_numpys(vehicle, rng, name, yaw):
     for share in (1.0, 0.4):
         one, two = (AirModel(residual, backend) for backend in ("interpreted", "compiled"))
         if share < 1:
-            one, two = PartialAir(one, share), PartialAir(two, share)
+            one, two = one.scaled(share), two.scaled(share)
         step = CompiledStep(demand, vehicle, two, grid)
         for _ in range(3):
             air = random_air(rng, len(grid.times))
-            expected = asked_and_next(demand, vehicle, one, air, grid)
+            expected = predicted_and_next(demand, vehicle, one, air, grid)
             for found, known in zip(step(air), expected, strict=True):
                 assert found.shape == known.shape
                 assert np.allclose(found, known, rtol=1e-8, atol=1e-8)
@@ -94,7 +94,7 @@ def test_both_say_where_there_is_no_attitude(vehicle):
     with pytest.raises(UsageError) as first:
         CompiledStep(falling, vehicle, model, grid)(air)
     with pytest.raises(UsageError) as second:
-        asked_and_next(falling, vehicle, AirModel(model.residual), air, grid)
+        predicted_and_next(falling, vehicle, AirModel(model.residual), air, grid)
     assert str(first.value) == str(second.value) and "free fall" in str(first.value)
 
 
@@ -106,7 +106,7 @@ def test_two_models_of_one_structure_keep_their_parameters(vehicle, rng):
     double = replace(residual, theta=2 * residual.theta)
     one, two = (CompiledStep(demand, vehicle, AirModel(model, "compiled"), grid) for model in (residual, double))
     before = one(air)[0]
-    assert np.allclose(two(air)[0], asked_and_next(demand, vehicle, AirModel(double), air, grid)[0], atol=1e-9)
+    assert np.allclose(two(air)[0], predicted_and_next(demand, vehicle, AirModel(double), air, grid)[0], atol=1e-9)
     assert np.array_equal(one(air)[0], before)
 
 

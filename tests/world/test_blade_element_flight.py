@@ -108,5 +108,5 @@ def test_one_rotor_that_stops_in_level_flight(lei_li, blade):
     plant = BladeElementPlant(lei_li, blade, BladeElementEffects(rotor_speed_min=0.0), backend="interpreted")
     u = np.full(4, lei_li.hover_thrust)
     u[1] = 0.0
-    with pytest.raises(ModelDomainError, match=r"rotor 1 at t=0.0000 s: it stands still .*V_h=5 m/s"):
+    with pytest.raises(ModelDomainError, match=r"rotor 1 at t=0.0000 s: it is stopped in moving air.*V_h=5 m/s"):
         plant.advance(moving([5, 0, 0]), u, 1e-4)
