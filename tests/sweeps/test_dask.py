@@ -7,7 +7,9 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -21,7 +23,8 @@ from quadexp.log.cell_store import CellStore
 from quadexp.sweeps.cluster.driver import DaskEngine
 from quadexp.sweeps.cluster.engines import build_engine
 from quadexp.sweeps.cluster.start import open_cluster
-from quadexp.sweeps.engine import LocalEngine
+from quadexp.sweeps.cluster.worker import CellRunner
+from quadexp.sweeps.engine import CellFailed, LocalEngine, Task
 from quadexp.sweeps.sweep import run_sweep
 from tests.experiment.same import same_results
 from tests.sweeps import cells
@@ -163,7 +166,6 @@ class TestKill:
             cluster.stop()
         assert len(CellStore(tmp_path / "r").done()) >= 3
 
-    @pytest.mark.slow  # once in a while a Dask worker keeps the slot of the killed driver's task, and the sweep waits
     def test_the_driver_killed(self, cluster, tmp_path, undisturbed):
         process = start_driver(cluster, tmp_path, self.GRID)
         for line in process.stdout:
@@ -287,3 +289,22 @@ def make_checkpoint(folder):
     fit = {"residual_std": np.zeros(3), "r_squared": np.ones(3), "n": 10}
     named = {"name": vehicle.name, "fingerprint": vehicle.fingerprint}
     save_model(folder, LinearDrag(**numbers, **errors, **fit, vehicle=named))
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0, 0.0005, 0.002, 0.01, 0.2])
+def test_a_cell_under_way_ends_with_its_sweep(tmp_path, delay):
+    """As on a worker whose sweep is removed because its driver was killed: the thread is free for other sweeps, however
+    far the cell was on its way to the child process."""
+    runner = CellRunner("cells", None, None, {})
+    runner.setup(SimpleNamespace(state=SimpleNamespace(nthreads=1), local_directory=str(tmp_path)))
+    task = Task("key", compose([]), None, "")
+    assert runner.fly(cells.quick_cell, task, {}, {})[0]["outcome"] == "ok"
+    answers = []
+    thread = threading.Thread(target=lambda: answers.append(runner.fly(cells.endless_cell, task, {}, {})), daemon=True)
+    thread.start()
+    time.sleep(delay)
+    runner.teardown(None)
+    thread.join(60)
+    assert not thread.is_alive() and isinstance(answers[0], CellFailed)
+    assert isinstance(runner.fly(cells.endless_cell, task, {}, {}), CellFailed), "and no other begins"
+    assert not list(tmp_path.iterdir())

@@ -8,7 +8,7 @@ import shutil
 import tempfile
 import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from pathlib import Path
 from typing import Any
 
@@ -49,9 +49,17 @@ class CellRunner(WorkerPlugin):
         self._workers = worker.state.nthreads
         self._folder = tempfile.mkdtemp(prefix=FOLDER, dir=worker.local_directory)
         self._pool: Any = None
-        self._lock = threading.Lock()
+        self._lock = threading.Lock()  # of the three below
+        self._flying: set[Future[Any]] = set()
+        self._ended = False
 
     def teardown(self, worker: Any) -> None:
+        """End the cells that still fly: of a sweep whose driver was killed. Their threads must not wait for ever, and
+        a stopped pool leaves its futures pending."""
+        with self._lock:
+            self._ended = True
+            for future in self._flying:
+                future.cancel()
         if self._pool is not None:
             self._pool.stop()
             self._pool.join()
@@ -62,7 +70,7 @@ class CellRunner(WorkerPlugin):
         arguments = (function, task.config, task.model, task.key, self._folder, copies, parts)
         for attempt in range(ATTEMPTS):
             try:
-                return self._schedule(function, arguments).result()
+                return self._result(function, arguments)
             except GONE as error:
                 if attempt == ATTEMPTS - 1:
                     return CellFailed(cause(error, self._timeout))
@@ -70,13 +78,22 @@ class CellRunner(WorkerPlugin):
                 return CellFailed(cause(error, self._timeout), stops_all(error))
         raise AssertionError
 
-    def _schedule(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Future[Any]:
+    def _result(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+        """Of the call in a child process. Raises CancelledError where the sweep ends before it."""
         with self._lock:
+            if self._ended:
+                raise CancelledError("the sweep has ended")
             if self._pool is None:
                 with one_thread():
                     preload = [*PRELOAD, function.__module__]
                     self._pool = start_pool(self._workers, self._memory, preload, self._folders)
-            return self._pool.schedule(child_cell, args=arguments, timeout=self._timeout)
+            future = self._pool.schedule(child_cell, args=arguments, timeout=self._timeout)
+            self._flying.add(future)
+        try:
+            return future.result()
+        finally:
+            with self._lock:
+                self._flying.discard(future)
 
 
 class InputFile(WorkerPlugin):
