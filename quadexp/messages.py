@@ -46,11 +46,16 @@ def raw(stream: Any) -> Any:
 
 # Message of OmegaConf for a value of the wrong type.
 _CONVERSION = re.compile(r"Value '(.*)' of type '[^']*' could not be converted to (\w+)$")
+RENAMED = {"static_thrust": "thrust_coefficient"}  # former name of a key -> its name now
 _KINDS = {"Float": "a number", "Integer": "a whole number", "Boolean": "true or false"}
 
 
 def suggestion(found: str, known: Sequence[str], listed: Sequence[str] | None = None) -> str:
     """A name that may have been meant, or the names that exist, as the end of an error message."""
+    last = found.rpartition(".")[2]
+    renamed = found.removesuffix(last) + RENAMED.get(last, last)
+    if renamed != found and renamed in known:
+        return f"; it is called {renamed} now"
     near = _ending_in(found, known) or difflib.get_close_matches(found, known, n=1, cutoff=0.6)
     if near:
         return f"; did you mean {' or '.join(near)}?"

@@ -63,7 +63,7 @@ class Frame(pd.DataFrame):
         return found
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
-        """Write it as a file that the commands read, and return its path. force: replace what is there."""
+        """Write it as a file that the commands read, and return its path. force: replace an existing file."""
         kind = self.record.get("kind") or self.kind
         return write_table(check_output(Path(path), force=force), self.columns_as_arrays(), self.record, kind)
 

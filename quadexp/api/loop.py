@@ -1,4 +1,4 @@
-"""A controller in a loop of one's own: measured state in, rotor thrusts out.
+"""A controller for your own loop: measured state in, rotor thrusts out.
 
 World ENU, body FLU, quaternion body to world with w first, SI units; see quadexp/physics/state.py.
 """

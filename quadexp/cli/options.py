@@ -17,5 +17,5 @@ _OUT = typer.Option("--out", "-o", metavar="PATH", help="Where to write.")
 Out = Annotated[Path, _OUT]
 OptionalOut = Annotated[Path | None, _OUT]
 Conf = Annotated[Path | None, typer.Option("--conf", metavar="DIR", help="A configuration folder of your own.")]
-Force = Annotated[bool, typer.Option("--force", "-f", help="Replace what is there.")]
+Force = Annotated[bool, typer.Option("--force", "-f", help="Replace existing output.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")]

@@ -24,22 +24,20 @@ from quadexp.config.settings import Setting, Settings
 class CustomKeys(Settings):
     """What is called, and with what."""
 
-    _target_: Annotated[
-        str, Setting("MODULE.NAME of a class of one's own (for an MPC: of a function that makes its residual)")
-    ]
+    _target_: Annotated[str, Setting("MODULE.NAME of your class or function, called with the arguments above")]
     options: Annotated[dict[str, Any], Setting("its keyword arguments")] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CustomPlantConfig(CustomKeys, PlantConfig):
-    """A plant of one's own: _target_(vehicle, step=..., **options) -> Plant; step: s, of its integrator."""
+    """Your plant: _target_(vehicle, step=..., **options) -> Plant; step: s, of its integration."""
 
     kind: str = "custom"
 
 
 @dataclass(frozen=True, kw_only=True)
 class CustomTrajectoryConfig(CustomKeys, TrajectoryConfig):
-    """A trajectory of one's own: _target_(**options) -> Trajectory; speed, where it is set, is passed on too."""
+    """Your trajectory: _target_(**options) -> Trajectory; called with speed too, where it is set."""
 
     kind: str = "custom"
     speed: Annotated[float | None, SPEED] = None
@@ -47,13 +45,13 @@ class CustomTrajectoryConfig(CustomKeys, TrajectoryConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class CustomControllerConfig(CustomKeys, ControllerConfig):
-    """A controller of one's own: _target_(vehicle, **options) -> Controller."""
+    """Your controller: _target_(vehicle, **options) -> Controller."""
 
     kind: str = "custom"
 
 
 @dataclass(frozen=True, kw_only=True)
 class CustomResidualMPCConfig(CustomKeys, PredictiveConfig):
-    """The MPC with a residual of one's own: _target_(vehicle, **options) -> Residual."""
+    """The MPC with your residual: _target_(vehicle, **options) -> Residual."""
 
     residual: Annotated[Literal["custom"], RESIDUAL] = "custom"

@@ -12,7 +12,7 @@ from quadexp.errors import UsageError
 
 @dataclass(frozen=True, kw_only=True)
 class EngineConfig(Settings):
-    """kind: where. How many workers, how long and with how much memory a flight may run stands in `evaluate`."""
+    """Where the flights run; number of workers and limits of time and memory are settings of `evaluate`."""
 
     prefix: ClassVar[str] = "engine."
 
@@ -22,20 +22,19 @@ class EngineConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class ClusterConfig(EngineConfig):
-    """What all clusters share. tls: encrypt and authenticate with certificates; made for the occasion unless given.
-    Without it whoever reaches the scheduler can run code as the user. wait: how long a sweep goes on without a single
-    worker."""
+    """What all clusters share. tls: encrypt and authenticate with certificates, which are made for the sweep unless
+    given; without it anybody who reaches the scheduler can run code as the user."""
 
     tls: Annotated[
         bool,
-        Setting("encrypt, authenticate (certificates made for it unless given); false: others may run code"),
+        Setting(
+            "encrypt and authenticate with certificates, made for the sweep unless given; false: others can run code"
+        ),
     ] = True
     tls_ca: Annotated[str | None, Setting("file of the certificate authority")] = None
     tls_cert: Annotated[str | None, Setting("file of the certificate")] = None
-    tls_key: Annotated[str | None, Setting("file of its key")] = None
-    wait: Annotated[float, Setting("time without a single worker after which the sweep stops", "(0, 604800]", "s")] = (
-        60.0
-    )
+    tls_key: Annotated[str | None, Setting("file of the certificate's key")] = None
+    wait: Annotated[float, Setting("time without any worker after which the sweep stops", "(0, 604800]", "s")] = 60.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -48,16 +47,18 @@ class ClusterConfig(EngineConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class DaskConfig(ClusterConfig):
-    """A Dask cluster: one of this machine's own, the scheduler at `address`, or workers on `hosts` over SSH (the first
+    """A Dask cluster: started on this machine, the scheduler at `address`, or workers on `hosts` over SSH (the first
     host also runs the scheduler)."""
 
     kind: Annotated[Literal["dask"], Setting("where the flights run")] = "dask"
     address: Annotated[
         str | None,
-        Setting("of a scheduler that runs, such as tls://head:8786; null: a cluster of this machine's own"),
+        Setting("address of a running scheduler, such as tls://head:8786; null: start a cluster on this machine"),
     ] = None
-    hosts: Annotated[tuple[str, ...], Setting("workers over SSH; the first also runs the scheduler")] = ()
-    remote_python: Annotated[str | None, Setting("their interpreter; null: the same path as here")] = None
+    hosts: Annotated[
+        tuple[str, ...], Setting("hosts that run workers, started over SSH; the first also runs the scheduler")
+    ] = ()
+    remote_python: Annotated[str | None, Setting("Python interpreter of the hosts; null: the same path as here")] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -95,8 +96,8 @@ class SlurmConfig(ClusterConfig):
     kind: Annotated[Literal["slurm"], Setting("where the flights run")] = "slurm"
     queue: Annotated[str | None, Setting("partition, as sbatch takes it")] = None
     account: Annotated[str | None, Setting("account, as sbatch takes it")] = None
-    walltime: Annotated[str, Setting("of a job, hh:mm:ss")] = "01:00:00"
-    job_memory: Annotated[float, Setting("memory a job asks for; one worker each", "[0.5, 4096]", "GB")] = 2.0
+    walltime: Annotated[str, Setting("time limit of a job, hh:mm:ss")] = "01:00:00"
+    job_memory: Annotated[float, Setting("memory requested for a job; one worker per job", "[0.5, 4096]", "GB")] = 2.0
     directives: Annotated[tuple[str, ...], Setting("more options of sbatch")] = ()
     prologue: Annotated[tuple[str, ...], Setting("lines of shell before a worker starts")] = ()
     shared: Annotated[
@@ -104,4 +105,4 @@ class SlurmConfig(ClusterConfig):
         Setting("folder that all nodes see, for certificates and logs; needed with engine.tls"),
     ] = None
     interface: Annotated[str | None, Setting("network interface by which nodes reach the scheduler")] = None
-    python: Annotated[str | None, Setting("interpreter of the nodes; null: the same path as here")] = None
+    python: Annotated[str | None, Setting("Python interpreter of the nodes; null: the same path as here")] = None

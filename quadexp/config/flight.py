@@ -18,22 +18,26 @@ Backend = Annotated[
 ]
 Name = Annotated[str, Setting("name in tables and figures")]
 SPEED = Setting(
-    "the column `speed` of tables: nominal speed (circle, lemniscate), whose peak is said by `quadexp simulate`, or"
-    " asked peak speed (random, waypoints without t), less where the vehicle's limits come first",
+    "nominal speed (circle, lemniscate; `quadexp simulate` prints the peak speed), or largest speed of the path"
+    " (random,"
+    " waypoints without t), reduced where the vehicle's limits do not allow it; the column `speed` of tables",
     "(0, 60]",
     "m/s",
 )
 MARGIN = Setting(
-    "share of the room between hover and the limits of thrusts, and of the largest body rate, that the reference leaves"
-    " unused",
+    "control authority that the reference leaves unused, as a share: of the range between the hover thrust and the"
+    " thrust"
+    " limits, and of the largest body rate",
     "[0, 0.9]",
 )
 RADIUS = Setting("radius of the circle, half width of the lemniscate", "(0, 1000]", "m")
 DURATION = Setting("length of the flight", "(0, 3600]", "s")
-PAYLOAD = Setting("point mass carried at the centre; controllers do not know of it", "[0, 100]", "kg")
-FORCE_NOISE = Setting("white noise of the force", "[0, 10]", "N/sqrt(Hz)")
-TORQUE_NOISE = Setting("white noise of the torque", "[0, 10]", "N m/sqrt(Hz)")
-RESIDUAL = Setting("what the MPC believes beyond the rigid body")
+PAYLOAD = Setting(
+    "point mass at the centre of mass, unknown to controllers that are not told the plant's equations", "[0, 100]", "kg"
+)
+FORCE_NOISE = Setting("spectral density of the white noise on the force, each axis", "[0, 10]", "N/sqrt(Hz)")
+TORQUE_NOISE = Setting("spectral density of the white noise on the torque, each axis", "[0, 10]", "N m/sqrt(Hz)")
+RESIDUAL = Setting("model that is added to the rigid body in the prediction")
 SEEDS = "[0, 4294967295]"
 
 
@@ -63,24 +67,26 @@ class VehicleConfig(Settings):
     inertia: Annotated[tuple[Triple, Triple, Triple], Setting("inertia matrix, rows, kg m^2")]
     rotor_position: Annotated[
         tuple[Triple, ...],
-        Setting("a point for each rotor, m; their order is that of the inputs u_0, u_1, ..."),
+        Setting("position of every rotor in the body frame, m, in the order of the inputs u_0, u_1, ..."),
     ]
     rotor_spin: Annotated[
         tuple[float, ...],
         Setting(
-            "sign of each rotor's reaction torque about +z_body: -1 for one that turns counter-clockwise", "[-1, 1]"
+            "sign of each rotor's reaction torque about +z_body; -1 for a rotor that turns counter-clockwise seen from"
+            " above",
+            "[-1, 1]",
         ),
     ]
-    torque_coefficient: Annotated[float, Setting("reaction torque per thrust", "[0, 1]", "m")]
+    torque_coefficient: Annotated[float, Setting("reaction torque of a rotor divided by its thrust", "[0, 1]", "m")]
     thrust_min: Annotated[float, Setting("least thrust that can be commanded", "[0, 1000]", "N per rotor")]
     thrust_max: Annotated[float, Setting("largest thrust that can be commanded", "(0, 1000]", "N per rotor")]
     rate_max: Annotated[float, Setting("largest body rate that a reference may ask for", "(0, 100]", "rad/s")]
-    gravity: Annotated[float, Setting("acceleration of free fall", "(0, 100]", "m/s^2")] = 9.81
+    gravity: Annotated[float, Setting("gravitational acceleration", "(0, 100]", "m/s^2")] = 9.81
     rotor: Annotated[RotorConfig | None, Setting("shape of the rotors, for blade-element models")] = None
     thrust_coefficient: Annotated[
         float | None,
         Setting(
-            "k of the thrust map u = k w^2 between thrust and rotor speed; null where nobody needs it",
+            "k of the static thrust curve u = k w^2 (w: rotor speed); null where no model needs it",
             "(0, 1]",
             "N s^2",
         ),
@@ -109,19 +115,30 @@ class SimplifiedKeys(Settings):
 
     prefix: ClassVar[str] = "plant."
 
-    linear_drag: Annotated[Triple, Setting("drag force per velocity", "[0, 100]", "N s/m")] = (0.3, 0.3, 0.0)
-    quadratic_drag: Annotated[Triple, Setting("drag force per velocity squared", "[0, 100]", "N s^2/m^2")] = (
+    linear_drag: Annotated[Triple, Setting("linear drag coefficients, body axes", "[0, 100]", "N s/m")] = (
+        0.3,
+        0.3,
+        0.0,
+    )
+    quadratic_drag: Annotated[Triple, Setting("quadratic drag coefficients, body axes", "[0, 100]", "N s^2/m^2")] = (
         0.08,
         0.08,
         0.08,
     )
     motor_loss: Annotated[
-        float, Setting("share of the thrust that is lost at full thrust; grows with the thrust", "[0, 1)")
+        float,
+        Setting(
+            "thrust lost by the motors at full thrust, as a share; the loss is proportional to the thrust squared",
+            "[0, 1)",
+        ),
     ] = 0.1 / 1.3**2
     motor_noise_density: Annotated[
         float,
         Setting(
-            "white noise on the normalised thrust at full thrust; goes with the thrust's root", "[0, 1]", "1/sqrt(Hz)"
+            "spectral density of the white noise on the normalised thrust, at full thrust; proportional to the root of"
+            " the thrust",
+            "[0, 1]",
+            "1/sqrt(Hz)",
         ),
     ] = 4.47213595499958e-4
     force_noise_density: Annotated[float, FORCE_NOISE] = 1.118033988749895e-4
@@ -141,10 +158,13 @@ class FromModelPlantConfig(PlantConfig):
     """A model identified from flights as the truth; see quadexp/world/from_model.py. model: its checkpoint folder."""
 
     kind: str = "from_model"
-    model: Annotated[str, Setting("checkpoint folder of the model that is the truth")]
+    model: Annotated[str, Setting("checkpoint folder of the model that is taken as the truth")]
     residual: Annotated[
         Literal["best", "linear", "quadratic", "blade_element", "gaussian_process"],
-        Setting("which of an identified vehicle's models, best: its own choice; ignored for a Gaussian process"),
+        Setting(
+            "which model of an identified vehicle; best: the one that identification chose; not used where the"
+            " checkpoint is a Gaussian process"
+        ),
     ] = "best"
     force_noise_density: Annotated[float, FORCE_NOISE] = 0.0
     torque_noise_density: Annotated[float, TORQUE_NOISE] = 0.0
@@ -156,7 +176,7 @@ class TrajectoryConfig(Settings):
     """What every trajectory has. kind: which one of quadexp/reference/ (set by the schema).
 
     allow_infeasible: fly a reference although it asks for more than the vehicle has.
-    lost_distance: further than this from the reference (m) a flight is over.
+    lost_distance: a flight ends as lost when the vehicle is further (m) from the reference.
     """
 
     prefix: ClassVar[str] = "trajectory."
@@ -166,12 +186,14 @@ class TrajectoryConfig(Settings):
     allow_infeasible: Annotated[
         bool,
         Setting(
-            "fly a reference that asks for more collective thrust than the vehicle has; trajectory=random: at the asked"
-            " speed whatever the limits"
+            "also fly a reference that needs more collective thrust than the vehicle has; trajectory=random: at the"
+            " asked"
+            " speed, without regard to the vehicle's limits"
         ),
     ] = False
     lost_distance: Annotated[
-        float, Setting("further than this from the reference a flight is over", "(0, 1e6]", "m")
+        float,
+        Setting("a flight ends as lost when the vehicle is further than this from the reference", "(0, 1e6]", "m"),
     ] = 10.0
 
 
@@ -187,7 +209,9 @@ class CircleKeys(PathKeys):
     """A closed path at one height with Torrente's speed profile."""
 
     speed: Annotated[float, SPEED]
-    acceleration: Annotated[float, Setting("of the run up to the nominal speed and back", "(0, 50]", "m/s^2")] = 1.0
+    acceleration: Annotated[
+        float, Setting("acceleration from rest to the nominal speed, and deceleration at the end", "(0, 50]", "m/s^2")
+    ] = 1.0
     radius: Annotated[float, RADIUS] = 5.0
     height: Annotated[float, Setting("height of the path, world", "[-1000, 1000]", "m")] = 1.0
 
@@ -212,8 +236,10 @@ class RandomKeys(PathKeys):
 
     speed: Annotated[float, SPEED]
     margin: Annotated[float, MARGIN] = 0.25
-    seed: Annotated[int, Setting("draws the path", SEEDS)] = 0
-    keypoints: Annotated[int, Setting("points that the path goes through", "[4, 200]", "points")] = 10
+    seed: Annotated[int, Setting("seed of the random path", SEEDS)] = 0
+    keypoints: Annotated[int, Setting("number of random points that the path passes through", "[4, 200]", "points")] = (
+        10
+    )
     extent: Annotated[float, Setting("edge of the cube that the keypoints are drawn in", "(0, 1000]", "m")] = 6.0
     clearance: Annotated[float, Setting("height of the lowest keypoint, world", "[-1000, 1000]", "m")] = 1.0
 
@@ -229,31 +255,33 @@ class RandomConfig(RandomKeys, TrajectoryConfig):
 class HoverKeys(PathKeys):
     """A held point."""
 
-    position: Annotated[Triple, Setting("where to stay, world", "[-1e6, 1e6]", "m")] = (0.0, 0.0, 1.0)
+    position: Annotated[Triple, Setting("position to hold, world", "[-1e6, 1e6]", "m")] = (0.0, 0.0, 1.0)
     yaw: Annotated[float, Setting("heading", "[-7, 7]", "rad")] = 0.0
     duration: Annotated[float, DURATION] = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class HoverConfig(HoverKeys, TrajectoryConfig):
-    """Staying at a point."""
+    """Hovering at a point."""
 
     kind: str = "hover"
 
 
 @dataclass(frozen=True, kw_only=True)
 class StepKeys(PathKeys):
-    """A jump of the set-point."""
+    """A step of the set-point."""
 
-    start: Annotated[Triple, Setting("where the flight starts, world", "[-1e6, 1e6]", "m")] = (0.0, 0.0, 1.0)
-    target: Annotated[Triple, Setting("where the set-point jumps to, world", "[-1e6, 1e6]", "m")] = (1.0, 0.0, 1.0)
-    step_time: Annotated[float, Setting("when it jumps", "[0, 3600]", "s")] = 1.0
+    start: Annotated[
+        Triple, Setting("set-point before the step, where the flight starts, world", "[-1e6, 1e6]", "m")
+    ] = (0.0, 0.0, 1.0)
+    target: Annotated[Triple, Setting("set-point after the step, world", "[-1e6, 1e6]", "m")] = (1.0, 0.0, 1.0)
+    step_time: Annotated[float, Setting("time of the step", "[0, 3600]", "s")] = 1.0
     duration: Annotated[float, DURATION] = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class StepConfig(StepKeys, TrajectoryConfig):
-    """A jump of the set-point."""
+    """A step of the set-point."""
 
     kind: str = "step"
 
@@ -291,7 +319,7 @@ class ControllerConfig(Settings):
     name: Name
     kind: str
     models: Annotated[
-        tuple[str, ...], Setting("where a checkpoint is looked for, in this order, when `model` is not given")
+        tuple[str, ...], Setting("checkpoint folders that are tried, in this order, when `model` is not given")
     ] = ()
 
 
@@ -302,13 +330,13 @@ class MPCKeys(Settings):
 
     prefix: ClassVar[str] = "controller."
 
-    horizon: Annotated[float, Setting("length of the prediction", "(0, 10]", "s")] = 1.0
-    nodes: Annotated[int, Setting("intervals of the prediction", "[2, 200]", "nodes")] = 10
+    horizon: Annotated[float, Setting("length of the prediction horizon", "(0, 10]", "s")] = 1.0
+    nodes: Annotated[int, Setting("number of intervals of the horizon", "[2, 200]", "nodes")] = 10
     first_node: Annotated[
         float,
         Setting(
-            "first interval, from which the others grow; 0: all alike, as published. A short one tracks closer and"
-            " leaves less room for a delay that nobody predicts",
+            "length of the first interval, from which the others grow; 0: equal intervals, as published. A short first"
+            " interval reduces the tracking error and the margin for delays that the controller does not know",
             "[0, 10]",
             "s",
         ),
@@ -316,8 +344,9 @@ class MPCKeys(Settings):
     dead_time: Annotated[
         float,
         Setting(
-            "known time between a command and its thrust, over which the state is predicted with the commands already"
-            " sent; a lag that motor_lag does not model counts too",
+            "known delay between a command and its thrust; the state is predicted over it with the commands already"
+            " sent."
+            " Includes the time constant of any lag that motor_lag does not model",
             "[0, 0.5]",
             "s",
         ),
@@ -325,58 +354,74 @@ class MPCKeys(Settings):
     motor_lag: Annotated[
         float,
         Setting(
-            "known time constant of the rotors' thrust, which is then a state of the model; 0: none", "[0, 0.5]", "s"
+            "known time constant of the rotor thrusts, which then are states of the model; 0: no lag", "[0, 0.5]", "s"
         ),
     ] = 0.0
-    rate: Annotated[float, Setting("control steps a second", "[1, 1000]", "Hz")] = 50.0
-    position_weight: Annotated[Triple, Setting("cost of the position error squared, world, m^-2", "[0, 1e6]")] = (
+    rate: Annotated[float, Setting("control rate", "[1, 1000]", "Hz")] = 50.0
+    position_weight: Annotated[
+        Triple, Setting("weight of the squared position error, world axes, m^-2", "[0, 1e6]")
+    ] = (
         10.0,
         10.0,
         10.0,
     )
     attitude_weight: Annotated[
         tuple[float, float, float, float],
-        Setting("cost of the attitude error squared, a quaternion, w first: see attitude_error", "[0, 1e6]"),
+        Setting(
+            "weight of the squared components of the attitude error, a quaternion with w first; see attitude_error",
+            "[0, 1e6]",
+        ),
     ] = (0.0, 0.1, 0.1, 0.1)
     attitude_error: Annotated[
         Literal["plain", "body"],
         Setting(
-            "plain: q - q_ref, as in the paper's code, whose weights act differently at every heading; body: the"
-            " rotation q_ref^-1 o q, weights of roll, pitch and yaw errors"
+            "plain: q - q_ref as in the paper's code, so that the effect of unequal weights depends on the heading;"
+            " body:"
+            " the rotation q_ref^-1 o q, whose weights act on roll, pitch and yaw errors"
         ),
     ] = "plain"
-    velocity_weight: Annotated[Triple, Setting("cost of the velocity error squared, world, s^2 m^-2", "[0, 1e6]")] = (
+    velocity_weight: Annotated[
+        Triple, Setting("weight of the squared velocity error, world axes, s^2 m^-2", "[0, 1e6]")
+    ] = (
         0.05,
         0.05,
         0.05,
     )
-    rate_weight: Annotated[Triple, Setting("cost of the body rate error squared, s^2", "[0, 1e6]")] = (
+    rate_weight: Annotated[Triple, Setting("weight of the squared body rate error, s^2", "[0, 1e6]")] = (
         0.05,
         0.05,
         0.05,
     )
-    input_weight: Annotated[float, Setting("cost of the thrust error over thrust_max, squared", "(0, 1e6]")] = 0.1
+    input_weight: Annotated[float, Setting("weight of the squared thrust error divided by thrust_max", "(0, 1e6]")] = (
+        0.1
+    )
     terminal_weight: Annotated[
-        float, Setting("factor on the state's cost at the last node; 0: none, as in the paper's code", "[0, 1e6]")
+        float,
+        Setting(
+            "factor on the weights of the state at the last node; 0: no terminal cost, as in the paper's code",
+            "[0, 1e6]",
+        ),
     ] = 0.0
-    feedforward: Annotated[bool, Setting("references carry what the controller knows of the air")] = True
+    feedforward: Annotated[
+        bool, Setting("compute the reference attitude, rates and thrusts with the controller's model of the air")
+    ] = True
     initial_iterations: Annotated[
         int,
         Setting(
-            "SQP iterations before the first input, at most: 20 full ones, then with a line search until converged; one"
-            " a step after that",
+            "largest number of SQP iterations before the first input: 20 with full steps, then with a line search until"
+            " converged; every later control step makes one iteration",
             "[1, 1000]",
         ),
     ] = 400
     distance_limit: Annotated[
         float,
-        Setting("position error that the MPC acts on: from further away it comes as from there", "(0, 1e6]", "m"),
+        Setting("largest position error that the MPC acts on; a larger one is reduced to this length", "(0, 1e6]", "m"),
     ] = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class PredictiveConfig(MPCKeys, ControllerConfig):
-    """What every MPC has, whatever it believes of the air."""
+    """What every MPC has, whatever its model of the air."""
 
     kind: str = "mpc"
     backend: Backend = "auto"
@@ -384,6 +429,6 @@ class PredictiveConfig(MPCKeys, ControllerConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class MPCConfig(PredictiveConfig):
-    """Model predictive control; see quadexp/control/mpc/settings.py. residual: what it believes of the air."""
+    """Model predictive control; see quadexp/control/mpc/settings.py. residual: its model of the air."""
 
     residual: Annotated[Literal["none", "linear_drag", "gaussian_process", "plant"], RESIDUAL]

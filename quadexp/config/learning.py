@@ -11,7 +11,7 @@ from quadexp.config.settings import Setting, Settings, declared
 from quadexp.errors import UsageError
 
 _FEATURE = re.compile(r"[vw]_[xyz]|u_\d+|thrust")
-HOLDOUT = Setting("flights kept out of the fit to report on", "[0, 0.9]", "of the flights")
+HOLDOUT = Setting("share of the flights held out of the fit, on which it is reported", "[0, 0.9]", "of the flights")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,25 +25,29 @@ class CollectConfig(Settings):
     mode: Annotated[Literal["random", "setpoints"], Setting("smooth random paths, or jumps between random points")] = (
         "random"
     )
-    duration: Annotated[float, Setting("time flown altogether", "(0, 86400]", "s")] = 300.0
+    duration: Annotated[float, Setting("total flight time", "(0, 86400]", "s")] = 300.0
     flight_duration: Annotated[float, Setting("length of one flight", "[2, 3600]", "s")] = 20.0
-    speed_min: Annotated[float, Setting("least peak speed of a path; they are spread evenly", "(0, 60]", "m/s")] = 5.0
-    speed_max: Annotated[float, Setting("largest peak speed of a path", "(0, 60]", "m/s")] = 20.0
+    speed_min: Annotated[
+        float, Setting("peak speed of the slowest path; the others are spread evenly", "(0, 60]", "m/s")
+    ] = 5.0
+    speed_max: Annotated[float, Setting("peak speed of the fastest path", "(0, 60]", "m/s")] = 20.0
     extent: Annotated[float, Setting("edge of the cube that the paths stay in", "(0, 1000]", "m")] = 6.0
     clearance: Annotated[float, Setting("height of the lowest point, world", "[-1000, 1000]", "m")] = 1.0
     frame: Annotated[
         Literal["midpoint", "start"],
         Setting(
-            "where in a transition features and target belong: its middle (second order), or its start as in the paper"
-            " (first order)"
+            "instant of the features of a transition: its middle (second order), or its start as in the paper (first"
+            " order)"
         ),
     ] = "midpoint"
     target: Annotated[
         Literal["auto", "specific_force", "velocity"],
-        Setting("of recorded flights: the accelerometer's specific force (auto), or the velocity's derivative"),
+        Setting(
+            "target of recorded flights: specific force of the accelerometer (auto), or derivative of the velocity"
+        ),
     ] = "auto"
     identified: Annotated[
-        str | None, Setting("folder of `quadexp identify`, whose thrust curve recorded flights need")
+        str | None, Setting("folder written by `quadexp identify`, whose thrust curve recorded flights need")
     ] = None
 
     def __post_init__(self) -> None:
@@ -53,7 +57,7 @@ class CollectConfig(Settings):
 
 
 def _features(output: str) -> Setting:
-    return Setting(f"features of the GP of {output}; []: left uncorrected")
+    return Setting(f"features of the GP of {output}; []: no correction")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,19 +99,19 @@ class GPKeys(Settings):
         Literal["zero", "constant", "linear_drag", "quadratic", "blade_element"],
         Setting("mean function under the GP"),
     ] = "zero"
-    seed: Annotated[int, Setting("draws the held-out flights and the first inducing points", SEEDS)] = 0
+    seed: Annotated[int, Setting("seed of the choice of held-out flights and initial inducing points", SEEDS)] = 0
     max_rows: Annotated[
         int | None,
-        Setting("use at most so many rows, drawn by the seed; null: all", "[10, 10000000]", "rows"),
+        Setting("largest number of rows, drawn at random; null: all rows", "[10, 10000000]", "rows"),
     ] = None
-    max_exact_rows: Annotated[int, Setting("limit of gp.method=exact", "[10, 100000]", "rows")] = 1000
+    max_exact_rows: Annotated[int, Setting("largest number of rows for gp.method=exact", "[10, 100000]", "rows")] = 1000
     holdout: Annotated[float, HOLDOUT] = 0.2
-    refit: Annotated[bool, Setting("fit once more to all flights after the report")] = True
-    max_iterations: Annotated[int, Setting("of L-BFGS", "[1, 10000]")] = 60
+    refit: Annotated[bool, Setting("after the report, fit again to all flights")] = True
+    max_iterations: Annotated[int, Setting("largest number of L-BFGS iterations", "[1, 10000]")] = 60
     jitter: Annotated[float, Setting("added to K_ZZ, relative to the signal variance", "(0, 1e-6]")] = 1e-8
     split: Annotated[
         Literal["flight", "sample"],
-        Setting("held out are whole flights, or (misleading, to show it) single samples"),
+        Setting("hold out whole flights, or single samples (which gives misleading errors, for demonstration only)"),
     ] = "flight"
 
 
@@ -124,11 +128,14 @@ class DragConfig(Settings):
 
     prefix: ClassVar[str] = "drag."
 
-    intercept: Annotated[bool, Setting("fit a constant acceleration beside the drag")] = True
-    thrust: Annotated[bool, Setting("fit a share of the collective thrust on the z axis")] = True
+    intercept: Annotated[bool, Setting("fit a constant acceleration in addition to the drag")] = True
+    thrust: Annotated[bool, Setting("fit an error of the collective thrust, as a share, on the z axis")] = True
     errors: Annotated[
         Literal["flight", "hc1"],
-        Setting("95 % intervals over flights, or as if rows were independent, which rows of a flight are not"),
+        Setting(
+            "95 % intervals from the spread over flights, or as if the rows of a flight were independent, which"
+            " they are not"
+        ),
     ] = "flight"
     loss: Annotated[
         Literal["huber", "squares"],

@@ -36,9 +36,15 @@ Start = Annotated[
 class BladeKeys(Settings):
     """Aerodynamic coefficients of rotors and airframe; see quadexp/physics/rotor.py."""
 
-    lift_slope: Annotated[float, Setting("C_la of the blades; controller.rls: its first value", "(0, 20]", "1/rad")]
-    profile_drag: Annotated[float, Setting("C_d0 of the blades; controller.rls: its first value", "(0, 10]")]
-    body_drag: Annotated[Triple, Setting("C_D of the airframe; controller.rls: its first value", "[0, 10]")]
+    lift_slope: Annotated[
+        float, Setting("lift slope C_la of the blades; in controller.rls the initial value", "(0, 20]", "1/rad")
+    ]
+    profile_drag: Annotated[
+        float, Setting("profile drag C_d0 of the blades; in controller.rls the initial value", "(0, 10]")
+    ]
+    body_drag: Annotated[
+        Triple, Setting("drag coefficients C_D of the airframe; in controller.rls the initial values", "[0, 10]")
+    ]
 
 
 @dataclass(frozen=True)
@@ -48,22 +54,24 @@ class BladeElementEffects(Settings):
     prefix: ClassVar[str] = "plant."
 
     printed_coefficients: Annotated[
-        bool, Setting("the misprinted cross terms of (14) and (15), for comparison only")
+        bool, Setting("use the cross terms of equations (14) and (15) with their misprints, for comparison only")
     ] = False
-    rotor_local_velocity: Annotated[bool, Setting("every rotor meets v + w x r, not v")] = False
-    motor_lag: Annotated[float, Setting("time constant of the rotor speeds; 0: none", "[0, 1]", "s")] = 0.0
+    rotor_local_velocity: Annotated[
+        bool, Setting("the air velocity at each rotor includes the body rates: v + w x r in place of v")
+    ] = False
+    motor_lag: Annotated[float, Setting("time constant of the rotor speeds; 0: no lag", "[0, 1]", "s")] = 0.0
     rotor_speed_min: Annotated[
         float,
         Setting(
-            "idle speed of the rotors; with 0 they may stop, which the model allows in still air only",
+            "idle speed of the rotors; with 0 they may stop, which the model can describe in still air only",
             "[0, 1000]",
             "rad/s",
         ),
     ] = 50.0
     rotor_speed_max: Annotated[
-        float | None, Setting("largest speed of the rotors; null: none", "(0, 1e5]", "rad/s")
+        float | None, Setting("largest speed of the rotors; null: no limit", "(0, 1e5]", "rad/s")
     ] = None
-    thrust_limits: Annotated[bool, Setting("clip commands to the vehicle's limits; the paper has none")] = False
+    thrust_limits: Annotated[bool, Setting("clip commands to the vehicle's thrust limits (the paper does not)")] = False
     payload: Annotated[float, PAYLOAD] = 0.0
 
 
@@ -82,7 +90,7 @@ class BladeElementPlantConfig(BladeElementEffects, BladeKeys, PlantConfig):
     schedule: Annotated[
         tuple[Any, ...],
         Setting(
-            "changes in flight: {t: s, payload: kg, lift_scale: [a factor per rotor], profile_drag_scale: factor} each"
+            "changes in flight, each {t: s, payload: kg, lift_scale: [a factor per rotor], profile_drag_scale: factor}"
         ),
     ] = ()
 
@@ -108,7 +116,7 @@ class SensorConfig(Settings):
         0.0,
     )
     accelerometer_noise: Annotated[
-        Triple, Setting("standard deviation of the specific force, white", "[0, 100]", "m/s^2")
+        Triple, Setting("standard deviation of the white noise on the specific force", "[0, 100]", "m/s^2")
     ] = (0.0, 0.0, 0.0)
 
 
@@ -155,27 +163,34 @@ class RLSKeys(Settings):
 
     prefix: ClassVar[str] = "controller.rls."
 
-    covariance: Annotated[float, Setting("P_0 is this times the identity, where relative_std is null", "(0, 1e9]")] = (
-        50.0
-    )
+    covariance: Annotated[
+        float, Setting("initial covariance P_0 as a multiple of the identity, where relative_std is null", "(0, 1e9]")
+    ] = 50.0
     relative_std: Annotated[
         float | None,
         Setting(
-            "P_0 is the square of this times the first values; null: see covariance", "(0, 100]", "of the first values"
+            "standard deviation of the initial values, which gives P_0; null: see covariance",
+            "(0, 100]",
+            "of the initial values",
         ),
     ] = None
     noise: Annotated[float, Setting("assumed standard deviation of the accelerometer", "(0, 100]", "m/s^2")] = 1.0
     forgetting: Annotated[float, Setting("forgetting factor; 1 forgets nothing", "[0.5, 1]")] = 1.0
     lift_weight: Annotated[
         float,
-        Setting("share of the z axis in the combined estimate of C_la, the rest is that of x and y", "[0, 1]"),
+        Setting("weight of the z axis in the combined estimate of C_la; x and y share the rest", "[0, 1]"),
     ] = 1.0
-    gauss_newton: Annotated[bool, Setting("differentiate the z equation through the induced velocity")] = False
+    gauss_newton: Annotated[bool, Setting("include the induced velocity in the derivative of the z equation")] = False
     rotor_range: Annotated[
-        tuple[float, float], Setting("bounds of C_d0 and C_la in use", "(0, 100]", "of the first values")
+        tuple[float, float],
+        Setting("bounds of the estimates of C_d0 and C_la where they are used", "(0, 100]", "of the initial values"),
     ] = (0.5, 4.0)
-    drag_range: Annotated[tuple[float, float], Setting("bounds of C_D in use", "[0, 100]")] = (0.0, 0.2)
-    clip: Annotated[bool, Setting("keep the values in use within their bounds; counted")] = True
+    drag_range: Annotated[
+        tuple[float, float], Setting("bounds of the estimate of C_D where it is used", "[0, 100]")
+    ] = (0.0, 0.2)
+    clip: Annotated[
+        bool, Setting("clip the estimates to their bounds where they are used; clipped samples are counted")
+    ] = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,22 +201,25 @@ class RLSConfig(RLSKeys, BladeKeys):
 
     change_threshold: Annotated[
         float | None,
-        Setting("mean square prediction error, over the noise's, at which P goes back to P_0; null: never", "(1, 1e9]"),
+        Setting(
+            "ratio of the mean square prediction error to the noise variance at which P is reset to P_0; null: never",
+            "(1, 1e9]",
+        ),
     ] = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class RLSMPCConfig(PredictiveConfig):
     """MPC whose blade-element model is identified in flight; see quadexp/control/mpc/rls_mpc.py.
-    reference_period: s, after which references are made anew from what is identified; 0: never."""
+    reference_period: s between new references from the identified coefficients; 0: never."""
 
     kind: str = "rls_mpc"
     residual: Annotated[Literal["blade_element"], RESIDUAL] = "blade_element"
     reference_period: Annotated[
         float,
-        Setting("time after which references are made anew from what is identified; 0: never", "[0, 3600]", "s"),
+        Setting("time between new references from the identified coefficients; 0: never", "[0, 3600]", "s"),
     ]
-    rls: Annotated[RLSConfig, Setting("identification in flight")]
+    rls: Annotated[RLSConfig, Setting("recursive least squares in flight")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,34 +229,39 @@ class FeedbackKeys(Settings):
 
     prefix: ClassVar[str] = "controller."
 
-    rate: Annotated[float, Setting("control steps a second", "[1, 1000]", "Hz")] = 100.0
+    rate: Annotated[float, Setting("control rate", "[1, 1000]", "Hz")] = 100.0
     position_proportional: Annotated[Triple, Setting("gain on the position error", "[0, 1000]", "1/s^2")] = (
         0.3,
         0.3,
         0.3,
     )
     position_derivative: Annotated[Triple, Setting("gain on the velocity error", "[0, 1000]", "1/s")] = (0.9, 0.9, 0.9)
-    attitude_proportional: Annotated[Triple, Setting("gain on the Euler angles' error", "[0, 1000]", "1/s^2")] = (
+    attitude_proportional: Annotated[Triple, Setting("gain on the error of the Euler angles", "[0, 1000]", "1/s^2")] = (
         0.8,
         0.8,
         0.8,
     )
-    attitude_derivative: Annotated[Triple, Setting("gain on the Euler rates' error", "[0, 1000]", "1/s")] = (
+    attitude_derivative: Annotated[Triple, Setting("gain on the error of the Euler rates", "[0, 1000]", "1/s")] = (
         2.4,
         2.4,
         2.4,
     )
     observer_bandwidth: Annotated[
-        float, Setting("of the high-gain observer (36) of the desired angles' derivatives", "(0, 1000]", "rad/s")
+        float,
+        Setting(
+            "bandwidth of the high-gain observer (36), which differentiates the desired angles", "(0, 1000]", "rad/s"
+        ),
     ] = 6.0
-    cone: Annotated[
-        bool, Setting("keep the desired thrust within thrust_share_min and tilt_max; the paper does not")
-    ] = True
-    thrust_share_min: Annotated[float, Setting("least upward demand of the cone", "(0, 1]", "of the weight")] = 0.3
-    tilt_max: Annotated[float, Setting("largest tilt of the cone", "(0, 1.57]", "rad")] = math.radians(60.0)
-    rotor_speed_min: Annotated[float, Setting("least speed that is commanded", "[0, 1000]", "rad/s")] = 50.0
+    cone: Annotated[bool, Setting("limit the desired thrust by thrust_share_min and tilt_max (the paper does not)")] = (
+        True
+    )
+    thrust_share_min: Annotated[
+        float, Setting("least upward component of the desired thrust", "(0, 1]", "of the weight")
+    ] = 0.3
+    tilt_max: Annotated[float, Setting("largest tilt of the desired thrust", "(0, 1.57]", "rad")] = math.radians(60.0)
+    rotor_speed_min: Annotated[float, Setting("least rotor speed that is commanded", "[0, 1000]", "rad/s")] = 50.0
     inner_iterations: Annotated[
-        int, Setting("of the fixed point, where a variant has no delay of one sample", "[1, 1000]")
+        int, Setting("iterations of the fixed point, in variants that do not use the last sample's values", "[1, 1000]")
     ] = 50
 
 
@@ -249,7 +272,7 @@ class FeedbackConfig(FeedbackKeys, ControllerConfig):
     kind: str = "feedback"
     variant: Annotated[
         Literal["rls", "static", "literal", "nocomp_statid", "oracle", "oracle_impl", "rls_noH", "static_H"],
-        Setting("what is compensated and where its coefficients come from; see docs/lei_li.md"),
+        Setting("what is compensated, and the source of the coefficients; see docs/lei_li.md"),
     ]
     backend: Backend = "auto"
-    rls: Annotated[RLSConfig, Setting("identification in flight")]
+    rls: Annotated[RLSConfig, Setting("recursive least squares in flight")]

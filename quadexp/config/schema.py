@@ -54,19 +54,19 @@ class EvaluateConfig(Settings):
 
     metric: Annotated[
         Literal["mean_error", "rmse", "max_error"],
-        Setting("what the table shows: mean ||e||, root mean square, or largest position error"),
+        Setting("error in the table: mean, root mean square, or largest distance from the reference"),
     ] = "mean_error"
     figures: Annotated[
         Literal["standard", "lei_li", "families", "adaptation"],
-        Setting("which figures are drawn beside the standard ones"),
+        Setting("figures drawn in addition to the standard ones"),
     ] = "standard"
-    baseline: Annotated[str, Setting("controller that the others are compared with, seed by seed")] = "nominal_mpc"
+    baseline: Annotated[str, Setting("controller with which the others are compared, seed by seed")] = "nominal_mpc"
     confidence: Annotated[float, Setting("confidence level of every interval", "[0.5, 0.9999]")] = 0.95
-    workers: Annotated[int, Setting("processes that fly at a time; 0: one a core", "[0, 1024]", "processes")] = 0
+    workers: Annotated[int, Setting("parallel processes; 0: one per core", "[0, 1024]", "processes")] = 0
     timeout: Annotated[
-        float, Setting("time (monotonic) after which a flight is given up, and tried once more", "(0, 86400]", "s")
+        float, Setting("time limit of a flight (wall time), after which it is tried once more", "(0, 86400]", "s")
     ] = 600.0
-    memory: Annotated[float, Setting("what the process of a flight may take; 0: no limit", "[0, 4096]", "GB")] = 4.0
+    memory: Annotated[float, Setting("memory limit of the process of a flight; 0: no limit", "[0, 4096]", "GB")] = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,11 +88,11 @@ class Config(Settings):
     model: Annotated[
         str | None,
         Setting(
-            "checkpoint folder for a controller that needs one; null: the first of controller.models that is there"
+            "checkpoint folder for a controller that needs one; null: the first folder of controller.models that exists"
         ),
     ] = None
     seed: Annotated[
-        int, Setting("draws the noise, and the path of trajectory=random; the same for every controller", SEEDS)
+        int, Setting("seed of the noise and of the path of trajectory=random; the same for every controller", SEEDS)
     ] = 0
     sweep: Any = None
 

@@ -42,23 +42,23 @@ def source_hashes(config: Config) -> dict[str, str]:
 
 
 def custom_trajectory(config: Any) -> Any:
-    """A trajectory of one's own; UsageError where the name, its options or what it makes are wrong."""
+    """The user's trajectory; UsageError where the name, its options or what it makes are wrong."""
     given = {} if config.speed is None else {"speed": config.speed}
     return _make("trajectory", config, **given)
 
 
 def custom_plant(vehicle: Vehicle, config: Any) -> Any:
-    """A plant of one's own; see custom_trajectory."""
+    """The user's plant; see custom_trajectory."""
     return _make("plant", config, vehicle, step=config.step)
 
 
 def custom_controller(vehicle: Vehicle, config: Any) -> Any:
-    """A controller of one's own; see custom_trajectory."""
+    """The user's controller; see custom_trajectory."""
     return _make("controller", config, vehicle)
 
 
 def custom_residual(vehicle: Vehicle, config: Any) -> Any:
-    """A residual of one's own for the MPC; see custom_trajectory."""
+    """The user's residual for the MPC; see custom_trajectory."""
     return _make("residual", config, vehicle, group="controller")
 
 

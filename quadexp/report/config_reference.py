@@ -88,7 +88,7 @@ def _preset(group: str) -> str:
 
 
 def keys() -> list[str]:
-    """Every key there is, without what options of one's own add."""
+    """Every key of the schemas, without those that the user's own options add."""
     found = [key.name for key in _keys(Config, "", {})]
     for group, schemas in SCHEMAS.items():
         found += [key.name for node in schemas.values() for key in _keys(node, f"{group}.", {})]

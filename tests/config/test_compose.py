@@ -142,6 +142,7 @@ MISTAKES = {
     "trajectory.speed=fast": "^trajectory.speed=fast: must be a number$",
     "trajectory.radius=": "^trajectory.radius=: must be a number$",
     "speed=8": r"^speed: no such key; did you mean trajectory.speed\?$",
+    "vehicle.static_thrust=1e-5": r"^vehicle.static_thrust: no such key; it is called vehicle.thrust_coefficient now$",
     "rate=50": r"^rate: no such key; did you mean controller.rate\?$",
     "duration=8": r"^duration: no such key; did you mean collect.duration\?$",
     "seed=range(1,": "a bracket or quote is left open",

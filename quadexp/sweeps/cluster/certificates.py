@@ -60,7 +60,7 @@ def handed_out(made: Security, hosts: Sequence[str], options: dict[str, Any]) ->
 
     options: of the SSH connections. Raises QuadexpError where a host refuses it.
     """
-    folder = f"/tmp/quadexp-{secrets.token_hex(16)}"
+    folder = f"/tmp/quadexp-{secrets.token_hex(16)}"  # on the remote hosts, where /tmp is what all of them have
     file = f"{folder}/tls.pem"
     parts = made.get_tls_config_for_role("worker")
     content = f"{parts['cert']}\n{parts['key']}\n"
