@@ -8,7 +8,7 @@ QUADEXP := $(BIN)/quadexp
 # One BLAS thread per process: the sweep fills the cores by itself.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: all setup quick test lint coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-quick test-slow properties mutation stress bench clean
+.PHONY: all setup quick test lint docs coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-quick test-slow properties mutation stress bench clean
 
 all: quick
 
@@ -33,6 +33,10 @@ lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# The documentation as a site in build/site, from the same Markdown, without a network.
+docs: $(STAMP)
+	$(BIN)/python docs/site/build.py
 
 # How much of the core the default tests reach; they assert physics, so a line that is reached is a line that is checked.
 CORE := physics air control world reference learn

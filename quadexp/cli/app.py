@@ -14,7 +14,7 @@ import typer
 
 from quadexp import __version__
 from quadexp.cli.check import check
-from quadexp.cli.files import compare_two, export, report, show
+from quadexp.cli.files import animate, compare_two, export, report, show
 from quadexp.cli.fit import fit_drag, fit_gp
 from quadexp.cli.fly import collect, evaluate, simulate
 from quadexp.cli.identify import identify
@@ -83,6 +83,7 @@ COMMANDS = {
     "compare": compare_two,
     "report": report,
     "export": export,
+    "animate": animate,
     "new": new,
 }
 for name, command in COMMANDS.items():

@@ -1,4 +1,4 @@
-"""Commands that read what was written: `quadexp show`, `compare`, `report`, `export`.
+"""Commands that read what was written: `quadexp show`, `compare`, `report`, `export`, `animate`.
 
 Only light modules are imported here; see cli/app.py.
 """
@@ -105,3 +105,27 @@ def export(
         emit({"format": to, "files": files})
         return
     print("\n".join(map(str, files.values())))
+
+
+@guarded
+def animate(
+    flights: Annotated[list[Path], typer.Argument(help="Flights over one reference, such as those of one sweep.")],
+    out: Out = Path("replay.gif"),
+    rate: Annotated[float, typer.Option("--rate", metavar="HZ", help="Frames a second, 1 to 50.")] = 20.0,
+    begin: Annotated[float, typer.Option("--from", metavar="S", help="Time of the first frame.")] = 0.0,
+    end: Annotated[float | None, typer.Option("--to", metavar="S", help="Time of the last frame.")] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Draw flights over one reference as a moving picture in real time, a GIF or WebP file.
+
+    \b
+    quadexp animate runs/nominal.parquet runs/gp.parquet --out replay.gif
+    """
+    from quadexp.report.animation import animate as draw
+
+    made = draw(flights, out, rate=rate, begin=begin, end=end, force=force)
+    if json:
+        emit(made)
+        return
+    print(f"{made['frames']} frames, {made['duration']:.1f} s\n{made['path']}")

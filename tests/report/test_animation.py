@@ -1,0 +1,80 @@
+"""`quadexp animate`: the pictures show the vehicles where the flights have them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from quadexp.errors import UsageError
+from quadexp.log.schema import Flight
+from quadexp.log.store import write_flight
+from quadexp.report.animation import animate
+from quadexp.report.style import HUES
+from tests.log.flights import straight_flight
+
+
+def flight(tmp_path, controller, offset, samples=60):
+    """Along a straight line, aside of its reference by a constant offset (m)."""
+    made = straight_flight(samples)
+    for axis, distance in zip("xyz", offset, strict=True):
+        made.columns[f"p_{axis}"] = made[f"p_{axis}"] + distance
+    metadata = {**made.metadata, "controller": controller, "trajectory": "line"}
+    return write_flight(tmp_path / f"{controller}.parquet", Flight(made.columns, metadata))
+
+
+def centre(image, colour, box):
+    """Mean (x, y) of the pixels of a colour inside a box, in pixels; None where there are none."""
+    pixels = np.asarray(image.convert("RGB"), int)[box[1] : box[3], box[0] : box[2]]
+    near = np.abs(pixels - [int(colour[i : i + 2], 16) for i in (1, 3, 5)]).sum(axis=2) < 40
+    return np.argwhere(near).mean(axis=0)[::-1] if near.any() else None
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".webp"])
+def test_one_frame_per_period_and_the_last_one_stays(tmp_path, suffix):
+    paths = [flight(tmp_path, "nominal_mpc", (0.3, 0.0, 0.0)), flight(tmp_path, "gp_mpc", (0.0, 0.0, 0.0))]
+    made = animate(paths, tmp_path / f"a{suffix}", rate=10, begin=0.2, end=0.8)
+    with Image.open(made["path"]) as image:
+        assert image.n_frames == made["frames"] == 7
+        if suffix == ".gif":
+            image.seek(3)
+            assert image.info["duration"] == 100
+
+
+def test_the_vehicles_are_to_scale_and_where_they_were(tmp_path):
+    """In the window beside the reference: one 0.3 m to the right of the other, whose centre is the reference."""
+    paths = [flight(tmp_path, "nominal_mpc", (0.3, 0.0, 0.0)), flight(tmp_path, "gp_mpc", (-0.3, 0.0, 0.0))]
+    made = animate(paths, tmp_path / "a.gif", rate=10, end=0.5)
+    with Image.open(made["path"]) as image:
+        image.seek(3)
+        frame = image.convert("RGB")
+    window = (frame.width * 6 // 10, 20, frame.width, frame.height * 72 // 100)
+    grey, blue = (centre(frame, HUES[hue][0], window) for hue in ("grey", "blue"))
+    assert grey[0] > blue[0] + 40 and abs(grey[1] - blue[1]) < 6
+    middle = (grey + blue) / 2
+    assert abs(middle[0] - 0.5 * (window[2] - window[0])) < 30
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"out": "a.mp4"}, "must end in .gif or .webp"),
+        ({"rate": 0.5}, r"--rate 0.5: must be in \[1, 50\]"),
+        ({"begin": 50.0}, "0 frames from 50"),
+    ],
+)
+def test_what_cannot_be_drawn_is_one_line_and_no_file(tmp_path, given, message):
+    path = flight(tmp_path, "gp_mpc", (0.0, 0.0, 0.0))
+    out = tmp_path / given.pop("out", "a.gif")
+    with pytest.raises(UsageError, match=message):
+        animate([path], out, **given)
+    assert not out.exists()
+
+
+def test_flights_of_different_references_are_refused(tmp_path):
+    paths = [flight(tmp_path, "nominal_mpc", (0.3, 0.0, 0.0)), flight(tmp_path, "gp_mpc", (0.0, 0.0, 0.0))]
+    other = straight_flight(60, (0.0, 0.0, 0.0))
+    other.columns["ref_p_y"] = other["ref_p_y"] + 1.0
+    write_flight(paths[1], Flight(other.columns, other.metadata))
+    with pytest.raises(UsageError, match=r"gp_mpc.parquet: follows another reference than .*nominal_mpc.parquet"):
+        animate(paths, tmp_path / "a.gif")
