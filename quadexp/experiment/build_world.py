@@ -6,7 +6,7 @@ import importlib
 from dataclasses import asdict
 from typing import Any
 
-from quadexp.config.schema import Config, world_label, world_parts
+from quadexp.config.schema import Config, world_parts
 from quadexp.config.settings import part
 from quadexp.config.world import WorldPartConfig
 from quadexp.errors import UsageError
@@ -37,7 +37,7 @@ def build_world(config: Config, vehicle: Vehicle) -> Any:
         airframe = believed if true_vehicle is vehicle else build_plant(true_vehicle, config.plant)
         if not isinstance(airframe, SimulatedPlant) or type(airframe).advance is not SimulatedPlant.advance:
             raise UsageError(
-                f"{world_label(config)}: needs a plant that is a SimulatedPlant (quadexp/world/integrator.py);"
+                f"{config.world}: needs a plant that is a SimulatedPlant (quadexp/world/integrator.py);"
                 f" plant={config.plant.name} has an `advance` of its own, and flies without"
             )
         return World(airframe, effects, believed)
