@@ -27,11 +27,17 @@ Scale lengths and intensities at the altitude h, both in feet, for 10 ft <= h <=
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from quadexp.config.wind import DrydenKeys
 from quadexp.physics.expression import Expression
+from quadexp.physics.state import VELOCITY
+from quadexp.physics.vehicle import Vehicle
+from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
 
 FOOT = 0.3048  # m
 N_FILTER, N_NOISE = 5, 5  # states [along z_1; across z_1, z_2; vertical z_1, z_2], and numbers per step
@@ -68,7 +74,7 @@ def stationary(noise: np.ndarray) -> np.ndarray:
     return np.array([along, *pairs[0], *pairs[1]])
 
 
-def advance(filters: Expression, noise: Expression, time_scale: Expression, step: Expression) -> Expression:
+def advanced(filters: Expression, noise: Expression, time_scale: Expression, step: Expression) -> Expression:
     """Filter states (5,) after a step (s); noise (5,) standard normal; time_scale T = L / V, (3,) (s)."""
     s = [step / time_scale[i] for i in range(3)]
     along = ca.exp(-s[0]) * filters[0] + ca.sqrt(-ca.expm1(-2 * s[0])) * noise[0]
@@ -84,6 +90,42 @@ def turbulence(filters: Expression, intensity: Expression) -> Expression:
     """Velocity of the air along, across and vertical, (3,) (m/s); filters (5,); intensity sigma (3,) (m/s)."""
     across, vertical = (TRANSVERSE[0] * filters[i] + TRANSVERSE[1] * filters[i + 1] for i in (1, 3))
     return intensity * ca.vertcat(filters[0], across, vertical)
+
+
+@dataclass(frozen=True)
+class Dryden(DrydenKeys, Effect):
+    """See DrydenKeys. inner: filter states (5,).
+
+    parameters: mean wind (3,), world (m/s); axes (9,), column by column; intensity (3,) (m/s); scale lengths (3,) (m); least
+    and largest airspeed at which the turbulence passes (m/s).
+    """
+
+    stage = "wind"
+
+    def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
+        """See Effect.sizes."""
+        return Sizes(inner=N_FILTER, parameters=20, noise=N_NOISE)
+
+    def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
+        """See Effect.start: the filters begin in their stationary distribution."""
+        mean = np.array(self.velocity)
+        at_6m = math.hypot(*self.velocity[:2]) if self.wind_at_6m is None else self.wind_at_6m
+        intensity = intensities(self.altitude, at_6m) if self.intensity is None else self.intensity
+        length = scale_lengths(self.altitude) if self.length is None else self.length
+        speeds = (self.airspeed_min, math.inf) if self.airspeed is None else (self.airspeed, self.airspeed)
+        parameters = np.concatenate([mean, axes(mean).ravel(order="F"), intensity, length, speeds])
+        return stationary(rng.standard_normal(N_NOISE)), parameters
+
+    def wind(self, at: Moment) -> Expression:
+        """See Effect.wind: that of the beginning of the step."""
+        mean, directions, intensity = at.parameters[:3], at.parameters[3:12], at.parameters[12:15]
+        return mean + ca.mtimes(ca.reshape(directions, 3, 3), turbulence(at.inner, intensity))
+
+    def advance(self, at: Moment) -> Expression:
+        """See Effect.advance."""
+        mean, length, least, most = ca.vertsplit(ca.vertcat(at.parameters[:3], at.parameters[15:]), [0, 3, 6, 7, 8])
+        airspeed = ca.fmin(ca.fmax(ca.sqrt(ca.sumsqr(at.x[VELOCITY] - mean)), least), most)
+        return advanced(at.inner, at.noise, length / airspeed, at.step)
 
 
 def _root(s: Expression) -> tuple[Expression, Expression, Expression]:

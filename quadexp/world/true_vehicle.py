@@ -15,15 +15,19 @@ change what a rotor gives at the thrust u_i that it is asked for, whatever the p
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from quadexp.config.airframe import PayloadKeys, TruthKeys
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.state import ATTITUDE
 from quadexp.physics.vehicle import Vehicle
+from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
 
 
 def with_factors(vehicle: Vehicle, mass: float, inertia: np.ndarray, center_of_mass: np.ndarray) -> Vehicle:
@@ -56,17 +60,54 @@ def with_payload(vehicle: Vehicle, payload: float, point: np.ndarray) -> Vehicle
     return _made(vehicle, "payload", changed)
 
 
-def coefficient_wrench(
-    vehicle: Vehicle, q: Expression, thrust: Expression, thrust_factor: float, torque_factor: float
-) -> tuple[Expression, Expression]:
-    """Force (3,), world (N), and torque (3,), body (N m), beyond what the thrusts (n,) (N) give without f_T and f_Q.
+def coefficient_allocation(vehicle: Vehicle, thrust_factor: float, torque_factor: float) -> np.ndarray:
+    """Matrix of [force along z_body, tau] = matrix u, (4, n), beyond what the thrusts u (n,) (N) give without f_T, f_Q.
 
-    vehicle: the true one. q: attitude (4,), body to world.
+    vehicle: the true one.
     """
-    lever = thrust_factor - 1.0
-    turn = thrust_factor * torque_factor - 1.0
-    wrench = ca.mtimes(ca.DM(np.array([lever, lever, lever, turn])[:, None] * vehicle.allocation), thrust)
-    return ca.mtimes(rotation_matrix(q), ca.vertcat(0, 0, wrench[0])), wrench[1:]
+    thrust, turn = thrust_factor - 1.0, thrust_factor * torque_factor - 1.0
+    return np.array([thrust, thrust, thrust, turn])[:, None] * vehicle.allocation
+
+
+@dataclass(frozen=True)
+class TrueVehicle(TruthKeys, Effect):
+    """See TruthKeys. parameters: coefficient_allocation (4 n,), column by column."""
+
+    stage = "truth"
+
+    def true_vehicle(self, vehicle: Vehicle) -> Vehicle:
+        """See Effect.true_vehicle."""
+        return with_factors(vehicle, self.mass, np.array(self.inertia), np.array(self.center_of_mass))
+
+    def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
+        """See Effect.sizes."""
+        return Sizes(parameters=4 * vehicle.n_rotors)
+
+    def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
+        """See Effect.start."""
+        factors = self.thrust_coefficient, self.torque_coefficient
+        return (), coefficient_allocation(start.vehicle, *factors).ravel(order="F")
+
+    def wrench(self, at: Moment) -> tuple[Expression, Expression]:
+        """See Effect.wrench."""
+        wrench = ca.mtimes(ca.reshape(at.parameters, 4, at.thrust.numel()), at.thrust)
+        return ca.mtimes(rotation_matrix(at.x[ATTITUDE]), ca.vertcat(0, 0, wrench[0])), wrench[1:]
+
+
+@dataclass(frozen=True)
+class FixedPayload(PayloadKeys, Effect):
+    """See PayloadKeys."""
+
+    stage = "truth"
+
+    @property
+    def part(self) -> str:
+        """See Effect.part."""
+        return "payload"
+
+    def true_vehicle(self, vehicle: Vehicle) -> Vehicle:
+        """See Effect.true_vehicle."""
+        return with_payload(vehicle, self.mass, np.array(self.point))
 
 
 def _moved(vehicle: Vehicle, shift: np.ndarray) -> tuple[tuple[float, ...], ...]:

@@ -9,14 +9,17 @@ Other columns are ignored. Time is that of the flight, 0 at its start.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
-from quadexp.errors import DataError
+from quadexp.config.wind import WindFileKeys
+from quadexp.errors import DataError, UsageError
 from quadexp.physics.expression import Expression
+from quadexp.world.effect import Effect, Moment
 
 COLUMNS = ("t", "wind_x", "wind_y", "wind_z")
 MAX_ROWS = 100_000
@@ -37,6 +40,29 @@ class WindRecord:
             "wind_record", "linear", [self.t.tolist()], self.wind.ravel().tolist(), {"lookup_mode": ["binary"]}
         )
         return table(ca.fmin(ca.fmax(t, self.t[0]), self.t[-1]))
+
+
+@dataclass(frozen=True)
+class WindFromFile(WindFileKeys, Effect):
+    """See WindFileKeys; the file is read when first used. Raises UsageError for a missing file, DataError for one without
+    wind."""
+
+    stage = "wind"
+    kind = ca.MX
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not Path(self.path).is_file():
+            raise UsageError(f"wind.path: there is no file {self.path!r}")
+
+    @cached_property
+    def record(self) -> WindRecord:
+        """What the file holds."""
+        return read_wind(Path(self.path))
+
+    def wind(self, at: Moment) -> Expression:
+        """See Effect.wind: that of the middle of the step."""
+        return self.record.at(at.t + at.step / 2)
 
 
 def read_wind(path: Path) -> WindRecord:

@@ -31,7 +31,7 @@ def filter_matrices(time_scale):
 @cache
 def step_function():
     z, n, T, h = ca.SX.sym("z", 5), ca.SX.sym("n", 5), ca.SX.sym("T", 3), ca.SX.sym("h")
-    out = dryden.advance(z, n, T, h)
+    out = dryden.advanced(z, n, T, h)
     return ca.Function("dryden", [z, n, T, h], [out, ca.jacobian(out, z), ca.jacobian(out, n)])
 
 
@@ -77,7 +77,7 @@ SERIES, SAMPLES = 20, 50_000
 def flown(step, time_scale):
     """States of the filters of independent flights, (SERIES, 5, SAMPLES)."""
     z, n = ca.SX.sym("z", 5), ca.SX.sym("n", 5)
-    one = ca.Function("one", [z, n], [dryden.advance(z, n, np.array(time_scale), step)])
+    one = ca.Function("one", [z, n], [dryden.advanced(z, n, np.array(time_scale), step)])
     chain, rng = one.mapaccum(SAMPLES), np.random.default_rng(4)
     return np.array(
         [chain(dryden.stationary(rng.standard_normal(5)), rng.standard_normal((5, SAMPLES))) for _ in range(SERIES)]
