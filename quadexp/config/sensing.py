@@ -27,21 +27,17 @@ class ImuKeys(Settings):
     accelerometer_noise_density: Annotated[
         float, Setting("white noise of the specific force", "[0, 10]", "m/s^2/sqrt(Hz)")
     ] = 2e-3
-    gyroscope_noise_density: Annotated[
-        float, Setting("white noise of the rates", "[0, 10]", "rad/s/sqrt(Hz)")
-    ] = 1.6968e-4
+    gyroscope_noise_density: Annotated[float, Setting("white noise of the rates", "[0, 10]", "rad/s/sqrt(Hz)")] = (
+        1.6968e-4
+    )
     accelerometer_bias_std: Annotated[
         float, Setting("standard deviation of the bias that is drawn for a flight, each axis", "[0, 10]", "m/s^2")
     ] = 0.05
     gyroscope_bias_std: Annotated[
         float, Setting("standard deviation of the bias that is drawn for a flight, each axis", "[0, 1]", "rad/s")
     ] = 0.005
-    accelerometer_bias_walk: Annotated[
-        float, Setting("random walk of the bias", "[0, 10]", "m/s^3/sqrt(Hz)")
-    ] = 3e-3
-    gyroscope_bias_walk: Annotated[
-        float, Setting("random walk of the bias", "[0, 1]", "rad/s^2/sqrt(Hz)")
-    ] = 1.9393e-5
+    accelerometer_bias_walk: Annotated[float, Setting("random walk of the bias", "[0, 10]", "m/s^3/sqrt(Hz)")] = 3e-3
+    gyroscope_bias_walk: Annotated[float, Setting("random walk of the bias", "[0, 1]", "rad/s^2/sqrt(Hz)")] = 1.9393e-5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,9 +48,9 @@ class MotionCaptureKeys(Settings):
 
     pose_rate: Annotated[float, Setting("poses a second, at most imu_rate", RATE, "Hz")] = 100.0
     pose_delay: Annotated[float, Setting("between the exposure and the pose at hand", "[0, 1]", "s")] = 0.01
-    pose_position_noise: Annotated[
-        float, Setting("standard deviation of the position, each axis", "(0, 10]", "m")
-    ] = 1e-3
+    pose_position_noise: Annotated[float, Setting("standard deviation of the position, each axis", "(0, 10]", "m")] = (
+        1e-3
+    )
     pose_attitude_noise: Annotated[
         float, Setting("standard deviation of the attitude, about each body axis", "(0, 1]", "rad")
     ] = 5e-3
@@ -88,9 +84,7 @@ class HeadingKeys(Settings):
 
     heading_rate: Annotated[float, Setting("readings a second, at most imu_rate", RATE, "Hz")] = 50.0
     heading_delay: Annotated[float, Setting("between the reading's time and the reading at hand", "[0, 1]", "s")] = 0.0
-    heading_noise: Annotated[
-        float, Setting("standard deviation of the heading; white", "(0, 3]", "rad")
-    ] = 0.035
+    heading_noise: Annotated[float, Setting("standard deviation of the heading; white", "(0, 3]", "rad")] = 0.035
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,6 +99,3 @@ class EskfKeys(Settings):
     measurement_factor: Annotated[
         float, Setting("factor on the standard deviations of the aids' noise that the filter believes", "(0, 1000]")
     ] = 1.0
-    warm_up: Annotated[
-        float, Setting("how long the filter has run, at rest and without outages, when a flight begins", "[0, 600]", "s")
-    ] = 10.0

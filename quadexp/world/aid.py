@@ -4,7 +4,7 @@ A fix is due whenever another 1 / rate has passed; it is taken at the first IMU 
 bears. Outages follow a two-state Markov chain over the fixes (Gilbert 1960): an outage begins at a fix with the
 probability b and ends with the probability e,
 
-    e = 1 / m,   b = e s / (1 - s)      s: share of fixes lost,   m = max(outage rate, 1 / (1 - s)): mean length in fixes
+    e = 1 / m,   b = e s / (1 - s)      s: share of fixes lost;   m = max(outage rate, 1 / (1 - s)): mean length, fixes
 
 so that with m = 1 / (1 - s) every fix is lost with probability s, by itself.
 """

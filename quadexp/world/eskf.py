@@ -3,7 +3,7 @@
     nominal   [p, q, v, b_a, b_g]                 16 numbers: world, body to world, world, body, body
     error     [dp, dv, dtheta, db_a, db_g]        15: x_true = x + dx, and q_true = q o Exp(dtheta), dtheta in body axes
 
-Over an IMU interval h with the reading [a_m, w_m], phi = (w_m - b_g) h and u = (a_m - b_a) h, in the axes of its middle:
+Over an IMU interval h with the reading [a_m, w_m], phi = (w_m - b_g) h, u = (a_m - b_a) h in the axes of its middle:
 
     q' = q o Exp(phi)      v' = v + dv_R,  dv_R = R(q o Exp(phi / 2)) u + g h      p' = p + v h + dv_R h / 2
     P' = F P F' + Q
@@ -36,7 +36,10 @@ from quadexp.physics.rotation import (
 from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
 
 N_NOMINAL, N_ERROR = 16, 15
-ACCELEROMETER_BIAS, GYROSCOPE_BIAS = slice(10, 13), slice(13, 16)  # of the nominal state; the others as in physics/state
+ACCELEROMETER_BIAS, GYROSCOPE_BIAS = (
+    slice(10, 13),
+    slice(13, 16),
+)  # of the nominal state; the others as in physics/state
 PLACES = D_POSITION, D_VELOCITY, D_ATTITUDE, _, _ = tuple(range(i, i + 3) for i in range(0, N_ERROR, 3))
 N_COVARIANCE = N_ERROR * (N_ERROR + 1) // 2  # numbers of the upper triangle
 PARTS = [0, 3, 6, 9, 12, 15]
@@ -63,7 +66,9 @@ def propagate(
 
     def transition(d: Expression) -> Expression:
         dp, dv, turned, of_force, of_rate = ca.vertsplit(d, PARTS)
-        gain = ca.mtimes(by_attitude, turned) - ca.mtimes(middle, of_force) * duration + ca.mtimes(by_gyroscope, of_rate)
+        gain = (
+            ca.mtimes(by_attitude, turned) - ca.mtimes(middle, of_force) * duration + ca.mtimes(by_gyroscope, of_rate)
+        )
         return ca.vertcat(
             dp + duration * dv + duration / 2 * gain,
             dv + gain,
@@ -100,10 +105,10 @@ def predict(
     return after, ca.triu2symm(ca.triu(spread))
 
 
-
-
 def update(
-    nominal: Expression, covariance: Expression, innovations: Sequence[tuple[Expression, dict[int, Expression], Expression]]
+    nominal: Expression,
+    covariance: Expression,
+    innovations: Sequence[tuple[Expression, dict[int, Expression], Expression]],
 ) -> tuple[Expression, Expression]:
     """Nominal state and covariance after a fix.
 

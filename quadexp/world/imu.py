@@ -63,7 +63,9 @@ def means(before: Expression, after: Expression, duration: Expression, gravity: 
     return ca.vertcat(ca.mtimes(rotation_matrix(middle).T, acceleration), turned / duration)
 
 
-def read(exact: Expression, bias: Expression, duration: Expression, noise: Expression, densities: Expression) -> tuple:
+def read(
+    exact: Expression, bias: Expression, duration: Expression, noise: Expression, densities: Expression
+) -> tuple[Expression, Expression]:
     """[a_m, w_m] (6,) over an interval, and the biases (6,) after it; noise: standard normal, (12,)."""
     spread = ca.vertcat(*(densities[i] for i in range(4) for _ in range(3)))
     reading = exact + bias + spread[:N_READING] / ca.sqrt(duration) * noise[:N_READING]

@@ -69,7 +69,7 @@ class InertialSensors(Effect):
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         """See Effect: biases are drawn; all fixes are due their interval later."""
         bias = self.imu.draw_bias(rng)
-        parameters = [[self.gravity], self.imu.densities()]
+        parameters = [np.array([self.gravity]), self.imu.densities()]
         parameters += [np.concatenate([aid.sampling(), aid.deviations]) for aid in self.aids]
         return np.concatenate([bias, np.zeros(N_CLOCK * len(self.aids))]), np.concatenate(parameters)
 

@@ -90,7 +90,7 @@ class Navigation(Effect):
         nominal = eskf.inject(ca.DM(np.concatenate([start.x[: RATE.start], np.zeros(6)])), ca.DM(-drawn))
         covariance = eskf.packed(ca.densify(ca.diag(ca.DM(deviations**2))))
         queue = np.zeros(self.entry_size * self.horizon(start.clock))
-        return np.concatenate([np.ravel(nominal), np.ravel(covariance), queue]), self.believed()
+        return np.concatenate([ca.vertcat(nominal, covariance).full().ravel(), queue]), self.believed()
 
     def first(self, inner: np.ndarray, state: np.ndarray) -> np.ndarray:
         """See Effect."""
