@@ -12,8 +12,6 @@ has the standard deviation s / sqrt(h) in a mean over h. The model of noise is t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import casadi as ca
 import numpy as np
 
@@ -25,31 +23,19 @@ from quadexp.physics.state import ATTITUDE, VELOCITY
 N_READING = 6  # [a_m, w_m]
 N_BIAS = 6  # [b_a, b_g]
 N_NOISE = N_READING + N_BIAS
+N_DENSITIES = 4
 FORCE, TURN = slice(0, 3), slice(3, 6)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Imu(ImuKeys):
-    """Accelerometer and gyroscope at the centre of mass."""
+def densities(keys: ImuKeys) -> np.ndarray:
+    """Noise of force and rates, walk of their biases, (4,): m/s^2, rad/s, m/s^3, rad/s^2, each per sqrt(Hz)."""
+    noise = (keys.accelerometer_noise_density, keys.gyroscope_noise_density)
+    return np.array([*noise, keys.accelerometer_bias_walk, keys.gyroscope_bias_walk])
 
-    def densities(self) -> np.ndarray:
-        """Noise of force and rates, walk of their biases, (4,): m/s^2, rad/s, m/s^3, rad/s^2, each per sqrt(Hz)."""
-        return np.array(
-            [
-                self.accelerometer_noise_density,
-                self.gyroscope_noise_density,
-                self.accelerometer_bias_walk,
-                self.gyroscope_bias_walk,
-            ]
-        )
 
-    def draw_bias(self, rng: np.random.Generator) -> np.ndarray:
-        """[b_a, b_g] at the beginning of a flight, (6,) (m/s^2, rad/s)."""
-        return rng.standard_normal(N_BIAS) * self.bias_std()
-
-    def bias_std(self) -> np.ndarray:
-        """(6,), m/s^2 and rad/s."""
-        return np.repeat([self.accelerometer_bias_std, self.gyroscope_bias_std], 3)
+def bias_std(keys: ImuKeys) -> np.ndarray:
+    """Standard deviations of [b_a, b_g] when a flight begins, (6,), m/s^2 and rad/s."""
+    return np.repeat([keys.accelerometer_bias_std, keys.gyroscope_bias_std], 3)
 
 
 def means(before: Expression, after: Expression, duration: Expression, gravity: Expression) -> Expression:
@@ -64,9 +50,9 @@ def means(before: Expression, after: Expression, duration: Expression, gravity: 
 
 
 def read(
-    exact: Expression, bias: Expression, duration: Expression, noise: Expression, densities: Expression
+    exact: Expression, bias: Expression, duration: Expression, noise: Expression, stated: Expression
 ) -> tuple[Expression, Expression]:
-    """[a_m, w_m] (6,) over an interval, and the biases (6,) after it; noise: standard normal, (12,)."""
-    spread = ca.vertcat(*(densities[i] for i in range(4) for _ in range(3)))
+    """[a_m, w_m] (6,) of an interval, and the biases (6,) after; noise: standard normal, (12,). stated: of `densities`."""
+    spread = ca.vertcat(*(stated[i] for i in range(4) for _ in range(3)))
     reading = exact + bias + spread[:N_READING] / ca.sqrt(duration) * noise[:N_READING]
     return reading, bias + spread[N_READING:] * ca.sqrt(duration) * noise[N_READING:]

@@ -13,46 +13,57 @@ A fix bears the time at which it was taken. When it arrives, its delay later, is
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from quadexp.config.sensing import GnssKeys, HeadingKeys, ImuKeys, MotionCaptureKeys
 from quadexp.errors import UsageError
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world import imu
 from quadexp.world.aid import N_CLOCK, N_SAMPLING, Aid, sample
 from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
-from quadexp.world.imu import FORCE, N_BIAS, N_READING, Imu
+from quadexp.world.gnss import gnss
+from quadexp.world.heading import heading
+from quadexp.world.imu import FORCE, N_BIAS, N_DENSITIES
+from quadexp.world.motion_capture import motion_capture
 
-N_DENSITIES = 4
 BIAS_COLUMNS = tuple(f"bias_{kind}_{axis}" for kind in "ag" for axis in "xyz")
 
 
-class InertialSensors(Effect):
-    """An IMU with aids, as an effect. gravity: m/s^2.
+@dataclass(frozen=True, kw_only=True)
+class InertialSensors(ImuKeys, Effect):
+    """An IMU with aids; a subclass says which. Raises UsageError where an aid is asked for more often than the IMU.
 
-    Raises UsageError where an aid is asked for more often than the IMU.
+    inner states: the biases (6,), a clock (2,) of each aid. parameters: gravity (m/s^2), the IMU's densities (4,), and
+    of each aid when it is read (3,) and its deviations.
     """
 
     stage = "sensor"
 
-    def __init__(self, name: str, unit: Imu, aids: Sequence[Aid], gravity: float) -> None:
-        self.name, self.imu, self.aids, self.gravity = name, unit, tuple(aids), gravity
+    @property
+    def aids(self) -> tuple[Aid, ...]:
+        """See quadexp.world.aid."""
+        raise NotImplementedError
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         for aid in self.aids:
-            if aid.rate > unit.imu_rate:
+            if aid.rate > self.imu_rate:
                 raise UsageError(
-                    f"sensor.{aid.name}_rate={aid.rate:g}: must be at most sensor.imu_rate={unit.imu_rate:g} Hz"
+                    f"sensor.{aid.name}_rate={aid.rate:g}: must be at most sensor.imu_rate={self.imu_rate:g} Hz"
                 )
 
     def readings(self, clock: Clock) -> int:
         """IMU readings in a control period. Raises UsageError where the plant makes fewer steps."""
-        count = max(1, math.ceil(clock.period * self.imu.imu_rate - 1e-9))
+        count = max(1, math.ceil(clock.period * self.imu_rate - 1e-9))
         if count > clock.steps:
             raise UsageError(
-                f"sensor.imu_rate={self.imu.imu_rate:g}: the plant makes {1 / clock.step:g} integration steps a second,"
+                f"sensor.imu_rate={self.imu_rate:g}: the plant makes {1 / clock.step:g} integration steps a second,"
                 " at most so many readings; lower the rate, or plant.step"
             )
         return count
@@ -68,8 +79,8 @@ class InertialSensors(Effect):
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         """See Effect: biases are drawn; all fixes are due their interval later."""
-        bias = self.imu.draw_bias(rng)
-        parameters = [np.array([self.gravity]), self.imu.densities()]
+        bias = imu.bias_std(self) * rng.standard_normal(N_BIAS)
+        parameters = [np.array([start.vehicle.gravity]), imu.densities(self)]
         parameters += [np.concatenate([aid.sampling(), aid.deviations]) for aid in self.aids]
         return np.concatenate([bias, np.zeros(N_CLOCK * len(self.aids))]), np.concatenate(parameters)
 
@@ -110,5 +121,24 @@ class InertialSensors(Effect):
             clocks.append(clock)
             fixes.append(ca.vertcat(taken, fix))
         results = [ca.densify(one) for one in (ca.vertcat(bias, *clocks), reading, *fixes)]
-        assert reading.numel() == N_READING
         return ca.Function("inertial_sensors", symbols, ca.cse(results))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImuMocap(MotionCaptureKeys, InertialSensors):
+    """An IMU and motion capture."""
+
+    @property
+    def aids(self) -> tuple[Aid, ...]:
+        """See InertialSensors."""
+        return (motion_capture(self),)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImuGnss(GnssKeys, HeadingKeys, InertialSensors):
+    """An IMU, satellite navigation, and a magnetometer: without it nothing tells the heading of a hovering vehicle."""
+
+    @property
+    def aids(self) -> tuple[Aid, ...]:
+        """See InertialSensors."""
+        return gnss(self), heading(self)

@@ -16,29 +16,32 @@ an accelerometer of unknown bias, and biases of unknown, zero mean.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from quadexp.config.sensing import EskfKeys
+from quadexp.errors import UsageError
 from quadexp.physics.state import RATE, STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
-from quadexp.world import eskf
+from quadexp.world import eskf, imu
 from quadexp.world.aid import Aid
 from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
 from quadexp.world.eskf import D_ATTITUDE, GYROSCOPE_BIAS, N_COVARIANCE, N_ERROR, N_NOMINAL
-from quadexp.world.imu import N_READING, TURN
-from quadexp.world.inertial import BIAS_COLUMNS, N_DENSITIES, InertialSensors
+from quadexp.world.imu import N_DENSITIES, N_READING, TURN
+from quadexp.world.inertial import BIAS_COLUMNS, InertialSensors
 
 N_ENTRY = N_READING + 1  # of the queue, without the fixes: reading and interval
 KNOWN = slice(0, N_NOMINAL + N_COVARIANCE)  # of the inner states: nominal state and covariance; then the queue
 VARIANCES = tuple(f"est_var_{kind}_{axis}" for kind in ("p", "v", "theta", "bias_a", "bias_g") for axis in "xyz")
 
 
-class Navigation(Effect):
-    """An estimator that joins the sensors' readings, as an effect.
+@dataclass(frozen=True, kw_only=True)
+class Navigation(EskfKeys, Effect):
+    """The filter that joins the readings of a world's inertial sensors.
 
     inner states: nominal state (16,), upper triangle of the covariance (120,), queue (e, d): of each reading the IMU's
     and, for each aid, whether there is a fix, and the fix. Readings of before the flight have the interval zero.
@@ -46,8 +49,20 @@ class Navigation(Effect):
 
     stage = "estimator"
 
-    def __init__(self, name: str, settings: EskfKeys, sensors: InertialSensors) -> None:
-        self.name, self.settings, self.sensors = name, settings, sensors
+    inertial: InertialSensors | None = None
+
+    def among(self, effects: Sequence[Effect]) -> Effect:
+        """See Effect. Raises UsageError where there are no inertial sensors."""
+        found = [effect for effect in effects if isinstance(effect, InertialSensors)]
+        if not found:
+            raise UsageError("estimator=eskf: needs inertial sensors: sensor=imu_mocap or sensor=imu_gnss")
+        return replace(self, inertial=found[0])
+
+    @property
+    def sensors(self) -> InertialSensors:
+        """The sensors that it joins."""
+        assert self.inertial is not None
+        return self.inertial
 
     @property
     def entry_size(self) -> int:
@@ -66,17 +81,17 @@ class Navigation(Effect):
             parameters=1 + N_DENSITIES + sum(len(aid.deviations) for aid in self.sensors.aids),
         )
 
-    def believed(self) -> np.ndarray:
+    def believed(self, gravity: float) -> np.ndarray:
         """Parameters: gravity, the IMU's densities, and the aids' deviations, as the filter takes them."""
-        densities = self.settings.process_factor * self.sensors.imu.densities()
-        deviations = [self.settings.measurement_factor * aid.deviations for aid in self.sensors.aids]
-        return np.concatenate([[self.sensors.gravity], densities, *deviations])
+        densities = self.process_factor * imu.densities(self.sensors)
+        deviations = [self.measurement_factor * aid.deviations for aid in self.sensors.aids]
+        return np.concatenate([[gravity], densities, *deviations])
 
-    def first_deviations(self) -> np.ndarray:
+    def first_deviations(self, gravity: float) -> np.ndarray:
         """Standard deviations of the error that the filter begins with, (15,)."""
-        bias = self.sensors.imu.bias_std()
+        bias = imu.bias_std(self.sensors)
         found = np.zeros(N_ERROR)
-        found[D_ATTITUDE.start : D_ATTITUDE.stop] = bias[0] / self.sensors.gravity
+        found[D_ATTITUDE.start : D_ATTITUDE.stop] = bias[0] / gravity
         for aid in self.sensors.aids:
             found[list(aid.first_guess)] = list(aid.first_guess.values())
         found[D_ATTITUDE.stop :] = bias
@@ -84,13 +99,14 @@ class Navigation(Effect):
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         """See Effect: the error is drawn; the biases' is what they are, for they are believed to be zero."""
-        deviations = self.first_deviations()
+        gravity = start.vehicle.gravity
+        deviations = self.first_deviations(gravity)
         drawn = deviations * rng.standard_normal(N_ERROR)
         drawn[D_ATTITUDE.stop :] = 0
         nominal = eskf.inject(ca.DM(np.concatenate([start.x[: RATE.start], np.zeros(6)])), ca.DM(-drawn))
         covariance = eskf.packed(ca.densify(ca.diag(ca.DM(deviations**2))))
         queue = np.zeros(self.entry_size * self.horizon(start.clock))
-        return np.concatenate([ca.vertcat(nominal, covariance).full().ravel(), queue]), self.believed()
+        return np.concatenate([ca.vertcat(nominal, covariance).full().ravel(), queue]), self.believed(gravity)
 
     def first(self, inner: np.ndarray, state: np.ndarray) -> np.ndarray:
         """See Effect."""

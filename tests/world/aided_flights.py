@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import casadi as ca
@@ -9,27 +10,22 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.compile.backend import BufferedFunction, realise
-from quadexp.config.sensing import EskfKeys, GnssKeys, HeadingKeys, MotionCaptureKeys
+from quadexp.config.sensing import EskfKeys
 from quadexp.physics.state import N_STATE, POSITION, VELOCITY
 from quadexp.world.effect import Clock, Readings, Start
 from quadexp.world.eskf import N_COVARIANCE, N_ERROR, N_NOMINAL
-from quadexp.world.gnss import gnss
-from quadexp.world.heading import heading
-from quadexp.world.imu import N_BIAS, Imu
+from quadexp.world.imu import N_BIAS
 from quadexp.world.inertial import InertialSensors
-from quadexp.world.motion_capture import motion_capture
 from quadexp.world.navigation import Navigation
 
 GRAVITY = 9.81
 
 
-def mocap_sensors(imu: Imu | None = None, **keys: Any) -> InertialSensors:
-    return InertialSensors("imu_mocap", imu or Imu(), [motion_capture(MotionCaptureKeys(**keys))], GRAVITY)
+@dataclass
+class Body:
+    """What sensors and filter know of a vehicle."""
 
-
-def gnss_sensors(imu: Imu | None = None, **keys: Any) -> InertialSensors:
-    aids = [gnss(GnssKeys(**keys)), heading(HeadingKeys())]
-    return InertialSensors("imu_gnss", imu or Imu(), aids, GRAVITY)
+    gravity: float = GRAVITY
 
 
 def motion(t: np.ndarray, seed: int = 0, speed: float = 1.0) -> np.ndarray:
@@ -73,14 +69,14 @@ class AidedRun:
         backend: str = "interpreted",
     ) -> None:
         self.clock = Clock(period, steps)
-        self.sensors, self.filter = sensors, Navigation("eskf", settings or EskfKeys(), sensors)
+        self.sensors, self.filter = sensors, Navigation(**asdict(settings or EskfKeys())).among([sensors])
         self.behind = self.filter.horizon(self.clock)
         self.function = BufferedFunction(realise(_period(self.sensors, self.filter, self.clock), backend))
 
     def go(self, states: np.ndarray, seed: int = 0, outage: tuple[float, float] = (0.0, 0.0)) -> AidedRun:
         """outage: from when (s) until when no fix gets through."""
         rng, other = np.random.default_rng(seed).spawn(2)
-        f, start = self.function, Start(states[0], 1.0, self.clock, None)
+        f, start = self.function, Start(states[0], 1.0, self.clock, Body())
         f.arguments["inner"][:], f.arguments["parameters"][:] = self.sensors.start(rng, start)
         f.arguments["known"][:], f.arguments["believed"][:] = self.filter.start(other, start)
         self.first = self.filter.first(f.arguments["known"], states[0])

@@ -15,15 +15,15 @@ from quadexp.world import eskf
 from quadexp.world.effect import Clock
 from quadexp.world.gnss import gnss
 from quadexp.world.heading import heading
-from quadexp.world.imu import Imu
+from quadexp.world.inertial import ImuGnss, ImuMocap
 from quadexp.world.motion_capture import motion_capture
 from quadexp.world.navigation import KNOWN, correction, prediction
 from tests.world import plain_ekf
-from tests.world.aided_flights import GRAVITY, AidedRun, errors, full, gnss_sensors, mocap_sensors, motion, standing
+from tests.world.aided_flights import GRAVITY, AidedRun, errors, full, motion, standing
 
 DENSITIES = np.array([0.02, 2e-3, 3e-3, 2e-4])
 NO_BIAS = {"accelerometer_bias_std": 0, "gyroscope_bias_std": 0, "accelerometer_bias_walk": 0, "gyroscope_bias_walk": 0}
-both_sensors = pytest.mark.parametrize("make", [mocap_sensors, gnss_sensors])
+both_sensors = pytest.mark.parametrize("make", [ImuMocap, ImuGnss])
 
 
 def some_filter(seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -104,8 +104,8 @@ def steady(run: AidedRun, seconds: float) -> AidedRun:
 def test_steady_heading_has_the_scalar_riccati_equations_variance():
     """At rest the turn about the vertical is a random walk by itself, seen at every reading: with q = s_g^2 h and
     r = s_q^2, after a fix P = (-q + sqrt(q^2 + 4 q r)) / 2."""
-    unit = Imu(gyroscope_noise_density=0.01, imu_rate=100.0, **NO_BIAS)
-    run = steady(AidedRun(mocap_sensors(unit, pose_dropout=0.0, pose_delay=0.0)), 3.0)
+    unit = dict(gyroscope_noise_density=0.01, imu_rate=100.0, **NO_BIAS)
+    run = steady(AidedRun(ImuMocap(**unit, pose_dropout=0.0, pose_delay=0.0)), 3.0)
     q, r = 0.01**2 * 0.01, 5e-3**2
     assert np.isclose(run.covariance[-1][8, 8], (-q + np.sqrt(q**2 + 4 * q * r)) / 2, rtol=1e-9)
 
@@ -114,8 +114,8 @@ def test_steady_height_has_the_variance_of_kalatas_tracker():
     """At rest, height is a double integrator by itself, driven by white acceleration that is held over h: Kalata 1984,
     with the tracking index L = (s_a / sqrt(h)) h^2 / s_p and the position's gain 1 - ((4 + L - sqrt(8 L + L^2)) / 4)^2.
     """
-    unit = Imu(accelerometer_noise_density=0.05, imu_rate=100.0, **NO_BIAS)
-    run = steady(AidedRun(mocap_sensors(unit, pose_dropout=0.0, pose_delay=0.0)), 10.0)
+    unit = dict(accelerometer_noise_density=0.05, imu_rate=100.0, **NO_BIAS)
+    run = steady(AidedRun(ImuMocap(**unit, pose_dropout=0.0, pose_delay=0.0)), 10.0)
     index = 0.05 / np.sqrt(0.01) * 0.01**2 / 1e-3
     gain = 1 - ((4 + index - np.sqrt(8 * index + index**2)) / 4) ** 2
     assert np.isclose(run.covariance[-1][2, 2], gain * 1e-3**2, rtol=1e-6)
@@ -123,8 +123,8 @@ def test_steady_height_has_the_variance_of_kalatas_tracker():
 
 def test_without_fixes_the_covariance_of_height_grows_as_dead_reckoning_does():
     """P_pp(t) = P_pp + 2 P_pv t + P_vv t^2 + s_a^2 t^3 / 3 + bias: P_bb t^4 / 4, from independent first errors."""
-    unit = Imu(accelerometer_bias_walk=0.0)
-    run = AidedRun(mocap_sensors(unit, pose_delay=0.0))
+    unit = {"accelerometer_bias_walk": 0.0}
+    run = AidedRun(ImuMocap(**unit, pose_delay=0.0))
     run.go(standing(np.arange(0, 2 + 1e-9, 1e-3)), outage=(0.0, 9.0))
     t, velocity = 2.0, np.sqrt(2) * 1e-3 * 100
     expected = 1e-3**2 + (velocity * t) ** 2 + 2e-3**2 * t**3 / 3 + (0.05 * t**2 / 2) ** 2
@@ -133,7 +133,7 @@ def test_without_fixes_the_covariance_of_height_grows_as_dead_reckoning_does():
 
 def test_an_outage_costs_what_the_covariance_says():
     """A second without fixes after two with: the errors at its end, of 60 runs, within the 95 % band."""
-    run = AidedRun(mocap_sensors(pose_delay=0.0), backend="compiled")
+    run = AidedRun(ImuMocap(pose_delay=0.0), backend="compiled")
     states, found = motion(np.arange(0, 3 + 1e-9, 1e-3), seed=8), []
     for seed in range(60):
         run.go(states, seed, outage=(2.0, 3.0))
@@ -162,7 +162,7 @@ def test_errors_are_those_that_the_filter_believes(make):
 def test_errors_are_those_that_the_filter_believes_on_long_flights(make, path, lost):
     """50 flights of 20 s: at 95 of 100 times, on average, the sum is within its band; and so is the mean of all times,
     of which flights are independent."""
-    keys = {"pose_dropout": lost} if make is mocap_sensors else {"gnss_dropout": lost}
+    keys = {"pose_dropout": lost} if make is ImuMocap else {"gnss_dropout": lost}
     run, states = AidedRun(make(**keys), backend="compiled"), motion(np.arange(0, 20 + 1e-9, 1e-3), seed=path)
     nees = np.array([run.go(states, seed).nees(states) for seed in range(50)])
     low, high = chi2.interval(0.95, 15 * 50)
@@ -175,9 +175,9 @@ def test_errors_are_those_that_the_filter_believes_on_long_flights(make, path, l
 @pytest.mark.slow
 @both_sensors
 def test_with_rates_that_divide_nothing(make):
-    unit = Imu(imu_rate=208.0)
-    keys = {"pose_rate": 77.0, "pose_delay": 0.0} if make is mocap_sensors else {"gnss_rate": 7.3, "gnss_delay": 0.0}
-    run = AidedRun(make(unit, **keys), period=1 / 60, steps=17, backend="compiled")
+    unit = {"imu_rate": 208.0}
+    keys = {"pose_rate": 77.0, "pose_delay": 0.0} if make is ImuMocap else {"gnss_rate": 7.3, "gnss_delay": 0.0}
+    run = AidedRun(make(**unit, **keys), period=1 / 60, steps=17, backend="compiled")
     t = np.arange(0, 5, 1 / 60 / 17)
     states = motion(t[: (len(t) - 1) // 17 * 17 + 1], seed=4)
     nees = np.array([run.go(states, seed).nees(states)[-1] for seed in range(50)])
@@ -188,7 +188,7 @@ def test_with_rates_that_divide_nothing(make):
 def test_a_delay_only_delays(make):
     """With the same draws, the filter of late fixes is where that of prompt ones was, to the last digits."""
     states = motion(np.arange(0, 1 + 1e-9, 1e-3), seed=6)
-    prompt, late = ({"pose_delay": d} if make is mocap_sensors else {"gnss_delay": d} for d in (0.0, 0.05))
+    prompt, late = ({"pose_delay": d} if make is ImuMocap else {"gnss_delay": d} for d in (0.0, 0.05))
     prompt, late = (AidedRun(make(**keys)).go(states, seed=3) for keys in (prompt, late))
     assert (prompt.behind, late.behind) == (0, 10)
     assert np.allclose(late.nominal[5:], prompt.nominal[:-5], rtol=0, atol=1e-13)
@@ -200,16 +200,13 @@ def test_a_delay_only_delays(make):
 @both_sensors
 def test_without_noise_the_truth_is_told(make):
     """Without errors of sensors only the trapezoidal rule's is left, of position, which passes for one of velocity."""
-    unit = Imu(accelerometer_noise_density=0.0, gyroscope_noise_density=0.0, **NO_BIAS)
+    unit = dict(accelerometer_noise_density=0.0, gyroscope_noise_density=0.0, **NO_BIAS)
     keys = (
         {"pose_position_noise": 1e-9, "pose_attitude_noise": 1e-9}
-        if make is mocap_sensors
-        else {"gnss_position_noise": (1e-9,) * 3, "gnss_velocity_noise": (1e-9,) * 3}
+        if make is ImuMocap
+        else {"gnss_position_noise": (1e-9,) * 3, "gnss_velocity_noise": (1e-9,) * 3, "heading_noise": 1e-9}
     )
-    sensors = make(unit, **keys)
-    if make is gnss_sensors:
-        sensors.aids = (sensors.aids[0], heading(HeadingKeys(heading_noise=1e-9)))
-    run, states = AidedRun(sensors), motion(np.arange(0, 1 + 1e-9, 1e-3), seed=7)
+    run, states = AidedRun(make(**unit, **keys)), motion(np.arange(0, 1 + 1e-9, 1e-3), seed=7)
     run.go(states)
     truth = states[10::10]
     e = errors(np.hstack([run.told[:, :10], np.zeros((100, 6))]), truth, np.zeros((100, 6)))
@@ -219,24 +216,24 @@ def test_without_noise_the_truth_is_told(make):
 
 
 def test_at_first_the_errors_are_drawn_from_the_first_covariance():
-    run, states = AidedRun(gnss_sensors()), standing(np.arange(11))
+    run, states = AidedRun(ImuGnss()), standing(np.arange(11))
     found = []
     for seed in range(100):
         run.go(states, seed)
         found.append(errors(np.r_[run.first[:10], np.zeros(6)][None], states[:1], np.zeros((1, 6)))[0, :9])
-    expected = run.filter.first_deviations()[:9]
+    expected = run.filter.first_deviations(GRAVITY)[:9]
     assert np.allclose(np.sqrt(np.mean(np.square(found), axis=0)), expected, rtol=0.25)
     assert np.allclose(expected, [0.0085, 0.0085, 0.015, *[0.05] * 3, *[0.05 / GRAVITY] * 2, 0.035])
 
 
 def test_factors_scale_what_the_filter_believes_and_nothing_else():
     settings = EskfKeys(process_factor=2.0, measurement_factor=3.0)
-    plain, changed = (AidedRun(mocap_sensors(), one).filter.believed() for one in (EskfKeys(), settings))
+    plain, changed = (AidedRun(ImuMocap(), one).filter.believed(GRAVITY) for one in (EskfKeys(), settings))
     assert np.allclose(changed / plain, [1, 2, 2, 2, 2, 3, 3])
 
 
 def test_rates_that_cannot_be_are_refused():
     with pytest.raises(UsageError, match=r"sensor.pose_rate=300: must be at most sensor.imu_rate=200 Hz"):
-        mocap_sensors(pose_rate=300.0)
+        ImuMocap(pose_rate=300.0)
     with pytest.raises(UsageError, match=r"sensor.imu_rate=2000: the plant makes 1000 integration steps a second"):
-        mocap_sensors(Imu(imu_rate=2000.0)).readings(Clock(0.01, 10))
+        ImuMocap(imu_rate=2000.0).readings(Clock(0.01, 10))

@@ -7,8 +7,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.physics.state import RATE
-from quadexp.world.imu import Imu, means, read
-from tests.world.aided_flights import GRAVITY, AidedRun, mocap_sensors, motion, standing
+from quadexp.world.imu import means, read
+from quadexp.world.inertial import ImuMocap
+from tests.world.aided_flights import GRAVITY, AidedRun, motion, standing
 
 
 def means_between(before: np.ndarray, after: np.ndarray, duration: float) -> np.ndarray:
@@ -60,10 +61,10 @@ def test_noise_and_walk_have_the_stated_densities():
 
 
 def test_biases_are_drawn_for_every_flight_and_read():
-    unit = Imu(
+    sensors = ImuMocap(
         accelerometer_noise_density=0, gyroscope_noise_density=0, accelerometer_bias_walk=0, gyroscope_bias_walk=0
     )
-    run = AidedRun(mocap_sensors(unit))
+    run = AidedRun(sensors)
     states = standing(np.arange(11))
     drawn = []
     for seed in range(200):
@@ -71,4 +72,4 @@ def test_biases_are_drawn_for_every_flight_and_read():
         assert np.allclose(run.reading[-1], run.bias[-1, :3] + [0, 0, GRAVITY])
         drawn.append(run.bias[-1])
     spread = np.sqrt(np.mean(np.square(drawn).reshape(-1, 2, 3), axis=(0, 2)))
-    assert np.allclose(spread, [unit.accelerometer_bias_std, unit.gyroscope_bias_std], rtol=0.1)
+    assert np.allclose(spread, [sensors.accelerometer_bias_std, sensors.gyroscope_bias_std], rtol=0.1)
