@@ -27,6 +27,7 @@ from quadexp.experiment.evaluate import describe, thrust_excess
 from quadexp.experiment.identity import digest, flight_record
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.learn.dataset import ResidualDataset, as_told, residual_dataset
+from quadexp.learn.known_noise import known_noise
 from quadexp.learn.recorded import is_recorded, logged_thrust, recorded_dataset, target_cost
 from quadexp.learn.rotor_thrust import mean_thrust
 from quadexp.learn.thrust_curve import ThrustCurve
@@ -168,16 +169,17 @@ def _simulated_rows(
     config: Config, vehicle: Vehicle, flights: Sequence[Flight], names: Sequence[str]
 ) -> tuple[ResidualDataset, list[str]]:
     """Transitions under the thrusts that the rotors delivered, as far as the flights tell, and how they were found."""
-    frame = config.collect.frame
+    frame, notes = config.collect.frame, []
     dataset = residual_dataset(flights, vehicle, frame=frame, names=names)
-    if config.collect.thrust == "commanded":
-        return dataset, []
-    found = fit_timing(flights, vehicle, dataset)
-    if found.timing.is_ideal:
-        return dataset, []
-    thrusts = [mean_thrust(flight, vehicle, found.timing) for flight in flights]
-    dataset = residual_dataset(flights, vehicle, frame=frame, names=names, thrusts=thrusts)
-    return dataset._replace(metadata={**dataset.metadata, "timing": found.as_dict()}), [found.line]
+    found = fit_timing(flights, vehicle, dataset) if config.collect.thrust == "delivered" else None
+    if found is not None and not found.timing.is_ideal:
+        thrusts = [mean_thrust(flight, vehicle, found.timing) for flight in flights]
+        dataset = residual_dataset(flights, vehicle, frame=frame, names=names, thrusts=thrusts)
+        dataset = dataset._replace(metadata={**dataset.metadata, "timing": found.as_dict()})
+        notes.append(found.line)
+    worlds = [flight.metadata.get("config") or {} for flight in flights]
+    noise = known_noise(dataset, vehicle, worlds, of_estimate=config.collect.state == "estimate")
+    return dataset._replace(metadata={**dataset.metadata, "known_noise": noise}), notes
 
 
 def _curve(config: Config, vehicle: Vehicle, flights: Sequence[Flight]) -> ThrustCurve:
