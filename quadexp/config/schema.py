@@ -43,6 +43,7 @@ from quadexp.config.lei_li import (
     SensorConfig,
 )
 from quadexp.config.settings import Setting, Settings
+from quadexp.config.world import ConstantWindConfig, LatencyConfig, StatedEstimateConfig, WorldPartConfig
 from quadexp.errors import UsageError
 
 
@@ -75,7 +76,16 @@ class Config(Settings):
 
     vehicle: VehicleConfig
     plant: PlantConfig
-    sensor: SensorConfig
+    truth: WorldPartConfig
+    wind: WorldPartConfig
+    external: WorldPartConfig
+    link: WorldPartConfig
+    actuator: WorldPartConfig
+    battery: WorldPartConfig
+    health: WorldPartConfig
+    ground: WorldPartConfig
+    sensor: WorldPartConfig
+    estimator: WorldPartConfig
     trajectory: TrajectoryConfig
     controller: ControllerConfig
     collect: CollectConfig
@@ -106,7 +116,16 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "blade_element": BladeElementPlantConfig,
         "custom": CustomPlantConfig,
     },
+    "truth": {"nominal": WorldPartConfig},
+    "wind": {"none": WorldPartConfig, "constant": ConstantWindConfig},
+    "external": {"none": WorldPartConfig},
+    "link": {"ideal": WorldPartConfig, "latency": LatencyConfig},
+    "actuator": {"ideal": WorldPartConfig},
+    "battery": {"none": WorldPartConfig},
+    "health": {"none": WorldPartConfig},
+    "ground": {"none": WorldPartConfig},
     "sensor": {"accelerometer": SensorConfig},
+    "estimator": {"none": StatedEstimateConfig},
     "trajectory": {
         "circle": CircleConfig,
         "lemniscate": LemniscateConfig,
@@ -131,8 +150,22 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "engine": {"local": EngineConfig, "dask": DaskConfig, "slurm": SlurmConfig},
 }
 
+# Groups of the world around an airframe, in the order in which a command meets them; see quadexp/world/effect.py.
+WORLD = ("truth", "wind", "external", "link", "actuator", "battery", "health", "ground", "sensor", "estimator")
+
 # Groups of presets, and the group whose values their options set (`# @package controller`).
 PRESETS = {"horizon": "controller"}
+
+
+def world_parts(config: Config) -> dict[str, WorldPartConfig]:
+    """The parts of the world that do something, by group; a sensor that is only an accelerometer is none."""
+    parts = {group: getattr(config, group) for group in WORLD}
+    return {group: one for group, one in parts.items() if one.effect and not one.idle}
+
+
+def world_label(config: Config) -> str:
+    """The parts of the world that do something, such as "wind=constant, link=latency"; "" for none."""
+    return ", ".join(f"{group}={one.name}" for group, one in world_parts(config).items())
 
 
 def conf_folder() -> Path:

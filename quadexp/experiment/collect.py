@@ -21,8 +21,9 @@ import numpy as np
 
 from quadexp.config.schema import Config
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.experiment.build import build_controller, build_plant, build_vehicle, find_model
+from quadexp.experiment.build import build_controller, build_vehicle, find_model
 from quadexp.experiment.build_identified import load_identified
+from quadexp.experiment.build_world import build_world
 from quadexp.experiment.evaluate import describe, thrust_excess
 from quadexp.experiment.identity import digest, flight_record
 from quadexp.experiment.rollout import SampledReference, fly
@@ -78,7 +79,7 @@ def collect_flights(
     """
     model = find_model(config)
     vehicle = build_vehicle(config.vehicle)
-    plant = build_plant(vehicle, config.plant)
+    plant = build_world(config, vehicle)
     controller = build_controller(config, vehicle, plant, model)
     flown = {group: node for group, node in flight_record(config).items() if group != "trajectory"}
     record = {**flown, "collect": _decisive(config)}

@@ -14,12 +14,12 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import (
     ModelFile,
     build_controller,
-    build_plant,
     build_sensor,
     build_trajectory,
     build_vehicle,
     find_model,
 )
+from quadexp.experiment.build_world import build_world
 from quadexp.experiment.identity import digest, flight_entropy, flight_record
 from quadexp.experiment.loop_margins import loop_margins
 from quadexp.experiment.outside import outside_data
@@ -104,7 +104,7 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     vehicle = build_vehicle(config.vehicle)
     trajectory = build_trajectory(config.trajectory, vehicle)
     note = check_feasible(config, trajectory, vehicle)
-    plant = build_plant(vehicle, config.plant)
+    plant = build_world(config, vehicle)
     controller = build_controller(config, vehicle, plant, model)
     margins = loop_margins(controller, config.plant)
     reference = SampledReference(trajectory, controller)
