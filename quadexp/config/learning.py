@@ -41,8 +41,8 @@ class CollectConfig(Settings):
     thrust: Annotated[
         Literal["delivered", "commanded"],
         Setting(
-            "thrust between two samples of a simulated flight: what the rotors delivered, by their logged speeds or by a"
-            " motor lag and a delay fitted to the flights, or what was commanded"
+            "thrust between two samples of a simulated flight: what the rotors delivered, by their logged speeds or by"
+            " a motor lag and a delay fitted to the flights, or what was commanded"
         ),
     ] = "delivered"
     state: Annotated[

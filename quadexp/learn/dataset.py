@@ -23,6 +23,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -104,13 +105,17 @@ class ResidualDataset(NamedTuple):
         timing = {key: self.metadata[key] for key in ("timing", "known_noise") if self.metadata.get(key)}
         if recorded:
             recorded["names"] = sorted(set(map(str, self.columns["flight_name"])))
-        return timing | recorded | {
-            "sha256": self.sha256,
-            "rows": self.n_rows,
-            "flights": len(self.flights),
-            "duration": float(np.sum(self.columns["dt"])) if "dt" in self.columns else None,
-            "frame": self.metadata.get("frame"),
-        }
+        return (
+            timing
+            | recorded
+            | {
+                "sha256": self.sha256,
+                "rows": self.n_rows,
+                "flights": len(self.flights),
+                "duration": float(np.sum(self.columns["dt"])) if "dt" in self.columns else None,
+                "frame": self.metadata.get("frame"),
+            }
+        )
 
 
 def transitions(
@@ -178,7 +183,7 @@ def residual_dataset(
     names: see `joined`. thrusts: of every flight those between its samples, see `transitions`; None: as commanded.
     Raises DataError for a flight of another vehicle, and where there is no transition.
     """
-    delivered = iter(thrusts or [None] * len(flights))
+    delivered = iter(thrusts if thrusts is not None else repeat(None, len(flights)))
 
     def table_of(flight: Flight, name: str) -> dict[str, np.ndarray]:
         try:

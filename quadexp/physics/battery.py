@@ -56,6 +56,11 @@ def rc_voltage_after(
     return lagging_thrust(voltage, resistance * current, elapsed, time_constant)
 
 
+def mean_share(time_constant: Expression, elapsed: Expression) -> Expression:
+    """s of the mean of V_1 over a time (s), s V_1 + (1 - s) R_1 I, of a held current and V_1 at its beginning."""
+    return -time_constant / elapsed * ca.expm1(-elapsed / time_constant)
+
+
 def rotor_power(thrust: Expression, hover_thrust: Expression, hover_power: Expression) -> Expression:
     """Electrical power of every rotor, (n,) (W), of thrusts (n,) (N); hover_thrust (N) and hover_power (W): of one."""
     return hover_power * (ca.fmax(thrust, 0) / hover_thrust) ** 1.5
@@ -86,7 +91,7 @@ def operating_point(
     power_of: thrusts -> power of all rotors and the electronics (W). Where the battery cannot give the power there is
     no such point, and the voltage that is returned falls from step to step.
     """
-    symbol = ca.SX.sym("V")
+    symbol = type(guess).sym("V")
     gap = symbol - source + resistance * power_of(thrust_at(symbol)) / symbol
     newton = symbol - gap / ca.fmax(ca.jacobian(gap, symbol), LEAST_SLOPE)
     voltage = guess

@@ -89,6 +89,7 @@ def compose(
         inner_a, reading, doubt = rest, kept[0][:, -1], ca.MX(1, 1)
         kept, names = kept[1:], []
     reading += pushed
+    doubt = parts.ended(own, parameters, doubt)
 
     told: Told = {"state": x_next, "specific_force": reading}
     own, told = parts.measured(
@@ -230,6 +231,15 @@ class _Parts:
         pushed = ca.mtimes(rotation_matrix(x_next[ATTITUDE]).T, force / mass) if pushes else ca.MX.zeros(3)
         S_next = ca.vertcat(x_next, rest, own, wind, thrusts, pushed)
         return ca.Function("world_step", [S, t, u, noise, parameters, step], [S_next, *kept])
+
+    def ended(self, own: Any, parameters: Any, doubt: Any) -> Any:
+        """The doubt of the airframe, or that an effect ends the flight: Python then says why."""
+        for effect, inner, theta in zip(
+            self._effects, self._cut(own, "inner"), self._cut(parameters, "parameters"), strict=True
+        ):
+            if effect.has("ended"):
+                doubt = ca.fmax(doubt, effect.ended(inner, theta))
+        return doubt
 
     def measured(
         self,

@@ -35,7 +35,10 @@ def test_the_thrust_of_held_commands_is_the_integrated_lag(rng, lag, delay):
             k = np.searchsorted(changes, begin, side="right") - 1
             command = u[k] if k >= 0 else first
             until = min(end, changes[k + 1])
-            slope = lambda _, s, c=command: np.r_[(c - s[:4]) / lag, s[:4]]
+
+            def slope(_, s, c=command):
+                return np.r_[(c - s[:4]) / lag, s[:4]]
+
             found = solve_ivp(slope, (begin, until), np.r_[value, area], rtol=1e-11, atol=1e-12).y[:, -1]
             begin, value, area = until, found[:4], found[4:]
         expected.append(value)

@@ -1,4 +1,4 @@
-"""The battery's circuit: charge and energy in balance, its own equations by SciPy, the sag of the thrust in closed form."""
+"""The battery's circuit: charge and energy in balance, its equations by SciPy, the sag of the thrust in closed form."""
 
 from __future__ import annotations
 
@@ -64,15 +64,15 @@ def test_charge_and_energy_are_in_balance():
     stored = 0.5 * capacitance * V1**2
     start = z
     weights, nodes = np.array([5, 8, 5]) / 18, 0.5 + np.array([-1, 0, 1]) * np.sqrt(0.15)  # Gauss-Legendre, 3 points
-    for I in current:
+    for amps in current:
         at = h * nodes
-        Vs = np.array([float(rc_voltage_after(V1, I, R1, TAU, t)) for t in at])
-        E = np.array([source(float(charge_after(z, I, CAPACITY, t))) for t in at])
-        taken += h * I * weights @ E
-        delivered += h * I * weights @ (E - Vs - R0 * I)
-        lost += h * weights @ (R0 * I**2 + Vs**2 / R1)
-        drawn += h * I
-        z, V1 = float(charge_after(z, I, CAPACITY, h)), float(rc_voltage_after(V1, I, R1, TAU, h))
+        Vs = np.array([float(rc_voltage_after(V1, amps, R1, TAU, t)) for t in at])
+        E = np.array([source(float(charge_after(z, amps, CAPACITY, t))) for t in at])
+        taken += h * amps * weights @ E
+        delivered += h * amps * weights @ (E - Vs - R0 * amps)
+        lost += h * weights @ (R0 * amps**2 + Vs**2 / R1)
+        drawn += h * amps
+        z, V1 = float(charge_after(z, amps, CAPACITY, h)), float(rc_voltage_after(V1, amps, R1, TAU, h))
     stored = 0.5 * capacitance * V1**2 - stored
     assert start - z == pytest.approx(drawn / (3600 * CAPACITY), rel=1e-10)
     assert delivered + lost + stored == pytest.approx(taken, rel=1e-6)
@@ -80,15 +80,15 @@ def test_charge_and_energy_are_in_balance():
 
 
 def test_the_circuit_under_a_constant_current_is_that_of_scipy():
-    I, T = 25.0, 60.0
+    amps, T = 25.0, 60.0
     found = solve_ivp(
-        lambda _, s: [-I / (3600 * CAPACITY), (R1 * I - s[1]) / TAU], (0, T), [0.9, 0.0], rtol=1e-11, atol=1e-12
+        lambda _, s: [-amps / (3600 * CAPACITY), (R1 * amps - s[1]) / TAU], (0, T), [0.9, 0.0], rtol=1e-11, atol=1e-12
     ).y[:, -1]
     z, V1 = 0.9, 0.0
     for _ in range(600):
-        z, V1 = float(charge_after(z, I, CAPACITY, T / 600)), float(rc_voltage_after(V1, I, R1, TAU, T / 600))
+        z, V1 = float(charge_after(z, amps, CAPACITY, T / 600)), float(rc_voltage_after(V1, amps, R1, TAU, T / 600))
     assert (z, V1) == pytest.approx(tuple(found), rel=1e-9)
-    assert float(rc_voltage_after(0.0, I, R1, TAU, TAU)) == pytest.approx(R1 * I * (1 - np.exp(-1)))
+    assert float(rc_voltage_after(0.0, amps, R1, TAU, TAU)) == pytest.approx(R1 * amps * (1 - np.exp(-1)))
 
 
 def test_energy_of_the_source_is_the_integral_of_its_curve():
