@@ -43,6 +43,7 @@ from quadexp.config.lei_li import (
     RLSMPCConfig,
     SensorConfig,
 )
+from quadexp.config.motors import ActuatorConfig, BatteryConfig, RotorLossConfig
 from quadexp.config.settings import Setting, Settings
 from quadexp.config.world import ConstantWindConfig, LatencyConfig, StatedEstimateConfig, WorldPartConfig
 from quadexp.errors import UsageError
@@ -82,9 +83,9 @@ class Config(Settings):
     wind: WorldPartConfig
     external: WorldPartConfig
     link: WorldPartConfig
-    actuator: WorldPartConfig
+    actuator: ActuatorConfig
     battery: WorldPartConfig
-    health: WorldPartConfig
+    health: RotorLossConfig
     ground: WorldPartConfig
     sensor: WorldPartConfig
     estimator: WorldPartConfig
@@ -123,9 +124,9 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "wind": {"none": WorldPartConfig, "constant": ConstantWindConfig},
     "external": {"none": WorldPartConfig},
     "link": {"ideal": WorldPartConfig, "latency": LatencyConfig},
-    "actuator": {"ideal": WorldPartConfig},
-    "battery": {"none": WorldPartConfig},
-    "health": {"none": WorldPartConfig},
+    "actuator": {"motors": ActuatorConfig},
+    "battery": {"none": WorldPartConfig, "circuit": BatteryConfig},
+    "health": {"rotor_loss": RotorLossConfig},
     "ground": {"none": WorldPartConfig},
     "sensor": {"accelerometer": SensorConfig},
     "estimator": {"none": StatedEstimateConfig},

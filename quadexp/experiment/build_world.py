@@ -27,6 +27,7 @@ def build_world(config: Config, vehicle: Vehicle) -> Any:
     from quadexp.world.integrator import SimulatedPlant
     from quadexp.world.world import World
 
+    _check_one_lag(config)
     effects = [_effect(one) for one in parts.values()]
     true_vehicle = vehicle
     for effect in effects:
@@ -43,6 +44,16 @@ def build_world(config: Config, vehicle: Vehicle) -> Any:
         return World(airframe, effects, believed)
 
     return keep(record, make)
+
+
+def _check_one_lag(config: Config) -> None:
+    """Raise UsageError where the plant's own lag and that of the actuator would act one after the other."""
+    own = getattr(config.plant, "motor_lag", 0.0)
+    if own and max(config.actuator.time_constant_up, config.actuator.time_constant_down):
+        raise UsageError(
+            f"plant.motor_lag={own:g} and actuator={config.actuator.name}: both let the rotors lag; set"
+            " plant.motor_lag=0, or the actuator's time constants to 0"
+        )
 
 
 def _effect(config: WorldPartConfig) -> Any:

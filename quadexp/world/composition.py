@@ -88,6 +88,7 @@ def compose(
         inner_a, reading, doubt = rest, kept[0][:, -1], ca.MX(1, 1)
         kept, names = kept[1:], []
     reading += pushed
+    doubt = parts.ended(own, parameters, doubt)
 
     told: Told = {"state": x_next, "specific_force": reading}
     own, told = parts.measured(
@@ -258,6 +259,15 @@ class _Parts:
         one = ca.Function("world_step", [S, t, still, u, noise, parameters, step], [S_next, *kept])
         # In scalar expressions everything is one function, without copies between its parts.
         return one.expand() if self._kind is ca.SX and equations.step.is_a("SXFunction") else one
+
+    def ended(self, own: Any, parameters: Any, doubt: Any) -> Any:
+        """The doubt of the airframe, or that an effect ends the flight: Python then says why."""
+        for effect, inner, theta in zip(
+            self._effects, self._cut(own, "inner"), self._cut(parameters, "parameters"), strict=True
+        ):
+            if effect.has("ended"):
+                doubt = ca.fmax(doubt, effect.ended(inner, theta))
+        return doubt
 
     def measured(
         self,
