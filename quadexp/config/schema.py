@@ -60,7 +60,7 @@ class EvaluateConfig(Settings):
         Setting("what the table shows: mean ||e||, root mean square, or largest position error"),
     ] = "mean_error"
     figures: Annotated[
-        Literal["standard", "lei_li", "families", "adaptation"],
+        Literal["standard", "lei_li", "families", "adaptation", "ladder"],
         Setting("which figures are drawn beside the standard ones"),
     ] = "standard"
     baseline: Annotated[str, Setting("controller that the others are compared with, seed by seed")] = "nominal_mpc"
