@@ -42,6 +42,7 @@ from quadexp.config.lei_li import (
     RLSMPCConfig,
     SensorConfig,
 )
+from quadexp.config.sensing import EskfConfig, ImuGnssConfig, ImuMocapConfig
 from quadexp.config.settings import Setting, Settings
 from quadexp.config.world import ConstantWindConfig, LatencyConfig, StatedEstimateConfig, WorldPartConfig
 from quadexp.errors import UsageError
@@ -124,8 +125,8 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "battery": {"none": WorldPartConfig},
     "health": {"none": WorldPartConfig},
     "ground": {"none": WorldPartConfig},
-    "sensor": {"accelerometer": SensorConfig},
-    "estimator": {"none": StatedEstimateConfig},
+    "sensor": {"accelerometer": SensorConfig, "imu_mocap": ImuMocapConfig, "imu_gnss": ImuGnssConfig},
+    "estimator": {"none": StatedEstimateConfig, "eskf": EskfConfig},
     "trajectory": {
         "circle": CircleConfig,
         "lemniscate": LemniscateConfig,

@@ -53,18 +53,22 @@ def compose(
     equations: Equations, effects: Sequence[Effect], layout: Layout, clock: Clock, vehicle: Vehicle
 ) -> ca.Function:
     """WORLD_INPUTS -> WORLD_OUTPUTS over a control period; then what the airframe keeps of the steps."""
-    parts = _Parts(equations, tuple(effects), layout, vehicle)
+    last = max((i + 1 for i, effect in enumerate(effects) if effect.steps()), default=0)
+    stepping = Layout(layout.airframe, layout.effects[:last])  # the rest only measures, once a period
+    parts = _Parts(equations, tuple(effects[:last]), stepping, vehicle)
     airframe, steps, n = layout.airframe, clock.steps, vehicle.n_rotors
     x, inner = ca.MX.sym("x", N_STATE), ca.MX.sym("inner", layout.size("inner") + WIND)
     u, noise, step = ca.MX.sym("u", n), ca.MX.sym("noise", layout.size("noise"), steps), ca.MX.sym("step")
     parameters, draws = ca.MX.sym("parameters", layout.size("parameters")), ca.MX.sym("draws", layout.size("draws"))
     time = ca.MX.sym("time")
 
-    own = inner[airframe.inner : layout.size("inner")]
-    own = parts.begun()(time, x, own, u, parameters, draws, step)
-    inner_a, theta = inner[: airframe.inner], parameters[: airframe.parameters]
+    cut = [0, airframe.inner, stepping.size("inner"), layout.size("inner"), inner.numel()]
+    inner_a, own, still, _ = ca.vertsplit(inner, cut)
+    theta, known = parameters[: airframe.parameters], parameters[: stepping.size("parameters")]
+    own = parts.begun()(time, x, own, u, known, draws[: stepping.size("draws")], step)
+    acting = noise[: stepping.size("noise"), :]
     if equations.begin:
-        wind, thrusts, *_ = parts.drive()(time, x, own, u, noise[:, 0], parameters, step)
+        wind, thrusts, *_ = parts.drive()(time, x, own, u, acting[:, 0], known, step)
         s, _ = equations.begin(_seen_from_the_air(x, wind), inner_a, thrusts, theta)
         rest = s[N_STATE:]
     else:
@@ -72,14 +76,14 @@ def compose(
     one = parts.step()
     state = ca.vertcat(x, rest, own, ca.MX.zeros(WIND + n + 3))
     times = time + step * ca.DM(range(steps)).T
-    again = [ca.repmat(value, 1, steps) for value in (u, parameters, step)]
-    found = one.mapaccum(steps)(state, times, again[0], noise, *again[1:])
+    again = [ca.repmat(value, 1, steps) for value in (u, known, step)]
+    found = one.mapaccum(steps)(state, times, again[0], acting, *again[1:])
     states, *kept = found if isinstance(found, tuple) else (found,)
 
-    last = states[:, -1]
+    final = states[:, -1]
     where = [0, N_STATE, N_STATE + rest.numel(), N_STATE + rest.numel() + own.numel()]
     where += [where[-1] + WIND, where[-1] + WIND + n, where[-1] + WIND + n + 3]
-    x_next, rest, own, wind, thrusts, pushed = ca.vertsplit(last, where)
+    x_next, rest, own, wind, thrusts, pushed = ca.vertsplit(final, where)
     if equations.end:
         held = equations.command(thrusts, theta) if equations.command else thrusts
         s = ca.vertcat(_seen_from_the_air(x_next, wind), rest)
@@ -91,8 +95,16 @@ def compose(
     reading += pushed
 
     told: Told = {"state": x_next, "specific_force": reading}
-    own, told = parts.measured(
-        ca.horzcat(x, states[:N_STATE, :]), own, noise, parameters, draws, time + clock.period, step, clock, told
+    own, told = _Parts(equations, tuple(effects), layout, vehicle).measured(
+        ca.horzcat(x, states[:N_STATE, :]),
+        ca.vertcat(own, still),
+        noise,
+        parameters,
+        draws,
+        time + clock.period,
+        step,
+        clock,
+        told,
     )
     inner_next = ca.vertcat(inner_a, own, wind)
     results = [x_next, inner_next, told["specific_force"], doubt, told["state"]]
