@@ -22,6 +22,7 @@ ASIDE = {
     "quadexp.config.motors": "",
     "quadexp.config.settings": "",
     "quadexp.config.world": "",
+    "quadexp.config.sensing": "",
     "quadexp.config.learning": "",
     "quadexp.config.engine": "where flights run",
     "quadexp.errors": "words",

@@ -44,6 +44,7 @@ from quadexp.config.lei_li import (
     SensorConfig,
 )
 from quadexp.config.motors import ActuatorConfig, BatteryConfig, RotorLossConfig
+from quadexp.config.sensing import EskfConfig, ImuGnssConfig, ImuMocapConfig
 from quadexp.config.settings import Setting, Settings
 from quadexp.config.world import ConstantWindConfig, LatencyConfig, StatedEstimateConfig, WorldPartConfig
 from quadexp.errors import UsageError
@@ -128,8 +129,8 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "battery": {"none": WorldPartConfig, "circuit": BatteryConfig},
     "health": {"rotor_loss": RotorLossConfig},
     "ground": {"none": WorldPartConfig},
-    "sensor": {"accelerometer": SensorConfig},
-    "estimator": {"none": StatedEstimateConfig},
+    "sensor": {"accelerometer": SensorConfig, "imu_mocap": ImuMocapConfig, "imu_gnss": ImuGnssConfig},
+    "estimator": {"none": StatedEstimateConfig, "eskf": EskfConfig},
     "trajectory": {
         "circle": CircleConfig,
         "lemniscate": LemniscateConfig,

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from quadexp.config.settings import Setting, Settings, Triple
+from quadexp.config.world import WorldPartConfig
 
 RATE = "[0.1, 8000]"
 SHARE = Setting("share of the fixes that are lost", "[0, 0.99]")
@@ -99,3 +100,24 @@ class EskfKeys(Settings):
     measurement_factor: Annotated[
         float, Setting("factor on the standard deviations of the aids' noise that the filter believes", "(0, 1000]")
     ] = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImuMocapConfig(MotionCaptureKeys, ImuKeys, WorldPartConfig):
+    """An IMU and motion capture; see quadexp/world/inertial.py."""
+
+    effect = "quadexp.world.inertial:ImuMocap"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImuGnssConfig(GnssKeys, HeadingKeys, ImuKeys, WorldPartConfig):
+    """An IMU, satellite navigation and a magnetometer; see quadexp/world/inertial.py."""
+
+    effect = "quadexp.world.inertial:ImuGnss"
+
+
+@dataclass(frozen=True, kw_only=True)
+class EskfConfig(EskfKeys, WorldPartConfig):
+    """The error-state Kalman filter; see quadexp/world/navigation.py."""
+
+    effect = "quadexp.world.navigation:Navigation"

@@ -52,7 +52,10 @@ def means(before: Expression, after: Expression, duration: Expression, gravity: 
 def read(
     exact: Expression, bias: Expression, duration: Expression, noise: Expression, stated: Expression
 ) -> tuple[Expression, Expression]:
-    """[a_m, w_m] (6,) of an interval, and the biases (6,) after; noise: standard normal, (12,). stated: of `densities`."""
+    """[a_m, w_m] (6,) of an interval (s), and the biases (6,) after it.
+
+    exact: see `means`. bias: (6,). noise: standard normal, (12,). stated: see `densities`.
+    """
     spread = ca.vertcat(*(stated[i] for i in range(4) for _ in range(3)))
     reading = exact + bias + spread[:N_READING] / ca.sqrt(duration) * noise[:N_READING]
     return reading, bias + spread[N_READING:] * ca.sqrt(duration) * noise[N_READING:]
