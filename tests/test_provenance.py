@@ -21,6 +21,8 @@ ASIDE = {
     "quadexp.config.lei_li": "",
     "quadexp.config.settings": "",
     "quadexp.config.world": "",
+    "quadexp.config.wind": "",
+    "quadexp.config.airframe": "",
     "quadexp.config.learning": "",
     "quadexp.config.engine": "where flights run",
     "quadexp.errors": "words",

@@ -14,9 +14,11 @@ from quadexp.errors import UsageError
 class GustKeys(ConstantWindKeys):
     """A mean wind and one gust of one-minus-cosine shape."""
 
-    amplitude: Annotated[
-        Triple, Setting("velocity that the gust adds at its peak, world", "[-50, 50]", "m/s")
-    ] = (5.0, 0.0, 0.0)
+    amplitude: Annotated[Triple, Setting("velocity that the gust adds at its peak, world", "[-50, 50]", "m/s")] = (
+        5.0,
+        0.0,
+        0.0,
+    )
     onset: Annotated[float, Setting("when the gust begins", "[0, 14400]", "s")] = 2.0
     duration: Annotated[
         float, Setting("how long it lasts: its length over the airspeed it is met at", "[0.01, 14400]", "s")
@@ -44,7 +46,9 @@ class DrydenKeys(ConstantWindKeys):
     ] = None
     wind_at_6m: Annotated[
         float | None,
-        Setting("wind speed 6 m over the ground that sets the intensity; null: that of the mean wind", "[0, 50]", "m/s"),
+        Setting(
+            "wind speed 6 m over the ground that sets the intensity; null: that of the mean wind", "[0, 50]", "m/s"
+        ),
     ] = None
     altitude: Annotated[
         float,
@@ -63,7 +67,8 @@ class DrydenKeys(ConstantWindKeys):
         ),
     ] = None
     airspeed_min: Annotated[
-        float, Setting("least of the vehicle's own airspeed that counts: air does not stand frozen", "[0.01, 100]", "m/s")
+        float,
+        Setting("least of the vehicle's own airspeed that counts: air does not stand frozen", "[0.01, 100]", "m/s"),
     ] = 1.0
 
     def __post_init__(self) -> None:

@@ -48,7 +48,9 @@ class World(SimulatedPlant):
         self._believed: Any = believed or airframe  # a Plant too
         self._made: dict[Clock, _Prepared] = {}
         self._own_parameters, self._rotors = np.empty(0), list[int]()
-        super().__init__(airframe.vehicle, airframe.equations, step=airframe.step, backend=airframe.backend)
+        rough = any(effect.has("wind") or effect.has("thrusts") for effect in self.effects)
+        equations = airframe.rough_equations if rough else airframe.equations
+        super().__init__(airframe.vehicle, equations, step=airframe.step, backend=airframe.backend)
 
     # ------------------------------------------------------------------------------------------------- a flight begins
     def reset(self) -> None:
@@ -106,7 +108,8 @@ class World(SimulatedPlant):
             function = realise(self._period(self.equations, clock), self.backend)
             rows, draws = function.size1_in("noise"), function.size1_in("draws")
             buffer = np.zeros(clock.steps * rows + draws)
-            views = {"noise": buffer[: clock.steps * rows].reshape(clock.steps, rows), "draws": buffer[-draws:]}
+            shape = (clock.steps, rows) if clock.steps > 1 else (rows,)
+            views = {"noise": buffer[: clock.steps * rows].reshape(shape), "draws": buffer[-draws:]}
             views = {name: view for name, view in views.items() if function.size1_in(name)}
             self._made[clock] = _Prepared(function, views, buffer, clock)
         made = self._made[clock]
