@@ -262,8 +262,11 @@ class _Parts:
         pushed = ca.mtimes(rotation_matrix(x_next[ATTITUDE]).T, force / mass) if pushes else ca.MX.zeros(3)
         S_next = ca.vertcat(x_next, rest, self.chosen(own, self.moving), wind, thrusts, pushed)
         one = ca.Function("world_step", [S, t, still, u, noise, parameters, step], [S_next, *kept])
-        # In scalar expressions everything is one function, without copies between its parts.
-        return one.expand() if self._kind is ca.SX and equations.step.is_a("SXFunction") else one
+        if self._kind is not ca.SX or not equations.step.is_a("SXFunction"):
+            return one
+        # In scalar expressions everything is one function, without copies, and what two hooks compute is computed once.
+        symbols = one.sx_in()
+        return ca.Function(one.name(), symbols, ca.cse(one.call(symbols)))
 
     def ended(self, own: Any, parameters: Any, doubt: Any) -> Any:
         """The doubt of the airframe, or that an effect ends the flight: Python then says why."""
