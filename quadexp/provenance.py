@@ -33,8 +33,8 @@ MODULES = {
 # Folders (with all their files) and files whose content determines a flight and the figures of its row.
 DECIDING = (
     "air", "compile", "control", "physics", "reference", "world",
-    "experiment/build.py", "experiment/build_custom.py", "experiment/build_identified.py",
-    "experiment/build_lei_li.py", "experiment/compiled_flight.py", "experiment/evaluate.py", "experiment/flight.c",
+    "experiment/build.py", "experiment/build_custom.py", "experiment/build_foreign.py",
+    "experiment/build_identified.py", "experiment/build_lei_li.py", "experiment/compiled_flight.py", "experiment/evaluate.py", "experiment/flight.c",
     "experiment/identity.py", "experiment/outside.py", "experiment/rollout.py",
     "learn/checkpoint.py", "learn/dataset.py", "learn/linear_drag.py",
     "learn/lumped.py", "learn/model.py", "learn/regression.py", "learn/rls.py", "learn/rls_step.py",

@@ -18,7 +18,7 @@ from quadexp.config.lei_li import FeedbackConfig, RLSMPCConfig, SensorConfig
 from quadexp.config.schema import Config
 from quadexp.config.settings import part
 from quadexp.errors import DataError, UsageError
-from quadexp.experiment import build_custom, build_identified, build_lei_li
+from quadexp.experiment import build_custom, build_foreign, build_identified, build_lei_li
 from quadexp.experiment.identity import digest
 from quadexp.experiment.inputs import located
 from quadexp.physics.vehicle import Vehicle
@@ -88,6 +88,8 @@ def build_plant(vehicle: Vehicle, config: PlantConfig) -> Any:
         "blade_element": build_lei_li.blade_element_plant,
         "custom": build_custom.custom_plant,
         "from_model": build_identified.identified_plant,
+        "rotorpy": build_foreign.rotorpy_plant,
+        "drone_models": build_foreign.drone_models_plant,
     }
     content = build_identified.model_hash(config.model) if hasattr(config, "model") else ""
     return _keep(["plant", vehicle.fingerprint, asdict(config), content], lambda: makers[config.kind](vehicle, config))
