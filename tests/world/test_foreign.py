@@ -19,7 +19,7 @@ import pytest
 from quadexp.air.base import feature_names
 from quadexp.config.compose import compose
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_plant, build_vehicle
+from quadexp.experiment.build import build_plant, build_vehicle, unshared
 from quadexp.experiment.evaluate import fly_one
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS, VELOCITY
@@ -44,7 +44,8 @@ needs_drone_models = pytest.mark.skipif(
 
 def plant(name: str, *overrides: str):
     config = compose([f"plant={name}", f"vehicle={PAIRS[name]}", "plant.backend=interpreted", *overrides])
-    return build_plant(build_vehicle(config.vehicle), config.plant)
+    with unshared():
+        return build_plant(build_vehicle(config.vehicle), config.plant)
 
 
 def slope(truth):
@@ -210,3 +211,98 @@ def test_drone_models_has_the_equations_of_the_package(name, tmp_path):
     again = answer["flown"]
     again[:, 3:7] /= np.linalg.norm(again[:, 3:7], axis=1, keepdims=True)
     assert scaled(theirs(flown) - again, again) < SAME
+
+
+# ------------------------------------------------------------------------------------------------- without the packages
+@pytest.mark.parametrize("name", PAIRS)
+def test_what_a_controller_believes_is_the_plant_with_settled_rotors(name):
+    """residual(): x' of the corrected rigid body is the plant's at rotor speeds that the commands have reached."""
+    truth = plant(name)
+    believed, residual, f = corrected_function(truth.vehicle, truth.residual()), truth.residual(), slope(truth)
+    states, commands = random_points(truth, 50)
+    settled = plant(name)
+    for s, u in zip(states, np.maximum(commands, 0.2 * truth.vehicle.hover_thrust), strict=True):
+        for _ in range(60 if settled.motor_lag > 0.02 else 10):  # of 0.1 s each
+            settled.advance(s[:13], u, 0.1)
+        expected = f(np.r_[s[:13], settled.rotor_speed], u)[0].full().ravel()[:13]
+        found = believed(s[:13], u, residual.theta).full().ravel()
+        assert np.abs(found - expected).max() < SAME * max(1.0, np.abs(expected).max())
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_the_nominal_vehicle_is_the_plant_at_rest(name):
+    """In still air, not moving, thrusts are the commanded ones; so is the torque of RotorPy's rotors."""
+    truth = plant(name)
+    z = np.r_[np.zeros(6), np.full(4, truth.vehicle.hover_thrust)]
+    assert len(z) == len(feature_names(4)) and np.abs(truth.residual()(z)[0]).max() < 1e-12
+    uneven = np.r_[np.zeros(6), truth.vehicle.hover_thrust * np.array([0.8, 1.1, 1.2, 0.9])]
+    y = truth.residual()(uneven)[0]
+    assert np.abs(y[:5]).max() < 1e-12
+    assert abs(y[5]) < (1e-12 if name == "rotorpy" else 0.02 * truth.vehicle.torque_coefficient)
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_slopes_of_the_residual_are_finite_at_the_limits(name):
+    truth = plant(name)
+    for thrust in (0.0, truth.vehicle.thrust_min, truth.vehicle.thrust_max):
+        for v in (np.zeros(3), np.array([3.0, -2.0, 1.0])):
+            values = truth.residual().function(np.r_[v, 0.1, 0.2, 0.3, np.full(4, thrust)], truth.residual().theta)
+            assert all(np.isfinite(value.full()).all() for value in values)
+
+
+@pytest.mark.parametrize(("name", "up", "down"), [("drone_models", 0.136, 0.108), ("drone_models_brushless", 0.057, 0.062)])
+def test_rotors_of_a_crazyflie_spin_up_as_slowly_as_said(name, up, down):
+    """After its time constant a small change of the command has been followed by 1 - 1/e; the longer one is motor_lag."""
+    truth = plant(name)
+    hover = truth.vehicle.hover_thrust
+    x = np.r_[np.zeros(3), 1, np.zeros(9)]
+    for sign, lag in ((1, up), (-1, down)):
+        truth.reset()
+        before = truth.rotor_speed.copy()
+        target = plant(name)
+        for _ in range(40):
+            target.advance(x, np.full(4, hover * (1 + 1e-4 * sign)), 0.1)
+        truth.advance(x, np.full(4, hover * (1 + 1e-4 * sign)), lag)
+        share = (truth.rotor_speed - before) / (target.rotor_speed - before)
+        assert share == pytest.approx(np.full(4, 1 - np.exp(-1)), abs=0.005)
+    assert truth.motor_lag == pytest.approx(max(up, down), abs=1e-3)
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_hover_is_hover(name):
+    """A flight begins with rotors that carry the vehicle: it stays where it is."""
+    truth = plant(name)
+    x = np.r_[np.zeros(3), 1, np.zeros(9)]
+    for _ in range(20):
+        x, reading = truth.advance(x, np.full(4, truth.vehicle.hover_thrust), 0.02)
+    assert np.abs(x - np.r_[np.zeros(3), 1, np.zeros(9)]).max() < 1e-12
+    assert reading == pytest.approx([0, 0, 9.81], abs=1e-12)
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_steps_converge_with_the_fourth_order(name):
+    ends = []
+    for step in (4e-3, 2e-3, 2.5e-4):
+        truth, x = plant(name, f"plant.step={step}"), np.r_[np.zeros(3), 1, 0, 0, 0, 5, -3, 2, 1, 2, 3]
+        for share in (1.3, 0.7):
+            x, _ = truth.advance(x, truth.vehicle.hover_thrust * share * np.array([1.0, 1.05, 0.98, 1.01]), 0.04)
+        ends.append(x)
+    coarse, fine = (np.abs(end - ends[2]).max() for end in ends[:2])
+    assert 11 < coarse / fine < 23
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["plant=rotorpy", "vehicle=torrente"], "vehicle=hummingbird has"),
+        (["plant=rotorpy", "vehicle=hummingbird", "plant.rotor_speed_max=400"], "hovers at 469.2 rad/s"),
+        (["plant=drone_models", "vehicle=crazyflie"], "another vehicle's"),
+        (["plant=drone_models", "vehicle=torrente"], "another vehicle's"),
+        (["plant=drone_models", "vehicle=cf2x_L250", "plant.thrust_curve=[0,0,-1e-10]"], "must rise with the speed"),
+        (["plant=drone_models", "vehicle=cf2x_L250", "plant.thrust_curve=[0.1,0,1e-10]"], "must rise with the speed"),
+    ],
+)
+def test_a_vehicle_that_does_not_fit_is_refused(overrides, words):
+    config = compose(overrides)
+    with pytest.raises(UsageError, match=words):
+        build_plant(build_vehicle(config.vehicle), config.plant)
