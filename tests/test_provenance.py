@@ -28,7 +28,6 @@ ASIDE = {
     "quadexp.provenance": "what is said of a flight",
     "quadexp.config": "empty",
     "quadexp.experiment": "empty",
-    "quadexp.experiment.loop_margins": "margins that are printed of a loop",
     "quadexp.experiment.inputs": "where copies of files lie; their content is in the key",
     "quadexp.log": "names",
     "quadexp.log.schema": "what a flight is on disk, like the next two",

@@ -66,11 +66,14 @@ class DroneModelsKeys(Settings):
     ] = (0.0, 1.410454111996297e-9, 1.4592584373980652e-12)
     spin_up: Annotated[
         Pair,
-        Setting("rotor_dyn_coef: rpm' per command minus rpm, and per difference of squares, 1/s, 1/(rpm s)", "[0, 1e4]"),
+        Setting(
+            "rotor_dyn_coef: rpm' per command minus rpm, and per difference of squares, 1/s, 1/(rpm s)", "[0, 1e4]"
+        ),
     ] = (7.355623702172756, 0.0)
-    spin_down: Annotated[
-        Pair, Setting("the same where the command is below the speed, 1/s, 1/(rpm s)", "[0, 1e4]")
-    ] = (0.0, 0.00024443862952110715)
+    spin_down: Annotated[Pair, Setting("the same where the command is below the speed, 1/s, 1/(rpm s)", "[0, 1e4]")] = (
+        0.0,
+        0.00024443862952110715,
+    )
     linear_drag: Annotated[Triple, Setting("drag force per velocity, body axes (drag_matrix)", "[0, 100]", "N s/m")] = (
         0.01471782,
         0.01471782,

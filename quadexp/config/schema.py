@@ -1,7 +1,7 @@
 """The whole configuration: every node, and the schemas that the files in conf/ extend.
 
-What a key is stands with the settings (settings.py): flight.py, lei_li.py, foreign.py, custom.py, learning.py, engine.py. A file of
-conf/ states only what differs from the defaults there.
+What a key is stands with the settings (settings.py): flight.py, lei_li.py, foreign.py, custom.py, learning.py,
+engine.py. A file of conf/ states only what differs from the defaults there.
 """
 
 from __future__ import annotations

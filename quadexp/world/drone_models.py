@@ -93,7 +93,7 @@ class DroneModelsPlant(SimulatedPlant):
 
     @property
     def motor_lag(self) -> float:
-        """Time constant with which thrust follows a small change of the command in hover, up or down, the longer (s)."""
+        """Time constant of thrust after a small change of the command in hover, up or down: the longer one (s)."""
         rpm = self._speed(self.vehicle.hover_thrust) / RPM
         return 1 / min(linear + 2 * square * rpm for linear, square in (self.keys.spin_up, self.keys.spin_down))
 

@@ -19,8 +19,6 @@ with Aerodynamics for Education and Research", arXiv 2306.04485.
 
 from __future__ import annotations
 
-from dataclasses import astuple
-
 import casadi as ca
 import numpy as np
 

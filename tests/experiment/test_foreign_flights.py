@@ -69,7 +69,13 @@ def test_faster_motors_need_no_word_at_the_published_horizon_but_at_a_stiffer_on
 
 @pytest.mark.parametrize(
     ("controller", "largest"),
-    [("nominal_mpc", 0.1), ("static_feedback", 0.1), ("rls_mpc", 20), ("rls_feedback", 500), ("literal_feedback", 1000)],
+    [
+        ("nominal_mpc", 0.1),
+        ("static_feedback", 0.1),
+        ("rls_mpc", 20),
+        ("rls_feedback", 500),
+        ("literal_feedback", 1000),
+    ],
 )
 def test_controllers_that_need_no_model_hover_with_the_hummingbird(controller, largest):
     """Those that identify begin with half of the blades' lift, and move before they know better."""

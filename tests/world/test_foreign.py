@@ -1,4 +1,4 @@
-"""RotorPy's and drone-models' plants are the packages' equations, with the packages' numbers, wherever these are installed.
+"""The plants of other programs have these programs' equations and numbers, which is seen where they are installed.
 
 What needs no package: motors, limits, the controllers' view of the equations, refusals.
 """
@@ -250,9 +250,11 @@ def test_slopes_of_the_residual_are_finite_at_the_limits(name):
             assert all(np.isfinite(value.full()).all() for value in values)
 
 
-@pytest.mark.parametrize(("name", "up", "down"), [("drone_models", 0.136, 0.108), ("drone_models_brushless", 0.057, 0.062)])
+@pytest.mark.parametrize(
+    ("name", "up", "down"), [("drone_models", 0.136, 0.108), ("drone_models_brushless", 0.057, 0.062)]
+)
 def test_rotors_of_a_crazyflie_spin_up_as_slowly_as_said(name, up, down):
-    """After its time constant a small change of the command has been followed by 1 - 1/e; the longer one is motor_lag."""
+    """After its time constant 1 - 1/e of a small change of the command has been followed; the longer is motor_lag."""
     truth = plant(name)
     hover = truth.vehicle.hover_thrust
     x = np.r_[np.zeros(3), 1, np.zeros(9)]
