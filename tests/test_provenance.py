@@ -21,6 +21,7 @@ ASIDE = {
     "quadexp.config.foreign": "",
     "quadexp.config.lei_li": "",
     "quadexp.config.settings": "",
+    "quadexp.config.world": "",
     "quadexp.config.learning": "",
     "quadexp.config.engine": "where flights run",
     "quadexp.errors": "words",

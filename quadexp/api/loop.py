@@ -20,12 +20,12 @@ from quadexp.control.mpc.mpc import StepRecord
 from quadexp.errors import UsageError
 from quadexp.experiment.build import (
     build_controller,
-    build_plant,
     build_trajectory,
     build_vehicle,
     find_model,
     unshared,
 )
+from quadexp.experiment.build_world import build_world
 from quadexp.experiment.rollout import Renewal, SampledReference
 from quadexp.physics.state import N_STATE, RATE
 from quadexp.reference.base import Trajectory
@@ -39,7 +39,7 @@ def controller(*settings: Given, conf: str | os.PathLike[str] | None = None, **k
     config = compose(overrides(settings, keywords), None if conf is None else Path(conf))
     with unshared():  # two loops of the same settings are two controllers
         vehicle = build_vehicle(config.vehicle)
-        plant = build_plant(vehicle, config.plant)
+        plant = build_world(config, vehicle)
         made = build_controller(config, vehicle, plant, find_model(config))
     return ControlLoop(made, build_trajectory(config.trajectory, vehicle), plant)
 

@@ -6,6 +6,7 @@ engine.py. A file of conf/ states only what differs from the defaults there.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -44,6 +45,7 @@ from quadexp.config.lei_li import (
     SensorConfig,
 )
 from quadexp.config.settings import Setting, Settings
+from quadexp.config.world import ConstantWindConfig, LatencyConfig, StatedEstimateConfig, WorldPartConfig
 from quadexp.errors import UsageError
 
 
@@ -72,11 +74,21 @@ class EvaluateConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class Config(Settings):
-    """The whole configuration. sweep: what `evaluate --sweep` varies (experiment files)."""
+    """The whole configuration. sweep: what `evaluate --sweep` varies (experiment files). world: the name of what is
+    around the plant, for tables; see `world_name`."""
 
     vehicle: VehicleConfig
     plant: PlantConfig
-    sensor: SensorConfig
+    truth: WorldPartConfig
+    wind: WorldPartConfig
+    external: WorldPartConfig
+    link: WorldPartConfig
+    actuator: WorldPartConfig
+    battery: WorldPartConfig
+    health: WorldPartConfig
+    ground: WorldPartConfig
+    sensor: WorldPartConfig
+    estimator: WorldPartConfig
     trajectory: TrajectoryConfig
     controller: ControllerConfig
     collect: CollectConfig
@@ -95,6 +107,7 @@ class Config(Settings):
     seed: Annotated[
         int, Setting("draws the noise, and the path of trajectory=random; the same for every controller", SEEDS)
     ] = 0
+    world: str = ""
     sweep: Any = None
 
 
@@ -109,7 +122,16 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "drone_models": DroneModelsPlantConfig,
         "custom": CustomPlantConfig,
     },
+    "truth": {"nominal": WorldPartConfig},
+    "wind": {"none": WorldPartConfig, "constant": ConstantWindConfig},
+    "external": {"none": WorldPartConfig},
+    "link": {"ideal": WorldPartConfig, "latency": LatencyConfig},
+    "actuator": {"ideal": WorldPartConfig},
+    "battery": {"none": WorldPartConfig},
+    "health": {"none": WorldPartConfig},
+    "ground": {"none": WorldPartConfig},
     "sensor": {"accelerometer": SensorConfig},
+    "estimator": {"none": StatedEstimateConfig},
     "trajectory": {
         "circle": CircleConfig,
         "lemniscate": LemniscateConfig,
@@ -134,8 +156,29 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "engine": {"local": EngineConfig, "dask": DaskConfig, "slurm": SlurmConfig},
 }
 
+# Groups of the world around an airframe, in the order in which a command meets them; see quadexp/world/effect.py.
+WORLD = ("truth", "wind", "external", "link", "actuator", "battery", "health", "ground", "sensor", "estimator")
+
 # Groups of presets, and the group whose values their options set (`# @package controller`).
 PRESETS = {"horizon": "controller"}
+
+
+def world_parts(config: Config) -> dict[str, WorldPartConfig]:
+    """The parts of the world that do something, by group; a sensor that is only an accelerometer is none."""
+    parts = {group: getattr(config, group) for group in WORLD}
+    return {group: one for group, one in parts.items() if one.effect and not one.idle}
+
+
+def world_name(config: Config, bundle: str, bundled: Mapping[str, Any]) -> str:
+    """What the world is called, without blanks: "clean", or a bundle and the parts that differ from it, as in
+    "outdoor_breeze,wind=none" and "wind=constant,link=latency".
+
+    bundle: option of the group `world`. bundled: the parts that it chooses, by group.
+    """
+    if not world_parts(config):
+        return "clean"
+    own = [f"{group}={getattr(config, group).name}" for group in WORLD if getattr(config, group) != bundled[group]]
+    return ",".join(own if bundle == "clean" else [bundle, *own])
 
 
 def conf_folder() -> Path:

@@ -15,8 +15,9 @@ from typing import Any, TypeVar, cast
 
 from quadexp.config.flight import ControllerConfig, FileConfig, MPCConfig, PlantConfig, TrajectoryConfig, VehicleConfig
 from quadexp.config.lei_li import FeedbackConfig, RLSMPCConfig, SensorConfig
-from quadexp.config.schema import Config
+from quadexp.config.schema import Config, world_parts
 from quadexp.config.settings import part
+from quadexp.config.world import WorldPartConfig
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment import build_custom, build_foreign, build_identified, build_lei_li
 from quadexp.experiment.identity import digest
@@ -47,7 +48,8 @@ MAKERS = {
 }
 
 
-def _keep(record: Any, make: Callable[[], T]) -> T:
+def keep(record: Any, make: Callable[[], T]) -> T:
+    """What was made before of an equal record, else a new one."""
     key = digest(record)
     made = _kept.pop(key) if key in _kept else make()
     while len(_kept) >= KEPT:
@@ -78,7 +80,7 @@ class ModelFile:
 
 def build_vehicle(config: VehicleConfig) -> Vehicle:
     """The vehicle; raises UsageError where the numbers describe none."""
-    return _keep(["vehicle", asdict(config)], lambda: part(Vehicle, config))
+    return keep(["vehicle", asdict(config)], lambda: part(Vehicle, config))
 
 
 def build_plant(vehicle: Vehicle, config: PlantConfig) -> Any:
@@ -91,8 +93,13 @@ def build_plant(vehicle: Vehicle, config: PlantConfig) -> Any:
         "rotorpy": build_foreign.rotorpy_plant,
         "drone_models": build_foreign.drone_models_plant,
     }
+    return keep(plant_record(vehicle, config), lambda: makers[config.kind](vehicle, config))
+
+
+def plant_record(vehicle: Vehicle, config: PlantConfig) -> list[Any]:
+    """What decides a plant."""
     content = build_identified.model_hash(config.model) if hasattr(config, "model") else ""
-    return _keep(["plant", vehicle.fingerprint, asdict(config), content], lambda: makers[config.kind](vehicle, config))
+    return ["plant", vehicle.fingerprint, asdict(config), content]
 
 
 def _simplified_plant(vehicle: Vehicle, config: Any) -> Any:
@@ -101,8 +108,11 @@ def _simplified_plant(vehicle: Vehicle, config: Any) -> Any:
     return SimplifiedPlant(vehicle, part(PlantEffects, config), step=config.step, backend=config.backend)
 
 
-def build_sensor(config: SensorConfig) -> Any:
-    """What the controller measures specific force with; None for a perfect accelerometer."""
+def build_sensor(config: WorldPartConfig) -> Any:
+    """What the controller measures specific force with; None for a perfect accelerometer, and for sensors that are
+    effects (see build_world)."""
+    if not isinstance(config, SensorConfig):
+        return None
     bias, noise = config.accelerometer_bias, config.accelerometer_noise
     if not any(bias) and not any(noise):
         return None
@@ -178,7 +188,7 @@ def build_residual(config: Config, vehicle: Vehicle, plant: Any, model: ModelFil
     if kind == "custom":
         return build_custom.custom_residual(vehicle, config.controller)
     assert model is not None
-    return _keep(["residual", kind, vehicle.fingerprint, model.sha256], lambda: _from_file(kind, vehicle, model))
+    return keep(["residual", kind, vehicle.fingerprint, model.sha256], lambda: _from_file(kind, vehicle, model))
 
 
 def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
@@ -206,7 +216,8 @@ def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
 def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
     """The controller; one is kept for every (configuration, model), and begins anew with every flight."""
     controller = config.controller
-    believed = asdict(config.plant) if knows_plant(controller) else model.sha256 if model else ""
+    told = [asdict(config.plant), [*world_parts(config)]]
+    believed = told if knows_plant(controller) else model.sha256 if model else ""
     record = ["controller", vehicle.fingerprint, asdict(controller), believed]
 
     def make() -> Any:
@@ -223,7 +234,7 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
         residual, backend = build_residual(config, vehicle, plant, model), cast(MPCConfig, controller).backend
         return PredictiveController(ModelPredictiveController(vehicle, residual, settings, backend=backend))
 
-    return _keep(record, make)
+    return keep(record, make)
 
 
 def knows_plant(config: ControllerConfig) -> bool:

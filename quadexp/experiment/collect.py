@@ -21,8 +21,9 @@ import numpy as np
 
 from quadexp.config.schema import Config
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.experiment.build import build_controller, build_plant, build_vehicle, find_model
+from quadexp.experiment.build import build_controller, build_vehicle, find_model
 from quadexp.experiment.build_identified import load_identified
+from quadexp.experiment.build_world import build_world
 from quadexp.experiment.evaluate import describe, thrust_excess
 from quadexp.experiment.identity import digest, flight_record
 from quadexp.experiment.loop_margins import loop_margins
@@ -77,7 +78,7 @@ def collect_flights(
     """
     model = find_model(config)
     vehicle = build_vehicle(config.vehicle)
-    plant = build_plant(vehicle, config.plant)
+    plant = build_world(config, vehicle)
     controller = build_controller(config, vehicle, plant, model)
     if unstable := instability(config, loop_margins(controller, config.plant, plant), vehicle, plant, model):
         raise UsageError(unstable)

@@ -54,13 +54,18 @@ def instability(
         told = f"{_keys(unknown)} at this rate and horizon"
     faster = next((_keys(grid) for grid in grids if stable(grid)), "")
     found = ", or ".join(filter(None, (told, faster))) or "nothing that was tried"
-    beyond = f" beyond the {_ms(margins['motor_lag'])} and {_ms(margins['dead_time'])} that it predicts"
+    late = {
+        "motors that lag by": margins["world_lag"],
+        "commands and measurements that are late by": margins["world_latency"],
+    }
+    world = " and ".join(f"{words} {_ms(value)}" for words, value in late.items() if value)
+    predicts = {"lag": margins["motor_lag"], "delay": margins["dead_time"]}
+    known = " and ".join(f"{_ms(value)} of {name}" for name, value in predicts.items() if value)
     return (
-        f"{controller.name} on {config.plant.name}: motors that lag by {_ms(margins['world_lag'])} and commands that"
-        f" are {_ms(margins['world_latency'])} late; at {controller.rate:g} Hz with a horizon of"
+        f"{controller.name} on {config.plant.name}: {world or 'no delay'}; at {controller.rate:g} Hz with a horizon of"
         f" {controller.horizon:g} s this loop stands {_ms(margins['lag'])} of lag or {_ms(margins['delay'])} of delay"
-        f"{beyond if margins['motor_lag'] or margins['dead_time'] else ''}, and is not stable at hover; what makes it"
-        f" stable: {found}; to fly it all the same: controller.allow_unstable=true"
+        f"{f' beyond the {known} that it predicts' if known else ''}, and is not stable at hover; what makes it stable:"
+        f" {found}; to fly it all the same: controller.allow_unstable=true"
     )
 
 

@@ -38,6 +38,10 @@ FLIGHT_COLUMNS: dict[str, Column] = {
     **{
         f"ref_{name}": column._replace(description=f"reference {column.description}") for name, column in _STATE.items()
     },
+    **{
+        f"est_{name}": column._replace(description=f"{column.description}, as the controller was told it")
+        for name, column in _STATE.items()
+    },
     **{f"acc_{i}": Column("m/s^2", "body", "specific force an accelerometer reads") for i in _AXES},
     "solve_time": Column("s", "", "wall time of the control step; the only column that two runs may differ in"),
     "status": Column("1", "", "0 riccati, 1 active_set, 2 last_resort, 3 failed"),

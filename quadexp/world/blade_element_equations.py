@@ -124,6 +124,7 @@ def fast_equations(model: BladeElementModel) -> Equations:
         ca.Function("blade_element_step", [s, held, noise, parameters, h], [s_next]),
         _begin(model, ca.Function("begin", [x, w, held, parameters], [first])),
         ca.Function("end", [s, held, parameters], results),
+        *_for_effects(model),
     )
 
 
@@ -156,6 +157,7 @@ def checked_equations(model: BladeElementModel) -> Equations:
         ca.Function("checked_step", [s, held, noise, parameters, h], results, STEP_INPUTS, kept),
         _begin(model, lambda x, w, held, parameters: ca.vertcat(x, w)),
         ca.Function("checked_end", [s, held, parameters], [x, ca.vertcat(w, induced), reading, ca.MX(1, 1)]),
+        *_for_effects(model),
     )
 
 
@@ -166,6 +168,16 @@ def _begin(model: BladeElementModel, first: Callable[..., ca.MX]) -> ca.Function
     inner, u = ca.MX.sym("inner", 2 * n), ca.MX.sym("u", n)
     held = model.commanded(u, parameters)
     return ca.Function("begin_period", [x, inner, u, parameters], [first(x, inner[:n], held, parameters), held])
+
+
+def _for_effects(model: BladeElementModel) -> tuple[ca.Function, ca.Function]:
+    """Equations.command and Equations.mass."""
+    _, _, _, parameters, _ = _symbols(model, ca.SX)
+    u = ca.SX.sym("u", model.vehicle.n_rotors)
+    return (
+        ca.Function("command", [u, parameters], [model.commanded(u, parameters)]),
+        ca.Function("mass", [parameters], [model.split(parameters)[2]]),
+    )
 
 
 def _symbols(model: BladeElementModel, kind: type[Expression]) -> list[Expression]:

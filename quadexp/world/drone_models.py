@@ -87,13 +87,18 @@ class DroneModelsPlant(SimulatedPlant):
         return np.full(self.vehicle.n_rotors, self._speed(self.vehicle.hover_thrust))
 
     @property
+    def inner_columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See SimulatedPlant."""
+        return tuple(f"rotor_speed_{rotor}" for rotor in range(self.vehicle.n_rotors))
+
+    @property
     def rotor_speed(self) -> np.ndarray:
         """(n,), rad/s."""
         return self.inner
 
     @property
-    def motor_lag(self) -> float:
-        """Time constant of thrust after a small change of the command in hover, up or down: the longer one (s)."""
+    def loop_lag(self) -> float:  # type: ignore[override]
+        """See SimulatedPlant. Time constant of thrust after a small change of the command in hover, up or down: the longer one (s)."""
         rpm = self._speed(self.vehicle.hover_thrust) / RPM
         return 1 / min(linear + 2 * square * rpm for linear, square in (self.keys.spin_up, self.keys.spin_down))
 

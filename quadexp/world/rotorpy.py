@@ -81,14 +81,14 @@ class RotorPyPlant(SimulatedPlant):
         return np.full(self.vehicle.n_rotors, self._hover_speed(self.vehicle))
 
     @property
+    def inner_columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See SimulatedPlant."""
+        return tuple(f"rotor_speed_{rotor}" for rotor in range(self.vehicle.n_rotors))
+
+    @property
     def rotor_speed(self) -> np.ndarray:
         """(n,), rad/s."""
         return self.inner
-
-    @property
-    def motor_lag(self) -> float:
-        """Time constant with which thrust follows a small change of the command (s)."""
-        return self.keys.motor_lag
 
     def residual(self) -> Residual:
         """See Plant.residual: all but the lag of the motors, which controller.motor_lag says."""

@@ -25,7 +25,12 @@ from quadexp.reference.step import Step
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.accelerometer import LEI_LI
 from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant, PlantChange
+from quadexp.world.constant_wind import ConstantWind
 from quadexp.world.from_model import FromModelPlant
+from quadexp.world.link import Latency
+from quadexp.world.stated_estimate import StatedEstimate
+from quadexp.world.streams import Share, Streams
+from quadexp.world.world import World
 from tests.air.models import BLADE, make_residual, with_rotors
 from tests.properties.paths import Wander, near
 
@@ -136,6 +141,29 @@ def test_any_flight_of_many(monkeypatch, vehicle):
         active += int((found.flight["active"] > 0).sum())
         in_c += found.periods_in_c
     assert {"ok", "lost"} <= outcomes and active > 500 and in_c > 5_000
+
+
+WORLD = [
+    ConstantWind(velocity=(3.0, -1.0, 0.5)),
+    Latency(latency=0.003, jitter=0.03, drop=0.1),
+    StatedEstimate(position_noise=0.01, velocity_noise=0.03, attitude_noise=0.01, rate_noise=0.05, delay=0.006),
+]
+
+
+@compiled
+@pytest.mark.parametrize("effects", [[0], [1], [2], [0, 1, 2]], ids=["wind", "link", "estimate", "all"])
+@pytest.mark.parametrize("seed", [9, 11, 15, 18])
+def test_any_flight_in_a_world(monkeypatch, vehicle, seed, effects):
+    """The same with effects around the plant; the seeds bring the three plants."""
+    plant, controller, path, options = draw(seed, vehicle)
+    world = World(plant, [WORLD[i] for i in effects])
+    flight = both(monkeypatch, world, controller, path, **options).flight
+    assert ("est_p_x" in flight.columns) == (2 in effects) and ("wind_x" in flight.columns) == (0 in effects)
+    if 2 in effects:
+        error = flight.stack(["est_p_x", "est_p_y", "est_p_z"]) - flight.stack(["p_x", "p_y", "p_z"])
+        assert np.abs(error[0]).max() == 0 and 0.003 < np.abs(error[1:]).max() < 0.5
+    if 0 in effects:
+        assert np.array_equal(flight.stack(["wind_x", "wind_y", "wind_z"]), [[3.0, -1.0, 0.5]] * len(flight.t))
 
 
 def mpc(vehicle, residual="none", **settings):
@@ -342,7 +370,7 @@ def mpc_of_any_kind(vehicle, backend="auto"):
 def test_noise_drawn_in_blocks_is_the_same_noise():
     """Taken a period at a time, and given back where a flight ended early."""
     size, one, two = 7, np.random.default_rng(5), np.random.default_rng(5)
-    drawn, out = Drawn(one, 300, size), np.empty((7, 1))
+    drawn, out = Drawn(Streams([Share(one, size)], 1), 300), np.empty((7, 1))
     for _ in range(200):
         drawn.standard_normal(out=out)
         assert np.array_equal(out.ravel(), two.standard_normal(size))

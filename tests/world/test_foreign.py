@@ -50,7 +50,7 @@ def plant(name: str, *overrides: str):
 
 def slope(truth):
     """s' of a step (s, u): its derivative by the length of the step, at zero; the quaternion keeps its length there."""
-    step = truth._equations.step
+    step = truth.equations.step
     s, u, h = ca.SX.sym("s", step.size1_in(0)), ca.SX.sym("u", step.size1_in(1)), ca.SX.sym("h")
     after, reading = step(s, u, ca.SX(0, 1), ca.DM(truth.parameters(0.0)), h)
     return ca.Function("slope", [s, u], [ca.substitute(ca.jacobian(after, h), h, 0), ca.substitute(reading, h, 0)])
@@ -222,7 +222,7 @@ def test_what_a_controller_believes_is_the_plant_with_settled_rotors(name):
     states, commands = random_points(truth, 50)
     settled = plant(name)
     for s, u in zip(states, np.maximum(commands, 0.2 * truth.vehicle.hover_thrust), strict=True):
-        for _ in range(60 if settled.motor_lag > 0.02 else 10):  # of 0.1 s each
+        for _ in range(60 if settled.loop_lag else 10):  # of 0.1 s each
             settled.advance(s[:13], u, 0.1)
         expected = f(np.r_[s[:13], settled.rotor_speed], u)[0].full().ravel()[:13]
         found = believed(s[:13], u, residual.theta).full().ravel()
@@ -254,7 +254,7 @@ def test_slopes_of_the_residual_are_finite_at_the_limits(name):
     ("name", "up", "down"), [("drone_models", 0.136, 0.108), ("drone_models_brushless", 0.057, 0.062)]
 )
 def test_rotors_of_a_crazyflie_spin_up_as_slowly_as_said(name, up, down):
-    """After its time constant 1 - 1/e of a small change of the command has been followed; the longer is motor_lag."""
+    """After its time constant 1 - 1/e of a small change of the command has been followed; the longer is loop_lag."""
     truth = plant(name)
     hover = truth.vehicle.hover_thrust
     x = np.r_[np.zeros(3), 1, np.zeros(9)]
@@ -267,7 +267,7 @@ def test_rotors_of_a_crazyflie_spin_up_as_slowly_as_said(name, up, down):
         truth.advance(x, np.full(4, hover * (1 + 1e-4 * sign)), lag)
         share = (truth.rotor_speed - before) / (target.rotor_speed - before)
         assert share == pytest.approx(np.full(4, 1 - np.exp(-1)), abs=0.005)
-    assert truth.motor_lag == pytest.approx(max(up, down), abs=1e-3)
+    assert truth.loop_lag == pytest.approx(max(up, down), abs=1e-3)
 
 
 @pytest.mark.parametrize("name", PAIRS)

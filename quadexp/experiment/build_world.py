@@ -1,0 +1,50 @@
+"""From a configuration to its plant with the world around it."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import asdict
+from typing import Any
+
+from quadexp.config.schema import Config, world_parts
+from quadexp.config.settings import part
+from quadexp.config.world import WorldPartConfig
+from quadexp.errors import UsageError
+from quadexp.experiment.build import build_plant, keep, plant_record
+from quadexp.physics.vehicle import Vehicle
+
+
+def build_world(config: Config, vehicle: Vehicle) -> Any:
+    """The plant in its world; the plant itself where no part of the world does anything.
+
+    vehicle: the one that controllers believe in.
+    Raises UsageError where the plant is none of the shared integrator, which the effects need.
+    """
+    parts = world_parts(config)
+    believed = build_plant(vehicle, config.plant)
+    if not parts:
+        return believed
+    from quadexp.world.integrator import SimulatedPlant
+    from quadexp.world.world import World
+
+    effects = [_effect(one) for one in parts.values()]
+    true_vehicle = vehicle
+    for effect in effects:
+        true_vehicle = effect.true_vehicle(true_vehicle)
+    record = ["world", plant_record(vehicle, config.plant), {group: asdict(one) for group, one in parts.items()}]
+
+    def make() -> Any:
+        airframe = believed if true_vehicle is vehicle else build_plant(true_vehicle, config.plant)
+        if not isinstance(airframe, SimulatedPlant) or type(airframe).advance is not SimulatedPlant.advance:
+            raise UsageError(
+                f"{config.world}: needs a plant that is a SimulatedPlant (quadexp/world/integrator.py);"
+                f" plant={config.plant.name} has an `advance` of its own, and flies without"
+            )
+        return World(airframe, effects, believed)
+
+    return keep(record, make)
+
+
+def _effect(config: WorldPartConfig) -> Any:
+    module, _, name = config.effect.partition(":")
+    return part(getattr(importlib.import_module(module), name), config)

@@ -1,0 +1,69 @@
+"""Random numbers of a flight by part, each part's from a stream of its own.
+
+A part's stream comes from the seed of the flight's generator and the part's name. So every part meets the same numbers
+whatever else is switched on, and so does every controller.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+WORDS = 4  # of 32 bits, that name a stream
+
+
+def part_stream(rng: np.random.Generator, part: str) -> np.random.Generator:
+    """The stream of a part, a new one at every call; rng itself is left as it is."""
+    seed: Any = rng.bit_generator.seed_seq
+    words = np.frombuffer(hashlib.sha256(part.encode()).digest()[: 4 * WORDS], "<u4")
+    key = (*seed.spawn_key, *(int(word) for word in words))
+    return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size))
+
+
+class Share(NamedTuple):
+    """What a part takes of its stream in a control period: noise (steps of it), then draws, once."""
+
+    rng: np.random.Generator
+    noise: int
+    draws: int = 0
+
+
+class Streams:
+    """Standard normal numbers of a control period: noise (steps, d) with a column a number, then all draws."""
+
+    def __init__(self, shares: Sequence[Share], steps: int) -> None:
+        self._shares, self._steps = shares, steps
+        self.noise_size = steps * sum(share.noise for share in shares)
+        self.size = self.noise_size + sum(share.draws for share in shares)
+
+    def take(self, periods: int) -> np.ndarray:
+        """The numbers of the next periods, (periods, size); as many calls as periods give the same numbers."""
+        if len(self._shares) == 1 and not self._shares[0].draws:
+            return self._shares[0].rng.standard_normal((periods, self.size))
+        found = np.empty((periods, self.size))
+        noise = found[:, : self.noise_size].reshape(periods, self._steps, -1) if self.noise_size else None
+        row, draw = 0, self.noise_size
+        for share in self._shares:
+            block = share.rng.standard_normal((periods, self._steps * share.noise + share.draws))
+            found[:, draw : draw + share.draws] = block[:, : share.draws]
+            if noise is not None and share.noise:
+                noise[:, :, row : row + share.noise] = block[:, share.draws :].reshape(periods, self._steps, -1)
+            row, draw = row + share.noise, draw + share.draws
+        return found
+
+    def standard_normal(self, out: np.ndarray) -> None:
+        """As Generator.standard_normal: the numbers of the next period."""
+        out.ravel()[:] = self.take(1)[0]
+
+    @property
+    def state(self) -> list[Any]:
+        """Where all streams are."""
+        return [share.rng.bit_generator.state for share in self._shares]
+
+    @state.setter
+    def state(self, states: list[Any]) -> None:
+        for share, state in zip(self._shares, states, strict=True):
+            share.rng.bit_generator.state = state
