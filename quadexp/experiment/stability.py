@@ -58,11 +58,11 @@ def instability(
         "motors that lag by": margins["world_lag"],
         "commands and measurements that are late by": margins["world_latency"],
     }
-    world = " and ".join(f"{words} {_ms(value)}" for words, value in late.items() if value)
+    causes = " and ".join(f"{words} {_ms(value)}" for words, value in late.items() if value)
     predicts = {"lag": margins["motor_lag"], "delay": margins["dead_time"]}
     known = " and ".join(f"{_ms(value)} of {name}" for name, value in predicts.items() if value)
     return (
-        f"{controller.name} on {config.plant.name}: {world or 'no delay'}; at {controller.rate:g} Hz with a horizon of"
+        f"{controller.name} on {config.plant.name}: {causes or 'no delay'}; at {controller.rate:g} Hz with a horizon of"
         f" {controller.horizon:g} s this loop stands {_ms(margins['lag'])} of lag or {_ms(margins['delay'])} of delay"
         f"{f' beyond the {known} that it predicts' if known else ''}, and is not stable at hover; what makes it stable:"
         f" {found}; to fly it all the same: controller.allow_unstable=true"

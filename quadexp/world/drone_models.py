@@ -87,7 +87,7 @@ class DroneModelsPlant(SimulatedPlant):
         return np.full(self.vehicle.n_rotors, self._speed(self.vehicle.hover_thrust))
 
     @property
-    def inner_columns(self) -> tuple[str, ...]:  # type: ignore[override]
+    def inner_columns(self) -> tuple[str, ...]:
         """See SimulatedPlant."""
         return tuple(f"rotor_speed_{rotor}" for rotor in range(self.vehicle.n_rotors))
 
@@ -98,7 +98,7 @@ class DroneModelsPlant(SimulatedPlant):
 
     @property
     def loop_lag(self) -> float:  # type: ignore[override]
-        """See SimulatedPlant. Time constant of thrust after a small change of the command in hover, up or down: the longer one (s)."""
+        """See SimulatedPlant: in hover, of thrust after a small change of the command, up or down, the longer (s)."""
         rpm = self._speed(self.vehicle.hover_thrust) / RPM
         return 1 / min(linear + 2 * square * rpm for linear, square in (self.keys.spin_up, self.keys.spin_down))
 

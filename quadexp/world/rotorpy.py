@@ -81,7 +81,7 @@ class RotorPyPlant(SimulatedPlant):
         return np.full(self.vehicle.n_rotors, self._hover_speed(self.vehicle))
 
     @property
-    def inner_columns(self) -> tuple[str, ...]:  # type: ignore[override]
+    def inner_columns(self) -> tuple[str, ...]:
         """See SimulatedPlant."""
         return tuple(f"rotor_speed_{rotor}" for rotor in range(self.vehicle.n_rotors))
 
