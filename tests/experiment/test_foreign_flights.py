@@ -6,9 +6,12 @@ import pytest
 
 from quadexp.config.compose import compose
 from quadexp.errors import UsageError
+from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle
+from quadexp.experiment.build_world import build_world
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.fit import fit_checkpoint
+from tests.experiment.test_compiled_flight import both, compiled
 
 HUMMINGBIRD = ["vehicle=hummingbird", "plant=rotorpy"]
 CRAZYFLIE = ["vehicle=cf2x_L250", "plant=drone_models", "trajectory.speed=4"]
@@ -30,9 +33,9 @@ def test_a_perfect_model_of_the_hummingbird_flies_it_within_a_fifth_of_a_millime
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", ["circle", "lemniscate"])
-def test_a_controller_that_knows_the_lag_too_is_closer(path):
-    world = [*HUMMINGBIRD, "controller=perfect_mpc", "horizon=precise", f"trajectory={path}", "trajectory.speed=8"]
+@pytest.mark.parametrize("speed", [4, 11])
+def test_a_controller_that_knows_the_lag_too_is_closer_on_a_circle(speed):
+    world = [*HUMMINGBIRD, "controller=perfect_mpc", "horizon=precise", f"trajectory.speed={speed}"]
     assert mean_error(*world, "controller.motor_lag=0.005") < 0.5 * mean_error(*world)
 
 
@@ -85,6 +88,19 @@ def test_controllers_that_need_no_model_hover_with_the_hummingbird(controller, l
 def test_a_blade_element_controller_says_what_a_crazyflie_lacks():
     with pytest.raises(UsageError, match=r"needs vehicle\.rotor"):
         fly_one(compose([*CRAZYFLIE, "controller=rls_mpc", "controller.motor_lag=0.136"]))
+
+
+@pytest.mark.slow
+@compiled
+@pytest.mark.parametrize("wind", [[], ["wind=constant", "wind.velocity=[3,-1,0]", "link=latency", "link.latency=0.01"]])
+@pytest.mark.parametrize("world", [HUMMINGBIRD, BRUSHLESS])
+def test_they_are_flown_in_c_as_in_python(world, wind, monkeypatch):
+    config = compose([*world, *wind, "trajectory.speed=4"])
+    vehicle = build_vehicle(config.vehicle)
+    plant = build_world(config, vehicle)
+    controller = build_controller(config, vehicle, plant, None)
+    found = both(monkeypatch, plant, controller, build_trajectory(config.trajectory, vehicle))
+    assert found.periods_in_c > 500 and "rotor_speed_3" in found.flight.columns
 
 
 @pytest.mark.slow

@@ -23,6 +23,8 @@ from quadexp.experiment.build import build_plant, build_vehicle, unshared
 from quadexp.experiment.evaluate import fly_one
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS, VELOCITY
+from quadexp.world.constant_wind import ConstantWind
+from quadexp.world.world import World
 from tests.states import random_state
 
 ROOT = Path(__file__).parent.parent.parent
@@ -145,12 +147,24 @@ def test_rotorpy_has_the_equations_of_the_package(aero):
 
 
 @needs_rotorpy
-def test_rotorpy_flies_as_the_package_does():
-    """Two seconds of a flight, flown again by the package's own step from one control period to the next."""
+@pytest.mark.parametrize("wind", [None, (4.0, -3.0, 1.0)])
+def test_rotorpy_flies_as_the_package_does(wind):
+    """Two seconds of a flight, flown again by the package's own step from one control period to the next.
+
+    In wind, too: the package subtracts it from the velocity, the world around an airframe moves the frame with it.
+    """
     native, _ = rotorpy_itself()
     states, commands, period = some_flight("rotorpy")
+    if wind is not None:
+        world = World(plant("rotorpy", "plant.step=1e-4"), [ConstantWind(velocity=wind)])
+        streams = world.begin(states[0, :13], period, 10.0, np.random.default_rng(0))
+        world.inner[:4] = states[0, 13:]
+        for k, u in enumerate(commands):
+            states[k + 1, :13], _ = world.advance(states[k, :13], u, period, streams)
+            states[k + 1, 13:] = world.rotor_speed
     state = as_rotorpy(states[0])
     for u, expected in zip(commands, states[1:], strict=True):
+        state["wind"] = np.zeros(3) if wind is None else np.array(wind)
         state = native.step(state, {"cmd_motor_thrusts": u}, period)
         mine, theirs = as_rotorpy(expected), state
         for name in ("x", "v", "w"):
