@@ -33,10 +33,11 @@ MODULES = {
 # Folders (with all their files) and files whose content determines a flight and the figures of its row.
 DECIDING = (
     "air", "compile", "control", "physics", "reference", "world",
-    "experiment/build.py", "experiment/build_custom.py", "experiment/build_identified.py",
-    "experiment/build_lei_li.py", "experiment/build_world.py", "experiment/compiled_flight.py",
-    "experiment/evaluate.py", "experiment/flight.c",
-    "experiment/identity.py", "experiment/outside.py", "experiment/rollout.py",
+    "experiment/build.py", "experiment/build_custom.py", "experiment/build_foreign.py",
+    "experiment/build_identified.py", "experiment/build_lei_li.py", "experiment/build_world.py",
+    "experiment/compiled_flight.py", "experiment/evaluate.py", "experiment/flight.c",
+    "experiment/identity.py", "experiment/loop_margins.py", "experiment/outside.py", "experiment/rollout.py",
+    "experiment/stability.py",
     "learn/checkpoint.py", "learn/dataset.py", "learn/linear_drag.py",
     "learn/lumped.py", "learn/model.py", "learn/regression.py", "learn/rls.py", "learn/rls_step.py",
     "learn/samples.py", "learn/support.py", "learn/term_mean.py", "learn/terms.py",

@@ -15,9 +15,10 @@ from tests.test_layout import PACKAGE, ROOT, imports, modules
 # Imported by what flies a cell, and not among the sources that decide a flight: name -> why.
 ASIDE = {
     "quadexp": "the version, which a row names beside the sources",
-    "quadexp.config.schema": "what it holds is in the key of the cell, like the next five",
+    "quadexp.config.schema": "what it holds is in the key of the cell, like the next six",
     "quadexp.config.custom": "",
     "quadexp.config.flight": "",
+    "quadexp.config.foreign": "",
     "quadexp.config.lei_li": "",
     "quadexp.config.motors": "",
     "quadexp.config.settings": "",
@@ -32,7 +33,6 @@ ASIDE = {
     "quadexp.provenance": "what is said of a flight",
     "quadexp.config": "empty",
     "quadexp.experiment": "empty",
-    "quadexp.experiment.loop_margins": "margins that are printed of a loop",
     "quadexp.experiment.inputs": "where copies of files lie; their content is in the key",
     "quadexp.log": "names",
     "quadexp.log.schema": "what a flight is on disk, like the next two",

@@ -425,6 +425,9 @@ class PredictiveConfig(MPCKeys, ControllerConfig):
 
     kind: str = "mpc"
     backend: Backend = "auto"
+    allow_unstable: Annotated[
+        bool, Setting("fly although the plant's own lag or delay makes the loop unstable at hover")
+    ] = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,7 @@
 """The whole configuration: every node, and the schemas that the files in conf/ extend.
 
-What a key is stands with the settings (settings.py): flight.py, lei_li.py, custom.py, learning.py, engine.py. A file of
-conf/ states only what differs from the defaults there.
+What a key is stands with the settings (settings.py): flight.py, lei_li.py, foreign.py, custom.py, learning.py,
+engine.py. A file of conf/ states only what differs from the defaults there.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ from quadexp.config.flight import (
     TrajectoryConfig,
     VehicleConfig,
 )
+from quadexp.config.foreign import DroneModelsPlantConfig, RotorPyPlantConfig
 from quadexp.config.learning import CollectConfig, DragConfig, GPConfig
 from quadexp.config.lei_li import (
     BladeElementPlantConfig,
@@ -128,6 +129,8 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "simplified": SimplifiedPlantConfig,
         "from_model": FromModelPlantConfig,
         "blade_element": BladeElementPlantConfig,
+        "rotorpy": RotorPyPlantConfig,
+        "drone_models": DroneModelsPlantConfig,
         "custom": CustomPlantConfig,
     },
     "truth": {"nominal": TruthConfig},

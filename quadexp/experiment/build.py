@@ -19,7 +19,7 @@ from quadexp.config.schema import Config, world_parts
 from quadexp.config.settings import part
 from quadexp.config.world import WorldPartConfig
 from quadexp.errors import DataError, UsageError
-from quadexp.experiment import build_custom, build_identified, build_lei_li
+from quadexp.experiment import build_custom, build_foreign, build_identified, build_lei_li
 from quadexp.experiment.identity import digest
 from quadexp.experiment.inputs import located
 from quadexp.physics.vehicle import Vehicle
@@ -97,6 +97,8 @@ def build_plant(vehicle: Vehicle, config: PlantConfig, believed: Vehicle | None 
         "blade_element": build_lei_li.blade_element_plant,
         "custom": build_custom.custom_plant,
         "from_model": build_identified.identified_plant,
+        "rotorpy": build_foreign.rotorpy_plant,
+        "drone_models": build_foreign.drone_models_plant,
     }
     return keep(plant_record(vehicle, config), lambda: makers[config.kind](vehicle, config))
 

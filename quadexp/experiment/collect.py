@@ -26,7 +26,9 @@ from quadexp.experiment.build_identified import load_identified
 from quadexp.experiment.build_world import build_world
 from quadexp.experiment.evaluate import describe, thrust_excess
 from quadexp.experiment.identity import digest, flight_record
+from quadexp.experiment.loop_margins import loop_margins
 from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.experiment.stability import instability
 from quadexp.learn.dataset import ResidualDataset, as_told, residual_dataset
 from quadexp.learn.known_noise import known_noise
 from quadexp.learn.recorded import is_recorded, logged_thrust, recorded_dataset, target_cost
@@ -81,6 +83,8 @@ def collect_flights(
     vehicle = build_vehicle(config.vehicle)
     plant = build_world(config, vehicle)
     controller = build_controller(config, vehicle, plant, model)
+    if unstable := instability(config, loop_margins(controller, config.plant, plant), vehicle, plant, model):
+        raise UsageError(unstable)
     flown = {group: node for group, node in flight_record(config).items() if group != "trajectory"}
     record = {**flown, "collect": _decisive(config)}
     sequence = np.random.SeedSequence(int(digest(["collect", config.seed]), 16))

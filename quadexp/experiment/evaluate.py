@@ -23,6 +23,7 @@ from quadexp.experiment.build_world import build_world
 from quadexp.experiment.identity import digest, flight_entropy, flight_record
 from quadexp.experiment.loop_margins import loop_margins
 from quadexp.experiment.outside import outside_data
+from quadexp.experiment.stability import instability
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
 from quadexp.physics.vehicle import Vehicle
@@ -34,7 +35,7 @@ CHECK_STEP = 0.02  # s between the points at which a reference is compared with 
 
 
 class InfeasibleError(UsageError):
-    """The reference exceeds the vehicle's total thrust."""
+    """The reference exceeds the vehicle's total thrust, or the plant's lag what the loop stands."""
 
 
 def generator(config: Config) -> np.random.Generator:
@@ -107,6 +108,8 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     plant = build_world(config, vehicle)
     controller = build_controller(config, vehicle, plant, model)
     margins = loop_margins(controller, config.plant, plant)
+    if unstable := instability(config, margins, vehicle, plant, model):
+        raise InfeasibleError(unstable)
     reference = SampledReference(trajectory, controller)
     flight = fly(
         plant,

@@ -90,9 +90,11 @@ class SimulatedPlant:
 
     parameters: (p,). step: largest integration step (s); a control period is divided evenly.
     `time`: s since `reset`. `inner`: inner states now, (m,). `next_change`: s, until which the parameters hold.
+    `loop_lag`: s, time constant of rotors that no option `motor_lag` states.
     """
 
     next_change = math.inf
+    loop_lag = 0.0
 
     def __init__(
         self, vehicle: Vehicle, equations: Equations, parameters: npt.ArrayLike = (), *, step: float, backend: str

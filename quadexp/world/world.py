@@ -198,9 +198,9 @@ class World(SimulatedPlant):
         return sum(effect.loop_delay for effect in self.effects)
 
     @property
-    def loop_lag(self) -> float:
-        """Known time constants of the loop (s)."""
-        return sum(effect.loop_lag for effect in self.effects)
+    def loop_lag(self) -> float:  # type: ignore[override]
+        """See SimulatedPlant: the airframe's and the effects'."""
+        return self.airframe.loop_lag + sum(effect.loop_lag for effect in self.effects)
 
     def residual(self) -> Residual:
         """See Plant.residual: the airframe's own; it names what it does not know of the world."""

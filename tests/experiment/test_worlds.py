@@ -10,7 +10,7 @@ from quadexp.config.schema import WORLD, world_parts
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_vehicle
 from quadexp.experiment.build_world import build_world
-from quadexp.experiment.evaluate import fly_one
+from quadexp.experiment.evaluate import InfeasibleError, fly_one
 from quadexp.experiment.identity import flight_entropy, flight_record
 from quadexp.report.margin_line import world_note
 from quadexp.report.metrics import flight_metrics
@@ -115,7 +115,11 @@ def test_who_knows_the_plant_says_what_it_does_not_know():
 )
 def test_known_delays_are_held_against_the_margins(world, stable):
     """The margin of the precise grid is 17 ms; link and estimator count together, less what the controller predicts."""
-    margins = fly_one(compose([*SHORT, "horizon=precise", "controller=nominal_mpc", *world])).metadata["margins"]
+    overrides = [*SHORT, "horizon=precise", "controller=nominal_mpc", *world]
+    if not stable:
+        with pytest.raises(InfeasibleError, match="not stable at hover"):
+            fly_one(compose(overrides))
+    margins = fly_one(compose([*overrides, "controller.allow_unstable=true"])).metadata["margins"]
     assert margins["world_stable"] == stable and bool(world_note(margins)) != stable
 
 
