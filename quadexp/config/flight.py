@@ -341,6 +341,13 @@ class MPCKeys(Settings):
             "s",
         ),
     ] = 0.0
+    input_hold: Annotated[
+        Literal["command", "deviation"],
+        Setting(
+            "what the prediction keeps constant within an interval: the command, as published, or its deviation from"
+            " the reference's thrust; then long intervals cost no accuracy on the reference"
+        ),
+    ] = "command"
     dead_time: Annotated[
         float,
         Setting(

@@ -35,6 +35,7 @@ LARGEST = 1e100  # of a number in a reference
 KNOWN_SETTINGS = {
     "horizon", "nodes", "first_node", "rate", "position_weight", "attitude_weight", "attitude_error", "velocity_weight",
     "rate_weight", "input_weight", "terminal_weight", "feedforward", "initial_iterations", "distance_limit",
+    "input_hold",
 }  # fmt: skip
 LEAN = {"X_new", "U_new", "checks"}  # results of a step that meets no bound
 KNOWN_ATTRIBUTES = {"mpc", "vehicle", "settings", "backend", "control_period", "node_times", "name", "source"}
@@ -54,6 +55,7 @@ class _Flight(ctypes.Structure):
             (ctypes.c_longlong, "draws_argument draws_at doubt_size"),
             (ctypes.c_double, "near reach tolerance max_turn period"),
             (ctypes.c_void_p, "states thrusts along where"),
+            (ctypes.c_longlong, "reference_rows"),
             (ctypes.c_void_p, "x0 X_ref U_ref X U checks X_new U_new X_lin U_lin"),
             (ctypes.c_void_p, "guess bounded_checks bounded_X bounded_U side"),
             (
@@ -129,7 +131,7 @@ def covers(plant: Plant, controller: Controller, rng: Any, logged: int = 0) -> b
     unknown += [value for name, value in vars(controller.settings).items() if name not in KNOWN_SETTINGS]
     return (
         not any(unknown)
-        and set(step.arguments) == KNOWN_ARGUMENTS
+        and set(step.arguments) - {"first_share"} == KNOWN_ARGUMENTS
         and step.arguments["x0"].shape == (N_STATE,)
         and all(isinstance(f, BufferedFunction) and f.for_c is not None for f in (step, bounded, period))
         and isinstance(rng, np.random.Generator)
@@ -192,7 +194,8 @@ class CompiledFlight:
             bounded=bounded.for_c,
             plant=period.for_c,
             samples=len(along),
-            nodes=where.shape[1] - 1,
+            nodes=len(given["U"]),
+            reference_rows=where.shape[1],
             inputs=thrusts.shape[1],
             inner_size=len(plant.inner),
             logged_size=log["inner"].shape[1],

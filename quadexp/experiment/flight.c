@@ -28,9 +28,10 @@ typedef struct {
     integer samples, nodes, inputs, inner_size, logged_size, noise_size, noise_argument, draws_argument, draws_at,
         doubt_size;
     double near, reach, tolerance, max_turn, period;
-    /* reference: its states and inputs, the rows of each horizon (samples, nodes + 1), the states at control instants */
+    /* reference: its states and inputs, the rows of each horizon (samples, reference_rows), the states at control instants */
     const double *states, *thrusts, *along;
     const integer *where;
+    integer reference_rows; /* of a horizon: N + 1, or more where the reference is sampled within the nodes too */
     /* step: what it reads and leaves */
     double *x0, *X_ref, *U_ref, *X, *U;
     const double *checks, *X_new, *U_new, *X_lin, *U_lin;
@@ -99,7 +100,7 @@ static void towards(double *guess, const double *from, const double *to, integer
 }
 
 static int control(flight *f, integer k) {
-    const integer X_size = STATES * (f->nodes + 1), U_size = f->inputs * f->nodes, *rows = f->where + k * (f->nodes + 1);
+    const integer X_size = STATES * (f->nodes + 1), U_size = f->inputs * f->nodes, *rows = f->where + k * f->reference_rows;
     const double *x = f->told, *wanted = f->along + STATES * k, *X_new = f->X_new, *U_new = f->U_new;
     double status = 0, sweeps = 0, active = 0;
     if (!(distance(f->x, wanted) <= f->near) || !(distance(x, wanted) <= f->reach)) return 0;
@@ -107,9 +108,9 @@ static int control(flight *f, integer k) {
 
     const double began = seconds();
     copy(f->x0, x, STATES);
-    for (integer i = 0; i <= f->nodes; i++) copy(f->X_ref + STATES * i, f->states + STATES * rows[i], STATES);
-    for (integer i = 0; i < f->nodes; i++) copy(f->U_ref + f->inputs * i, f->thrusts + f->inputs * rows[i], f->inputs);
-    if (!to_side(f->X_ref, f->nodes + 1, x) || !to_side(f->X, f->nodes + 1, x)) return 0;
+    for (integer i = 0; i < f->reference_rows; i++) copy(f->X_ref + STATES * i, f->states + STATES * rows[i], STATES);
+    for (integer i = 0; i < f->reference_rows - 1; i++) copy(f->U_ref + f->inputs * i, f->thrusts + f->inputs * rows[i], f->inputs);
+    if (!to_side(f->X_ref, f->reference_rows, x) || !to_side(f->X, f->nodes + 1, x)) return 0;
     if (run(f->met ? &f->step : &f->lean)) return 0;
     const int all = f->met || f->checks[0] > f->tolerance || f->checks[1] > f->max_turn;
     if (all && !f->met && run(&f->step)) return 0;

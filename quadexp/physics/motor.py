@@ -19,6 +19,7 @@ from collections.abc import Callable
 import casadi as ca
 
 from quadexp.physics.expression import Expression
+from quadexp.physics.integrator import rk4_step_with_input
 from quadexp.physics.state import N_STATE
 
 
@@ -45,15 +46,15 @@ def lagging_rk4_step(
     command: Expression,
     dt: Expression,
     time_constant: Expression,
+    added: Expression | None = None,
 ) -> Expression:
     """The state (13 + n,), a rigid body's followed by its rotors' thrusts (N), after dt (s) of a held command.
 
-    derivative: (state (13,), thrusts (n,)) -> state' of the body. One classical Runge-Kutta step; the lag is exact.
+    derivative: (state (13,), thrusts (n,)) -> state' of the body. added: thrust (N) beyond what the command gives, at
+    the start, the middle and the end of the step, (n, 3). One classical Runge-Kutta step; the lag is exact.
     """
     body, thrust = x[:N_STATE], x[N_STATE:]
     middle, end = (lagging_thrust(thrust, command, t, time_constant) for t in (dt / 2, dt))
-    k1 = derivative(body, thrust)
-    k2 = derivative(body + dt / 2 * k1, middle)
-    k3 = derivative(body + dt / 2 * k2, middle)
-    k4 = derivative(body + dt * k3, end)
-    return ca.vertcat(body + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4), end)
+    if added is not None:
+        thrust, middle, end = thrust + added[:, 0], middle + added[:, 1], end + added[:, 2]
+    return ca.vertcat(rk4_step_with_input(derivative, body, (thrust, middle, end), dt), end)

@@ -174,6 +174,16 @@ def test_any_flight_in_a_world(monkeypatch, vehicle, seed, effects):
         assert np.array_equal(flight.stack(["wind_x", "wind_y", "wind_z"]), [[3.0, -1.0, 0.5]] * len(flight.t))
 
 
+@compiled
+@pytest.mark.parametrize("first_node", [0.0, 0.04])
+def test_with_the_references_thrust_within_the_nodes(monkeypatch, vehicle, first_node):
+    """The horizon's reference then has more rows than the prediction has nodes; bounds are met on the way."""
+    controller = mpc(replace(vehicle, thrust_max=3.2), "linear_drag", first_node=first_node, input_hold="deviation")
+    plant = SimplifiedPlant(vehicle, PlantEffects(), step=1e-3, backend="compiled")
+    found = both(monkeypatch, plant, controller, Lemniscate(speed=5.0, acceleration=2.5))
+    assert found.periods_in_c > 100 and (found.flight["active"] > 0).any()
+
+
 def mpc(vehicle, residual="none", **settings):
     settings = MPCSettings(nodes=6, **settings)
     air = make_residual(residual, vehicle) if isinstance(residual, str) else residual

@@ -24,6 +24,7 @@ from quadexp.compile.backend import BufferedFunction
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.attitude_error import attitude_error_in, reference_frames
 from quadexp.control.mpc.prediction import node_function
+from quadexp.control.mpc.reference_thrust import SAMPLES, held_deviation
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 
@@ -45,17 +46,23 @@ class Direction(NamedTuple):
 
 
 def rollout_function(
-    vehicle: Vehicle, residual: Residual, nodes: int, *, attitude_error: str = "plain", lag: bool = False
+    vehicle: Vehicle,
+    residual: Residual,
+    nodes: int,
+    *,
+    attitude_error: str = "plain",
+    lag: bool = False,
+    deviation: bool = False,
 ) -> ca.Function:
     """The trajectory of given inputs, and its cost.
 
-    Inputs, named as the step's: x0 (m,), U (n, N), X_ref (m, N + 1), U_ref (n, N), theta (p,), Q (m, N), Q_end (m,),
-    R (n, N), dt (N,) (s), with `lag` also tau (s). Outputs: X (m, N + 1); cost, half of control.step's weighted sum of
-    squares.
+    Inputs, named and shaped as the step's: x0, U, X_ref, U_ref, theta, Q, Q_end, R, dt (s), with `lag` also tau (s),
+    with `deviation` first_share, u_min and u_max. Outputs: X (m, N + 1); cost, half of the weighted sum of squares of
+    control.mpc.step.
     """
     n = vehicle.n_rotors
-    m = N_STATE + n * lag
-    names = {"x0": (m, 1), "U": (n, nodes), "X_ref": (m, nodes + 1), "U_ref": (n, nodes)}
+    m, samples = N_STATE + n * lag, SAMPLES if deviation else 1
+    names = {"x0": (m, 1), "U": (n, nodes), "X_ref": (m, samples * nodes + 1), "U_ref": (n, samples * nodes)}
     names |= {
         "theta": residual.function.size_in(1),
         "Q": (m, nodes),
@@ -64,18 +71,24 @@ def rollout_function(
         "dt": (nodes, 1),
     }
     names |= {"tau": (1, 1)} if lag else {}
+    names |= {"first_share": (1, 1), "u_min": (n, 1), "u_max": (n, 1)} if deviation else {}
     a = {name: ca.MX.sym(name, *shape) for name, shape in names.items()}
-    node = node_function(vehicle, residual, lag=lag)
+    node = node_function(vehicle, residual, lag=lag, added=deviation)
+    constant = [a["tau"]] if lag else []
+    X_ref, U_ref, added = a["X_ref"][:, ::samples], a["U_ref"], [[]] * nodes
+    if deviation:
+        U_ref, thrusts = held_deviation(U_ref, a["u_min"], a["u_max"], a["dt"], a["first_share"], *constant)
+        added = [[thrust] for thrust in thrusts]
 
     states = [a["x0"]]
-    for u_k, dt_k in zip(ca.horzsplit(a["U"]), ca.vertsplit(a["dt"]), strict=True):
-        states.append(node(states[-1], u_k, a["theta"], dt_k, *([a["tau"]] if lag else [])))
+    for u_k, dt_k, added_k in zip(ca.horzsplit(a["U"]), ca.vertsplit(a["dt"]), added, strict=True):
+        states.append(node(states[-1], u_k, a["theta"], dt_k, *constant, *added_k))
     X = ca.horzcat(*states)
-    error = attitude_error_in(reference_frames(a["X_ref"]) if attitude_error == "body" else None)
-    deviation = [error.deviation(k, d) for k, d in enumerate(ca.horzsplit(X - a["X_ref"]))]
+    error = attitude_error_in(reference_frames(X_ref) if attitude_error == "body" else None)
+    errors = [error.deviation(k, d) for k, d in enumerate(ca.horzsplit(X - X_ref))]
     weights = [*ca.horzsplit(a["Q"]), a["Q_end"]]
-    cost = sum((ca.dot(w * d, d) for w, d in zip(weights, deviation, strict=True)), ca.MX(0))
-    cost += ca.sum2(ca.sum1(a["R"] * (a["U"] - a["U_ref"]) ** 2))
+    cost = sum((ca.dot(w * d, d) for w, d in zip(weights, errors, strict=True)), ca.MX(0))
+    cost += ca.sum2(ca.sum1(a["R"] * (a["U"] - U_ref) ** 2))
     return ca.Function("mpc_rollout", [*a.values()], [X, cost / 2], [*names], ["X", "cost"])
 
 

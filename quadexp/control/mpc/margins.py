@@ -97,8 +97,8 @@ class HoverLoop:
 
     def _gains(self, controller: PredictiveController) -> None:
         """K_x (n, 12), K_T (n, n) and K_j (K, n, n), of u_{k-1} first."""
-        nodes, mpc, n = self._settings.nodes, controller.mpc, self._n
-        states, inputs = np.tile(self._x, (nodes + 1, 1)), np.tile(self._u, (nodes, 1))
+        mpc, n, samples = controller.mpc, self._n, len(controller.node_times)
+        states, inputs = np.tile(self._x, (samples, 1)), np.tile(self._u, (samples - 1, 1))
         lagging = np.full(n, self._u[0]) if self._settings.motor_lag else np.zeros(0)
 
         def answer(x: np.ndarray) -> np.ndarray:

@@ -66,6 +66,8 @@ class ModelPredictiveController:
         arguments["u_min"][...], arguments["u_max"][...] = vehicle.thrust_min, vehicle.thrust_max
         arguments["dt"][...] = settings.node_periods
         self._shift = settings.control_period / settings.node_periods  # share of each node between two steps
+        if settings.input_hold == "deviation":
+            arguments["first_share"][...] = self._shift[0]
         if settings.motor_lag:
             arguments["tau"][...] = settings.motor_lag
         self._x0, self._X_ref, self._U_ref = (arguments[name] for name in ("x0", "X_ref", "U_ref"))
@@ -81,7 +83,7 @@ class ModelPredictiveController:
         self._stationary = max(CONVERGED, error * float(arguments["R"].min()))
         self._first_solve: FirstSolve | None = None  # few flights need it
         self.set_parameters(residual.theta)
-        self.node_times = settings.node_times  # s from now, for sampling references
+        self.node_times = settings.reference_times  # s from now, for sampling references
 
     @property
     def parameters(self) -> np.ndarray:
@@ -105,12 +107,14 @@ class ModelPredictiveController:
     def reset(self, x0: np.ndarray, state_reference: np.ndarray, input_reference: np.ndarray) -> None:
         """Start anew from a guess on the reference; the next `command` iterates to convergence.
 
-        x0: see `command`. state_reference: (N + 1, 13). input_reference: (N, n), N.
+        x0, state_reference, input_reference: see `command`.
         """
-        self._X[:, :N_STATE] = state_reference
+        self._X[:, :N_STATE] = state_reference[:: self.settings.samples]
         if state_reference[0, ATTITUDE] @ x0[ATTITUDE] < 0:
             self._X[:, ATTITUDE] *= -1
-        self._U[...] = np.clip(input_reference, self.vehicle.thrust_min, self.vehicle.thrust_max)
+        self._U[...] = np.clip(
+            input_reference[:: self.settings.samples], self.vehicle.thrust_min, self.vehicle.thrust_max
+        )
         self._X[:-1, N_STATE:] = self._U[:, : self._X.shape[1] - N_STATE]
         self._X[-1, N_STATE:] = self._X[-2, N_STATE:]
         self._active_set.reset()
@@ -122,7 +126,7 @@ class ModelPredictiveController:
         """Rotor thrusts (n,) (N) for the measured state, and how the step went.
 
         x0: (13,), unit quaternion; with settings.motor_lag (13 + n,), the rotors' thrusts (N) behind it.
-        state_reference: (N + 1, 13) at `node_times` from now; input_reference: (N, n).
+        state_reference: (s N + 1, 13) at `node_times` from now; input_reference: (s N, n) (N); s as in MPCSettings.
         Raises QuadexpError for a measurement or a reference that is not finite. A step that fails returns the last
         prediction's input with status FAILED; whoever flies decides what to do.
         """
@@ -171,8 +175,7 @@ class ModelPredictiveController:
         """
         if self._first_solve is None:
             settings = self.settings
-            form: dict[str, Any] = {"attitude_error": settings.attitude_error, "lag": bool(settings.motor_lag)}
-            rollout = rollout_function(self.vehicle, self.residual, settings.nodes, **form)
+            rollout = rollout_function(self.vehicle, self.residual, settings.nodes, **_form(settings))
             self._first_solve = FirstSolve(rollout, self._step, self._direction)
         reached = np.clip(self._U, self.vehicle.thrust_min, self.vehicle.thrust_max)
         found = self._first_solve.solve([reached, guess], iterations)
@@ -219,6 +222,12 @@ class ModelPredictiveController:
         self._U[...] = u + length * (U_new - u)
 
 
+def _form(settings: MPCSettings) -> dict[str, Any]:
+    """What decides the structure of the step besides model and nodes, see `step_function`."""
+    deviation = settings.input_hold == "deviation"
+    return {"attitude_error": settings.attitude_error, "lag": bool(settings.motor_lag), "deviation": deviation}
+
+
 _built: dict[tuple[Any, ...], tuple[ca.Function, ca.Function | None]] = {}
 
 
@@ -226,10 +235,10 @@ def _functions(
     vehicle: Vehicle, residual: Residual, settings: MPCSettings, backend: str
 ) -> tuple[ca.Function, ca.Function | None]:
     """Step and bounded subproblem on the resolved back end (None: numpy); built once per process and structure."""
-    nodes, error, lag = settings.nodes, settings.attitude_error, bool(settings.motor_lag)
-    key = (vehicle.fingerprint, residual.function.serialize(), nodes, error, lag, backend)
+    form, nodes = _form(settings), settings.nodes
+    key = (vehicle.fingerprint, residual.function.serialize(), nodes, *form.values(), backend)
     if key not in _built:
-        step = step_function(vehicle, residual, nodes, attitude_error=error, scalar=backend == "compiled", lag=lag)
+        step = step_function(vehicle, residual, nodes, scalar=backend == "compiled", **form)
         if backend == "compiled":
             step, bounded = realise_together([step, bounded_function(step, nodes)], backend)
             _built[key] = step, bounded

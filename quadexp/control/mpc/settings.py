@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from quadexp.config.flight import MPCKeys
+from quadexp.control.mpc.reference_thrust import SAMPLES
 from quadexp.errors import UsageError
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -68,6 +69,20 @@ class MPCSettings(MPCKeys):
         if not self.first_node:
             return self.node_period * np.arange(self.nodes + 1)
         return np.concatenate([[0.0], np.cumsum(self.node_periods)])
+
+    @property
+    def samples(self) -> int:
+        """How many times in each node the reference is sampled, s: at its start; where thrusts vary, in its middle."""
+        return SAMPLES if self.input_hold == "deviation" else 1
+
+    @property
+    def reference_times(self) -> np.ndarray:
+        """When the reference is sampled, from now, (s N + 1,) (s)."""
+        times = self.node_times
+        if self.samples == 1:
+            return times
+        middles = (times[:-1] + times[1:]) / 2
+        return np.append(np.stack([times[:-1], middles], axis=1).ravel(), times[-1])
 
     @property
     def node_share(self) -> np.ndarray:

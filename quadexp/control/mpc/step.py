@@ -15,6 +15,7 @@ import casadi as ca
 
 from quadexp.air.base import Residual
 from quadexp.control.mpc.attitude_error import attitude_error_in, reference_frames
+from quadexp.control.mpc.reference_thrust import SAMPLES, held_deviation
 from quadexp.control.mpc.riccati import CompiledPasses, MatrixPasses
 from quadexp.control.mpc.subproblem import input_gradient, solution
 from quadexp.physics.sensitivity import rk4_sensitivity_function
@@ -32,15 +33,19 @@ def step_function(
     attitude_error: str = "plain",
     scalar: bool = True,
     lag: bool = False,
+    deviation: bool = False,
 ) -> ca.Function:
     """One iteration for N = nodes; scalar: the form to compile, otherwise the form that the virtual machine runs.
 
-    attitude_error: what Q weighs of the attitude, see control.attitude_error.
+    attitude_error: what Q weighs of the attitude, see control.mpc.attitude_error.
     lag: rotors lag behind their commands, and their thrusts are states: m = 13 + n of them; otherwise m = 13.
+    deviation: nodes hold the deviation from the reference's thrust, see control.mpc.reference_thrust.
 
-    Inputs: X (m, N + 1), U (n, N) last solution; x0 (m,) measured; X_ref, U_ref; theta (p,) residual parameters;
+    Inputs: X (m, N + 1), U (n, N) last solution; x0 (m,) measured; X_ref (m, s N + 1), U_ref (n, s N) the reference at
+    s times in every node, s = 2 with `deviation`, otherwise 1; theta (p,) residual parameters;
     Q (m, N), Q_end (m,), R (n, N) weights; u_min, u_max (n,) N; dt (N,) node periods (s); shift (N,), the share of
-    each node by which to move the last solution forward; tau, the lag's time constant (s), with `lag` only.
+    each node by which to move the last solution forward; with `lag` tau, the lag's time constant (s); with `deviation`
+    first_share, the part of the first node for which its command is held.
     Outputs: X_new, U_new; checks (3,): the largest bound violation (N), the largest change of a quaternion (length),
     and the optimality residual of the shifted guess (the largest of the gaps of the dynamics and of the projected
     gradient step in u); then the subproblem: A (m, m N), B (m, n N), b (m, N), q (m, N + 1), r (n, N), its
@@ -51,14 +56,20 @@ def step_function(
     if scalar and residual.to_compile is not None:
         residual = replace(residual, function=residual.to_compile)
     m = N_STATE + n * lag
-    node = rk4_sensitivity_function(vehicle, residual, scalar=scalar, lag=lag)
+    node = rk4_sensitivity_function(vehicle, residual, scalar=scalar, lag=lag, added=deviation)
     X, U = ca.MX.sym("X", m, nodes + 1), ca.MX.sym("U", n, nodes)
     x0, theta = ca.MX.sym("x0", m), ca.MX.sym("theta", residual.function.size1_in(1))
-    X_ref, U_ref = ca.MX.sym("X_ref", m, nodes + 1), ca.MX.sym("U_ref", n, nodes)
+    samples = SAMPLES if deviation else 1
+    X_given, U_given = ca.MX.sym("X_ref", m, samples * nodes + 1), ca.MX.sym("U_ref", n, samples * nodes)
     Q, Q_end, R = ca.MX.sym("Q", m, nodes), ca.MX.sym("Q_end", m), ca.MX.sym("R", n, nodes)
     u_min, u_max = ca.MX.sym("u_min", n), ca.MX.sym("u_max", n)
     dt, shift = ca.MX.sym("dt", nodes), ca.MX.sym("shift", nodes)
     time_constant = [ca.MX.sym("tau")] if lag else []
+    first_share = [ca.MX.sym("first_share")] if deviation else []
+    X_ref, U_ref, added = X_given[:, ::samples], U_given, [[]] * nodes
+    if deviation:
+        U_ref, thrusts = held_deviation(U_given, u_min, u_max, dt, *first_share, *time_constant)
+        added = [[thrust] for thrust in thrusts]
     Q_at, R_at, dt_at, along = ca.horzsplit(Q), ca.horzsplit(R), ca.vertsplit(dt), shift.T
 
     moved = X[:, :nodes] + ca.repmat(along, m, 1) * (X[:, 1:] - X[:, :nodes])
@@ -71,14 +82,14 @@ def step_function(
     error = attitude_error_in(frames)
     A, B, b = [], [], []
     for k in range(nodes):
-        x_next, A_k, B_k = node(x[k], u[k], theta, dt_at[k], *time_constant)
+        x_next, A_k, B_k = node(x[k], u[k], theta, dt_at[k], *time_constant, *added[k])
         A_k, B_k, b_k = error.linearisation(k, A_k, B_k, x_next - x[k + 1])
         A.append(A_k)
         B.append(B_k)
         b.append(b_k)
-    deviation = [error.deviation(k, d) for k, d in enumerate(ca.horzsplit(X_lin - X_ref))]
+    errors = [error.deviation(k, d) for k, d in enumerate(ca.horzsplit(X_lin - X_ref))]
     effort = ca.horzsplit(U_lin - U_ref)
-    q = [Q_k * d for Q_k, d in zip(Q_at, deviation, strict=False)] + [Q_end * deviation[nodes]]
+    q = [Q_k * d for Q_k, d in zip(Q_at, errors, strict=False)] + [Q_end * errors[nodes]]
     r = [R_k * e for R_k, e in zip(R_at, effort, strict=True)]
 
     passes = (CompiledPasses if scalar else MatrixPasses).build(A[0].sparsity(), B[0].sparsity())
@@ -96,7 +107,7 @@ def step_function(
     results |= {name: ca.horzcat(*m) for name, m in {"A": A, "B": B, "b": b, "q": q, "r": r}.items()}
     results |= {"K": ca.horzcat(*K), "factor": ca.horzcat(*factor)}
     results |= {"X_lin": X_lin, "U_lin": U_lin} | ({} if frames is None else {"frames": frames})
-    arguments = [X, U, x0, X_ref, U_ref, theta, Q, Q_end, R, u_min, u_max, dt, shift, *time_constant]
+    arguments = [X, U, x0, X_given, U_given, theta, Q, Q_end, R, u_min, u_max, dt, shift, *time_constant, *first_share]
     names = [
         "X",
         "U",
@@ -112,6 +123,7 @@ def step_function(
         "dt",
         "shift",
         *(["tau"] if lag else []),
+        *(["first_share"] if deviation else []),
     ]
     return ca.Function("mpc_step", arguments, [*results.values()], names, [*results])
 
