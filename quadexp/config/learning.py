@@ -126,10 +126,6 @@ class DragConfig(Settings):
 
     intercept: Annotated[bool, Setting("fit a constant acceleration beside the drag")] = True
     thrust: Annotated[bool, Setting("fit a share of the collective thrust on the z axis")] = True
-    errors: Annotated[
-        Literal["flight", "hc1"],
-        Setting("95 % intervals over flights, or as if rows were independent, which rows of a flight are not"),
-    ] = "flight"
     loss: Annotated[
         Literal["huber", "squares"],
         Setting("Huber's, which the few fastest rows do not bend, or least squares as published"),
