@@ -1,6 +1,6 @@
 """The reference of every configuration key, from the schemas and from conf/ itself.
 
-    python -m quadexp.report.config_reference > docs/configuration.md
+    python -m tests.docs.configuration > docs/configuration.md
 
 All of it is declared with the settings (quadexp/config/settings.py). The value is the default, or what the option sets
 that is taken by default, or else the one of the schema's own name, or the first that extends it.
@@ -36,7 +36,7 @@ outside its range are refused before anything runs. Quote a value with brackets 
 Groups: GROUPS.
 
 This page is made from the schemas and from `conf/`:
-`python -m quadexp.report.config_reference > docs/configuration.md`.
+`python -m tests.docs.configuration > docs/configuration.md`.
 """
 
 
@@ -85,14 +85,6 @@ def _preset(group: str) -> str:
         sets = ", ".join(f"`{PRESETS[group]}.{key}={value}`" for key, value in values.items()) or "nothing"
         lines.append(f"| `{group}={path.stem}` | {sets} | {' '.join(said)} |")
     return "\n".join(lines) + "\n"
-
-
-def keys() -> list[str]:
-    """Every key there is, without what options of one's own add."""
-    found = [key.name for key in _keys(Config, "", {})]
-    for group, schemas in SCHEMAS.items():
-        found += [key.name for node in schemas.values() for key in _keys(node, f"{group}.", {})]
-    return sorted(set(found))
 
 
 def _keys(node: type, prefix: str, values: Any) -> Iterator[Key]:
