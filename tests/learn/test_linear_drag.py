@@ -91,7 +91,9 @@ def test_intervals_over_flights_cover_where_rows_of_a_flight_err_alike():
     assert 0.93 < coverage(seeds=80, rows=300, flights=15, shared=0.5) < 0.98
 
 
-@pytest.mark.parametrize(("loss", "flights"), [("huber", 12), ("squares", 12), ("huber", 5)])
+@pytest.mark.parametrize(
+    ("loss", "flights"), [pytest.param("huber", 12, marks=pytest.mark.slow), ("squares", 12), ("huber", 5)]
+)
 def test_intervals_cover_the_best_line_where_the_drag_is_not_linear(loss, flights):
     """Linear and quadratic drag, flights of very different speeds: the truth is what very many flights give."""
     many = synthetic_dataset(rows=800 * 150, flights=800, seed=10_000)
