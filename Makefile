@@ -27,7 +27,7 @@ quick: $(STAMP)
 	$(QUADEXP) evaluate --sweep experiment=quick --out results/quick --refly
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n auto -m 'not slow' tests examples
+	$(BIN)/python -m pytest -n auto --dist worksteal -m 'not slow' tests examples
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -141,13 +141,6 @@ class DragConfig(Settings):
 
     intercept: Annotated[bool, Setting("fit a constant acceleration in addition to the drag")] = True
     thrust: Annotated[bool, Setting("fit an error of the collective thrust, as a share, on the z axis")] = True
-    errors: Annotated[
-        Literal["flight", "hc1"],
-        Setting(
-            "95 % intervals from the spread over flights, or as if the rows of a flight were independent, which"
-            " they are not"
-        ),
-    ] = "flight"
     loss: Annotated[
         Literal["huber", "squares"],
         Setting("Huber's, which the few fastest rows do not bend, or least squares as published"),

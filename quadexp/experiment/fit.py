@@ -29,18 +29,16 @@ def fit_checkpoint(
     *,
     force: bool = False,
     figures: bool = True,
-    compare: bool = False,
     progress: ProgressCallback = lambda done, total: None,
 ) -> dict[str, Any]:
     """Fit (kind "gp" or "drag"), write the checkpoint, return the report.
 
-    compare: also measure the error over the number of inducing points and the method.
     Raises UsageError or DataError before anything is written.
     """
     data = read_dataset(dataset)
     _check_vehicle(data, config, dataset)
     if kind == "gp":
-        model, report, draw = _fit_gp(data, config, compare=compare, progress=progress)
+        model, report, draw = _fit_gp(data, config, progress)
     else:
         model, report, draw = _fit_drag(data, config)
     report["explained"] = explained(report["rows"], data.metadata.get("known_noise") or {})
@@ -70,7 +68,7 @@ def _check_vehicle(data: ResidualDataset, config: Config, path: Path) -> None:
         )
 
 
-def _fit_gp(data: ResidualDataset, config: Config, *, compare: bool, progress: ProgressCallback) -> tuple[Any, ...]:
+def _fit_gp(data: ResidualDataset, config: Config, progress: ProgressCallback) -> tuple[Any, ...]:
     from quadexp.learn.evaluation import fit_with_report
     from quadexp.learn.model import GPSettings
 
@@ -85,10 +83,6 @@ def _fit_gp(data: ResidualDataset, config: Config, *, compare: bool, progress: P
         from quadexp.learn.verdict import verdict
 
         report["verdict"] = verdict(fit.held_out_model, fit.train, fit.test, settings)
-    if compare:
-        from quadexp.learn.comparison import compare as compare_sizes
-
-        report["comparison"] = compare_sizes(data, settings, callback=lambda message, done: progress(round(done, 2), 1))
 
     def draw(folder: Path) -> dict[str, str]:
         from quadexp.report import fit_figures
@@ -98,8 +92,6 @@ def _fit_gp(data: ResidualDataset, config: Config, *, compare: bool, progress: P
         made = {"fit": fit_figures.fit_figure(fit.held_out_model, shown)}
         if fit.test is not None:
             made["calibration"] = fit_figures.calibration_figure(fit.held_out_model, fit.test)
-        if compare:
-            made["inducing_points"] = fit_figures.size_figure(report["comparison"], report["rows"])
         return {name: str(save(figure, folder / name)) for name, figure in made.items()}
 
     return fit.model, report, draw
@@ -109,7 +101,7 @@ def _fit_drag(data: ResidualDataset, config: Config) -> tuple[Any, ...]:
     from quadexp.learn.evaluation import evaluate_drag, split_by_flight
     from quadexp.learn.linear_drag import fit_linear_drag
 
-    options = {name: getattr(config.drag, name) for name in ("intercept", "thrust", "loss", "errors")}
+    options = {name: getattr(config.drag, name) for name in ("intercept", "thrust", "loss")}
     rows: list[dict[str, Any]] = []
     held_out: list[str] = []
     if config.drag.holdout > 0:

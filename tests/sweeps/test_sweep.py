@@ -276,7 +276,7 @@ class TestInterrupt:
         return found
 
     @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
-    @pytest.mark.parametrize("whole_group", [True, False])
+    @pytest.mark.parametrize("whole_group", [True, pytest.param(False, marks=pytest.mark.slow)])
     def test_ctrl_c_keeps_what_is_done_and_leaves_nothing_else(self, tmp_path, whole_group):
         process = self.start(tmp_path)
         self.wait_for(process, 6)

@@ -75,10 +75,13 @@ def table(out):
         return [{k: v for k, v in row.items() if not k.startswith("solve_time")} for row in csv.DictReader(file)]
 
 
-ENGINES = [["engine=local"], ["engine=dask", "evaluate.workers=1"]]
+ENGINES = [
+    pytest.param(["engine=local"], id="local"),
+    pytest.param(["engine=dask", "evaluate.workers=1"], id="dask", marks=pytest.mark.slow),
+]
 
 
-@pytest.mark.parametrize("engine", ENGINES, ids=["local", "dask"])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_nothing_that_lies_where_the_user_stands_is_executed(standing, tmp_path, engine):
     if "dask" in engine[0]:
         pytest.importorskip("distributed")

@@ -1,6 +1,6 @@
 """The reference of every configuration key, from the schemas and from conf/ itself.
 
-    python -m quadexp.report.config_reference > docs/configuration.md
+    python -m tests.docs.configuration > docs/configuration.md
 
 All of it is declared with the settings (quadexp/config/settings.py). The value is the default, or what the option sets
 that is taken by default, or else the one of the schema's own name, or the first that extends it.
@@ -37,7 +37,7 @@ outside its range are refused before anything runs. Quote a value with brackets 
 Groups: GROUPS.
 
 This page is made from the schemas and from `conf/`:
-`python -m quadexp.report.config_reference > docs/configuration.md`.
+`python -m tests.docs.configuration > docs/configuration.md`.
 """
 
 
@@ -105,14 +105,6 @@ def _said(path: Path) -> tuple[str, dict[str, Any]]:
     text = path.read_text(encoding="utf-8")
     said = [line[2:] for line in text.splitlines() if line.startswith("# ") and "@package" not in line]
     return " ".join(said), yaml.safe_load(text) or {}
-
-
-def keys() -> list[str]:
-    """Every key of the schemas, without those that the user's own options add."""
-    found = [key.name for key in _keys(Config, "", {})]
-    for group, schemas in SCHEMAS.items():
-        found += [key.name for node in schemas.values() for key in _keys(node, f"{group}.", {})]
-    return sorted(set(found))
 
 
 def _keys(node: type, prefix: str, values: Any) -> Iterator[Key]:
