@@ -6,10 +6,18 @@ conf/ states only what differs from the defaults there.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
+from quadexp.config.airframe import (
+    DisturbanceConfig,
+    FixedPayloadConfig,
+    GroundConfig,
+    SlungLoadConfig,
+    TruthConfig,
+)
 from quadexp.config.custom import (
     CustomControllerConfig,
     CustomPlantConfig,
@@ -43,7 +51,9 @@ from quadexp.config.lei_li import (
     SensorConfig,
 )
 from quadexp.config.motors import ActuatorConfig, BatteryConfig, RotorLossConfig
+from quadexp.config.sensing import EskfConfig, ImuGnssConfig, ImuMocapConfig
 from quadexp.config.settings import Setting, Settings
+from quadexp.config.wind import DrydenConfig, GustConfig, WindFileConfig
 from quadexp.config.world import ConstantWindConfig, LatencyConfig, StatedEstimateConfig, WorldPartConfig
 from quadexp.errors import UsageError
 
@@ -59,7 +69,7 @@ class EvaluateConfig(Settings):
         Setting("what the table shows: mean ||e||, root mean square, or largest position error"),
     ] = "mean_error"
     figures: Annotated[
-        Literal["standard", "lei_li", "families", "adaptation"],
+        Literal["standard", "lei_li", "families", "adaptation", "ladder"],
         Setting("which figures are drawn beside the standard ones"),
     ] = "standard"
     baseline: Annotated[str, Setting("controller that the others are compared with, seed by seed")] = "nominal_mpc"
@@ -73,11 +83,13 @@ class EvaluateConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class Config(Settings):
-    """The whole configuration. sweep: what `evaluate --sweep` varies (experiment files)."""
+    """The whole configuration. sweep: what `evaluate --sweep` varies (experiment files). world: the name of what is
+    around the plant, for tables; see `world_name`."""
 
     vehicle: VehicleConfig
     plant: PlantConfig
     truth: WorldPartConfig
+    payload: WorldPartConfig
     wind: WorldPartConfig
     external: WorldPartConfig
     link: WorldPartConfig
@@ -105,6 +117,7 @@ class Config(Settings):
     seed: Annotated[
         int, Setting("draws the noise, and the path of trajectory=random; the same for every controller", SEEDS)
     ] = 0
+    world: str = ""
     sweep: Any = None
 
 
@@ -117,16 +130,23 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "blade_element": BladeElementPlantConfig,
         "custom": CustomPlantConfig,
     },
-    "truth": {"nominal": WorldPartConfig},
-    "wind": {"none": WorldPartConfig, "constant": ConstantWindConfig},
-    "external": {"none": WorldPartConfig},
+    "truth": {"nominal": TruthConfig},
+    "payload": {"none": WorldPartConfig, "fixed": FixedPayloadConfig, "slung": SlungLoadConfig},
+    "wind": {
+        "none": WorldPartConfig,
+        "constant": ConstantWindConfig,
+        "gust": GustConfig,
+        "dryden": DrydenConfig,
+        "file": WindFileConfig,
+    },
+    "external": {"none": WorldPartConfig, "push": DisturbanceConfig},
     "link": {"ideal": WorldPartConfig, "latency": LatencyConfig},
     "actuator": {"motors": ActuatorConfig},
     "battery": {"none": WorldPartConfig, "circuit": BatteryConfig},
     "health": {"rotor_loss": RotorLossConfig},
-    "ground": {"none": WorldPartConfig},
-    "sensor": {"accelerometer": SensorConfig},
-    "estimator": {"none": StatedEstimateConfig},
+    "ground": {"none": WorldPartConfig, "cheeseman_bennett": GroundConfig},
+    "sensor": {"accelerometer": SensorConfig, "imu_mocap": ImuMocapConfig, "imu_gnss": ImuGnssConfig},
+    "estimator": {"none": StatedEstimateConfig, "eskf": EskfConfig},
     "trajectory": {
         "circle": CircleConfig,
         "lemniscate": LemniscateConfig,
@@ -152,7 +172,19 @@ SCHEMAS: dict[str, dict[str, type]] = {
 }
 
 # Groups of the world around an airframe, in the order in which a command meets them; see quadexp/world/effect.py.
-WORLD = ("truth", "wind", "external", "link", "actuator", "battery", "health", "ground", "sensor", "estimator")
+WORLD = (
+    "truth",
+    "payload",
+    "wind",
+    "external",
+    "link",
+    "actuator",
+    "battery",
+    "health",
+    "ground",
+    "sensor",
+    "estimator",
+)
 
 # Groups of presets, and the group whose values their options set (`# @package controller`).
 PRESETS = {"horizon": "controller"}
@@ -164,9 +196,16 @@ def world_parts(config: Config) -> dict[str, WorldPartConfig]:
     return {group: one for group, one in parts.items() if one.effect and not one.idle}
 
 
-def world_label(config: Config) -> str:
-    """The parts of the world that do something, such as "wind=constant, link=latency"; "" for none."""
-    return ", ".join(f"{group}={one.name}" for group, one in world_parts(config).items())
+def world_name(config: Config, bundle: str, bundled: Mapping[str, Any]) -> str:
+    """What the world is called, without blanks: "clean", or a bundle and the parts that differ from it, as in
+    "outdoor_breeze,wind=none" and "wind=constant,link=latency".
+
+    bundle: option of the group `world`. bundled: the parts that it chooses, by group.
+    """
+    if not world_parts(config):
+        return "clean"
+    own = [f"{group}={getattr(config, group).name}" for group in WORLD if getattr(config, group) != bundled[group]]
+    return ",".join(own if bundle == "clean" else [bundle, *own])
 
 
 def conf_folder() -> Path:

@@ -45,12 +45,14 @@ class World(SimulatedPlant):
     def __init__(
         self, airframe: SimulatedPlant, effects: Sequence[Effect], believed: SimulatedPlant | None = None
     ) -> None:
-        self.airframe, self.effects = airframe, ordered(list(effects))
+        self.airframe, self.effects = airframe, ordered([effect.among(effects) for effect in effects])
         self._believed: Any = believed or airframe  # a Plant too
         self._made: dict[Clock, _Prepared] = {}
         self._own_parameters, self._rotors = np.empty(0), list[int]()
         self._shares: list[tuple[Effect, slice, slice]] = []  # of the inner states, and of the effects' parameters
-        super().__init__(airframe.vehicle, airframe.equations, step=airframe.step, backend=airframe.backend)
+        rough = any(effect.has("wind") or effect.has("thrusts") for effect in self.effects)
+        equations = airframe.rough_equations if rough else airframe.equations
+        super().__init__(airframe.vehicle, equations, step=airframe.step, backend=airframe.backend)
 
     # ------------------------------------------------------------------------------------------------- a flight begins
     def reset(self) -> None:
@@ -88,6 +90,8 @@ class World(SimulatedPlant):
         columns = self.columns(period)
         self._rotors = [i for name, i in columns.items() if name.startswith("rotor_speed_")]
         self._own_parameters, self.measured = np.concatenate(parameters), start.x.copy()
+        for effect, own in zip(self.effects, inner[1:], strict=True):
+            self.measured = effect.first(own, self.measured)
         self.inner = np.concatenate([*inner, self._first_wind(start, np.concatenate(inner[1:]))])
         return Streams(shares, clock.steps)
 
