@@ -19,6 +19,7 @@ ASIDE = {
     "quadexp.config.custom": "",
     "quadexp.config.flight": "",
     "quadexp.config.lei_li": "",
+    "quadexp.config.motors": "",
     "quadexp.config.settings": "",
     "quadexp.config.world": "",
     "quadexp.config.sensing": "",

@@ -145,7 +145,11 @@ def evaluate(
             confidence=first.evaluate.confidence,
             fingerprint=result.statistics.fingerprint,
         )
-        if first.evaluate.figures != "standard":
+        if first.evaluate.figures == "ladder":
+            from quadexp.report import ladder
+
+            files |= ladder.draw(result.rows, out)
+        elif first.evaluate.figures != "standard":
             from quadexp.papers.lei_li import report as lei_li
 
             files |= lei_li.draw(first.evaluate.figures, result.rows, out)

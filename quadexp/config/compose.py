@@ -31,7 +31,7 @@ from quadexp.config.cells import Cell as Cell
 from quadexp.config.cells import Cells, Grid
 from quadexp.config.completion import folders, groups
 from quadexp.config.plugins import import_from
-from quadexp.config.schema import PRESETS, SCHEMAS, Config, conf_folder
+from quadexp.config.schema import PRESETS, SCHEMAS, WORLD, Config, conf_folder, world_name
 from quadexp.config.settings import REQUIRED, declared, made, plain
 from quadexp.errors import UsageError
 from quadexp.messages import one_line, suggestion
@@ -152,11 +152,21 @@ class Composer:
                 _check_key({name: node.content for name, node in base.items()}, one.key)
                 self._checked.add((key, one.key))
         config = Config(**self._nodes(base, values))
+        config = replace(config, world=self._world_name(config, chosen))
         baseline = config.evaluate.baseline
         if baseline not in self._options["controller"]:
             hint = suggestion(baseline, self.options("controller"))
             raise UsageError(f"evaluate.baseline={baseline}: no such controller{hint}")
         return config
+
+    def _world_name(self, config: Config, chosen: Sequence[Given]) -> str:
+        bundles = [one for one in chosen if one.key == "world"]
+        bundle = str(bundles[-1].value) if bundles else "clean"
+        key = ("world name", bundle)
+        if key not in self._made:
+            base = self._whole(bundles[-1:])
+            self._made[key] = self._nodes({group: base[group] for group in WORLD}, ())
+        return world_name(config, bundle, self._made[key])
 
     def _nodes(self, base: Mapping[str, Node], values: Sequence[Given]) -> dict[str, Any]:
         """The nodes with their values set, and the values of the root."""
@@ -232,9 +242,11 @@ class Composer:
         """The same, from what the experiment and every option are by themselves, where that is the same."""
         if key in self._together:
             return self._together[key]
-        # A preset sets values of another group's node: the two are composed together, with the experiment.
+        # A preset sets values of another group's node, and a world chooses options of its parts: those are composed
+        # together, with the experiment.
         joined = {
             "experiment",
+            "world",
             *(g for pair in PRESETS.items() if pair[0] in (one.key for one in chosen) for g in pair),
         }
         together = [one for one in chosen if one.key in joined]

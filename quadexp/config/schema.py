@@ -6,6 +6,7 @@ conf/ states only what differs from the defaults there.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -42,6 +43,7 @@ from quadexp.config.lei_li import (
     RLSMPCConfig,
     SensorConfig,
 )
+from quadexp.config.motors import ActuatorConfig, BatteryConfig, RotorLossConfig
 from quadexp.config.sensing import EskfConfig, ImuGnssConfig, ImuMocapConfig
 from quadexp.config.settings import Setting, Settings
 from quadexp.config.world import ConstantWindConfig, LatencyConfig, StatedEstimateConfig, WorldPartConfig
@@ -73,7 +75,8 @@ class EvaluateConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class Config(Settings):
-    """The whole configuration. sweep: what `evaluate --sweep` varies (experiment files)."""
+    """The whole configuration. sweep: what `evaluate --sweep` varies (experiment files). world: the name of what is
+    around the plant, for tables; see `world_name`."""
 
     vehicle: VehicleConfig
     plant: PlantConfig
@@ -81,9 +84,9 @@ class Config(Settings):
     wind: WorldPartConfig
     external: WorldPartConfig
     link: WorldPartConfig
-    actuator: WorldPartConfig
+    actuator: ActuatorConfig
     battery: WorldPartConfig
-    health: WorldPartConfig
+    health: RotorLossConfig
     ground: WorldPartConfig
     sensor: WorldPartConfig
     estimator: WorldPartConfig
@@ -105,6 +108,7 @@ class Config(Settings):
     seed: Annotated[
         int, Setting("draws the noise, and the path of trajectory=random; the same for every controller", SEEDS)
     ] = 0
+    world: str = ""
     sweep: Any = None
 
 
@@ -121,9 +125,9 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "wind": {"none": WorldPartConfig, "constant": ConstantWindConfig},
     "external": {"none": WorldPartConfig},
     "link": {"ideal": WorldPartConfig, "latency": LatencyConfig},
-    "actuator": {"ideal": WorldPartConfig},
-    "battery": {"none": WorldPartConfig},
-    "health": {"none": WorldPartConfig},
+    "actuator": {"motors": ActuatorConfig},
+    "battery": {"none": WorldPartConfig, "circuit": BatteryConfig},
+    "health": {"rotor_loss": RotorLossConfig},
     "ground": {"none": WorldPartConfig},
     "sensor": {"accelerometer": SensorConfig, "imu_mocap": ImuMocapConfig, "imu_gnss": ImuGnssConfig},
     "estimator": {"none": StatedEstimateConfig, "eskf": EskfConfig},
@@ -164,9 +168,16 @@ def world_parts(config: Config) -> dict[str, WorldPartConfig]:
     return {group: one for group, one in parts.items() if one.effect and not one.idle}
 
 
-def world_label(config: Config) -> str:
-    """The parts of the world that do something, such as "wind=constant, link=latency"; "" for none."""
-    return ", ".join(f"{group}={one.name}" for group, one in world_parts(config).items())
+def world_name(config: Config, bundle: str, bundled: Mapping[str, Any]) -> str:
+    """What the world is called, without blanks: "clean", or a bundle and the parts that differ from it, as in
+    "outdoor_breeze,wind=none" and "wind=constant,link=latency".
+
+    bundle: option of the group `world`. bundled: the parts that it chooses, by group.
+    """
+    if not world_parts(config):
+        return "clean"
+    own = [f"{group}={getattr(config, group).name}" for group in WORLD if getattr(config, group) != bundled[group]]
+    return ",".join(own if bundle == "clean" else [bundle, *own])
 
 
 def conf_folder() -> Path:

@@ -15,7 +15,7 @@ from typing import Any, TypeVar, cast
 
 from quadexp.config.flight import ControllerConfig, FileConfig, MPCConfig, PlantConfig, TrajectoryConfig, VehicleConfig
 from quadexp.config.lei_li import FeedbackConfig, RLSMPCConfig, SensorConfig
-from quadexp.config.schema import Config, world_label
+from quadexp.config.schema import Config, world_parts
 from quadexp.config.settings import part
 from quadexp.config.world import WorldPartConfig
 from quadexp.errors import DataError, UsageError
@@ -214,7 +214,7 @@ def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
 def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
     """The controller; one is kept for every (configuration, model), and begins anew with every flight."""
     controller = config.controller
-    told = [asdict(config.plant), world_label(config)]
+    told = [asdict(config.plant), [*world_parts(config)]]
     believed = told if knows_plant(controller) else model.sha256 if model else ""
     record = ["controller", vehicle.fingerprint, asdict(controller), believed]
 

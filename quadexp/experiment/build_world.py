@@ -6,7 +6,7 @@ import importlib
 from dataclasses import asdict
 from typing import Any
 
-from quadexp.config.schema import Config, world_label, world_parts
+from quadexp.config.schema import Config, world_parts
 from quadexp.config.settings import part
 from quadexp.config.world import WorldPartConfig
 from quadexp.errors import UsageError
@@ -27,6 +27,7 @@ def build_world(config: Config, vehicle: Vehicle) -> Any:
     from quadexp.world.integrator import SimulatedPlant
     from quadexp.world.world import World
 
+    _check_one_lag(config)
     effects = [_effect(one) for one in parts.values()]
     true_vehicle = vehicle
     for effect in effects:
@@ -37,12 +38,22 @@ def build_world(config: Config, vehicle: Vehicle) -> Any:
         airframe = believed if true_vehicle is vehicle else build_plant(true_vehicle, config.plant)
         if not isinstance(airframe, SimulatedPlant) or type(airframe).advance is not SimulatedPlant.advance:
             raise UsageError(
-                f"{world_label(config)}: needs a plant that is a SimulatedPlant (quadexp/world/integrator.py);"
+                f"{config.world}: needs a plant that is a SimulatedPlant (quadexp/world/integrator.py);"
                 f" plant={config.plant.name} has an `advance` of its own, and flies without"
             )
         return World(airframe, effects, believed)
 
     return keep(record, make)
+
+
+def _check_one_lag(config: Config) -> None:
+    """Raise UsageError where the plant's own lag and that of the actuator would act one after the other."""
+    own = getattr(config.plant, "motor_lag", 0.0)
+    if own and max(config.actuator.time_constant_up, config.actuator.time_constant_down):
+        raise UsageError(
+            f"plant.motor_lag={own:g} and actuator={config.actuator.name}: both let the rotors lag; set"
+            " plant.motor_lag=0, or the actuator's time constants to 0"
+        )
 
 
 def _effect(config: WorldPartConfig) -> Any:

@@ -27,9 +27,12 @@ from quadexp.experiment.build_world import build_world
 from quadexp.experiment.evaluate import describe, thrust_excess
 from quadexp.experiment.identity import digest, flight_record
 from quadexp.experiment.rollout import SampledReference, fly
-from quadexp.learn.dataset import ResidualDataset, residual_dataset
+from quadexp.learn.dataset import ResidualDataset, as_told, residual_dataset
+from quadexp.learn.known_noise import known_noise
 from quadexp.learn.recorded import is_recorded, logged_thrust, recorded_dataset, target_cost
+from quadexp.learn.rotor_thrust import mean_thrust
 from quadexp.learn.thrust_curve import ThrustCurve
+from quadexp.learn.timing_fit import fit_timing
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_flight, write_table
 from quadexp.physics.vehicle import Vehicle
@@ -147,8 +150,10 @@ def _rows(
     recorded = [is_recorded(flight) for flight in flights]
     if settings.target == "auto" and any(recorded) != all(recorded):
         raise UsageError("collect.target: simulated and recorded flights together need specific_force or velocity")
+    if settings.state == "estimate":
+        flights = [as_told(flight) for flight in flights]
     if settings.identified is None and settings.target in ("auto", "velocity") and not any(recorded):
-        return residual_dataset(flights, vehicle, frame=settings.frame, names=names), []
+        return _simulated_rows(config, vehicle, flights, names)
     curve = _curve(config, vehicle, flights)
     target = "specific_force" if settings.target == "auto" else settings.target
     notes = []
@@ -159,6 +164,23 @@ def _rows(
             f"warning: the target is the derivative of an estimated velocity, with its filter and noise{measured}"
         )
     return recorded_dataset(flights, vehicle, curve, target=target, frame=settings.frame, names=names), notes
+
+
+def _simulated_rows(
+    config: Config, vehicle: Vehicle, flights: Sequence[Flight], names: Sequence[str]
+) -> tuple[ResidualDataset, list[str]]:
+    """Transitions under the thrusts that the rotors delivered, as far as the flights tell, and how they were found."""
+    frame, notes = config.collect.frame, []
+    dataset = residual_dataset(flights, vehicle, frame=frame, names=names)
+    found = fit_timing(flights, vehicle, dataset) if config.collect.thrust == "delivered" else None
+    if found is not None and not found.timing.is_ideal:
+        thrusts = [mean_thrust(flight, vehicle, found.timing) for flight in flights]
+        dataset = residual_dataset(flights, vehicle, frame=frame, names=names, thrusts=thrusts)
+        dataset = dataset._replace(metadata={**dataset.metadata, "timing": found.as_dict()})
+        notes.append(found.line)
+    worlds = [flight.metadata.get("config") or {} for flight in flights]
+    noise = known_noise(dataset, vehicle, worlds, of_estimate=config.collect.state == "estimate")
+    return dataset._replace(metadata={**dataset.metadata, "known_noise": noise}), notes
 
 
 def _curve(config: Config, vehicle: Vehicle, flights: Sequence[Flight]) -> ThrustCurve:

@@ -106,7 +106,7 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     note = check_feasible(config, trajectory, vehicle)
     plant = build_world(config, vehicle)
     controller = build_controller(config, vehicle, plant, model)
-    margins = loop_margins(controller, config.plant)
+    margins = loop_margins(controller, config.plant, plant)
     reference = SampledReference(trajectory, controller)
     flight = fly(
         plant,
@@ -143,6 +143,7 @@ def describe(config: Config, vehicle: Vehicle, model: ModelFile | None) -> dict[
         "seed": config.seed,
         "vehicle": {"name": vehicle.name, "fingerprint": vehicle.fingerprint},
         "plant": config.plant.name,
+        "world": config.world,
         "trajectory": config.trajectory.name,
         "controller": config.controller.name,
         "model": model.path if model else "",
@@ -157,7 +158,7 @@ def result_row(config: Config, flight: Flight) -> dict[str, Any]:
     """The row of one flight in a table of results."""
     metadata = flight.metadata
     return {
-        "plant": config.plant.name,
+        "plant": config.plant.name if config.world == "clean" else f"{config.plant.name}/{config.world}",
         "vehicle": config.vehicle.name,
         "trajectory": config.trajectory.name,
         "speed": getattr(config.trajectory, "speed", None),

@@ -70,6 +70,8 @@ FLIGHT_COLUMNS: dict[str, Column] = {
     **{f"wind_{i}": Column("m/s", "world", "velocity of the air") for i in _AXES},
     "thrust_acceleration": Column("m/s^2", "body", "collective thrust over mass, as the log has it"),
     "battery_voltage": Column("V", "", "voltage of the battery"),
+    "battery_current": Column("A", "", "current that is drawn from the battery"),
+    "state_of_charge": Column("1", "", "charge left in the battery, of the full one"),
 }
 
 RESIDUAL_COLUMNS: dict[str, Column] = {
@@ -186,6 +188,7 @@ _BY_KIND = {
 _INPUT = re.compile(r"(ref_)?u_\d+")
 _INDUCED_VELOCITY = re.compile(r"induced_velocity_\d+")
 _ROTOR_SPEED = re.compile(r"rotor_speed_\d+")
+_DELIVERED = re.compile(r"delivered_\d+")
 _MOTOR_COMMAND = re.compile(r"motor_command_\d+")
 
 
@@ -198,6 +201,8 @@ def describe(name: str, kind: str = "flight") -> Column:
         return Column("N", "body", f"{'reference' if match[1] else 'commanded'} static rotor thrust")
     if _ROTOR_SPEED.fullmatch(name):
         return Column("rad/s", "", "rotor speed")
+    if _DELIVERED.fullmatch(name):
+        return Column("N", "body", "static thrust that the rotor delivers")
     if _MOTOR_COMMAND.fullmatch(name):
         return Column("1", "", "normalised command of the motor, 0 to 1")
     if _INDUCED_VELOCITY.fullmatch(name):

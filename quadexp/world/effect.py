@@ -176,10 +176,13 @@ class Effect:
         """Inner states after the period, and what is told: `told` with some of it changed, or something added."""
         raise NotImplementedError
 
-    @classmethod
-    def steps(cls) -> bool:
-        """Whether it has anything to do before a control period ends, to which its inner states belong then."""
-        return any(cls.has(hook) for hook in ("begin", "wind", "thrusts", "wrench", "advance"))
+    def ended(self, inner: Any, parameters: Any) -> Any:
+        """Not zero where the flight is over, of its own inner states after a period and its parameters."""
+        raise NotImplementedError
+
+    def reason(self, inner: np.ndarray, parameters: np.ndarray) -> str:
+        """Why the flight is over, in one line; "" where it is not."""
+        return ""
 
     @classmethod
     def has(cls, hook: str) -> bool:
