@@ -23,6 +23,8 @@ ASIDE = {
     "quadexp.config.settings": "",
     "quadexp.config.world": "",
     "quadexp.config.sensing": "",
+    "quadexp.config.wind": "",
+    "quadexp.config.airframe": "",
     "quadexp.config.learning": "",
     "quadexp.config.engine": "where flights run",
     "quadexp.errors": "words",

@@ -9,7 +9,6 @@ from quadexp.config.settings import Setting, Settings, Triple
 from quadexp.config.world import WorldPartConfig
 
 FACTOR = "[0.1, 10]"
-LOAD = Setting("mass of the payload", "[0, 100]", "kg")
 POINT = "[-10, 10]"
 ZERO = (0.0, 0.0, 0.0)
 
@@ -50,7 +49,7 @@ class PayloadKeys(Settings):
 
     prefix: ClassVar[str] = "payload."
 
-    mass: Annotated[float, LOAD] = 0.2
+    mass: Annotated[float, Setting("mass of the payload", "[0.001, 100]", "kg")] = 0.2
     point: Annotated[
         Triple, Setting("where it is fixed, or its cable, from the true vehicle's centre of mass, body", POINT, "m")
     ] = ZERO
@@ -67,7 +66,6 @@ class FixedPayloadConfig(PayloadKeys, WorldPartConfig):
 class SlungLoadKeys(PayloadKeys):
     """A point mass on a cable."""
 
-    mass: Annotated[float, Setting("mass of the payload", "[0.001, 100]", "kg")] = 0.2
     length: Annotated[float, Setting("length of the cable, unstretched", "[0.05, 100]", "m")] = 1.0
     stretch: Annotated[
         float, Setting("share of its length that the payload at rest stretches the cable", "[1e-5, 0.5]")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from quadexp.config.schema import Config, world_parts
@@ -11,6 +13,7 @@ from quadexp.config.settings import part
 from quadexp.config.world import WorldPartConfig
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_plant, keep, plant_record
+from quadexp.experiment.inputs import located
 from quadexp.physics.vehicle import Vehicle
 
 
@@ -32,10 +35,12 @@ def build_world(config: Config, vehicle: Vehicle) -> Any:
     true_vehicle = vehicle
     for effect in effects:
         true_vehicle = effect.true_vehicle(true_vehicle)
-    record = ["world", plant_record(vehicle, config.plant), {group: asdict(one) for group, one in parts.items()}]
+    read = [hashlib.sha256(Path(one.path).read_bytes()).hexdigest() for one in effects if hasattr(one, "path")]
+    given = {group: asdict(one) for group, one in parts.items()}
+    record = ["world", plant_record(vehicle, config.plant), given, read]
 
     def make() -> Any:
-        airframe = believed if true_vehicle is vehicle else build_plant(true_vehicle, config.plant)
+        airframe = believed if true_vehicle is vehicle else build_plant(true_vehicle, config.plant, vehicle)
         if not isinstance(airframe, SimulatedPlant) or type(airframe).advance is not SimulatedPlant.advance:
             raise UsageError(
                 f"{config.world}: needs a plant that is a SimulatedPlant (quadexp/world/integrator.py);"
@@ -58,4 +63,5 @@ def _check_one_lag(config: Config) -> None:
 
 def _effect(config: WorldPartConfig) -> Any:
     module, _, name = config.effect.partition(":")
-    return part(getattr(importlib.import_module(module), name), config)
+    copied = {"path": str(located(config.path))} if hasattr(config, "path") else {}
+    return part(getattr(importlib.import_module(module), name), config, **copied)

@@ -68,6 +68,7 @@ FLIGHT_COLUMNS: dict[str, Column] = {
     "kkt": Column("1", "", "KKT residual of the control step"),
     "segment": Column("1", "", "number of the uninterrupted stretch the sample belongs to"),
     **{f"wind_{i}": Column("m/s", "world", "velocity of the air") for i in _AXES},
+    **{f"load_{i}": Column("m", "world", "position of the payload on its cable") for i in _AXES},
     "thrust_acceleration": Column("m/s^2", "body", "collective thrust over mass, as the log has it"),
     "battery_voltage": Column("V", "", "voltage of the battery"),
     "battery_current": Column("A", "", "current that is drawn from the battery"),

@@ -21,7 +21,7 @@ from quadexp.experiment.identity import canonical, digest, flight_record
 from quadexp.sweeps.keys import cell_key, condition
 
 BUILDS_AT_ONCE = 32  # compiled structures that every worker surely keeps, see experiment.build.KEPT
-FILES = ("trajectory", "plant")  # groups, beside the controller, whose settings may name a file
+FILES = ("trajectory", "plant", "wind")  # groups, beside the controller, whose settings may name a file
 STRUCTURE = ("kind", "residual", "nodes", "backend", "variant", "_target_")  # controller settings that are compiled in
 
 
@@ -45,7 +45,7 @@ def plan_cells(cells: Iterable[Cell]) -> dict[str, Job]:
     known: dict[str, tuple[ModelFile | None, dict[str, str]]] = {}  # files that some settings name, hashed once
     for cell in cells:
         config, record = cell.config, flight_record(cell.config)
-        named = {group: [record[group].get(name) for name in ("_target_", "model", "path")] for group in FILES}
+        named = {group: [record.get(group, {}).get(name) for name in ("_target_", "model", "path")] for group in FILES}
         reads = canonical([config.model, record["controller"], named])
         if reads not in known:
             model = find_model(config)

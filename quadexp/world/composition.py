@@ -54,31 +54,35 @@ def compose(
     equations: Equations, effects: Sequence[Effect], layout: Layout, clock: Clock, vehicle: Vehicle
 ) -> ca.Function:
     """WORLD_INPUTS -> WORLD_OUTPUTS over a control period; then what the airframe keeps of the steps."""
-    parts = _Parts(equations, tuple(effects), layout, vehicle)
+    last = max((i + 1 for i, effect in enumerate(effects) if effect.steps()), default=0)
+    stepping = Layout(layout.airframe, layout.effects[:last])  # the rest only measures, once a period
+    parts = _Parts(equations, tuple(effects[:last]), stepping, vehicle)
     airframe, steps, n = layout.airframe, clock.steps, vehicle.n_rotors
     x, inner = ca.MX.sym("x", N_STATE), ca.MX.sym("inner", layout.size("inner") + WIND)
     u, noise, step = ca.MX.sym("u", n), ca.MX.sym("noise", layout.size("noise"), steps), ca.MX.sym("step")
     parameters, draws = ca.MX.sym("parameters", layout.size("parameters")), ca.MX.sym("draws", layout.size("draws"))
     time = ca.MX.sym("time")
 
-    own = inner[airframe.inner : layout.size("inner")]
-    own = parts.begun()(time, x, own, u, parameters, draws, step)
-    inner_a, theta = inner[: airframe.inner], parameters[: airframe.parameters]
+    cut = [0, airframe.inner, stepping.size("inner"), layout.size("inner"), inner.numel()]
+    inner_a, own, measuring, _ = ca.vertsplit(inner, cut)
+    theta, known = parameters[: airframe.parameters], parameters[: stepping.size("parameters")]
+    own = parts.begun()(time, x, own, u, known, draws[: stepping.size("draws")], step)
+    acting = noise[: stepping.size("noise"), :]
     if equations.begin:
-        wind, thrusts, *_ = parts.drive()(time, x, own, u, noise[:, 0], parameters, step)
+        wind, thrusts, *_ = parts.drive()(time, x, own, u, acting[:, 0], known, step)
         s, _ = equations.begin(_seen_from_the_air(x, wind), inner_a, thrusts, theta)
         rest = s[N_STATE:]
     else:
         rest = inner_a
     state = ca.vertcat(x, rest, parts.chosen(own, parts.moving), ca.MX.zeros(WIND + n + 3))
     times = time + step * ca.DM(range(steps)).T
-    again = [ca.repmat(value, 1, steps) for value in (parts.chosen(own, parts.still), u, parameters, step)]
-    found = parts.step().mapaccum(steps)(state, times, *again[:2], noise, *again[2:])
+    again = [ca.repmat(value, 1, steps) for value in (parts.chosen(own, parts.still), u, known, step)]
+    found = parts.step().mapaccum(steps)(state, times, *again[:2], acting, *again[2:])
     states, *kept = found if isinstance(found, tuple) else (found,)
 
     sizes = [N_STATE, rest.numel(), parts.size(parts.moving), WIND, n, 3]
     x_next, rest, moved, wind, thrusts, pushed = ca.vertsplit(states[:, -1], [0, *accumulate(sizes)])
-    own = parts.assembled(moved, own)
+    own = ca.vertcat(parts.assembled(moved, own), measuring)
     if equations.end:
         held = equations.command(thrusts, theta) if equations.command else thrusts
         s = ca.vertcat(_seen_from_the_air(x_next, wind), rest)
@@ -88,6 +92,7 @@ def compose(
         inner_a, reading, doubt = rest, kept[0][:, -1], ca.MX(1, 1)
         kept, names = kept[1:], []
     reading += pushed
+    parts = _Parts(equations, tuple(effects), layout, vehicle)
     doubt = parts.ended(own, parameters, doubt)
 
     told: Told = {"state": x_next, "specific_force": reading}
@@ -257,8 +262,11 @@ class _Parts:
         pushed = ca.mtimes(rotation_matrix(x_next[ATTITUDE]).T, force / mass) if pushes else ca.MX.zeros(3)
         S_next = ca.vertcat(x_next, rest, self.chosen(own, self.moving), wind, thrusts, pushed)
         one = ca.Function("world_step", [S, t, still, u, noise, parameters, step], [S_next, *kept])
-        # In scalar expressions everything is one function, without copies between its parts.
-        return one.expand() if self._kind is ca.SX and equations.step.is_a("SXFunction") else one
+        if self._kind is not ca.SX or not equations.step.is_a("SXFunction"):
+            return one
+        # In scalar expressions everything is one function, without copies, and what two hooks compute is computed once.
+        symbols = one.sx_in()
+        return ca.Function(one.name(), symbols, ca.cse(one.call(symbols)))
 
     def ended(self, own: Any, parameters: Any, doubt: Any) -> Any:
         """The doubt of the airframe, or that an effect ends the flight: Python then says why."""

@@ -96,8 +96,8 @@ def turbulence(filters: Expression, intensity: Expression) -> Expression:
 class Dryden(DrydenKeys, Effect):
     """See DrydenKeys. inner: filter states (5,).
 
-    parameters: mean wind (3,), world (m/s); axes (9,), column by column; intensity (3,) (m/s); scale lengths (3,) (m); least
-    and largest airspeed at which the turbulence passes (m/s).
+    parameters: mean wind (3,), world (m/s); axes (9,), column by column; intensity (3,) (m/s); scale lengths (3,) (m);
+    least and largest airspeed at which the turbulence passes (m/s).
     """
 
     stage = "wind"

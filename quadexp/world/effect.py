@@ -185,6 +185,11 @@ class Effect:
         return ""
 
     @classmethod
+    def steps(cls) -> bool:
+        """Whether it has anything to do before a control period ends, to which its inner states belong then."""
+        return any(cls.has(hook) for hook in ("begin", "wind", "thrusts", "wrench", "advance"))
+
+    @classmethod
     def has(cls, hook: str) -> bool:
         """Whether this class overrides a hook."""
         return getattr(cls, hook) is not getattr(Effect, hook)

@@ -172,6 +172,11 @@ class SimulatedPlant:
         return {name: found[name].ravel() for name in function.results}
 
     @property
+    def rough_equations(self) -> Equations:
+        """The equations for wind and thrusts that jump from one integration step to the next."""
+        return self.equations
+
+    @property
     def safe_equations(self) -> Equations | None:
         """Equations that are never in doubt, with the same inputs; None where there are none."""
         return None

@@ -3,9 +3,9 @@
     m v_l' = m g - F - k |v_l - w| (v_l - w)                         the load, p_l' = v_l                          world
     F = n max(0, K (l - L) + C l'),   n = (p_l - p_a) / l,   l = |p_l - p_a|          on the vehicle, at the point p_a
 
-At rest the cable is stretched by a small share e of its length L, K = m |g| / (e L); C = 2 zeta sqrt(K m) damps it, and it
-is slack when shorter than L. At rest |F| = m |g|; where the vehicle is held, the load swings with the period of a
-pendulum, 2 pi sqrt(L / |g|).
+At rest the cable is stretched by a small share e of its length L, K = m |g| / (e L), C = 2 zeta sqrt(K m), and
+|F| = m |g|; shorter than L it is slack. Where the vehicle is held, the load swings with the period of a pendulum,
+2 pi sqrt(L / |g|).
 
 F is held over a step h, at the positions that half the step leads to at the velocities of its beginning. With
 p + h v + h^2 F / 2 m and v + h F / m on both sides this is the position form of Verlet's method: of second order, and
@@ -60,8 +60,8 @@ def check_step(cable: Cable, step: float, vehicle_mass: float) -> None:
     frequency = math.sqrt(cable.stiffness * (1 / cable.mass + 1 / vehicle_mass))
     if step * frequency > STABLE:
         raise UsageError(
-            f"payload: the cable oscillates along its length at {frequency:.4g} rad/s, too fast for steps of {step:g} s:"
-            f" plant.step must be at most {STABLE / frequency:.2g} s, or payload.stretch larger"
+            f"payload: the cable oscillates along its length at {frequency:.4g} rad/s, too fast for steps of {step:g}"
+            f" s: plant.step must be at most {STABLE / frequency:.2g} s, or payload.stretch larger"
         )
 
 

@@ -2,10 +2,10 @@
 
 Mass, inertia and centre of mass by factors and an offset c, then a payload of mass m at the point r:
 
-    M' = f_M M,   J' = S J S with S = diag(sqrt(f_J))                                   at the centre of mass, moved by c
-    M'' = M' + m,   c'' = (M' c + m r) / M''                                           from the believed centre, body, m
-    J'' = J' + M' [c - c''] + m [r - c''],   [d] = |d|^2 I - d d'                         Steiner's theorem
-    r_i'' = r_i - c''                                                                     rotors, from the true centre
+    M' = f_M M,   J' = S J S with S = diag(sqrt(f_J))                                  at the centre of mass, moved by c
+    M'' = M' + m,   c'' = (M' c + m r) / M''                                          from the believed centre, body, m
+    J'' = J' + M' [c - c''] + m [r - c''],   [d] = |d|^2 I - d d'                        Steiner's theorem
+    r_i'' = r_i - c''                                                                    rotors, from the true centre
 
 The state of a flight is that of the true centre of mass. Thrust and torque coefficients that are off by f_T and f_Q
 change what a rotor gives at the thrust u_i that it is asked for, whatever the plant:

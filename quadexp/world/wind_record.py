@@ -44,8 +44,10 @@ class WindRecord:
 
 @dataclass(frozen=True)
 class WindFromFile(WindFileKeys, Effect):
-    """See WindFileKeys; the file is read when first used. Raises UsageError for a missing file, DataError for one without
-    wind."""
+    """See WindFileKeys; the file is read when first used.
+
+    Raises UsageError for a missing file, DataError for one without wind.
+    """
 
     stage = "wind"
     kind = ca.MX

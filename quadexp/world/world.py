@@ -50,7 +50,9 @@ class World(SimulatedPlant):
         self._made: dict[Clock, _Prepared] = {}
         self._own_parameters, self._rotors = np.empty(0), list[int]()
         self._shares: list[tuple[Effect, slice, slice]] = []  # of the inner states, and of the effects' parameters
-        super().__init__(airframe.vehicle, airframe.equations, step=airframe.step, backend=airframe.backend)
+        rough = any(effect.has("wind") or effect.has("thrusts") for effect in self.effects)
+        equations = airframe.rough_equations if rough else airframe.equations
+        super().__init__(airframe.vehicle, equations, step=airframe.step, backend=airframe.backend)
 
     # ------------------------------------------------------------------------------------------------- a flight begins
     def reset(self) -> None:

@@ -67,7 +67,7 @@ def test_every_option_of_every_group_composes():
     with session() as composer:
         for group in SCHEMAS:
             for option in composer.options(group):
-                extra = {"file": ["trajectory.path=x"], "from_model": ["plant.model=x"]}.get(option, [])
+                extra = {"file": [f"{group}.path=x"], "from_model": ["plant.model=x"]}.get(option, [])
                 config = composer.compose([f"{group}={option}", *extra])
                 assert isinstance(getattr(config, group), tuple(SCHEMAS[group].values()))
 

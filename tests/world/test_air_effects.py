@@ -101,7 +101,9 @@ def test_a_slung_load_hangs_beneath_and_is_carried(settled):
 def test_against_a_push_it_leans(settled):
     """R e_z T = m g - F, and the rotors' torque is that of the push, turned round."""
     force, torque = np.array([0.8, -0.5, 1.0]), np.array([0.01, -0.02, 0.005])
-    given = [f"external.{name}={value.tolist()}".replace(" ", "") for name, value in (("force", force), ("torque", torque))]
+    given = [
+        f"external.{name}={value.tolist()}".replace(" ", "") for name, value in (("force", force), ("torque", torque))
+    ]
     vehicle, u, R, _ = settled("external=push", *given)
     assert R.apply([0, 0, u.sum()]) == pytest.approx([-0.8, 0.5, vehicle.mass * 9.81 - 1.0], rel=1e-2, abs=2e-2)
     assert vehicle.allocation[1:] @ u == pytest.approx(-torque, abs=2e-3)

@@ -35,7 +35,9 @@ def test_tilted_the_lower_rotors_gain_more_and_right_the_vehicle(odd_vehicle, rn
     turn = Rotation.from_rotvec([0.3, 0.0, 0.0])
     x = np.r_[0.0, 0.0, 0.25, turn.as_quat(scalar_first=True), np.zeros(6)]
     u = rng.uniform(2, 3, 6)
-    force, torque = (np.array(v).ravel() for v in ground_wrench(ca.DM(x), ca.DM(u), places(odd_vehicle), RADIUS, 0.0, 10.0))
+    force, torque = (
+        np.array(v).ravel() for v in ground_wrench(ca.DM(x), ca.DM(u), places(odd_vehicle), RADIUS, 0.0, 10.0)
+    )
     at = np.array(odd_vehicle.rotor_position)
     heights = 0.25 + turn.apply(at)[:, 2]
     added = u * (1 / (1 - (RADIUS / 4 / np.maximum(heights, RADIUS / 2)) ** 2) - 1)

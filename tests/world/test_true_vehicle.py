@@ -68,7 +68,9 @@ def test_a_vehicle_that_cannot_hover_is_refused(vehicle):
 
 
 @pytest.mark.parametrize(("thrust_factor", "torque_factor"), [(1.1, 1.0), (0.9, 1.3), (1.0, 0.5)])
-def test_coefficients_change_the_wrench_as_another_vehicle_would_give_it(odd_vehicle, thrust_factor, torque_factor, rng):
+def test_coefficients_change_the_wrench_as_another_vehicle_would_give_it(
+    odd_vehicle, thrust_factor, torque_factor, rng
+):
     """Thrusts times f_T on a vehicle whose torque per thrust is f_Q times as large."""
     u = rng.uniform(1, 4, 6)
     other = replace(odd_vehicle, torque_coefficient=torque_factor * odd_vehicle.torque_coefficient)
