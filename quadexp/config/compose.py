@@ -41,7 +41,7 @@ _REFERENCE = re.compile(r"\$\{(\w+(?=\})|)")
 SCHEMA = "_schema_"  # key of a node that names its schema
 # Keys that hold a path.
 PATHS = {
-    "model", "plant.model", "trajectory.path", "collect.identified", "engine.shared", "engine.python",
+    "model", "plant.model", "trajectory.path", "wind.path", "collect.identified", "engine.shared", "engine.python",
     "engine.remote_python", "engine.tls_ca", "engine.tls_cert", "engine.tls_key",
 }  # fmt: skip
 _VERSION = {"version_base": "1.3"} if hydra.__version__.startswith("1.3.") else {}  # later versions take none

@@ -38,6 +38,17 @@ class CollectConfig(Settings):
             " (first order)"
         ),
     ] = "midpoint"
+    thrust: Annotated[
+        Literal["delivered", "commanded"],
+        Setting(
+            "thrust between two samples of a simulated flight: what the rotors delivered, by their logged speeds or by"
+            " a motor lag and a delay fitted to the flights, or what was commanded"
+        ),
+    ] = "delivered"
+    state: Annotated[
+        Literal["estimate", "truth"],
+        Setting("of a simulated flight with an estimator: the estimate that the controller was told, or the truth"),
+    ] = "estimate"
     target: Annotated[
         Literal["auto", "specific_force", "velocity"],
         Setting("of recorded flights: the accelerometer's specific force (auto), or the velocity's derivative"),

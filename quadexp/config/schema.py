@@ -11,6 +11,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
+from quadexp.config.airframe import (
+    DisturbanceConfig,
+    FixedPayloadConfig,
+    GroundConfig,
+    SlungLoadConfig,
+    TruthConfig,
+)
 from quadexp.config.custom import (
     CustomControllerConfig,
     CustomPlantConfig,
@@ -44,7 +51,10 @@ from quadexp.config.lei_li import (
     RLSMPCConfig,
     SensorConfig,
 )
+from quadexp.config.motors import ActuatorConfig, BatteryConfig, RotorLossConfig
+from quadexp.config.sensing import EskfConfig, ImuGnssConfig, ImuMocapConfig
 from quadexp.config.settings import Setting, Settings
+from quadexp.config.wind import DrydenConfig, GustConfig, WindFileConfig
 from quadexp.config.world import ConstantWindConfig, LatencyConfig, StatedEstimateConfig, WorldPartConfig
 from quadexp.errors import UsageError
 
@@ -60,7 +70,7 @@ class EvaluateConfig(Settings):
         Setting("what the table shows: mean ||e||, root mean square, or largest position error"),
     ] = "mean_error"
     figures: Annotated[
-        Literal["standard", "lei_li", "families", "adaptation"],
+        Literal["standard", "lei_li", "families", "adaptation", "ladder"],
         Setting("which figures are drawn beside the standard ones"),
     ] = "standard"
     baseline: Annotated[str, Setting("controller that the others are compared with, seed by seed")] = "nominal_mpc"
@@ -80,12 +90,13 @@ class Config(Settings):
     vehicle: VehicleConfig
     plant: PlantConfig
     truth: WorldPartConfig
+    payload: WorldPartConfig
     wind: WorldPartConfig
     external: WorldPartConfig
     link: WorldPartConfig
-    actuator: WorldPartConfig
+    actuator: ActuatorConfig
     battery: WorldPartConfig
-    health: WorldPartConfig
+    health: RotorLossConfig
     ground: WorldPartConfig
     sensor: WorldPartConfig
     estimator: WorldPartConfig
@@ -122,16 +133,23 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "drone_models": DroneModelsPlantConfig,
         "custom": CustomPlantConfig,
     },
-    "truth": {"nominal": WorldPartConfig},
-    "wind": {"none": WorldPartConfig, "constant": ConstantWindConfig},
-    "external": {"none": WorldPartConfig},
+    "truth": {"nominal": TruthConfig},
+    "payload": {"none": WorldPartConfig, "fixed": FixedPayloadConfig, "slung": SlungLoadConfig},
+    "wind": {
+        "none": WorldPartConfig,
+        "constant": ConstantWindConfig,
+        "gust": GustConfig,
+        "dryden": DrydenConfig,
+        "file": WindFileConfig,
+    },
+    "external": {"none": WorldPartConfig, "push": DisturbanceConfig},
     "link": {"ideal": WorldPartConfig, "latency": LatencyConfig},
-    "actuator": {"ideal": WorldPartConfig},
-    "battery": {"none": WorldPartConfig},
-    "health": {"none": WorldPartConfig},
-    "ground": {"none": WorldPartConfig},
-    "sensor": {"accelerometer": SensorConfig},
-    "estimator": {"none": StatedEstimateConfig},
+    "actuator": {"motors": ActuatorConfig},
+    "battery": {"none": WorldPartConfig, "circuit": BatteryConfig},
+    "health": {"rotor_loss": RotorLossConfig},
+    "ground": {"none": WorldPartConfig, "cheeseman_bennett": GroundConfig},
+    "sensor": {"accelerometer": SensorConfig, "imu_mocap": ImuMocapConfig, "imu_gnss": ImuGnssConfig},
+    "estimator": {"none": StatedEstimateConfig, "eskf": EskfConfig},
     "trajectory": {
         "circle": CircleConfig,
         "lemniscate": LemniscateConfig,
@@ -157,7 +175,19 @@ SCHEMAS: dict[str, dict[str, type]] = {
 }
 
 # Groups of the world around an airframe, in the order in which a command meets them; see quadexp/world/effect.py.
-WORLD = ("truth", "wind", "external", "link", "actuator", "battery", "health", "ground", "sensor", "estimator")
+WORLD = (
+    "truth",
+    "payload",
+    "wind",
+    "external",
+    "link",
+    "actuator",
+    "battery",
+    "health",
+    "ground",
+    "sensor",
+    "estimator",
+)
 
 # Groups of presets, and the group whose values their options set (`# @package controller`).
 PRESETS = {"horizon": "controller"}

@@ -15,7 +15,7 @@ from quadexp.config.settings import Setting, Settings, Triple
 
 @dataclass(frozen=True, kw_only=True)
 class WorldPartConfig(Settings):
-    """What every part of a world has; by itself, the option that does nothing."""
+    """A part of the world; by itself, the option that does nothing."""
 
     effect: ClassVar[str] = ""
 

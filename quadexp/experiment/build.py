@@ -83,8 +83,15 @@ def build_vehicle(config: VehicleConfig) -> Vehicle:
     return keep(["vehicle", asdict(config)], lambda: part(Vehicle, config))
 
 
-def build_plant(vehicle: Vehicle, config: PlantConfig) -> Any:
-    """The simulated truth."""
+def build_plant(vehicle: Vehicle, config: PlantConfig, believed: Vehicle | None = None) -> Any:
+    """The simulated truth.
+
+    vehicle: that is flown. believed: the one that controllers, and a model identified from flights, are made for, where
+    it is another.
+    """
+    if believed is not None and hasattr(config, "model"):
+        record = [*plant_record(vehicle, config), believed.fingerprint]
+        return keep(record, lambda: build_identified.identified_plant(vehicle, config, believed))
     makers = {
         "simplified": _simplified_plant,
         "blade_element": build_lei_li.blade_element_plant,
@@ -164,15 +171,20 @@ def find_model(config: Config) -> ModelFile | None:
 def input_hashes(config: Config, model: ModelFile | None) -> dict[str, str]:
     """Content hash of every file that a flight reads."""
     hashes = {"model": model.sha256} if model else {}
-    path = getattr(config.trajectory, "path", None)
     hashes |= build_custom.source_hashes(config)
     if hasattr(config.plant, "model"):
         hashes["plant"] = build_identified.model_hash(config.plant.model)
-    if path is not None:
+    for group, path in input_files(config).items():
         if not Path(path).is_file():
-            raise UsageError(f"trajectory.path={path}: no such file")
-        hashes["trajectory"] = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+            raise UsageError(f"{group}.path={path}: no such file")
+        hashes[group] = hashlib.sha256(Path(path).read_bytes()).hexdigest()
     return hashes
+
+
+def input_files(config: Config) -> dict[str, str]:
+    """Files besides checkpoints that a flight reads, by the group whose key `path` names them."""
+    named = {group: getattr(getattr(config, group), "path", None) for group in ("trajectory", "wind")}
+    return {group: path for group, path in named.items() if path is not None}
 
 
 def build_residual(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:

@@ -15,6 +15,7 @@ from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
 from quadexp.learn.checkpoint import save_model
 from quadexp.learn.dataset import ResidualDataset, read_dataset
+from quadexp.learn.known_noise import explained, explained_lines
 from quadexp.provenance import provenance, versions
 
 ProgressCallback = Callable[[float, float], None]
@@ -42,11 +43,12 @@ def fit_checkpoint(
         model, report, draw = _fit_gp(data, config, compare=compare, progress=progress)
     else:
         model, report, draw = _fit_drag(data, config)
+    report["explained"] = explained(report["rows"], data.metadata.get("known_noise") or {})
     report |= {"dataset": str(dataset), "versions": versions(), "provenance": provenance()}
     save_model(out, model, report=report, force=force)
     files = draw(out / "figures") if figures else {}
     lines = [f"{report['summary']} from {data.n_rows} rows of {len(data.flights)} flights"]
-    lines += _split_lines(report)
+    lines += [*_split_lines(report), *explained_lines(report["explained"])]
     if "verdict" in report:
         from quadexp.learn.verdict import verdict_lines
 

@@ -1,11 +1,15 @@
 """Delivered and commanded thrust of a rotor.
 
     loss = k u^2 / u_max        with u the commanded and u_max the largest thrust        N
-    T'   = (u - T) / tau        first-order lag
+    y'   = (c - y) / tau        first-order lag, tau_up where c > y and tau_down where c < y
+
+The lag is that of the thrust, y = T and c = u, or that of the rotor speed, y = sqrt(T) and c = sqrt(u): speeds enter by
+the root of the thrust, so that no coefficient is needed.
 
 On normalised commands a = u / u_max the loss is k a^2; the simplified simulation of Torrente et al. 2021 has
-k = 0.1 / 1.3^2. The lag under a held command has a closed form, T(t) = u + (T(0) - u) exp(-t / tau), and nothing acts
-back on it, so a Runge-Kutta step of the body takes the thrust at its stages from there.
+k = 0.1 / 1.3^2. The lag under a held command has a closed form, y(t) = c + (y(0) - c) exp(-t / tau), which does not
+cross the command, and nothing acts back on it, so a Runge-Kutta step of the body takes the thrust at its stages from
+there.
 """
 
 from __future__ import annotations
@@ -28,6 +32,11 @@ def lagging_thrust(
 ) -> Expression:
     """Thrust (n,) (N) a time `elapsed` (s) after `thrust`, under a held command (n,) (N); time_constant tau (s)."""
     return command + (thrust - command) * ca.exp(-elapsed / time_constant)
+
+
+def time_constant_towards(value: Expression, command: Expression, up: Expression, down: Expression) -> Expression:
+    """Time constant (s) of every rotor, (n,): up where it has to rise to its command, down where it has to fall."""
+    return ca.if_else(command > value, up, down)
 
 
 def lagging_rk4_step(

@@ -148,6 +148,11 @@ class BladeElementPlant(SimulatedPlant):
         self.next_change = self._pending[0].t if self._pending else math.inf
 
     @property
+    def rough_equations(self) -> Equations:
+        """See SimulatedPlant."""
+        return fast_equations(self._model, rough=True)
+
+    @property
     def safe_equations(self) -> Equations:
         """See SimulatedPlant."""
         return checked_equations(self._model)

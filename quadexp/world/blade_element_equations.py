@@ -28,6 +28,7 @@ from quadexp.world.integrator import STEP_INPUTS, Equations, integrate
 
 FIRST_ITERATIONS = 6  # Newton steps at the beginning of a period
 ITERATIONS = 2  # Newton steps at every later evaluation
+ROUGH_ITERATIONS = 4  # Newton steps at the first evaluation of a step, where wind and thrusts jump between steps
 LARGEST_CHANGE = 1e-5  # m/s, of the last Newton step; the error left is of the order of its square
 
 
@@ -93,8 +94,11 @@ class BladeElementModel:
 
 
 @cache
-def fast_equations(model: BladeElementModel) -> Equations:
-    """In doubt where the induced velocity may not be the model's solution. s: x, induced velocity, w, doubt."""
+def fast_equations(model: BladeElementModel, rough: bool = False) -> Equations:
+    """In doubt where the induced velocity may not be the model's solution. s: x, induced velocity, w, doubt.
+
+    rough: for wind and thrusts that jump from one step to the next, as they do in a world.
+    """
     n = model.vehicle.n_rotors
     x, w, held, parameters, h = _symbols(model, ca.SX)
     last, doubt, noise = ca.SX.sym("V_I", n), ca.SX.sym("doubt"), ca.SX.sym("noise", 0)
@@ -103,7 +107,8 @@ def fast_equations(model: BladeElementModel) -> Equations:
     def slope(state: Expression) -> Expression:
         nonlocal induced
         equation = model.equation(state, w_now, parameters)
-        before = newton(equation, induced, ITERATIONS - 1)
+        iterations = ROUGH_ITERATIONS if rough and len(doubts) == 1 else ITERATIONS
+        before = newton(equation, induced, iterations - 1)
         induced = newton(equation, before, 1)
         doubts.append(_doubt(equation, before, induced))
         return model.derivative(state, w_now, induced, parameters)

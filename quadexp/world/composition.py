@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
 import casadi as ca
@@ -53,33 +54,35 @@ def compose(
     equations: Equations, effects: Sequence[Effect], layout: Layout, clock: Clock, vehicle: Vehicle
 ) -> ca.Function:
     """WORLD_INPUTS -> WORLD_OUTPUTS over a control period; then what the airframe keeps of the steps."""
-    parts = _Parts(equations, tuple(effects), layout, vehicle)
+    last = max((i + 1 for i, effect in enumerate(effects) if effect.steps()), default=0)
+    stepping = Layout(layout.airframe, layout.effects[:last])  # the rest only measures, once a period
+    parts = _Parts(equations, tuple(effects[:last]), stepping, vehicle)
     airframe, steps, n = layout.airframe, clock.steps, vehicle.n_rotors
     x, inner = ca.MX.sym("x", N_STATE), ca.MX.sym("inner", layout.size("inner") + WIND)
     u, noise, step = ca.MX.sym("u", n), ca.MX.sym("noise", layout.size("noise"), steps), ca.MX.sym("step")
     parameters, draws = ca.MX.sym("parameters", layout.size("parameters")), ca.MX.sym("draws", layout.size("draws"))
     time = ca.MX.sym("time")
 
-    own = inner[airframe.inner : layout.size("inner")]
-    own = parts.begun()(time, x, own, u, parameters, draws, step)
-    inner_a, theta = inner[: airframe.inner], parameters[: airframe.parameters]
+    cut = [0, airframe.inner, stepping.size("inner"), layout.size("inner"), inner.numel()]
+    inner_a, own, measuring, _ = ca.vertsplit(inner, cut)
+    theta, known = parameters[: airframe.parameters], parameters[: stepping.size("parameters")]
+    own = parts.begun()(time, x, own, u, known, draws[: stepping.size("draws")], step)
+    acting = noise[: stepping.size("noise"), :]
     if equations.begin:
-        wind, thrusts, *_ = parts.drive()(time, x, own, u, noise[:, 0], parameters, step)
+        wind, thrusts, *_ = parts.drive()(time, x, own, u, acting[:, 0], known, step)
         s, _ = equations.begin(_seen_from_the_air(x, wind), inner_a, thrusts, theta)
         rest = s[N_STATE:]
     else:
         rest = inner_a
-    one = parts.step()
-    state = ca.vertcat(x, rest, own, ca.MX.zeros(WIND + n + 3))
+    state = ca.vertcat(x, rest, parts.chosen(own, parts.moving), ca.MX.zeros(WIND + n + 3))
     times = time + step * ca.DM(range(steps)).T
-    again = [ca.repmat(value, 1, steps) for value in (u, parameters, step)]
-    found = one.mapaccum(steps)(state, times, again[0], noise, *again[1:])
+    again = [ca.repmat(value, 1, steps) for value in (parts.chosen(own, parts.still), u, known, step)]
+    found = parts.step().mapaccum(steps)(state, times, *again[:2], acting, *again[2:])
     states, *kept = found if isinstance(found, tuple) else (found,)
 
-    last = states[:, -1]
-    where = [0, N_STATE, N_STATE + rest.numel(), N_STATE + rest.numel() + own.numel()]
-    where += [where[-1] + WIND, where[-1] + WIND + n, where[-1] + WIND + n + 3]
-    x_next, rest, own, wind, thrusts, pushed = ca.vertsplit(last, where)
+    sizes = [N_STATE, rest.numel(), parts.size(parts.moving), WIND, n, 3]
+    x_next, rest, moved, wind, thrusts, pushed = ca.vertsplit(states[:, -1], [0, *accumulate(sizes)])
+    own = ca.vertcat(parts.assembled(moved, own), measuring)
     if equations.end:
         held = equations.command(thrusts, theta) if equations.command else thrusts
         s = ca.vertcat(_seen_from_the_air(x_next, wind), rest)
@@ -89,6 +92,8 @@ def compose(
         inner_a, reading, doubt = rest, kept[0][:, -1], ca.MX(1, 1)
         kept, names = kept[1:], []
     reading += pushed
+    parts = _Parts(equations, tuple(effects), layout, vehicle)
+    doubt = parts.ended(own, parameters, doubt)
 
     told: Told = {"state": x_next, "specific_force": reading}
     own, told = parts.measured(
@@ -118,6 +123,27 @@ class _Parts:
     def __init__(self, equations: Equations, effects: tuple[Effect, ...], layout: Layout, vehicle: Vehicle) -> None:
         self._equations, self._effects, self._layout, self._vehicle = equations, effects, layout, vehicle
         self._kind: Any = ca.MX if any(effect.kind is ca.MX for effect in effects) else ca.SX
+        # Effects whose inner states change from step to step, and those that only use them in the steps.
+        self.moving = [i for i, effect in enumerate(effects) if effect.has("advance")]
+        acting = [i for i, one in enumerate(effects) if any(map(one.has, ("wind", "thrusts", "wrench")))]
+        self.still = [i for i in acting if i not in self.moving]
+
+    def size(self, which: list[int]) -> int:
+        """Number of the inner states of some effects."""
+        return sum(self._layout.effects[i].inner for i in which)
+
+    def chosen(self, own: Any, which: list[int]) -> Any:
+        """The inner states of some effects, of those of all."""
+        pieces = self._cut(own, "inner")
+        return ca.vertcat(own[:0], *(pieces[i] for i in which))
+
+    def assembled(self, moved: Any, own: Any) -> Any:
+        """The inner states of all effects: `moved` of those that change from step to step, the others' from `own`."""
+        pieces, first = self._cut(own, "inner"), 0
+        for i in self.moving:
+            size = self._layout.effects[i].inner
+            pieces[i], first = moved[first : first + size], first + size
+        return ca.vertcat(own[:0], *pieces)
 
     def _cut(self, value: Any, kind: str) -> list[Any]:
         """The effects' shares of a vector, with the airframe's before them or, of the inner states, without."""
@@ -196,16 +222,22 @@ class _Parts:
         return self._function("after", [*symbols, *entering], [ca.vertcat(*found)])
 
     def step(self) -> ca.Function:
-        """(S, t, u, noise, parameters, step) -> S, what the airframe keeps; S = [x, the airframe's further s, own,
-        wind, thrusts, force over mass in the body frame (3,)]."""
+        """(S, t, still, u, noise, parameters, step) -> S, what the airframe keeps; S = [x, the airframe's further s,
+        moving inner states, wind, thrusts, force over mass in the body frame (3,)]; still: those that stay."""
         equations, layout, n = self._equations, self._layout, self._vehicle.n_rotors
-        further, owned = equations.step.size1_in(0) - N_STATE, layout.size("inner") - layout.airframe.inner
-        S = ca.MX.sym("S", N_STATE + further + owned + WIND + n + 3)
-        x, rest, own, _ = ca.vertsplit(S, [0, N_STATE, N_STATE + further, N_STATE + further + owned, S.numel()])
+        further, moving = equations.step.size1_in(0) - N_STATE, self.size(self.moving)
+        sizes = [N_STATE, further, moving, WIND + n + 3]
+        S, still = ca.MX.sym("S", sum(sizes)), ca.MX.sym("still", self.size(self.still))
+        x, rest, moved, _ = ca.vertsplit(S, [0, *accumulate(sizes)])
         t, u, step = ca.MX.sym("t"), ca.MX.sym("u", n), ca.MX.sym("step")
         noise, parameters = ca.MX.sym("noise", layout.size("noise")), ca.MX.sym("parameters", layout.size("parameters"))
         theta = parameters[: layout.airframe.parameters]
 
+        pieces, first = [ca.MX(sizes.inner, 1) for sizes in layout.effects], 0
+        for i in self.still:
+            size = layout.effects[i].inner
+            pieces[i], first = still[first : first + size], first + size
+        own = self.assembled(moved, ca.vertcat(ca.MX(0, 1), *pieces))
         wind, thrusts, force, torque, *entering = self.drive()(t, x, own, u, noise, parameters, step)
         pushes = any(effect.has("wrench") for effect in self._effects)
         blows = any(effect.has("wind") for effect in self._effects)
@@ -224,12 +256,26 @@ class _Parts:
         s, *kept = found if isinstance(found, tuple) else (found,)
         x_next, rest = kicked(s[:N_STATE]), s[N_STATE:]
         if blows:
-            moved = x_next[POSITION] + step * wind
-            x_next = ca.vertcat(moved, x_next[ATTITUDE], x_next[VELOCITY] + wind, x_next[RATE])
-        own = self._after()(t, x, own, noise, parameters, step, wind, thrusts, x_next, *entering)
+            x_next = ca.vertcat(x_next[POSITION] + step * wind, x_next[ATTITUDE], x_next[VELOCITY] + wind, x_next[RATE])
+        if self.moving:
+            own = self._after()(t, x, own, noise, parameters, step, wind, thrusts, x_next, *entering)
         pushed = ca.mtimes(rotation_matrix(x_next[ATTITUDE]).T, force / mass) if pushes else ca.MX.zeros(3)
-        S_next = ca.vertcat(x_next, rest, own, wind, thrusts, pushed)
-        return ca.Function("world_step", [S, t, u, noise, parameters, step], [S_next, *kept])
+        S_next = ca.vertcat(x_next, rest, self.chosen(own, self.moving), wind, thrusts, pushed)
+        one = ca.Function("world_step", [S, t, still, u, noise, parameters, step], [S_next, *kept])
+        if self._kind is not ca.SX or not equations.step.is_a("SXFunction"):
+            return one
+        # In scalar expressions everything is one function, without copies, and what two hooks compute is computed once.
+        symbols = one.sx_in()
+        return ca.Function(one.name(), symbols, ca.cse(one.call(symbols)))
+
+    def ended(self, own: Any, parameters: Any, doubt: Any) -> Any:
+        """The doubt of the airframe, or that an effect ends the flight: Python then says why."""
+        for effect, inner, theta in zip(
+            self._effects, self._cut(own, "inner"), self._cut(parameters, "parameters"), strict=True
+        ):
+            if effect.has("ended"):
+                doubt = ca.fmax(doubt, effect.ended(inner, theta))
+        return doubt
 
     def measured(
         self,

@@ -12,7 +12,7 @@ numbers from the effect's own random stream, so that switching an effect on chan
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -135,6 +135,14 @@ class Effect:
         """Inner states and parameters at the beginning of a flight; what varies from flight to flight is drawn here."""
         return (), ()
 
+    def among(self, effects: Sequence[Effect]) -> Effect:
+        """The effect as it is in a world of these effects. Raises UsageError where it lacks another that it needs."""
+        return self
+
+    def first(self, inner: np.ndarray, state: np.ndarray) -> np.ndarray:
+        """The state (13,) that is told when a flight begins. inner: its own; state: what it would be otherwise."""
+        return state
+
     def true_vehicle(self, vehicle: Vehicle) -> Vehicle:
         """The vehicle that is flown, from the one that controllers believe in."""
         return vehicle
@@ -167,6 +175,19 @@ class Effect:
     def measure(self, at: Readings, told: Told) -> tuple[Expression, Told]:
         """Inner states after the period, and what is told: `told` with some of it changed, or something added."""
         raise NotImplementedError
+
+    def ended(self, inner: Any, parameters: Any) -> Any:
+        """Not zero where the flight is over, of its own inner states after a period and its parameters."""
+        raise NotImplementedError
+
+    def reason(self, inner: np.ndarray, parameters: np.ndarray) -> str:
+        """Why the flight is over, in one line; "" where it is not."""
+        return ""
+
+    @classmethod
+    def steps(cls) -> bool:
+        """Whether it has anything to do before a control period ends, to which its inner states belong then."""
+        return any(cls.has(hook) for hook in ("begin", "wind", "thrusts", "wrench", "advance"))
 
     @classmethod
     def has(cls, hook: str) -> bool:

@@ -6,7 +6,7 @@ one leaves the last in force. A command takes effect at the first integration st
 arrival. Until the first arrives the rotors stand at hover.
 
 Inner states: the command that everything older has come to, then for each command still kept, the newest first, its
-thrusts (n,) (N) and the time until it arrives (s), NEVER where it is lost. Parameters: latency, jitter, drop.
+thrusts (n,) (N) and the time of its arrival (s), NEVER where it is lost. Parameters: latency, jitter, drop.
 """
 
 from __future__ import annotations
@@ -56,32 +56,24 @@ class Latency(LatencyKeys, Effect):
 
     @staticmethod
     def _commands(inner: Expression, n: int) -> Iterator[tuple[Expression, Expression]]:
-        """(thrusts (n,), time until they arrive (s)), the oldest first."""
+        """(thrusts (n,), time of their arrival (s)), the oldest first."""
         for first in range(inner.numel() - n - 1, n - 1, -n - 1):
             yield inner[first : first + n], inner[first + n]
 
     def begin(self, at: Moment) -> Expression:
         """See Effect.begin: the oldest command is no longer kept, the new one is sent."""
         n = at.command.numel()
-        oldest, left = next(self._commands(at.inner, n))
-        base = ca.if_else(left <= ROUNDING, oldest, at.inner[:n])
+        oldest, arrival = next(self._commands(at.inner, n))
+        base = ca.if_else(arrival <= at.t + ROUNDING, oldest, at.inner[:n])
         uniform = (1 + ca.erf(at.draws / math.sqrt(2))) / 2
         latency, jitter, drop = ca.vertsplit(at.parameters)
-        wait = ca.if_else(uniform[1] < drop, NEVER, latency + jitter * uniform[0])
-        return ca.vertcat(base, at.command, wait, at.inner[n : -n - 1])
+        arrives = ca.if_else(uniform[1] < drop, NEVER, at.t + latency + jitter * uniform[0])
+        return ca.vertcat(base, at.command, arrives, at.inner[n : -n - 1])
 
     def thrusts(self, at: Moment) -> Expression:
         """See Effect.thrusts."""
         n = at.command.numel()
         found = at.inner[:n]
-        for thrusts, left in self._commands(at.inner, n):
-            found = ca.if_else(left <= ROUNDING, thrusts, found)
+        for thrusts, arrival in self._commands(at.inner, n):
+            found = ca.if_else(arrival <= at.t + ROUNDING, thrusts, found)
         return found
-
-    def advance(self, at: Moment) -> Expression:
-        """See Effect.advance: all that is left to wait gets shorter."""
-        n = at.command.numel()
-        parts = [at.inner[:n]]
-        for thrusts, left in reversed([*self._commands(at.inner, n)]):
-            parts += [thrusts, ca.if_else(left >= NEVER / 2, left, left - at.step)]
-        return ca.vertcat(*parts)

@@ -49,9 +49,10 @@ class StatedEstimate(StatedEstimateKeys, Effect):
 
     def measure(self, at: Readings, told: Told) -> tuple[ca.MX, Told]:
         """See Effect.measure."""
-        late = self._late(at.clock)
-        trail = ca.horzcat(ca.reshape(at.inner, N_STATE, late), at.states[:, 1:])
-        x = trail[:, at.clock.steps - 1]
+        late, steps = self._late(at.clock), at.clock.steps
+        past, now = ca.reshape(at.inner, N_STATE, late), at.states[:, 1:]
+        x = past[:, steps - 1] if late >= steps else now[:, steps - 1 - late]
+        kept = ca.horzcat(past[:, steps:], now) if late > steps else now[:, steps - late :]
         noise = at.draws * ca.vertcat(*(ca.repmat(std, 3, 1) for std in ca.vertsplit(at.parameters)))
         turned = ca.mtimes(left_matrix(x[ATTITUDE]), ca.vertcat(1, noise[6:9] / 2))
         noisy = ca.vertcat(
@@ -60,5 +61,4 @@ class StatedEstimate(StatedEstimateKeys, Effect):
             x[VELOCITY] + noise[3:6],
             x[RATE] + noise[9:],
         )
-        kept = trail[:, trail.size2() - late :]
         return ca.reshape(kept, N_STATE * late, 1), told | {"state": noisy}

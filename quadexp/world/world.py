@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -15,7 +16,7 @@ import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise
-from quadexp.errors import QuadexpError
+from quadexp.errors import ModelDomainError, QuadexpError
 from quadexp.world.composition import Layout, compose, wind_function
 from quadexp.world.effect import Clock, Effect, Sizes, Start, ordered
 from quadexp.world.integrator import Equations, SimulatedPlant
@@ -44,11 +45,14 @@ class World(SimulatedPlant):
     def __init__(
         self, airframe: SimulatedPlant, effects: Sequence[Effect], believed: SimulatedPlant | None = None
     ) -> None:
-        self.airframe, self.effects = airframe, ordered(list(effects))
+        self.airframe, self.effects = airframe, ordered([effect.among(effects) for effect in effects])
         self._believed: Any = believed or airframe  # a Plant too
         self._made: dict[Clock, _Prepared] = {}
         self._own_parameters, self._rotors = np.empty(0), list[int]()
-        super().__init__(airframe.vehicle, airframe.equations, step=airframe.step, backend=airframe.backend)
+        self._shares: list[tuple[Effect, slice, slice]] = []  # of the inner states, and of the effects' parameters
+        rough = any(effect.has("wind") or effect.has("thrusts") for effect in self.effects)
+        equations = airframe.rough_equations if rough else airframe.equations
+        super().__init__(airframe.vehicle, equations, step=airframe.step, backend=airframe.backend)
 
     # ------------------------------------------------------------------------------------------------- a flight begins
     def reset(self) -> None:
@@ -76,9 +80,18 @@ class World(SimulatedPlant):
             inner.append(found[0])
             parameters.append(found[1])
             shares.append(Share(stream, sizes.noise, sizes.draws))
+        ends = [layout.ends(kind)[1:] for kind in ("inner", "parameters")]
+        slices = [[slice(*pair) for pair in pairwise(one)] for one in ends]
+        first = layout.airframe.parameters
+        self._shares = [
+            (effect, own, slice(theta.start - first, theta.stop - first))
+            for effect, own, theta in zip(self.effects, *slices, strict=True)
+        ]
         columns = self.columns(period)
         self._rotors = [i for name, i in columns.items() if name.startswith("rotor_speed_")]
         self._own_parameters, self.measured = np.concatenate(parameters), start.x.copy()
+        for effect, own in zip(self.effects, inner[1:], strict=True):
+            self.measured = effect.first(own, self.measured)
         self.inner = np.concatenate([*inner, self._first_wind(start, np.concatenate(inner[1:]))])
         return Streams(shares, clock.steps)
 
@@ -106,7 +119,8 @@ class World(SimulatedPlant):
             function = realise(self._period(self.equations, clock), self.backend)
             rows, draws = function.size1_in("noise"), function.size1_in("draws")
             buffer = np.zeros(clock.steps * rows + draws)
-            views = {"noise": buffer[: clock.steps * rows].reshape(clock.steps, rows), "draws": buffer[-draws:]}
+            shape = (clock.steps, rows) if clock.steps > 1 else rows
+            views = {"noise": buffer[: clock.steps * rows].reshape(shape), "draws": buffer[-draws:]}
             views = {name: view for name, view in views.items() if function.size1_in(name)}
             self._made[clock] = _Prepared(function, views, buffer, clock)
         made = self._made[clock]
@@ -133,6 +147,14 @@ class World(SimulatedPlant):
     def settle(self, results: Mapping[str, np.ndarray]) -> None:
         """See SimulatedPlant."""
         self.inner, self.measured = results["inner_next"].copy(), results["measured"].copy()
+        if results["doubt"].any():
+            self._check_ended()
+
+    def _check_ended(self) -> None:
+        """Raise ModelDomainError where an effect ends the flight."""
+        for effect, inner, parameters in self._shares:
+            if reason := effect.reason(self.inner[inner], self._own_parameters[parameters]):
+                raise ModelDomainError(f"{reason} at t={self.time:.2f} s")
 
     def _period(self, equations: Equations, clock: Clock) -> ca.Function:
         return compose(equations, self.effects, self._layout(clock), clock, self.vehicle)
@@ -154,12 +176,13 @@ class World(SimulatedPlant):
 
     # ------------------------------------------------------------------------------------------ what others ask for
     def columns(self, period: float) -> dict[str, int]:
-        """Names of the columns of a flight that are inner states, and which."""
+        """Names of the columns of a flight that are inner states, and which. Of one name, the airframe's holds, then
+        that of the last stage."""
         clock, layout = self.clock(period), self._layout(self.clock(period))
-        found = {name: i for i, name in enumerate(self.airframe.inner_columns)}
+        found: dict[str, int] = {}
         for effect, first in zip(self.effects, layout.ends("inner")[1:-1], strict=True):
-            for name, place in effect.columns(clock, self.vehicle).items():
-                found.setdefault(name, first + place)
+            found |= {name: first + place for name, place in effect.columns(clock, self.vehicle).items()}
+        found |= {name: i for i, name in enumerate(self.airframe.inner_columns)}
         if any(effect.has("wind") for effect in self.effects):
             found |= {name: layout.size("inner") + i for i, name in enumerate(WIND_COLUMNS)}
         return found

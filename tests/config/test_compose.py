@@ -48,6 +48,7 @@ def hydra_composes(overrides):
             del composed[group]["_schema_"]
             composed[group] = over(plain(schema), composed[group])
         whole = over({"evaluate": plain(EvaluateConfig), "model": None, "seed": 0, "sweep": None}, composed)
+        whole["world"] = "clean"  # a name, which is made when all is composed
         return OmegaConf.to_container(OmegaConf.create(whole), resolve=True)
 
 
@@ -67,7 +68,7 @@ def test_every_option_of_every_group_composes():
     with session() as composer:
         for group in SCHEMAS:
             for option in composer.options(group):
-                extra = {"file": ["trajectory.path=x"], "from_model": ["plant.model=x"]}.get(option, [])
+                extra = {"file": [f"{group}.path=x"], "from_model": ["plant.model=x"]}.get(option, [])
                 config = composer.compose([f"{group}={option}", *extra])
                 assert isinstance(getattr(config, group), tuple(SCHEMAS[group].values()))
 

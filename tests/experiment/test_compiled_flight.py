@@ -24,10 +24,13 @@ from quadexp.reference.lemniscate import Lemniscate
 from quadexp.reference.step import Step
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.accelerometer import LEI_LI
+from quadexp.world.actuator import Actuator
+from quadexp.world.battery import Battery
 from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant, PlantChange
 from quadexp.world.constant_wind import ConstantWind
 from quadexp.world.from_model import FromModelPlant
 from quadexp.world.link import Latency
+from quadexp.world.rotor_loss import RotorLoss
 from quadexp.world.stated_estimate import StatedEstimate
 from quadexp.world.streams import Share, Streams
 from quadexp.world.world import World
@@ -147,11 +150,16 @@ WORLD = [
     ConstantWind(velocity=(3.0, -1.0, 0.5)),
     Latency(latency=0.003, jitter=0.03, drop=0.1),
     StatedEstimate(position_noise=0.01, velocity_noise=0.03, attitude_noise=0.01, rate_noise=0.05, delay=0.006),
+    Actuator(time_constant_up=0.01, time_constant_down=0.02, rotor_scale_std=0.02),
+    Battery(capacity=0.1),
+    RotorLoss(({"rotor": 1, "t": 0.31, "factor": 0.95},)),
 ]
 
 
 @compiled
-@pytest.mark.parametrize("effects", [[0], [1], [2], [0, 1, 2]], ids=["wind", "link", "estimate", "all"])
+@pytest.mark.parametrize(
+    "effects", [[0], [1], [2], [3, 4, 5], [0, 1, 2, 3, 4, 5]], ids=["wind", "link", "estimate", "motors", "all"]
+)
 @pytest.mark.parametrize("seed", [9, 11, 15, 18])
 def test_any_flight_in_a_world(monkeypatch, vehicle, seed, effects):
     """The same with effects around the plant; the seeds bring the three plants."""
