@@ -62,7 +62,7 @@ def test_a_checkpoint_says_what_its_data_were(lagging, tmp_path):
 
 
 def test_the_accelerometers_target_takes_rotor_speeds_where_they_were_logged(tmp_path):
-    """The reading less the thrust by the speeds is the drag, however the rotors lag: linear drag explains most of it."""
+    """The reading less the thrust by the speeds is the drag, however the rotors lag: drag explains most of it."""
     world = [*LAG, "vehicle.thrust_coefficient=1e-5", "collect.target=specific_force", "plant.motor_noise_density=0"]
     data, _ = collected(tmp_path / "rows.parquet", *world)
     assert data.metadata["thrust"]["signal"] == "rotor_speed"
