@@ -39,7 +39,7 @@ class RotorPyKeys(Settings):
     flapping: Annotated[
         float, Setting("flapping moment of a rotor per speed of rotor and air (k_flap)", "[0, 1]", "kg m/rad")
     ] = 0.0
-    motor_lag: Annotated[float, Setting("time constant of the rotor speeds (tau_m)", "[1e-4, 1]", "s")] = 0.005
+    motor_lag: Annotated[float, Setting("time constant of the rotor speeds (tau_m); 0: none", "[0, 1]", "s")] = 0.005
     rotor_speed_min: Annotated[float, Setting("least rotor speed", "[0, 1e5]", "rad/s")] = 0.0
     rotor_speed_max: Annotated[float, Setting("largest rotor speed", "(0, 1e5]", "rad/s")] = 1500.0
 

@@ -30,7 +30,7 @@ def build_world(config: Config, vehicle: Vehicle) -> Any:
     from quadexp.world.integrator import SimulatedPlant
     from quadexp.world.world import World
 
-    _check_one_lag(config)
+    _check_one_lag(config, believed)
     effects, true_vehicle = build_effects(vehicle, *parts.values())
     read = [hashlib.sha256(Path(one.path).read_bytes()).hexdigest() for one in effects if hasattr(one, "path")]
     given = {group: asdict(one) for group, one in parts.items()}
@@ -60,13 +60,21 @@ def build_effects(vehicle: Vehicle, *parts: WorldPartConfig) -> tuple[list[Any],
     return effects, vehicle
 
 
-def _check_one_lag(config: Config) -> None:
+def _check_one_lag(config: Config, plant: Any) -> None:
     """Raise UsageError where the plant's own lag and that of the actuator would act one after the other."""
     own = getattr(config.plant, "motor_lag", 0.0)
-    if own and max(config.actuator.time_constant_up, config.actuator.time_constant_down):
+    if not max(config.actuator.time_constant_up, config.actuator.time_constant_down):
+        return
+    remedy = "the actuator's time constants to 0"
+    if own:
         raise UsageError(
             f"plant.motor_lag={own:g} and actuator={config.actuator.name}: both let the rotors lag; set"
-            " plant.motor_lag=0, or the actuator's time constants to 0"
+            f" plant.motor_lag=0, or {remedy}"
+        )
+    if lag := getattr(plant, "loop_lag", 0.0):
+        raise UsageError(
+            f"plant={config.plant.name} and actuator={config.actuator.name}: both let the rotors lag, the plant's own"
+            f" motors by {1e3 * lag:.0f} ms; set {remedy} (actuator.time_constant_up=0 actuator.time_constant_down=0)"
         )
 
 

@@ -82,8 +82,8 @@ def collect_flights(
     """Fly until `collect.duration` seconds are recorded.
 
     worlds: configurations that differ from this one in the plant and the world around it, flown in turn.
-    Raises UsageError where the controller lacks its model, or worlds differ in something else, QuadexpError where no
-    path of a speed can be flown.
+    Raises UsageError where the controller lacks its model, worlds differ in something else, or one of them makes the
+    loop unstable, QuadexpError where no path of a speed can be flown.
     """
     model = find_model(config)
     vehicle = build_vehicle(config.vehicle)

@@ -147,7 +147,10 @@ def _equations(vehicle: Vehicle) -> Equations:
     s, u, noise = ca.SX.sym("s", N_STATE + n), ca.SX.sym("u", n), ca.SX.sym("noise", 0)
     parameters, step = ca.SX.sym("parameters", N_PARAMETERS), ca.SX.sym("step")
     command = _commanded_speed(u, vehicle, parameters[SPEED_MIN], parameters[SPEED_MAX])
-    after = lagging_rk4_step(lambda x, w: f(x, w, parameters)[0], s, command, step, parameters[LAG])
+    lags = parameters[LAG] > 0
+    begun = ca.vertcat(s[:N_STATE], ca.if_else(lags, s[N_STATE:], command))
+    lag = ca.if_else(lags, parameters[LAG], 1)  # s; any, where the speeds are the commanded ones already
+    after = lagging_rk4_step(lambda x, w: f(x, w, parameters)[0], begun, command, step, lag)
     q = after[ATTITUDE]
     after = ca.vertcat(after[: ATTITUDE.start], q / ca.norm_2(q), after[ATTITUDE.stop :])
     reading = f(after[:N_STATE], after[N_STATE:], parameters)[1]

@@ -20,6 +20,7 @@ from quadexp.air.base import feature_names
 from quadexp.config.compose import compose
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_plant, build_vehicle, unshared
+from quadexp.experiment.build_world import build_world
 from quadexp.experiment.evaluate import fly_one
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS, VELOCITY
@@ -322,3 +323,30 @@ def test_a_vehicle_that_does_not_fit_is_refused(overrides, words):
     config = compose(overrides)
     with pytest.raises(UsageError, match=words):
         build_plant(build_vehicle(config.vehicle), config.plant)
+
+
+def test_rotors_without_a_lag_have_the_commanded_speed_at_once():
+    """Which leaves the lag to an actuator of the world; what is flown is the limit of shorter and shorter lags."""
+    u = np.array([1.0, 1.2, 1.4, 1.1])
+    ends = []
+    for lag in (0.0, 1e-3, 5e-4):
+        truth = plant("rotorpy", f"plant.motor_lag={lag}")
+        x, _ = truth.advance(np.r_[np.zeros(3), 1, 0, 0, 0, 3, 0, 0, 0, 0, 0], u, 0.02)
+        ends.append(x)
+        if not lag:
+            assert truth.rotor_speed == pytest.approx(np.sqrt(u / truth.vehicle.thrust_coefficient), rel=1e-15)
+    longer, shorter = (np.abs(end - ends[0]).max() for end in ends[1:])
+    assert longer / shorter == pytest.approx(2, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["plant=rotorpy", "vehicle=hummingbird"], r"plant\.motor_lag=0\.005 and actuator=.*: both let the rotors lag"),
+        (["plant=drone_models", "vehicle=cf2x_L250"], "the plant's own motors by 136 ms; set the actuator's"),
+    ],
+)
+def test_rotors_do_not_lag_twice(overrides, words):
+    config = compose([*overrides, "world=race"])
+    with pytest.raises(UsageError, match=words):
+        build_world(config, build_vehicle(config.vehicle))
