@@ -51,6 +51,9 @@ def collect(
     save_flights: Annotated[
         Path | None, typer.Option("--save-flights", metavar="DIR", help="Write the flights too.")
     ] = None,
+    sweep: Annotated[
+        bool, typer.Option("--sweep", help="Fly in every combination of the worlds given, one after another.")
+    ] = False,
     conf: Conf = None,
     force: Force = False,
     json: Json = False,
@@ -60,18 +63,28 @@ def collect(
     \b
     quadexp collect plant=simplified collect.duration=300 --out data/residuals.parquet
     quadexp collect --flight runs/a.parquet --flight runs/b.parquet --out data/mine.parquet
+    quadexp collect --sweep wind=constant wind.velocity=[0,0,0],[4,0,0] plant.payload=0,0.2 --out data/worlds.parquet
     """
-    from quadexp.config.compose import compose
+    from quadexp.config.compose import session
+    from quadexp.errors import UsageError
     from quadexp.experiment.collect import collect_dataset
     from quadexp.log.store import check_output
     from quadexp.progress import Progress
 
-    config = compose(overrides or [], conf)
+    if sweep and flight:
+        raise UsageError(
+            "--sweep and --flight: give one of them; recorded flights are of the worlds they were flown in"
+        )
+    with session(conf) as composer:
+        worlds = [cell.config for cell in composer.expand(overrides or [])] if sweep else []
+        config = worlds[0] if worlds else composer.compose(overrides or [])
     path = check_output(out, force=force)
     if save_flights is not None:
         check_output(save_flights, force=force, folder=True)
     with Progress("seconds of flight") as progress:
-        report = collect_dataset(config, path, flights=flight or [], save_flights=save_flights, progress=progress)
+        report = collect_dataset(
+            config, path, flights=flight or [], worlds=worlds, save_flights=save_flights, progress=progress
+        )
     if json:
         emit(report)
         return

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.config.schema import Config
+from quadexp.config.schema import WORLD, Config
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.build import build_controller, build_vehicle, find_model
 from quadexp.experiment.build_identified import load_identified
@@ -32,7 +32,7 @@ from quadexp.learn.known_noise import known_noise
 from quadexp.learn.recorded import is_recorded, logged_thrust, recorded_dataset, target_cost
 from quadexp.learn.rotor_thrust import mean_thrust
 from quadexp.learn.thrust_curve import ThrustCurve
-from quadexp.learn.timing_fit import fit_timing
+from quadexp.learn.timing_fit import TimingFit, fit_timing
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_flight, write_table
 from quadexp.physics.vehicle import Vehicle
@@ -43,6 +43,7 @@ from quadexp.reference.random_polynomial import RandomPolynomial
 PEAK_OVER_MEAN = 35 / 16  # speed of the minimum-snap move from rest to rest, 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7
 DRAWS = 50  # attempts to draw a path that can be flown
 OF_RECORDED = ("target", "identified")  # keys of `collect` for recorded flights only
+OF_TIMING = ("vehicle", "plant", "truth", "link", "actuator", "health", "sensor", "estimator")  # decide lag and delays
 LOST_DISTANCE = 1e3  # m; large, because a jump of the set-point must not end the flight
 GOLDEN = 0.6180339887498949  # step of an even spread over an interval for any number of points
 
@@ -71,18 +72,22 @@ class Setpoints:
 
 
 def collect_flights(
-    config: Config, progress: Callable[[float, float], None] = lambda done, total: None
+    config: Config,
+    progress: Callable[[float, float], None] = lambda done, total: None,
+    *,
+    worlds: Sequence[Config] = (),
 ) -> list[Flight]:
     """Fly until `collect.duration` seconds are recorded.
 
-    Raises UsageError where the controller lacks its model, QuadexpError where no path of a speed can be flown.
+    worlds: configurations that differ from this one in the plant and the world around it, flown in turn.
+    Raises UsageError where the controller lacks its model, or worlds differ in something else, QuadexpError where no
+    path of a speed can be flown.
     """
     model = find_model(config)
     vehicle = build_vehicle(config.vehicle)
-    plant = build_world(config, vehicle)
-    controller = build_controller(config, vehicle, plant, model)
-    flown = {group: node for group, node in flight_record(config).items() if group != "trajectory"}
-    record = {**flown, "collect": _decisive(config)}
+    worlds = worlds or [config]
+    for world in worlds:
+        _check_same(config, world)
     sequence = np.random.SeedSequence(int(digest(["collect", config.seed]), 16))
     speeds = np.random.default_rng(sequence.spawn(1)[0])
     offset = speeds.random()
@@ -90,13 +95,17 @@ def collect_flights(
     recorded = 0.0
     while not flights or recorded < config.collect.duration - 1e-6:
         index = len(flights)
+        world = worlds[index % len(worlds)]
+        plant = build_world(world, vehicle)
+        controller = build_controller(world, vehicle, plant, model)
+        flown = {group: node for group, node in flight_record(world).items() if group != "trajectory"}
         path_rng, noise_rng = map(np.random.default_rng, sequence.spawn(2))
         share = (offset + index * GOLDEN) % 1.0
         speed = config.collect.speed_min + share * (config.collect.speed_max - config.collect.speed_min)
         trajectory = _trajectory(config, vehicle, speed, config.collect.duration - recorded, path_rng)
         reference = SampledReference(trajectory, controller)
-        metadata = describe(config, vehicle, model) | {"name": f"flight_{index:03d}", "trajectory": config.collect.mode}
-        metadata["config"] = record
+        metadata = describe(world, vehicle, model) | {"name": f"flight_{index:03d}", "trajectory": config.collect.mode}
+        metadata["config"] = {**flown, "collect": _decisive(config)}
         flight = fly(plant, controller, reference, noise_rng, lost_distance=LOST_DISTANCE, metadata=metadata)
         if flight.outcome != "ok":
             raise QuadexpError(
@@ -106,6 +115,21 @@ def collect_flights(
         recorded += float(flight.t[-1])
         progress(min(round(recorded, 1), config.collect.duration), config.collect.duration)
     return flights
+
+
+def _check_same(config: Config, other: Config) -> None:
+    """Raise UsageError where two configurations differ in more than the plant and the world around it."""
+    mine, others = (
+        {key: value for key, value in flight_record(one).items() if key not in (*WORLD, "plant")}
+        | {"collect": asdict(one.collect)}
+        for one in (config, other)
+    )
+    different = next((key for key in mine if mine[key] != others.get(key)), None)
+    if different is not None:
+        raise UsageError(
+            f"collect --sweep: the flights differ in `{different}`; one data set is of one vehicle, controller"
+            f" and seed, in worlds that may differ in {', '.join(('plant', *WORLD))}"
+        )
 
 
 def _decisive(config: Config) -> dict[str, Any]:
@@ -170,17 +194,42 @@ def _simulated_rows(
     config: Config, vehicle: Vehicle, flights: Sequence[Flight], names: Sequence[str]
 ) -> tuple[ResidualDataset, list[str]]:
     """Transitions under the thrusts that the rotors delivered, as far as the flights tell, and how they were found."""
-    frame, notes = config.collect.frame, []
+    frame = config.collect.frame
     dataset = residual_dataset(flights, vehicle, frame=frame, names=names)
-    found = fit_timing(flights, vehicle, dataset) if config.collect.thrust == "delivered" else None
-    if found is not None and not found.timing.is_ideal:
-        thrusts = [mean_thrust(flight, vehicle, found.timing) for flight in flights]
+    found = _timings(vehicle, flights, dataset) if config.collect.thrust == "delivered" else []
+    extra: dict[str, Any] = {}
+    if not all(fit.timing.is_ideal for _, fit in found):
+        thrusts = [np.empty(0)] * len(flights)
+        for own, fit in found:
+            for i in own:
+                thrusts[i] = mean_thrust(flights[i], vehicle, fit.timing)
         dataset = residual_dataset(flights, vehicle, frame=frame, names=names, thrusts=thrusts)
-        dataset = dataset._replace(metadata={**dataset.metadata, "timing": found.as_dict()})
-        notes.append(found.line)
+        extra["timing"] = [{"flights": [names[i] for i in own], **fit.as_dict()} for own, fit in found]
     worlds = [flight.metadata.get("config") or {} for flight in flights]
-    noise = known_noise(dataset, vehicle, worlds, of_estimate=config.collect.state == "estimate")
-    return dataset._replace(metadata={**dataset.metadata, "known_noise": noise}), notes
+    extra["known_noise"] = known_noise(dataset, vehicle, worlds, of_estimate=config.collect.state == "estimate")
+    lines = [f"{_flights(own, flights)}{fit.line}" for own, fit in found] if "timing" in extra else []
+    return dataset._replace(metadata={**dataset.metadata, **extra}), lines
+
+
+def _timings(
+    vehicle: Vehicle, flights: Sequence[Flight], commanded: ResidualDataset
+) -> list[tuple[list[int], TimingFit]]:
+    """Motor lag and delays of every group of flights that has them in common, with the flights' indices."""
+    groups: dict[str, list[int]] = {}
+    for i, flight in enumerate(flights):
+        world = flight.metadata.get("config") or {}
+        groups.setdefault(digest({group: world.get(group) for group in OF_TIMING}), []).append(i)
+    index = np.asarray(commanded.columns["flight"])
+    tables = [commanded.rows(index == i).columns for i in range(len(flights))]
+    return [(own, fit_timing([flights[i] for i in own], vehicle, [tables[i] for i in own])) for own in groups.values()]
+
+
+def _flights(own: Sequence[int], flights: Sequence[Flight]) -> str:
+    """Which flights a line is about, "" where it is about all."""
+    if len(own) == len(flights):
+        return ""
+    shown = ", ".join(map(str, own[:4])) + (" .." if len(own) > 4 else "")
+    return f"flight{'s' if len(own) > 1 else ''} {shown}: "
 
 
 def _curve(config: Config, vehicle: Vehicle, flights: Sequence[Flight]) -> ThrustCurve:
@@ -212,10 +261,14 @@ def collect_dataset(
     path: Path,
     *,
     flights: Sequence[Path] = (),
+    worlds: Sequence[Config] = (),
     save_flights: Path | None = None,
     progress: Callable[[float, float], None] = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Write the residual data set of flight files, or of new flights; returns the report."""
+    """Write the residual data set of flight files, or of new flights (worlds: see collect_flights).
+
+    Returns the report.
+    """
     vehicle = build_vehicle(config.vehicle)
     if flights:
         _check_unique(flights, save_flights)
@@ -223,13 +276,12 @@ def collect_dataset(
         names = [str(file) for file in flights]
         record: dict[str, Any] = {"source": "files"}
     else:
-        flown = collect_flights(config, progress)
+        flown = collect_flights(config, progress, worlds=worlds)
         names = [flight.metadata["name"] for flight in flown]
-        record = {
-            "source": "flown",
-            "config": flown[0].metadata["config"],
-            "config_hash": digest(flown[0].metadata["config"]),
-        }
+        configs = [flight.metadata["config"] for flight in flown]
+        record = {"source": "flown", "config": configs[0], "config_hash": digest(configs[0])}
+        if len(worlds) > 1:
+            record |= {"worlds": configs[: len(worlds)], "config_hash": digest(configs[: len(worlds)])}
     dataset, notes = _rows(config, vehicle, flown, names)
     record |= {key: getattr(config.collect, key) for key in OF_RECORDED if "target" in dataset.metadata}
     if save_flights is not None:
@@ -254,6 +306,8 @@ def collect_dataset(
     rows = "samples" if dataset.metadata["frame"] == "sample" else "transitions"
     kind = f"target {dataset.metadata['target']}" if "target" in dataset.metadata else f"frame {config.collect.frame}"
     report["target"] = dataset.metadata.get("target")
+    if len(worlds) > len(flown):
+        notes = [*notes, f"warning: {len(flown)} flights in the first of {len(worlds)} worlds: raise collect.duration"]
     report["notes"] = notes
     report["lines"] = [
         *notes,

@@ -1,12 +1,13 @@
 """Thrust that the rotors delivered between two samples of a flight, from commands that act late and from rotor speeds.
 
-    T'  = (u(t - d) - T) / tau            commands u, held from sample to sample, act d late through a lag tau
+    y'  = (c(t - d) - y) / tau            y = T and c = u, or y = sqrt(T) and c = sqrt(u): quadexp.physics.motor
     T_k = k w_k^2                         where the rotor speeds w_k were logged
     T(t) = T_model(t) + what the measured ones are beside it, interpolated between the samples
 
-A transition needs the mean of T over its time. For commands it is exact, because the lag has a closed form; measured
-thrusts correct the model at both ends of the transition. Where the state comes from an estimator that is late, its
-transitions belong to earlier times: with commands alone this adds to d and cannot be told from it.
+Commands u are held from sample to sample, act d late, and through the lag tau, which may be another one upwards than
+downwards. A transition needs the mean of T over its time. For commands it is exact, because the lag has a closed form;
+measured thrusts correct the model at both ends of the transition. Where the state comes from an estimator that is late,
+its transitions belong to earlier times: with commands alone this adds to d and cannot be told from it.
 """
 
 from __future__ import annotations
@@ -21,16 +22,22 @@ from quadexp.log.schema import Flight
 from quadexp.physics.state import input_columns
 from quadexp.physics.vehicle import Vehicle
 
+NO_LAG = 1e-12  # s, in place of 0: what is left after a step of it is 0
+ROUNDING = 1e-9  # s
+
 
 @dataclass(frozen=True)
 class Timing:
     """How the logged streams belong together.
 
-    lag: time constant of the rotors' thrust (s). delay: between a command and its effect on the rotors (s).
-    state_delay: by which the logged state is behind the rotors (s). measured: whether rotor speeds are used.
+    lag_up, lag_down: time constants of the rotors (s). lag_of: what lags, "thrust" or "rotor_speed". delay: between a
+    command and its effect on the rotors (s). state_delay: by which the logged state is behind the rotors (s).
+    measured: whether rotor speeds are used.
     """
 
-    lag: float = 0.0
+    lag_up: float = 0.0
+    lag_down: float = 0.0
+    lag_of: str = "thrust"
     delay: float = 0.0
     state_delay: float = 0.0
     measured: bool = False
@@ -38,7 +45,12 @@ class Timing:
     @property
     def is_ideal(self) -> bool:
         """Whether commands are thrusts, at once."""
-        return not (self.lag or self.delay or self.state_delay or self.measured)
+        return not (self.lag_up or self.lag_down or self.delay or self.state_delay or self.measured)
+
+    @property
+    def lag(self) -> float:
+        """Mean of both time constants (s), for a model that has one."""
+        return (self.lag_up + self.lag_down) / 2
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types."""
@@ -62,55 +74,61 @@ def measured_thrust(flight: Flight, vehicle: Vehicle) -> np.ndarray | None:
 class HeldCommands:
     """Commands u (k, n) (N), each held from its time t (k,) (s) to the next, as the thrust that follows them.
 
-    lag, delay: s, see Timing. first: thrust (n,) (N) before the first command acts.
+    timing: its lag and delay. first: thrust (n,) (N) before the first command acts.
     """
 
-    def __init__(self, t: np.ndarray, u: np.ndarray, lag: float, delay: float, first: np.ndarray) -> None:
-        self._begin, self._u, self._lag, self._first = t + delay, u, lag, first
+    def __init__(self, t: np.ndarray, u: np.ndarray, timing: Timing, first: np.ndarray) -> None:
+        self._begin, self._first = t + timing.delay, first
+        self._squared = timing.lag_of == "rotor_speed"
+        self._to = np.sqrt(np.maximum(u, 0)) if self._squared else u
+        up, down = max(timing.lag_up, NO_LAG), max(timing.lag_down, NO_LAG)
         steps = np.diff(t)
-        self._start = np.empty_like(u)  # thrust at the instant when each command begins to act
-        self._start[0] = first
-        kept = np.exp(-steps / lag) if lag > 0 else np.zeros(len(steps))
-        for k in range(len(steps)):
-            self._start[k + 1] = u[k] + (self._start[k] - u[k]) * kept[k]
+        kept_up, kept_down = np.exp(-steps / up), np.exp(-steps / down)
+        beside = np.empty_like(u)  # y - c at the instant when each command begins to act
+        y = np.sqrt(np.maximum(first, 0)) if self._squared else first
+        for k in range(len(u)):
+            beside[k] = y - self._to[k]
+            if k < len(steps):
+                y = self._to[k] + beside[k] * np.where(beside[k] < 0, kept_up[k], kept_down[k])
+        self._beside, self._lag = beside, np.where(beside < 0, up, down)
         area = np.zeros_like(u)  # integral of the thrust from the first command to each
-        area[1:] = np.cumsum(u[:-1] * steps[:, None] + self._lagging(slice(0, -1), steps), axis=0)
+        area[1:] = np.cumsum(self._piece(slice(0, -1), steps), axis=0)
         self._area = area
 
     def value(self, t: np.ndarray) -> np.ndarray:
         """Thrusts (j, n) at times (j,); at the instant of a change, those just before it."""
-        k = self._acting(t, side="left")
-        elapsed = np.maximum(t - self._begin[k], 0.0)
-        decayed = np.exp(-elapsed / self._lag) if self._lag > 0 else (elapsed <= 0).astype(float)
-        later = self._u[k] + (self._start[k] - self._u[k]) * decayed[:, None]
-        return np.where((t <= self._begin[0])[:, None], self._first, later)
+        k = self._acting(t, -ROUNDING)
+        elapsed = np.maximum(t - self._begin[k], 0.0)[:, None]
+        y = self._to[k] + self._beside[k] * np.exp(-elapsed / self._lag[k])
+        return np.where((t <= self._begin[0])[:, None], self._first, y**2 if self._squared else y)
 
     def integral(self, t: np.ndarray) -> np.ndarray:
         """Integral (j, n) (N s) of the thrusts from the first command's instant to times (j,)."""
-        k = self._acting(t, side="right")
+        k = self._acting(t, ROUNDING)
         elapsed = t - self._begin[k]
-        later = self._area[k] + self._u[k] * elapsed[:, None] + self._lagging(k, elapsed)
-        return np.where((t < self._begin[0])[:, None], self._first * elapsed[:, None], later)
+        before = (t < self._begin[0])[:, None]
+        return np.where(before, self._first * elapsed[:, None], self._area[k] + self._piece(k, elapsed))
 
-    def _acting(self, t: np.ndarray, side: str) -> np.ndarray:
-        """Index (j,) of the command that acts at times (j,); a nanosecond belongs to rounding."""
-        nudge = -1e-9 if side == "left" else 1e-9
+    def _acting(self, t: np.ndarray, nudge: float) -> np.ndarray:
+        """Index (j,) of the command that acts at times (j,)."""
         return (np.searchsorted(self._begin, t + nudge, side="right") - 1).clip(0)
 
-    def _lagging(self, k: Any, elapsed: np.ndarray) -> np.ndarray:
-        """Integral of what the thrusts are still beside command k after a time (s)."""
-        if self._lag <= 0:
-            return np.zeros((len(elapsed), self._u.shape[1]))
-        share = self._lag * -np.expm1(-np.maximum(elapsed, 0.0) / self._lag)
-        return (self._start[k] - self._u[k]) * share[:, None]
+    def _piece(self, k: Any, elapsed: np.ndarray) -> np.ndarray:
+        """Integral of the thrust over a time (s) from where command k begins to act."""
+        s, to, beside, lag = elapsed[:, None], self._to[k], self._beside[k], self._lag[k]
+        once = -lag * np.expm1(-np.maximum(s, 0) / lag)
+        if not self._squared:
+            return to * s + beside * once
+        twice = -lag / 2 * np.expm1(-2 * np.maximum(s, 0) / lag)
+        return to**2 * s + 2 * to * beside * once + beside**2 * twice
 
 
-def held_commands(flight: Flight, vehicle: Vehicle, lag: float, delay: float) -> HeldCommands:
+def held_commands(flight: Flight, vehicle: Vehicle, timing: Timing) -> HeldCommands:
     """The commands of a flight; before the first a simulated one hovers, of a recorded one it is not known."""
     command = flight.stack(input_columns(vehicle.n_rotors)).astype(float)
     recorded = flight.metadata.get("recorded", False)
     first = command[0] if recorded else np.full(vehicle.n_rotors, vehicle.hover_thrust)
-    return HeldCommands(np.asarray(flight.t, float), command, lag, delay, first)
+    return HeldCommands(np.asarray(flight.t, float), command, timing, first)
 
 
 def mean_thrust(flight: Flight, vehicle: Vehicle, timing: Timing) -> np.ndarray:
@@ -121,7 +139,7 @@ def mean_thrust(flight: Flight, vehicle: Vehicle, timing: Timing) -> np.ndarray:
     t = np.asarray(flight.t, float)
     if timing.is_ideal:
         return flight.stack(input_columns(vehicle.n_rotors)).astype(float)[:-1]
-    model = held_commands(flight, vehicle, timing.lag, timing.delay)
+    model = held_commands(flight, vehicle, timing)
     at = t - timing.state_delay
     dt = np.diff(t)[:, None]
     mean = np.diff(model.integral(at), axis=0) / dt

@@ -9,17 +9,19 @@ speeds tau and d are both found by the residual: commands that act late leave pa
 which does not depend on units. Terms: 1, v, v|v|, and the thrusts' own first and second powers on that axis, so that
 neither drag nor a scale of the thrust is taken for a delay. Of no lag, one of lag and delay, and both, the simplest is
 taken that comes within WORTH of the best: where nothing in the logs speaks for a lag, commands remain what they are.
+The lag is tried of the thrust and of the rotor speed, with one time constant and with one up and one down.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from quadexp.learn.dataset import ResidualDataset, consecutive
+from quadexp.learn.dataset import consecutive
 from quadexp.learn.rotor_thrust import Timing, held_commands, mean_thrust, measured_thrust
 from quadexp.log.schema import Flight
 from quadexp.physics.state import input_columns
@@ -29,7 +31,7 @@ WORTH = 0.05  # mean decrease of log rms from which a lag or a delay is taken to
 MEASURED_APART = 0.01  # of the hover thrust, rms, from which measured thrusts are others than the commands
 LARGEST_LAG, LARGEST_DELAY = 0.3, 0.12  # s
 SETTLING = 0.3  # s at the beginning of a flight, when the thrusts before are not known
-LONGEST = 60.0  # s of flights that the search uses; more determine it no better
+LONGEST = 40.0  # s of flights that the search uses; more determine it no better
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,10 @@ class TimingFit:
         timing = self.timing
         if timing.is_ideal:
             return "commands act at once, as far as these flights tell: no motor lag, no delay"
-        known = f"motor lag {1e3 * timing.lag:.1f} ms, commands {1e3 * timing.delay:.1f} ms late"
+        lags = f"{1e3 * timing.lag_up:.1f} ms"
+        if timing.lag_up != timing.lag_down:
+            lags += f" up and {1e3 * timing.lag_down:.1f} ms down"
+        known = f"motor lag {lags} of the {timing.lag_of.replace('_', ' ')}, commands {1e3 * timing.delay:.1f} ms late"
         source = "by the rotor speeds" if timing.measured else "by the residual that remains"
         behind = f", state {1e3 * timing.state_delay:.1f} ms behind the rotors" if timing.measured else ""
         dead = timing.delay + timing.state_delay
@@ -72,10 +77,14 @@ class _Rows:
 
 
 def fit_timing(
-    flights: Sequence[Flight], vehicle: Vehicle, commanded: ResidualDataset, *, use_measured: bool = True
+    flights: Sequence[Flight],
+    vehicle: Vehicle,
+    tables: Sequence[Mapping[str, np.ndarray]],
+    *,
+    use_measured: bool = True,
 ) -> TimingFit:
-    """Timing of flights of one vehicle. commanded: their `residual_dataset` under the commands as thrusts."""
-    rows = [_rows(flight, vehicle, _of_flight(commanded, i)) for i, flight in enumerate(flights)]
+    """Timing of flights of one vehicle. tables: `transitions` of each under the commands as thrusts."""
+    rows = [_rows(flight, vehicle, table) for flight, table in zip(flights, tables, strict=True)]
     rows = _some([one for one in rows if len(one.k)])
     score = _Score(rows, vehicle)
     before = score.rms(Timing())
@@ -83,14 +92,8 @@ def fit_timing(
     if rows and all(thrust is not None for thrust in measured):
         found = _by_rotor_speed(rows, measured, vehicle, score)
     else:
-        lag, delay = _search(lambda lag, delay: score(Timing(lag, delay)))
-        found = Timing(lag, delay)
+        found = _search(score)
     return TimingFit(found, before, score.rms(found))
-
-
-def _of_flight(dataset: ResidualDataset, index: int) -> Mapping[str, np.ndarray]:
-    """Columns of the rows of one flight."""
-    return dataset.rows(np.asarray(dataset.columns["flight"]) == index).columns
 
 
 def _rows(flight: Flight, vehicle: Vehicle, table: Mapping[str, np.ndarray]) -> _Rows:
@@ -150,47 +153,89 @@ def _by_rotor_speed(
     """Lag and delay of the commands by the measured thrusts; the delay of the state by the residual."""
     streams = [(one.flight, thrust) for one, thrust in zip(rows, measured, strict=True) if thrust is not None]
 
-    def beside(lag: float, delay: float, scaled: bool = True) -> float:
-        """rms (N) of what is measured beside the commands; scaled: by the factor of each rotor and flight that fits."""
+    def beside(timing: Timing, scaled: bool = True) -> float:
+        """rms (N) of what is measured beside the commands; scaled: by the factors that fit, see `_scaled`."""
         error = []
         for flight, thrust in streams:
             t = np.asarray(flight.t, float)
             settled = t > t[0] + SETTLING
-            model, own = held_commands(flight, vehicle, lag, delay).value(t)[settled], thrust[settled]
-            if scaled:
-                model = model * np.sum(model * own, axis=0) / np.maximum(np.sum(model**2, axis=0), 1e-12)
-            error.append((own - model).ravel())
+            model, own = held_commands(flight, vehicle, timing).value(t)[settled], thrust[settled]
+            error.append((own - (_scaled(model, own, t[settled]) if scaled else model)).ravel())
         return float(np.sqrt(np.mean(np.concatenate(error) ** 2)))
 
-    def apart(lag: float, delay: float) -> float:
-        return float(np.log(beside(lag, delay) + 1e-9))
+    if beside(Timing(), scaled=False) <= MEASURED_APART * vehicle.hover_thrust:
+        found = Timing()
+    else:
+        floor = 1e-4 * vehicle.hover_thrust  # below it no difference counts
+        found = replace(_search(lambda timing: float(np.log(beside(timing) + floor))), measured=True)
+    late, least = _least(lambda d: score(replace(found, state_delay=d)), 0.0, LARGEST_DELAY)
+    return replace(found, state_delay=late) if least < score(found) - WORTH else found
 
-    uses = beside(0.0, 0.0, scaled=False) > MEASURED_APART * vehicle.hover_thrust
-    lag, delay = _search(apart) if uses else (0.0, 0.0)
-    late, least = _least(lambda d: score(Timing(lag, delay, d, uses)), 0.0, LARGEST_DELAY)
-    return Timing(lag, delay, late if least < score(Timing(lag, delay, 0.0, uses)) - WORTH else 0.0, uses)
+
+def _scaled(model: np.ndarray, measured: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Thrusts (k, n) times the factors of each rotor that fit the measured ones best: a constant, a share of the
+    collective thrust, whose current a battery's voltage follows, and a drift over the time t, (k,)."""
+    found = np.empty_like(model)
+    factors = np.stack([np.ones(len(t)), model.mean(axis=1), t - t.mean()], axis=1)
+    for i in range(model.shape[1]):
+        design = model[:, i, None] * factors
+        design /= np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-12)
+        normal = design.T @ design + 1e-9 * len(t) * np.eye(design.shape[1])
+        found[:, i] = design @ np.linalg.solve(normal, design.T @ measured[:, i])
+    return found
 
 
-def _search(score: Callable[[float, float], float]) -> tuple[float, float]:
-    """Lag and delay (s) of the least score: none, a lag alone or a delay alone where those come within WORTH of it."""
+def _search(score: Callable[[Timing], float]) -> Timing:
+    """Timing of the least score, but the simplest that comes within WORTH of it: without any, with a lag or a delay
+    alone, with both, and with a lag of its own up and down. A lag or delay alone always shows that there is one."""
+
+    def delayed(delay: float) -> Timing:
+        return Timing(delay=delay)
+
+    def lagging(kind: str, lag: float, delay: float = 0.0) -> Timing:
+        return Timing(lag, lag, kind, delay)
+
+    delay = _least(lambda at: score(delayed(at)), 0.0, LARGEST_DELAY)[0]
+    lags = {kind: _least(partial(_lag_score, score, kind), 0.0, LARGEST_LAG)[0] for kind in ("thrust", "rotor_speed")}
+    found = [[Timing()], [delayed(delay), *(lagging(kind, lag) for kind, lag in lags.items())]]
+    if min(map(score, found[1])) > score(Timing()) - WORTH:
+        return Timing()
+    both, apart = [], []
+    for kind, lag in lags.items():
+        one = _descent(partial(_joint_score, score, kind), (lag / 2, delay / 2))
+        both.append(lagging(kind, *one))
+        two = _descent(partial(_joint_score, score, kind), (one[0], one[0], one[1]))
+        apart += [Timing(two[0], two[1], kind), Timing(two[0], two[1], kind, two[2])]
+    found += [both, apart]
+    scores = [[score(one) for one in group] for group in found]
+    least = min(map(min, scores))
+    simplest = next(i for i, values in enumerate(scores) if min(values) <= least + WORTH)
+    return found[simplest][int(np.argmin(scores[simplest]))]
+
+
+def _lag_score(score: Callable[[Timing], float], kind: str, lag: float) -> float:
+    """Of one lag without a delay."""
+    return score(Timing(lag, lag, kind))
+
+
+def _joint_score(score: Callable[[Timing], float], kind: str, at: tuple[float, ...]) -> float:
+    """Of a lag, or one up and one down, and the delay that follows them."""
+    return score(Timing(at[0], at[-2], kind, at[-1]))
+
+
+def _descent(score: Callable[[tuple[float, ...]], float], start: tuple[float, ...]) -> tuple[float, ...]:
+    """Where a score of lags and, last, a delay (s) is least, from `start`; what is under 0.1 ms is 0."""
     from scipy.optimize import minimize
 
-    lag, with_lag = _least(lambda lag: score(lag, 0.0), 0.0, LARGEST_LAG)
-    delay, with_delay = _least(lambda delay: score(0.0, delay), 0.0, LARGEST_DELAY)
-    start = np.array([lag / 2, delay / 2])
+    largest = np.array([LARGEST_LAG] * (len(start) - 1) + [LARGEST_DELAY])
 
     def inside(at: np.ndarray) -> float:
-        lag, delay = np.clip(at, 0.0, (LARGEST_LAG, LARGEST_DELAY))
-        return score(float(lag), float(delay)) + float(np.sum(np.maximum(-at, 0.0)))
+        return score(tuple(np.clip(at, 0.0, largest).tolist())) + float(np.sum(np.maximum(-at, 0.0)))
 
-    simplex = start + np.array([[0.0, 0.0], [0.008, 0.0], [0.0, 0.008]])
-    options = {"initial_simplex": simplex, "xatol": 2e-5, "fatol": 1e-5, "maxfev": 120}
-    both = minimize(inside, start, method="Nelder-Mead", options=options)
-    joint = np.clip(both.x, 0.0, (LARGEST_LAG, LARGEST_DELAY))
-    found = [(score(0.0, 0.0), 0.0, 0.0), (with_lag, lag, 0.0), (with_delay, 0.0, delay), (both.fun, *joint.tolist())]
-    least = min(found)[0]
-    simple = next(group for group in (found[:1], found[1:3], found[3:]) if min(group)[0] <= least + WORTH)
-    return min(simple)[1:]
+    simplex = np.array(start) + np.vstack([np.zeros(len(start)), 0.006 * np.eye(len(start))])
+    options = {"initial_simplex": simplex, "xatol": 3e-5, "fatol": 1e-5, "maxfev": 60 * len(start)}
+    found = np.clip(minimize(inside, np.array(start), method="Nelder-Mead", options=options).x, 0.0, largest)
+    return tuple(float(value) if value > 1e-4 else 0.0 for value in found)
 
 
 def _least(score: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
