@@ -97,6 +97,7 @@ class ControlLoop:
         self._reference = SampledReference(trajectory, self.controller)
         self._renewal = Renewal(round(self.controller.reference_period / self.period))
         self._begun, self.record = False, None
+        self._prepared: tuple[int, Window] | None = None
 
     def reset(self, state: npt.ArrayLike | None = None, reference: Window | None = None) -> None:
         """Begin a flight in the state (13,), or where the reference starts; the first `step` does it unasked."""
@@ -106,6 +107,19 @@ class ControlLoop:
     def _begin(self, state: np.ndarray, window: Window) -> None:
         self.controller.reset(state, window)
         self._begun = True
+
+    def prepare(self, t: float) -> None:
+        """Do what the step at t (s) can do before its measurement, so that it answers sooner; an MPC's, otherwise none.
+
+        To be called after the thrusts of the step before have been sent. The answer is that of a step without it, to
+        rounding.
+        """
+        k = self._instant(t)
+        prepare = getattr(self.controller, "prepare", None)
+        if prepare is None or not self._begun or self._renewal.due(k):
+            return
+        self._prepared = k, self._reference.window(k)
+        prepare(self._prepared[1])
 
     def step(
         self, measured: npt.ArrayLike | Measurement, t: float | None = None, reference: Window | None = None
@@ -128,7 +142,9 @@ class ControlLoop:
             self._begin(measured.state, reference or self._reference.window(k))
         if reference is None and self._renewal.due(k):
             self._renewal.renew(k, self._reference, self.controller.residual)
-        thrusts, self.record = self.controller.step(measured, reference or self._reference.window(k))
+        prepared, self._prepared = self._prepared, None
+        window = prepared[1] if prepared and prepared[0] == k else self._reference.window(k)
+        thrusts, self.record = self.controller.step(measured, reference or window)
         return thrusts
 
 

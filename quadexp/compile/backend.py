@@ -231,9 +231,15 @@ class BufferedFunction:
     arguments, results: dictionaries from the function's names to float arrays; a matrix (r, c) is stored as numpy
     (c, r), which is CasADi's column-major order. Fill the arguments, call, read the results.
     shared: arrays to be read as arguments of those names, such as another function's results, instead of own ones.
+    into: arrays that take the results of those names, any shape of the right size, contiguous, instead of own ones.
     """
 
-    def __init__(self, function: ca.Function, shared: Mapping[str, np.ndarray] | None = None) -> None:
+    def __init__(
+        self,
+        function: ca.Function,
+        shared: Mapping[str, np.ndarray] | None = None,
+        into: Mapping[str, np.ndarray] | None = None,
+    ) -> None:
         self.function = function
         self._buffer, self._trigger = function.buffer()
         self.arguments = {}
@@ -246,7 +252,11 @@ class BufferedFunction:
             if self.arguments[name].size:
                 self._buffer.set_arg(i, self.arguments[name].reshape(-1).data)
         for i, name in enumerate(function.name_out()):
-            self.results[name] = self._array(function.sparsity_out(i))
+            self.results[name] = own = self._array(function.sparsity_out(i))
+            if into is not None and name in into:
+                self.results[name] = into[name].reshape(own.shape)
+                if not np.shares_memory(self.results[name], into[name]):
+                    raise ValueError(f"{function.name()}: the array for {name} must be contiguous")
             if self.results[name].size:
                 self._buffer.set_res(i, self.results[name].reshape(-1).data)
 

@@ -25,6 +25,7 @@ class PredictiveController:
         self.control_period = mpc.settings.control_period
         self.node_times = mpc.settings.dead_time + mpc.node_times  # the command of now begins to act at the first
         self.under_way = CommandsUnderWay(mpc) if mpc.settings.dead_time or mpc.settings.motor_lag else None
+        self._prepared: Window | None = None
         self.name, self.source = mpc.residual.name, mpc.residual.source
 
     @property
@@ -43,6 +44,14 @@ class PredictiveController:
             x = self.under_way.ahead(x)
         self.mpc.reset(x, self._within_reach(x, window.state), window.input)
 
+    def prepare(self, window: Window) -> None:
+        """Do what the next step can do before its measurement; `step` with this window, the same object, is faster.
+
+        To be called between two steps. The answer is that of a step without it, to rounding.
+        """
+        self.mpc.prepare(window.state, window.input)
+        self._prepared = window
+
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
         if self.under_way is None:
@@ -54,6 +63,9 @@ class PredictiveController:
 
     def _answer(self, x: np.ndarray, window: Window) -> tuple[np.ndarray, StepRecord]:
         """To the state in which the command begins to act, along the reference from there on."""
+        prepared, self._prepared = self._prepared, None
+        if prepared is window and self.mpc.prepared and not self._too_far(x, window.state):
+            return self.mpc.feedback(x)
         return self.mpc.command(x, self._within_reach(x, window.state), window.input)
 
     def _within_reach(self, x: np.ndarray, reference: np.ndarray) -> np.ndarray:
@@ -63,13 +75,15 @@ class PredictiveController:
         error. A quadratic cost without end asks for any speed: from 28 m away the vehicle comes at 30 m/s, and one
         iteration a step does not stop it there.
         """
-        error = x[POSITION] - reference[0, POSITION]
-        distance, limit = math.sqrt(error.dot(error)), self.settings.distance_limit
-        if not distance > limit:
+        if not self._too_far(x, reference):
             return reference
-        near = reference.copy()
-        near[:, POSITION] += error * (1 - limit / distance)
+        error, near = x[POSITION] - reference[0, POSITION], reference.copy()
+        near[:, POSITION] += error * (1 - self.settings.distance_limit / math.sqrt(error.dot(error)))
         return near
+
+    def _too_far(self, x: np.ndarray, reference: np.ndarray) -> bool:
+        error = x[POSITION] - reference[0, POSITION]
+        return math.sqrt(error.dot(error)) > self.settings.distance_limit
 
     def log(self) -> dict[str, float]:
         """See Controller.log; an MPC's record says all."""

@@ -75,7 +75,8 @@ def rollout_function(
     a = {name: ca.MX.sym(name, *shape) for name, shape in names.items()}
     node = node_function(vehicle, residual, lag=lag, added=deviation)
     constant = [a["tau"]] if lag else []
-    X_ref, U_ref, added = a["X_ref"][:, ::samples], a["U_ref"], [[]] * nodes
+    X_ref, U_ref = a["X_ref"][:, ::samples], a["U_ref"]
+    added: list[list[ca.MX]] = [[]] * nodes
     if deviation:
         U_ref, thrusts = held_deviation(U_ref, a["u_min"], a["u_max"], a["dt"], a["first_share"], *constant)
         added = [[thrust] for thrust in thrusts]

@@ -13,6 +13,7 @@ from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise_together, resolve
 from quadexp.control.mpc.active_set import Solver, Status, make_active_set
 from quadexp.control.mpc.first_solve import CONVERGED, Direction, FirstSolve, rollout_function
+from quadexp.control.mpc.phases import Phases
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.mpc.step import step_function
 from quadexp.control.mpc.subproblem import TOLERANCE, bounded_function
@@ -82,6 +83,8 @@ class ModelPredictiveController:
         error = STATIONARY * (vehicle.thrust_max - vehicle.thrust_min)
         self._stationary = max(CONVERGED, error * float(arguments["R"].min()))
         self._first_solve: FirstSolve | None = None  # few flights need it
+        self._phases: Phases | None = None  # made by the first `prepare`
+        self.prepared, self.prepare_time, self._cold = False, 0.0, True
         self.set_parameters(residual.theta)
         self.node_times = settings.reference_times  # s from now, for sampling references
 
@@ -92,6 +95,7 @@ class ModelPredictiveController:
 
     def set_parameters(self, theta: np.ndarray) -> None:
         """New residual parameters, (p,), from the next step on; nothing is rebuilt."""
+        self.prepared = False
         self._step.arguments["theta"].ravel()[:] = theta
 
     @property
@@ -118,7 +122,13 @@ class ModelPredictiveController:
         self._X[:-1, N_STATE:] = self._U[:, : self._X.shape[1] - N_STATE]
         self._X[-1, N_STATE:] = self._X[-2, N_STATE:]
         self._active_set.reset()
-        self._cold = True
+        self._cold, self.prepared = True, False
+
+    def _set_reference(self, state_reference: np.ndarray, input_reference: np.ndarray) -> None:
+        self._X_ref_body[...] = state_reference
+        self._U_ref[...] = input_reference
+        if not math.isfinite(self._X_ref_flat.dot(self._X_ref_flat) + self._U_ref_flat.dot(self._U_ref_flat)):
+            raise QuadexpError("the reference is not finite")
 
     def command(
         self, x0: np.ndarray, state_reference: np.ndarray, input_reference: np.ndarray
@@ -134,10 +144,8 @@ class ModelPredictiveController:
         if not math.isfinite(sum(x0.tolist())):
             raise QuadexpError("the measured state is not finite")
         self._x0[...] = x0
-        self._X_ref_body[...] = state_reference
-        self._U_ref[...] = input_reference
-        if not math.isfinite(self._X_ref_flat.dot(self._X_ref_flat) + self._U_ref_flat.dot(self._U_ref_flat)):
-            raise QuadexpError("the reference is not finite")
+        self.prepared = False
+        self._set_reference(state_reference, input_reference)
         if self._attitude_ref.dot(self._attitude) < 0:  # q and -q are one attitude: compare on the measured side
             self._X_ref[:, ATTITUDE] *= -1
         if self._attitude_predicted.dot(self._attitude) < 0:
@@ -147,6 +155,49 @@ class ModelPredictiveController:
         thrust = self._thrust.copy()
         converged = not cold or kkt < self._stationary
         return thrust, StepRecord(time.perf_counter() - began, status, sweeps, active, kkt, converged)
+
+    def prepare(self, state_reference: np.ndarray, input_reference: np.ndarray) -> None:
+        """What the next step does before its measurement, for `feedback`; the references as for `command`.
+
+        The last solution is the guess, so the preparation belongs between two steps; the first step has none. It holds
+        until the next step, new parameters or a reset. `prepare_time` (s) says how long it took.
+        Raises QuadexpError for a reference that is not finite.
+        """
+        began = time.perf_counter()
+        self.prepared = False
+        if self._cold:
+            return
+        if self._phases is None:
+            form = _form(self.settings)
+            self._phases = Phases(self._step, self.vehicle, self.residual, self.settings.nodes, self.backend, **form)
+        self._set_reference(state_reference, input_reference)
+        if self._attitude_ref.dot(self._attitude_predicted) < 0:
+            self._X_ref[:, ATTITUDE] *= -1
+        self._phases.prepare()
+        self.prepared = True
+        self.prepare_time = time.perf_counter() - began
+
+    def feedback(self, x0: np.ndarray) -> tuple[np.ndarray, StepRecord]:
+        """`command` on the prepared reference: the same answer to rounding, sooner; the step's record counts from here.
+
+        Where attitude and reference are so far apart that the reference's sign depends on the measurement, the whole
+        step is made. Raises QuadexpError for a measurement that is not finite, or without a preparation.
+        """
+        began = time.perf_counter()
+        if not self.prepared or self._phases is None:
+            raise QuadexpError("feedback: nothing has been prepared for this step")
+        if not math.isfinite(sum(x0.tolist())):
+            raise QuadexpError("the measured state is not finite")
+        self._x0[...] = x0
+        if self._attitude_predicted.dot(self._attitude) < 0:  # q and -q are one attitude: here on the predicted side
+            self._attitude *= -1
+        if self._attitude_ref.dot(self._attitude) < 0:
+            return self.command(x0, self._X_ref_body.copy(), self._U_ref.copy())
+        self.prepared = False
+        self._phases.feedback()
+        status, sweeps, active, kkt = self._conclude()
+        thrust = self._thrust.copy()
+        return thrust, StepRecord(time.perf_counter() - began, status, sweeps, active, kkt)
 
     def _converge(self) -> tuple[Status, int, int, float]:
         """Iterate on the first measurement, without moving the guess forward; full steps first, then searched ones."""
@@ -197,6 +248,10 @@ class ModelPredictiveController:
     def _iterate(self) -> tuple[Status, int, int, float]:
         """One SQP iteration: status, sweeps, active bounds, optimality residual. The guess moves unless it failed."""
         self._step()
+        return self._conclude()
+
+    def _conclude(self) -> tuple[Status, int, int, float]:
+        """The same, of the iteration that has just been made without bounds."""
         excess, turn, kkt = self._checks.tolist()
         if not math.isfinite(excess + turn):
             return Status.FAILED, 0, 0, kkt

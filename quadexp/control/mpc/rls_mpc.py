@@ -54,6 +54,9 @@ class IdentifyingController(PredictiveController):
         self.forget()
         self._commanded = np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust)
 
+    def prepare(self, window: Window) -> None:
+        """Nothing: the model of the next step depends on its measurement."""
+
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step; where rotor speeds are not measured, the commanded ones are taken for them."""
         began = time.perf_counter()

@@ -2,15 +2,14 @@
 
     min  sum_k 1/2 dx'Q_k dx + q'dx + 1/2 du'R_k du + r'du    dx_{k+1} = A_k dx_k + B_k du_k + b_k,   dx_0 = 0
 
-`solution` and `input_gradient` chain the passes of control.riccati: the subproblem without bounds. `bounded_function`
-solves it under low <= du <= high from the factorisation that `solution` leaves (control.active_set).
+`backward_pass`, `forward_pass` and `input_gradient` chain the passes of control.mpc.riccati: the subproblem without
+bounds. `bounded_function` solves it under low <= du <= high from their factorisation (control.mpc.active_set).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 
@@ -24,7 +23,7 @@ KERNEL = Path(__file__).with_name("active_set.c")
 TOLERANCE = 1e-9  # N: how far beyond a bound is still on it
 
 
-def solution(
+def backward_pass(
     passes: Passes,
     A: Sequence[Expression],
     B: Sequence[Expression],
@@ -35,26 +34,36 @@ def solution(
     Q_end: Expression,
     R: Sequence[Expression],
 ) -> tuple[list[Expression], list[Expression], list[Expression], list[Expression]]:
-    """Deviations dX_1..dX_N and dU_0..dU_{N-1} of the unbounded subproblem (Riccati recursion).
+    """Riccati recursion over some nodes, q also of the one behind the last.
 
-    Then the gains K_0..K_{N-1} and the factors of every node (see control.riccati); K_0 is zero, nothing needs it.
+    Returns the cost to go from the first, and the gains K, k and the factors of all (see control.mpc.riccati).
     """
-    nodes = len(A)
-    K: list[Any] = [None] * nodes
-    k: list[Any] = [None] * nodes
-    factor: list[Any] = [None] * nodes
-    cost = passes.terminal(Q_end, q[nodes])
-    for i in range(nodes - 1, 0, -1):
+    K, k, factor = ([None] * len(A) for _ in range(3))
+    cost = passes.terminal(Q_end, q[-1])
+    for i in range(len(A) - 1, -1, -1):
         cost, K[i], k[i], factor[i] = passes.backward(cost, A[i], B[i], b[i], q[i], r[i], Q[i], R[i])
-    k[0], factor[0] = passes.first_node(cost, A[0], B[0], b[0], q[0], r[0], Q[0], R[0])
-    dU = [-k[0]]
-    dX = [ca.mtimes(B[0], dU[0]) + b[0]]
-    for i in range(1, nodes):
-        du, dx = passes.forward(dX[-1], A[i], B[i], b[i], K[i], k[i])
+    return cost, K, k, factor
+
+
+def forward_pass(
+    passes: Passes,
+    B_0: Expression,
+    b_0: Expression,
+    k_0: Expression,
+    A: Sequence[Expression],
+    B: Sequence[Expression],
+    b: Sequence[Expression],
+    K: Sequence[Expression],
+    k: Sequence[Expression],
+) -> tuple[list[Expression], list[Expression]]:
+    """Deviations dX_1 .. dX_N and dU_0 .. dU_{N-1} from the gains, dX_0 = 0; the sequences begin with node 1."""
+    dU = [-k_0]
+    dX = [ca.mtimes(B_0, dU[0]) + b_0]
+    for node in zip(A, B, b, K, k, strict=True):
+        du, dx = passes.forward(dX[-1], *node)
         dU.append(du)
         dX.append(dx)
-    K[0] = ca.MX.zeros(*K[1].shape)
-    return dX, dU, K, factor
+    return dX, dU
 
 
 def input_gradient(
@@ -63,13 +72,15 @@ def input_gradient(
     B: Sequence[Expression],
     q: Sequence[Expression],
     r: Sequence[Expression],
-) -> list[Expression]:
-    """Derivative of the Lagrangian with respect to each input, the adjoint run backwards from the last node."""
-    multiplier = q[len(A)]
-    gradient: list[Any] = [None] * len(A)
+) -> tuple[Expression, list[Expression]]:
+    """Derivative of the Lagrangian with respect to each input of some nodes, q also of the one behind the last.
+
+    First the multiplier of the dynamics into the first node: the adjoint runs backwards from the last.
+    """
+    multiplier, gradient = q[-1], [None] * len(A)
     for k in range(len(A) - 1, -1, -1):
         multiplier, gradient[k] = passes.adjoint(multiplier, A[k], B[k], q[k], r[k])
-    return gradient
+    return multiplier, gradient
 
 
 def bounded_function(step: ca.Function, nodes: int) -> ca.Function:
