@@ -23,7 +23,7 @@ from quadexp.reference.hover import Hover
 from quadexp.reference.lemniscate import Lemniscate
 from quadexp.reference.step import Step
 from quadexp.world import PlantEffects, SimplifiedPlant
-from quadexp.world.accelerometer import LEI_LI
+from quadexp.world.accelerometer import Accelerometer
 from quadexp.world.actuator import Actuator
 from quadexp.world.battery import Battery
 from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant, PlantChange
@@ -43,6 +43,7 @@ from tests.air.models import BLADE, make_residual, with_rotors
 from tests.properties.paths import Wander, near
 
 Q = ("q_w", "q_x", "q_y", "q_z")
+LEI_LI = Accelerometer(bias=(0.001, 0.001, -0.001), noise_std=(0.05, 0.05, 0.05))
 compiled = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 
 

@@ -21,17 +21,9 @@ def fly(out, seeds=2, **options):
     return run_sweep(cells, out, isolate=False, function=quick_cell, **options)
 
 
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory):
-    out = tmp_path_factory.mktemp("flown") / "r"
-    fly(out)
-    return out
-
-
 @pytest.fixture
-def again(flown, tmp_path):
-    """A copy of the results, and what its table says."""
-    shutil.copytree(flown, tmp_path / "r")
+def again(tmp_path):
+    fly(tmp_path / "r")
     return tmp_path / "r"
 
 

@@ -23,6 +23,7 @@ from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.keys import cell_key
 from quadexp.sweeps.plan import flying_order, plan_cells
 from quadexp.sweeps.sweep import SweepInterrupted, run_sweep
+from tests.processes import processes
 from tests.sweeps import cells
 
 GRID = ["trajectory.speed=4,8", "controller=nominal_mpc,perfect_mpc", "seed=range(3)"]
@@ -267,15 +268,7 @@ class TestInterrupt:
 
     @staticmethod
     def group_members(group):
-        found = []
-        for entry in Path("/proc").glob("[0-9]*/stat"):
-            try:
-                fields = entry.read_text().rpartition(")")[2].split()
-            except OSError:
-                continue
-            if int(fields[2]) == group and fields[0] != "Z":
-                found.append(int(entry.parent.name))
-        return found
+        return [pid for pid, fields in processes() if int(fields[2]) == group and fields[0] != "Z"]
 
     @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
     @pytest.mark.parametrize("whole_group", [True, pytest.param(False, marks=pytest.mark.slow)])
