@@ -139,25 +139,27 @@ def evaluate(
     from quadexp.sweeps.sweep import run_sweep
 
     settings = first.evaluate
-    with Workers(settings.workers, settings.memory or None, preload, calls=FIGURES if figures else 1) as processes:
-        drawn = SweepFigures(out, processes if sweep else None, settings.metric, settings.confidence)
-        with Progress("flights") as progress:
-            result = run_sweep(
-                cells,
-                out,
-                metric=settings.metric,
-                baseline=settings.baseline,
-                confidence=settings.confidence,
-                engine=build_engine(first, processes),
-                force=force,
-                old="refly" if refly else "keep" if keep_old else "ask",
-                isolate=sweep,
-                progress=progress,
-                flown=drawn.begin if figures else lambda rows: None,
-            )
-        for note in result.notes:
-            say(f"note: {note}")
+    with (
+        Workers(settings.workers, settings.memory or None, preload, calls=FIGURES if figures else 1) as processes,
+        SweepFigures(out, processes if sweep else None, settings.metric, settings.confidence) as drawn,
+        Progress("flights") as progress,
+    ):
+        result = run_sweep(
+            cells,
+            out,
+            metric=settings.metric,
+            baseline=settings.baseline,
+            confidence=settings.confidence,
+            engine=build_engine(first, processes),
+            force=force,
+            old="refly" if refly else "keep" if keep_old else "ask",
+            isolate=sweep,
+            progress=progress,
+            flown=drawn.begin if figures else lambda rows: None,
+        )
         files = dict(result.files) | drawn.end()
+    for note in result.notes:
+        say(f"note: {note}")
     if figures and settings.figures != "standard":
         from quadexp.papers.lei_li import report as lei_li
 

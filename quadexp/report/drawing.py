@@ -6,6 +6,7 @@ drawn may be drawn in another process (draw.py).
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
@@ -117,7 +118,8 @@ class FigureFolder:
     def remove(self, name: str) -> None:
         """Remove a figure, which is of other rows."""
         for file in self._files(name):
-            file.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # a folder that takes no files has none either
+                file.unlink(missing_ok=True)
 
     def clean(self) -> None:
         """Remove unfinished files of processes that were ended."""

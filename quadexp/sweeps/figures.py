@@ -15,7 +15,7 @@ LONGEST = 600.0  # s that one figure may take
 
 
 class SweepFigures:
-    """The figures of a folder of results.
+    """The figures of a folder of results; a context, at whose end no figure is half written.
 
     processes: that draw them; None: they are drawn in this one, by `end`. metric, confidence: of the figure of errors.
     failed: name of a figure -> why it was not drawn.
@@ -27,6 +27,15 @@ class SweepFigures:
         self._asked: dict[str, Drawing] = {}
         self._running: dict[str, Callable[[], bool]] = {}
         self.failed: dict[str, str] = {}
+
+    def __enter__(self) -> SweepFigures:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None and self._processes is not None:
+            self._processes.stop()  # what they have begun stays unfinished
+        if self._asked:
+            self._folder.clean()
 
     def begin(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Begin to draw the figures of the rows that are not there yet. The flights must be on disk."""
@@ -51,13 +60,10 @@ class SweepFigures:
 
         What cannot be drawn is in `failed`; an earlier figure of that name is removed, for it shows other rows.
         """
-        try:
-            for name, drawn in self._running.items():
-                try:
-                    self._folder.done(self._asked[name], drawn())
-                except Exception as error:
-                    self._folder.remove(name)
-                    self.failed[name] = cause(error, LONGEST)
-        finally:
-            self._folder.clean()
+        for name, drawn in self._running.items():
+            try:
+                self._folder.done(self._asked[name], drawn())
+            except Exception as error:
+                self._folder.remove(name)
+                self.failed[name] = cause(error, LONGEST)
         return {f"figure_{name}": str(self._folder.path(name)) for name in self._asked if self._folder.is_there(name)}

@@ -103,9 +103,9 @@ def test_figures_are_of_the_rows_beside_them(again):
     """A sweep that is ended after its table and before its figures leaves the earlier ones."""
 
     def draw(result):
-        figures = SweepFigures(again, None, "mean_error", 0.95)
-        figures.begin(result.rows)
-        assert figures.end() and not figures.failed
+        with SweepFigures(again, None, "mean_error", 0.95) as figures:
+            figures.begin(result.rows)
+            assert figures.end() and not figures.failed
 
     path = again / "figures" / "solve_time.svg"
     draw(fly(again))

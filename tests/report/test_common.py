@@ -199,9 +199,9 @@ def test_a_real_sweep_in_which_one_controller_is_lost_at_high_speed(real, tmp_pa
     first = made["answer"][0]
     assert first.startswith("Flights that ended well: perfect MPC nodes=12 and perfect MPC nodes=8 4 of 4, nominal MPC")
     assert "2 of 4. Over the 2 flights that all ended well, " in first and "the best" not in first
-    figures = SweepFigures(root, None, "mean_error", 0.95)
-    figures.begin(result.rows)
-    files = figures.end()
+    with SweepFigures(root, None, "mean_error", 0.95) as figures:
+        figures.begin(result.rows)
+        files = figures.end()
     assert any("path_circle" in name for name in files)
 
 
