@@ -56,13 +56,13 @@ def package_folder() -> Path:
 @cache
 def sources() -> str:
     """Hash of the sources that determine a flight (see the module), 12 hex digits; computed once per process."""
-    return _source_hash(package_folder() / name for name in DECIDING)
+    return source_hash(package_folder() / name for name in DECIDING)
 
 
 @cache
 def package_hash() -> str:
     """Hash of all sources of this package, 12 hex digits: a worker must have the same as the driver."""
-    return _source_hash([package_folder()])
+    return source_hash([package_folder()])
 
 
 def identity() -> dict[str, str]:
@@ -70,7 +70,8 @@ def identity() -> dict[str, str]:
     return {**versions(), "sources": package_hash()}
 
 
-def _source_hash(places: Iterable[Path]) -> str:
+def source_hash(places: Iterable[Path]) -> str:
+    """Hash of the sources in some folders and files of this package, 12 hex digits."""
     root = package_folder()
     files = {
         file

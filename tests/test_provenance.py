@@ -15,7 +15,8 @@ from tests.test_layout import PACKAGE, ROOT, imports, modules
 # Imported by what flies a cell, and not among the sources that decide a flight: name -> why.
 ASIDE = {
     "quadexp": "the version, which a row names beside the sources",
-    "quadexp.config.schema": "what it holds is in the key of the cell, like the next six",
+    "quadexp.cache": "where compiled functions lie",
+    "quadexp.config.schema": "what it holds is in the key of the cell, like the next nine",
     "quadexp.config.custom": "",
     "quadexp.config.flight": "",
     "quadexp.config.foreign": "",

@@ -122,6 +122,8 @@ class Config(Settings):
     sweep: Any = None
 
 
+SCHEMA = "_schema_"  # key of a node that names its schema
+
 # Schemas by the name that conf/ files extend: `defaults: [/schema/trajectory/circle@_here_, _self_]`.
 SCHEMAS: dict[str, dict[str, type]] = {
     "vehicle": {"rigid": VehicleConfig},

@@ -144,7 +144,14 @@ def build_trajectory(config: TrajectoryConfig, vehicle: Vehicle | None = None) -
             raise UsageError(f"trajectory={config.name}: is timed by the limits of a vehicle, and none was given")
         others["vehicle"] = None if config.allow_infeasible else vehicle
     module, name = TRAJECTORIES[config.kind]
-    return part(getattr(importlib.import_module(f"quadexp.reference.{module}"), name), config, **others)
+
+    def make() -> Any:
+        return part(getattr(importlib.import_module(f"quadexp.reference.{module}"), name), config, **others)
+
+    if config.kind != "random":
+        return make()
+    within = others["vehicle"] and others["vehicle"].fingerprint
+    return keep(["trajectory", asdict(config), within], make)  # its polynomials are costly, and the same for all
 
 
 def find_model(config: Config) -> ModelFile | None:

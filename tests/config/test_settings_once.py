@@ -14,9 +14,9 @@ import pytest
 import yaml
 
 import quadexp
-from quadexp.config.compose import compose, conf_folder
+from quadexp.config.compose import compose
 from quadexp.config.flight import MPCKeys
-from quadexp.config.schema import SCHEMAS, Config
+from quadexp.config.schema import SCHEMAS, Config, conf_folder
 from quadexp.config.settings import REQUIRED, Setting, Settings, declared, inside, lists, plain
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError

@@ -124,9 +124,9 @@ def test_a_pool_of_another_quadexp_is_refused_by_name(tmp_path):
     copy_of_the_package(tmp_path, drag=True)
     code = textwrap.dedent(
         f"""
-        from quadexp.sweeps import child
+        from quadexp.sweeps import server
         from quadexp.sweeps.engine import run_cells
-        child.same_imports = lambda: child.environment({{"PYTHONPATH": {str(tmp_path)!r}}})
+        server.same_imports = lambda: server.environment({{"PYTHONPATH": {str(tmp_path)!r}}})
         print(list(run_cells(max, {{"a": (1, 2)}}, workers=1, preload=["quadexp.provenance"])))
         """
     )

@@ -19,8 +19,9 @@ from quadexp.errors import QuadexpError, stops_all
 from quadexp.experiment.build_custom import source_hashes
 from quadexp.experiment.inputs import use_copies
 from quadexp.provenance import identity
-from quadexp.sweeps.child import GONE, PRELOAD, cause, one_thread, start_pool
+from quadexp.sweeps.child import GONE, cause, start_pool
 from quadexp.sweeps.engine import ATTEMPTS, CellFailed, Task
+from quadexp.sweeps.server import PRELOAD
 
 FOLDER = "quadexp-"  # prefix of the names of a worker's temporary folders
 
@@ -84,9 +85,8 @@ class CellRunner(WorkerPlugin):
             if self._ended:
                 raise CancelledError("the sweep has ended")
             if self._pool is None:
-                with one_thread():
-                    preload = [*PRELOAD, function.__module__]
-                    self._pool = start_pool(self._workers, self._memory, preload, self._folders)
+                preload = [*PRELOAD, function.__module__]
+                self._pool = start_pool(self._workers, self._memory, preload, self._folders)
             future = self._pool.schedule(child_cell, args=arguments, timeout=self._timeout)
             self._flying.add(future)
         try:
