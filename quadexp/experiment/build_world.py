@@ -31,10 +31,7 @@ def build_world(config: Config, vehicle: Vehicle) -> Any:
     from quadexp.world.world import World
 
     _check_one_lag(config)
-    effects = [_effect(one) for one in parts.values()]
-    true_vehicle = vehicle
-    for effect in effects:
-        true_vehicle = effect.true_vehicle(true_vehicle)
+    effects, true_vehicle = build_effects(vehicle, *parts.values())
     read = [hashlib.sha256(Path(one.path).read_bytes()).hexdigest() for one in effects if hasattr(one, "path")]
     given = {group: asdict(one) for group, one in parts.items()}
     record = ["world", plant_record(vehicle, config.plant), given, read]
@@ -49,6 +46,18 @@ def build_world(config: Config, vehicle: Vehicle) -> Any:
         return World(airframe, effects, believed)
 
     return keep(record, make)
+
+
+def build_effects(vehicle: Vehicle, *parts: WorldPartConfig) -> tuple[list[Any], Vehicle]:
+    """The effects of parts of a world, and the vehicle that is flown in it.
+
+    vehicle: the one that controllers believe in. Raises UsageError where a file is missing, or the flown vehicle could
+    not hover.
+    """
+    effects = [_effect(one) for one in parts]
+    for effect in effects:
+        vehicle = effect.true_vehicle(vehicle)
+    return effects, vehicle
 
 
 def _check_one_lag(config: Config) -> None:

@@ -8,6 +8,8 @@ from typing import Any
 
 from quadexp.config.cells import Cell
 from quadexp.config.flight import TrajectoryConfig, VehicleConfig
+from quadexp.config.schema import world_parts
+from quadexp.config.world import WorldPartConfig
 from quadexp.experiment.build import (
     ModelFile,
     build_trajectory,
@@ -17,6 +19,7 @@ from quadexp.experiment.build import (
     input_hashes,
     knows_plant,
 )
+from quadexp.experiment.build_world import build_effects
 from quadexp.experiment.identity import canonical, digest, flight_record
 from quadexp.sweeps.keys import cell_key, condition
 
@@ -69,6 +72,7 @@ def check_jobs(jobs: Iterable[Job]) -> None:
             (build_vehicle, config.vehicle),
             (_build_trajectory, config.trajectory, config.vehicle),
             (controller_settings, config.controller),
+            (_build_effects, config.vehicle, *world_parts(config).values()),
         )
         for check, *nodes in checks:
             name = (check, *map(id, nodes))  # cells share the nodes of their configurations
@@ -100,6 +104,10 @@ def _builds(job: Job) -> tuple[str, str]:
     structure = canonical([vehicle, [controller.get(name) for name in STRUCTURE]])
     known = asdict(config.plant) if knows_plant(config.controller) else job.model and job.model.sha256
     return structure, canonical([structure, controller, known])
+
+
+def _build_effects(vehicle: VehicleConfig, *parts: WorldPartConfig) -> Any:
+    return build_effects(build_vehicle(vehicle), *parts)
 
 
 def _build_trajectory(trajectory: TrajectoryConfig, vehicle: VehicleConfig) -> Any:

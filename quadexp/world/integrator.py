@@ -100,6 +100,7 @@ class SimulatedPlant:
         self.vehicle, self.step, self.equations, self.backend = vehicle, step, equations, resolve(backend)
         self._parameters = np.asarray(parameters)
         self._periods: dict[int, BufferedFunction] = {}
+        self._safe: dict[BufferedFunction, ca.Function] = {}
         self.reset()
 
     def reset(self) -> None:
@@ -163,7 +164,9 @@ class SimulatedPlant:
         if self.safe_equations is None:
             return function.results
         arguments = {name: value.T for name, value in function.arguments.items()}  # a matrix is stored transposed
-        found = self.same_period(function, self.safe_equations)(**arguments)
+        if function not in self._safe:
+            self._safe[function] = self.same_period(function, self.safe_equations)
+        found = self._safe[function](**arguments)
         found = {name: np.array(value.full()) for name, value in found.items()}
         self.check_safe(found, float(function.arguments["step"][0]))
         return {name: found[name].ravel() for name in function.results}

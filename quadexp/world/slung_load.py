@@ -29,6 +29,7 @@ from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
+from quadexp.world.true_vehicle import with_payload
 
 STABLE = 0.5  # largest step times angular frequency of the cable; Verlet's method is stable below 2
 
@@ -110,7 +111,8 @@ def _vector(values: Any) -> Expression:
 class SlungLoad(SlungLoadKeys, Effect):
     """See SlungLoadKeys. inner: position (3,) (m) and velocity (3,) (m/s) of the load, world. parameters: of its Cable.
 
-    Raises UsageError at the beginning of a flight whose integration steps are too long for the cable.
+    Raises UsageError where the vehicle cannot carry it, and at the start of a flight whose integration steps are too
+    long for the cable.
     """
 
     stage = "external"
@@ -119,6 +121,11 @@ class SlungLoad(SlungLoadKeys, Effect):
     def part(self) -> str:
         """See Effect.part."""
         return "payload"
+
+    def true_vehicle(self, vehicle: Vehicle) -> Vehicle:
+        """See Effect.true_vehicle: the vehicle itself, if it can hover with the load."""
+        with_payload(vehicle, self.mass, np.zeros(3))
+        return vehicle
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
         """See Effect.sizes."""

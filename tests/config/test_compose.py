@@ -48,6 +48,7 @@ def hydra_composes(overrides):
             del composed[group]["_schema_"]
             composed[group] = over(plain(schema), composed[group])
         whole = over({"evaluate": plain(EvaluateConfig), "model": None, "seed": 0, "sweep": None}, composed)
+        whole["world"] = "clean"  # a name, which is made when all is composed
         return OmegaConf.to_container(OmegaConf.create(whole), resolve=True)
 
 

@@ -93,7 +93,7 @@ def test_nothing_declares_the_settings_of_a_node_again():
 @pytest.mark.parametrize("name", NODES)
 def test_every_key_has_a_type_a_meaning_and_a_number_its_range(name):
     node = NODES[name]
-    aside = {"name", "kind", "sweep", *SCHEMAS} if name == "" else {"kind"}
+    aside = {"name", "kind", "sweep", "world", *SCHEMAS} if name == "" else {"kind"}
     assert {f.name for f in dataclasses.fields(node)} - aside == declared(node).keys() - aside
     for key, one in declared(node).items():
         assert isinstance(one.setting, Setting) and one.setting.meaning, key

@@ -183,6 +183,8 @@ class TestSweep:
     def test_settings_that_contradict_each_other_are_said_before_anything_is_flown(self, tmp_path):
         with pytest.raises(UsageError, match="step_time"):
             fly(expand(["trajectory=step", "trajectory.duration=0.5,5"]), tmp_path / "r")
+        with pytest.raises(UsageError, match="truth: gives no vehicle that can fly"):
+            fly(expand(["truth.mass=1,9"]), tmp_path / "r")
         assert files(tmp_path) == []
 
     def test_cells_of_one_controller_are_flown_one_after_the_other(self, grid):

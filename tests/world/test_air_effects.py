@@ -279,6 +279,7 @@ def test_compiled_and_interpreted_flights_are_the_same(tmp_path):
         (["truth.mass=9"], UsageError, "truth: gives no vehicle that can fly: .*hovering takes"),
         (["wind=file", "wind.path=nowhere.csv"], UsageError, "wind.path: there is no file 'nowhere.csv'"),
         (["wind=dryden", "wind.intensity=[1,1,1]", "wind.wind_at_6m=3"], UsageError, "one of the two"),
+        (["payload=slung", "payload.mass=9"], UsageError, "payload: gives no vehicle that can fly: .*hovering takes"),
         (["truth.mass=0"], UsageError, r"truth.mass=0.*: must be in \[0.1, 10\]"),
     ],
 )

@@ -70,7 +70,7 @@ def test_the_first_states_are_drawn_from_the_stationary_distribution():
     assert np.diag(out @ root @ root.T @ out.T) == pytest.approx(sigma**2, rel=1e-14)
 
 
-SERIES, SAMPLES = 20, 50_000
+SERIES, SAMPLES = 12, 50_000
 
 
 @cache
@@ -87,7 +87,7 @@ def flown(step, time_scale):
 @pytest.mark.parametrize("step", [0.002, 0.01])
 @pytest.mark.parametrize("sigma", [(0.5, 0.5, 0.3), (1.5, 1.0, 2.0), (4.0, 3.0, 0.1)])
 def test_spectrum_and_intensity_are_those_asked_for(step, sigma):
-    """Periodograms of a million samples, mean over bands on both sides of the corner, within 3 % of the standard's.
+    """Periodograms of many samples, mean over bands on both sides of the corner, within 3 % of the standard's.
 
     The spectrum of samples is that of the continuous process with all multiples of the sampling rate folded in.
     """

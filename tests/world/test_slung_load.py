@@ -59,6 +59,20 @@ def test_the_swing_has_the_period_of_a_pendulum(length, angle):
     assert len(crossing) >= 4
 
 
+@pytest.mark.parametrize("mass", [0.5, 2.0])
+def test_beneath_a_free_vehicle_it_swings_faster(mass):
+    """Both swing about their common centre of mass: omega^2 = g / L (1 + m / M), the thrust holding both."""
+    rope, step = made(0.5, 1.0, stretch=1e-3), 1e-3
+    period = 2 * np.pi / np.sqrt(G / 1.001 * (1 + 0.5 / mass))
+    load = np.r_[1.001 * np.sin(0.03), 0, -1.001 * np.cos(0.03), np.zeros(3)]
+    states = flown(pair(rope, mass, [0, 0, G * (mass + 0.5)], step), np.zeros(6), load, int(4.2 * period / step))
+    x = states[:, 6] - states[:, 0]
+    falling = np.flatnonzero((x[:-1] > 0) & (x[1:] <= 0))
+    crossing = step * (falling + x[falling] / (x[falling] - x[falling + 1]))
+    assert len(crossing) == 4
+    assert np.diff(crossing) == pytest.approx(np.full(3, period), rel=2e-3)
+
+
 @pytest.mark.parametrize("step", [5e-4, 2e-3])
 def test_without_damping_energy_and_momentum_are_kept(step, rng):
     """A free vehicle with a load, ten seconds of a wild swing, the cable slack at times."""
