@@ -1,4 +1,4 @@
-"""Hover under the MPC with motors, battery and a weakened rotor, on three airframes: held, logged, ended with a cause."""
+"""Hover under the MPC with motors, battery and a weakened rotor, on three airframes: held, logged, and how it ends."""
 
 from __future__ import annotations
 
