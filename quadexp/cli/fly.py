@@ -179,7 +179,12 @@ def evaluate(
             }
         )
     else:
-        print_table(result.table)
+        if first.evaluate.figures == "ladder":  # a column for every controller in every world has no room
+            from quadexp.report.ladder import ladder_table
+
+            print("\n".join(ladder_table(result.rows).lines()))
+        else:
+            print_table(result.table)
         print(out)
     if result.not_flown:
         worst = result.not_flown[0]

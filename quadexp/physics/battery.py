@@ -68,14 +68,19 @@ def rotor_power(thrust: Expression, hover_thrust: Expression, hover_power: Expre
 
 def sagging_thrust(command: Expression, ratio: Expression, exponent: Expression) -> Expression:
     """Thrust (n,) (N) at a fixed throttle; command: that at V_ref, (n,) (N). ratio: V / V_ref. exponent: k."""
-    return command * ratio**exponent
+    return command * _power(ratio, exponent)
 
 
 def compensated_thrust(
     command: Expression, ratio: Expression, exponent: Expression, thrust_max: Expression
 ) -> Expression:
     """Thrust (n,) (N) where the flight stack compensates the voltage; thrust_max: at full throttle and V_ref (N)."""
-    return ca.fmin(command, thrust_max * ratio**exponent)
+    return ca.fmin(command, thrust_max * _power(ratio, exponent))
+
+
+def _power(ratio: Expression, exponent: Expression) -> Expression:
+    """ratio^exponent, ratio above 0, such that its derivative takes no other power."""
+    return ca.exp(exponent * ca.log(ratio))
 
 
 def operating_point(

@@ -28,7 +28,7 @@ Place = tuple[str, float]  # trajectory, speed
 def draw(rows: Sequence[Row], out: Path) -> dict[str, str]:
     """Table and figure into <out>; returns name -> path."""
     return {
-        "table_ladder": str(write_text(out / "ladder.md", ladder_table(rows))),
+        "table_ladder": str(write_text(out / "ladder.md", ladder_table(rows).markdown())),
         "figure_ladder": str(save(ladder_figure(rows), out / "figures" / "ladder")),
     }
 
@@ -46,19 +46,16 @@ def by_world(rows: Sequence[Row]) -> dict[str, dict[Place, dict[str, Statistic]]
     return {world: dict(sorted(places.items())) for world, places in found.items()}
 
 
-def ladder_table(rows: Sequence[Row]) -> str:
-    """Markdown: mean position error (mm) by world and controller, of every trajectory and speed."""
+def ladder_table(rows: Sequence[Row]) -> Table:
+    """Mean position error (mm) by world and controller, of every trajectory and speed."""
     worlds, names = by_world(rows), list(dict.fromkeys(row["controller"] for row in rows))
     lines = [
         [world, trajectory, speed_text(speed, ""), *(cell(found.get(name)) for name in names)]
         for world, places in worlds.items()
         for (trajectory, speed), found in places.items()
     ]
-    title = (
-        "Mean distance from the reference over the flight (mm), of the true position, over seeds; the GP and the linear"
-        " drag of a world are fitted to flights in that world"
-    )
-    return Table(["world", "trajectory", "m/s", *names], lines, title, left=frozenset({0, 1})).markdown()
+    title = "Mean distance of the true position from the reference over the flight (mm), mean over seeds"
+    return Table(["world", "trajectory", "m/s", *names], lines, title, left=frozenset({0, 1}))
 
 
 def cell(s: Statistic | None) -> str:

@@ -36,23 +36,32 @@ class Streams:
 
     def __init__(self, shares: Sequence[Share], steps: int) -> None:
         self._shares, self._steps = shares, steps
+        self._kept: dict[int, list[np.ndarray]] = {}
         self.noise_size = steps * sum(share.noise for share in shares)
         self.size = self.noise_size + sum(share.draws for share in shares)
 
     def take(self, periods: int) -> np.ndarray:
-        """The numbers of the next periods, (periods, size); as many calls as periods give the same numbers."""
-        if len(self._shares) == 1 and not self._shares[0].draws:
-            return self._shares[0].rng.standard_normal((periods, self.size))
-        found = np.empty((periods, self.size))
+        """The numbers of the next periods, (periods, size), until the next call; one by one they are the same."""
+        found, *blocks = self._memory(periods)
+        if len(blocks) == 1 and not self._shares[0].draws:
+            self._shares[0].rng.standard_normal(out=found)
+            return found
         noise = found[:, : self.noise_size].reshape(periods, self._steps, -1) if self.noise_size else None
         row, draw = 0, self.noise_size
-        for share in self._shares:
-            block = share.rng.standard_normal((periods, self._steps * share.noise + share.draws))
+        for share, block in zip(self._shares, blocks, strict=True):
+            share.rng.standard_normal(out=block)
             found[:, draw : draw + share.draws] = block[:, : share.draws]
             if noise is not None and share.noise:
                 noise[:, :, row : row + share.noise] = block[:, share.draws :].reshape(periods, self._steps, -1)
             row, draw = row + share.noise, draw + share.draws
         return found
+
+    def _memory(self, periods: int) -> list[np.ndarray]:
+        """Arrays of `take`: the numbers of all parts together, and those of each. New memory costs more than a draw."""
+        if periods not in self._kept:
+            sizes = [self.size, *(self._steps * share.noise + share.draws for share in self._shares)]
+            self._kept = {periods: [np.empty((periods, size)) for size in sizes]}
+        return self._kept[periods]
 
     def standard_normal(self, out: np.ndarray) -> None:
         """As Generator.standard_normal: the numbers of the next period."""

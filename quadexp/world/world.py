@@ -48,6 +48,7 @@ class World(SimulatedPlant):
         self.airframe, self.effects = airframe, ordered([effect.among(effects) for effect in effects])
         self._believed: Any = believed or airframe  # a Plant too
         self._made: dict[Clock, _Prepared] = {}
+        self._winds: dict[Clock, ca.Function] = {}
         self._own_parameters, self._rotors = np.empty(0), list[int]()
         self._shares: list[tuple[Effect, slice, slice]] = []  # of the inner states, and of the effects' parameters
         rough = any(effect.has("wind") or effect.has("thrusts") for effect in self.effects)
@@ -98,7 +99,9 @@ class World(SimulatedPlant):
     def _first_wind(self, start: Start, own: np.ndarray) -> np.ndarray:
         """The wind when the flight begins, but for white noise. own: inner states of the effects."""
         layout, step = self._layout(start.clock), start.clock.step
-        wind = wind_function(self.equations, self.effects, layout, self.vehicle)
+        if start.clock not in self._winds:
+            self._winds[start.clock] = wind_function(self.equations, self.effects, layout, self.vehicle)
+        wind = self._winds[start.clock]
         u, noise = np.zeros(self.vehicle.n_rotors), np.zeros(layout.size("noise"))
         return np.array(wind(0.0, start.x, own, u, noise, self.parameters(step), step)).ravel()
 

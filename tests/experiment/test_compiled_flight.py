@@ -28,11 +28,16 @@ from quadexp.world.actuator import Actuator
 from quadexp.world.battery import Battery
 from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant, PlantChange
 from quadexp.world.constant_wind import ConstantWind
+from quadexp.world.disturbance import Disturbance
+from quadexp.world.dryden import Dryden
 from quadexp.world.from_model import FromModelPlant
+from quadexp.world.ground import GroundEffect
 from quadexp.world.link import Latency
 from quadexp.world.rotor_loss import RotorLoss
+from quadexp.world.slung_load import SlungLoad
 from quadexp.world.stated_estimate import StatedEstimate
 from quadexp.world.streams import Share, Streams
+from quadexp.world.true_vehicle import TrueVehicle
 from quadexp.world.world import World
 from tests.air.models import BLADE, make_residual, with_rotors
 from tests.properties.paths import Wander, near
@@ -172,6 +177,23 @@ def test_any_flight_in_a_world(monkeypatch, vehicle, seed, effects):
         assert np.abs(error[0]).max() == 0 and 0.003 < np.abs(error[1:]).max() < 0.5
     if 0 in effects:
         assert np.array_equal(flight.stack(["wind_x", "wind_y", "wind_z"]), [[3.0, -1.0, 0.5]] * len(flight.t))
+
+
+@compiled
+@pytest.mark.parametrize("seed", [9, 11, 15])
+def test_any_flight_with_a_load_in_turbulence(monkeypatch, vehicle, seed):
+    """And with weak rotors, a push and the ground."""
+    plant, controller, path, options = draw(seed, vehicle)
+    effects = [
+        Dryden(velocity=(2.0, 1.0, 0.0), intensity=(1.0, 1.0, 0.5)),
+        SlungLoad(mass=0.1, length=0.5, point=(0.02, 0.0, -0.05), stretch=0.02),
+        TrueVehicle(thrust_coefficient=0.95, torque_coefficient=1.1),
+        Disturbance(force=(0.5, 0.0, 0.2), torque=(0.0, 0.01, 0.0), onset=0.2, duration=0.3),
+        GroundEffect(rotor_radius=0.12),
+    ]
+    flight = both(monkeypatch, World(plant, effects), controller, path, **options).flight
+    assert {"wind_x", "load_z"} < flight.columns.keys()
+    assert np.std(flight["wind_x"]) > 0.01
 
 
 def mpc(vehicle, residual="none", **settings):

@@ -174,3 +174,25 @@ def test_blade_elements_are_identified_from_a_flight_in_a_wind():
     told, untold = (identify_flight(one, vehicle).raw[-1] for one in (flight, replace(flight, columns=columns)))
     assert told[:2] == pytest.approx([config.plant.profile_drag, config.plant.lift_slope], rel=0.02)
     assert np.abs(untold / told - 1).max() > 0.1
+
+
+def test_an_identified_vehicle_is_validated_in_gusts_by_the_wind_of_its_flights():
+    """Drag of the plant from flights in gusts; half a second ahead another flight is predicted better with its wind."""
+    plant = ["plant.quadratic_drag=[0,0,0]", "plant.motor_loss=0", "wind=gust", "wind.amplitude=[6,-3,1]"]
+    configs = [
+        compose(
+            [*plant, "trajectory=random", "trajectory.speed=5", f"trajectory.seed={seed}", f"wind.onset={1 + seed}"]
+        )
+        for seed in range(3)
+    ]
+    vehicle, flights = build_vehicle(configs[0].vehicle), [fly_one(config) for config in configs]
+    model = fit_vehicle_model(flights[:2], vehicle, FitSettings(powers=(1,), kinds=("linear",)))
+    assert model.drag.drag[:2] == pytest.approx([0.3, 0.3], abs=2e-3)
+    columns = {name: values for name, values in flights[2].columns.items() if not name.startswith("wind_")}
+    errors = []
+    for flight in (flights[2], replace(flights[2], columns=columns)):
+        drag = predictors(model, "x", vehicle, None)[1]
+        track = Track(read_rows(flight, "flight", model.thrust.signal), drag)
+        (found,) = rollout_errors(drag, [track], [0.5], tracked=False)
+        errors.append(found["velocity"])
+    assert errors[0] < 0.1 * errors[1]
