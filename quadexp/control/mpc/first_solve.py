@@ -1,14 +1,14 @@
-"""The first control step from far away: Gauss-Newton directions with a line search on the true cost.
+"""The first control step from a poor guess: Gauss-Newton directions with a line search on the nonlinear cost.
 
-The states follow from the inputs by the discrete dynamics from the measured state, so the cost is one of the inputs
-alone, J(U), and its bounds are simple. With d the bounded subproblem's solution at such a trajectory, d is a direction
-of descent, J'(U) d <= -|d|_R^2, and U + a d keeps the bounds for 0 < a <= 1. The step halves until
+The states follow from the measured state and the inputs by the discrete dynamics, so the cost is a function J(U) of the
+inputs alone, with bounds on U. The solution d of the bounded subproblem at such a trajectory is a direction of descent,
+J'(U) d <= -|d|_R^2, and U + a d is within the bounds for 0 < a <= 1. The step length a is halved until
 
     J(U + a d) < J(U) - ARMIJO a |d|_R^2                                           (Armijo 1966)
 
-so every limit is a stationary point. Gauss-Newton converges slowly where the residual is large; Anderson acceleration
-of the full steps (Walker and Ni 2011) is tried after each and kept where its cost is lower. Near the end differences of
-J vanish in rounding: there a step is judged by the optimality residual instead.
+so every limit point is stationary. Gauss-Newton converges slowly where the residual is large; Anderson acceleration of
+the full steps (Walker and Ni 2011) is tried after each and kept if its cost is lower. Near the solution differences of
+J are below rounding; there a step is accepted by the optimality residual instead.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from quadexp.physics.vehicle import Vehicle
 
 CONVERGED = 1e-6  # optimality residual of a stationary point
 ARMIJO = 1e-4  # share of the decrease promised by the quadratic model that a step must keep
-HALVINGS = 20  # of a step, before none is found
-MEMORY = 6  # full steps that Anderson acceleration combines
-REDUCED = 0.1  # share of its length by which a step below the cost's rounding must reduce the optimality residual
+HALVINGS = 20  # of the step length, at most
+MEMORY = 6  # full steps combined by Anderson acceleration
+REDUCED = 0.1  # relative decrease of the optimality residual that a full step must give where J cannot decide
 
 
 class Direction(NamedTuple):
-    """Step of the inputs, (N, n) (N), from the linearisation point, how it was found, and the residual there."""
+    """Change of the inputs, (N, n) (N), from the linearisation point; how it was found; optimality residual there."""
 
     d_input: np.ndarray
     status: Status
@@ -108,17 +108,17 @@ class FirstSolve:
         self._low, self._high = arguments["u_min"], arguments["u_max"]
 
     def cost(self, inputs: np.ndarray) -> float:
-        """J of inputs (N, n) (N); infinite where it is no number."""
+        """J of inputs (N, n) (N); infinite where it is not finite."""
         self._rollout.arguments["U"][...] = inputs
         self._rollout()
         cost = float(self._rollout.results["cost"].item())
         return cost if np.isfinite(cost) else np.inf
 
     def solve(self, guesses: list[np.ndarray], iterations: int) -> Direction | None:
-        """Descend from the guess (N, n) of the least cost; leaves the trajectory in the step's X and U.
+        """Descend from the guess (N, n) with the lowest cost; the trajectory is left in the step's X and U.
 
-        Returns the last linearisation: its kkt says whether the point is stationary. None, and X and U as they were,
-        where the trajectory of no guess is finite.
+        Returns the last linearisation; its kkt tells whether the point is stationary. None, with X and U unchanged, if
+        no guess has a finite trajectory.
         """
         cost, U = min(((self.cost(guess), guess) for guess in guesses), key=lambda pair: pair[0])
         if not np.isfinite(cost):
@@ -154,7 +154,7 @@ class FirstSolve:
         return self._direction()
 
     def _search(self, U: np.ndarray, d: np.ndarray, cost: float) -> tuple[float, float]:
-        """Length of the step that is short enough, and the cost there; (0, cost) where there is none."""
+        """Step length that satisfies the condition, and the cost there; (0, cost) if there is none."""
         length, slope = 1.0, float((self._R * d * d).sum())
         for _ in range(HALVINGS):
             lower = self.cost(U + length * d)
@@ -164,7 +164,7 @@ class FirstSolve:
         return 0.0, cost
 
     def _by_residual(self, U: np.ndarray, d: np.ndarray, kkt: float) -> tuple[np.ndarray, Direction] | None:
-        """The first of ever shorter steps that is nearer to a stationary point."""
+        """The longest of some halved steps with a smaller optimality residual; None if there is none."""
         for length in 0.5 ** np.arange(8):
             candidate = U + length * d
             found = self._linearise(candidate)
@@ -173,7 +173,7 @@ class FirstSolve:
         return None
 
     def _accelerated(self, points: list[np.ndarray], steps: list[np.ndarray]) -> np.ndarray | None:
-        """Anderson's combination of the last full steps, within the bounds; None where there are too few."""
+        """Anderson's combination of the last full steps, clipped to the bounds; None with fewer than two."""
         if len(points) < 2:
             return None
         d_points, d_steps = np.diff(points, axis=0).T, np.diff(steps, axis=0).T

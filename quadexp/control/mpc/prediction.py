@@ -1,4 +1,4 @@
-"""One node of the controller's model: the state after a held input, as every part of the controller predicts it."""
+"""The discrete prediction model: the state after one node, one Runge-Kutta step."""
 
 from __future__ import annotations
 

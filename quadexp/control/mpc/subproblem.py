@@ -1,4 +1,4 @@
-"""The linear-quadratic subproblem that a control step leaves behind, over the whole horizon.
+"""The linear-quadratic subproblem of a control step over the whole horizon.
 
     min  sum_k 1/2 dx'Q_k dx + q'dx + 1/2 du'R_k du + r'du    dx_{k+1} = A_k dx_k + B_k du_k + b_k,   dx_0 = 0
 
@@ -20,7 +20,7 @@ from quadexp.physics.expression import Expression
 from quadexp.physics.state import ATTITUDE
 
 KERNEL = Path(__file__).with_name("active_set.c")
-TOLERANCE = 1e-9  # N: how far beyond a bound is still on it
+TOLERANCE = 1e-9  # N: bound violation that counts as none
 
 
 def backward_pass(
@@ -84,13 +84,13 @@ def input_gradient(
 
 
 def bounded_function(step: ca.Function, nodes: int) -> ca.Function:
-    """The subproblem of the compiled `step` under the bounds of its inputs, by active_set.c: it can only be compiled.
+    """Solver of the subproblem of the compiled `step` with input bounds, by active_set.c; it has no interpreted form.
 
     Inputs, as `step` has or returns them: A, B, b, q, r, K, factor, X_lin, U_lin, Q, Q_end, R, u_min, u_max, frames
-    where the step has them; U_free (n, N), the inputs without bounds (N); guess (n, N), the side on which inputs are
-    expected: -1 at the lower, 1 at the upper bound, 0 free. Outputs: X_new (m, N + 1), U_new (n, N); side (n, N), on
-    which the inputs are; checks (5,): whether it is solved, exchanges of the active set, inputs at a bound, the error
-    left in the inputs (N), the largest change of a quaternion (length).
+    where the step has them; U_free (n, N), the solution without bounds (N); guess (n, N), the expected active set: -1
+    at the lower, 1 at the upper bound, 0 free. Outputs: X_new (m, N + 1), U_new (n, N); side (n, N), the active set;
+    checks (5,): whether it is solved, exchanges of the active set, inputs at a bound, the estimated error of the inputs
+    (N), the largest change of a quaternion (length).
     """
     names = ["A", "B", "b", "q", "r", "K", "factor", "X_lin", "U_lin"]
     names += ["frames"] if "frames" in step.name_out() else []
@@ -117,7 +117,7 @@ def bounded_function(step: ca.Function, nodes: int) -> ca.Function:
 
 
 def kernel_function(n: int, m: int, nodes: int) -> ca.Function:
-    """active_set.c for n inputs, m states and N nodes, its arguments named there. It can only be compiled."""
+    """active_set.c for n inputs, m states and N nodes; arguments as named there. It has no interpreted form."""
     dense = ca.Sparsity.dense
     states, inputs = dense(m, nodes), dense(n, nodes)
     arguments = {"rows": dense(line_length(n, m), m * nodes), "K": dense(n, m * nodes)}
