@@ -127,16 +127,18 @@ class Composer:
                 _check_key({name: node.content for name, node in base.items()}, one.key)
                 self._checked.add((key, one.key))
         config = Config(**self._nodes(base, values))
-        config = replace(config, world=self._world_name(config, chosen))
+        config = replace(config, world=self._world_name(config, chosen, values))
         baseline = config.evaluate.baseline
         if baseline not in self._options["controller"]:
             hint = suggestion(baseline, self.options("controller"))
             raise UsageError(f"evaluate.baseline={baseline}: no such controller{hint}")
         return config
 
-    def _world_name(self, config: Config, chosen: Sequence[Given]) -> str:
+    def _world_name(self, config: Config, chosen: Sequence[Given], values: Sequence[Given]) -> str:
         bundles = [one for one in chosen if one.key == "world"]
         bundle = str(bundles[-1].value) if bundles else "clean"
+        if not {one.node for one in values}.union(one.key for one in chosen).intersection((*WORLD, "experiment")):
+            return world_name(config, bundle, {group: getattr(config, group) for group in WORLD})  # nothing differs
         key = ("world name", bundle)
         if key not in self._made:
             base = self._whole(bundles[-1:])
