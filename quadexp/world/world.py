@@ -69,7 +69,8 @@ class World(SimulatedPlant):
         """
         self.reset()
         clock = self.clock(period)
-        start = Start(np.array(x, float), duration, clock, self.vehicle)
+        begun: dict[str, np.ndarray] = {}
+        start = Start(np.array(x, float), duration, clock, self.vehicle, begun)
         layout = self._layout(clock)
         shares = [Share(rng, layout.airframe.noise)]
         inner, parameters = [self.airframe.inner], []
@@ -78,6 +79,7 @@ class World(SimulatedPlant):
             found = [np.asarray(values, float).ravel() for values in effect.start(stream, start)]
             if [len(values) for values in found] != [sizes.inner, sizes.parameters]:
                 raise QuadexpError(f"{effect.part}: start gives {[len(one) for one in found]} numbers, sizes {sizes}")
+            begun[effect.part] = found[0]
             inner.append(found[0])
             parameters.append(found[1])
             shares.append(Share(stream, sizes.noise, sizes.draws))
