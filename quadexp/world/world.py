@@ -16,7 +16,7 @@ import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise
-from quadexp.errors import ModelDomainError, QuadexpError
+from quadexp.errors import ModelDomainError, QuadexpError, UsageError
 from quadexp.world.composition import Layout, compose, wind_function
 from quadexp.world.effect import Clock, Effect, Sizes, Start, ordered
 from quadexp.world.integrator import Equations, SimulatedPlant
@@ -97,6 +97,14 @@ class World(SimulatedPlant):
             self.measured = effect.first(own, self.measured)
         self.inner = np.concatenate([*inner, self._first_wind(start, np.concatenate(inner[1:]))])
         return Streams(shares, clock.steps)
+
+    def require_flight(self) -> None:
+        """See SimulatedPlant."""
+        if not len(self.inner):
+            raise UsageError(
+                "a flight in a world begins with plant.begin(x, period, duration, rng), which returns its noise, for"
+                " plant.advance; plant.measured is what the controller is told"
+            )
 
     def _first_wind(self, start: Start, own: np.ndarray) -> np.ndarray:
         """The wind when the flight begins, but for white noise. own: inner states of the effects."""
