@@ -48,8 +48,9 @@ class ControlLoop:
     """A controller, what it tracks, and how its last step went.
 
     controller: see quadexp/control/base.py. plant: the configured simulated vehicle (quadexp/world/base.py), for a
-    loop without a real one. period: s, between steps. times: (k,), s, the control instants of the trajectory.
-    record: StepRecord of the last step, None before the first.
+    loop without a real one; in a world its flight begins with `begin` (quadexp/world/world.py). period: s, between
+    steps. times: (k,), s, the control instants of the trajectory. record: StepRecord of the last step, None before the
+    first.
     """
 
     def __init__(self, controller: Controller, trajectory: Trajectory, plant: Any) -> None:

@@ -100,6 +100,9 @@ class EskfKeys(Settings):
     measurement_factor: Annotated[
         float, Setting("factor on the standard deviations of the aids' noise that the filter believes", "(0, 1000]")
     ] = 1.0
+    warm_up: Annotated[
+        float, Setting("how long the vehicle has stood, with the filter running, when a flight begins", "[0, 600]", "s")
+    ] = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -52,12 +52,16 @@ class Sizes(NamedTuple):
 
 
 class Start(NamedTuple):
-    """What is known when a flight begins. x: state (13,). duration: s, of the reference. vehicle: the true one."""
+    """What is known when a flight begins. x: state (13,). duration: s, of the reference. vehicle: the true one.
+
+    begun: inner states of the effects that begin before, by part.
+    """
 
     x: np.ndarray
     duration: float
     clock: Clock
     vehicle: Vehicle
+    begun: Mapping[str, np.ndarray] = {}
 
 
 class Moment(NamedTuple):

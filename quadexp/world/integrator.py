@@ -124,6 +124,7 @@ class SimulatedPlant:
         self, x: np.ndarray, u: np.ndarray, duration: float, rng: np.random.Generator | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """See Plant.advance. rng: may be None where the equations have no noise."""
+        self.require_flight()
         function = self.prepared(duration)
         arguments, results = function.arguments, function.results
         arguments["x"][:], arguments["inner"][:], arguments["u"][:] = x, self.inner, u
@@ -135,6 +136,9 @@ class SimulatedPlant:
         self.settle(results)
         self.time += duration
         return results["x_next"].copy(), results["specific_force"].copy()
+
+    def require_flight(self) -> None:
+        """Raise UsageError where a flight has to begin first."""
 
     def prepared(self, duration: float) -> BufferedFunction:
         """The function of a period of this duration (s), with the parameters of the next one."""

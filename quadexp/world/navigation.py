@@ -9,8 +9,8 @@ carried on to now by the IMU readings in between:
     rates: the last gyroscope reading less its estimated bias
 
 A fix that is lost does not come, and the filter only predicts. The filter's noise is that which the sensors state,
-times two factors. It begins with errors drawn from what one fix of each aid leaves (Aid.first_guess), tilt levelled by
-an accelerometer of unknown bias, and biases of unknown, zero mean.
+times two factors. When a flight begins the filter has run for a while at rest, from one fix of each aid
+(Aid.first_guess), tilt levelled by an accelerometer of unknown bias, and biases believed to be zero.
 """
 
 from __future__ import annotations
@@ -18,24 +18,29 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
 
 from quadexp.config.sensing import EskfKeys
 from quadexp.errors import UsageError
-from quadexp.physics.state import RATE, STATE_COLUMNS
+from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world import eskf, imu
 from quadexp.world.aid import Aid
 from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
 from quadexp.world.eskf import D_ATTITUDE, GYROSCOPE_BIAS, N_COVARIANCE, N_ERROR, N_NOMINAL
-from quadexp.world.imu import N_DENSITIES, N_READING, TURN
+from quadexp.world.imu import FORCE, N_BIAS, N_DENSITIES, N_READING, TURN
 from quadexp.world.inertial import BIAS_COLUMNS, InertialSensors
 
 N_ENTRY = N_READING + 1  # of the queue, without the fixes: reading and interval
 KNOWN = slice(0, N_NOMINAL + N_COVARIANCE)  # of the inner states: nominal state and covariance; then the queue
+BIASES = slice(D_ATTITUDE.stop, N_ERROR)
+LARGEST_WARM_UP = 2000  # predictions
 VARIANCES = tuple(f"est_var_{kind}_{axis}" for kind in ("p", "v", "theta", "bias_a", "bias_g") for axis in "xyz")
 
 
@@ -88,7 +93,7 @@ class Navigation(EskfKeys, Effect):
         return np.concatenate([[gravity], densities, *deviations])
 
     def first_deviations(self, gravity: float) -> np.ndarray:
-        """Standard deviations of the error that the filter begins with, (15,)."""
+        """Standard deviations of the error after one fix of each aid, (15,)."""
         bias = imu.bias_std(self.sensors)
         found = np.zeros(N_ERROR)
         found[D_ATTITUDE.start : D_ATTITUDE.stop] = bias[0] / gravity
@@ -98,13 +103,21 @@ class Navigation(EskfKeys, Effect):
         return found
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
-        """See Effect: the error is drawn; the biases' is what they are, for they are believed to be zero."""
-        gravity = start.vehicle.gravity
-        deviations = self.first_deviations(gravity)
-        drawn = deviations * rng.standard_normal(N_ERROR)
-        drawn[D_ATTITUDE.stop :] = 0
-        nominal = eskf.inject(ca.DM(np.concatenate([start.x[: RATE.start], np.zeros(6)])), ca.DM(-drawn))
-        covariance = eskf.packed(ca.densify(ca.diag(ca.DM(deviations**2))))
+        """See Effect: the error is drawn from the covariance that standing for `warm_up` leaves, given the true biases.
+
+        b = b^ + e_b, and the estimate b^ is uncorrelated with all errors e: so cov(e, b) = cov(e, e_b).
+        """
+        gravity, standing = start.vehicle.gravity, _standing(self, start.vehicle.gravity)
+        turned = Rotation.from_quat(start.x[ATTITUDE], scalar_first=True).as_matrix().T
+        bias, spread = start.begun[self.sensors.part][:N_BIAS], imu.bias_std(self.sensors) ** 2
+        by_bias = np.divide(standing[:, BIASES], spread, out=np.zeros((N_ERROR, N_BIAS)), where=spread > 0)
+        values, vectors = np.linalg.eigh(standing - by_bias @ standing[BIASES])
+        drawn = vectors @ (np.sqrt(np.maximum(values, 0)) * rng.standard_normal(N_ERROR))
+        drawn += by_bias @ np.concatenate([turned.T @ bias[FORCE], turned.T @ bias[TURN]])
+        to_body = block_diag(np.eye(6), turned, turned, turned)
+        truth = np.concatenate([start.x[: RATE.start], bias])
+        nominal = eskf.inject(ca.DM(truth), ca.DM(-to_body @ drawn))
+        covariance = eskf.packed(ca.DM(to_body @ standing @ to_body.T))
         queue = np.zeros(self.entry_size * self.horizon(start.clock))
         return np.concatenate([ca.vertcat(nominal, covariance).full().ravel(), queue]), self.believed(gravity)
 
@@ -150,6 +163,33 @@ class Navigation(EskfKeys, Effect):
             deviations, told = parameters[told : told + len(aid.deviations)], told + len(aid.deviations)
             found = correction(aid)(fix[0], found, fix[1:], deviations)
         return ca.Function("filter_step", [known, entry, parameters], [found])
+
+
+@cache
+def _standing(filter_: Navigation, gravity: float) -> np.ndarray:
+    """Covariance (15, 15) after `warm_up` at rest, level, body axes along the world's, without outages.
+
+    The biases are constant for that time; the filter's factors are not applied. At most LARGEST_WARM_UP predictions.
+    """
+    sensors = filter_.sensors
+    interval = max(1 / sensors.imu_rate, filter_.warm_up / LARGEST_WARM_UP)
+    densities = imu.densities(sensors)
+    densities[2:] = 0
+    x = np.concatenate([np.zeros(3), [1], np.zeros(9)])
+    reading, parameters = [0, 0, gravity, 0, 0, 0], np.concatenate([[gravity], densities])
+    fixes = [aid.measure(ca.DM(x), ca.DM.zeros(aid.noise), ca.DM(aid.deviations)) for aid in sensors.aids]
+    first = ca.diag(ca.DM(filter_.first_deviations(gravity) ** 2))
+    known = ca.vertcat(x, ca.DM.zeros(N_NOMINAL - len(x)), eskf.packed(ca.densify(first)))
+    predict, corrections = prediction(), [correction(aid) for aid in sensors.aids]
+    due = np.zeros(len(sensors.aids))
+    for _ in range(round(filter_.warm_up / interval)):
+        known = predict(known, reading, interval, parameters)
+        for i, aid in enumerate(sensors.aids):
+            due[i] += aid.rate * interval
+            if due[i] >= 1:
+                due[i] %= 1
+                known = corrections[i](1, known, fixes[i], aid.deviations)
+    return np.array(eskf.unpacked(known[N_NOMINAL:]).full())
 
 
 def prediction() -> ca.Function:

@@ -16,7 +16,7 @@ import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise
-from quadexp.errors import ModelDomainError, QuadexpError
+from quadexp.errors import ModelDomainError, QuadexpError, UsageError
 from quadexp.world.composition import Layout, compose, wind_function
 from quadexp.world.effect import Clock, Effect, Sizes, Start, ordered
 from quadexp.world.integrator import Equations, SimulatedPlant
@@ -69,7 +69,8 @@ class World(SimulatedPlant):
         """
         self.reset()
         clock = self.clock(period)
-        start = Start(np.array(x, float), duration, clock, self.vehicle)
+        begun: dict[str, np.ndarray] = {}
+        start = Start(np.array(x, float), duration, clock, self.vehicle, begun)
         layout = self._layout(clock)
         shares = [Share(rng, layout.airframe.noise)]
         inner, parameters = [self.airframe.inner], []
@@ -78,6 +79,7 @@ class World(SimulatedPlant):
             found = [np.asarray(values, float).ravel() for values in effect.start(stream, start)]
             if [len(values) for values in found] != [sizes.inner, sizes.parameters]:
                 raise QuadexpError(f"{effect.part}: start gives {[len(one) for one in found]} numbers, sizes {sizes}")
+            begun[effect.part] = found[0]
             inner.append(found[0])
             parameters.append(found[1])
             shares.append(Share(stream, sizes.noise, sizes.draws))
@@ -95,6 +97,14 @@ class World(SimulatedPlant):
             self.measured = effect.first(own, self.measured)
         self.inner = np.concatenate([*inner, self._first_wind(start, np.concatenate(inner[1:]))])
         return Streams(shares, clock.steps)
+
+    def require_flight(self) -> None:
+        """See SimulatedPlant."""
+        if not len(self.inner):
+            raise UsageError(
+                "a flight in a world begins with plant.begin(x, period, duration, rng), which returns its noise, for"
+                " plant.advance; plant.measured is what the controller is told"
+            )
 
     def _first_wind(self, start: Start, own: np.ndarray) -> np.ndarray:
         """The wind when the flight begins, but for white noise. own: inner states of the effects."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from quadexp.api.loop import controller
 from quadexp.config.compose import compose, expand
 from quadexp.config.schema import WORLD, world_parts
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_vehicle
 from quadexp.experiment.build_world import build_world
-from quadexp.experiment.evaluate import fly_one
+from quadexp.experiment.evaluate import fly_one, generator
 from quadexp.experiment.identity import flight_entropy, flight_record
 from quadexp.report.margin_line import world_note
 from quadexp.report.metrics import flight_metrics
@@ -141,3 +142,17 @@ def test_a_world_with_another_plant_is_another_world():
         for config in (compose(["controller=perfect_mpc", f"wind={w}"]) for w in ("none", "constant"))
     ]
     assert told[0] is not told[1]
+
+
+def test_a_loop_of_ones_own_in_a_world():
+    """The same flight as `simulate`: what is measured goes to the controller, the noise comes from `begin`."""
+    settings = [*SHORT, "wind=constant", *ESTIMATE]
+    flown = fly_one(compose(settings))
+    loop = controller(*settings)
+    plant, x = loop.plant, loop.start
+    with pytest.raises(UsageError, match=r"^a flight in a world begins with plant\.begin"):
+        plant.advance(x, np.full(4, 2.0), loop.period, np.random.default_rng(0))
+    noise = plant.begin(x, loop.period, 1.0, generator(compose(settings)))
+    for k, t in enumerate(loop.times):
+        assert np.array_equal(x, flown.state[k])
+        x, _ = plant.advance(x, loop.step(plant.measured, t), loop.period, noise)

@@ -69,16 +69,19 @@ class AidedRun:
         backend: str = "interpreted",
     ) -> None:
         self.clock = Clock(period, steps)
-        self.sensors, self.filter = sensors, Navigation(**asdict(settings or EskfKeys())).among([sensors])
+        self.sensors, self.filter = sensors, Navigation(**asdict(settings or EskfKeys(warm_up=0.0))).among([sensors])
         self.behind = self.filter.horizon(self.clock)
         self.function = BufferedFunction(realise(_period(self.sensors, self.filter, self.clock), backend))
 
     def go(self, states: np.ndarray, seed: int = 0, outage: tuple[float, float] = (0.0, 0.0)) -> AidedRun:
         """outage: from when (s) until when no fix gets through."""
         rng, other = np.random.default_rng(seed).spawn(2)
-        f, start = self.function, Start(states[0], 1.0, self.clock, Body())
+        f, begun = self.function, {}
+        start = Start(states[0], 1.0, self.clock, Body(), begun)
         f.arguments["inner"][:], f.arguments["parameters"][:] = self.sensors.start(rng, start)
+        begun["sensor"] = f.arguments["inner"].copy()
         f.arguments["known"][:], f.arguments["believed"][:] = self.filter.start(other, start)
+        self.at_first, self.bias_at_first = f.arguments["known"].copy(), begun["sensor"][:N_BIAS]
         self.first = self.filter.first(f.arguments["known"], states[0])
         rows: dict[str, list[np.ndarray]] = {name: [] for name in ("state", "known", "inner", "specific_force")}
         for k in range(0, len(states) - 1, self.clock.steps):

@@ -253,6 +253,32 @@ def test_at_first_the_errors_are_drawn_from_the_first_covariance():
     assert np.allclose(expected, [0.0085, 0.0085, 0.015, *[0.05] * 3, *[0.05 / GRAVITY] * 2, 0.035])
 
 
+@both_sensors
+def test_after_standing_the_errors_are_those_of_the_covariance(make):
+    """At once, of 100 flights that begin at any heading, with the biases that the sensors have anyway."""
+    run, found = AidedRun(make(), EskfKeys()), []
+    for seed in range(100):
+        states = standing(np.arange(11))
+        states[:, 3:7] = Rotation.from_euler("z", 0.1 * seed).as_quat(scalar_first=True)
+        run.go(states, seed)
+        start = run.at_first
+        e = errors(start[None, :16], states[:1], run.bias_at_first[None])[0]
+        found.append(e @ np.linalg.solve(full(start[None, KNOWN][:, 16:])[0], e))
+    assert_in_band(np.array(found))
+
+
+@both_sensors
+def test_standing_is_what_the_filter_itself_makes_of_standing(make):
+    """The covariance of `warm_up` is that of a run at rest, but for its nominal state, which the noise tilts."""
+    still = {"accelerometer_bias_walk": 0.0, "gyroscope_bias_walk": 0.0}
+    none = {"pose_dropout": 0.0, "pose_delay": 0.0} if make is ImuMocap else {"gnss_dropout": 0.0, "gnss_delay": 0.0}
+    states = standing(np.arange(0, 5 + 1e-9, 1e-3))
+    stood = AidedRun(make(**still, **none)).go(states)
+    at_once = AidedRun(make(**still, **none), EskfKeys(warm_up=5.0)).go(states[:11])
+    first = full(at_once.at_first[None, 16 : KNOWN.stop])[0]
+    assert np.allclose(np.diag(first), np.diag(stood.covariance[-1]), rtol=5e-3, atol=0)
+
+
 def test_the_rates_told_are_without_the_gyroscopes_bias():
     run = AidedRun(ImuMocap(gyroscope_bias_std=0.05)).go(standing(np.arange(0, 3 + 1e-9, 1e-3)), seed=2)
     assert np.abs(run.bias[-1, 3:]).max() > 0.02
