@@ -18,6 +18,7 @@ from quadexp.report.page.provenance import sweep_command
 from quadexp.report.page.source import read_comparison
 from quadexp.report.statistics_file import results_statistics
 from quadexp.report.tables import from_columns, table_of
+from quadexp.report.text import probability
 from tests.report.results import ERRORS, make_results, many_results
 
 BARE = re.compile(r"[\s*()]")  # what is set differently on the page and in the terminal
@@ -184,6 +185,12 @@ def test_the_front_is_nobody_beaten_in_both():
 def test_results_without_a_baseline_or_a_rival(tmp_path, controllers):
     made = make_report(make_results(tmp_path / "few", controllers=controllers, lost=False), tmp_path / "report.html")
     assert all(sentence.endswith(".") and "nan" not in sentence for sentence in made["answer"])
+
+
+def test_the_p_against_the_baseline_is_the_one_of_the_tables(results, made):
+    comparison = read_comparison(results)
+    p = probability(comparison.overall[comparison.lead].p_holm)
+    assert f"against the baseline {p} (paired permutation test, by Holm over" in " ".join(made["note"].split())
 
 
 def test_an_absent_cell_leaves_the_numbers(tmp_path):
