@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from quadexp.learn.checkpoint import load_model
 from quadexp.learn.rows import BATCH, evaluate_rows
 from quadexp.log import store
 from quadexp.log.store import read_table, write_flight
@@ -85,7 +86,6 @@ def test_an_hour_at_250_hz_takes_less_than_a_gigabyte(tmp_path):
     found = {row["axis"]: row for row in rows if row["term"] == "linear"}
     for axis, true in zip("xyz", DRAG, strict=True):
         assert found[axis]["value"] == pytest.approx(true, rel=0.01)
-    curve = json.loads((model / "model.json").read_text())["thrust"]
-    np.testing.assert_allclose(curve["coefficients"], THRUST, rtol=0.02)
+    np.testing.assert_allclose(load_model(model).thrust.coefficients, THRUST, rtol=0.02)
     data = tmp_path / "data.parquet"
     assert used("collect", "--flight", log, "--out", data, f"collect.identified={model}") < MOST
