@@ -40,7 +40,7 @@ DECIDING = (
     "experiment/stability.py",
     "learn/checkpoint.py", "learn/dataset.py", "learn/linear_drag.py",
     "learn/lumped.py", "learn/model.py", "learn/regression.py", "learn/rls.py", "learn/rls_step.py",
-    "learn/samples.py", "learn/support.py", "learn/term_mean.py", "learn/terms.py",
+    "learn/rows.py", "learn/samples.py", "learn/support.py", "learn/term_mean.py", "learn/terms.py",
     "learn/thrust_curve.py", "learn/vehicle_model.py",
     "report/metrics.py",
 )  # fmt: skip

@@ -30,6 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
+from quadexp.learn.rows import evaluate_rows
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_table
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS, VELOCITY, input_columns
@@ -292,7 +293,9 @@ def _predict(vehicle: Vehicle, state: np.ndarray, u: np.ndarray, dt: np.ndarray)
     rigid_body = rigid_body_function(vehicle)
     x, thrust, step = ca.SX.sym("x", state.shape[1]), ca.SX.sym("u", u.shape[1]), ca.SX.sym("dt")
     end = rk4_step(lambda at: rigid_body(at, thrust), x, step)
-    return np.array(ca.Function("step", [x, thrust, step], [end])(state.T, u.T, dt[None, :]).full()).T
+    after = np.empty(state.shape)
+    evaluate_rows(ca.Function("step", [x, thrust, step], [ca.densify(end)]), (state, u, dt[:, None]), after)
+    return after
 
 
 def read_dataset(path: str | Path) -> ResidualDataset:

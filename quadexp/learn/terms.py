@@ -23,11 +23,11 @@ import numpy as np
 
 from quadexp.errors import DataError
 from quadexp.learn.regression import Regression, half_width
+from quadexp.learn.rows import evaluate_rows
 
 AXES = "xyz"
 LINEAR = (("linear", "offset"), ("linear", "offset"), ("linear",))
 QUADRATIC = (("linear", "quadratic", "offset"), ("linear", "quadratic", "offset"), ("thrust", "linear", "quadratic"))
-BATCH = 20_000  # samples evaluated per call
 _ROOT = "1/sqrt(m)"  # (m/s^2) / (m/s sqrt(m/s^2))
 UNITS = {
     "linear": "1/s", "offset": "m/s^2", "quadratic": "1/m", "body": "1/m", "hub": _ROOT, "hub_climb": "1/m",
@@ -61,28 +61,9 @@ def all_columns(
     columns = np.empty((len(velocity), sum(counts)))
     if columns.size:
         function = columns_function(tuple(map(tuple, terms)), rotor_acceleration.shape[1], momentum)
-        _evaluate(function, (velocity, rotor_acceleration), columns)
+        evaluate_rows(function, (velocity, rotor_acceleration), columns)
     ends = np.cumsum(counts)
     return [columns[:, end - count : end] for end, count in zip(ends, counts, strict=True)]
-
-
-def _evaluate(function: Any, arguments: tuple[np.ndarray, ...], result: np.ndarray) -> None:
-    """Write into the rows of `result` what a CasADi function of dense vectors makes of the rows of its arguments.
-
-    Through buffers, batch by batch: conversions to CasADi's matrices would take seven times as long as the evaluation.
-    """
-    batch = min(BATCH, len(result))
-    buffers: list[Any] = [np.zeros((batch, array.shape[1])) for array in (*arguments, result)]
-    handle, evaluate = function.map(batch).buffer()
-    for i, buffer in enumerate(buffers[:-1]):
-        handle.set_arg(i, memoryview(buffer))
-    handle.set_res(0, memoryview(buffers[-1]))
-    for start in range(0, len(result), batch):
-        count = min(batch, len(result) - start)
-        for buffer, array in zip(buffers, arguments, strict=False):
-            buffer[:count] = array[start : start + count]
-        evaluate()
-        result[start : start + count] = buffers[-1][:count]
 
 
 @dataclass(frozen=True)
