@@ -196,7 +196,12 @@ def _simulated_rows(
     """Transitions under the thrusts that the rotors delivered, as far as the flights tell, and how they were found."""
     frame = config.collect.frame
     dataset = residual_dataset(flights, vehicle, frame=frame, names=names)
-    found = _timings(vehicle, flights, dataset) if config.collect.thrust == "delivered" else []
+    worlds = [flight.metadata.get("config") or {} for flight in flights]
+
+    def noise_of(rows: ResidualDataset) -> dict[str, Any] | None:
+        return known_noise(rows, vehicle, worlds, of_estimate=config.collect.state == "estimate")
+
+    found = _timings(vehicle, flights, dataset, noise_of) if config.collect.thrust == "delivered" else []
     extra: dict[str, Any] = {}
     if not all(fit.timing.is_ideal for _, fit in found):
         thrusts = [np.empty(0)] * len(flights)
@@ -205,14 +210,16 @@ def _simulated_rows(
                 thrusts[i] = mean_thrust(flights[i], vehicle, fit.timing)
         dataset = residual_dataset(flights, vehicle, frame=frame, names=names, thrusts=thrusts)
         extra["timing"] = [{"flights": [names[i] for i in own], **fit.as_dict()} for own, fit in found]
-    worlds = [flight.metadata.get("config") or {} for flight in flights]
-    extra["known_noise"] = known_noise(dataset, vehicle, worlds, of_estimate=config.collect.state == "estimate")
+    extra["known_noise"] = noise_of(dataset)
     lines = [f"{_flights(own, flights)}{fit.line}" for own, fit in found] if "timing" in extra else []
     return dataset._replace(metadata={**dataset.metadata, **extra}), lines
 
 
 def _timings(
-    vehicle: Vehicle, flights: Sequence[Flight], commanded: ResidualDataset
+    vehicle: Vehicle,
+    flights: Sequence[Flight],
+    commanded: ResidualDataset,
+    noise_of: Callable[[ResidualDataset], dict[str, Any] | None],
 ) -> list[tuple[list[int], TimingFit]]:
     """Motor lag and delays of every group of flights that has them in common, with the flights' indices."""
     groups: dict[str, list[int]] = {}
@@ -221,7 +228,12 @@ def _timings(
         groups.setdefault(digest({group: world.get(group) for group in OF_TIMING}), []).append(i)
     index = np.asarray(commanded.columns["flight"])
     tables = [commanded.rows(index == i).columns for i in range(len(flights))]
-    return [(own, fit_timing([flights[i] for i in own], vehicle, [tables[i] for i in own])) for own in groups.values()]
+    found = []
+    for own in groups.values():
+        noise = noise_of(commanded.rows(np.isin(index, own)))
+        fit = fit_timing([flights[i] for i in own], vehicle, [tables[i] for i in own], noise=noise)
+        found.append((own, fit))
+    return found
 
 
 def _flights(own: Sequence[int], flights: Sequence[Flight]) -> str:

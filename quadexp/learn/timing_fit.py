@@ -4,7 +4,7 @@ Where rotor speeds were logged, the lag tau and the delay d of commands are thos
 closest to the measured ones, and the delay of the state that with which the residual becomes least. Without rotor
 speeds tau and d are both found by the residual: commands that act late leave part of their changes in it.
 
-    score = sum over a_z, tau_x, tau_y of log(rms of what a regression on simple terms leaves)
+    score = mean over a_z, tau_x, tau_y of log(rms of what a regression on simple terms leaves, beyond known noise)
 
 which does not depend on units. Terms: 1, v, v|v|, and the thrusts' own first and second powers on that axis, so that
 neither drag nor a scale of the thrust is taken for a delay. Of no lag, one of lag and delay, and both, the simplest is
@@ -27,6 +27,8 @@ from quadexp.log.schema import Flight
 from quadexp.physics.state import input_columns
 from quadexp.physics.vehicle import Vehicle
 
+TARGETS = ("a_z", "tau_x", "tau_y")
+INDISTINCT = 0.005  # share of the variance, beside known noise, that tells nothing
 WORTH = 0.05  # mean decrease of log rms from which a lag or a delay is taken to be real
 MEASURED_APART = 0.01  # of the hover thrust, rms, from which measured thrusts are others than the commands
 LARGEST_LAG, LARGEST_DELAY = 0.3, 0.12  # s
@@ -81,12 +83,16 @@ def fit_timing(
     vehicle: Vehicle,
     tables: Sequence[Mapping[str, np.ndarray]],
     *,
+    noise: Mapping[str, float] | None = None,
     use_measured: bool = True,
 ) -> TimingFit:
-    """Timing of flights of one vehicle. tables: `transitions` of each under the commands as thrusts."""
+    """Timing of flights of one vehicle. tables: `transitions` of each under the commands as thrusts.
+
+    noise: known standard deviations of the targets, which no timing can take away; None: not known.
+    """
     rows = [_rows(flight, vehicle, table) for flight, table in zip(flights, tables, strict=True)]
     rows = _some([one for one in rows if len(one.k)])
-    score = _Score(rows, vehicle)
+    score = _Score(rows, vehicle, noise or {})
     before = score.rms(Timing())
     measured = [measured_thrust(one.flight, vehicle) for one in rows] if use_measured else [None]
     if rows and all(thrust is not None for thrust in measured):
@@ -102,7 +108,7 @@ def _rows(flight: Flight, vehicle: Vehicle, table: Mapping[str, np.ndarray]) -> 
     settled = t[k] > t[0] + SETTLING
     u = np.stack([table[name] for name in input_columns(vehicle.n_rotors)], axis=1)
     v = np.stack([table[f"v_{axis}"] for axis in "xyz"], axis=1)
-    target = np.stack([table[name] for name in ("a_z", "tau_x", "tau_y")], axis=1)
+    target = np.stack([table[name] for name in TARGETS], axis=1)
     drag = np.stack([np.ones(len(k)), *v.T, *(v * np.abs(v)).T], axis=1)
     terms = np.repeat(drag[:, None, :], 3, axis=1)
     return _Rows(flight, k[settled], u[settled], target[settled], terms[settled])
@@ -118,8 +124,9 @@ def _some(rows: Sequence[_Rows]) -> list[_Rows]:
 class _Score:
     """What remains of the targets under a timing, after the regression on simple terms."""
 
-    def __init__(self, rows: Sequence[_Rows], vehicle: Vehicle) -> None:
+    def __init__(self, rows: Sequence[_Rows], vehicle: Vehicle, noise: Mapping[str, float]) -> None:
         self._rows, self._vehicle = rows, vehicle
+        self._noise = np.array([noise.get(name, 0.0) for name in TARGETS])
         # Per thrust: acceleration along z, torque about x and y.
         self._effect = np.vstack([np.full(vehicle.n_rotors, 1 / vehicle.mass), vehicle.allocation[1:3]])
         self._target = np.concatenate([one.target for one in rows])
@@ -144,7 +151,9 @@ class _Score:
         return found[0], found[1], found[2]
 
     def __call__(self, timing: Timing) -> float:
-        return float(np.mean(np.log(np.maximum(self.rms(timing), 1e-12))))
+        square = np.square(self.rms(timing))
+        beyond = np.maximum(square - self._noise**2, INDISTINCT * square)
+        return float(np.mean(np.log(np.maximum(beyond, 1e-24)) / 2))
 
 
 def _by_rotor_speed(

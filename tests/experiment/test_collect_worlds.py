@@ -86,7 +86,7 @@ def test_a_sweep_flies_in_its_worlds_in_turn(tmp_path):
     """Each world's timing is found by itself; the paths are those of one world."""
     sweep = ["wind=constant", "wind.velocity=[0,0,0],[4,0,0]", "link=latency", "link.latency=0,0.02"]
     with session() as composer:
-        worlds = [cell.config for cell in composer.expand([*SHORT, *sweep, "collect.duration=20"])]
+        worlds = [cell.config for cell in composer.expand([*SHORT, *sweep, "collect.duration=24"])]
     flights = collect_flights(worlds[0], worlds=worlds)
     wind = [flight["wind_x"][0] if "wind_x" in flight.columns else 0.0 for flight in flights[:4]]
     assert len(flights) >= 4 and wind == [0.0, 0.0, 4.0, 4.0]

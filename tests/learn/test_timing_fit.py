@@ -119,6 +119,20 @@ def test_noise_of_the_estimate_leaves_the_mean_lag(vehicle):
     assert "controller.motor_lag=0.0" in found.line
 
 
+def test_known_noise_lets_a_delay_be_seen_that_it_would_hide(vehicle):
+    """A state 12 ms late under 5 cm/s and .1 rad/s of noise, with rotor speeds: told of the noise, it is found."""
+    vehicle = replace(vehicle, thrust_coefficient=K)
+    told = StatedEstimate(velocity_noise=0.05, rate_noise=0.1, delay=0.012)
+    _, flights = fitted(vehicle, [LAGGING, told], seconds=8.0)
+    tables = [transitions(flight, vehicle) for flight in flights]
+    inertia = np.diag(vehicle.inertia_matrix)
+    noise = {"a_z": np.sqrt(2) * 0.05 / PERIOD} | {
+        f"tau_{axis}": np.sqrt(2) * 0.1 * inertia[i] / PERIOD for i, axis in enumerate("xy")
+    }
+    found = fit_timing(flights, vehicle, tables, noise=noise).timing
+    assert found.measured and found.state_delay == pytest.approx(0.012, abs=0.004)
+
+
 def test_the_delivered_thrust_takes_the_lag_out_of_the_target(vehicle):
     """a_z of the data set less the plant's own equations: noise of the plant, where the commands left metres a second
     squared; the first rows, which a late state does not cover, are left out."""
