@@ -32,7 +32,7 @@ _VERSION = {"version_base": "1.3"} if hydra.__version__.startswith("1.3.") else 
 
 def composed_files(name: str, chosen: Sequence[str], folders: Sequence[Path]) -> dict[str, Any]:
     """What a file and a choice of options (GROUP=OPTION each) make together. folders: conf/, then others to search."""
-    _register()
+    register_schemas()
     own = ",".join(quoted(f"file://{folder}") for folder in folders[1:])
     GlobalHydra.instance().clear()
     with _one_line(), hydra.initialize_config_dir(str(conf_folder()), **_VERSION):
@@ -85,7 +85,8 @@ def _required(schema: type) -> dict[str, Any]:
 
 
 @functools.cache
-def _register() -> None:
+def register_schemas() -> None:
+    """Make the schemas known to Hydra."""
     for group, schemas in SCHEMAS.items():
         for name, schema in schemas.items():
             only = {one.name: one.words[0] for one in declared(schema).values() if len(one.words) == 1}

@@ -12,6 +12,7 @@ from omegaconf import OmegaConf
 
 from quadexp.config.completion import groups
 from quadexp.config.compose import compose, expand, session
+from quadexp.config.hydra_files import register_schemas
 from quadexp.config.schema import SCHEMAS, EvaluateConfig, conf_folder
 from quadexp.config.settings import plain, record
 from quadexp.errors import UsageError
@@ -38,6 +39,7 @@ def hydra_composes(overrides):
         nested = {k: over(v, content.get(k, {})) for k, v in defaults.items() if isinstance(v, dict)}
         return defaults | content | nested
 
+    register_schemas()
     with session(), hydra.initialize_config_dir(str(conf_folder()), version_base="1.3"):
         options = groups()  # a value that no file states is added, because defaults are the schemas'
         given = [text if text.partition("=")[0] in options else f"++{text}" for text in overrides]

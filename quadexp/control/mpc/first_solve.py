@@ -24,7 +24,8 @@ from quadexp.compile.backend import BufferedFunction
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.attitude_error import attitude_error_in, reference_frames
 from quadexp.control.mpc.prediction import node_function
-from quadexp.control.mpc.reference_thrust import SAMPLES, held_deviation
+from quadexp.control.mpc.reference_thrust import held_deviation
+from quadexp.control.mpc.settings import SAMPLES
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 

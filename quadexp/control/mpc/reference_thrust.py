@@ -20,10 +20,9 @@ from typing import NamedTuple
 
 import casadi as ca
 
+from quadexp.control.mpc.settings import SAMPLES
 from quadexp.physics.expression import Expression
 from quadexp.physics.scalars import as_scalars
-
-SAMPLES = 2  # of the reference in a node: its start and its middle
 
 
 class HeldDeviation(NamedTuple):

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from quadexp.config.flight import MPCKeys
-from quadexp.control.mpc.reference_thrust import SAMPLES
 from quadexp.errors import UsageError
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
+
+SAMPLES = 2  # of the reference in a node, where its thrust within nodes counts: the start and the middle
 
 
 @dataclass(frozen=True)

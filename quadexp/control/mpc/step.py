@@ -21,8 +21,9 @@ import casadi as ca
 
 from quadexp.air.base import Residual
 from quadexp.control.mpc.attitude_error import AttitudeError, attitude_error_in, reference_frames
-from quadexp.control.mpc.reference_thrust import SAMPLES, held_deviation
+from quadexp.control.mpc.reference_thrust import held_deviation
 from quadexp.control.mpc.riccati import CompiledPasses, MatrixPasses, Passes
+from quadexp.control.mpc.settings import SAMPLES
 from quadexp.control.mpc.subproblem import backward_pass, forward_pass, input_gradient
 from quadexp.physics.expression import Expression
 from quadexp.physics.sensitivity import rk4_sensitivity_function
