@@ -44,6 +44,15 @@ def flown(controller: str, trajectory: str, speed: float, seed: int, lost: bool)
     return Flight(columns, {**flight.metadata, "config": config, "model": "", **about, **outcome})
 
 
+def weather(flight):
+    """Wind along x and its gusts, a late estimate, a battery, four rotors, each of them known."""
+    t = flight.t
+    wind = {"wind_x": 3 + np.sin(4 * t), "wind_y": 0.3 * np.cos(t), "wind_z": np.zeros_like(t)}
+    told = {f"est_p_{i}": np.interp(t - 0.1, t, flight[f"p_{i}"]) for i in "xyz"}
+    battery = {"battery_voltage": 16 - 0.2 * t, "battery_current": 10 + t, "state_of_charge": 1 - 0.1 * t}
+    return wind | told | battery | {f"rotor_speed_{n}": 500 + 10 * n + 5 * t for n in range(4)}
+
+
 def make_results(
     root: Path, *, controllers: tuple[str, ...] = tuple(ERRORS), lost: bool = True,
     world: str = "clean", beside: Callable[[Flight], dict[str, np.ndarray]] = lambda _: {},
