@@ -22,6 +22,7 @@ from quadexp.report.page import palette
 from quadexp.report.page.answer import answer
 from quadexp.report.page.drawing import MAX_COURSES, PageFigures, draw_page, draw_paper
 from quadexp.report.page.panels import courses
+from quadexp.report.page.power import MAX_FLIGHTS
 from quadexp.report.page.provenance import origin, portable
 from quadexp.report.page.replay import BUDGET, MAX_TRACKS, Case, choose_cases, pack_replay
 from quadexp.report.page.sections import scoreboard, tables, worst, worst_rows
@@ -139,6 +140,8 @@ def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[st
         "speed_labels": drawn.speed_labels,
         "pareto": drawn.pareto,
         "pareto_lines": _pareto_lines(comparison, drawn),
+        "power": drawn.power,
+        "most_powered": MAX_FLIGHTS,
         "fits": drawn.fits,
         "estimates": drawn.estimates,
         "flights": len(comparison.rows),
@@ -153,6 +156,7 @@ def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[st
         numbers = [{**table, "lines": table["lines"][: extent.lines]} for table in every[: extent.metrics]]
         carried = downloads if extent.carries_data else []
         left_out = _left_out(comparison, packed, kept, every, numbers, carried)
+        left_out += [f"battery and rotors of {drawn.power_left} more worlds"] if drawn.power_left else []
         page = template.render(
             content,
             reduced=extent != EXTENTS[0],
@@ -160,6 +164,8 @@ def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[st
             sections=_sections(drawn, bool(packed)),
             tables=numbers,
             replay=bool(packed),
+            winds=any("wind" in track for case in packed for track in case["tracks"]),
+            told=any("estimate" in track for case in packed for track in case["tracks"]),
             replay_json=json.dumps(packed, separators=(",", ":")).replace("<", "\\u003c"),
             worst=worst(comparison, bad, {case: i for i, case in enumerate(kept)}),
             downloads=carried,
@@ -211,6 +217,7 @@ def _sections(drawn: PageFigures, replay: bool) -> list[tuple[str, str]]:
         ("tables", "Numbers", True),
         ("speed", "Speed", bool(drawn.speed)),
         ("time", "Time", bool(drawn.pareto)),
+        ("power", "Power", bool(drawn.power)),
         ("learned", "Learned", bool(drawn.fits or drawn.estimates)),
         ("worst", "Worst", True),
         ("provenance", "Provenance", True),
