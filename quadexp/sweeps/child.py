@@ -15,9 +15,11 @@ import resource
 import signal
 import sys
 import time
-from collections.abc import Sequence
-from concurrent.futures import Future, TimeoutError, wait
+from collections.abc import Iterable, Sequence
+from concurrent.futures import CancelledError, Future, InvalidStateError, TimeoutError, wait
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
+from typing import Any
 
 from pebble import ProcessExpired, ProcessPool
 from pebble.pool.base_pool import Task
@@ -29,7 +31,8 @@ from quadexp.provenance import identity, package_folder
 from quadexp.sweeps.server import PATH, start_server, undisturbed
 
 STARTING = 60.0  # s to wait for the first process of a pool
-GONE = (ProcessExpired, TimeoutError)  # exceptions of a call whose process died or took too long
+# Exceptions of a call whose process died or took too long, or whose pool was given up.
+GONE = (ProcessExpired, TimeoutError, BrokenProcessPool, CancelledError)
 _SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
 
 
@@ -61,6 +64,15 @@ def start_pool(
             pool.join()
         raise
     return pool
+
+
+def stop_pool(pool: ProcessPool, under_way: Iterable[Future[Any]]) -> None:
+    """End a pool with whatever it does. Calls under way raise CancelledError: a stopped pool leaves them pending."""
+    pool.stop()
+    pool.join()
+    for future in under_way:
+        with contextlib.suppress(InvalidStateError):  # it has ended
+            future.set_exception(CancelledError("its processes were stopped"))
 
 
 def _check_program(asked: Future[dict[str, str]]) -> None:
@@ -117,6 +129,8 @@ def cause(error: BaseException, timeout: float | None) -> str:
     """One line for a call that has no result."""
     if isinstance(error, TimeoutError):
         return f"took longer than {timeout:g} s"
+    if isinstance(error, (BrokenProcessPool, CancelledError)):
+        return "its process died"
     if isinstance(error, ProcessExpired):
         return f"its process died (exit code {error.exitcode})"
     if isinstance(error, MemoryError):

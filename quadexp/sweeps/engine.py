@@ -18,11 +18,12 @@ from pebble import ProcessPool
 from quadexp.config.schema import Config
 from quadexp.errors import stops_all
 from quadexp.experiment.build import ModelFile
-from quadexp.sweeps.child import GONE, cause, start_pool
+from quadexp.sweeps.child import GONE, cause, start_pool, stop_pool
 from quadexp.sweeps.server import PRELOAD, without_main
 
 ATTEMPTS = 2  # for a cell whose process died or took too long
 QUEUED = 4  # cells handed out per worker, so that no worker waits
+CHECKED = 1.0  # s between checks of the pool
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,7 @@ class Workers:
     ) -> None:
         self._most, self._memory, self._preload, self._calls = workers or default_workers(), memory, preload, calls
         self._pool: ProcessPool | None = None
+        self._under_way: set[Future[Any]] = set()
         self._hidden = contextlib.ExitStack()
 
     def __enter__(self) -> Workers:
@@ -105,11 +107,11 @@ class Workers:
         self._hidden.close()
 
     def stop(self) -> None:
-        """End the processes, with whatever they are doing."""
+        """End the processes, with whatever they are doing; see stop_pool."""
         pool, self._pool = self._pool, None
         if pool is not None:
-            pool.stop()
-            pool.join()
+            stop_pool(pool, self._under_way)
+        self._under_way.clear()
 
     def call(
         self, function: Callable[..., Any], *arguments: Any, timeout: float | None = None, calls: int = 1
@@ -118,11 +120,18 @@ class Workers:
 
         Raises QuadexpError where the processes import another quadexp than this one.
         """
+        self._check()
         if self._pool is None:
             preload = [*self._preload, function.__module__]
             self._pool = start_pool(min(self._most, max(calls, self._calls)), self._memory, preload)
         found: Future[Any] = self._pool.schedule(function, args=arguments, timeout=timeout)
+        self._under_way.add(found)
         return found
+
+    def _check(self) -> None:
+        """Give up a pool that does not work any more: a thread of it ends where the server dies while it forks."""
+        if self._pool is not None and not self._pool.active:
+            self.stop()
 
     def run(
         self, function: Callable[..., Any], jobs: Mapping[str, tuple[Any, ...]], *, timeout: float | None = None
@@ -140,7 +149,11 @@ class Workers:
                 while waiting and len(running) < QUEUED * min(self._most, len(jobs)):
                     job = waiting.pop()
                     running[self.call(function, *job[1], timeout=timeout, calls=len(jobs))] = job
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                ended = wait(running, timeout=CHECKED, return_when=FIRST_COMPLETED).done
+                if not ended:
+                    self._check()
+                self._under_way -= ended
+                for future in ended:
                     key, arguments, attempts = running.pop(future)
                     try:
                         yield key, future.result()
