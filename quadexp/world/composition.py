@@ -82,7 +82,8 @@ def compose(
 
     sizes = [N_STATE, rest.numel(), parts.size(parts.moving), WIND, n, 3]
     x_next, rest, moved, wind, thrusts, pushed = ca.vertsplit(states[:, -1], [0, *accumulate(sizes)])
-    own = ca.vertcat(parts.assembled(moved, own), measuring)
+    own = parts.ending()(time + clock.period, x_next, parts.assembled(moved, own), known, step)
+    own = ca.vertcat(own, measuring)
     if equations.end:
         held = equations.command(thrusts, theta) if equations.command else thrusts
         s = ca.vertcat(_seen_from_the_air(x_next, wind), rest)
@@ -186,6 +187,17 @@ class _Parts:
             for effect, at in zip(self._effects, moments, strict=True)
         ]
         return self._function("begun", symbols, [ca.vertcat(*found)])
+
+    def ending(self) -> ca.Function:
+        """(t, x, own, parameters, step) -> own at the end of a period, before anything is measured."""
+        symbols = self._symbols("t", "x", "own", "parameters", "step")
+        t, x, own, parameters, step = symbols
+        moments = self._moments(t=t, x=x, own=own, parameters=parameters, step=step)
+        found = [
+            effect.end(at) if effect.has("end") else at.inner
+            for effect, at in zip(self._effects, moments, strict=True)
+        ]
+        return self._function("ending", symbols, [ca.vertcat(*found)])
 
     def drive(self) -> ca.Function:
         """(t, x, own, u, noise, parameters, step) -> wind (3,), thrusts (n,), force (3,) world, torque (3,) body."""

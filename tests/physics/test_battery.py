@@ -34,11 +34,11 @@ def solved(u, E, guess=None, *, exponent=2.0, reference=16.0, compensation=False
             return compensated_thrust(ca.DM(u), ratio, exponent, thrust_max)
         return sagging_thrust(ca.DM(u), ratio, exponent)
 
-    def power_of(thrust):
-        return ca.sum1(rotor_power(thrust, HOVER, POWER)) + electronics
+    def power_at(voltage):
+        return ca.sum1(rotor_power(thrust_at(voltage), HOVER, POWER)) + electronics
 
     V = ca.SX.sym("guess")
-    point = ca.Function("point", [V], operating_point(ca.SX(E), ca.SX(R0), V, thrust_at, power_of))
+    point = ca.Function("point", [V], operating_point(ca.SX(E), ca.SX(R0), V, thrust_at, power_at))
     voltage = E if guess is None else guess
     for _ in range(20):
         voltage, current, thrust = (value.full().ravel() for value in point(voltage))
