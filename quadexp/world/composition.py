@@ -76,8 +76,10 @@ def compose(
         rest = inner_a
     state = ca.vertcat(x, rest, parts.chosen(own, parts.moving), ca.MX.zeros(WIND + n + 3))
     times = time + step * ca.DM(range(steps)).T
-    again = [ca.repmat(value, 1, steps) for value in (parts.chosen(own, parts.still), u, known, step)]
-    found = parts.step().mapaccum(steps)(state, times, *again[:2], acting, *again[2:])
+    one, used = _trimmed(parts.step())
+    still = parts.chosen(own, parts.still)[used["still"]]
+    again = [ca.repmat(value, 1, steps) for value in (still, u, known[used["parameters"]], step)]
+    found = one.mapaccum(steps)(state, times, *again[:2], acting, *again[2:])
     states, *kept = found if isinstance(found, tuple) else (found,)
 
     sizes = [N_STATE, rest.numel(), parts.size(parts.moving), WIND, n, 3]
@@ -105,6 +107,24 @@ def compose(
     arguments = [x, inner, u, noise, parameters, step, draws, time]
     name = "_".join([equations.step.name(), *(effect.part for effect in effects)])
     return ca.Function(f"{name}_period", arguments, [*results, *kept], WORLD_INPUTS, [*WORLD_OUTPUTS, *names])
+
+
+def _trimmed(step: ca.Function) -> tuple[ca.Function, dict[str, list[int]]]:
+    """A step without the entries of `still` and `parameters` that it does not use, and those that it does.
+
+    They are copied for every step, which costs more than many an effect.
+    """
+    places = {"still": 2, "parameters": 5}
+    used = {name: [*range(step.size1_in(i))] for name, i in places.items()}
+    if not step.is_a("SXFunction"):
+        return step, used
+    given = step.sx_in()
+    results = step.call(given)
+    for name, i in places.items():
+        needed = ca.which_depends(ca.vertcat(*map(ca.vec, results)), given[i], 1, False) if used[name] else []
+        used[name] = [place for place, one in enumerate(needed) if one]
+        given[i] = given[i][used[name]]
+    return ca.Function(step.name(), given, results), used
 
 
 def wind_function(equations: Equations, effects: Sequence[Effect], layout: Layout, vehicle: Vehicle) -> ca.Function:
