@@ -55,14 +55,16 @@ def propagate(
     p, q, v = nominal[POSITION], nominal[ATTITUDE], nominal[VELOCITY]
     u = (reading[:3] - nominal[ACCELEROMETER_BIAS]) * duration
     phi = (reading[3:] - nominal[GYROSCOPE_BIAS]) * duration
-    middle = rotation_matrix(product(q, exponential(phi / 2)))
+    half = exponential(phi / 2)
+    turned_half = product(q, half)
+    middle = rotation_matrix(turned_half)
     pushed = ca.mtimes(middle, u)
     gained = pushed + ca.vertcat(0, 0, -gravity * duration)
-    after = ca.vertcat(p + duration * v + duration / 2 * gained, product(q, exponential(phi)), v + gained)
+    after = ca.vertcat(p + duration * v + duration / 2 * gained, product(turned_half, half), v + gained)
 
     by_attitude = -ca.mtimes(cross_matrix(pushed), rotation_matrix(q))
     by_gyroscope = ca.mtimes([middle, cross_matrix(u), right_jacobian(phi / 2)]) * (duration / 2)
-    turn, turn_by_gyroscope = rotation_matrix(exponential(phi)).T, -right_jacobian(phi) * duration
+    turn, turn_by_gyroscope = rotation_matrix(product(half, half)).T, -right_jacobian(phi) * duration
 
     def transition(d: Expression) -> Expression:
         dp, dv, turned, of_force, of_rate = ca.vertsplit(d, PARTS)

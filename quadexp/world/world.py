@@ -49,6 +49,7 @@ class World(SimulatedPlant):
         self._believed: Any = believed or airframe  # a Plant too
         self._made: dict[Clock, _Prepared] = {}
         self._winds: dict[Clock, ca.Function] = {}
+        self._layouts: dict[Clock, Layout] = {}
         self._own_parameters, self._rotors = np.empty(0), list[int]()
         self._shares: list[tuple[Effect, slice, slice]] = []  # of the inner states, and of the effects' parameters
         rough = any(effect.has("wind") or effect.has("thrusts") for effect in self.effects)
@@ -120,9 +121,12 @@ class World(SimulatedPlant):
         return Clock(period, self.steps(period))
 
     def _layout(self, clock: Clock) -> Layout:
-        step = self.equations.step
-        airframe = Sizes(self.equations.inner_size, step.size1_in(3), step.size1_in(2))
-        return Layout(airframe, tuple(effect.sizes(clock, self.vehicle) for effect in self.effects))
+        if clock not in self._layouts:
+            step = self.equations.step
+            airframe = Sizes(self.equations.inner_size, step.size1_in(3), step.size1_in(2))
+            effects = tuple(effect.sizes(clock, self.vehicle) for effect in self.effects)
+            self._layouts[clock] = Layout(airframe, effects)
+        return self._layouts[clock]
 
     # ------------------------------------------------------------------------------------------------------- one period
     def prepared(self, duration: float) -> BufferedFunction:
