@@ -33,6 +33,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -46,6 +47,7 @@ from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
 
 FOOT = 0.3048  # m
 N_FILTER, N_NOISE = 5, 5  # states [along z_1; across z_1, z_2; vertical z_1, z_2], and numbers per step
+N_PARAMETERS = 21
 TRANSVERSE = (math.sqrt(1.5), (1 - math.sqrt(3)) / math.sqrt(2))  # of z_1 and z_2
 HELD = 5e-3  # s, for which a wind is held at most
 SHARE, PASSING = 0.1, 20.0  # and at most this share of L / V, at this airspeed (m/s) where V is the vehicle's own
@@ -114,7 +116,7 @@ class Dryden(DrydenKeys, Effect):
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
         """See Effect.sizes."""
         count = self.winds(clock)
-        return Sizes(inner=N_FILTER + 4 * count, parameters=21, draws=N_NOISE * count)
+        return Sizes(inner=N_FILTER + 4 * count, parameters=N_PARAMETERS, draws=N_NOISE * count)
 
     def winds(self, clock: Clock) -> int:
         """How many winds there are in a control period, k; not more than integration steps."""
@@ -136,7 +138,7 @@ class Dryden(DrydenKeys, Effect):
             [mean, axes(mean).ravel(order="F"), intensity, self._lengths(), speeds, held]
         )
         filters = stationary(rng.standard_normal(N_NOISE))
-        first = np.array(_velocity(ca.DM(filters), ca.DM(parameters))).ravel()
+        first = _blown()(filters, parameters).full().ravel()
         return np.concatenate([filters, np.tile(first, count), np.zeros(count)]), parameters
 
     def begin(self, at: Moment) -> Expression:
@@ -158,6 +160,12 @@ class Dryden(DrydenKeys, Effect):
         for i in range(1, count):
             found = ca.if_else(at.t >= times[i] - IN_TIME, winds[3 * i : 3 * i + 3], found)
         return found
+
+
+@cache
+def _blown() -> ca.Function:
+    filters, parameters = ca.SX.sym("filters", N_FILTER), ca.SX.sym("parameters", N_PARAMETERS)
+    return ca.Function("blown", [filters, parameters], [_velocity(filters, parameters)])
 
 
 def _velocity(filters: Expression, parameters: Expression) -> Expression:

@@ -116,10 +116,9 @@ class Navigation(EskfKeys, Effect):
         drawn += by_bias @ np.concatenate([turned.T @ bias[FORCE], turned.T @ bias[TURN]])
         to_body = block_diag(np.eye(6), turned, turned, turned)
         truth = np.concatenate([start.x[: RATE.start], bias])
-        nominal = eskf.inject(ca.DM(truth), ca.DM(-to_body @ drawn))
-        covariance = eskf.packed(ca.DM(to_body @ standing @ to_body.T))
+        known = _off_by()(truth, -to_body @ drawn, to_body @ standing @ to_body.T)
         queue = np.zeros(self.entry_size * self.horizon(start.clock))
-        return np.concatenate([ca.vertcat(nominal, covariance).full().ravel(), queue]), self.believed(gravity)
+        return np.concatenate([known.full().ravel(), queue]), self.believed(gravity)
 
     def first(self, inner: np.ndarray, state: np.ndarray) -> np.ndarray:
         """See Effect."""
@@ -190,6 +189,15 @@ def _standing(filter_: Navigation, gravity: float) -> np.ndarray:
                 due[i] %= 1
                 known = corrections[i](1, known, fixes[i], aid.deviations)
     return np.array(eskf.unpacked(known[N_NOMINAL:]).full())
+
+
+@cache
+def _off_by() -> ca.Function:
+    """(nominal state, an error (15,), covariance (15, 15)) -> [nominal state with the error added, covariance]."""
+    nominal, d = ca.SX.sym("nominal", N_NOMINAL), ca.SX.sym("d", N_ERROR)
+    covariance = ca.SX.sym("covariance", N_ERROR, N_ERROR)
+    found = ca.vertcat(eskf.inject(nominal, d), eskf.packed(covariance))
+    return ca.Function("off_by", [nominal, d, covariance], [found])
 
 
 def prediction() -> ca.Function:
