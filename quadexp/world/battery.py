@@ -43,8 +43,8 @@ from quadexp.world.rotor_columns import first_rotor_column, rotor_column, rotor_
 CHARGE, RC_VOLTAGE, VOLTAGE, CURRENT = range(4)
 STATES, TANGENT = 4, 2
 PARAMETERS = (
-    "cells", "capacity", "resistance", "rc_resistance", "rc_decay", "rc_share", "per_reference", "hover_thrust",
-    "hover_power", "electronics", "thrust_max", "power_max", "cutoff", "rotor_column_factor",
+    "cells", "capacity", "resistance", "rc_resistance", "rc_decay", "rc_share", "per_reference", "power_of_a_newton",
+    "electronics", "thrust_max", "power_max", "cutoff", "rotor_column_factor",
 )  # fmt: skip
 
 
@@ -70,15 +70,15 @@ class Battery(BatteryKeys, Effect):
                 f" most, hovering takes {needed:.0f} W"
             )
         hovering = (source + math.sqrt(source**2 - 4 * self.resistance * needed)) / 2
-        hover_power, step = power / vehicle.n_rotors, start.clock.step
+        step, rotor = start.clock.step, (vehicle.hover_thrust, power / vehicle.n_rotors)
         values = {
             "cells": self.cells, "capacity": self.capacity, "resistance": self.resistance,
             "rc_resistance": self.rc_resistance, "rc_decay": math.exp(-step / self.rc_time_constant),
             "rc_share": float(mean_share(self.rc_time_constant, step)),
             "per_reference": 1 / (self.reference_voltage or hovering),
-            "hover_thrust": vehicle.hover_thrust, "hover_power": hover_power,
+            "power_of_a_newton": float(rotor_power(1.0, *rotor)),
             "electronics": self.electronics, "thrust_max": vehicle.thrust_max,
-            "power_max": float(rotor_power(vehicle.thrust_max, vehicle.hover_thrust, hover_power)),
+            "power_max": float(rotor_power(vehicle.thrust_max, *rotor)),
             "cutoff": self.cutoff_voltage * self.cells, "rotor_column_factor": rotor_column_factor(vehicle),
         }  # fmt: skip
         inner = [self.state_of_charge, 0.0, hovering, needed / hovering, *first_rotor_column(vehicle), 0.0, 0.0]
@@ -133,7 +133,7 @@ class Battery(BatteryKeys, Effect):
     def _point(self, at: Moment) -> OperatingPoint:
         """Voltage, current and thrusts during the step."""
         p = self._named(at)
-        commanded = rotor_power(at.command, p["hover_thrust"], p["hover_power"])
+        commanded = rotor_power(at.command, 1, p["power_of_a_newton"])
 
         def thrust_at(voltage: Expression) -> Expression:
             ratio = voltage * p["per_reference"]
