@@ -23,7 +23,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from quadexp.config.sensing import EskfKeys
@@ -33,7 +32,7 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.world import eskf, imu
 from quadexp.world.aid import Aid
 from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
-from quadexp.world.eskf import D_ATTITUDE, GYROSCOPE_BIAS, N_COVARIANCE, N_ERROR, N_NOMINAL
+from quadexp.world.eskf import D_ATTITUDE, GYROSCOPE_BIAS, N_COVARIANCE, N_ERROR, N_NOMINAL, PLACES
 from quadexp.world.imu import FORCE, N_BIAS, N_DENSITIES, N_READING, TURN
 from quadexp.world.inertial import BIAS_COLUMNS, InertialSensors
 
@@ -114,7 +113,9 @@ class Navigation(EskfKeys, Effect):
         values, vectors = np.linalg.eigh(standing - by_bias @ standing[BIASES])
         drawn = vectors @ (np.sqrt(np.maximum(values, 0)) * rng.standard_normal(N_ERROR))
         drawn += by_bias @ np.concatenate([turned.T @ bias[FORCE], turned.T @ bias[TURN]])
-        to_body = block_diag(np.eye(6), turned, turned, turned)
+        to_body = np.eye(N_ERROR)
+        for place in PLACES[2:]:
+            to_body[np.ix_(place, place)] = turned
         truth = np.concatenate([start.x[: RATE.start], bias])
         known = _off_by()(truth, -to_body @ drawn, to_body @ standing @ to_body.T)
         queue = np.zeros(self.entry_size * self.horizon(start.clock))
