@@ -28,6 +28,7 @@ from quadexp.world.integrator import INPUTS, OUTPUTS, Equations
 
 WORLD_INPUTS = (*INPUTS, "draws", "time")
 WORLD_OUTPUTS = (*OUTPUTS, "measured")
+WRITTEN_OUT = 100  # integration steps of a control period that are not a loop
 WIND = 3  # inner states at the end: the wind of the last step, world (m/s)
 
 
@@ -78,9 +79,7 @@ def compose(
     times = time + step * ca.DM(range(steps)).T
     one, used = _trimmed(parts.step())
     still = parts.chosen(own, parts.still)[used["still"]]
-    again = [ca.repmat(value, 1, steps) for value in (still, u, known[used["parameters"]], step)]
-    found = one.mapaccum(steps)(state, times, *again[:2], acting, *again[2:])
-    states, *kept = found if isinstance(found, tuple) else (found,)
+    states, *kept = _repeated(one, steps, state, times, acting, (still, u, known[used["parameters"]], step))
 
     sizes = [N_STATE, rest.numel(), parts.size(parts.moving), WIND, n, 3]
     x_next, rest, moved, wind, thrusts, pushed = ca.vertsplit(states[:, -1], [0, *accumulate(sizes)])
@@ -107,6 +106,23 @@ def compose(
     arguments = [x, inner, u, noise, parameters, step, draws, time]
     name = "_".join([equations.step.name(), *(effect.part for effect in effects)])
     return ca.Function(f"{name}_period", arguments, [*results, *kept], WORLD_INPUTS, [*WORLD_OUTPUTS, *names])
+
+
+def _repeated(one: ca.Function, steps: int, state: ca.MX, times: ca.MX, noise: ca.MX, held: Any) -> list[ca.MX]:
+    """Results of all steps, column by column. held: still, u, parameters and step, the same for every step.
+
+    Written out, a call a step, what is held is read where it is; a loop needs a copy of it for every step.
+    """
+    if steps > WRITTEN_OUT:
+        again = [ca.repmat(value, 1, steps) for value in held]
+        found = one.mapaccum(steps)(state, times, *again[:2], noise, *again[2:])
+        return list(found) if isinstance(found, tuple) else [found]
+    columns = list[list[ca.MX]]()
+    for i in range(steps):
+        found = one(state, times[i], *held[:2], noise[:, i], *held[2:])
+        columns.append(list(found) if isinstance(found, tuple) else [found])
+        state = columns[-1][0]
+    return [ca.horzcat(*each) for each in zip(*columns, strict=True)]
 
 
 def _trimmed(step: ca.Function) -> tuple[ca.Function, dict[str, list[int]]]:
