@@ -14,7 +14,7 @@ and what the rotors make of it:
 E(z): Chen & Rincon-Mora 2006, "Accurate electrical battery model capable of predicting runtime and I-V performance",
 equation (2), a polymer lithium-ion cell; circuit: there, with one of its two RC pairs. Power: actuator disc, P ~
 T^(3/2). Thrust and power depend on V and V on the power; `operating_point` solves that by Halley's method. With
-T_i = u_i r^k the power of the rotors is r^(3k/2) times that of the commands, so that no power of a thrust is taken there.
+T_i = u_i r^k the rotors' power is r^(3k/2) times that of the commands, so that no power of a thrust is taken there.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def compensated_thrust(
 
 
 def compensated_power(power: Expression, ratio: Expression, exponent: Exponent, power_max: Expression) -> Expression:
-    """Power of all rotors (W) at the compensated thrust; power: of every command, (n,); power_max: of thrust_max (W)."""
+    """Power of all rotors (W) at the compensated thrust; power: of every command, (n,); power_max: of thrust_max."""
     return ca.sum1(ca.fmin(power, power_max * _power(ratio, 1.5 * exponent)))
 
 

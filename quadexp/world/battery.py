@@ -1,9 +1,9 @@
 """A battery that the rotors draw from, and the thrust that its voltage leaves them; equations: quadexp.physics.battery.
 
 Within an integration step the current is held, the RC pair and the charge are advanced exactly, and the voltage is its
-mean, so that energy is in balance. Over a control period E follows its tangent at the period's first state of charge:
-in 20 ms a battery that lasts 20 s loses 0.1 % of its charge, and the tangent leaves E by some 1e-6 V (near the end of the
-charge, where E bends, 1e-3 V). The flight is over when the battery is empty, or its voltage below the cut-off.
+mean, so that energy is in balance. Over a control period E follows its tangent at the charge of the beginning: in 20 ms
+a battery that lasts 20 s loses 0.1 % of its charge, and E is off by some 1e-6 V (1e-3 V in the last percents of the
+charge, where it bends). The flight is over when the battery is empty, or its voltage below the cut-off.
 
 Inner states: state of charge, V_1, voltage (V), current (A), then of the rotors (n,) their thrusts, and at the end of a
 period what is logged, see rotor_columns.py; then a and b of the tangent a + b z. Parameters: see `PARAMETERS`.

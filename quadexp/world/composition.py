@@ -230,8 +230,7 @@ class _Parts:
         t, x, own, parameters, step = symbols
         moments = self._moments(t=t, x=x, own=own, parameters=parameters, step=step)
         found = [
-            effect.end(at) if effect.has("end") else at.inner
-            for effect, at in zip(self._effects, moments, strict=True)
+            effect.end(at) if effect.has("end") else at.inner for effect, at in zip(self._effects, moments, strict=True)
         ]
         return self._function("ending", symbols, [ca.vertcat(*found)])
 

@@ -18,10 +18,10 @@ Axes, fixed in the world for a flight: "along" is the horizontal direction of th
 none), "across" is horizontal and 90 degrees to the left of it, "vertical" is up. The air is frozen while the vehicle
 passes at the airspeed V.
 
-The filters are advanced every 5 ms, or more often where the turbulence is finer, and their wind is held in between; V
-is that of the beginning of the control period. Held values keep the intensity to the last digit. What they change lies at
-200 Hz and beyond: with T = .3 s (6 m at 20 m/s) the spectrum's corner is at .5 Hz, and a vehicle follows the air by its
-drag, within about a second.
+The filters are advanced every 5 ms, or more often where the turbulence is finer, and their wind is held in between;
+V is that of the beginning of the control period. Held values have the asked intensity exactly. What holding changes
+lies near 200 Hz and beyond: with T = 0.3 s (6 m at 20 m/s) the corner of the spectrum is at 0.5 Hz, and a vehicle
+follows the air through its drag, within about a second.
 
 Scale lengths and intensities at the altitude h, both in feet, for 10 ft <= h <= 1000 ft and the wind W_20 at 20 ft:
 
@@ -134,9 +134,7 @@ class Dryden(DrydenKeys, Effect):
         speeds = (self.airspeed_min, math.inf) if self.airspeed is None else (self.airspeed, self.airspeed)
         count = self.winds(start.clock)
         held = [start.clock.period / count]
-        parameters = np.concatenate(
-            [mean, axes(mean).ravel(order="F"), intensity, self._lengths(), speeds, held]
-        )
+        parameters = np.concatenate([mean, axes(mean).ravel(order="F"), intensity, self._lengths(), speeds, held])
         filters = stationary(rng.standard_normal(N_NOISE))
         first = _blown()(filters, parameters).full().ravel()
         return np.concatenate([filters, np.tile(first, count), np.zeros(count)]), parameters

@@ -177,7 +177,7 @@ class Effect:
         raise NotImplementedError
 
     def end(self, at: Moment) -> Expression:
-        """Inner states at the end of a control period, whose time and state `at` has then, before anything is measured."""
+        """Inner states at the end of a control period, with its time and state, before anything is measured."""
         raise NotImplementedError
 
     def measure(self, at: Readings, told: Told) -> tuple[Expression, Told]:
