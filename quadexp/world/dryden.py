@@ -34,6 +34,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -104,8 +105,8 @@ def turbulence(filters: Expression, intensity: Expression) -> Expression:
 
 @dataclass(frozen=True)
 class Dryden(DrydenKeys, Effect):
-    """See DrydenKeys. inner: filter states (5,); of the control period the winds (3, k), world (m/s), column by column,
-    and when each begins to hold (k,) (s).
+    """See DrydenKeys. inner: filter states (5,); of the control period the first wind and what each further one adds
+    (3, k), world (m/s), column by column, and when each begins to hold (k,) (s).
 
     parameters: mean wind (3,), world (m/s); axes (9,), column by column; intensity (3,) (m/s); scale lengths (3,) (m);
     least and largest airspeed at which the turbulence passes (m/s); how long a wind is held (s).
@@ -137,7 +138,7 @@ class Dryden(DrydenKeys, Effect):
         parameters = np.concatenate([mean, axes(mean).ravel(order="F"), intensity, self._lengths(), speeds, held])
         filters = stationary(rng.standard_normal(N_NOISE))
         first = _blown()(filters, parameters).full().ravel()
-        return np.concatenate([filters, np.tile(first, count), np.zeros(count)]), parameters
+        return np.concatenate([filters, first, np.zeros(4 * count - 3)]), parameters
 
     def begin(self, at: Moment) -> Expression:
         """See Effect.begin: the winds of the period."""
@@ -148,7 +149,8 @@ class Dryden(DrydenKeys, Effect):
         for noise in ca.vertsplit(at.draws, N_NOISE):
             winds.append(_velocity(filters, at.parameters))
             filters = advanced(filters, noise, length / airspeed, held)
-        return ca.vertcat(filters, *winds, *(at.t + i * held for i in range(count)))
+        added = [after - before for before, after in pairwise(winds)]
+        return ca.vertcat(filters, winds[0], *added, *(at.t + i * held for i in range(count)))
 
     def wind(self, at: Moment) -> Expression:
         """See Effect.wind: the last that holds when the step begins."""
@@ -156,7 +158,7 @@ class Dryden(DrydenKeys, Effect):
         winds, times = at.inner[N_FILTER:-count], at.inner[-count:]
         found = winds[:3]
         for i in range(1, count):
-            found = ca.if_else(at.t >= times[i] - IN_TIME, winds[3 * i : 3 * i + 3], found)
+            found += (at.t >= times[i] - IN_TIME) * winds[3 * i : 3 * i + 3]
         return found
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.errors import ModelDomainError, QuadexpError, UsageError
-from quadexp.world.composition import Layout, compose, wind_function
+from quadexp.world.composition import WIND, Layout, compose, wind_function
 from quadexp.world.effect import Clock, Effect, Sizes, Start, ordered
 from quadexp.world.integrator import Equations, SimulatedPlant
 from quadexp.world.streams import Share, Streams, part_stream
@@ -50,6 +50,7 @@ class World(SimulatedPlant):
         self._made: dict[Clock, _Prepared] = {}
         self._winds: dict[Clock, ca.Function] = {}
         self._layouts: dict[Clock, Layout] = {}
+        self._columns: dict[Clock, dict[str, int]] = {}
         self._own_parameters, self._rotors = np.empty(0), list[int]()
         self._shares: list[tuple[Effect, slice, slice]] = []  # of the inner states, and of the effects' parameters
         rough = any(effect.has("wind") or effect.has("thrusts") for effect in self.effects)
@@ -109,6 +110,8 @@ class World(SimulatedPlant):
 
     def _first_wind(self, start: Start, own: np.ndarray) -> np.ndarray:
         """The wind when the flight begins, but for white noise. own: inner states of the effects."""
+        if not any(effect.has("wind") for effect in self.effects):
+            return np.zeros(WIND)
         layout, step = self._layout(start.clock), start.clock.step
         if start.clock not in self._winds:
             self._winds[start.clock] = wind_function(self.equations, self.effects, layout, self.vehicle)
@@ -195,7 +198,13 @@ class World(SimulatedPlant):
     def columns(self, period: float) -> dict[str, int]:
         """Names of the columns of a flight that are inner states, and which. Of one name, the airframe's holds, then
         that of the last stage."""
-        clock, layout = self.clock(period), self._layout(self.clock(period))
+        clock = self.clock(period)
+        if clock not in self._columns:
+            self._columns[clock] = self._named_columns(clock)
+        return self._columns[clock]
+
+    def _named_columns(self, clock: Clock) -> dict[str, int]:
+        layout = self._layout(clock)
         found: dict[str, int] = {}
         for effect, first in zip(self.effects, layout.ends("inner")[1:-1], strict=True):
             found |= {name: first + place for name, place in effect.columns(clock, self.vehicle).items()}
