@@ -61,7 +61,7 @@ class DrydenKeys(ConstantWindKeys):
     airspeed: Annotated[
         float | None,
         Setting(
-            "speed at which the turbulence passes; null: the vehicle's own through the mean wind, from step to step",
+            "speed at which the turbulence passes; null: the vehicle's own through the mean wind, by control period",
             "[0.01, 100]",
             "m/s",
         ),

@@ -13,11 +13,13 @@ and what the rotors make of it:
 
 E(z): Chen & Rincon-Mora 2006, "Accurate electrical battery model capable of predicting runtime and I-V performance",
 equation (2), a polymer lithium-ion cell; circuit: there, with one of its two RC pairs. Power: actuator disc, P ~
-T^(3/2). Thrust and power depend on V and V on the power; `operating_point` solves that by Newton's method.
+T^(3/2). Thrust and power depend on V and V on the power; `operating_point` solves that by Halley's method. With
+T_i = u_i r^k the rotors' power is r^(3k/2) times that of the commands, so that no power of a thrust is taken there.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -26,8 +28,8 @@ import casadi as ca
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import lagging_thrust
 
-ITERATIONS = 4  # Newton steps from the last voltage, which differs by some millivolts
 LEAST_SLOPE = 0.05  # of the balance; it tends to 0 where the battery has no more power to give
+Exponent = float | Expression  # a whole number costs no exponential function
 
 
 class OperatingPoint(NamedTuple):
@@ -42,6 +44,14 @@ def open_circuit_voltage(charge: Expression, cells: Expression) -> Expression:
     """E (V) of cells in series at a state of charge, 0 .. 1."""
     z = charge
     return cells * (-1.031 * ca.exp(-35 * z) + 3.685 + 0.2156 * z - 0.1178 * z**2 + 0.3201 * z**3)
+
+
+def open_circuit_tangent(charge: Expression, cells: Expression) -> tuple[Expression, Expression]:
+    """a (V) and b (V) of the tangent a + b z to E at a state of charge."""
+    z = type(charge).sym("z")
+    voltage = open_circuit_voltage(z, cells)
+    at, slope = ca.substitute([voltage, ca.jacobian(voltage, z)], [z], [charge])
+    return at - slope * charge, slope
 
 
 def charge_after(charge: Expression, current: Expression, capacity: Expression, elapsed: Expression) -> Expression:
@@ -63,23 +73,36 @@ def mean_share(time_constant: Expression, elapsed: Expression) -> Expression:
 
 def rotor_power(thrust: Expression, hover_thrust: Expression, hover_power: Expression) -> Expression:
     """Electrical power of every rotor, (n,) (W), of thrusts (n,) (N); hover_thrust (N) and hover_power (W): of one."""
-    return hover_power * (ca.fmax(thrust, 0) / hover_thrust) ** 1.5
+    share = ca.fmax(thrust, 0) / hover_thrust
+    return hover_power * share * ca.sqrt(share)
 
 
-def sagging_thrust(command: Expression, ratio: Expression, exponent: Expression) -> Expression:
+def sagging_thrust(command: Expression, ratio: Expression, exponent: Exponent) -> Expression:
     """Thrust (n,) (N) at a fixed throttle; command: that at V_ref, (n,) (N). ratio: V / V_ref. exponent: k."""
     return command * _power(ratio, exponent)
 
 
+def sagging_power(power: Expression, ratio: Expression, exponent: Exponent) -> Expression:
+    """Power of all rotors (W) at the sagging thrust; power: of every command, (n,) (W), see rotor_power."""
+    return ca.sum1(power) * _power(ratio, 1.5 * exponent)
+
+
 def compensated_thrust(
-    command: Expression, ratio: Expression, exponent: Expression, thrust_max: Expression
+    command: Expression, ratio: Expression, exponent: Exponent, thrust_max: Expression
 ) -> Expression:
     """Thrust (n,) (N) where the flight stack compensates the voltage; thrust_max: at full throttle and V_ref (N)."""
     return ca.fmin(command, thrust_max * _power(ratio, exponent))
 
 
-def _power(ratio: Expression, exponent: Expression) -> Expression:
-    """ratio^exponent, ratio above 0, such that its derivative takes no other power."""
+def compensated_power(power: Expression, ratio: Expression, exponent: Exponent, power_max: Expression) -> Expression:
+    """Power of all rotors (W) at the compensated thrust; power: of every command, (n,); power_max: of thrust_max."""
+    return ca.sum1(ca.fmin(power, power_max * _power(ratio, 1.5 * exponent)))
+
+
+def _power(ratio: Expression, exponent: Exponent) -> Expression:
+    """ratio^exponent, ratio above 0, such that its derivative takes no other power; products of a whole exponent."""
+    if isinstance(exponent, int | float) and float(exponent).is_integer():
+        return math.prod([ratio] * int(exponent))
     return ca.exp(exponent * ca.log(ratio))
 
 
@@ -88,20 +111,21 @@ def operating_point(
     resistance: Expression,
     guess: Expression,
     thrust_at: Callable[[Expression], Expression],
-    power_of: Callable[[Expression], Expression],
+    power_at: Callable[[Expression], Expression],
 ) -> OperatingPoint:
     """Where source and load agree, V = source - resistance P(V) / V.
 
     source: E - V_1 (V). resistance: R_0 (Ohm). guess: V, of the step before. thrust_at: voltage -> thrusts (n,) (N).
-    power_of: thrusts -> power of all rotors and the electronics (W). Where the battery cannot give the power there is
+    power_at: voltage -> power of all rotors and the electronics (W). Where the battery cannot give the power there is
     no such point, and the voltage that is returned falls from step to step.
+
+    One step of Halley's method, of third order: from a voltage that is off by 0.3 V to 1e-7 V, and exact at the next.
     """
     symbol = type(guess).sym("V")
-    gap = symbol - source + resistance * power_of(thrust_at(symbol)) / symbol
-    newton = symbol - gap / ca.fmax(ca.jacobian(gap, symbol), LEAST_SLOPE)
-    voltage = guess
-    for _ in range(ITERATIONS):
-        voltage = ca.fmax(ca.substitute(newton, symbol, voltage), 1e-3)
-    thrust = thrust_at(voltage)
-    current = power_of(thrust) / voltage
-    return OperatingPoint(source - resistance * current, current, thrust)
+    gap = symbol - source + resistance * power_at(symbol) * (1 / symbol)
+    slope = ca.jacobian(gap, symbol)
+    bend, slope = ca.jacobian(slope, symbol), ca.fmax(slope, LEAST_SLOPE)
+    change = gap * slope / ca.fmax(slope**2 - gap * bend / 2, slope**2 / 2)  # at most twice Newton's
+    voltage = ca.fmax(ca.substitute(symbol - change, symbol, guess), 1e-3)
+    current = power_at(voltage) / voltage
+    return OperatingPoint(source - resistance * current, current, thrust_at(voltage))

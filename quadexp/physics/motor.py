@@ -32,7 +32,12 @@ def lagging_thrust(
     thrust: Expression, command: Expression, elapsed: Expression, time_constant: Expression
 ) -> Expression:
     """Thrust (n,) (N) a time `elapsed` (s) after `thrust`, under a held command (n,) (N); time_constant tau (s)."""
-    return command + (thrust - command) * ca.exp(-elapsed / time_constant)
+    return decayed(thrust, command, ca.exp(-elapsed / time_constant))
+
+
+def decayed(value: Expression, command: Expression, decay: Expression) -> Expression:
+    """As lagging_thrust, with the decay exp(-elapsed / tau) instead of the two times."""
+    return command + (value - command) * decay
 
 
 def time_constant_towards(value: Expression, command: Expression, up: Expression, down: Expression) -> Expression:

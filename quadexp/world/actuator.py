@@ -8,8 +8,8 @@ The lag is discretised exactly over the integration step; the thrust of its midd
 the flight and s_i of each rotor are log-normal with mean 1 and the standard deviations of the settings, drawn when a
 flight begins. A flight begins with the rotors in hover.
 
-Inner states: y (n,), then what is logged (n,), see rotor_columns.py. Parameters: tau_up, tau_down (s), least and
-largest thrust (N), thrust coefficient, s_0 s_i (n,).
+Inner states: y (n,), then what is logged (n,), see rotor_columns.py. Parameters: exp(-h / 2 tau) up and down over half
+an integration step h, least and largest thrust (N), thrust coefficient, s_0 s_i (n,).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 from quadexp.config.motors import ActuatorKeys
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
-from quadexp.physics.motor import lagging_thrust, time_constant_towards
+from quadexp.physics.motor import decayed, time_constant_towards
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
 from quadexp.world.rotor_columns import first_rotor_column, rotor_column, rotor_column_factor, rotor_column_names
@@ -69,9 +69,10 @@ class Actuator(ActuatorKeys, Effect):
                 f" {vehicle.hover_thrust:.3g} N"
             )
         constants = [max(one, NO_LAG) for one in (self.time_constant_up, self.time_constant_down)]
+        decays = [math.exp(-start.clock.step / 2 / one) for one in constants]
         first = self._lagging(np.full(vehicle.n_rotors, vehicle.hover_thrust))
         inner = np.concatenate([np.array(first, float).ravel(), first_rotor_column(vehicle)])
-        return inner, np.concatenate([constants, [low, high, rotor_column_factor(vehicle)], scale])
+        return inner, np.concatenate([decays, [low, high, rotor_column_factor(vehicle)], scale])
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
         """See Effect.columns."""
@@ -79,22 +80,28 @@ class Actuator(ActuatorKeys, Effect):
 
     def thrusts(self, at: Moment) -> Expression:
         """See Effect.thrusts."""
-        return self._delivered(at, self._after(at, at.step / 2))
+        return self._delivered(at, self._after(at)[0])
 
     def advance(self, at: Moment) -> Expression:
         """See Effect.advance."""
-        y = self._after(at, at.step)
+        y = self._after(at)[1]
+        return ca.vertcat(y, at.inner[y.numel() :])
+
+    def end(self, at: Moment) -> Expression:
+        """See Effect.end: what is logged."""
+        y = at.inner[: at.inner.numel() // 2]
         return ca.vertcat(y, rotor_column(self._delivered(at, y), at.parameters[4]))
 
     def _lagging(self, thrust: Any) -> Any:
         """y of a thrust."""
         return ca.sqrt(thrust) if self.lag_of == "rotor_speed" else thrust
 
-    def _after(self, at: Moment, elapsed: Expression) -> Expression:
-        """y (n,) so long after the beginning of the step."""
+    def _after(self, at: Moment) -> tuple[Expression, Expression]:
+        """y (n,) in the middle and at the end of the step."""
         y, (up, down, low, high) = at.inner[: at.command.numel()], ca.vertsplit(at.parameters[:4])
         command = self._lagging(ca.fmin(ca.fmax(at.command, low), high))
-        return lagging_thrust(y, command, elapsed, time_constant_towards(y, command, up, down))
+        half = time_constant_towards(y, command, up, down)  # of the decays: which of the two holds
+        return decayed(y, command, half), decayed(y, command, half**2)
 
     def _delivered(self, at: Moment, y: Expression) -> Expression:
         """Thrusts (n,) (N)."""

@@ -28,6 +28,7 @@ from quadexp.world.integrator import INPUTS, OUTPUTS, Equations
 
 WORLD_INPUTS = (*INPUTS, "draws", "time")
 WORLD_OUTPUTS = (*OUTPUTS, "measured")
+WRITTEN_OUT = 100  # integration steps of a control period that are not a loop
 WIND = 3  # inner states at the end: the wind of the last step, world (m/s)
 
 
@@ -76,13 +77,14 @@ def compose(
         rest = inner_a
     state = ca.vertcat(x, rest, parts.chosen(own, parts.moving), ca.MX.zeros(WIND + n + 3))
     times = time + step * ca.DM(range(steps)).T
-    again = [ca.repmat(value, 1, steps) for value in (parts.chosen(own, parts.still), u, known, step)]
-    found = parts.step().mapaccum(steps)(state, times, *again[:2], acting, *again[2:])
-    states, *kept = found if isinstance(found, tuple) else (found,)
+    one, used = _trimmed(parts.step())
+    still = parts.chosen(own, parts.still)[used["still"]]
+    states, *kept = _repeated(one, steps, state, times, acting, (still, u, known[used["parameters"]], step))
 
     sizes = [N_STATE, rest.numel(), parts.size(parts.moving), WIND, n, 3]
     x_next, rest, moved, wind, thrusts, pushed = ca.vertsplit(states[:, -1], [0, *accumulate(sizes)])
-    own = ca.vertcat(parts.assembled(moved, own), measuring)
+    own = parts.ending()(time + clock.period, x_next, parts.assembled(moved, own), known, step)
+    own = ca.vertcat(own, measuring)
     if equations.end:
         held = equations.command(thrusts, theta) if equations.command else thrusts
         s = ca.vertcat(_seen_from_the_air(x_next, wind), rest)
@@ -104,6 +106,41 @@ def compose(
     arguments = [x, inner, u, noise, parameters, step, draws, time]
     name = "_".join([equations.step.name(), *(effect.part for effect in effects)])
     return ca.Function(f"{name}_period", arguments, [*results, *kept], WORLD_INPUTS, [*WORLD_OUTPUTS, *names])
+
+
+def _repeated(one: ca.Function, steps: int, state: ca.MX, times: ca.MX, noise: ca.MX, held: Any) -> list[ca.MX]:
+    """Results of all steps, column by column. held: still, u, parameters and step, the same for every step.
+
+    Written out, a call a step, what is held is read where it is; a loop needs a copy of it for every step.
+    """
+    if steps > WRITTEN_OUT:
+        again = [ca.repmat(value, 1, steps) for value in held]
+        found = one.mapaccum(steps)(state, times, *again[:2], noise, *again[2:])
+        return list(found) if isinstance(found, tuple) else [found]
+    columns = list[list[ca.MX]]()
+    for i in range(steps):
+        found = one(state, times[i], *held[:2], noise[:, i], *held[2:])
+        columns.append(list(found) if isinstance(found, tuple) else [found])
+        state = columns[-1][0]
+    return [ca.horzcat(*each) for each in zip(*columns, strict=True)]
+
+
+def _trimmed(step: ca.Function) -> tuple[ca.Function, dict[str, list[int]]]:
+    """A step without the entries of `still` and `parameters` that it does not use, and those that it does.
+
+    They are copied for every step, which costs more than many an effect.
+    """
+    places = {"still": 2, "parameters": 5}
+    used = {name: [*range(step.size1_in(i))] for name, i in places.items()}
+    if not step.is_a("SXFunction"):
+        return step, used
+    given = step.sx_in()
+    results = step.call(given)
+    for name, i in places.items():
+        needed = ca.which_depends(ca.vertcat(*map(ca.vec, results)), given[i], 1, False) if used[name] else []
+        used[name] = [place for place, one in enumerate(needed) if one]
+        given[i] = given[i][used[name]]
+    return ca.Function(step.name(), given, results), used
 
 
 def wind_function(equations: Equations, effects: Sequence[Effect], layout: Layout, vehicle: Vehicle) -> ca.Function:
@@ -186,6 +223,16 @@ class _Parts:
             for effect, at in zip(self._effects, moments, strict=True)
         ]
         return self._function("begun", symbols, [ca.vertcat(*found)])
+
+    def ending(self) -> ca.Function:
+        """(t, x, own, parameters, step) -> own at the end of a period, before anything is measured."""
+        symbols = self._symbols("t", "x", "own", "parameters", "step")
+        t, x, own, parameters, step = symbols
+        moments = self._moments(t=t, x=x, own=own, parameters=parameters, step=step)
+        found = [
+            effect.end(at) if effect.has("end") else at.inner for effect, at in zip(self._effects, moments, strict=True)
+        ]
+        return self._function("ending", symbols, [ca.vertcat(*found)])
 
     def drive(self) -> ca.Function:
         """(t, x, own, u, noise, parameters, step) -> wind (3,), thrusts (n,), force (3,) world, torque (3,) body."""

@@ -18,6 +18,11 @@ Axes, fixed in the world for a flight: "along" is the horizontal direction of th
 none), "across" is horizontal and 90 degrees to the left of it, "vertical" is up. The air is frozen while the vehicle
 passes at the airspeed V.
 
+The filters are advanced every 5 ms, or more often where the turbulence is finer, and their wind is held in between;
+V is that of the beginning of the control period. Held values have the asked intensity exactly. What holding changes
+lies near 200 Hz and beyond: with T = 0.3 s (6 m at 20 m/s) the corner of the spectrum is at 0.5 Hz, and a vehicle
+follows the air through its drag, within about a second.
+
 Scale lengths and intensities at the altitude h, both in feet, for 10 ft <= h <= 1000 ft and the wind W_20 at 20 ft:
 
     L_w = h,   L_u = L_v = h / (.177 + .000823 h)^1.2
@@ -28,6 +33,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -41,7 +48,11 @@ from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
 
 FOOT = 0.3048  # m
 N_FILTER, N_NOISE = 5, 5  # states [along z_1; across z_1, z_2; vertical z_1, z_2], and numbers per step
+N_PARAMETERS = 21
 TRANSVERSE = (math.sqrt(1.5), (1 - math.sqrt(3)) / math.sqrt(2))  # of z_1 and z_2
+HELD = 5e-3  # s, for which a wind is held at most
+SHARE, PASSING = 0.1, 20.0  # and at most this share of L / V, at this airspeed (m/s) where V is the vehicle's own
+IN_TIME = 1e-9  # s, by which an integration step may begin before the wind that it takes
 SMALL, TERMS = 0.1, 10  # s up to which moments are summed as series, and terms that reach rounding there
 
 
@@ -94,38 +105,73 @@ def turbulence(filters: Expression, intensity: Expression) -> Expression:
 
 @dataclass(frozen=True)
 class Dryden(DrydenKeys, Effect):
-    """See DrydenKeys. inner: filter states (5,).
+    """See DrydenKeys. inner: filter states (5,); of the control period the first wind and what each further one adds
+    (3, k), world (m/s), column by column, and when each begins to hold (k,) (s).
 
     parameters: mean wind (3,), world (m/s); axes (9,), column by column; intensity (3,) (m/s); scale lengths (3,) (m);
-    least and largest airspeed at which the turbulence passes (m/s).
+    least and largest airspeed at which the turbulence passes (m/s); how long a wind is held (s).
     """
 
     stage = "wind"
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
         """See Effect.sizes."""
-        return Sizes(inner=N_FILTER, parameters=20, noise=N_NOISE)
+        count = self.winds(clock)
+        return Sizes(inner=N_FILTER + 4 * count, parameters=N_PARAMETERS, draws=N_NOISE * count)
+
+    def winds(self, clock: Clock) -> int:
+        """How many winds there are in a control period, k; not more than integration steps."""
+        finest = min(self._lengths()) / (PASSING if self.airspeed is None else self.airspeed)
+        return min(max(1, math.ceil(clock.period / min(HELD, SHARE * finest) - 1e-9)), clock.steps)
+
+    def _lengths(self) -> np.ndarray:
+        return scale_lengths(self.altitude) if self.length is None else np.array(self.length)
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         """See Effect.start: the filters begin in their stationary distribution."""
         mean = np.array(self.velocity)
         at_6m = math.hypot(*self.velocity[:2]) if self.wind_at_6m is None else self.wind_at_6m
         intensity = intensities(self.altitude, at_6m) if self.intensity is None else self.intensity
-        length = scale_lengths(self.altitude) if self.length is None else self.length
         speeds = (self.airspeed_min, math.inf) if self.airspeed is None else (self.airspeed, self.airspeed)
-        parameters = np.concatenate([mean, axes(mean).ravel(order="F"), intensity, length, speeds])
-        return stationary(rng.standard_normal(N_NOISE)), parameters
+        count = self.winds(start.clock)
+        held = [start.clock.period / count]
+        parameters = np.concatenate([mean, axes(mean).ravel(order="F"), intensity, self._lengths(), speeds, held])
+        filters = stationary(rng.standard_normal(N_NOISE))
+        first = _blown()(filters, parameters).full().ravel()
+        return np.concatenate([filters, first, np.zeros(4 * count - 3)]), parameters
+
+    def begin(self, at: Moment) -> Expression:
+        """See Effect.begin: the winds of the period."""
+        mean, length, limits = at.parameters[:3], at.parameters[15:18], at.parameters[18:20]
+        airspeed = ca.fmin(ca.fmax(ca.sqrt(ca.sumsqr(at.x[VELOCITY] - mean)), limits[0]), limits[1])
+        held, count = at.parameters[20], at.draws.numel() // N_NOISE
+        filters, winds = at.inner[:N_FILTER], []
+        for noise in ca.vertsplit(at.draws, N_NOISE):
+            winds.append(_velocity(filters, at.parameters))
+            filters = advanced(filters, noise, length / airspeed, held)
+        added = [after - before for before, after in pairwise(winds)]
+        return ca.vertcat(filters, winds[0], *added, *(at.t + i * held for i in range(count)))
 
     def wind(self, at: Moment) -> Expression:
-        """See Effect.wind: that of the beginning of the step."""
-        mean, directions, intensity = at.parameters[:3], at.parameters[3:12], at.parameters[12:15]
-        return mean + ca.mtimes(ca.reshape(directions, 3, 3), turbulence(at.inner, intensity))
+        """See Effect.wind: the last that holds when the step begins."""
+        count = (at.inner.numel() - N_FILTER) // 4
+        winds, times = at.inner[N_FILTER:-count], at.inner[-count:]
+        found = winds[:3]
+        for i in range(1, count):
+            found += (at.t >= times[i] - IN_TIME) * winds[3 * i : 3 * i + 3]
+        return found
 
-    def advance(self, at: Moment) -> Expression:
-        """See Effect.advance."""
-        mean, length, least, most = ca.vertsplit(ca.vertcat(at.parameters[:3], at.parameters[15:]), [0, 3, 6, 7, 8])
-        airspeed = ca.fmin(ca.fmax(ca.sqrt(ca.sumsqr(at.x[VELOCITY] - mean)), least), most)
-        return advanced(at.inner, at.noise, length / airspeed, at.step)
+
+@cache
+def _blown() -> ca.Function:
+    filters, parameters = ca.SX.sym("filters", N_FILTER), ca.SX.sym("parameters", N_PARAMETERS)
+    return ca.Function("blown", [filters, parameters], [_velocity(filters, parameters)])
+
+
+def _velocity(filters: Expression, parameters: Expression) -> Expression:
+    """The wind (3,), world (m/s), of the filters (5,) and the parameters of Dryden."""
+    mean, directions, intensity = parameters[:3], parameters[3:12], parameters[12:15]
+    return mean + ca.mtimes(ca.reshape(directions, 3, 3), turbulence(filters, intensity))
 
 
 def _root(s: Expression) -> tuple[Expression, Expression, Expression]:

@@ -176,6 +176,10 @@ class Effect:
         """Inner states after the step."""
         raise NotImplementedError
 
+    def end(self, at: Moment) -> Expression:
+        """Inner states at the end of a control period, with its time and state, before anything is measured."""
+        raise NotImplementedError
+
     def measure(self, at: Readings, told: Told) -> tuple[Expression, Told]:
         """Inner states after the period, and what is told: `told` with some of it changed, or something added."""
         raise NotImplementedError
@@ -191,7 +195,7 @@ class Effect:
     @classmethod
     def steps(cls) -> bool:
         """Whether it has anything to do before a control period ends, to which its inner states belong then."""
-        return any(cls.has(hook) for hook in ("begin", "wind", "thrusts", "wrench", "advance"))
+        return any(cls.has(hook) for hook in ("begin", "wind", "thrusts", "wrench", "advance", "end"))
 
     @classmethod
     def has(cls, hook: str) -> bool:

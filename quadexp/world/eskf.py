@@ -55,20 +55,21 @@ def propagate(
     p, q, v = nominal[POSITION], nominal[ATTITUDE], nominal[VELOCITY]
     u = (reading[:3] - nominal[ACCELEROMETER_BIAS]) * duration
     phi = (reading[3:] - nominal[GYROSCOPE_BIAS]) * duration
-    middle = rotation_matrix(product(q, exponential(phi / 2)))
+    half = exponential(phi / 2)
+    turned_half = product(q, half)
+    middle = rotation_matrix(turned_half)
     pushed = ca.mtimes(middle, u)
     gained = pushed + ca.vertcat(0, 0, -gravity * duration)
-    after = ca.vertcat(p + duration * v + duration / 2 * gained, product(q, exponential(phi)), v + gained)
+    after = ca.vertcat(p + duration * v + duration / 2 * gained, product(turned_half, half), v + gained)
 
     by_attitude = -ca.mtimes(cross_matrix(pushed), rotation_matrix(q))
     by_gyroscope = ca.mtimes([middle, cross_matrix(u), right_jacobian(phi / 2)]) * (duration / 2)
-    turn, turn_by_gyroscope = rotation_matrix(exponential(phi)).T, -right_jacobian(phi) * duration
+    by_force = middle * duration
+    turn, turn_by_gyroscope = rotation_matrix(product(half, half)).T, -right_jacobian(phi) * duration
 
     def transition(d: Expression) -> Expression:
         dp, dv, turned, of_force, of_rate = ca.vertsplit(d, PARTS)
-        gain = (
-            ca.mtimes(by_attitude, turned) - ca.mtimes(middle, of_force) * duration + ca.mtimes(by_gyroscope, of_rate)
-        )
+        gain = ca.mtimes(by_attitude, turned) - ca.mtimes(by_force, of_force) + ca.mtimes(by_gyroscope, of_rate)
         return ca.vertcat(
             dp + duration * dv + duration / 2 * gain,
             dv + gain,
@@ -97,12 +98,12 @@ def predict(
     force, rate, force_walk, rate_walk = (densities[i] ** 2 * duration for i in range(4))
     for dp, dv, turned, of_force, of_rate in zip(*PLACES, strict=True):
         spread[dp, dp] += force * duration**2 / 4
-        spread[dp, dv] += force * duration / 2
+        spread[dv, dp] += force * duration / 2
         spread[dv, dv] += force
         spread[turned, turned] += rate
         spread[of_force, of_force] += force_walk
         spread[of_rate, of_rate] += rate_walk
-    return after, ca.triu2symm(ca.triu(spread))
+    return after, ca.tril2symm(ca.tril(spread))  # below the diagonal the biases' rows are there after one transition
 
 
 def update(

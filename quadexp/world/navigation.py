@@ -23,7 +23,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from quadexp.config.sensing import EskfKeys
@@ -33,7 +32,7 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.world import eskf, imu
 from quadexp.world.aid import Aid
 from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
-from quadexp.world.eskf import D_ATTITUDE, GYROSCOPE_BIAS, N_COVARIANCE, N_ERROR, N_NOMINAL
+from quadexp.world.eskf import D_ATTITUDE, GYROSCOPE_BIAS, N_COVARIANCE, N_ERROR, N_NOMINAL, PLACES
 from quadexp.world.imu import FORCE, N_BIAS, N_DENSITIES, N_READING, TURN
 from quadexp.world.inertial import BIAS_COLUMNS, InertialSensors
 
@@ -114,12 +113,13 @@ class Navigation(EskfKeys, Effect):
         values, vectors = np.linalg.eigh(standing - by_bias @ standing[BIASES])
         drawn = vectors @ (np.sqrt(np.maximum(values, 0)) * rng.standard_normal(N_ERROR))
         drawn += by_bias @ np.concatenate([turned.T @ bias[FORCE], turned.T @ bias[TURN]])
-        to_body = block_diag(np.eye(6), turned, turned, turned)
+        to_body = np.eye(N_ERROR)
+        for place in PLACES[2:]:
+            to_body[np.ix_(place, place)] = turned
         truth = np.concatenate([start.x[: RATE.start], bias])
-        nominal = eskf.inject(ca.DM(truth), ca.DM(-to_body @ drawn))
-        covariance = eskf.packed(ca.DM(to_body @ standing @ to_body.T))
+        known = _off_by()(truth, -to_body @ drawn, to_body @ standing @ to_body.T)
         queue = np.zeros(self.entry_size * self.horizon(start.clock))
-        return np.concatenate([ca.vertcat(nominal, covariance).full().ravel(), queue]), self.believed(gravity)
+        return np.concatenate([known.full().ravel(), queue]), self.believed(gravity)
 
     def first(self, inner: np.ndarray, state: np.ndarray) -> np.ndarray:
         """See Effect."""
@@ -190,6 +190,15 @@ def _standing(filter_: Navigation, gravity: float) -> np.ndarray:
                 due[i] %= 1
                 known = corrections[i](1, known, fixes[i], aid.deviations)
     return np.array(eskf.unpacked(known[N_NOMINAL:]).full())
+
+
+@cache
+def _off_by() -> ca.Function:
+    """(nominal state, an error (15,), covariance (15, 15)) -> [nominal state with the error added, covariance]."""
+    nominal, d = ca.SX.sym("nominal", N_NOMINAL), ca.SX.sym("d", N_ERROR)
+    covariance = ca.SX.sym("covariance", N_ERROR, N_ERROR)
+    found = ca.vertcat(eskf.inject(nominal, d), eskf.packed(covariance))
+    return ca.Function("off_by", [nominal, d, covariance], [found])
 
 
 def prediction() -> ca.Function:

@@ -47,11 +47,14 @@ class Streams:
             self._shares[0].rng.standard_normal(out=found)
             return found
         noise = found[:, : self.noise_size].reshape(periods, self._steps, -1) if self.noise_size else None
+        sole = sum(share.noise > 0 for share in self._shares) == 1  # then its numbers are in their order already
         row, draw = 0, self.noise_size
         for share, block in zip(self._shares, blocks, strict=True):
             share.rng.standard_normal(out=block)
             found[:, draw : draw + share.draws] = block[:, : share.draws]
-            if noise is not None and share.noise:
+            if share.noise and sole:
+                found[:, : self.noise_size] = block[:, share.draws :]
+            elif noise is not None and share.noise:
                 noise[:, :, row : row + share.noise] = block[:, share.draws :].reshape(periods, self._steps, -1)
             row, draw = row + share.noise, draw + share.draws
         return found

@@ -17,7 +17,7 @@ import numpy as np
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.errors import ModelDomainError, QuadexpError, UsageError
-from quadexp.world.composition import Layout, compose, wind_function
+from quadexp.world.composition import WIND, Layout, compose, wind_function
 from quadexp.world.effect import Clock, Effect, Sizes, Start, ordered
 from quadexp.world.integrator import Equations, SimulatedPlant
 from quadexp.world.streams import Share, Streams, part_stream
@@ -49,6 +49,8 @@ class World(SimulatedPlant):
         self._believed: Any = believed or airframe  # a Plant too
         self._made: dict[Clock, _Prepared] = {}
         self._winds: dict[Clock, ca.Function] = {}
+        self._layouts: dict[Clock, Layout] = {}
+        self._columns: dict[Clock, dict[str, int]] = {}
         self._own_parameters, self._rotors = np.empty(0), list[int]()
         self._shares: list[tuple[Effect, slice, slice]] = []  # of the inner states, and of the effects' parameters
         rough = any(effect.has("wind") or effect.has("thrusts") for effect in self.effects)
@@ -108,6 +110,8 @@ class World(SimulatedPlant):
 
     def _first_wind(self, start: Start, own: np.ndarray) -> np.ndarray:
         """The wind when the flight begins, but for white noise. own: inner states of the effects."""
+        if not any(effect.has("wind") for effect in self.effects):
+            return np.zeros(WIND)
         layout, step = self._layout(start.clock), start.clock.step
         if start.clock not in self._winds:
             self._winds[start.clock] = wind_function(self.equations, self.effects, layout, self.vehicle)
@@ -120,9 +124,12 @@ class World(SimulatedPlant):
         return Clock(period, self.steps(period))
 
     def _layout(self, clock: Clock) -> Layout:
-        step = self.equations.step
-        airframe = Sizes(self.equations.inner_size, step.size1_in(3), step.size1_in(2))
-        return Layout(airframe, tuple(effect.sizes(clock, self.vehicle) for effect in self.effects))
+        if clock not in self._layouts:
+            step = self.equations.step
+            airframe = Sizes(self.equations.inner_size, step.size1_in(3), step.size1_in(2))
+            effects = tuple(effect.sizes(clock, self.vehicle) for effect in self.effects)
+            self._layouts[clock] = Layout(airframe, effects)
+        return self._layouts[clock]
 
     # ------------------------------------------------------------------------------------------------------- one period
     def prepared(self, duration: float) -> BufferedFunction:
@@ -191,7 +198,13 @@ class World(SimulatedPlant):
     def columns(self, period: float) -> dict[str, int]:
         """Names of the columns of a flight that are inner states, and which. Of one name, the airframe's holds, then
         that of the last stage."""
-        clock, layout = self.clock(period), self._layout(self.clock(period))
+        clock = self.clock(period)
+        if clock not in self._columns:
+            self._columns[clock] = self._named_columns(clock)
+        return self._columns[clock]
+
+    def _named_columns(self, clock: Clock) -> dict[str, int]:
+        layout = self._layout(clock)
         found: dict[str, int] = {}
         for effect, first in zip(self.effects, layout.ends("inner")[1:-1], strict=True):
             found |= {name: first + place for name, place in effect.columns(clock, self.vehicle).items()}

@@ -9,11 +9,14 @@ from scipy.integrate import quad, solve_ivp
 
 from quadexp.physics.battery import (
     charge_after,
+    compensated_power,
     compensated_thrust,
+    open_circuit_tangent,
     open_circuit_voltage,
     operating_point,
     rc_voltage_after,
     rotor_power,
+    sagging_power,
     sagging_thrust,
 )
 
@@ -25,7 +28,9 @@ def source(z):
     return float(open_circuit_voltage(z, CELLS))
 
 
-def solved(u, E, guess=None, *, exponent=2.0, reference=16.0, compensation=False, thrust_max=20.0, electronics=5.0):
+def solved(
+    u, E, guess=None, *, exponent=2.0, reference=16.0, compensation=False, thrust_max=20.0, electronics=5.0, calls=20
+):
     """Voltage, current and thrusts of thrusts u (n,) (N) commanded of a source E (V)."""
 
     def thrust_at(voltage):
@@ -34,13 +39,13 @@ def solved(u, E, guess=None, *, exponent=2.0, reference=16.0, compensation=False
             return compensated_thrust(ca.DM(u), ratio, exponent, thrust_max)
         return sagging_thrust(ca.DM(u), ratio, exponent)
 
-    def power_of(thrust):
-        return ca.sum1(rotor_power(thrust, HOVER, POWER)) + electronics
+    def power_at(voltage):
+        return ca.sum1(rotor_power(thrust_at(voltage), HOVER, POWER)) + electronics
 
     V = ca.SX.sym("guess")
-    point = ca.Function("point", [V], operating_point(ca.SX(E), ca.SX(R0), V, thrust_at, power_of))
+    point = ca.Function("point", [V], operating_point(ca.SX(E), ca.SX(R0), V, thrust_at, power_at))
     voltage = E if guess is None else guess
-    for _ in range(20):
+    for _ in range(calls):
         voltage, current, thrust = (value.full().ravel() for value in point(voltage))
         voltage = voltage.item()
     return voltage, current.item(), thrust
@@ -121,6 +126,39 @@ def test_compensation_holds_the_thrust_and_draws_the_full_power():
     assert weak == pytest.approx(u * (solved(u, E)[0] / 16.0) ** 2) and np.all(weak < 0.75 * u)
     voltage, _, thrust = solved([12.0, 3.0, 3.0, 3.0], E, compensation=True, thrust_max=12.0)
     assert thrust[0] == pytest.approx(12.0 * (voltage / 16.0) ** 2) and thrust[0] < 9 and thrust[1:] == pytest.approx(3)
+
+
+@pytest.mark.parametrize("exponent", [0.0, 0.7, 1.0, 2.0, 3.0])
+def test_power_by_the_commands_is_power_by_the_thrusts(exponent):
+    """sum P(u_i r^k) without a power of any thrust, also where one rotor has full throttle."""
+    u, ratio, most = ca.DM([2.0, 7.0, 0.0, 11.0]), 0.83, 8.0
+    commanded = rotor_power(u, HOVER, POWER)
+    for thrust, found in (
+        (sagging_thrust(u, ratio, exponent), sagging_power(commanded, ratio, exponent)),
+        (
+            compensated_thrust(u, ratio, exponent, most),
+            compensated_power(commanded, ratio, exponent, rotor_power(most, HOVER, POWER)),
+        ),
+    ):
+        wanted = POWER * np.sum((np.array(thrust).ravel() / HOVER) ** 1.5)
+        assert float(found) == pytest.approx(wanted, rel=1e-12)
+
+
+@pytest.mark.parametrize("compensation", [False, True])
+def test_one_step_finds_the_voltage_after_a_jump_of_the_power(compensation):
+    """Commands that double within a step: the voltage moves by a few tenths, one call is right to a microvolt."""
+    keys = {"compensation": compensation, "thrust_max": 50.0}
+    before, after = (solved(np.full(4, share * HOVER), 15.5, **keys)[0] for share in (1.0, 1.6))
+    assert 0.15 < before - after < 0.5
+    once = solved(np.full(4, 1.6 * HOVER), 15.5, before, calls=1, **keys)
+    assert once[0] == pytest.approx(after, abs=1e-6)
+
+
+def test_the_tangent_touches_the_curve():
+    for z in (0.9, 0.4, 0.05):
+        first, slope = (float(ca.evalf(one)) for one in open_circuit_tangent(ca.SX(z), CELLS))
+        assert first + slope * z == pytest.approx(source(z), rel=1e-14)
+        assert slope == pytest.approx((source(z + 1e-6) - source(z - 1e-6)) / 2e-6, rel=1e-6)
 
 
 def test_more_power_than_the_battery_has_pulls_its_voltage_down():

@@ -188,9 +188,29 @@ def test_turbulence_passes_at_the_airspeed():
             winds.append(plant.inner[-3:])
         return np.array(winds)
 
-    assert changes(8.0, 1e-3) == pytest.approx(changes(4.0, 2e-3), rel=1e-4)
+    assert changes(8.0, 5e-4) == pytest.approx(changes(4.0, 1e-3), rel=1e-4)
     assert changes(0.5, 1e-3) == pytest.approx(changes(0.0, 1e-3))  # both below airspeed_min
     assert np.abs(changes(8.0, 1e-3) - changes(4.0, 1e-3)).max() > 1e-3
+
+
+@pytest.mark.parametrize(("length", "winds"), [(8.0, 4), (0.2, 8)])
+def test_a_wind_is_held_for_5_ms_or_a_tenth_of_its_time_scale(length, winds):
+    """A control period of several winds is as many shorter ones, from the same stream: the same flight."""
+    keys = {"intensity": (1.0, 2.0, 0.5), "length": (2 * length, length, 3 * length), "airspeed": 8.0}
+    x, u, flown = np.r_[AT_REST[:7], [3.0, -2.0, 1.0], np.zeros(3)], np.full(4, 2.4525), []
+    for parts in (1, winds):
+        vehicle = build_vehicle(compose([]).vehicle)
+        effects = replace(PlantEffects.none(), linear_drag=(0.5, 0.4, 0.3))
+        plant = World(SimplifiedPlant(vehicle, effects, step=5e-4, backend="interpreted"), [Dryden(**keys)])
+        noise, now, states = plant.begin(x, 0.02 / parts, 1.0, np.random.default_rng(7)), x, []
+        for i in range(10 * parts):
+            now, _ = plant.advance(now, u, 0.02 / parts, noise)
+            if (i + 1) % parts == 0:
+                states.append([*now, *plant.inner[-3:]])
+        flown.append(states)
+    assert len(plant.inner) == 5 + 4 + 3  # one wind in the shorter period
+    assert np.array(flown[0]) == pytest.approx(np.array(flown[1]), abs=1e-11)
+    assert np.ptp(np.array(flown[0])[:, -3:], axis=0).min() > 0.02
 
 
 def test_every_controller_and_world_meets_the_same_turbulence():

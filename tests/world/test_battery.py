@@ -63,6 +63,23 @@ def test_charge_and_energy_of_a_flight_are_in_balance(vehicle, kind):
     assert min(series, heat, stored) > 1e-3 * taken
 
 
+@pytest.mark.parametrize("charge", [1.0, 0.3])
+def test_charge_and_voltage_do_not_depend_on_the_control_period(vehicle, charge):
+    """E by its tangent over periods of 20 ms, or of one integration step, which the test above holds in balance."""
+    keys = {"capacity": 0.1, "state_of_charge": charge, "rc_time_constant": 0.2, "rc_resistance": 0.04}
+    u = vehicle.hover_thrust * np.random.default_rng(5).uniform(0.5, 1.8, 40)
+    found = []
+    for parts in (1, 20):
+        world = World(ideal(vehicle), [Battery(**keys)])
+        x, streams = REST.copy(), world.begin(REST, PERIOD / parts, 1.0, np.random.default_rng(0))
+        first = world.columns(PERIOD / parts)["state_of_charge"]
+        for one in u:
+            for _ in range(parts):
+                world.advance(x, np.full(vehicle.n_rotors, one), PERIOD / parts, streams)
+        found.append(world.inner[first : first + 4].copy())
+    assert found[0] == pytest.approx(found[1], rel=1e-6) and found[0][0] < charge - 0.01
+
+
 def test_thrust_sags_with_the_voltage_unless_it_is_compensated(vehicle):
     """At rest the accelerometer reads sum T / m: T = u (V / V_ref)^2, or u where the flight stack compensates."""
     u = np.tile(np.full(vehicle.n_rotors, 2.0 * vehicle.hover_thrust), (150, 1))
