@@ -8,7 +8,7 @@ QUADEXP := $(BIN)/quadexp
 # One BLAS thread per process: the sweep fills the cores by itself.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: all setup quick test lint docs coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-quick test-slow properties mutation stress bench clean
+.PHONY: all setup quick test lint docs coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-ladder reproduce-quick test-slow bench clean
 
 all: quick
 
@@ -27,7 +27,7 @@ quick: $(STAMP)
 	$(QUADEXP) evaluate --sweep experiment=quick --out results/quick --refly
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n auto -m 'not slow' tests examples
+	$(BIN)/python -m pytest -n auto --dist worksteal -m 'not slow' tests examples
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -64,6 +64,15 @@ reproduce-lei-li: $(STAMP)
 	$(QUADEXP) fit-gp data/lei_li_simplified.parquet vehicle=lei_li plant=simplified --out models/lei_li/simplified --force
 	$(QUADEXP) evaluate --sweep experiment=families --out results/families --refly
 	$(QUADEXP) evaluate --sweep experiment=adaptation --out results/adaptation --refly
+
+# What each imperfection of the world costs: data and models of every world in that world, then all flights.
+LADDER := clean only_motor_lag only_latency only_late_estimate only_noisy_estimate only_thrust_scale only_battery only_wind everything
+reproduce-ladder: $(STAMP)
+	for world in $(LADDER); do \
+		$(QUADEXP) collect world=$$world --out data/ladder/$$world.parquet --force && \
+		$(QUADEXP) fit-gp data/ladder/$$world.parquet --out models/ladder/$$world --force || exit 1; \
+	done
+	$(QUADEXP) evaluate --sweep experiment=reality_ladder --out results/reality_ladder --refly
 
 # The same claims on fewer flights, as tests that fail where a promised figure is missed.
 reproduce-quick: $(STAMP)

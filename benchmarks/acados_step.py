@@ -237,6 +237,30 @@ def measure(solver: Any, step: Step, problem: Problem) -> dict[str, Any]:
     return {"seconds": seconds, "internal": internal, "u0": inputs, "failed": failed}
 
 
+def phases(solver: Any, _: Step, problem: Problem) -> dict[str, Any]:
+    """Seconds of all control steps' preparation (rti_phase 1) and feedback (rti_phase 2), through Python."""
+    path, last = references(problem)
+    guess_reference(solver, problem, 0)
+    seconds: dict[str, list[float]] = {"prepare": [], "feedback": []}
+    gc.collect()
+    gc.disable()
+    for k, x in enumerate(problem.states):
+        began = time.perf_counter()
+        for i, row in enumerate(path[k]):
+            solver.set(i, "yref", row)
+        solver.set(len(path[k]), "yref", last[k])
+        solver.options_set("rti_phase", 1)
+        solver.solve()
+        solver.options_set("rti_phase", 2)
+        between = time.perf_counter()
+        solver.solve_for_x0(x, fail_on_nonzero_status=False, print_stats_on_failure=False)
+        seconds["feedback"].append(time.perf_counter() - between)
+        seconds["prepare"].append(between - began)
+    gc.enable()
+    solver.options_set("rti_phase", 0)
+    return seconds
+
+
 def converge(solver: Any, step: Step, problem: Problem) -> dict[str, Any]:
     """First inputs of every CONVERGE_EVERY-th step, each iterated to convergence from its reference."""
     path, last = references(problem)
@@ -247,7 +271,7 @@ def converge(solver: Any, step: Step, problem: Problem) -> dict[str, Any]:
     return {"u0": inputs}
 
 
-ANSWERS = {"measure": measure, "converge": converge}
+ANSWERS = {"measure": measure, "phases": phases, "converge": converge}
 
 
 def references(problem: Problem) -> tuple[np.ndarray, np.ndarray]:

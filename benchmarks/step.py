@@ -11,6 +11,9 @@ quartiles of all steps, and the medians over the rounds of a round's 99th percen
 are robust to speed changes of the machine between rounds. acados runs in separate processes (its libraries conflict
 with CasADi's); options: acados_step.py.
 
+"prepare" and "feedback" are the two phases of our compiled step (ModelPredictiveController.prepare and .feedback);
+beside them stand acados's, of its best options through Python (rti_phase 1 and 2). Only feedback needs the measurement.
+
 Two checks accompany the times. "same problem": some steps iterated to convergence by both solvers, largest difference
 of the first input. "left by one iteration": difference between the first input after one iteration per step and the
 converged one, median over the same steps. It depends on the warm start: ours shifts the last solution by the control
@@ -74,7 +77,10 @@ RATIOS = {
     ("interpreted", "acados default"): 1.0,
     ("compiled", "acados tuned"): None,
     ("compiled", "acados expert"): None,
+    ("feedback", "acados feedback"): 0.5,
+    ("feedback", "compiled"): None,
 }
+PHASES = ("prepare", "feedback")
 
 Log = list[tuple[np.ndarray, np.ndarray, np.ndarray]]  # measured state (13,), references (N + 1, 13) and (N, n)
 
@@ -166,6 +172,29 @@ def measure(controller: ModelPredictiveController, log: Log) -> tuple[np.ndarray
         active.append(record.active)
     gc.enable()
     return np.array(seconds), np.array(inputs), np.array(active)
+
+
+def measure_phases(controller: ModelPredictiveController, log: Log) -> tuple[np.ndarray, np.ndarray]:
+    """Seconds of each step's preparation and of its feedback."""
+    controller.reset(*log[0])
+    controller.command(*log[0])
+    for x, states, thrusts in log[:50]:
+        controller.prepare(states, thrusts)
+        controller.feedback(x)
+    controller.reset(*log[0])
+    controller.command(*log[0])
+    seconds: tuple[list[float], list[float]] = [], []
+    gc.collect()
+    gc.disable()
+    for x, states, thrusts in log:
+        began = time.perf_counter()
+        controller.prepare(states, thrusts)
+        between = time.perf_counter()
+        controller.feedback(x)
+        seconds[1].append(time.perf_counter() - between)
+        seconds[0].append(between - began)
+    gc.enable()
+    return np.array(seconds[0]), np.array(seconds[1])
 
 
 def converge(controller: ModelPredictiveController, log: Log) -> np.ndarray:
@@ -279,6 +308,11 @@ def compare(vehicle: Vehicle, case: str, nodes: int, steps: int, rounds: int, ac
             for name, controller in own.items():
                 times, inputs[name], _ = measure(controller, log)
                 seconds.setdefault(name, []).append(times)
+            for name, times in zip(PHASES, measure_phases(own["compiled"], log), strict=True):
+                seconds.setdefault(name, []).append(times)
+            if answer := others["acados best"].ask("phases"):
+                for name in PHASES:
+                    seconds.setdefault(f"acados {name}", []).append(np.array(answer[name]))
             for name, other in others.items():
                 if answer := other.ask("measure"):
                     if answer["failed"]:
@@ -321,6 +355,9 @@ def table(rows: list[dict[str, Any]]) -> str:
     contestants, every = [*BACKENDS, *(f"acados {options}" for options in ACADOS_OPTIONS)], rows
     parts = ["Microseconds a step, median [quartiles] (99th percentile):", ""]
     parts += markdown(contestants, rows, lambda row, name: time_cell(row["times_us"].get(name)))
+    phases = [*PHASES, *(f"acados {name}" for name in PHASES)]
+    parts += ["", "Phases of the compiled step and of acados best, before and after the measurement:", ""]
+    parts += markdown(phases, rows, lambda row, name: time_cell(row["times_us"].get(name)))
     if any(row["ratios"] for row in rows):
         limits = ["-" if limit is None else f"<= {limit:g}" for limit in RATIOS.values()]
         ratios = [f"{a} / {b}" for a, b in RATIOS]

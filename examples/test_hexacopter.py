@@ -48,4 +48,4 @@ def test_every_axis_can_be_turned_while_hovering(vehicle):
 def test_it_flies():
     settings = ("vehicle=hexacopter", "trajectory=circle", "plant=ideal", "controller=nominal_mpc")
     flight = qx.simulate(*settings, speed=4, conf=HERE)
-    assert flight.outcome == "ok" and flight.metrics["mean_error"] < 5e-3  # m
+    assert flight.outcome == "ok" and flight.metrics["mean_error"] < 2e-3  # m

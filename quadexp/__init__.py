@@ -28,7 +28,7 @@ _API = {
     "UsageError": "errors",
     "DataError": "errors",
 }
-__all__ = ["__version__", *_API]  # noqa: PLE0604
+__all__ = ["__version__", *_API]  # noqa: PLE0604 - the rule cannot see that the keys of a dictionary are text
 
 
 def __getattr__(name: str) -> object:

@@ -33,12 +33,14 @@ MODULES = {
 # Folders (with all their files) and files whose content determines a flight and the figures of its row.
 DECIDING = (
     "air", "compile", "control", "physics", "reference", "world",
-    "experiment/build.py", "experiment/build_custom.py", "experiment/build_identified.py",
-    "experiment/build_lei_li.py", "experiment/compiled_flight.py", "experiment/evaluate.py", "experiment/flight.c",
-    "experiment/identity.py", "experiment/outside.py", "experiment/rollout.py",
+    "experiment/build.py", "experiment/build_custom.py", "experiment/build_foreign.py",
+    "experiment/build_identified.py", "experiment/build_lei_li.py", "experiment/build_world.py",
+    "experiment/compiled_flight.py", "experiment/evaluate.py", "experiment/flight.c",
+    "experiment/identity.py", "experiment/loop_margins.py", "experiment/outside.py", "experiment/rollout.py",
+    "experiment/stability.py",
     "learn/checkpoint.py", "learn/dataset.py", "learn/linear_drag.py",
     "learn/lumped.py", "learn/model.py", "learn/regression.py", "learn/rls.py", "learn/rls_step.py",
-    "learn/samples.py", "learn/support.py", "learn/term_mean.py", "learn/terms.py",
+    "learn/rows.py", "learn/samples.py", "learn/support.py", "learn/term_mean.py", "learn/terms.py",
     "learn/thrust_curve.py", "learn/vehicle_model.py",
     "report/metrics.py",
 )  # fmt: skip
@@ -54,13 +56,13 @@ def package_folder() -> Path:
 @cache
 def sources() -> str:
     """Hash of the sources that determine a flight (see the module), 12 hex digits; computed once per process."""
-    return _source_hash(package_folder() / name for name in DECIDING)
+    return source_hash(package_folder() / name for name in DECIDING)
 
 
 @cache
 def package_hash() -> str:
     """Hash of all sources of this package, 12 hex digits: a worker must have the same as the driver."""
-    return _source_hash([package_folder()])
+    return source_hash([package_folder()])
 
 
 def identity() -> dict[str, str]:
@@ -68,7 +70,8 @@ def identity() -> dict[str, str]:
     return {**versions(), "sources": package_hash()}
 
 
-def _source_hash(places: Iterable[Path]) -> str:
+def source_hash(places: Iterable[Path]) -> str:
+    """Hash of the sources in some folders and files of this package, 12 hex digits."""
     root = package_folder()
     files = {
         file

@@ -21,7 +21,7 @@ PACKAGE = ROOT / "quadexp"
 # quadexp (a room) or a file beside the rooms; rooms on one floor do not import each other.
 FLOORS = (
     ("",),  # the version
-    ("errors", "messages", "progress", "provenance"),
+    ("cache", "errors", "messages", "progress", "provenance"),
     ("compile", "config"),
     ("physics",),
     ("air", "log"),

@@ -145,7 +145,7 @@ def columns_function(
     """(v (3,), a (n,)) -> the phi of all axes one after the other; terms: names per axis."""
     v, a = ca.SX.sym("v", 3), ca.SX.sym("a", rotors)
     phi = [term_expression(name, axis, v, a, momentum) for axis, names in enumerate(terms) for name in names]
-    return ca.Function("terms", [v, a], [ca.cse(ca.vertcat(*phi))])
+    return ca.Function("terms", [v, a], [ca.densify(ca.cse(ca.vertcat(*phi)))])
 
 
 def term_acceleration(features: Expression, theta: Expression, structure: TermStructure) -> Expression:

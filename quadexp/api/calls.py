@@ -121,7 +121,6 @@ def sweep(
     for as long as the table. old: cells at `out` flown by other sources than these: refuse, fly again, or keep.
     Returns a row a flight; of one that could not be flown `outcome` and `cause` say why.
     """
-    from quadexp.sweeps.child import without_main
     from quadexp.sweeps.cluster.engines import build_engine
     from quadexp.sweeps.sweep import run_sweep
 
@@ -130,7 +129,7 @@ def sweep(
     first = cells[0].config
     folder = Scratch() if out is None else Path(out)
     chosen = first.evaluate
-    with without_main(), _Shown("flights", progress) as shown:
+    with _Shown("flights", progress) as shown:
         made = run_sweep(
             cells, os.fspath(folder), metric=chosen.metric, baseline=chosen.baseline, confidence=chosen.confidence,
             engine=build_engine(first), force=force, old=old, progress=shown,

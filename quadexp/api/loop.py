@@ -20,12 +20,12 @@ from quadexp.control.mpc.mpc import StepRecord
 from quadexp.errors import UsageError
 from quadexp.experiment.build import (
     build_controller,
-    build_plant,
     build_trajectory,
     build_vehicle,
     find_model,
     unshared,
 )
+from quadexp.experiment.build_world import build_world
 from quadexp.experiment.rollout import Renewal, SampledReference
 from quadexp.physics.state import N_STATE, RATE
 from quadexp.reference.base import Trajectory
@@ -39,7 +39,7 @@ def controller(*settings: Given, conf: str | os.PathLike[str] | None = None, **k
     config = compose(overrides(settings, keywords), None if conf is None else Path(conf))
     with unshared():  # two loops of the same settings are two controllers
         vehicle = build_vehicle(config.vehicle)
-        plant = build_plant(vehicle, config.plant)
+        plant = build_world(config, vehicle)
         made = build_controller(config, vehicle, plant, find_model(config))
     return ControlLoop(made, build_trajectory(config.trajectory, vehicle), plant)
 
@@ -48,8 +48,9 @@ class ControlLoop:
     """A controller, what it tracks, and how its last step went.
 
     controller: see quadexp/control/base.py. plant: the configured simulated vehicle (quadexp/world/base.py), for a
-    loop without a real one. period: s, between steps. times: (k,), s, the control instants of the trajectory.
-    record: StepRecord of the last step, None before the first.
+    loop without a real one; in a world its flight begins with `begin` (quadexp/world/world.py). period: s, between
+    steps. times: (k,), s, the control instants of the trajectory. record: StepRecord of the last step, None before the
+    first.
     """
 
     def __init__(self, controller: Controller, trajectory: Trajectory, plant: Any) -> None:
@@ -97,6 +98,7 @@ class ControlLoop:
         self._reference = SampledReference(trajectory, self.controller)
         self._renewal = Renewal(round(self.controller.reference_period / self.period))
         self._begun, self.record = False, None
+        self._prepared: tuple[int, Window] | None = None
 
     def reset(self, state: npt.ArrayLike | None = None, reference: Window | None = None) -> None:
         """Begin a flight in the state (13,), or where the reference starts; the first `step` does it unasked."""
@@ -106,6 +108,19 @@ class ControlLoop:
     def _begin(self, state: np.ndarray, window: Window) -> None:
         self.controller.reset(state, window)
         self._begun = True
+
+    def prepare(self, t: float) -> None:
+        """Do what the step at t (s) can do before its measurement, so that it answers sooner; an MPC's, otherwise none.
+
+        To be called after the thrusts of the step before have been sent. The answer is that of a step without it, to
+        rounding.
+        """
+        k = self._instant(t)
+        prepare = getattr(self.controller, "prepare", None)
+        if prepare is None or not self._begun or self._renewal.due(k):
+            return
+        self._prepared = k, self._reference.window(k)
+        prepare(self._prepared[1])
 
     def step(
         self, measured: npt.ArrayLike | Measurement, t: float | None = None, reference: Window | None = None
@@ -128,7 +143,9 @@ class ControlLoop:
             self._begin(measured.state, reference or self._reference.window(k))
         if reference is None and self._renewal.due(k):
             self._renewal.renew(k, self._reference, self.controller.residual)
-        thrusts, self.record = self.controller.step(measured, reference or self._reference.window(k))
+        prepared, self._prepared = self._prepared, None
+        window = prepared[1] if prepared and prepared[0] == k else self._reference.window(k)
+        thrusts, self.record = self.controller.step(measured, reference or window)
         return thrusts
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
-from quadexp.config.compose import quoted
+from quadexp.config.override import quoted
 from quadexp.config.schema import Config
 from quadexp.errors import UsageError
 

@@ -110,7 +110,7 @@ def _run() -> int:
         if not hasattr(error, "format_message"):
             raise
         if type(error).__name__ == "NoArgsIsHelpError":
-            error.show()  # type: ignore[attr-defined]
+            print(error.format_message(), file=sys.stderr)
             code = 2
         else:
             fail(error.format_message(), 2)

@@ -17,9 +17,6 @@ def fit_gp(
     overrides: Overrides = None,
     out: Out = Path("models/gp"),
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the fit.")] = True,
-    compare: Annotated[
-        bool, typer.Option("--compare", help="Also compare numbers of inducing points and methods (minutes).")
-    ] = False,
     conf: Conf = None,
     force: Force = False,
     json: Json = False,
@@ -30,7 +27,7 @@ def fit_gp(
     quadexp fit-gp data/residuals.parquet --out models/gp
     quadexp fit-gp data/residuals.parquet gp=per_axis gp.inducing=40 --out models/gp40
     """
-    _fit("gp", dataset, overrides, out, conf, force, json, figures=figures, compare=compare)
+    _fit("gp", dataset, overrides, out, conf, force, json, figures=figures)
 
 
 @guarded

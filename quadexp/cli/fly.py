@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +11,15 @@ import typer
 from quadexp.cli.options import Conf, Force, Json, OptionalOut, Out, Overrides
 from quadexp.cli.terminal import emit, guarded, print_table, say
 from quadexp.errors import QuadexpError
+
+FIGURES = 5  # of a usual sweep
+SAMPLED = 200  # cells that are looked at for what their flights import
+DRAWING = ("quadexp.report.figures", "matplotlib.backends.backend_svg", "matplotlib.backends.backend_agg")
+NEEDED = {  # kind of a trajectory or controller -> modules, beside those that every flight needs
+    "random": ("quadexp.reference.random_polynomial", "quadexp.reference.minimum_snap", "quadexp.reference.time_scale"),
+    "file": ("quadexp.reference.from_file",),
+    "feedback": ("quadexp.control.feedback.controller",),
+}
 
 
 @guarded
@@ -51,6 +61,9 @@ def collect(
     save_flights: Annotated[
         Path | None, typer.Option("--save-flights", metavar="DIR", help="Write the flights too.")
     ] = None,
+    sweep: Annotated[
+        bool, typer.Option("--sweep", help="Fly in every combination of the worlds given, one after another.")
+    ] = False,
     conf: Conf = None,
     force: Force = False,
     json: Json = False,
@@ -60,18 +73,28 @@ def collect(
     \b
     quadexp collect plant=simplified collect.duration=300 --out data/residuals.parquet
     quadexp collect --flight runs/a.parquet --flight runs/b.parquet --out data/mine.parquet
+    quadexp collect --sweep wind=constant wind.velocity=[0,0,0],[4,0,0] plant.payload=0,0.2 --out data/worlds.parquet
     """
-    from quadexp.config.compose import compose
+    from quadexp.config.compose import session
+    from quadexp.errors import UsageError
     from quadexp.experiment.collect import collect_dataset
     from quadexp.log.store import check_output
     from quadexp.progress import Progress
 
-    config = compose(overrides or [], conf)
+    if sweep and flight:
+        raise UsageError(
+            "--sweep and --flight: give one of them; recorded flights are of the worlds they were flown in"
+        )
+    with session(conf) as composer:
+        worlds = [cell.config for cell in composer.expand(overrides or [])] if sweep else []
+        config = worlds[0] if worlds else composer.compose(overrides or [])
     path = check_output(out, force=force)
     if save_flights is not None:
         check_output(save_flights, force=force, folder=True)
     with Progress("seconds of flight") as progress:
-        report = collect_dataset(config, path, flights=flight or [], save_flights=save_flights, progress=progress)
+        report = collect_dataset(
+            config, path, flights=flight or [], worlds=worlds, save_flights=save_flights, progress=progress
+        )
     if json:
         emit(report)
         return
@@ -106,9 +129,7 @@ def evaluate(
     """
     from quadexp.config.compose import Cell, session
     from quadexp.errors import UsageError
-    from quadexp.progress import Progress
-    from quadexp.sweeps.cluster.engines import build_engine
-    from quadexp.sweeps.sweep import run_sweep
+    from quadexp.sweeps.server import start_server
 
     if refly and keep_old:
         raise UsageError("--refly and --keep-old: give one of them")
@@ -119,36 +140,48 @@ def evaluate(
     if not sweep and first.sweep:
         raise UsageError("this experiment is a sweep: add --sweep")
     out = out or Path("results") / _results_name(given, first, sweep)
-    with Progress("flights") as progress:
+    figures = sweep if figures is None else figures
+    preload = _preload(cells[:SAMPLED], figures)
+    if sweep and first.engine.kind == "local" and not (out / "results.parquet").exists():
+        start_server(preload)  # which imports these while the modules that follow are imported here
+
+    from quadexp.progress import Progress
+    from quadexp.sweeps.cluster.engines import build_engine
+    from quadexp.sweeps.engine import Workers
+    from quadexp.sweeps.figures import SweepFigures
+    from quadexp.sweeps.sweep import run_sweep
+
+    settings = first.evaluate
+    with (
+        Workers(settings.workers, settings.memory or None, preload, calls=FIGURES if figures else 1) as processes,
+        SweepFigures(out, processes if sweep else None, settings.metric, settings.confidence) as drawn,
+        Progress("flights") as progress,
+    ):
         result = run_sweep(
             cells,
             out,
-            metric=first.evaluate.metric,
-            baseline=first.evaluate.baseline,
-            confidence=first.evaluate.confidence,
-            engine=build_engine(first),
+            metric=settings.metric,
+            baseline=settings.baseline,
+            confidence=settings.confidence,
+            engine=build_engine(first, processes),
             force=force,
             old="refly" if refly else "keep" if keep_old else "ask",
             isolate=sweep,
             progress=progress,
+            flown=drawn.begin if figures else lambda rows: None,
         )
+        files = dict(result.files) | drawn.end()
     for note in result.notes:
         say(f"note: {note}")
-    files = dict(result.files)
-    if sweep if figures is None else figures:
-        from quadexp.report.figures import draw_results
+    if figures and settings.figures != "standard":
+        if settings.figures == "ladder":
+            from quadexp.report import ladder
 
-        files |= draw_results(
-            result.rows,
-            out,
-            metric=first.evaluate.metric,
-            confidence=first.evaluate.confidence,
-            fingerprint=result.statistics.fingerprint,
-        )
-        if first.evaluate.figures != "standard":
+            files |= ladder.draw(result.rows, out)
+        else:
             from quadexp.papers.lei_li import report as lei_li
 
-            files |= lei_li.draw(first.evaluate.figures, result.rows, out)
+            files |= lei_li.draw(settings.figures, result.rows, out)
     if json:
         emit(
             {
@@ -162,13 +195,31 @@ def evaluate(
             }
         )
     else:
-        print_table(result.table)
+        if first.evaluate.figures == "ladder":  # a column for every controller in every world has no room
+            from quadexp.report.ladder import ladder_table
+
+            print("\n".join(ladder_table(result.rows).lines()))
+        else:
+            print_table(result.table)
         print(out)
+    for name, why in drawn.failed.items():
+        say(f"error: {name}: not drawn: {why}; the tables are not affected")
     if result.not_flown:
         worst = result.not_flown[0]
         raise QuadexpError(
             f"{len(result.not_flown)} of {len(result.rows)} cells were not flown; the first: {worst['cause']}"
         )
+    if drawn.failed:
+        raise typer.Exit(1)
+
+
+def _preload(cells: Sequence[Any], figures: bool) -> list[str]:
+    """Modules that the processes of a sweep need."""
+    from quadexp.sweeps.server import PRELOAD
+
+    kinds = {cell.config.trajectory.kind for cell in cells} | {cell.config.controller.kind for cell in cells}
+    found = [*PRELOAD, *(module for kind in sorted(kinds) for module in NEEDED.get(kind, ()))]
+    return [*found, *DRAWING] if figures else found
 
 
 def _flight_name(config: Any) -> str:

@@ -24,6 +24,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
+from quadexp.cache import cache_folder, unusable
 from quadexp.compile.compiler import (
     STRICT_FLAGS,
     compile_flags,
@@ -33,48 +34,10 @@ from quadexp.compile.compiler import (
     run_compiler,
     toolchain,
 )
-from quadexp.errors import DEVICE, QuadexpError, UsageError, WriteError
+from quadexp.errors import QuadexpError, UsageError
 
 BACKENDS = ("auto", "compiled", "interpreted")
 LONG_AGO = 86400.0  # s
-
-
-def cache_folder() -> Path:
-    """Folder of the compiled functions: $QUADEXP_CACHE, else the user's cache folder; created private (0700)."""
-    chosen = os.environ.get("QUADEXP_CACHE")
-    folder = Path(chosen).absolute() if chosen else _usual_folder()
-    try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    except OSError as error:
-        raise _unusable(folder, error) from None
-    found = folder.stat()
-    if found.st_uid != os.getuid():
-        raise QuadexpError(f"{folder}: belongs to another user, set QUADEXP_CACHE to a folder of your own")
-    if found.st_mode & 0o022:
-        raise QuadexpError(
-            f"{folder}: others may write there, and what lies there is executed; chmod go-w it, or set QUADEXP_CACHE"
-        )
-    return folder
-
-
-def _usual_folder() -> Path:
-    """The user's cache folder; below the system's temporary one where there is no home, or none that takes files."""
-    away = Path(tempfile.gettempdir()) / f"quadexp-{os.getuid()}"
-    base = os.environ.get("XDG_CACHE_HOME")
-    try:
-        folder = (Path(base).absolute() if base else Path.home() / ".cache") / "quadexp"
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    except (RuntimeError, OSError):
-        return away
-    return folder if os.access(folder, os.W_OK | os.X_OK) else away
-
-
-def _unusable(folder: Path, error: OSError) -> QuadexpError:
-    reason = error.strerror or error
-    kind = WriteError if error.errno in DEVICE else QuadexpError
-    return kind(
-        f"{folder}: compiled functions cannot be kept there ({reason}); set QUADEXP_CACHE to one that takes files"
-    )
 
 
 @cache
@@ -177,7 +140,7 @@ def _library(name: str, source: str, flags: Sequence[str]) -> Path:
                 _sweep_up(folder)
                 _build(name, source, flags, library)
     except OSError as error:
-        raise _unusable(folder, error) from None
+        raise unusable(folder, error) from None
     return library
 
 
@@ -231,9 +194,15 @@ class BufferedFunction:
     arguments, results: dictionaries from the function's names to float arrays; a matrix (r, c) is stored as numpy
     (c, r), which is CasADi's column-major order. Fill the arguments, call, read the results.
     shared: arrays to be read as arguments of those names, such as another function's results, instead of own ones.
+    into: arrays that take the results of those names, any shape of the right size, contiguous, instead of own ones.
     """
 
-    def __init__(self, function: ca.Function, shared: Mapping[str, np.ndarray] | None = None) -> None:
+    def __init__(
+        self,
+        function: ca.Function,
+        shared: Mapping[str, np.ndarray] | None = None,
+        into: Mapping[str, np.ndarray] | None = None,
+    ) -> None:
         self.function = function
         self._buffer, self._trigger = function.buffer()
         self.arguments = {}
@@ -246,7 +215,11 @@ class BufferedFunction:
             if self.arguments[name].size:
                 self._buffer.set_arg(i, self.arguments[name].reshape(-1).data)
         for i, name in enumerate(function.name_out()):
-            self.results[name] = self._array(function.sparsity_out(i))
+            self.results[name] = own = self._array(function.sparsity_out(i))
+            if into is not None and name in into:
+                self.results[name] = into[name].reshape(own.shape)
+                if not np.shares_memory(self.results[name], into[name]):
+                    raise ValueError(f"{function.name()}: the array for {name} must be contiguous")
             if self.results[name].size:
                 self._buffer.set_res(i, self.results[name].reshape(-1).data)
 

@@ -7,10 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, overload
 
-from quadexp.config.schema import Config
+from quadexp.config.schema import WORLD, Config
 
-# Varied keys that the result table has a column for.
-COLUMN_KEYS = {"vehicle", "plant", "trajectory", "controller", "trajectory.speed", "model", "seed", "experiment"}
+# Varied keys that the result table has a column for; the plant's column names the world around it too, but not a sensor
+# that is only an accelerometer.
+COLUMN_KEYS = {
+    "vehicle", "plant", "world", "trajectory", "controller", "trajectory.speed", "model", "seed", "experiment",
+    *(group for group in WORLD if group != "sensor"),
+}  # fmt: skip
 
 Grid = tuple[tuple[str, ...], ...]  # for every key its overrides; the cells are their product, the last varies fastest
 

@@ -1,64 +1,42 @@
-"""From overrides to a configuration: the only module that touches Hydra, by its public functions alone.
+"""From overrides to a configuration.
 
-Hydra lends its composition of files and its override grammar (comma lists, range, choice, glob). It composes a choice
-of options once; an option that nothing else speaks of is composed alone and put in place, so that a sweep over many
-combinations composes every option once. Values are then set in plain dictionaries, and a node is made, and so checked,
-once for every set of values. Configurations share their nodes: these cannot be changed.
+Hydra (hydra_files.py) lends its composition of files and its override grammar (comma lists, range, choice, glob). It
+composes a choice of options once, and what it made is kept between runs (kept.py); an option that nothing else speaks
+of is composed alone and put in place, so that a sweep over many combinations composes every option once. Values are
+then set in plain dictionaries, and a node is made, and so checked, once for every set of values. Configurations share
+their nodes: these cannot be changed.
 """
 
 from __future__ import annotations
 
 import contextlib
 import copy
-import functools
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import hydra
-import yaml
-from hydra.core.config_store import ConfigStore
-from hydra.core.global_hydra import GlobalHydra
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
-from hydra.errors import HydraException
-from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-
 from quadexp.config.cells import Cell as Cell
 from quadexp.config.cells import Cells, Grid
 from quadexp.config.completion import folders, groups
+from quadexp.config.kept import KeptCompositions
+from quadexp.config.override import Given, plain_override, quoted
 from quadexp.config.plugins import import_from
-from quadexp.config.schema import PRESETS, SCHEMAS, Config, conf_folder
-from quadexp.config.settings import REQUIRED, declared, made, plain
+from quadexp.config.schema import PRESETS, SCHEMA, SCHEMAS, WORLD, Config, world_name
+from quadexp.config.settings import declared, made, plain
 from quadexp.errors import UsageError
 from quadexp.messages import one_line, suggestion
 
 _INTEGER = re.compile(r"0|-?[1-9]\d{0,17}")
 _REFERENCE = re.compile(r"\$\{(\w+(?=\})|)")
-SCHEMA = "_schema_"  # key of a node that names its schema
+_WHOLE_REFERENCE = re.compile(r"\$\{(\w+)\}")
 # Keys that hold a path.
 PATHS = {
-    "model", "plant.model", "trajectory.path", "collect.identified", "engine.shared", "engine.python",
+    "model", "plant.model", "trajectory.path", "wind.path", "collect.identified", "engine.shared", "engine.python",
     "engine.remote_python", "engine.tls_ca", "engine.tls_cert", "engine.tls_key",
 }  # fmt: skip
-_VERSION = {"version_base": "1.3"} if hydra.__version__.startswith("1.3.") else {}  # later versions take none
 KEPT = 50_000  # parsed overrides, and made nodes, that are remembered at most
-
-
-class Given(NamedTuple):
-    """One override. sweep: Hydra's own, where it stands for several values."""
-
-    key: str
-    value: Any
-    text: str
-    sweep: Override | None = None
-
-    @property
-    def node(self) -> str:
-        return self.key.partition(".")[0]
 
 
 class Node(NamedTuple):
@@ -76,6 +54,7 @@ class Composer:
     def __init__(self, extra: Path | None = None) -> None:
         self._folders = folders(extra)
         self._options = groups(extra)
+        self._kept = KeptCompositions(self._folders)
         self._wholes: dict[tuple[str, ...], dict[str, Node]] = {}
         self._together: dict[tuple[str, ...], dict[str, Node]] = {}
         self._alone: dict[str, dict[str, Node]] = {}
@@ -109,10 +88,6 @@ class Composer:
         """Names of a group's options."""
         return [name for name in self._options.get(group, ()) if not name.startswith("_")]
 
-    def get_group_options(self, group_name: str, *_: Any, **__: Any) -> list[str]:
-        """See `options`; Hydra's glob(...) asks by this name."""
-        return self.options(group_name)
-
     # ------------------------------------------------------------------------------------------------ configurations
     def _cell_config(self, overrides: Sequence[str]) -> Config:
         with _one_line():
@@ -127,7 +102,7 @@ class Composer:
             return
         given = {one.key for one in parsed}
         chosen = experiments[-1]
-        values = list(chosen.sweep.sweep_string_iterator()) if chosen.sweep else [chosen.text.partition("=")[2]]
+        values = [chosen.text.partition("=")[2]] if chosen.sweep is None else chosen.sweep
         rest = [one for one in parsed if one.key != "experiment"]
         for value in values:
             choice = self._parse([f"experiment={value}"])
@@ -152,11 +127,23 @@ class Composer:
                 _check_key({name: node.content for name, node in base.items()}, one.key)
                 self._checked.add((key, one.key))
         config = Config(**self._nodes(base, values))
+        config = replace(config, world=self._world_name(config, chosen, values))
         baseline = config.evaluate.baseline
         if baseline not in self._options["controller"]:
             hint = suggestion(baseline, self.options("controller"))
             raise UsageError(f"evaluate.baseline={baseline}: no such controller{hint}")
         return config
+
+    def _world_name(self, config: Config, chosen: Sequence[Given], values: Sequence[Given]) -> str:
+        bundles = [one for one in chosen if one.key == "world"]
+        bundle = str(bundles[-1].value) if bundles else "clean"
+        if not {one.node for one in values}.union(one.key for one in chosen).intersection((*WORLD, "experiment")):
+            return world_name(config, bundle, {group: getattr(config, group) for group in WORLD})  # nothing differs
+        key = ("world name", bundle)
+        if key not in self._made:
+            base = self._whole(bundles[-1:])
+            self._made[key] = self._nodes({group: base[group] for group in WORLD}, ())
+        return world_name(config, bundle, self._made[key])
 
     def _nodes(self, base: Mapping[str, Node], values: Sequence[Given]) -> dict[str, Any]:
         """The nodes with their values set, and the values of the root."""
@@ -188,25 +175,32 @@ class Composer:
     # -------------------------------------------------------------------------------------------------- what Hydra does
     def _composed(self, name: str, chosen: Sequence[Given], source: tuple[str, ...]) -> dict[str, Node]:
         """What Hydra composes of a file and a choice of options."""
-        own = ",".join(quoted(f"file://{folder}") for folder in self._folders[1:])
-        given = [*(one.text for one in chosen), f"hydra.searchpath=[{own}]"]
-        GlobalHydra.instance().clear()
-        try:
-            with hydra.initialize_config_dir(str(conf_folder()), **_VERSION):
-                composed = hydra.compose(name, overrides=given)
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise self._unreadable(error) from None
-        content = OmegaConf.to_container(composed)
-        assert isinstance(content, dict)
-        if name == "config":
-            self._check_presets(content, chosen)
-        found = plain(Config) if name == "config" else {}
-        found |= {str(key): value for key, value in content.items()}
+        asked = [name, [one.text for one in chosen]]
+        content = self._kept.get(asked)
+        if content is None:
+            content = self._composed_anew(name, chosen)
+            self._kept.put(asked, content)
+        found = {**plain(Config), **content} if name == "config" else content
         options = {one.key: one.value for one in chosen}
         return {key: _node(key, value, options, source) for key, value in found.items()}
 
+    def _composed_anew(self, name: str, chosen: Sequence[Given]) -> dict[str, Any]:
+        import yaml
+
+        from quadexp.config.hydra_files import composed_files
+
+        try:
+            content = composed_files(name, [one.text for one in chosen], self._folders)
+        except (yaml.YAMLError, UnicodeDecodeError) as error:
+            raise self._unreadable(error) from None
+        if name == "config":
+            self._check_presets(content, chosen)
+        return content
+
     def _check_presets(self, content: Mapping[Any, Any], chosen: Sequence[Given]) -> None:
         """UsageError where a preset sets a key that the option of its group does not have."""
+        import yaml
+
         options = {one.key: one.value for one in chosen}
         for group, target in PRESETS.items():
             if group not in options:
@@ -232,9 +226,11 @@ class Composer:
         """The same, from what the experiment and every option are by themselves, where that is the same."""
         if key in self._together:
             return self._together[key]
-        # A preset sets values of another group's node: the two are composed together, with the experiment.
+        # A preset sets values of another group's node, and a world chooses options of its parts: those are composed
+        # together, with the experiment.
         joined = {
             "experiment",
+            "world",
             *(g for pair in PRESETS.items() if pair[0] in (one.key for one in chosen) for g in pair),
         }
         together = [one for one in chosen if one.key in joined]
@@ -263,8 +259,19 @@ class Composer:
 
     def _spoken_for(self, experiments: Sequence[Given]) -> set[str] | None:
         """Nodes in which config.yaml or an experiment sets values itself; None where an experiment chooses options."""
+        names = ["config", *(f"experiment/{one.value}" for one in experiments if one.value is not None)]
+        asked = ["spoken for", names]
+        known = self._kept.get(asked)
+        if known is None:
+            known = {"nodes": self._spoken_for_in(names)}
+            self._kept.put(asked, known)
+        return None if known["nodes"] is None else set(known["nodes"])
+
+    def _spoken_for_in(self, names: Sequence[str]) -> list[str] | None:
+        import yaml
+
         found: set[str] = set()
-        for name in ("config", *(f"experiment/{one.value}" for one in experiments if one.value is not None)):
+        for name in names:
             file = next(path for folder in self._folders if (path := folder / f"{name}.yaml").is_file())
             try:
                 content = yaml.safe_load(file.read_text(encoding="utf-8")) or {}
@@ -273,9 +280,9 @@ class Composer:
             if name != "config" and len(content.get("defaults") or ()) > 1:
                 return None
             found |= {str(key) for key in content if key != "defaults"}
-        return found
+        return sorted(found)
 
-    def _unreadable(self, error: yaml.YAMLError | UnicodeDecodeError) -> UsageError:
+    def _unreadable(self, error: Exception) -> UsageError:
         """What is wrong with a file, in one line that names it."""
         mark = getattr(error, "problem_mark", None)
         file = mark.name if mark else getattr(error, "name", None) or self._undecodable()
@@ -304,44 +311,51 @@ class Composer:
             return Given(key, int(value), text)
         if not equals:
             raise UsageError(f"{text!r}: expected KEY=VALUE, such as trajectory.speed=8")
-        override = self._read(text)
-        if override.is_add() or override.is_force_add() or override.is_delete():
-            raise UsageError(f"{text!r}: keys can be set (KEY=VALUE), not added or deleted")
-        name = override.key_or_group
-        if override.package or name.split("/")[0].split(".")[0] in ("hydra", "schema", "sweep"):
+        given = None if key in PATHS and not re.match("[A-Za-z]", value) else plain_override(text)
+        given = given or self._read(text)
+        if given.key.split("/")[0].split(".")[0] in ("hydra", "schema", "sweep"):
             raise UsageError(f"{text!r}: not a key of this program")
-        if override.is_sweep_override():
+        if given.sweep is not None:
             if not sweep:
                 raise UsageError(f"{text!r}: several values for one key; use `quadexp evaluate --sweep` for that")
-            return Given(name, None, text, override)
-        given = Given(name, override.value(), f"{name}={override.get_value_element_as_str()}")
-        if name in self._options:
+            return given
+        if given.key in self._options:
             self._check_option(given)
         if len(self._parsed) > KEPT:
             self._parsed.clear()
         self._parsed[text] = given
-        if type(given.value) is int and name not in PATHS | self._options.keys():
+        if type(given.value) is int and given.key not in PATHS | self._options.keys():
             self._parsed[f"{key}="] = given
         return given
 
-    def _read(self, text: str) -> Override:
-        parser = OverridesParser.create(config_loader=self)  # type: ignore[arg-type]  # it asks for get_group_options
+    def _read(self, text: str) -> Given:
+        """An override by Hydra's grammar."""
+        from quadexp.config.hydra_files import read_override
+
         key, _, value = text.partition("=")
         literal = f"{key}={','.join(map(quoted, value.split(',')))}"
-        try:
-            (override,) = parser.parse_overrides([text])
-        except HydraException:
-            if key in PATHS:  # most letters that a path may have mean nothing to the grammar
-                return parser.parse_overrides([literal])[0]
+        override = read_override(text, self.options)
+        if override is None and key in PATHS:  # most letters that a path may have mean nothing to the grammar
+            override = read_override(literal, self.options)
+        if override is None:
             raise UsageError(
                 f"{text!r}: cannot be read as KEY=VALUE: a bracket or quote is left open,"
                 " or the value has signs that need quotes (KEY=\"'VALUE'\")"
-            ) from None
+            )
         found = override.value()
         values = getattr(found, "list", [found]) if "(" not in value else []
         if key in PATHS and any(isinstance(one, (int, float)) for one in values):  # 2024_01 is not the number 202401
-            return parser.parse_overrides([literal])[0]
-        return override
+            override = read_override(literal, self.options) or override
+        if override.is_add() or override.is_force_add() or override.is_delete():
+            raise UsageError(f"{text!r}: keys can be set (KEY=VALUE), not added or deleted")
+        name = override.key_or_group
+        if override.package:
+            raise UsageError(f"{text!r}: not a key of this program")
+        if not override.is_sweep_override():
+            return Given(name, override.value(), f"{name}={override.get_value_element_as_str()}")
+        if not override.is_discrete_sweep():
+            raise UsageError(f"{text!r}: not a list of values; use commas, range, choice or glob")
+        return Given(name, None, text, tuple(override.sweep_string_iterator()))
 
     def _check_option(self, given: Given) -> None:
         options = self.options(given.key)
@@ -395,11 +409,29 @@ def _content(name: str, base: Mapping[str, Node], values: Sequence[Given], other
     for one in values:
         if one.node in content:
             _set(content, one.key.split("."), one.value)
-    if others:
-        resolved = OmegaConf.to_container(OmegaConf.create(content), resolve=True)
-        assert isinstance(resolved, dict)
-        return resolved[name]
-    return content[name]
+    if not others:
+        return content[name]
+    try:
+        return _substituted(content[name], content)
+    except LookupError:
+        from quadexp.config.hydra_files import resolved
+
+        return resolved(content)[name]
+
+
+def _substituted(content: Any, others: Mapping[str, Any]) -> Any:
+    """The content with its references to numbers of the root replaced; LookupError where there are other references."""
+    if isinstance(content, dict):
+        return {key: _substituted(value, others) for key, value in content.items()}
+    if isinstance(content, list):
+        return [_substituted(value, others) for value in content]
+    if not isinstance(content, str) or "${" not in content:
+        return content
+    whole = _WHOLE_REFERENCE.fullmatch(content)
+    value = others[whole[1]] if whole else content
+    if not isinstance(value, (int, float)):
+        raise LookupError(content)
+    return value
 
 
 def _set(content: dict[str, Any], parts: Sequence[str], value: Any) -> None:
@@ -433,22 +465,14 @@ def _keys(content: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
             yield f"{prefix}{name}"
 
 
-def quoted(value: str) -> str:
-    """A value that stands for itself in Hydra's grammar: backslashes count double before a quote only."""
-    escaped = re.sub(r"(\\*)'", lambda found: f"{found[1] * 2}\\'", value)
-    return "'" + re.sub(r"\\+$", lambda found: found[0] * 2, escaped) + "'"
-
-
 def _product(overrides: Sequence[Given]) -> Grid:
     """The values of every key, as overrides; of a key that is given twice the last counts."""
     grid: dict[str, tuple[str, ...]] = {}
     for one in overrides:
         if one.sweep is None:
             grid[one.key] = (one.text,)
-        elif one.sweep.is_discrete_sweep():
-            grid[one.key] = tuple(f"{one.key}={value}" for value in one.sweep.sweep_string_iterator())
         else:
-            raise UsageError(f"{one.text!r}: not a list of values; use commas, range, choice or glob")
+            grid[one.key] = tuple(f"{one.key}={value}" for value in one.sweep)
     return tuple(grid.values())
 
 
@@ -465,25 +489,8 @@ def _one_line() -> Iterator[None]:
         yield
     except UsageError:
         raise
-    except (HydraException, OmegaConfBaseException, ValueError) as error:
+    except ValueError as error:
         raise UsageError(one_line(error)) from error
-
-
-def _required(schema: type) -> dict[str, Any]:
-    """What a schema says before any file: which values have to be given. Defaults are put below the files later, so
-    that an option may extend another one of another schema."""
-    found = {key: value for key, value in plain(schema).items() if value == REQUIRED}
-    nodes = {name: one.node for name, one in declared(schema).items() if one.node and not one.optional}
-    return found | {name: _required(node) for name, node in nodes.items() if node}
-
-
-@functools.cache
-def _register() -> None:
-    for group, schemas in SCHEMAS.items():
-        for name, schema in schemas.items():
-            only = {one.name: one.words[0] for one in declared(schema).values() if len(one.words) == 1}
-            node = {**_required(schema), **only, SCHEMA: f"{group}/{name}"}
-            ConfigStore.instance().store(group=f"schema/{group}", name=name, node=node)
 
 
 @contextlib.contextmanager
@@ -496,7 +503,6 @@ def session(extra: Path | None = None) -> Iterator[Composer]:
         if not extra.is_dir():
             raise UsageError(f"--conf {extra}: no such folder")
         import_from(extra.resolve())
-    _register()
     yield Composer(extra.resolve() if extra is not None else None)
 
 

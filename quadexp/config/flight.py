@@ -341,6 +341,13 @@ class MPCKeys(Settings):
             "s",
         ),
     ] = 0.0
+    input_hold: Annotated[
+        Literal["command", "deviation"],
+        Setting(
+            "what the prediction keeps constant within an interval: the command, as published, or its deviation from"
+            " the reference's thrust; then long intervals cost no accuracy on the reference"
+        ),
+    ] = "command"
     dead_time: Annotated[
         float,
         Setting(
@@ -425,6 +432,9 @@ class PredictiveConfig(MPCKeys, ControllerConfig):
 
     kind: str = "mpc"
     backend: Backend = "auto"
+    allow_unstable: Annotated[
+        bool, Setting("fly although the plant's own lag or delay makes the loop unstable at hover")
+    ] = False
 
 
 @dataclass(frozen=True, kw_only=True)

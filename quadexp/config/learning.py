@@ -40,6 +40,17 @@ class CollectConfig(Settings):
             " order)"
         ),
     ] = "midpoint"
+    thrust: Annotated[
+        Literal["delivered", "commanded"],
+        Setting(
+            "thrust between two samples of a simulated flight: what the rotors delivered, by their logged speeds or by"
+            " a motor lag and a delay fitted to the flights, or what was commanded"
+        ),
+    ] = "delivered"
+    state: Annotated[
+        Literal["estimate", "truth"],
+        Setting("of a simulated flight with an estimator: the estimate that the controller was told, or the truth"),
+    ] = "estimate"
     target: Annotated[
         Literal["auto", "specific_force", "velocity"],
         Setting(
@@ -130,13 +141,6 @@ class DragConfig(Settings):
 
     intercept: Annotated[bool, Setting("fit a constant acceleration in addition to the drag")] = True
     thrust: Annotated[bool, Setting("fit an error of the collective thrust, as a share, on the z axis")] = True
-    errors: Annotated[
-        Literal["flight", "hc1"],
-        Setting(
-            "95 % intervals from the spread over flights, or as if the rows of a flight were independent, which"
-            " they are not"
-        ),
-    ] = "flight"
     loss: Annotated[
         Literal["huber", "squares"],
         Setting("Huber's, which the few fastest rows do not bend, or least squares as published"),

@@ -15,13 +15,13 @@ from quadexp.config.flight import (
     SPEED,
     Backend,
     ControllerConfig,
-    Name,
     PathKeys,
     PlantConfig,
     PredictiveConfig,
     TrajectoryConfig,
 )
 from quadexp.config.settings import Setting, Settings, Triple
+from quadexp.config.world import WorldPartConfig
 from quadexp.errors import UsageError
 
 HEIGHT = Setting("height of the path, world", "(0, 1000]", "m")
@@ -104,12 +104,11 @@ class BladeElementPlantConfig(BladeElementEffects, BladeKeys, PlantConfig):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorConfig(Settings):
+class SensorConfig(WorldPartConfig):
     """What the controller measures with: an accelerometer with bias and white noise; all else is perfect."""
 
     prefix: ClassVar[str] = "sensor."
 
-    name: Name
     accelerometer_bias: Annotated[Triple, Setting("constant error of the specific force", "[-100, 100]", "m/s^2")] = (
         0.0,
         0.0,

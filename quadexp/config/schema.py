@@ -1,15 +1,23 @@
 """The whole configuration: every node, and the schemas that the files in conf/ extend.
 
-What a key is stands with the settings (settings.py): flight.py, lei_li.py, custom.py, learning.py, engine.py. A file of
-conf/ states only what differs from the defaults there.
+What a key is stands with the settings (settings.py): flight.py, lei_li.py, foreign.py, custom.py, learning.py,
+engine.py. A file of conf/ states only what differs from the defaults there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
+from quadexp.config.airframe import (
+    DisturbanceConfig,
+    FixedPayloadConfig,
+    GroundConfig,
+    SlungLoadConfig,
+    TruthConfig,
+)
 from quadexp.config.custom import (
     CustomControllerConfig,
     CustomPlantConfig,
@@ -33,6 +41,7 @@ from quadexp.config.flight import (
     TrajectoryConfig,
     VehicleConfig,
 )
+from quadexp.config.foreign import DroneModelsPlantConfig, RotorPyPlantConfig
 from quadexp.config.learning import CollectConfig, DragConfig, GPConfig
 from quadexp.config.lei_li import (
     BladeElementPlantConfig,
@@ -42,7 +51,11 @@ from quadexp.config.lei_li import (
     RLSMPCConfig,
     SensorConfig,
 )
+from quadexp.config.motors import ActuatorConfig, BatteryConfig, RotorLossConfig
+from quadexp.config.sensing import EskfConfig, ImuGnssConfig, ImuMocapConfig
 from quadexp.config.settings import Setting, Settings
+from quadexp.config.wind import DrydenConfig, GustConfig, WindFileConfig
+from quadexp.config.world import ConstantWindConfig, LatencyConfig, StatedEstimateConfig, WorldPartConfig
 from quadexp.errors import UsageError
 
 
@@ -57,7 +70,7 @@ class EvaluateConfig(Settings):
         Setting("error in the table: mean, root mean square, or largest distance from the reference"),
     ] = "mean_error"
     figures: Annotated[
-        Literal["standard", "lei_li", "families", "adaptation"],
+        Literal["standard", "lei_li", "families", "adaptation", "ladder"],
         Setting("figures drawn in addition to the standard ones"),
     ] = "standard"
     baseline: Annotated[str, Setting("controller with which the others are compared, seed by seed")] = "nominal_mpc"
@@ -71,11 +84,22 @@ class EvaluateConfig(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class Config(Settings):
-    """The whole configuration. sweep: what `evaluate --sweep` varies (experiment files)."""
+    """The whole configuration. sweep: what `evaluate --sweep` varies (experiment files). world: the name of what is
+    around the plant, for tables; see `world_name`."""
 
     vehicle: VehicleConfig
     plant: PlantConfig
-    sensor: SensorConfig
+    truth: WorldPartConfig
+    payload: WorldPartConfig
+    wind: WorldPartConfig
+    external: WorldPartConfig
+    link: WorldPartConfig
+    actuator: ActuatorConfig
+    battery: WorldPartConfig
+    health: RotorLossConfig
+    ground: WorldPartConfig
+    sensor: WorldPartConfig
+    estimator: WorldPartConfig
     trajectory: TrajectoryConfig
     controller: ControllerConfig
     collect: CollectConfig
@@ -94,8 +118,11 @@ class Config(Settings):
     seed: Annotated[
         int, Setting("seed of the noise and of the path of trajectory=random; the same for every controller", SEEDS)
     ] = 0
+    world: str = ""
     sweep: Any = None
 
+
+SCHEMA = "_schema_"  # key of a node that names its schema
 
 # Schemas by the name that conf/ files extend: `defaults: [/schema/trajectory/circle@_here_, _self_]`.
 SCHEMAS: dict[str, dict[str, type]] = {
@@ -104,9 +131,27 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "simplified": SimplifiedPlantConfig,
         "from_model": FromModelPlantConfig,
         "blade_element": BladeElementPlantConfig,
+        "rotorpy": RotorPyPlantConfig,
+        "drone_models": DroneModelsPlantConfig,
         "custom": CustomPlantConfig,
     },
-    "sensor": {"accelerometer": SensorConfig},
+    "truth": {"nominal": TruthConfig},
+    "payload": {"none": WorldPartConfig, "fixed": FixedPayloadConfig, "slung": SlungLoadConfig},
+    "wind": {
+        "none": WorldPartConfig,
+        "constant": ConstantWindConfig,
+        "gust": GustConfig,
+        "dryden": DrydenConfig,
+        "file": WindFileConfig,
+    },
+    "external": {"none": WorldPartConfig, "push": DisturbanceConfig},
+    "link": {"ideal": WorldPartConfig, "latency": LatencyConfig},
+    "actuator": {"motors": ActuatorConfig},
+    "battery": {"none": WorldPartConfig, "circuit": BatteryConfig},
+    "health": {"rotor_loss": RotorLossConfig},
+    "ground": {"none": WorldPartConfig, "cheeseman_bennett": GroundConfig},
+    "sensor": {"accelerometer": SensorConfig, "imu_mocap": ImuMocapConfig, "imu_gnss": ImuGnssConfig},
+    "estimator": {"none": StatedEstimateConfig, "eskf": EskfConfig},
     "trajectory": {
         "circle": CircleConfig,
         "lemniscate": LemniscateConfig,
@@ -131,8 +176,41 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "engine": {"local": EngineConfig, "dask": DaskConfig, "slurm": SlurmConfig},
 }
 
+# Groups of the world around an airframe, in the order in which a command meets them; see quadexp/world/effect.py.
+WORLD = (
+    "truth",
+    "payload",
+    "wind",
+    "external",
+    "link",
+    "actuator",
+    "battery",
+    "health",
+    "ground",
+    "sensor",
+    "estimator",
+)
+
 # Groups of presets, and the group whose values their options set (`# @package controller`).
 PRESETS = {"horizon": "controller"}
+
+
+def world_parts(config: Config) -> dict[str, WorldPartConfig]:
+    """The parts of the world that do something, by group; a sensor that is only an accelerometer is none."""
+    parts = {group: getattr(config, group) for group in WORLD}
+    return {group: one for group, one in parts.items() if one.effect and not one.idle}
+
+
+def world_name(config: Config, bundle: str, bundled: Mapping[str, Any]) -> str:
+    """What the world is called, without blanks: "clean", or a bundle and the parts that differ from it, as in
+    "outdoor_breeze,wind=none" and "wind=constant,link=latency".
+
+    bundle: option of the group `world`. bundled: the parts that it chooses, by group.
+    """
+    if not world_parts(config):
+        return "clean"
+    own = [f"{group}={getattr(config, group).name}" for group in WORLD if getattr(config, group) != bundled[group]]
+    return ",".join(own if bundle == "clean" else [bundle, *own])
 
 
 def conf_folder() -> Path:

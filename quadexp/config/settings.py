@@ -19,16 +19,18 @@ import re
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, asdict, dataclass, fields
 from types import NoneType
-from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 REQUIRED = "???"  # stands in a configuration file for a value that its user has to give
 _INTERVAL = re.compile(r"([\[(])\s*(\S+?),\s*(\S+?)\s*([\])])")
 _WORDS = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
 
-S = TypeVar("S")
 Triple = tuple[float, float, float]
 
 
@@ -86,6 +88,9 @@ class Settings:
             object.__setattr__(self, one.name, value)
 
 
+S = TypeVar("S", bound="DataclassInstance")
+
+
 def declared(node: type) -> dict[str, Declared]:
     """The settings of a class by name, in the order of its fields; a field without a Setting is none."""
     return _declared(node)
@@ -122,7 +127,7 @@ def made(node: type[S], values: Mapping[str, Any], prefix: str | None = None) ->
     Raises UsageError where there is no such key, a value is missing, or a value is none that is allowed.
     """
     prefix = getattr(node, "prefix", "") if prefix is None else prefix
-    names = [f.name for f in fields(node)]  # type: ignore[arg-type]
+    names = [f.name for f in fields(node)]
     for name in values:
         if name not in names:
             raise UsageError(f"{prefix}{name}: no such key{suggestion(str(name), names)}")
@@ -166,7 +171,7 @@ def plain(node: type) -> dict[str, Any]:
 
 def part(node: type[S], settings: Any, **others: Any) -> S:
     """The object that some settings configure, from all those of its fields that the settings have, and others."""
-    found = {f.name: getattr(settings, f.name) for f in fields(node) if hasattr(settings, f.name)}  # type: ignore[arg-type]
+    found = {f.name: getattr(settings, f.name) for f in fields(node) if hasattr(settings, f.name)}
     return node(**found | others)
 
 

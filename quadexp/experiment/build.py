@@ -15,10 +15,11 @@ from typing import Any, TypeVar, cast
 
 from quadexp.config.flight import ControllerConfig, FileConfig, MPCConfig, PlantConfig, TrajectoryConfig, VehicleConfig
 from quadexp.config.lei_li import FeedbackConfig, RLSMPCConfig, SensorConfig
-from quadexp.config.schema import Config
+from quadexp.config.schema import Config, world_parts
 from quadexp.config.settings import part
+from quadexp.config.world import WorldPartConfig
 from quadexp.errors import DataError, UsageError
-from quadexp.experiment import build_custom, build_identified, build_lei_li
+from quadexp.experiment import build_custom, build_foreign, build_identified, build_lei_li
 from quadexp.experiment.identity import digest
 from quadexp.experiment.inputs import located
 from quadexp.physics.vehicle import Vehicle
@@ -47,7 +48,8 @@ MAKERS = {
 }
 
 
-def _keep(record: Any, make: Callable[[], T]) -> T:
+def keep(record: Any, make: Callable[[], T]) -> T:
+    """What was made before of an equal record, else a new one."""
     key = digest(record)
     made = _kept.pop(key) if key in _kept else make()
     while len(_kept) >= KEPT:
@@ -78,19 +80,33 @@ class ModelFile:
 
 def build_vehicle(config: VehicleConfig) -> Vehicle:
     """The vehicle; raises UsageError where the numbers describe none."""
-    return _keep(["vehicle", asdict(config)], lambda: part(Vehicle, config))
+    return keep(["vehicle", asdict(config)], lambda: part(Vehicle, config))
 
 
-def build_plant(vehicle: Vehicle, config: PlantConfig) -> Any:
-    """The simulated truth."""
+def build_plant(vehicle: Vehicle, config: PlantConfig, believed: Vehicle | None = None) -> Any:
+    """The simulated truth.
+
+    vehicle: that is flown. believed: the one that controllers, and a model identified from flights, are made for, where
+    it is another.
+    """
+    if believed is not None and hasattr(config, "model"):
+        record = [*plant_record(vehicle, config), believed.fingerprint]
+        return keep(record, lambda: build_identified.identified_plant(vehicle, config, believed))
     makers = {
         "simplified": _simplified_plant,
         "blade_element": build_lei_li.blade_element_plant,
         "custom": build_custom.custom_plant,
         "from_model": build_identified.identified_plant,
+        "rotorpy": build_foreign.rotorpy_plant,
+        "drone_models": build_foreign.drone_models_plant,
     }
+    return keep(plant_record(vehicle, config), lambda: makers[config.kind](vehicle, config))
+
+
+def plant_record(vehicle: Vehicle, config: PlantConfig) -> list[Any]:
+    """What decides a plant."""
     content = build_identified.model_hash(config.model) if hasattr(config, "model") else ""
-    return _keep(["plant", vehicle.fingerprint, asdict(config), content], lambda: makers[config.kind](vehicle, config))
+    return ["plant", vehicle.fingerprint, asdict(config), content]
 
 
 def _simplified_plant(vehicle: Vehicle, config: Any) -> Any:
@@ -99,8 +115,11 @@ def _simplified_plant(vehicle: Vehicle, config: Any) -> Any:
     return SimplifiedPlant(vehicle, part(PlantEffects, config), step=config.step, backend=config.backend)
 
 
-def build_sensor(config: SensorConfig) -> Any:
-    """What the controller measures specific force with; None for a perfect accelerometer."""
+def build_sensor(config: WorldPartConfig) -> Any:
+    """What the controller measures specific force with; None for a perfect accelerometer, and for sensors that are
+    effects (see build_world)."""
+    if not isinstance(config, SensorConfig):
+        return None
     bias, noise = config.accelerometer_bias, config.accelerometer_noise
     if not any(bias) and not any(noise):
         return None
@@ -125,7 +144,14 @@ def build_trajectory(config: TrajectoryConfig, vehicle: Vehicle | None = None) -
             raise UsageError(f"trajectory={config.name}: is timed by the limits of a vehicle, and none was given")
         others["vehicle"] = None if config.allow_infeasible else vehicle
     module, name = TRAJECTORIES[config.kind]
-    return part(getattr(importlib.import_module(f"quadexp.reference.{module}"), name), config, **others)
+
+    def make() -> Any:
+        return part(getattr(importlib.import_module(f"quadexp.reference.{module}"), name), config, **others)
+
+    if config.kind != "random":
+        return make()
+    within = others["vehicle"] and others["vehicle"].fingerprint
+    return keep(["trajectory", asdict(config), within], make)  # its polynomials are costly, and the same for all
 
 
 def find_model(config: Config) -> ModelFile | None:
@@ -152,15 +178,20 @@ def find_model(config: Config) -> ModelFile | None:
 def input_hashes(config: Config, model: ModelFile | None) -> dict[str, str]:
     """Content hash of every file that a flight reads."""
     hashes = {"model": model.sha256} if model else {}
-    path = getattr(config.trajectory, "path", None)
     hashes |= build_custom.source_hashes(config)
     if hasattr(config.plant, "model"):
         hashes["plant"] = build_identified.model_hash(config.plant.model)
-    if path is not None:
+    for group, path in input_files(config).items():
         if not Path(path).is_file():
-            raise UsageError(f"trajectory.path={path}: no such file")
-        hashes["trajectory"] = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+            raise UsageError(f"{group}.path={path}: no such file")
+        hashes[group] = hashlib.sha256(Path(path).read_bytes()).hexdigest()
     return hashes
+
+
+def input_files(config: Config) -> dict[str, str]:
+    """Files besides checkpoints that a flight reads, by the group whose key `path` names them."""
+    named = {group: getattr(getattr(config, group), "path", None) for group in ("trajectory", "wind")}
+    return {group: path for group, path in named.items() if path is not None}
 
 
 def build_residual(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
@@ -176,7 +207,7 @@ def build_residual(config: Config, vehicle: Vehicle, plant: Any, model: ModelFil
     if kind == "custom":
         return build_custom.custom_residual(vehicle, config.controller)
     assert model is not None
-    return _keep(["residual", kind, vehicle.fingerprint, model.sha256], lambda: _from_file(kind, vehicle, model))
+    return keep(["residual", kind, vehicle.fingerprint, model.sha256], lambda: _from_file(kind, vehicle, model))
 
 
 def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
@@ -204,7 +235,8 @@ def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
 def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
     """The controller; one is kept for every (configuration, model), and begins anew with every flight."""
     controller = config.controller
-    believed = asdict(config.plant) if knows_plant(controller) else model.sha256 if model else ""
+    told = [asdict(config.plant), [*world_parts(config)]]
+    believed = told if knows_plant(controller) else model.sha256 if model else ""
     record = ["controller", vehicle.fingerprint, asdict(controller), believed]
 
     def make() -> Any:
@@ -221,7 +253,7 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
         residual, backend = build_residual(config, vehicle, plant, model), cast(MPCConfig, controller).backend
         return PredictiveController(ModelPredictiveController(vehicle, residual, settings, backend=backend))
 
-    return _keep(record, make)
+    return keep(record, make)
 
 
 def knows_plant(config: ControllerConfig) -> bool:

@@ -38,14 +38,15 @@ def load_identified(path: str | Path, vehicle: Vehicle) -> Any:
     return model
 
 
-def identified_plant(vehicle: Vehicle, config: Any) -> Any:
-    """The plant of plant=from_model."""
+def identified_plant(vehicle: Vehicle, config: Any, believed: Vehicle | None = None) -> Any:
+    """The plant of plant=from_model. believed: the vehicle that its model was fitted for, None for the flown one."""
     from quadexp.world.from_model import FromModelPlant
 
     model_hash(config.model)
     return FromModelPlant(
         vehicle,
-        model_residual(vehicle, Path(config.model), config.residual),
+        model_residual(believed or vehicle, Path(config.model), config.residual),
+        model_mass=believed.mass if believed else None,
         step=config.step,
         force_noise_density=config.force_noise_density,
         torque_noise_density=config.torque_noise_density,

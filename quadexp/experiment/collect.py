@@ -19,16 +19,22 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.config.schema import Config
+from quadexp.config.schema import WORLD, Config
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.experiment.build import build_controller, build_plant, build_vehicle, find_model
+from quadexp.experiment.build import build_controller, build_vehicle, find_model
 from quadexp.experiment.build_identified import load_identified
+from quadexp.experiment.build_world import build_world
 from quadexp.experiment.evaluate import describe, thrust_excess
 from quadexp.experiment.identity import digest, flight_record
+from quadexp.experiment.loop_margins import loop_margins
 from quadexp.experiment.rollout import SampledReference, fly
-from quadexp.learn.dataset import ResidualDataset, residual_dataset
+from quadexp.experiment.stability import instability
+from quadexp.learn.dataset import ResidualDataset, as_told, residual_dataset
+from quadexp.learn.known_noise import known_noise
 from quadexp.learn.recorded import is_recorded, logged_thrust, recorded_dataset, target_cost
+from quadexp.learn.rotor_thrust import mean_thrust
 from quadexp.learn.thrust_curve import ThrustCurve
+from quadexp.learn.timing_fit import TimingFit, fit_timing
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_flight, write_table
 from quadexp.physics.vehicle import Vehicle
@@ -39,6 +45,7 @@ from quadexp.reference.random_polynomial import RandomPolynomial
 PEAK_OVER_MEAN = 35 / 16  # speed of the minimum-snap move from rest to rest, 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7
 DRAWS = 50  # attempts to draw a path that can be flown
 OF_RECORDED = ("target", "identified")  # keys of `collect` for recorded flights only
+OF_TIMING = ("vehicle", "plant", "truth", "link", "actuator", "health", "sensor", "estimator")  # decide lag and delays
 LOST_DISTANCE = 1e3  # m; large, because a jump of the set-point must not end the flight
 GOLDEN = 0.6180339887498949  # step of an even spread over an interval for any number of points
 
@@ -67,18 +74,26 @@ class Setpoints:
 
 
 def collect_flights(
-    config: Config, progress: Callable[[float, float], None] = lambda done, total: None
+    config: Config,
+    progress: Callable[[float, float], None] = lambda done, total: None,
+    *,
+    worlds: Sequence[Config] = (),
 ) -> list[Flight]:
     """Fly until `collect.duration` seconds are recorded.
 
-    Raises UsageError where the controller lacks its model, QuadexpError where no path of a speed can be flown.
+    worlds: configurations that differ from this one in the plant and the world around it, flown in turn.
+    Raises UsageError where the controller lacks its model, worlds differ in something else, or one of them makes the
+    loop unstable, QuadexpError where no path of a speed can be flown.
     """
     model = find_model(config)
     vehicle = build_vehicle(config.vehicle)
-    plant = build_plant(vehicle, config.plant)
-    controller = build_controller(config, vehicle, plant, model)
-    flown = {group: node for group, node in flight_record(config).items() if group != "trajectory"}
-    record = {**flown, "collect": _decisive(config)}
+    worlds = worlds or [config]
+    for world in worlds:
+        _check_same(config, world)
+        plant = build_world(world, vehicle)
+        controller = build_controller(world, vehicle, plant, model)
+        if unstable := instability(world, loop_margins(controller, world.plant, plant), vehicle, plant, model):
+            raise UsageError(unstable)
     sequence = np.random.SeedSequence(int(digest(["collect", config.seed]), 16))
     speeds = np.random.default_rng(sequence.spawn(1)[0])
     offset = speeds.random()
@@ -86,13 +101,17 @@ def collect_flights(
     recorded = 0.0
     while not flights or recorded < config.collect.duration - 1e-6:
         index = len(flights)
+        world = worlds[index % len(worlds)]
+        plant = build_world(world, vehicle)
+        controller = build_controller(world, vehicle, plant, model)
+        flown = {group: node for group, node in flight_record(world).items() if group != "trajectory"}
         path_rng, noise_rng = map(np.random.default_rng, sequence.spawn(2))
         share = (offset + index * GOLDEN) % 1.0
         speed = config.collect.speed_min + share * (config.collect.speed_max - config.collect.speed_min)
         trajectory = _trajectory(config, vehicle, speed, config.collect.duration - recorded, path_rng)
         reference = SampledReference(trajectory, controller)
-        metadata = describe(config, vehicle, model) | {"name": f"flight_{index:03d}", "trajectory": config.collect.mode}
-        metadata["config"] = record
+        metadata = describe(world, vehicle, model) | {"name": f"flight_{index:03d}", "trajectory": config.collect.mode}
+        metadata["config"] = {**flown, "collect": _decisive(config)}
         flight = fly(plant, controller, reference, noise_rng, lost_distance=LOST_DISTANCE, metadata=metadata)
         if flight.outcome != "ok":
             raise QuadexpError(
@@ -102,6 +121,21 @@ def collect_flights(
         recorded += float(flight.t[-1])
         progress(min(round(recorded, 1), config.collect.duration), config.collect.duration)
     return flights
+
+
+def _check_same(config: Config, other: Config) -> None:
+    """Raise UsageError where two configurations differ in more than the plant and the world around it."""
+    mine, others = (
+        {key: value for key, value in flight_record(one).items() if key not in (*WORLD, "plant")}
+        | {"collect": asdict(one.collect)}
+        for one in (config, other)
+    )
+    different = next((key for key in mine if mine[key] != others.get(key)), None)
+    if different is not None:
+        raise UsageError(
+            f"collect --sweep: the flights differ in `{different}`; one data set is of one vehicle, controller"
+            f" and seed, in worlds that may differ in {', '.join(('plant', *WORLD))}"
+        )
 
 
 def _decisive(config: Config) -> dict[str, Any]:
@@ -146,8 +180,10 @@ def _rows(
     recorded = [is_recorded(flight) for flight in flights]
     if settings.target == "auto" and any(recorded) != all(recorded):
         raise UsageError("collect.target: simulated and recorded flights together need specific_force or velocity")
+    if settings.state == "estimate":
+        flights = [as_told(flight) for flight in flights]
     if settings.identified is None and settings.target in ("auto", "velocity") and not any(recorded):
-        return residual_dataset(flights, vehicle, frame=settings.frame, names=names), []
+        return _simulated_rows(config, vehicle, flights, names)
     curve = _curve(config, vehicle, flights)
     target = "specific_force" if settings.target == "auto" else settings.target
     notes = []
@@ -158,6 +194,60 @@ def _rows(
             f"warning: the target is the derivative of an estimated velocity, with its filter and noise{measured}"
         )
     return recorded_dataset(flights, vehicle, curve, target=target, frame=settings.frame, names=names), notes
+
+
+def _simulated_rows(
+    config: Config, vehicle: Vehicle, flights: Sequence[Flight], names: Sequence[str]
+) -> tuple[ResidualDataset, list[str]]:
+    """Transitions under the thrusts that the rotors delivered, as far as the flights tell, and how they were found."""
+    frame = config.collect.frame
+    dataset = residual_dataset(flights, vehicle, frame=frame, names=names)
+    worlds = [flight.metadata.get("config") or {} for flight in flights]
+
+    def noise_of(rows: ResidualDataset) -> dict[str, Any] | None:
+        return known_noise(rows, vehicle, worlds, of_estimate=config.collect.state == "estimate")
+
+    found = _timings(vehicle, flights, dataset, noise_of) if config.collect.thrust == "delivered" else []
+    extra: dict[str, Any] = {}
+    if not all(fit.timing.is_ideal for _, fit in found):
+        thrusts = [np.empty(0)] * len(flights)
+        for own, fit in found:
+            for i in own:
+                thrusts[i] = mean_thrust(flights[i], vehicle, fit.timing)
+        dataset = residual_dataset(flights, vehicle, frame=frame, names=names, thrusts=thrusts)
+        extra["timing"] = [{"flights": [names[i] for i in own], **fit.as_dict()} for own, fit in found]
+    extra["known_noise"] = noise_of(dataset)
+    lines = [f"{_flights(own, flights)}{fit.line}" for own, fit in found] if "timing" in extra else []
+    return dataset._replace(metadata={**dataset.metadata, **extra}), lines
+
+
+def _timings(
+    vehicle: Vehicle,
+    flights: Sequence[Flight],
+    commanded: ResidualDataset,
+    noise_of: Callable[[ResidualDataset], dict[str, Any] | None],
+) -> list[tuple[list[int], TimingFit]]:
+    """Motor lag and delays of every group of flights that has them in common, with the flights' indices."""
+    groups: dict[str, list[int]] = {}
+    for i, flight in enumerate(flights):
+        world = flight.metadata.get("config") or {}
+        groups.setdefault(digest({group: world.get(group) for group in OF_TIMING}), []).append(i)
+    index = np.asarray(commanded.columns["flight"])
+    tables = [commanded.rows(index == i).columns for i in range(len(flights))]
+    found = []
+    for own in groups.values():
+        noise = noise_of(commanded.rows(np.isin(index, own)))
+        fit = fit_timing([flights[i] for i in own], vehicle, [tables[i] for i in own], noise=noise)
+        found.append((own, fit))
+    return found
+
+
+def _flights(own: Sequence[int], flights: Sequence[Flight]) -> str:
+    """Which flights a line is about, "" where it is about all."""
+    if len(own) == len(flights):
+        return ""
+    shown = ", ".join(map(str, own[:4])) + (" .." if len(own) > 4 else "")
+    return f"flight{'s' if len(own) > 1 else ''} {shown}: "
 
 
 def _curve(config: Config, vehicle: Vehicle, flights: Sequence[Flight]) -> ThrustCurve:
@@ -189,10 +279,14 @@ def collect_dataset(
     path: Path,
     *,
     flights: Sequence[Path] = (),
+    worlds: Sequence[Config] = (),
     save_flights: Path | None = None,
     progress: Callable[[float, float], None] = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Write the residual data set of flight files, or of new flights; returns the report."""
+    """Write the residual data set of flight files, or of new flights (worlds: see collect_flights).
+
+    Returns the report.
+    """
     vehicle = build_vehicle(config.vehicle)
     if flights:
         _check_unique(flights, save_flights)
@@ -200,13 +294,12 @@ def collect_dataset(
         names = [str(file) for file in flights]
         record: dict[str, Any] = {"source": "files"}
     else:
-        flown = collect_flights(config, progress)
+        flown = collect_flights(config, progress, worlds=worlds)
         names = [flight.metadata["name"] for flight in flown]
-        record = {
-            "source": "flown",
-            "config": flown[0].metadata["config"],
-            "config_hash": digest(flown[0].metadata["config"]),
-        }
+        configs = [flight.metadata["config"] for flight in flown]
+        record = {"source": "flown", "config": configs[0], "config_hash": digest(configs[0])}
+        if len(worlds) > 1:
+            record |= {"worlds": configs[: len(worlds)], "config_hash": digest(configs[: len(worlds)])}
     dataset, notes = _rows(config, vehicle, flown, names)
     record |= {key: getattr(config.collect, key) for key in OF_RECORDED if "target" in dataset.metadata}
     if save_flights is not None:
@@ -231,6 +324,8 @@ def collect_dataset(
     rows = "samples" if dataset.metadata["frame"] == "sample" else "transitions"
     kind = f"target {dataset.metadata['target']}" if "target" in dataset.metadata else f"frame {config.collect.frame}"
     report["target"] = dataset.metadata.get("target")
+    if len(worlds) > len(flown):
+        notes = [*notes, f"warning: {len(flown)} flights in the first of {len(worlds)} worlds: raise collect.duration"]
     report["notes"] = notes
     report["lines"] = [
         *notes,

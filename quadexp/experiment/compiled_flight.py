@@ -23,6 +23,8 @@ from quadexp.control.mpc.subproblem import TOLERANCE
 from quadexp.physics.state import N_STATE
 from quadexp.world.base import Plant
 from quadexp.world.integrator import SimulatedPlant
+from quadexp.world.streams import Share, Streams
+from quadexp.world.world import World
 
 SOURCE = Path(__file__).with_name("flight.c")
 DRAWN_AT_ONCE = 128  # periods
@@ -33,6 +35,7 @@ LARGEST = 1e100  # of a number in a reference
 KNOWN_SETTINGS = {
     "horizon", "nodes", "first_node", "rate", "position_weight", "attitude_weight", "attitude_error", "velocity_weight",
     "rate_weight", "input_weight", "terminal_weight", "feedforward", "initial_iterations", "distance_limit",
+    "input_hold",
 }  # fmt: skip
 LEAN = {"X_new", "U_new", "checks"}  # results of a step that meets no bound
 KNOWN_ATTRIBUTES = {"mpc", "vehicle", "settings", "backend", "control_period", "node_times", "name", "source"}
@@ -48,17 +51,22 @@ class _Flight(ctypes.Structure):
         (name, kind)
         for kind, names in (
             (CFunction, "step lean bounded plant"),
-            (ctypes.c_longlong, "samples nodes inputs inner_size logged_size noise_size noise_argument doubt_size"),
-            (ctypes.c_double, "near tolerance max_turn period"),
+            (ctypes.c_longlong, "samples nodes inputs inner_size logged_size noise_size noise_argument"),
+            (ctypes.c_longlong, "draws_argument draws_at doubt_size"),
+            (ctypes.c_double, "near reach tolerance max_turn period"),
             (ctypes.c_void_p, "states thrusts along where"),
+            (ctypes.c_longlong, "reference_rows"),
             (ctypes.c_void_p, "x0 X_ref U_ref X U checks X_new U_new X_lin U_lin"),
             (ctypes.c_void_p, "guess bounded_checks bounded_X bounded_U side"),
-            (ctypes.c_void_p, "plant_x plant_inner plant_u x_next inner_next specific_force doubt noise"),
+            (
+                ctypes.c_void_p,
+                "plant_x plant_inner plant_u plant_time x_next inner_next specific_force doubt measured noise",
+            ),
             (ctypes.c_longlong, "first_drawn end_drawn"),
-            (ctypes.c_void_p, "x reading inner"),
+            (ctypes.c_void_p, "x told reading inner"),
             (ctypes.c_double, "time next_change"),
             (ctypes.c_longlong, "met commanded"),
-            (ctypes.c_void_p, "log_state log_input log_reading log_inner log_record"),
+            (ctypes.c_void_p, "logged log_state log_input log_reading log_inner log_record log_estimate"),
         )
         for name in names.split()
     ]
@@ -72,11 +80,11 @@ def _library() -> ctypes.CDLL:
 
 
 class Drawn:
-    """The noise of a flight, drawn in blocks of periods; in place of the generator for who asks for one period's."""
+    """The noise of a flight, drawn in blocks of periods; in place of its streams for who asks for one period's."""
 
-    def __init__(self, rng: np.random.Generator, periods: int, size: int) -> None:
-        self._rng, self._periods, self._size = rng, periods, size
-        self.block, self.first = np.empty((0, size)), 0
+    def __init__(self, streams: Streams, periods: int) -> None:
+        self._streams, self._periods = streams, periods
+        self.block, self.first = np.empty((0, streams.size)), 0
         self.taken = 0  # periods
 
     @property
@@ -86,22 +94,22 @@ class Drawn:
 
     def draw(self) -> None:
         """The next block."""
-        self._state = self._rng.bit_generator.state
+        self._state = self._streams.state
         self.first = self.end
-        self.block = self._rng.standard_normal((min(DRAWN_AT_ONCE, self._periods - self.first), self._size))
+        self.block = self._streams.take(min(DRAWN_AT_ONCE, self._periods - self.first))
 
     def standard_normal(self, out: np.ndarray) -> None:
-        """The noise of the next period, as the generator would have given it."""
+        """The noise of the next period, as the streams would have given it."""
         if self.taken == self.end:
             self.draw()
         out.ravel()[:] = self.block[self.taken - self.first]
         self.taken += 1
 
     def give_back(self) -> None:
-        """Leave the generator as if only what was taken had been drawn."""
+        """Leave the streams as if only what was taken had been drawn."""
         if self.taken < self.end:
-            self._rng.bit_generator.state = self._state
-            self._rng.standard_normal((self.taken - self.first, self._size))
+            self._streams.state = self._state
+            self._streams.take(self.taken - self.first)
 
 
 def covers(plant: Plant, controller: Controller, rng: Any, logged: int = 0) -> bool:
@@ -114,7 +122,8 @@ def covers(plant: Plant, controller: Controller, rng: Any, logged: int = 0) -> b
         return False
     if not isinstance(plant, SimulatedPlant) or type(plant).advance is not SimulatedPlant.advance:
         return False
-    if logged and not (logged == len(plant.inner) and type(plant).__module__.startswith("quadexp.world.")):
+    ours = type(plant).__module__.startswith("quadexp.world.")
+    if logged and not (ours and (isinstance(plant, World) or logged == len(plant.inner))):
         return False
     step, bounded = controller.mpc.functions
     period = plant.prepared(controller.control_period)
@@ -122,7 +131,7 @@ def covers(plant: Plant, controller: Controller, rng: Any, logged: int = 0) -> b
     unknown += [value for name, value in vars(controller.settings).items() if name not in KNOWN_SETTINGS]
     return (
         not any(unknown)
-        and set(step.arguments) == KNOWN_ARGUMENTS
+        and set(step.arguments) - {"first_share"} == KNOWN_ARGUMENTS
         and step.arguments["x0"].shape == (N_STATE,)
         and all(isinstance(f, BufferedFunction) and f.for_c is not None for f in (step, bounded, period))
         and isinstance(rng, np.random.Generator)
@@ -134,7 +143,9 @@ class CompiledFlight:
 
     plant, controller: that `covers` accepts. along: the reference's states at the control instants, (k, 13).
     reference: states (g, 13) and inputs (g, n) on a grid, and which of its rows make each horizon, (k, N + 1).
-    log: arrays to fill, (k, ..) each, by name: state, input, reading, inner, record. lost_distance: m.
+    log: arrays to fill, (k, ..) each, by name: state, input, reading, inner, record, estimate. logged: which of the
+    plant's inner states are logged; None: all, or none. noise: the flight's generator, or a world's streams.
+    lost_distance: m.
     """
 
     def __init__(
@@ -144,13 +155,20 @@ class CompiledFlight:
         reference: tuple[np.ndarray, np.ndarray, np.ndarray],
         along: np.ndarray,
         log: dict[str, np.ndarray],
-        rng: np.random.Generator,
+        logged: np.ndarray | None,
+        noise: np.random.Generator | Streams,
         lost_distance: float,
     ) -> None:
         step, bounded = controller.mpc.functions
         period, self._plant = plant.prepared(controller.control_period), plant
-        self.drawn = Drawn(rng, len(along), period.arguments["noise"].size)
+        steps = plant.steps(controller.control_period)
+        if not isinstance(noise, Streams):
+            noise = Streams([Share(noise, period.function.size1_in("noise"))], steps)
+        self.drawn, self._world = Drawn(noise, len(along)), isinstance(plant, World)
         self._x, self._reading, self._inner = np.empty(N_STATE), np.empty(3), np.empty(len(plant.inner))
+        self._told = np.empty(N_STATE) if self._world else self._x
+        if logged is None:
+            logged = np.arange(log["inner"].shape[1])
         states, thrusts, where = (np.ascontiguousarray(array) for array in reference)
         given, left = step.arguments, step.results
         arrays = {"states": states, "thrusts": thrusts, "along": np.ascontiguousarray(along), "where": where}
@@ -161,11 +179,14 @@ class CompiledFlight:
         arrays |= {"side": bounded.results["side"]}
         arrays |= {f"plant_{name}": period.arguments[name] for name in ("x", "inner", "u")}
         arrays |= {name: period.results[name] for name in ("x_next", "inner_next", "specific_force", "doubt")}
-        arrays |= {"x": self._x, "reading": self._reading, "inner": self._inner}
+        if self._world:
+            arrays |= {"plant_time": period.arguments["time"], "measured": period.results["measured"]}
+        arrays |= {"x": self._x, "told": self._told, "reading": self._reading, "inner": self._inner}
+        arrays["logged"] = np.ascontiguousarray(logged, np.int64)
         arrays |= {f"log_{name}": array for name, array in log.items()}
         self._arrays = arrays  # which must live as long as their addresses
         self._lean = step.lean(LEAN)
-        near = min(lost_distance, controller.settings.distance_limit) * INSIDE
+        names = list(period.arguments)
         finite = max(np.abs(states).max(), np.abs(thrusts).max()) < LARGEST
         self._flight = _Flight(
             step=step.for_c,
@@ -173,18 +194,22 @@ class CompiledFlight:
             bounded=bounded.for_c,
             plant=period.for_c,
             samples=len(along),
-            nodes=where.shape[1] - 1,
+            nodes=len(given["U"]),
+            reference_rows=where.shape[1],
             inputs=thrusts.shape[1],
             inner_size=len(plant.inner),
             logged_size=log["inner"].shape[1],
-            noise_size=period.arguments["noise"].size,
-            noise_argument=list(period.arguments).index("noise"),
+            noise_size=noise.size,
+            noise_argument=names.index("noise"),
+            draws_argument=names.index("draws") if self._world else -1,
+            draws_at=noise.noise_size,
             doubt_size=period.results["doubt"].size,
-            near=near if finite else -1.0,
+            near=lost_distance * INSIDE if finite else -1.0,
+            reach=controller.settings.distance_limit * INSIDE,
             tolerance=TOLERANCE,
             max_turn=MAX_TURN,
             period=controller.control_period,
-            **{name: array.ctypes.data for name, array in arrays.items()},
+            **{name: array.ctypes.data for name, array in arrays.items() if array.size},
         )
 
     def go_on(self, k: int, x: np.ndarray, reading: np.ndarray) -> tuple[int, bool, np.ndarray, np.ndarray]:
@@ -194,6 +219,8 @@ class CompiledFlight:
         """
         flight, plant, drawn = self._flight, self._plant, self.drawn
         self._x[:], self._reading[:], self._inner[:] = x, reading, plant.inner
+        if self._world:
+            self._told[:] = plant.measured
         flight.time, flight.next_change = plant.time, plant.next_change
         flight.commanded = False
         while True:
@@ -203,4 +230,6 @@ class CompiledFlight:
                 break
             drawn.draw()
         drawn.taken, plant.time, plant.inner = k, flight.time, self._inner.copy()
+        if self._world:
+            plant.measured = self._told.copy()
         return k, bool(flight.commanded), self._x.copy(), self._reading.copy()

@@ -14,15 +14,16 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import (
     ModelFile,
     build_controller,
-    build_plant,
     build_sensor,
     build_trajectory,
     build_vehicle,
     find_model,
 )
+from quadexp.experiment.build_world import build_world
 from quadexp.experiment.identity import digest, flight_entropy, flight_record
 from quadexp.experiment.loop_margins import loop_margins
 from quadexp.experiment.outside import outside_data
+from quadexp.experiment.stability import instability
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
 from quadexp.physics.vehicle import Vehicle
@@ -34,7 +35,7 @@ CHECK_STEP = 0.02  # s between the points at which a reference is compared with 
 
 
 class InfeasibleError(UsageError):
-    """The reference exceeds the vehicle's total thrust."""
+    """The reference exceeds the vehicle's total thrust, or the plant's lag what the loop stands."""
 
 
 def generator(config: Config) -> np.random.Generator:
@@ -104,9 +105,11 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     vehicle = build_vehicle(config.vehicle)
     trajectory = build_trajectory(config.trajectory, vehicle)
     note = check_feasible(config, trajectory, vehicle)
-    plant = build_plant(vehicle, config.plant)
+    plant = build_world(config, vehicle)
     controller = build_controller(config, vehicle, plant, model)
-    margins = loop_margins(controller, config.plant)
+    margins = loop_margins(controller, config.plant, plant)
+    if unstable := instability(config, margins, vehicle, plant, model):
+        raise InfeasibleError(unstable)
     reference = SampledReference(trajectory, controller)
     flight = fly(
         plant,
@@ -143,6 +146,7 @@ def describe(config: Config, vehicle: Vehicle, model: ModelFile | None) -> dict[
         "seed": config.seed,
         "vehicle": {"name": vehicle.name, "fingerprint": vehicle.fingerprint},
         "plant": config.plant.name,
+        "world": config.world,
         "trajectory": config.trajectory.name,
         "controller": config.controller.name,
         "model": model.path if model else "",
@@ -157,7 +161,7 @@ def result_row(config: Config, flight: Flight) -> dict[str, Any]:
     """The row of one flight in a table of results."""
     metadata = flight.metadata
     return {
-        "plant": config.plant.name,
+        "plant": config.plant.name if config.world == "clean" else f"{config.plant.name}/{config.world}",
         "vehicle": config.vehicle.name,
         "trajectory": config.trajectory.name,
         "speed": getattr(config.trajectory, "speed", None),

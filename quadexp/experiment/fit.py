@@ -15,6 +15,7 @@ from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
 from quadexp.learn.checkpoint import save_model
 from quadexp.learn.dataset import ResidualDataset, read_dataset
+from quadexp.learn.known_noise import explained, explained_lines
 from quadexp.provenance import provenance, versions
 
 ProgressCallback = Callable[[float, float], None]
@@ -28,25 +29,24 @@ def fit_checkpoint(
     *,
     force: bool = False,
     figures: bool = True,
-    compare: bool = False,
     progress: ProgressCallback = lambda done, total: None,
 ) -> dict[str, Any]:
     """Fit (kind "gp" or "drag"), write the checkpoint, return the report.
 
-    compare: also measure the error over the number of inducing points and the method.
     Raises UsageError or DataError before anything is written.
     """
     data = read_dataset(dataset)
     _check_vehicle(data, config, dataset)
     if kind == "gp":
-        model, report, draw = _fit_gp(data, config, compare=compare, progress=progress)
+        model, report, draw = _fit_gp(data, config, progress)
     else:
         model, report, draw = _fit_drag(data, config)
+    report["explained"] = explained(report["rows"], data.metadata.get("known_noise") or {})
     report |= {"dataset": str(dataset), "versions": versions(), "provenance": provenance()}
     save_model(out, model, report=report, force=force)
     files = draw(out / "figures") if figures else {}
     lines = [f"{report['summary']} from {data.n_rows} rows of {len(data.flights)} flights"]
-    lines += _split_lines(report)
+    lines += [*_split_lines(report), *explained_lines(report["explained"])]
     if "verdict" in report:
         from quadexp.learn.verdict import verdict_lines
 
@@ -68,7 +68,7 @@ def _check_vehicle(data: ResidualDataset, config: Config, path: Path) -> None:
         )
 
 
-def _fit_gp(data: ResidualDataset, config: Config, *, compare: bool, progress: ProgressCallback) -> tuple[Any, ...]:
+def _fit_gp(data: ResidualDataset, config: Config, progress: ProgressCallback) -> tuple[Any, ...]:
     from quadexp.learn.evaluation import fit_with_report
     from quadexp.learn.model import GPSettings
 
@@ -83,10 +83,6 @@ def _fit_gp(data: ResidualDataset, config: Config, *, compare: bool, progress: P
         from quadexp.learn.verdict import verdict
 
         report["verdict"] = verdict(fit.held_out_model, fit.train, fit.test, settings)
-    if compare:
-        from quadexp.learn.comparison import compare as compare_sizes
-
-        report["comparison"] = compare_sizes(data, settings, callback=lambda message, done: progress(round(done, 2), 1))
 
     def draw(folder: Path) -> dict[str, str]:
         from quadexp.report import fit_figures
@@ -96,8 +92,6 @@ def _fit_gp(data: ResidualDataset, config: Config, *, compare: bool, progress: P
         made = {"fit": fit_figures.fit_figure(fit.held_out_model, shown)}
         if fit.test is not None:
             made["calibration"] = fit_figures.calibration_figure(fit.held_out_model, fit.test)
-        if compare:
-            made["inducing_points"] = fit_figures.size_figure(report["comparison"], report["rows"])
         return {name: str(save(figure, folder / name)) for name, figure in made.items()}
 
     return fit.model, report, draw
@@ -107,7 +101,7 @@ def _fit_drag(data: ResidualDataset, config: Config) -> tuple[Any, ...]:
     from quadexp.learn.evaluation import evaluate_drag, split_by_flight
     from quadexp.learn.linear_drag import fit_linear_drag
 
-    options = {name: getattr(config.drag, name) for name in ("intercept", "thrust", "loss", "errors")}
+    options = {name: getattr(config.drag, name) for name in ("intercept", "thrust", "loss")}
     rows: list[dict[str, Any]] = []
     held_out: list[str] = []
     if config.drag.holdout > 0:

@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from quadexp.config.flight import VehicleConfig
 from quadexp.config.settings import made
 from quadexp.errors import DataError, UsageError
@@ -26,6 +28,7 @@ from quadexp.log.store import (
     check_finite,
     check_order,
     check_output,
+    column_names,
     read_flight,
     read_table,
     write_table,
@@ -55,7 +58,8 @@ def choose_method(paths: Sequence[Path], asked: str | None, vehicle: Vehicle | N
     if not paths:
         raise UsageError("identify: no flight given")
     for path in paths:
-        flight = read_recorded(path)
+        names, record = column_names(path, "flight")
+        flight = Flight(dict.fromkeys(names, np.empty(0)), record)
         if not rotor_columns(flight, "rotor_speed"):
             return Choice("regression", f"{path} has no rotor speeds")
         flown = vehicle or own_vehicle(flight)

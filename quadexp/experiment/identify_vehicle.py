@@ -1,4 +1,4 @@
-"""From flight files to an identified vehicle model: checkpoint, report, series of recursive estimates and figures."""
+"""From flight files to an identified vehicle model: checkpoint, report and figures."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,28 +14,29 @@ from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identify import own_vehicle, read_recorded
 from quadexp.learn.checkpoint import save_model
 from quadexp.learn.lumped import momentum_of
-from quadexp.learn.recursion import Recursion, VehicleIdentification, recurse
 from quadexp.learn.samples import Samples, choose_signal, gather
 from quadexp.learn.selection import HOVER_INFLOW, best_level, compare_curves, flight_by_flight, selection
 from quadexp.learn.thrust_curve import ThrustCurve
-from quadexp.learn.vehicle_fit import (
-    FitSettings,
-    LevelFit,
-    curve_beside_quadratic,
-    fit_level,
-    fit_vehicle_model,
-)
+from quadexp.learn.vehicle_fit import FitSettings, curve_beside_quadratic, fit_level, fit_vehicle_model
+from quadexp.learn.vehicle_model import VehicleModel
 from quadexp.log.schema import Flight
-from quadexp.log.store import check_output, write_table
+from quadexp.log.store import check_output
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
 
-ESTIMATES_FILE = "estimates.parquet"
 LEAST_IMPROVEMENT = 0.02  # relative, of the held-out error along z: another thrust curve replaces c_1, c_2 from here on
 EXPONENT_IMPROVEMENT = 0.1  # the same, for a fitted voltage exponent to replace 1
 EXPONENTS = (0.5, 1.5)  # plausible voltage exponents of a motor; outside, flights differ in something else
 OTHER_LOSS_SAMPLES = 100_000  # used by the fit with the other loss; more are thinned evenly
 NO_INDUCED = "blade element without induced velocity: its error on held-out flights is smaller than with it"
+
+
+class VehicleIdentification(NamedTuple):
+    """model, samples: the fit and its data. report: JSON-able."""
+
+    model: VehicleModel
+    samples: Samples
+    report: dict[str, Any]
 
 
 def identify_vehicle(
@@ -47,7 +48,7 @@ def identify_vehicle(
     choose_curve: bool = True,
     samples: Samples | None = None,
 ) -> VehicleIdentification:
-    """Fit, compare models on held-out flights, and compute the series of recursive estimates.
+    """Fit, and compare models on held-out flights.
 
     names: one per flight, all different. choose_curve: select the thrust curve on motor commands by held-out flights
     where settings.powers is None. samples: of these flights, if gathered already; their columns are not needed then.
@@ -64,23 +65,8 @@ def identify_vehicle(
     with_inflow = any(row["level"] == "blade_element" and not row["note"] for row in ladder)
     if with_inflow and best_level(ladder, ("blade_element", HOVER_INFLOW)) == HOVER_INFLOW:
         settings = replace(settings, induced=False)
-    series: dict[str, dict[str, Recursion]] = {}
-
-    def estimate_recursively(kind: str, fit: LevelFit) -> None:
-        if settings.loss != "squares":
-            kappa = momentum if isinstance(fit.terms.momentum, tuple) else 0.0
-            fit = fit_level(kind, samples, replace(settings, loss="squares"), kappa)
-        series[kind] = {one.axis: recurse(one.design, one.target, one.regression) for one in fit.axes}
-
-    model = fit_vehicle_model(
-        flights,
-        vehicle,
-        settings,
-        names=names,
-        samples=samples,
-        fitted=estimate_recursively,
-        best="blade_element" if best == HOVER_INFLOW else best,
-    )
+    kept = "blade_element" if best == HOVER_INFLOW else best
+    model = fit_vehicle_model(flights, vehicle, settings, names=names, samples=samples, best=kept)
     if not settings.induced:
         model = replace(model, notes=(*model.notes, NO_INDUCED))
     model = replace(model, versions=versions())
@@ -91,7 +77,7 @@ def identify_vehicle(
         "curves": curves, "selection": ladder, "best": model.best, "best_row": best, "notes": list(model.notes),
         "beside_quadratic": _beside_quadratic(samples, settings, model.thrust),
     }  # fmt: skip
-    return VehicleIdentification(model, samples, series, report)
+    return VehicleIdentification(model, samples, report)
 
 
 def chosen_curve(curves: Sequence[Mapping[str, Any]], settings: FitSettings) -> FitSettings:
@@ -135,17 +121,16 @@ def _beside_quadratic(samples: Samples, settings: FitSettings, curve: ThrustCurv
 def write_identification(
     result: VehicleIdentification, out: Path, *, force: bool = False, figures: bool = True
 ) -> dict[str, str]:
-    """Write the checkpoint folder, with the series of estimates and figures in it; returns figure name -> file."""
+    """Write the checkpoint folder, with figures in it; returns figure name -> file."""
     report = {**result.report, "versions": versions(), "provenance": provenance()}
     save_model(out, result.model, report=report, force=force)
-    record = {"flights": list(result.samples.names), "versions": versions(), "provenance": provenance()}
-    write_table(out / ESTIMATES_FILE, result.columns(), record, "estimates")
     if not figures:
         return {}
     from quadexp.report.figures import save
     from quadexp.report.identify_figures import draw_identification
 
-    return {name: str(save(figure, out / "figures" / name)) for name, figure in draw_identification(result).items()}
+    made = draw_identification(*result)
+    return {name: str(save(figure, out / "figures" / name)) for name, figure in made.items()}
 
 
 def identify_flights(

@@ -6,7 +6,7 @@ import hashlib
 import json
 from typing import Any
 
-from quadexp.config.schema import Config
+from quadexp.config.schema import WORLD, Config
 from quadexp.config.settings import record
 from quadexp.physics.vehicle import FORMER_NAMES
 
@@ -30,8 +30,11 @@ def digest(value: Any) -> str:
 
 
 def flight_record(config: Config) -> dict[str, Any]:
-    """The part of a configuration that determines one flight, as a dictionary."""
+    """The part of a configuration that determines one flight, as a dictionary; parts of the world that do nothing are
+    left out."""
     nodes = {group: record(getattr(config, group)) for group in FLIGHT_GROUPS}
+    world = {group: getattr(config, group) for group in WORLD if group not in nodes}
+    nodes |= {group: record(part) for group, part in world.items() if not part.idle}
     return {**nodes, "model": config.model, "seed": config.seed}
 
 
@@ -39,7 +42,8 @@ def flight_entropy(config: Config) -> int:
     """Seed of the noise of one flight: from trajectory, plant, vehicle and seed, NOT from controller or model.
 
     Flights of different controllers have the same noise, so comparisons are paired. Keys that do not affect the noise
-    (names, paths of files, back end, permission of infeasible references, end of a flight) are excluded.
+    (names, paths of files, back end, permission of infeasible references, end of a flight) are excluded. So are the
+    parts of the world: each has a stream of its own, which is the same whatever the others do.
     """
     nodes = flight_record(config)
     aside = {"name", "backend", "allow_infeasible", "lost_distance", "path"}

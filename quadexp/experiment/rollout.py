@@ -19,6 +19,7 @@ from quadexp.physics.state import POSITION, STATE_COLUMNS, input_columns
 from quadexp.reference.base import Trajectory
 from quadexp.reference.flatness import Reference, flat_reference
 from quadexp.world.base import Plant
+from quadexp.world.world import World
 
 LOST_DISTANCE = 10.0  # m from the reference; beyond it a flight counts as lost
 TIME_RESOLUTION = 1e-9  # s; closer sampling times count as equal
@@ -125,6 +126,8 @@ def fly(
     """Fly the reference from its start (or from `start`, (13,)) and return the log, one row per control instant.
 
     sensor: the controller's accelerometer; None: an exact one.
+    plant: a World tells the controller what its sensors and estimator make of the state; the log has both then, and
+    the flight ends by the true one.
     The flight ends early, with the log up to there, where the vehicle is further than lost_distance (m) from the
     reference or its state is not finite ("lost"), or a control step fails ("solver_failed"). metadata: extended by the
     outcome and the mean share of the residual in the reference (None without feed-forward of a residual).
@@ -133,18 +136,24 @@ def fly(
     period = controller.control_period
     renewal = Renewal(round(controller.reference_period / period))
     sensor_rng = rng.spawn(1)[0] if sensor is not None else rng
-    plant.reset()
-    inner_names = [name for name in INNER_STATES if hasattr(plant, name)]
-    log = _Log(len(reference), plant.vehicle.n_rotors, [len(getattr(plant, name)) for name in inner_names])
     x = reference.at(0)[0].copy() if start is None else np.array(start, float)
+    world = plant if isinstance(plant, World) else None
+    noise: Any = rng
+    if world is not None:
+        noise = world.begin(x, period, float(reference.t[-1]) + period, rng)
+    else:
+        plant.reset()
+    inner = _Inner(plant, period)
+    log = _Log(len(reference), plant.vehicle.n_rotors, len(inner.names), world is not None and world.estimates)
     reading = np.array([0.0, 0.0, plant.vehicle.gravity])
     measured, speed = None, None
-    controller.reset(x, reference.window(0))
+    told = x if world is None else world.measured
+    controller.reset(told, reference.window(0))
     compiled: CompiledFlight | None = None
-    noise: Any = rng
-    if covers(plant, controller, rng, log.inner.shape[1]):
+    if covers(plant, controller, rng, len(inner.names)):
         log.state_reference[:], log.input_reference[:] = along = reference.along()
-        compiled = CompiledFlight(plant, controller, reference.horizons(), along[0], log.arrays(), rng, lost_distance)
+        arrays, horizons = log.arrays(), reference.horizons()
+        compiled = CompiledFlight(plant, controller, horizons, along[0], arrays, inner.places, noise, lost_distance)
         noise = compiled.drawn
     outcome, cause, shares = "ok", "", np.full(len(reference), reference.residual_share)
     k, commanded = 0, False
@@ -160,9 +169,9 @@ def fly(
             if not distance <= lost_distance:
                 outcome, cause = "lost", f"{distance:.1f} m from the reference at t={t:.2f} s"
                 break
-            u, record = controller.step(Measurement(t, x, measured, speed), reference.window(k))
-            inner = [getattr(plant, name) for name in inner_names]
-            log.add(x, u, state_reference, input_reference, reading, inner, record, controller.log())
+            u, record = controller.step(Measurement(t, told, measured, speed), reference.window(k))
+            row = (x, u, state_reference, input_reference, reading, inner.values(), told)
+            log.add(*row, record, controller.log())
             if record.status == Status.FAILED:
                 outcome, cause = "solver_failed", f"the control step failed at t={t:.2f} s"
                 break
@@ -171,9 +180,11 @@ def fly(
         except ModelDomainError as error:
             outcome, cause = "lost", str(error)
             break
+        told = x if world is None else world.measured
         k += 1
         if compiled is not None:  # its controller does not read the sensor
             k, commanded, x, reading = compiled.go_on(k, x, reading)
+            told = x if world is None else world.measured
             log.rows = k + commanded
             u = log.input[log.rows - 1].copy()
             continue
@@ -190,7 +201,7 @@ def fly(
     details["reference_residual"] = None if math.isnan(share) else share
     if renewal.failed:
         details["stale_references"] = renewal.failed
-    return Flight(log.columns(reference.t, inner_names), {**(metadata or {}), **details})
+    return Flight(log.columns(reference.t, inner.names), {**(metadata or {}), **details})
 
 
 class Renewal:
@@ -216,20 +227,46 @@ class Renewal:
         self._next = k + self._wait
 
 
-class _Log:
-    """The samples of a flight; inner: sizes of the inner states that are logged."""
+class _Inner:
+    """Which inner states of a plant are columns of a flight.
 
-    def __init__(self, samples: int, rotors: int, inner: list[int]) -> None:
+    names: of the columns. places: which of the inner states they are; None where the plant gives them by attributes.
+    """
+
+    def __init__(self, plant: Plant, period: float) -> None:
+        self._plant, self._attributes = plant, [name for name in INNER_STATES if hasattr(plant, name)]
+        self.places: np.ndarray | None = None
+        if isinstance(plant, World):
+            columns = plant.columns(period)
+            self.names, self.places = [*columns], np.array([*columns.values()], np.int64)
+        else:
+            sizes = [(name, len(getattr(plant, name))) for name in self._attributes]
+            self.names = [f"{name}_{j}" for name, size in sizes for j in range(size)]
+
+    def values(self) -> np.ndarray:
+        """What they are now."""
+        if isinstance(self._plant, World):
+            return self._plant.inner[self.places]
+        values = [getattr(self._plant, name) for name in self._attributes]
+        return np.concatenate(values) if values else np.empty(0)
+
+
+class _Log:
+    """The samples of a flight. inner: how many inner states are logged. estimates: whether the controller is told
+    another state than the true one."""
+
+    def __init__(self, samples: int, rotors: int, inner: int, estimates: bool) -> None:
         self.rows = 0
         self.state, self.state_reference = np.empty((2, samples, len(STATE_COLUMNS)))
         self.input, self.input_reference = np.empty((2, samples, rotors))
         self.reading, self.record = np.empty((samples, 3)), np.empty((samples, len(StepRecord._fields)))
-        self.inner, self._inner_sizes = np.empty((samples, sum(inner))), inner
+        self.inner = np.empty((samples, inner))
+        self.estimate = np.empty((samples if estimates else 0, len(STATE_COLUMNS)))
         self.extra: list[dict[str, float]] = []
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What flight.c fills."""
-        return {name: getattr(self, name) for name in ("state", "input", "reading", "inner", "record")}
+        return {name: getattr(self, name) for name in ("state", "input", "reading", "inner", "record", "estimate")}
 
     def add(
         self,
@@ -238,15 +275,17 @@ class _Log:
         state_reference: np.ndarray,
         input_reference: np.ndarray,
         reading: np.ndarray,
-        inner: list[np.ndarray],
+        inner: np.ndarray,
+        told: np.ndarray,
         record: StepRecord,
         extra: dict[str, float],
     ) -> None:
         k, self.rows = self.rows, self.rows + 1
         self.state[k], self.input[k], self.reading[k], self.record[k] = x, u, reading, record
         self.state_reference[k], self.input_reference[k] = state_reference, input_reference
-        if inner:
-            self.inner[k] = np.concatenate(inner)
+        self.inner[k] = inner
+        if len(self.estimate):
+            self.estimate[k] = told
         self.extra.append(extra)
 
     def measure(self, sensor: Sensor | None, rng: np.random.Generator) -> None:
@@ -269,7 +308,8 @@ class _Log:
         columns["solve_time"] = record["solve_time"]
         columns |= {name: record[name].astype(kind) for name, kind in counts.items()}
         columns |= {"kkt": record["kkt"], "unconverged": (record["converged"] == 0).astype(np.int8)}
-        names = [f"{name}_{j}" for name, size in zip(inner_names, self._inner_sizes, strict=True) for j in range(size)]
-        columns |= dict(zip(names, self.inner[flown].T, strict=True))
+        columns |= dict(zip(inner_names, self.inner[flown].T, strict=True))
+        if len(self.estimate):
+            columns |= {f"est_{n}": v for n, v in zip(STATE_COLUMNS, self.estimate[flown].T, strict=True)}
         columns |= {name: np.array([row[name] for row in self.extra], float) for name in self.extra[0]}
         return {name: np.ascontiguousarray(values) for name, values in columns.items()}

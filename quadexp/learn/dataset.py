@@ -22,12 +22,15 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
+from quadexp.learn.rows import evaluate_rows
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_table
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS, VELOCITY, input_columns
@@ -97,26 +100,34 @@ class ResidualDataset(NamedTuple):
         return digest.hexdigest()
 
     def summary(self) -> dict[str, Any]:
-        """Record of the data for a checkpoint: hash, rows, flights, seconds, frame; for recorded flights also names,
-        target and thrust curve."""
+        """Record of the data for a checkpoint: hash, rows, flights, seconds, frame; timing and known noise where they
+        are not those of a clean flight; for recorded flights also names, target and thrust curve."""
         recorded = {key: self.metadata[key] for key in ("target", "thrust") if key in self.metadata}
+        timing = {key: self.metadata[key] for key in ("timing", "known_noise") if self.metadata.get(key)}
         if recorded:
             recorded["names"] = sorted(set(map(str, self.columns["flight_name"])))
-        return recorded | {
-            "sha256": self.sha256,
-            "rows": self.n_rows,
-            "flights": len(self.flights),
-            "duration": float(np.sum(self.columns["dt"])) if "dt" in self.columns else None,
-            "frame": self.metadata.get("frame"),
-        }
+        return (
+            timing
+            | recorded
+            | {
+                "sha256": self.sha256,
+                "rows": self.n_rows,
+                "flights": len(self.flights),
+                "duration": float(np.sum(self.columns["dt"])) if "dt" in self.columns else None,
+                "frame": self.metadata.get("frame"),
+            }
+        )
 
 
-def transitions(flight: Flight, vehicle: Vehicle, *, frame: str = "midpoint") -> dict[str, np.ndarray]:
+def transitions(
+    flight: Flight, vehicle: Vehicle, *, frame: str = "midpoint", thrust: np.ndarray | None = None
+) -> dict[str, np.ndarray]:
     """Features and targets of every pair of consecutive samples of one flight.
 
     flight: columns t (s, increasing), the state, u_i (N); an optional column `segment` marks resets by its changes,
     optional columns wind_x, wind_y, wind_z (world, m/s) are the velocity of the air.
-    frame: "midpoint" or "start", see the module.
+    frame: "midpoint" or "start", see the module. thrust: mean thrusts (k - 1, n) (N) between the samples, NaN where
+    there are none; None: as commanded, u_i.
 
     Samples whose dt lies outside 0.5 .. 1.5 of the median, or whose segment differs, are not consecutive.
     Raises DataError for a missing column or a value that is not finite (column and row), UsageError for the frame.
@@ -128,9 +139,10 @@ def transitions(flight: Flight, vehicle: Vehicle, *, frame: str = "midpoint") ->
     inputs = input_columns(vehicle.n_rotors)
     t = _read(flight, ("t",))[:, 0]
     state = _read(flight, STATE_COLUMNS)
-    thrust = _read(flight, inputs)
+    thrust = _read(flight, inputs)[:-1] if thrust is None else thrust
 
-    k = _consecutive(t, flight.columns.get("segment"))
+    k = consecutive(t, flight.columns.get("segment"))
+    k = k[np.isfinite(thrust[k]).all(axis=1)]
     before, after, u, dt = state[k], state[k + 1], thrust[k], np.diff(t)[k]
     before[:, ATTITUDE] = _unit(before[:, ATTITUDE], k)
     after[:, ATTITUDE] = _unit(after[:, ATTITUDE], k + 1)
@@ -165,15 +177,18 @@ def residual_dataset(
     *,
     frame: str = "midpoint",
     names: Sequence[str] | None = None,
+    thrusts: Sequence[np.ndarray] | None = None,
 ) -> ResidualDataset:
     """The transitions of many flights in one table, each row with its flight.
 
-    names: see `joined`. Raises DataError for a flight of another vehicle, and where there is no transition.
+    names: see `joined`. thrusts: of every flight those between its samples, see `transitions`; None: as commanded.
+    Raises DataError for a flight of another vehicle, and where there is no transition.
     """
+    delivered = iter(thrusts if thrusts is not None else repeat(None, len(flights)))
 
     def table_of(flight: Flight, name: str) -> dict[str, np.ndarray]:
         try:
-            return transitions(flight, vehicle, frame=frame)
+            return transitions(flight, vehicle, frame=frame, thrust=next(delivered))
         except DataError as error:
             raise DataError(f"{name}: {error}") from None
 
@@ -185,6 +200,12 @@ def residual_dataset(
         record["seed"] = flight.metadata.get("seed")
     vehicle_record = {"name": vehicle.name, "fingerprint": vehicle.fingerprint, "mass": vehicle.mass}
     return ResidualDataset(columns, {"vehicle": vehicle_record, "frame": frame, "flights": records})
+
+
+def as_told(flight: Flight) -> Flight:
+    """The flight with the estimate that its controller was told, est_p_x .., in place of the truth where it has one."""
+    told = {name: flight.columns[f"est_{name}"] for name in STATE_COLUMNS if f"est_{name}" in flight.columns}
+    return replace(flight, columns={**flight.columns, **told}) if told else flight
 
 
 def joined(
@@ -232,8 +253,8 @@ def _require_finite(column: np.ndarray, what: str) -> None:
         raise DataError(f"{what} holds {column[bad[0]]} in row {bad[0]} ({len(bad)} such rows); all must be finite")
 
 
-def _consecutive(t: np.ndarray, segment: np.ndarray | None) -> np.ndarray:
-    """Indices k for which samples k and k + 1 are consecutive."""
+def consecutive(t: np.ndarray, segment: np.ndarray | None) -> np.ndarray:
+    """Transitions of samples at times t (k,) with segments (k,): indices k of which k and k + 1 are consecutive."""
     dt = np.diff(t)
     if not len(dt):
         return np.empty(0, int)
@@ -272,7 +293,9 @@ def _predict(vehicle: Vehicle, state: np.ndarray, u: np.ndarray, dt: np.ndarray)
     rigid_body = rigid_body_function(vehicle)
     x, thrust, step = ca.SX.sym("x", state.shape[1]), ca.SX.sym("u", u.shape[1]), ca.SX.sym("dt")
     end = rk4_step(lambda at: rigid_body(at, thrust), x, step)
-    return np.array(ca.Function("step", [x, thrust, step], [end])(state.T, u.T, dt[None, :]).full()).T
+    after = np.empty(state.shape)
+    evaluate_rows(ca.Function("step", [x, thrust, step], [ca.densify(end)]), (state, u, dt[:, None]), after)
+    return after
 
 
 def read_dataset(path: str | Path) -> ResidualDataset:

@@ -8,10 +8,9 @@ absorbs the motors' loss, which is proportional to the thrust.
 loss="huber" (default) is Huber's loss (huber.py): where the true drag is not linear, it reduces the influence of the
 few fastest rows, and the controller that uses the fit tracks better. loss="squares" is the published fit.
 
-Intervals: errors="flight" (default) treats flights as independent (quadexp.learn.flight_jackknife): 95 % intervals for
-the fit to many flights of the same kind, also where the true drag is not linear. errors="hc1" treats rows as
-independent (HC1, MacKinnon & White 1985: with psi = rho', H = X' diag(psi') X, H^-1 X' diag(psi^2) X H^-1 n/(n - p)),
-which on flights is 7 to 10 times too small.
+Intervals treat flights as independent (quadexp.learn.flight_jackknife): 95 % intervals for the fit to many flights of
+the same kind, also where the true drag is not linear. Rows of a flight are not independent: intervals that take them so
+are 7 to 10 times too small on flights.
 """
 
 from __future__ import annotations
@@ -27,11 +26,10 @@ from quadexp.learn.flight_jackknife import flight_errors
 from quadexp.learn.huber import LOSSES, solve
 from quadexp.learn.support import feature_ranges
 
-ERRORS = ("flight", "hc1")
 AXES = "xyz"
 LABELS = {
     "flight": "95 % interval over {flights} flights",
-    "hc1": "95 % interval as if rows were independent, too narrow for flights",
+    "hc1": "95 % interval as if rows were independent, too narrow for flights",  # of earlier versions
     "blocks": "95 % interval of quadexp identify",
 }
 
@@ -124,19 +122,15 @@ def fit_linear_drag(
     *,
     intercept: bool = True,
     thrust: bool = True,
-    errors: str = "flight",
     loss: str = "huber",
     intervals: bool = True,
 ) -> LinearDrag:
     """Regression of the residual acceleration on body velocity, axis by axis.
 
-    intercept, thrust: whether b and kappa are fitted (False, False is the published model). errors: "flight" or "hc1";
-    loss: "huber" or "squares"; see the module. intervals: False computes no errors. Raises DataError for fewer than two
-    rows more than coefficients, and where the rows do not determine the coefficients (for instance with a constant
-    velocity).
+    intercept, thrust: whether b and kappa are fitted (False, False is the published model). loss: "huber" or "squares";
+    see the module. intervals: False computes no errors. Raises DataError for fewer than two rows more than
+    coefficients, and where the rows do not determine the coefficients (for instance with a constant velocity).
     """
-    if errors not in ERRORS:
-        raise UsageError(f"drag.errors: '{errors}' is none of {', '.join(ERRORS)}")
     if loss not in LOSSES:
         raise UsageError(f"drag.loss: '{loss}' is none of {', '.join(LOSSES)}")
     n = dataset.n_rows
@@ -149,9 +143,7 @@ def fit_linear_drag(
         if intercept:
             design = np.column_stack([design, np.ones(n)])
         target = dataset.matrix([f"a_{axis}"])[:, 0]
-        fit, residual = _regression(
-            design, target, flight, f"a_{axis} on {', '.join(names)}", loss, errors if intervals else ""
-        )
+        fit, residual = _regression(design, target, flight, f"a_{axis} on {', '.join(names)}", loss, intervals)
         drag[:, i] = fit[:, 0]
         if intercept:
             offset[:, i] = fit[:, -1]
@@ -161,7 +153,7 @@ def fit_linear_drag(
         spread = np.sum((target - target.mean()) ** 2) if intercept else np.sum(target**2)
         r_squared[i] = 1 - np.sum(residual**2) / spread if spread > 0 else 0.0
     return LinearDrag(
-        drag[0], offset[0], float(gain[0]), drag[1], offset[1], float(gain[1]), std, r_squared, n, errors, loss,
+        drag[0], offset[0], float(gain[0]), drag[1], offset[1], float(gain[1]), std, r_squared, n, "flight", loss,
         dict(dataset.metadata.get("vehicle") or {}), dataset.summary(),
         np.concatenate([drag[2], offset[2], [gain[2]]]), len(np.unique(flight)),
         feature_ranges(dataset, [THRUST] if thrust else []),
@@ -169,9 +161,9 @@ def fit_linear_drag(
 
 
 def _regression(
-    design: np.ndarray, target: np.ndarray, flight: np.ndarray, what: str, loss: str, errors: str
+    design: np.ndarray, target: np.ndarray, flight: np.ndarray, what: str, loss: str, intervals: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients, standard errors, degrees of freedom, (3, p), and residuals (n,); errors: "" for none."""
+    """Coefficients, standard errors, degrees of freedom, (3, p), and residuals (n,)."""
     n, p = design.shape
     if n < p + 2:
         raise DataError(f"drag fit of {what}: {n} rows for {p} coefficients, at least {p + 2} are needed")
@@ -183,13 +175,9 @@ def _regression(
             f"drag fit of {what}: these columns are not linearly independent over the {n} rows, so the coefficients are"
             " not determined: add flights with more motion, or omit the intercept or the thrust term"
         )
-    coefficients, limit = solve(x, target, loss)
+    coefficients, _ = solve(x, target, loss)
     residual = target - x @ coefficients
     error, freedom = np.zeros(p), np.zeros(p)
-    if errors == "flight":
+    if intervals:
         error, freedom = flight_errors(x, target, flight, coefficients, loss)
-    elif errors == "hc1":
-        inside = x[np.abs(residual) <= limit]
-        half = np.linalg.solve(inside.T @ inside, (x * np.clip(residual, -limit, limit)[:, None]).T)
-        error, freedom = np.sqrt(n / (n - p) * np.sum(half**2, axis=1)), np.full(p, float(n - p))
     return np.stack([coefficients / scale, error / scale, freedom]), residual

@@ -51,7 +51,7 @@ import numpy as np
 from quadexp.air.terms import ITERATIONS, TERMS, Inflow, OperatingPoint, thrust_balance
 from quadexp.errors import DataError
 from quadexp.learn.huber import HUBER, MAD_TO_STD
-from quadexp.learn.terms import BATCH
+from quadexp.learn.rows import BATCH
 from quadexp.physics.induced_velocity import safe_newton
 from quadexp.physics.vehicle import Vehicle
 

@@ -36,10 +36,15 @@ def is_recorded(flight: Flight) -> bool:
 
 
 def logged_thrust(flights: Sequence[Flight], vehicle: Vehicle) -> ThrustCurve:
-    """The curve of a log with logged thrust: u in N, or thrust_acceleration in m/s^2, unchanged.
+    """The curve of a log with logged thrust: u in N, or thrust_acceleration in m/s^2, unchanged. Of simulated flights
+    with rotor speeds those, by the vehicle's thrust coefficient.
 
     Raises UsageError where the log has commands or rotor speeds only, which need an identified curve.
     """
+    k, simulated = vehicle.thrust_coefficient, not any(map(is_recorded, flights))
+    if simulated and k is not None and all(rotor_columns(flight, "rotor_speed") for flight in flights):
+        scale = k / vehicle.mass
+        return ThrustCurve("rotor_speed", np.array([2.0]), np.array([scale]), np.zeros(1), rotors=vehicle.n_rotors)
     signals = [name for name in THRUST_SIGNALS if all(rotor_columns(flight, name) for flight in flights)]
     if not signals:
         raise UsageError(

@@ -23,11 +23,11 @@ import numpy as np
 
 from quadexp.errors import DataError
 from quadexp.learn.regression import Regression, half_width
+from quadexp.learn.rows import evaluate_rows
 
 AXES = "xyz"
 LINEAR = (("linear", "offset"), ("linear", "offset"), ("linear",))
 QUADRATIC = (("linear", "quadratic", "offset"), ("linear", "quadratic", "offset"), ("thrust", "linear", "quadratic"))
-BATCH = 20_000  # samples evaluated per call
 _ROOT = "1/sqrt(m)"  # (m/s^2) / (m/s sqrt(m/s^2))
 UNITS = {
     "linear": "1/s", "offset": "m/s^2", "quadratic": "1/m", "body": "1/m", "hub": _ROOT, "hub_climb": "1/m",
@@ -59,11 +59,9 @@ def all_columns(
 
     counts = [len(names) for names in terms]
     columns = np.empty((len(velocity), sum(counts)))
-    if sum(counts):
+    if columns.size:
         function = columns_function(tuple(map(tuple, terms)), rotor_acceleration.shape[1], momentum)
-        for start in range(0, len(velocity), BATCH):
-            part = slice(start, start + BATCH)
-            columns[part] = function(velocity[part].T, rotor_acceleration[part].T).full().T
+        evaluate_rows(function, (velocity, rotor_acceleration), columns)
     ends = np.cumsum(counts)
     return [columns[:, end - count : end] for end, count in zip(ends, counts, strict=True)]
 

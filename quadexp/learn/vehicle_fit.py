@@ -7,9 +7,9 @@ curve's residual together with a correction of its scale (the term `thrust`), wh
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -62,22 +62,12 @@ class FitSettings:
                 raise UsageError(f"identify: drag '{kind}' is none of {', '.join(KINDS)}")
 
 
-class AxisFit(NamedTuple):
-    """One regression. axis: "x", "y" or "z". design: (n, p), target: (n,) m/s^2."""
-
-    axis: str
-    design: np.ndarray
-    target: np.ndarray
-    regression: Regression
-
-
 @dataclass(frozen=True)
 class LevelFit:
-    """A thrust curve, the terms beyond it (or None), and their regressions."""
+    """A thrust curve, and the terms beyond it (or None)."""
 
     curve: ThrustCurve
     model: TermModel | None
-    axes: tuple[AxisFit, ...] = ()
 
     @property
     def terms(self) -> TermModel:
@@ -119,7 +109,7 @@ def fit_level(
         if momentum:
             fit = fit_inflow(samples.velocity, rotors, target[:, 2], momentum, settings.loss)
             terms, inflow, linearised["z"] = SELF_CONSISTENT, tuple(fit.inflow), (fit.design, fit.target)
-    axes = []
+    fits: list[Regression] = []
     z_by_curve = level in ("offset", "linear")  # the curve's own regression has the z terms as its last columns
     columns = all_columns(
         tuple(() if i == 2 and (z_by_curve or linearised) else names for i, names in enumerate(terms)),
@@ -127,17 +117,15 @@ def fit_level(
     )  # fmt: skip
     for i, names in enumerate(terms):
         if i == 2 and z_by_curve:
-            axes.append(AxisFit("z", thrust_columns(curve, samples, drag=with_drag), samples.force[:, 2], joint))
+            fits.append(joint)
             continue
         design, y = linearised.get(AXES[i]) or (columns[i], target[:, i])
-        one = regress(
+        fits.append(regress(
             design, y, [f"{name}_{AXES[i]}" for name in names], samples.segment, samples.flight,
             what=f"{LEVEL_NAMES[level].lstrip('+ ')} along {AXES[i]}", loss=settings.loss,
             intervals=intervals,
-        )  # fmt: skip
-        axes.append(AxisFit(AXES[i], design, y, one))
-    model = term_model(level, terms, [one.regression for one in axes], curve.rotors, inflow, settings.loss)
-    return LevelFit(curve, model, tuple(axes))
+        ))  # fmt: skip
+    return LevelFit(curve, term_model(level, terms, fits, curve.rotors, inflow, settings.loss))
 
 
 def fit_vehicle_model(
@@ -148,13 +136,11 @@ def fit_vehicle_model(
     names: Sequence[str] | None = None,
     samples: Samples | None = None,
     best: str | None = None,
-    fitted: Callable[[str, LevelFit], None] = lambda kind, fit: None,
 ) -> VehicleModel:
     """Thrust curve, linear drag and, where the flights allow, quadratic drag and lumped blade-element coefficients.
 
     vehicle: for name, mass and rotor radius; None: the name recorded in the flights. best: the model with the least
-    held-out error, by an earlier comparison; None: the last that could be fitted. fitted: called with the kind and fit
-    of every model; the regressors take much memory and are not kept.
+    held-out error, by an earlier comparison; None: the last that could be fitted.
     Raises DataError where linear drag cannot be fitted, or where flights are of different vehicles.
     """
     settings = settings or FitSettings()
@@ -162,8 +148,6 @@ def fit_vehicle_model(
     record = vehicle_record(flights, vehicle, settings.mass, samples.names)
     momentum = momentum_of(vehicle, settings.mass, settings.radius)
     linear = fit_level("linear", samples, settings)
-    fitted("linear", linear)
-    linear = replace(linear, axes=())
     optional: dict[str, TermModel | None] = {"quadratic": None, "blade_element": None}
     notes = list(curve_notes(linear.curve))
     for kind in optional:
@@ -171,9 +155,7 @@ def fit_vehicle_model(
             continue
         for kappa in (momentum, 0.0) if kind == "blade_element" and momentum and settings.induced else (0.0,):
             try:
-                fit = fit_level(kind, samples, settings, kappa)
-                optional[kind] = fit.model
-                fitted(kind, fit)
+                optional[kind] = fit_level(kind, samples, settings, kappa).model
                 break
             except DataError as error:
                 inflow = " with induced velocity" if kappa else ""

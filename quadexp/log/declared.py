@@ -86,7 +86,7 @@ def _groups(path: str | Path, metadata: Any) -> Iterator[Any]:
 
 
 def _letters(path: str | Path, names: list[str]) -> int:
-    """Letters of text columns once every row has its own, from their dictionaries."""
+    """Characters of text columns when every row has its own copy, from the sizes of their dictionaries."""
     import pyarrow.parquet as pq
 
     total = 0

@@ -38,7 +38,28 @@ FLIGHT_COLUMNS: dict[str, Column] = {
     **{
         f"ref_{name}": column._replace(description=f"reference {column.description}") for name, column in _STATE.items()
     },
+    **{
+        f"est_{name}": column._replace(description=f"{column.description}, as the controller was told it")
+        for name, column in _STATE.items()
+    },
     **{f"acc_{i}": Column("m/s^2", "body", "specific force an accelerometer reads") for i in _AXES},
+    **{
+        f"{est}bias_{kind}_{i}": Column(unit, "body", f"bias of the {sensor}{', as the filter has it' if est else ''}")
+        for kind, unit, sensor in (("a", "m/s^2", "accelerometer"), ("g", "rad/s", "gyroscope"))
+        for est in ("", "est_")
+        for i in _AXES
+    },
+    **{
+        f"est_var_{kind}_{i}": Column(unit, frame, f"variance of the error of {of}, as the filter has it")
+        for kind, unit, frame, of in (
+            ("p", "m^2", "world", "position"),
+            ("v", "m^2/s^2", "world", "velocity"),
+            ("theta", "rad^2", "body", "attitude"),
+            ("bias_a", "m^2/s^4", "body", "the accelerometer's bias"),
+            ("bias_g", "rad^2/s^2", "body", "the gyroscope's bias"),
+        )
+        for i in _AXES
+    },
     "solve_time": Column("s", "", "wall time of the control step; the only column that two runs may differ in"),
     "status": Column("1", "", "0 riccati, 1 active_set, 2 last_resort, 3 failed"),
     "sweeps": Column("1", "", "exchanges of the active set in the control step (sweeps, where last_resort occurs)"),
@@ -47,8 +68,11 @@ FLIGHT_COLUMNS: dict[str, Column] = {
     "kkt": Column("1", "", "KKT residual of the control step"),
     "segment": Column("1", "", "number of the uninterrupted stretch the sample belongs to"),
     **{f"wind_{i}": Column("m/s", "world", "velocity of the air") for i in _AXES},
+    **{f"load_{i}": Column("m", "world", "position of the payload on its cable") for i in _AXES},
     "thrust_acceleration": Column("m/s^2", "body", "collective thrust over mass, as the log has it"),
     "battery_voltage": Column("V", "", "voltage of the battery"),
+    "battery_current": Column("A", "", "current that is drawn from the battery"),
+    "state_of_charge": Column("1", "", "charge left in the battery, of the full one"),
 }
 
 RESIDUAL_COLUMNS: dict[str, Column] = {
@@ -165,6 +189,7 @@ _BY_KIND = {
 _INPUT = re.compile(r"(ref_)?u_\d+")
 _INDUCED_VELOCITY = re.compile(r"induced_velocity_\d+")
 _ROTOR_SPEED = re.compile(r"rotor_speed_\d+")
+_DELIVERED = re.compile(r"delivered_\d+")
 _MOTOR_COMMAND = re.compile(r"motor_command_\d+")
 
 
@@ -177,6 +202,8 @@ def describe(name: str, kind: str = "flight") -> Column:
         return Column("N", "body", f"{'reference' if match[1] else 'commanded'} static rotor thrust")
     if _ROTOR_SPEED.fullmatch(name):
         return Column("rad/s", "", "rotor speed")
+    if _DELIVERED.fullmatch(name):
+        return Column("N", "body", "static thrust that the rotor delivers")
     if _MOTOR_COMMAND.fullmatch(name):
         return Column("1", "", "normalised command of the motor, 0 to 1")
     if _INDUCED_VELOCITY.fullmatch(name):

@@ -27,6 +27,7 @@ from quadexp.log.schema import Flight, describe
 from quadexp.physics.state import STATE_COLUMNS
 
 SCHEMA = 2
+LONG = 200_000  # rows of a table that is read column by column
 METADATA_KEY = b"quadexp"
 HASH_KEY = b"quadexp_sha256"
 COMMANDS = {
@@ -212,9 +213,8 @@ def read_table(
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:  # pq.read_table imports pandas for it
             check_declared(path, file)
-            table = file.read()
-        columns = {name: _numpy(table.column(name)) for name in table.column_names}
-        _check_content(path, table, kind)
+            columns, content = _read_columns(file)
+            _check_content(path, file.schema_arrow.metadata or {}, content, kind)
     except (pa.ArrowException, OSError, MemoryError, ValueError, OverflowError) as error:
         raise DataError(f"{path}: damaged ({first_line(error)}){_remade(kind)}") from None
     missing = [name for name in required if name not in columns]
@@ -226,12 +226,32 @@ def read_table(
     return columns, record
 
 
-def _check_content(path: str | Path, table: Any, kind: str) -> None:
+def _read_columns(file: Any) -> tuple[dict[str, np.ndarray], bytes]:
+    """All columns of an open file, and their hash. A long table is never in memory twice."""
+    import pyarrow as pa
+
+    names, columns = file.schema_arrow.names, {}
+    long = file.metadata.num_rows > LONG
+    whole = None if long else file.read()
+
+    def each() -> Iterator[Any]:
+        for name in names:
+            column = file.read([name]).column(0) if whole is None else whole.column(name)
+            columns[name] = _numpy(column)
+            yield column
+
+    content = content_hash(names, each())
+    if long:
+        pa.default_memory_pool().release_unused()
+    return columns, content
+
+
+def _check_content(path: str | Path, metadata: Mapping[bytes, bytes], content: bytes, kind: str) -> None:
     """Raise DataError where the columns are not those that were written; a file of before there was a hash is said."""
-    stored = (table.schema.metadata or {}).get(CONTENT_KEY)
+    stored = metadata.get(CONTENT_KEY)
     if stored is None:
         _say_unhashed(path)
-    elif stored != content_hash(table.column_names, table.columns):
+    elif stored != content:
         raise DataError(
             f"{path}: its columns do not match their hash: it was edited or damaged after it was written;"
             f" make it again{_remade(kind)}"
@@ -250,6 +270,14 @@ def _say_unhashed(path: str | Path) -> None:
             file=sys.stderr,
         )
     _unhashed.append(str(path))
+
+
+def column_names(path: str | Path, kind: str) -> tuple[list[str], dict[str, Any]]:
+    """Names of the columns and record of a table, without its rows; raises as `read_metadata` does."""
+    import pyarrow.parquet as pq
+
+    record = read_metadata(path, kind)
+    return list(pq.read_schema(path).names), record
 
 
 def has_content_hash(path: str | Path) -> bool:

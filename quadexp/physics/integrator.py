@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from quadexp.physics.expression import Expression
 
@@ -13,6 +13,21 @@ def rk4_step(f: Callable[[Expression], Expression], x: Expression, dt: Expressio
     k2 = f(x + dt / 2 * k1)
     k3 = f(x + dt / 2 * k2)
     k4 = f(x + dt * k3)
+    return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+def rk4_step_with_input(
+    f: Callable[[Expression, Expression], Expression],
+    x: Expression,
+    inputs: Sequence[Expression],
+    dt: Expression,
+) -> Expression:
+    """One classical Runge-Kutta step of x' = f(x, u(t)); inputs: u at the start, the middle and the end of the step."""
+    start, middle, end = inputs
+    k1 = f(x, start)
+    k2 = f(x + dt / 2 * k1, middle)
+    k3 = f(x + dt / 2 * k2, middle)
+    k4 = f(x + dt * k3, end)
     return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 

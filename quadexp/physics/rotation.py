@@ -2,6 +2,8 @@
 
     R(q) rotates body vectors into the world;   q' = 1/2 q o [0, w]   with w the body rate (rad/s).
 
+Rotation vectors follow Solà 2017, "Quaternion kinematics for the error-state Kalman filter" (arXiv:1711.02508).
+
 Post-processing in numpy uses scipy.spatial.transform.Rotation instead, except for the velocity relative to the air,
 which is computed here both for expressions and for samples.
 """
@@ -14,6 +16,8 @@ import casadi as ca
 import numpy as np
 
 from quadexp.physics.expression import Expression
+
+SMALLEST = 1e-30  # rad^2, floor under the square of an angle that keeps its root and quotients finite
 
 
 def rotation_matrix(q: Expression) -> Expression:
@@ -65,3 +69,40 @@ def left_matrix(q: Expression) -> Expression:
 def quaternion_rate(q: Expression, w: Expression) -> Expression:
     """Time derivative of the quaternion, (4,) (1/s), under the body rate w, (3,) (rad/s)."""
     return 0.5 * ca.mtimes(left_matrix(q)[:, 1:], w)
+
+
+def product(p: Expression, q: Expression) -> Expression:
+    """Hamilton product p o q, (4,)."""
+    return ca.mtimes(left_matrix(p), q)
+
+
+def conjugate(q: Expression) -> Expression:
+    """q*, (4,): the inverse of a unit quaternion."""
+    return ca.vertcat(q[0], -q[1:])
+
+
+def cross_matrix(v: Expression) -> Expression:
+    """[v]x, (3, 3), with [v]x u = v x u."""
+    return ca.vertcat(ca.horzcat(0, -v[2], v[1]), ca.horzcat(v[2], 0, -v[0]), ca.horzcat(-v[1], v[0], 0))
+
+
+def exponential(phi: Expression) -> Expression:
+    """Exp(phi), the unit quaternion (4,) of a rotation vector (3,) (rad)."""
+    half = ca.sqrt(ca.sumsqr(phi) + SMALLEST) / 2
+    return ca.vertcat(ca.cos(half), ca.sin(half) / (2 * half) * phi)
+
+
+def logarithm(q: Expression) -> Expression:
+    """Log(q), the rotation vector (3,) (rad) of the shorter way round of a unit quaternion."""
+    length = ca.sqrt(ca.sumsqr(q[1:]) + SMALLEST)
+    return ca.if_else(q[0] < 0, -1, 1) * 2 * ca.atan2(length, ca.fabs(q[0])) / length * q[1:]
+
+
+def right_jacobian(phi: Expression) -> Expression:
+    """J_r(phi), (3, 3): Exp(phi + d) = Exp(phi) o Exp(J_r d) to first order in d."""
+    square = ca.sumsqr(phi) + SMALLEST
+    angle, cross = ca.sqrt(square), cross_matrix(phi)
+    near = square < 1e-4  # where the quotients lose their digits, their series
+    first = ca.if_else(near, 1 / 2 - square / 24, 2 * ca.sin(angle / 2) ** 2 / square)
+    second = ca.if_else(near, 1 / 6 - square / 120, (angle - ca.sin(angle)) / (angle * square))
+    return ca.DM.eye(3) - first * cross + second * ca.mtimes(cross, cross)

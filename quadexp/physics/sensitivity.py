@@ -35,12 +35,13 @@ FLAT_LIMIT = 100  # scalar operations of a residual; above, one function called 
 
 
 def rk4_sensitivity_function(
-    vehicle: Vehicle, residual: Correction, *, scalar: bool = True, lag: bool = False
+    vehicle: Vehicle, residual: Correction, *, scalar: bool = True, lag: bool = False, added: bool = False
 ) -> ca.Function:
     """(x (13,), u (n,), theta (p,), dt (s)) -> x_next (13,), A (13, 13), B (13, n).
 
     lag: rotors lag behind their commands; x (13 + n,) then ends with their thrusts (N), and the last input is the time
     constant tau (s).
+    added: a further input (n, 3): thrust (N) added to what u gives, at the start, the middle and the end of the step.
     scalar: scalar operations without structural zeros, fastest when compiled; otherwise dense matrix products, fastest
     in CasADi's virtual machine. A residual that is large or in matrix operations remains a function call.
     """
@@ -49,7 +50,10 @@ def rk4_sensitivity_function(
     n = vehicle.n_rotors
     start, u = kind.sym("x", N_STATE + n * lag), kind.sym("u", n)
     theta, dt, tau = kind.sym("theta", residual.function.size1_in(1)), kind.sym("dt"), kind.sym("tau")
+    plus = kind.sym("added", n, 3)
     x, thrust = (start[:N_STATE], start[N_STATE:]) if lag else (start, u)
+    if added:
+        thrust = thrust + plus[:, 0]
     slope = _slope_function(vehicle, residual, dense=not scalar)
 
     def chained_stage(
@@ -68,9 +72,11 @@ def rk4_sensitivity_function(
     stage, combine = (as_scalars(f) if scalar else f for f in parts)
     k, S = slope(x, thrust, *residual.function(as_scalars(body_features)(x, thrust), theta))
     slopes, sensitivities = [k], [ca.horzcat(S, kind(N_MOTION, n)) if lag else S]
-    for c in (dt / 2, dt / 2, dt):
+    for c, column in ((dt / 2, 1), (dt / 2, 1), (dt, 2)):
         share = [ca.exp(-c / tau)] if lag else []
-        delivered = lagging_thrust(thrust, u, c, tau) if lag else u
+        delivered = lagging_thrust(start[N_STATE:], u, c, tau) if lag else u
+        if added:
+            delivered = delivered + plus[:, column]
         x_stage, z = as_scalars(_stage_point)(x, delivered, slopes[-1], c)
         k, S = stage(x_stage, delivered, *residual.function(z, theta), sensitivities[-1], c, *share)
         slopes.append(k)
@@ -83,6 +89,8 @@ def rk4_sensitivity_function(
     arguments, names = [start, u, theta, dt], ["x", "u", "theta", "dt"]
     if lag:
         arguments, names = [*arguments, tau], [*names, "tau"]
+    if added:
+        arguments, names = [*arguments, plus], [*names, "added"]
     return ca.Function("node", arguments, outputs, names, ["x_next", "A", "B"])
 
 

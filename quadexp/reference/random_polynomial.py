@@ -23,17 +23,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import PPoly
-from scipy.special import ive
 
 from quadexp.config.flight import RandomKeys
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.base import FlatOutput, check_finite
-from quadexp.reference.minimum_snap import minimum_snap
-from quadexp.reference.time_scale import ScaledPath, TimeScale, time_scale
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
+
+    from quadexp.reference.time_scale import ScaledPath, TimeScale
 
 KERNELS = (  # per axis: (length scale, cycles per loop), summed
     ((4.5, 2), (4.5, 1)),
@@ -103,6 +105,8 @@ class RandomPolynomial(RandomKeys):
     @cached_property
     def _path(self) -> PPoly:
         """The polynomials through the keypoints relative to the centre, m, one unit of time per segment."""
+        from quadexp.reference.minimum_snap import minimum_snap
+
         try:
             return minimum_snap(np.arange(self.keypoints), self._keypoints)
         except ValueError as error:
@@ -111,10 +115,14 @@ class RandomPolynomial(RandomKeys):
 
     @cached_property
     def _scale(self) -> TimeScale:
+        from quadexp.reference.time_scale import time_scale
+
         return time_scale(self._path, self.vehicle, speed=self.speed, margin=self.margin)
 
     @cached_property
     def _flown(self) -> ScaledPath:
+        from quadexp.reference.time_scale import ScaledPath
+
         return ScaledPath(self._path, self._scale.factor, self.yaw)
 
     @cached_property
@@ -126,6 +134,8 @@ class RandomPolynomial(RandomKeys):
 
 def _periodic_draw(phase: np.ndarray, length_scale: float, cycles: int, rng: np.random.Generator) -> np.ndarray:
     """Zero-mean part of a draw from the periodic kernel at the phases (k,): (k,)."""
+    from scipy.special import ive
+
     n = np.arange(1, N_HARMONICS + 1)
     amplitude = np.sqrt(2 * ive(n, 1 / length_scale**2))
     cosine, sine = rng.standard_normal((2, N_HARMONICS)) * amplitude

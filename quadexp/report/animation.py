@@ -1,7 +1,7 @@
 """A moving picture of flights over one reference, in real time: the path, the vehicles to scale, the error over time.
 
 The whole path shows where the vehicles are; a window that moves with the reference shows how far they are from it, with
-every vehicle drawn to scale from above.
+every vehicle drawn to scale from above. Where there is wind, an arrow in its corner points where the air goes.
 """
 
 from __future__ import annotations
@@ -132,6 +132,7 @@ class _Picture:
         near.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="x - reference (m)", ylabel="y - reference (m)")
         near.set_aspect("equal")
         near.plot(0, 0, marker="+", markersize=12, color="#777777")
+        self._add_wind(near, [found[label].colour for label in labels], reach)
         self._clock = near.set_title("to scale", fontsize=9)
         positive = [error[error > 0] for error in self._errors]
         low = (
@@ -151,6 +152,21 @@ class _Picture:
         self.figure.draw_without_rendering()
         self.figure.set_layout_engine("none")  # one layout for all frames
 
+    def _add_wind(self, near: Any, colours: Sequence[str], reach: float) -> None:
+        """Arrows of the winds, all around one point; the strongest is a quarter of the window long."""
+        blown = [
+            (flight, flight.wind, colour)
+            for flight, colour in zip(self._flights, colours, strict=True)
+            if flight.wind is not None and flight.wind.any()
+        ]
+        strongest = max((float(np.linalg.norm(wind, axis=1).max()) for _, wind, _ in blown), default=1.0)
+        drawn = {"angles": "xy", "scale_units": "xy", "scale": 2 * strongest / reach, "pivot": "mid", "width": 0.012}
+        at = -0.7 * reach, 0.7 * reach
+        self._winds = [
+            (flight["t"], wind, near.quiver(*at, 0, 0, color=colour, **drawn)) for flight, wind, colour in blown
+        ]
+        self._strength = near.text(0.02, 0.02, "", transform=near.transAxes, fontsize=8, color="#777777")
+
     def frame(self, t: float) -> Image.Image:
         """The picture at a time (s)."""
         for flight, error, arms, here, trail, line, body in zip(
@@ -164,6 +180,10 @@ class _Picture:
             trail.set_data(flight["p_x"][first : k + 1], flight["p_y"][first : k + 1])
             line.set_data(flight["t"][: k + 1], 1e3 * np.maximum(error[: k + 1], 1e-9))
             body.set_segments([] if ended else _body(flight, k, arms))
+        for times, wind, arrow in reversed(self._winds):
+            now = wind[int(np.searchsorted(times, t + 1e-9)) - 1]
+            arrow.set_UVC(now[0], now[1])
+            self._strength.set_text(f"wind {np.linalg.norm(now):.1f} m/s")
         self._clock.set_text(f"to scale, from above, t = {t:.1f} s")
         canvas: Any = self.figure.canvas
         canvas.draw()

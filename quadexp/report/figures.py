@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import math
 import textwrap
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,22 +19,20 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 
-from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_flight, write_bytes, write_text
+from quadexp.log.store import read_flight, write_bytes
+from quadexp.report.drawing import FORMATS
 from quadexp.report.metrics import SHOWN, position_error
-from quadexp.report.pairing import Flights, condition_of
+from quadexp.report.pairing import Flights, is_flown
 from quadexp.report.statistics import CONFIDENCE, Statistic, compute_statistics
 from quadexp.report.style import PLAIN, entries, looks, plain_log, styled
 from quadexp.report.tables import TITLES, column_labels, course_labels, statistic_labels
-from quadexp.report.text import METHODS, speed_text
+from quadexp.report.text import METHODS
 
 # Light for small errors, dark for large ones; without the end that is invisible on white paper.
 ERROR_COLOURS = LinearSegmentedColormap.from_list(
     "error", matplotlib.colormaps["magma_r"](np.linspace(0.18, 0.97, 256))
 )
-FORMATS = ("svg", "png")
-DRAWN = ".drawn"  # file with the fingerprint of the statistics that the figures beside it show
 MAX_PANELS = 36  # of tracked paths in one figure
 MAX_ACROSS = 4  # panels of one line
 
@@ -174,7 +172,7 @@ def solve_times(rows: Sequence[Mapping[str, Any]]) -> Figure | None:
     groups: dict[str, list[Mapping[str, Any]]] = {}
     labels = column_labels(rows)
     for row, label in zip(rows, labels, strict=True):
-        if _is_flown(row):
+        if is_flown(row):
             groups.setdefault(label, []).append(row)
     if not groups:
         return None
@@ -206,49 +204,9 @@ def solve_times(rows: Sequence[Mapping[str, Any]]) -> Figure | None:
     return figure
 
 
-def draw_results(
-    rows: Sequence[Mapping[str, Any]],
-    out: str | Path,
-    *,
-    metric: str = "mean_error",
-    confidence: float = CONFIDENCE,
-    fingerprint: str = "",
-) -> dict[str, str]:
-    """Draw all figures of a sweep into <out>/figures; returns name -> path (of the SVG; a PNG lies beside it).
-
-    fingerprint: of the statistics; existing figures are kept if they all show the same statistics.
-    """
-    folder, store = Path(out) / "figures", CellStore(out)
-    mark, drawn_of = folder / DRAWN, f"{fingerprint} {metric}"
-    redraw = not (fingerprint and mark.is_file() and mark.read_bytes() == drawn_of.encode())
-    if redraw:
-        mark.unlink(missing_ok=True)  # until all are drawn
-    paths = _fastest(rows)
-    makers: dict[str, Callable[[], Figure | None]] = {
-        f"{metric.removesuffix('_error')}_error_against_speed": lambda: error_against_speed(rows, metric, confidence),
-        "solve_time": lambda: solve_times(rows),
-        **{f"path_{name}": functools.partial(_path_figure, store, name, *paths[name]) for name in paths},
-    }
-    files: dict[str, str] = {}
-    for name, make in makers.items():
-        path = (folder / name).with_suffix(".svg")
-        if redraw or not path.exists():
-            figure = make()
-            if figure is None:
-                continue
-            save(figure, path)
-        files[f"figure_{name}"] = str(path)
-    if redraw and fingerprint:
-        write_text(mark, drawn_of)
-    return files
-
-
-def _path_figure(
-    store: CellStore, trajectory: str, chosen: Sequence[tuple[str, Mapping[str, Any]]], missing: Sequence[str]
-) -> Figure:
-    flights = [(label, read_flight(store.path(row["key"]))) for label, row in chosen]
-    title = ", ".join(filter(None, (trajectory, speed_text(chosen[0][1]["speed"]))))
-    return tracked_paths(flights, title, missing)
+def path_figure(cells: Mapping[str, str], title: str, missing: Sequence[str]) -> Figure:
+    """`tracked_paths` of flights on disk. cells: heading -> file of the flight."""
+    return tracked_paths([(heading, read_flight(path)) for heading, path in cells.items()], title, missing)
 
 
 @styled
@@ -259,33 +217,3 @@ def save(figure: Figure, path: Path) -> Path:
         drawn = functools.partial(figure.savefig, format=form, dpi=150, metadata=metadata)
         write_bytes(path.with_suffix(f".{form}"), drawn)
     return path.with_suffix(".svg")
-
-
-def _fastest(
-    rows: Sequence[Mapping[str, Any]],
-) -> dict[str, tuple[list[tuple[str, Mapping[str, Any]]], list[str]]]:
-    """For each trajectory the flights at the highest speed of most controllers, one per controller, and the controllers
-    without a flight that ended well."""
-    found: dict[str, dict[float, dict[str, list[Mapping[str, Any]]]]] = {}
-    courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in rows)
-    for row, label in zip(rows, column_labels(rows), strict=True):
-        *_, speed, setting = condition_of(row)
-        name = row["trajectory"]
-        heading = ", ".join(filter(None, (label, courses[name, setting].removeprefix(name).strip())))
-        found.setdefault(name, {}).setdefault(speed or 0.0, {}).setdefault(heading, []).append(row)
-    chosen = {}
-    for name, speeds in found.items():
-        good = {
-            speed: [(x, next(filter(_is_flown, own))) for x, own in by_heading.items() if any(map(_is_flown, own))]
-            for speed, by_heading in speeds.items()
-        }
-        speed = max(good, key=lambda v: (len(good[v]), v))
-        if good[speed]:
-            lost = {x: own for x, own in speeds[speed].items() if not any(map(_is_flown, own))}
-            outcomes = (", ".join(dict.fromkeys(row["outcome"] for row in own)) for own in lost.values())
-            chosen[name] = good[speed], [f"{x} ({text})" for x, text in zip(lost, outcomes, strict=True)]
-    return chosen
-
-
-def _is_flown(row: Mapping[str, Any]) -> bool:
-    return row["outcome"] == "ok"

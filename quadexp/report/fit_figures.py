@@ -1,28 +1,26 @@
-"""Figures of a fit: mean and 2-sigma band against held-out data, calibration, error over the number of points.
+"""Figures of a fit: mean and 2-sigma band against held-out data, and calibration.
 
 Each function returns a matplotlib Figure and changes no global state; `quadexp.report.figures.save` writes it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, NullLocator, PercentFormatter, ScalarFormatter
+from matplotlib.ticker import PercentFormatter
 
 from quadexp.learn.dataset import ResidualDataset
 from quadexp.learn.model import GPModel, OutputPosterior
 from quadexp.learn.predict import AXIS, Prediction, predict
-from quadexp.report.style import BLUE, COLOURS, COUNTS, GREY, MARKERS, ORANGE, entries, plain_log, styled
+from quadexp.report.style import BLUE, COLOURS, COUNTS, GREY, MARKERS, ORANGE, entries, styled
 
 CURVE_POINTS = 300
 MAX_COLUMNS = 4
-METHOD_COLOURS = {"sgpr": BLUE, "subset": ORANGE, "exact": COLOURS[3]}
-METHOD_NAMES = {"sgpr": "SGPR", "subset": "subset of data", "exact": "exact GP"}
 
 
 @styled
@@ -160,45 +158,6 @@ def calibration_figure(model: GPModel, data: ResidualDataset) -> Figure:
     for axis in (panel.xaxis, panel.yaxis):
         axis.set_major_formatter(PercentFormatter(1.0))
     panel.legend(loc="center right", bbox_to_anchor=(0.94, 0.27))
-    return figure
-
-
-@styled
-def size_figure(rows: Sequence[Mapping[str, Any]], baseline: Sequence[Mapping[str, Any]] = ()) -> Figure:
-    """Held-out error over the number of inducing points, a panel per output and a line per method.
-
-    rows: of `identify.comparison.compare`. baseline: rows of `identify.evaluation.evaluate`; their linear drag is drawn
-    where it lies within three times of the rest.
-    """
-    outputs = list(dict.fromkeys(row["output"] for row in rows))
-    figure = Figure(figsize=(1.2 + 2.9 * len(outputs), 3.5), layout="constrained")
-    panels = figure.subplots(1, len(outputs), squeeze=False)[0]
-    sizes = sorted({row["inducing"] for row in rows if row["method"] != "exact"})
-    for panel, output in zip(panels, outputs, strict=True):
-        here = [row for row in rows if row["output"] == output]
-        for k, method in enumerate(dict.fromkeys(row["method"] for row in here)):
-            mine = sorted((row["inducing"], row["rmse"]) for row in here if row["method"] == method)
-            colour, label = METHOD_COLOURS.get(method, "black"), METHOD_NAMES.get(method, method)
-            if method == "exact":
-                panel.axhline(mine[0][1], color=colour, linestyle=(0, (2, 2)), label=f"{label}, {mine[0][0]} rows")
-            else:
-                panel.plot(*zip(*mine, strict=True), color=colour, marker=MARKERS[k], markersize=5, label=label)
-        top = max(row["rmse"] for row in here)
-        for row in baseline:
-            if row["output"] == output and row["predictor"] == "linear_drag" and row["rmse"] < 3 * top:
-                panel.axhline(row["rmse"], color=GREY, linestyle=(0, (6, 3)), label="linear drag")
-        panel.set_xscale("log")
-        panel.set_yscale("log")
-        if sizes:
-            panel.xaxis.set_major_locator(FixedLocator(sizes))
-            panel.xaxis.set_minor_locator(NullLocator())
-            panel.xaxis.set_major_formatter(ScalarFormatter())
-        plain_log(panel.yaxis)
-        panel.set_title(symbol(output))
-        panel.set_xlabel("inducing points")
-        panel.set_ylabel(f"held-out RMSE ({unit(output)})")
-    handles, labels = entries(panels)
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure
 
 

@@ -1,4 +1,4 @@
-"""Figures of a vehicle identification: estimates over time with their bands, thrust curve, drag, comparison of models.
+"""Figures of a vehicle identification: thrust curve, drag, comparison of models.
 
 Each function returns a matplotlib Figure and changes no global state; `quadexp.report.figures.save` writes it.
 """
@@ -12,12 +12,12 @@ import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from quadexp.learn.recursion import Recursion, VehicleIdentification, elapsed
 from quadexp.learn.regression import half_width
 from quadexp.learn.samples import SIGNALS, Samples
-from quadexp.learn.terms import AXES, UNITS, TermModel
+from quadexp.learn.terms import AXES, TermModel
 from quadexp.learn.thrust_curve import ThrustCurve, scaled_signal
-from quadexp.report.style import BLUE, COLOURS, COUNTS, GREY, KNOWN, ORANGE, styled
+from quadexp.learn.vehicle_model import VehicleModel
+from quadexp.report.style import COLOURS, COUNTS, KNOWN, ORANGE, styled
 
 QUADRATIC = KNOWN["quadratic drag"][0]
 LEVEL_COLOURS = {
@@ -28,59 +28,16 @@ LEVEL_COLOURS = {
     "blade_element": KNOWN["blade element"][0],
     "blade_element_still": "#7F8C99",
 }
-MAX_COLUMNS = 4
 BINS = 24
-SHOWN_ESTIMATES = 600  # of a series
-SHOWN_WIDTHS = 8.0  # half widths of the final interval around the final estimate; early estimates are outside
 
 
-def draw_identification(found: VehicleIdentification) -> dict[str, Figure]:
+def draw_identification(model: VehicleModel, samples: Samples, report: Mapping[str, Any]) -> dict[str, Figure]:
     """Every figure by name."""
-    time = elapsed(found.samples)
-    bounds = [float(time[np.argmax(found.samples.flight == i)]) for i in range(1, len(found.samples.names))]
-    figures = {"thrust": thrust_figure(found.model.thrust, found.samples)}
-    figures["drag"] = drag_figure(found.model.linear, found.model.thrust, found.samples, found.model.quadratic)
-    figures["models"] = ladder_figure(found.report["selection"])
-    for kind, axes in found.series.items():
-        figures[f"estimates_{kind}"] = estimates_figure(axes, time, bounds, found.model.models[kind])
-    return figures
-
-
-@styled
-def estimates_figure(
-    axes: Mapping[str, Recursion], time: np.ndarray, bounds: Sequence[float], model: TermModel
-) -> Figure:
-    """Estimates of one model over the samples seen so far, with their 95 % band; a panel per coefficient.
-
-    axes: "x", "y", "z" -> recursion. time: of the samples, (k,) s. bounds: times at which a new flight begins.
-    """
-    shown = [(axis, one, j) for axis, one in axes.items() for j in range(len(one.names))]
-    columns = min(MAX_COLUMNS, len(shown))
-    rows = -(-len(shown) // columns)
-    figure = Figure(figsize=(2.9 * columns + 0.3, 2.0 * rows + 0.5), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False, sharex=True)
-    for panel, (axis, one, j) in zip(panels.flat, shown, strict=False):
-        freedom = model.freedom[AXES.index(axis)]
-        value, half = one.coefficients[:, j], half_width(one.errors[:, j], freedom)
-        thin = slice(None, None, max(1, len(one.row) // SHOWN_ESTIMATES))
-        at, value, half = time[one.row][thin], value[thin], half[thin]
-        panel.fill_between(at, value - half, value + half, color=BLUE, alpha=0.25, linewidth=0)
-        panel.plot(at, value, color=BLUE)
-        panel.axhline(value[-1], color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
-        for bound in bounds:
-            panel.axvline(bound, color="#BBBBBB", linewidth=0.8)
-        reach = SHOWN_WIDTHS * max(half[-1], 1e-12)
-        panel.set_ylim(value[-1] - reach, value[-1] + reach)
-        panel.set_title(_title(one.names[j]), fontweight="normal")
-        panel.set_ylabel(UNITS.get(one.names[j].rsplit("_", 1)[0], ""))
-    for panel in panels.flat[len(shown) :]:
-        panel.set_axis_off()
-    for panel in panels[-1]:
-        panel.set_xlabel("time over all flights (s)")
-    figure.suptitle(
-        f"{model.kind.replace('_', ' ')}: estimates from the samples so far, with 95 % band; dashed: from all"
-    )
-    return figure
+    return {
+        "thrust": thrust_figure(model.thrust, samples),
+        "drag": drag_figure(model.linear, model.thrust, samples, model.quadratic),
+        "models": ladder_figure(report["selection"]),
+    }
 
 
 @styled
@@ -170,12 +127,6 @@ def ladder_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     panels[0].set_ylabel("RMSE of the specific force (m/s²)")
     panels[0].legend(fontsize=8)
     return figure
-
-
-def _title(name: str) -> str:
-    """A coefficient's name: c_1 as mathematics, hub_climb_x as words."""
-    letter, _, index = name.partition("_")
-    return f"${letter}_{{{index}}}$" if len(letter) == 1 and len(index) == 1 else name.replace("_", " ")
 
 
 def _binned(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -24,9 +24,7 @@ def world_note(margins: Mapping[str, float] | None) -> str:
     """Where the world's own delays are more than the loop stands; "" where they are not."""
     if not margins or margins["world_stable"] or not margins["delay"]:
         return ""
-    world = (
-        f"{_milliseconds(margins['world_latency'])} of latency and {_milliseconds(margins['world_lag'])} of motor lag"
-    )
+    world = f"{_milliseconds(margins['world_latency'])} of delay and {_milliseconds(margins['world_lag'])} of motor lag"
     return (
         f"this world has {world}, the controller predicts {_milliseconds(margins['dead_time'])} of dead time and"
         f" {_milliseconds(margins['motor_lag'])} of lag: the loop is not stable at hover; give controller.dead_time,"

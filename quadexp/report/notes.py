@@ -112,6 +112,12 @@ def _reference_residual(rows: Sequence[Row]) -> str:
     return ", ".join(parts)
 
 
+def _unknown_world(rows: Sequence[Row]) -> str:
+    """Worlds of which a controller that is told the plant's equations knows nothing."""
+    worlds = sorted({row["plant"].partition("/")[2] for row in rows if is_bound(row["controller"])} - {""})
+    return f"knows the plant's equations, and nothing of the world around it ({'; '.join(worlds)})" if worlds else ""
+
+
 def _attitude_error(rows: Sequence[Row]) -> str:
     """Large attitude errors of flights that ended well."""
     errors = [one for one in _known(rows, "attitude_rmse") if one[1]["outcome"] == "ok"]
@@ -125,7 +131,9 @@ def _attitude_error(rows: Sequence[Row]) -> str:
     )
 
 
-OF_A_CONTESTANT: tuple[Callable[[Sequence[Row]], str], ...] = (_outside_data, _reference_residual, _attitude_error)
+OF_A_CONTESTANT: tuple[Callable[[Sequence[Row]], str], ...] = (
+    _outside_data, _reference_residual, _unknown_world, _attitude_error,
+)  # fmt: skip
 
 
 def _place(row: Row) -> str:

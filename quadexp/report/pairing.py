@@ -54,6 +54,11 @@ def contestant_of(row: Row) -> Contestant:
     return row["controller"], row["model"], split_variant(row.get("variant") or "")[0]
 
 
+def is_flown(row: Row) -> bool:
+    """Whether a flight ended well."""
+    return bool(row["outcome"] == "ok")
+
+
 def is_bound(controller: str) -> bool:
     return controller.startswith(BOUNDS)
 

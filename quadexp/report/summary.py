@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.config.schema import WORLD
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import describe
 from quadexp.log.store import check_finite, has_content_hash, read_metadata, read_table
@@ -82,6 +83,22 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
     return lines + outside_line(metadata.get("outside_data", unknown), always=always)
 
 
+def world_line(record: Mapping[str, Any]) -> list[str]:
+    """The world of a flight and its parts; nothing where the flight does not tell."""
+    if not (world := record.get("world")):
+        return []
+    parts = world_options(record)
+    same = ",".join(parts) in ("", world)
+    return [f"world       {world}" + ("" if same else f": {', '.join(parts)}")]
+
+
+def world_options(record: Mapping[str, Any]) -> list[str]:
+    """The parts of a flight's world that do something, such as "wind=dryden"; a flight records no others."""
+    config = record.get("config") or {}
+    found = {group: config[group].get("name") for group in WORLD if isinstance(config.get(group), Mapping)}
+    return [f"{group}={name}" for group, name in found.items() if (group, name) != ("sensor", "perfect")]
+
+
 def _table(path: Path) -> dict[str, Any]:
     record = read_metadata(path)
     kind = record["kind"]
@@ -106,7 +123,9 @@ def _table(path: Path) -> dict[str, Any]:
         summary["metrics"] = {name: record["row"].get(name) for name in METRICS}
         summary["outcome"] = record.get("outcome")
         not_flown = [f"outcome     {record.get('outcome')}: {record.get('cause')}"]
+        summary["world"] = {"name": record.get("world"), "parts": world_options(record)}
         lines += flight_lines(record, always=True) if count else not_flown
+        lines += world_line(record)
     elif kind == "flight" and record.get("recorded"):
         summary |= {"source": record.get("source"), "findings": record.get("findings", [])}
         lines += _recorded_lines(record, columns)

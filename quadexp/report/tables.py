@@ -317,6 +317,7 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
     factor, unit = SHOWN[metric]
     heading = ["trajectory", "speed (m/s)", "controller", "pairs", f"difference ({unit})"]
     heading += ["reduction (%)", "effect", "p", "p (Holm)", "left out"]
+    courses = course_labels((s.trajectory, s.setting) for s in statistics)
     rows = []
     for s, label in zip(statistics, statistic_labels(statistics), strict=True):
         if not s.baseline:
@@ -328,7 +329,8 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
             change += ["".join(with_interval(s.reduction, s.reduction_low, s.reduction_high))]
         effect = "-" if math.isnan(s.effect) else f"{s.effect:.2f}"
         tests = [effect, p_value(s.p), p_value(s.p_holm), s.left_out or "-"]
-        rows.append([s.trajectory, speed_text(s.speed, ""), label, str(s.pairs), *change, *tests])
+        course = courses[s.trajectory, s.setting]
+        rows.append([course, speed_text(s.speed, ""), label, str(s.pairs), *change, *tests])
     if not rows:
         return None
     baselines = dict.fromkeys(s.baseline for s in statistics if s.baseline)

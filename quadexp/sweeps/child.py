@@ -14,26 +14,25 @@ import os
 import resource
 import signal
 import sys
-import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, TimeoutError, wait
-from multiprocessing import forkserver, resource_tracker
+from collections.abc import Iterable, Sequence
+from concurrent.futures import CancelledError, Future, InvalidStateError, TimeoutError, wait
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
+from typing import Any
 
 from pebble import ProcessExpired, ProcessPool
 from pebble.pool.base_pool import Task
 from pebble.pool.process import TaskManager
 
 from quadexp.config.plugins import import_from, own_folders
-from quadexp.errors import QuadexpError, UsageError
+from quadexp.errors import QuadexpError
 from quadexp.provenance import identity, package_folder
+from quadexp.sweeps.server import PATH, start_server, undisturbed
 
-PRELOAD = ("casadi", "numpy", "scipy.spatial.transform", "pyarrow.parquet")
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-SAFE, PATH = "PYTHONSAFEPATH", "PYTHONPATH"
 STARTING = 60.0  # s to wait for the first process of a pool
-GONE = (ProcessExpired, TimeoutError)  # exceptions of a call whose process died or took too long
+# Exceptions of a call whose process died or took too long, or whose pool was given up.
+GONE = (ProcessExpired, TimeoutError, BrokenProcessPool, CancelledError)
 _SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
 
 
@@ -47,18 +46,11 @@ def start_pool(
     Raises QuadexpError where the processes import another quadexp than this one.
     """
     path, pool = os.environ.get(PATH), None
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(list(dict.fromkeys(preload)))
     try:
-        with _undisturbed(), same_imports():
-            resource_tracker.ensure_running()  # unblocks what it blocked, so it goes first
-            # Inherited: the server and its children end with this process, not by the Ctrl-C that reaches the group.
-            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-            try:
-                forkserver.ensure_running()
-            finally:
-                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        with undisturbed():
+            start_server(preload)
             given = own_folders() if folders is None else tuple(folders)
+            context = multiprocessing.get_context("forkserver")
             pool = ProcessPool(max_workers=workers, context=context, initializer=begin, initargs=(memory, path, given))
             manager = pool._pool_manager
             manager.task_manager = _MonotonicTasks(manager.task_manager.task_done_callback)
@@ -74,6 +66,15 @@ def start_pool(
     return pool
 
 
+def stop_pool(pool: ProcessPool, under_way: Iterable[Future[Any]]) -> None:
+    """End a pool with whatever it does. Calls under way raise CancelledError: a stopped pool leaves them pending."""
+    pool.stop()
+    pool.join()
+    for future in under_way:
+        with contextlib.suppress(InvalidStateError):  # it has ended
+            future.set_exception(CancelledError("its processes were stopped"))
+
+
 def _check_program(asked: Future[dict[str, str]]) -> None:
     """Raise QuadexpError if the workers run another program than this process."""
     try:
@@ -85,47 +86,6 @@ def _check_program(asked: Future[dict[str, str]]) -> None:
     for name, mine in identity().items():
         if child.get(name) != mine:
             raise QuadexpError(f"worker processes have {name} {child.get(name)}, this process has {mine}")
-
-
-@contextlib.contextmanager
-def safe_path() -> Iterator[None]:
-    """Python processes started inside do not import from the folder where they are started.
-
-    Raises UsageError where Python was started with the option to ignore the environment variables that ask for it.
-    """
-    if sys.flags.ignore_environment and not sys.flags.safe_path:
-        raise UsageError(
-            "Python was started with -E, so that its children would import from the current folder: add -P"
-        )
-    with environment({SAFE: "1"}):
-        yield
-
-
-@contextlib.contextmanager
-def same_imports() -> Iterator[None]:
-    """Python processes started inside search for modules in the same places as this one, and in no others."""
-    places = [str(Path(place).absolute()) for place in sys.path if isinstance(place, str)]
-    known = os.pathsep.join(place for place in places if os.pathsep not in place)
-    with safe_path(), environment({PATH: known}):
-        yield
-
-
-@contextlib.contextmanager
-def without_main() -> Iterator[None]:
-    """Processes started inside do not import this program's main module: a script may start them without a guard.
-
-    What they call lies in modules of quadexp, so they have no need of it.
-    """
-    main = sys.modules["__main__"]
-    names = [name for name in ("__file__", "__spec__") if hasattr(main, name)]
-    saved = {name: getattr(main, name) for name in names}
-    for name in names:
-        setattr(main, name, None)
-    try:
-        yield
-    finally:
-        for name, value in saved.items():
-            setattr(main, name, value)
 
 
 class _MonotonicTasks(TaskManager):
@@ -141,48 +101,6 @@ class _MonotonicTasks(TaskManager):
     @staticmethod
     def timeout(task: Task) -> bool:
         return bool(task.timeout and task.started and time.monotonic() - task.timestamp > task.timeout)
-
-
-@contextlib.contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Delay SIGINT and SIGTERM to the end of the block: workers interrupted while they start print long tracebacks."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    asked: list[int] = []
-    usual = {
-        number: signal.signal(number, lambda number, frame: asked.append(number))
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        yield
-    finally:
-        for number, handler in usual.items():
-            signal.signal(number, handler or signal.SIG_DFL)
-        for first in asked[:1]:
-            os.kill(os.getpid(), first)
-
-
-@contextlib.contextmanager
-def one_thread() -> Iterator[None]:
-    """Processes started inside use one thread of linear algebra each."""
-    with environment(dict.fromkeys(THREADS, "1")):
-        yield
-
-
-@contextlib.contextmanager
-def environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """Set environment variables for processes started inside; restored afterwards."""
-    saved = {name: os.environ.get(name) for name in variables}
-    os.environ.update(variables)
-    try:
-        yield
-    finally:
-        for name, value in saved.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
 
 
 def begin(memory: float | None, path: str | None, folders: Sequence[str]) -> None:
@@ -211,6 +129,8 @@ def cause(error: BaseException, timeout: float | None) -> str:
     """One line for a call that has no result."""
     if isinstance(error, TimeoutError):
         return f"took longer than {timeout:g} s"
+    if isinstance(error, (BrokenProcessPool, CancelledError)):
+        return "its process died"
     if isinstance(error, ProcessExpired):
         return f"its process died (exit code {error.exitcode})"
     if isinstance(error, MemoryError):

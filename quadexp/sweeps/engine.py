@@ -6,19 +6,24 @@ is replaced, quickly. Every worker uses one thread of linear algebra.
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from pebble import ProcessPool
+
 from quadexp.config.schema import Config
 from quadexp.errors import stops_all
 from quadexp.experiment.build import ModelFile
-from quadexp.sweeps.child import GONE, PRELOAD, cause, one_thread, start_pool
+from quadexp.sweeps.child import GONE, cause, start_pool, stop_pool
+from quadexp.sweeps.server import PRELOAD, without_main
 
 ATTEMPTS = 2  # for a cell whose process died or took too long
 QUEUED = 4  # cells handed out per worker, so that no worker waits
+CHECKED = 1.0  # s between checks of the pool
 
 
 @dataclass(frozen=True)
@@ -57,14 +62,18 @@ class Engine(Protocol):
 @dataclass(frozen=True)
 class LocalEngine:
     """The processes of this machine. workers: 0 for one a core. timeout: s a cell may take.
-    memory: GB that a process may take, None for no limit."""
+    memory: GB that a process may take, None for no limit. processes: to fly in, which other work shares; None for some
+    of its own."""
 
     workers: int = 0
     timeout: float | None = None
     memory: float | None = None
+    processes: Workers | None = None
 
     def fly(self, function: CellFunction, tasks: Iterable[Task]) -> Generator[tuple[str, Any]]:
         jobs = {task.key: (task.config, task.model, task.path, task.key) for task in tasks}
+        if self.processes is not None:
+            return self.processes.run(function, jobs, timeout=self.timeout)
         return run_cells(function, jobs, workers=self.workers, timeout=self.timeout, memory=self.memory)
 
 
@@ -73,35 +82,78 @@ def default_workers() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run_cells(
-    function: Callable[..., Any],
-    jobs: Mapping[str, tuple[Any, ...]],
-    *,
-    workers: int = 0,
-    timeout: float | None = None,
-    memory: float | None = None,
-    preload: Sequence[str] = PRELOAD,
-) -> Generator[tuple[str, Any]]:
-    """Call `function(*arguments)` for every job in worker processes; yield (key, result or CellFailed) as they end.
+class Workers:
+    """Processes for calls of functions, started with the first call; a context, at whose end they are gone.
 
-    jobs: key -> arguments, handed out in this order. timeout: s a call may take (monotonic). memory: GB a worker may
-    take.
-    A call that raises fails at once (it would raise again); one whose process dies or that takes too long is tried
-    once more. Leaving the iterator early, or an interrupt, stops every worker.
+    workers: how many at most, 0 for one a core. memory: GB that each may take, None for no limit. preload: modules that
+    their server imports once (server.py), if it does not run yet. calls: how many there will be at least; no more
+    processes start than there are calls.
     """
-    if not jobs:
-        return
-    workers = min(workers or default_workers(), len(jobs))
-    waiting = [(key, arguments, ATTEMPTS) for key, arguments in jobs.items()][::-1]  # the next one last
-    running: dict[Future[Any], tuple[str, tuple[Any, ...], int]] = {}
-    with one_thread():
-        pool = start_pool(workers, memory, [*preload, function.__module__])
+
+    def __init__(
+        self, workers: int = 0, memory: float | None = None, preload: Sequence[str] = PRELOAD, calls: int = 1
+    ) -> None:
+        self._most, self._memory, self._preload, self._calls = workers or default_workers(), memory, preload, calls
+        self._pool: ProcessPool | None = None
+        self._under_way: set[Future[Any]] = set()
+        self._hidden = contextlib.ExitStack()
+
+    def __enter__(self) -> Workers:
+        self._hidden.enter_context(without_main())
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.stop()
+        self._hidden.close()
+
+    def stop(self) -> None:
+        """End the processes, with whatever they are doing; see stop_pool."""
+        pool, self._pool = self._pool, None
+        if pool is not None:
+            stop_pool(pool, self._under_way)
+        self._under_way.clear()
+
+    def call(
+        self, function: Callable[..., Any], *arguments: Any, timeout: float | None = None, calls: int = 1
+    ) -> Future[Any]:
+        """Begin a call. timeout: s it may take (monotonic). calls: how many there will be.
+
+        Raises QuadexpError where the processes import another quadexp than this one.
+        """
+        self._check()
+        if self._pool is None:
+            preload = [*self._preload, function.__module__]
+            self._pool = start_pool(min(self._most, max(calls, self._calls)), self._memory, preload)
+        found: Future[Any] = self._pool.schedule(function, args=arguments, timeout=timeout)
+        self._under_way.add(found)
+        return found
+
+    def _check(self) -> None:
+        """Give up a pool that does not work any more: a thread of it ends where the server dies while it forks."""
+        if self._pool is not None and not self._pool.active:
+            self.stop()
+
+    def run(
+        self, function: Callable[..., Any], jobs: Mapping[str, tuple[Any, ...]], *, timeout: float | None = None
+    ) -> Generator[tuple[str, Any]]:
+        """Call `function(*arguments)` for every job; yield (key, result or CellFailed) as they end.
+
+        jobs: key -> arguments, handed out in this order. timeout: s a call may take (monotonic).
+        A call that raises fails at once (it would raise again); one whose process dies or that takes too long is tried
+        once more. Leaving the iterator early, or an interrupt, stops every process.
+        """
+        waiting = [(key, arguments, ATTEMPTS) for key, arguments in jobs.items()][::-1]  # the next one last
+        running: dict[Future[Any], tuple[str, tuple[Any, ...], int]] = {}
         try:
             while waiting or running:
-                while waiting and len(running) < QUEUED * workers:
+                while waiting and len(running) < QUEUED * min(self._most, len(jobs)):
                     job = waiting.pop()
-                    running[pool.schedule(function, args=job[1], timeout=timeout)] = job
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    running[self.call(function, *job[1], timeout=timeout, calls=len(jobs))] = job
+                ended = wait(running, timeout=CHECKED, return_when=FIRST_COMPLETED).done
+                if not ended:
+                    self._check()
+                self._under_way -= ended
+                for future in ended:
                     key, arguments, attempts = running.pop(future)
                     try:
                         yield key, future.result()
@@ -113,8 +165,19 @@ def run_cells(
                     except Exception as error:
                         yield key, CellFailed(cause(error, timeout), stops_all(error))
         finally:
-            if running:
-                pool.stop()
-            else:
-                pool.close()
-            pool.join()
+            if waiting or running:
+                self.stop()
+
+
+def run_cells(
+    function: Callable[..., Any],
+    jobs: Mapping[str, tuple[Any, ...]],
+    *,
+    workers: int = 0,
+    timeout: float | None = None,
+    memory: float | None = None,
+    preload: Sequence[str] = PRELOAD,
+) -> Generator[tuple[str, Any]]:
+    """As Workers.run, with processes of its own. memory: GB a process may take."""
+    with Workers(workers, memory, preload) as processes:
+        yield from processes.run(function, jobs, timeout=timeout)

@@ -8,6 +8,8 @@ from typing import Any
 
 from quadexp.config.cells import Cell
 from quadexp.config.flight import TrajectoryConfig, VehicleConfig
+from quadexp.config.schema import world_parts
+from quadexp.config.world import WorldPartConfig
 from quadexp.experiment.build import (
     ModelFile,
     build_trajectory,
@@ -17,11 +19,12 @@ from quadexp.experiment.build import (
     input_hashes,
     knows_plant,
 )
+from quadexp.experiment.build_world import build_effects
 from quadexp.experiment.identity import canonical, digest, flight_record
 from quadexp.sweeps.keys import cell_key, condition
 
 BUILDS_AT_ONCE = 32  # compiled structures that every worker surely keeps, see experiment.build.KEPT
-FILES = ("trajectory", "plant")  # groups, beside the controller, whose settings may name a file
+FILES = ("trajectory", "plant", "wind")  # groups, beside the controller, whose settings may name a file
 STRUCTURE = ("kind", "residual", "nodes", "backend", "variant", "_target_")  # controller settings that are compiled in
 
 
@@ -45,7 +48,7 @@ def plan_cells(cells: Iterable[Cell]) -> dict[str, Job]:
     known: dict[str, tuple[ModelFile | None, dict[str, str]]] = {}  # files that some settings name, hashed once
     for cell in cells:
         config, record = cell.config, flight_record(cell.config)
-        named = {group: [record[group].get(name) for name in ("_target_", "model", "path")] for group in FILES}
+        named = {group: [record.get(group, {}).get(name) for name in ("_target_", "model", "path")] for group in FILES}
         reads = canonical([config.model, record["controller"], named])
         if reads not in known:
             model = find_model(config)
@@ -69,6 +72,7 @@ def check_jobs(jobs: Iterable[Job]) -> None:
             (build_vehicle, config.vehicle),
             (_build_trajectory, config.trajectory, config.vehicle),
             (controller_settings, config.controller),
+            (_build_effects, config.vehicle, *world_parts(config).values()),
         )
         for check, *nodes in checks:
             name = (check, *map(id, nodes))  # cells share the nodes of their configurations
@@ -100,6 +104,10 @@ def _builds(job: Job) -> tuple[str, str]:
     structure = canonical([vehicle, [controller.get(name) for name in STRUCTURE]])
     known = asdict(config.plant) if knows_plant(config.controller) else job.model and job.model.sha256
     return structure, canonical([structure, controller, known])
+
+
+def _build_effects(vehicle: VehicleConfig, *parts: WorldPartConfig) -> Any:
+    return build_effects(build_vehicle(vehicle), *parts)
 
 
 def _build_trajectory(trajectory: TrajectoryConfig, vehicle: VehicleConfig) -> Any:

@@ -71,6 +71,7 @@ def run_sweep(
     old: Old = "ask",
     isolate: bool = True,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    flown: Callable[[Sequence[Row]], None] = lambda rows: None,
     function: CellFunction = evaluate_cell,
 ) -> SweepResult:
     """Fly the cells that are not done, and write the table of all.
@@ -79,7 +80,8 @@ def run_sweep(
     engine: where to fly; None for `workers` processes of this machine (0: one a core), each cell for at most `timeout`
     seconds. force: fly everything again, and replace another sweep's table. old: of cells that are there and were flown
     by other sources than those that run: "refly", "keep", or refuse to go on. isolate: False flies in this process.
-    progress: called with the numbers of cells done and of all. function: flies one cell.
+    progress: called with the numbers of cells done and of all. flown: called with the rows once all cells are flown,
+    before the tables are made. function: flies one cell.
 
     Raises UsageError before anything is flown, SweepInterrupted on Ctrl-C, QuadexpError at the first file that cannot
     be written; what is done is kept.
@@ -115,6 +117,7 @@ def run_sweep(
         finally:
             store.clean()
         in_order = [rows[key] for key in jobs]
+        flown(in_order)
         record = {
             "metric": metric,
             "baseline": baseline,

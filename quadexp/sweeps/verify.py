@@ -5,6 +5,7 @@ Files of versions that wrote no hashes cannot be verified; they are listed and a
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -54,7 +55,7 @@ def verify_results(out: str | Path, progress: Callable[[int, int], None] = lambd
     keys = sorted(store.done())
     rows: dict[str, Row | None] = {}
     for count, key in enumerate(keys, 1):
-        rows[key] = found.look(store.path(key), lambda key=key: _flight_row(store, key))  # type: ignore[misc]
+        rows[key] = found.look(store.path(key), functools.partial(_flight_row, store, key))
         progress(count, len(keys))
     path = store.root / RESULTS
     table = found.look(path, lambda: read_rows(path)) if path.exists() else None

@@ -28,7 +28,3 @@ class Accelerometer:
     def read(self, specific_force: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """One reading, (3,) (m/s^2), of a specific force (3,); three numbers are drawn whatever the noise."""
         return specific_force + np.array(self.bias) + np.array(self.noise_std) * rng.standard_normal(3)
-
-
-# B_accel = (.001, -.001, .001) in the paper's FRD; its "N(0, 0.05^2)" is read as a standard deviation of 0.05 m/s^2.
-LEI_LI = Accelerometer(bias=(0.001, 0.001, -0.001), noise_std=(0.05, 0.05, 0.05))

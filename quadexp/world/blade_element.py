@@ -22,7 +22,6 @@ import numpy as np
 
 from quadexp.air.base import Residual, feature_names
 from quadexp.air.blade_element import blade_element_correction, require_rotor, residual_from_correction
-from quadexp.compile.backend import BufferedFunction
 from quadexp.config.lei_li import BladeElementEffects
 from quadexp.errors import ModelDomainError, UsageError
 from quadexp.physics.induced_velocity import REASONS, Defined
@@ -30,7 +29,7 @@ from quadexp.physics.rotor import C_D0, BladeCoefficients
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.blade_element_equations import BladeElementModel, checked_equations, fast_equations
-from quadexp.world.integrator import OUTPUTS, SimulatedPlant, period
+from quadexp.world.integrator import Equations, SimulatedPlant
 
 
 @dataclass(frozen=True)
@@ -91,6 +90,12 @@ class BladeElementPlant(SimulatedPlant):
         return np.concatenate([speed, speed * inflow])
 
     @property
+    def inner_columns(self) -> tuple[str, ...]:
+        """See SimulatedPlant."""
+        names = ("rotor_speed", "induced_velocity")
+        return tuple(f"{name}_{rotor}" for name in names for rotor in range(self.vehicle.n_rotors))
+
+    @property
     def rotor_speed(self) -> np.ndarray:
         """(n,), rad/s."""
         return self.inner[: self.vehicle.n_rotors]
@@ -142,19 +147,25 @@ class BladeElementPlant(SimulatedPlant):
                 self._drag_scale = change.profile_drag_scale
         self.next_change = self._pending[0].t if self._pending else math.inf
 
-    def in_doubt(self, function: BufferedFunction) -> dict[str, np.ndarray]:
-        """The period with the safe solver. Raises ModelDomainError at the first step without an answer."""
-        arguments, steps = function.arguments, function.function.size2_in("noise")
-        found = period(checked_equations(self._model), steps)(**arguments)
-        found = {name: np.array(value.full()) for name, value in found.items()}
+    @property
+    def rough_equations(self) -> Equations:
+        """See SimulatedPlant."""
+        return fast_equations(self._model, rough=True)
+
+    @property
+    def safe_equations(self) -> Equations:
+        """See SimulatedPlant."""
+        return checked_equations(self._model)
+
+    def check_safe(self, found: dict[str, np.ndarray], step: float) -> None:
+        """See SimulatedPlant."""
         status = found["status"]
         bad = np.argwhere(status.T != Defined.OK)
         if len(bad):
-            step, rotor = bad[0]
-            flow = found["flow"][:, step * self.vehicle.n_rotors + rotor]
+            k, rotor = bad[0]
+            flow = found["flow"][:, k * self.vehicle.n_rotors + rotor]
             raise ModelDomainError(
-                f"blade-element model, rotor {rotor} at t={self.time + step * float(arguments['step'][0]):.4f} s: "
-                f"{REASONS[Defined(int(status[rotor, step]))]} (V_h={flow[0]:.3g} m/s,"
+                f"blade-element model, rotor {rotor} at t={self.time + k * step:.4f} s: "
+                f"{REASONS[Defined(int(status[rotor, k]))]} (V_h={flow[0]:.3g} m/s,"
                 f" V_z={flow[1]:.3g} m/s, w={flow[2]:.4g} rad/s)"
             )
-        return {name: found[name].ravel() for name in OUTPUTS}

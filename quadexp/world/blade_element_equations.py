@@ -28,6 +28,7 @@ from quadexp.world.integrator import STEP_INPUTS, Equations, integrate
 
 FIRST_ITERATIONS = 6  # Newton steps at the beginning of a period
 ITERATIONS = 2  # Newton steps at every later evaluation
+ROUGH_ITERATIONS = 4  # Newton steps at the first evaluation of a step, where wind and thrusts jump between steps
 LARGEST_CHANGE = 1e-5  # m/s, of the last Newton step; the error left is of the order of its square
 
 
@@ -93,8 +94,11 @@ class BladeElementModel:
 
 
 @cache
-def fast_equations(model: BladeElementModel) -> Equations:
-    """In doubt where the induced velocity may not be the model's solution. s: x, induced velocity, w, doubt."""
+def fast_equations(model: BladeElementModel, rough: bool = False) -> Equations:
+    """In doubt where the induced velocity may not be the model's solution. s: x, induced velocity, w, doubt.
+
+    rough: for wind and thrusts that jump from one step to the next, as they do in a world.
+    """
     n = model.vehicle.n_rotors
     x, w, held, parameters, h = _symbols(model, ca.SX)
     last, doubt, noise = ca.SX.sym("V_I", n), ca.SX.sym("doubt"), ca.SX.sym("noise", 0)
@@ -103,7 +107,8 @@ def fast_equations(model: BladeElementModel) -> Equations:
     def slope(state: Expression) -> Expression:
         nonlocal induced
         equation = model.equation(state, w_now, parameters)
-        before = newton(equation, induced, ITERATIONS - 1)
+        iterations = ROUGH_ITERATIONS if rough and len(doubts) == 1 else ITERATIONS
+        before = newton(equation, induced, iterations - 1)
         induced = newton(equation, before, 1)
         doubts.append(_doubt(equation, before, induced))
         return model.derivative(state, w_now, induced, parameters)
@@ -124,6 +129,7 @@ def fast_equations(model: BladeElementModel) -> Equations:
         ca.Function("blade_element_step", [s, held, noise, parameters, h], [s_next]),
         _begin(model, ca.Function("begin", [x, w, held, parameters], [first])),
         ca.Function("end", [s, held, parameters], results),
+        *_for_effects(model),
     )
 
 
@@ -156,6 +162,7 @@ def checked_equations(model: BladeElementModel) -> Equations:
         ca.Function("checked_step", [s, held, noise, parameters, h], results, STEP_INPUTS, kept),
         _begin(model, lambda x, w, held, parameters: ca.vertcat(x, w)),
         ca.Function("checked_end", [s, held, parameters], [x, ca.vertcat(w, induced), reading, ca.MX(1, 1)]),
+        *_for_effects(model),
     )
 
 
@@ -166,6 +173,16 @@ def _begin(model: BladeElementModel, first: Callable[..., ca.MX]) -> ca.Function
     inner, u = ca.MX.sym("inner", 2 * n), ca.MX.sym("u", n)
     held = model.commanded(u, parameters)
     return ca.Function("begin_period", [x, inner, u, parameters], [first(x, inner[:n], held, parameters), held])
+
+
+def _for_effects(model: BladeElementModel) -> tuple[ca.Function, ca.Function]:
+    """Equations.command and Equations.mass."""
+    _, _, _, parameters, _ = _symbols(model, ca.SX)
+    u = ca.SX.sym("u", model.vehicle.n_rotors)
+    return (
+        ca.Function("command", [u, parameters], [model.commanded(u, parameters)]),
+        ca.Function("mass", [parameters], [model.split(parameters)[2]]),
+    )
 
 
 def _symbols(model: BladeElementModel, kind: type[Expression]) -> list[Expression]:

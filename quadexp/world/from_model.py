@@ -24,7 +24,8 @@ from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, Simul
 class FromModelPlant(SimulatedPlant):
     """An identified model as a Plant.
 
-    vehicle: the rigid body. model: forces and torques beyond it. step: largest integration step (s).
+    vehicle: the rigid body. model: forces and torques beyond it, as accelerations of a mass (kg; None: the vehicle's),
+    which move a vehicle of another mass accordingly. step: largest integration step (s).
     force_noise_density: N/sqrt(Hz). torque_noise_density: N m/sqrt(Hz).
     """
 
@@ -33,6 +34,7 @@ class FromModelPlant(SimulatedPlant):
         vehicle: Vehicle,
         model: Residual,
         *,
+        model_mass: float | None = None,
         step: float = 1e-3,
         force_noise_density: float = 0.0,
         torque_noise_density: float = 0.0,
@@ -41,14 +43,14 @@ class FromModelPlant(SimulatedPlant):
         self._model = model
         density = np.array([force_noise_density / vehicle.mass] * 3 + [torque_noise_density] * 3)
         parameters = np.concatenate([density, model.theta])
-        super().__init__(vehicle, _equations(vehicle, model), parameters, step=step, backend=backend)
+        super().__init__(vehicle, _equations(vehicle, model, model_mass), parameters, step=step, backend=backend)
 
     def residual(self) -> Residual:
         """See Plant.residual: the model itself; noise and clipping left out."""
         return self._model
 
 
-def _equations(vehicle: Vehicle, model: Residual) -> Equations:
+def _equations(vehicle: Vehicle, model: Residual, model_mass: float | None) -> Equations:
     """RK4 with the noise, (6,), held over each step; the parameters are [densities (6,) of a and tau, theta]."""
     n = vehicle.n_rotors
     x, u, y = ca.SX.sym("x", N_STATE), ca.SX.sym("u", n), ca.SX.sym("y", 6)
@@ -62,7 +64,10 @@ def _equations(vehicle: Vehicle, model: Residual) -> Equations:
     thrusts = ca.fmin(ca.fmax(command, vehicle.thrust_min), vehicle.thrust_max)
 
     def correction(state: ca.MX) -> ca.MX:
-        return ca.densify(model.function(features(state, thrusts), theta)[0]) + held
+        found = ca.densify(model.function(features(state, thrusts), theta)[0])
+        if model_mass is not None:
+            found = ca.vertcat(found[:3] * (model_mass / vehicle.mass), found[3:])
+        return found + held
 
     def slope(state: ca.MX) -> ca.MX:
         return derivative(state, thrusts, correction(state))

@@ -3,15 +3,16 @@
 A plant is its `Equations`. Rotor speeds, a battery or a filter of wind are inner states beside the rigid body's x. The
 period is divided into even steps, each with noise of its own that is held over the step. Where an effect belongs:
 
-    command -> [link] -> begin: actuators, battery -> step: airframe, wind -> end: truth -> [sensor, estimator]
+    command -> begin -> step -> end -> truth
 
-What stands in brackets lies outside the integrator and acts once a control period.
+The imperfections of the world around it, from the command's link to the estimator, are effects (effect.py); a plant
+with effects is a World (world.py), whose function of a period composition.py makes from the same equations.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -41,11 +42,15 @@ class Equations:
     begin: (x, inner (m,), u (n,) (N), parameters) -> s, held: what the command asks for all the period; None: [x,
     inner] and u. end: (s, held, parameters) after the last step -> x, inner, specific force, and a doubt, not zero
     where all this may be wrong; None: s is [x, inner], and the last specific force holds.
+    For effects (see effect.py), whose thrusts change from step to step: command: (u, parameters) -> held, as in begin;
+    None: u itself. mass: parameters -> the mass that is flown (kg); None: the vehicle's.
     """
 
     step: ca.Function
     begin: ca.Function | None = None
     end: ca.Function | None = None
+    command: ca.Function | None = None
+    mass: ca.Function | None = None
 
     @property
     def inner_size(self) -> int:
@@ -85,16 +90,19 @@ class SimulatedPlant:
 
     parameters: (p,). step: largest integration step (s); a control period is divided evenly.
     `time`: s since `reset`. `inner`: inner states now, (m,). `next_change`: s, until which the parameters hold.
+    `loop_lag`: s, time constant of rotors that no option `motor_lag` states.
     """
 
     next_change = math.inf
+    loop_lag = 0.0
 
     def __init__(
         self, vehicle: Vehicle, equations: Equations, parameters: npt.ArrayLike = (), *, step: float, backend: str
     ) -> None:
-        self.vehicle, self.step = vehicle, step
-        self._equations, self._parameters, self._backend = equations, np.asarray(parameters), resolve(backend)
+        self.vehicle, self.step, self.equations, self.backend = vehicle, step, equations, resolve(backend)
+        self._parameters = np.asarray(parameters)
         self._periods: dict[int, BufferedFunction] = {}
+        self._safe: dict[BufferedFunction, ca.Function] = {}
         self.reset()
 
     def reset(self) -> None:
@@ -103,7 +111,12 @@ class SimulatedPlant:
 
     def initial(self) -> np.ndarray:
         """Inner states at the beginning of a flight, (m,)."""
-        return np.zeros(self._equations.inner_size)
+        return np.zeros(self.equations.inner_size)
+
+    @property
+    def inner_columns(self) -> tuple[str, ...]:
+        """Names of the first inner states, for the columns of a flight in a world."""
+        return ()
 
     def parameters(self, step: float) -> np.ndarray:
         """Parameters of the equations during the next period, whose steps are that long (s); (p,)."""
@@ -113,28 +126,70 @@ class SimulatedPlant:
         self, x: np.ndarray, u: np.ndarray, duration: float, rng: np.random.Generator | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """See Plant.advance. rng: may be None where the equations have no noise."""
+        self.require_flight()
         function = self.prepared(duration)
         arguments, results = function.arguments, function.results
         arguments["x"][:], arguments["inner"][:], arguments["u"][:] = x, self.inner, u
         if rng is not None:
-            rng.standard_normal(out=arguments["noise"])
+            rng.standard_normal(out=self.noise(function))
         function()
         if results["doubt"].any() or not math.isfinite(results["x_next"] @ results["x_next"]):
             results = self.in_doubt(function)
-        self.inner = results["inner_next"].copy()
+        self.settle(results)
         self.time += duration
         return results["x_next"].copy(), results["specific_force"].copy()
 
+    def require_flight(self) -> None:
+        """Raise UsageError where a flight has to begin first."""
+
     def prepared(self, duration: float) -> BufferedFunction:
         """The function of a period of this duration (s), with the parameters of the next one."""
-        steps = max(1, math.ceil(duration / self.step - 1e-9))
+        steps = self.steps(duration)
         if steps not in self._periods:
-            self._periods[steps] = BufferedFunction(realise(period(self._equations, steps), self._backend))
+            self._periods[steps] = BufferedFunction(realise(period(self.equations, steps), self.backend))
         arguments = self._periods[steps].arguments
         arguments["step"][0] = duration / steps
         arguments["parameters"][:] = self.parameters(duration / steps)
         return self._periods[steps]
 
+    def steps(self, duration: float) -> int:
+        """Integration steps of a control period (s)."""
+        return max(1, math.ceil(duration / self.step - 1e-9))
+
+    def noise(self, function: BufferedFunction) -> np.ndarray:
+        """The array of a period's standard normal numbers."""
+        return function.arguments["noise"]
+
+    def settle(self, results: Mapping[str, np.ndarray]) -> None:
+        """Take over what a period leaves behind besides the state."""
+        self.inner = results["inner_next"].copy()
+
     def in_doubt(self, function: BufferedFunction) -> dict[str, np.ndarray]:
-        """What to take for the results of the period flown last where they are in doubt or not finite: as they are."""
-        return function.results
+        """What to take for the results of the period flown last where they are in doubt or not finite: as they are,
+        or those of the safe equations."""
+        if self.safe_equations is None:
+            return function.results
+        arguments = {name: value.T for name, value in function.arguments.items()}  # a matrix is stored transposed
+        if function not in self._safe:
+            self._safe[function] = self.same_period(function, self.safe_equations)
+        found = self._safe[function](**arguments)
+        found = {name: np.array(value.full()) for name, value in found.items()}
+        self.check_safe(found, float(function.arguments["step"][0]))
+        return {name: found[name].ravel() for name in function.results}
+
+    @property
+    def rough_equations(self) -> Equations:
+        """The equations for wind and thrusts that jump from one integration step to the next."""
+        return self.equations
+
+    @property
+    def safe_equations(self) -> Equations | None:
+        """Equations that are never in doubt, with the same inputs; None where there are none."""
+        return None
+
+    def check_safe(self, found: dict[str, np.ndarray], step: float) -> None:
+        """Raise ModelDomainError where the safe equations, whose results these are, have no answer. step: s."""
+
+    def same_period(self, function: BufferedFunction, equations: Equations) -> ca.Function:
+        """The function of a control period as another one, with these equations."""
+        return period(equations, function.function.size2_in("noise"))

@@ -109,4 +109,7 @@ def _equations(vehicle: Vehicle) -> Equations:
 
     after = integrate("rk4", slope, x, step)
     results = ca.cse([after, specific_force(after)])
-    return Equations(ca.Function("plant_step", [x, u, noise, effects, step], results, STEP_INPUTS, STEP_OUTPUTS))
+    return Equations(
+        ca.Function("plant_step", [x, u, noise, effects, step], results, STEP_INPUTS, STEP_OUTPUTS),
+        mass=ca.Function("mass", [effects], [vehicle.mass + effects[PAYLOAD]]),
+    )

@@ -47,18 +47,6 @@ class TestHelp:
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
         assert done.stderr.strip() == "[]" and "simulate" in done.stdout
 
-    def test_a_flight_imports_no_more_than_it_needs(self, tmp_path):
-        code = (
-            "import sys; sys.argv = ['quadexp', 'simulate', 'trajectory=circle', 'controller.backend=interpreted',"
-            f" 'plant.backend=interpreted', '--out', {str(tmp_path / 'a.parquet')!r}]\n"
-            "from quadexp.cli.app import main\n"
-            "try:\n    main()\nexcept SystemExit: pass\n"
-            "heavy = ('torch', 'pandas', 'matplotlib', 'scipy.interpolate', 'scipy.spatial', 'scipy.special')\n"
-            "print([name for name in heavy if name in sys.modules], file=sys.stderr)"
-        )
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
-        assert done.stderr.strip().splitlines()[-1] == "[]" and "outcome     ok" in done.stdout
-
     def test_version(self):
         assert run("--version")[1].startswith("quadexp ")
 

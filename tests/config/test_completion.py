@@ -61,7 +61,7 @@ def test_every_key_offered_can_be_set_with_some_option():
     with session() as composer:
         for group in SCHEMAS:
             for option in composer.options(group):
-                extra = {"file": ["trajectory.path=x"], "from_model": ["plant.model=x"]}.get(option, [])
+                extra = {"file": [f"{group}.path=x"], "from_model": ["plant.model=x"]}.get(option, [])
                 found |= set(flat(asdict(composer.compose([f"{group}={option}", *extra]))))
     assert set(keys()) <= found
     assert set(groups()) >= {"vehicle", "plant", "trajectory", "controller", "collect", "gp", "drag", "experiment"}

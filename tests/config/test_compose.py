@@ -11,8 +11,9 @@ import pytest
 from omegaconf import OmegaConf
 
 from quadexp.config.completion import groups
-from quadexp.config.compose import compose, conf_folder, expand, session
-from quadexp.config.schema import SCHEMAS, EvaluateConfig
+from quadexp.config.compose import compose, expand, session
+from quadexp.config.hydra_files import register_schemas
+from quadexp.config.schema import SCHEMAS, EvaluateConfig, conf_folder
 from quadexp.config.settings import plain, record
 from quadexp.errors import UsageError
 from quadexp.experiment.identity import digest, flight_entropy
@@ -38,6 +39,7 @@ def hydra_composes(overrides):
         nested = {k: over(v, content.get(k, {})) for k, v in defaults.items() if isinstance(v, dict)}
         return defaults | content | nested
 
+    register_schemas()
     with session(), hydra.initialize_config_dir(str(conf_folder()), version_base="1.3"):
         options = groups()  # a value that no file states is added, because defaults are the schemas'
         given = [text if text.partition("=")[0] in options else f"++{text}" for text in overrides]
@@ -48,6 +50,7 @@ def hydra_composes(overrides):
             del composed[group]["_schema_"]
             composed[group] = over(plain(schema), composed[group])
         whole = over({"evaluate": plain(EvaluateConfig), "model": None, "seed": 0, "sweep": None}, composed)
+        whole["world"] = "clean"  # a name, which is made when all is composed
         return OmegaConf.to_container(OmegaConf.create(whole), resolve=True)
 
 
@@ -67,7 +70,7 @@ def test_every_option_of_every_group_composes():
     with session() as composer:
         for group in SCHEMAS:
             for option in composer.options(group):
-                extra = {"file": ["trajectory.path=x"], "from_model": ["plant.model=x"]}.get(option, [])
+                extra = {"file": [f"{group}.path=x"], "from_model": ["plant.model=x"]}.get(option, [])
                 config = composer.compose([f"{group}={option}", *extra])
                 assert isinstance(getattr(config, group), tuple(SCHEMAS[group].values()))
 
@@ -91,15 +94,21 @@ def test_configurations_share_what_nobody_can_change():
         first.controller.attitude_weight[0] = 99.0
 
 
-def test_hydra_composes_every_option_once_for_all_cells(monkeypatch):
-    """A composition costs tens of milliseconds; what varies by value alone is set in a copy."""
+def test_hydra_composes_every_option_once_for_all_cells(monkeypatch, tmp_path):
+    """A composition costs a tenth of a second; what varies by value alone is set in a copy."""
+    monkeypatch.setenv("QUADEXP_CACHE", str(tmp_path / "cache"))
+    composed = []
+    whole = hydra.compose
+    monkeypatch.setattr(hydra, "compose", lambda name, overrides: composed.append(name) or whole(name, overrides))
+    asked = ["trajectory=circle,lemniscate", "seed=range(100)", "trajectory.speed=4"]
     with session() as composer:
-        composed = []
-        whole = hydra.compose
-        monkeypatch.setattr(hydra, "compose", lambda name, overrides: composed.append(name) or whole(name, overrides))
-        cells = composer.expand(["trajectory=circle,lemniscate", "seed=range(100)", "trajectory.speed=4"])
+        cells = composer.expand(asked)
         assert len({cell.config.seed for cell in cells}) == 100 and len(cells) == 200
         assert sorted(composed) == ["config", "trajectory/circle", "trajectory/lemniscate"]
+    with session() as composer:  # another run: what Hydra made is kept
+        again = composer.expand(asked)
+        assert [record(cell.config) for cell in again[:3]] == [record(cell.config) for cell in cells[:3]]
+        assert len(composed) == 3
 
 
 class TestExpand:

@@ -116,7 +116,7 @@ def test_a_module_elsewhere_is_not_even_imported(foreign, tmp_path, command):
     assert done.returncode == 0 and mark.exists(), done.stderr
 
 
-@pytest.mark.parametrize("engine", ["local", "dask"])
+@pytest.mark.parametrize("engine", ["local", pytest.param("dask", marks=pytest.mark.slow)])
 def test_workers_obey_the_same_rule(foreign, engine, tmp_path, monkeypatch):
     """A cell that reaches a worker past the driver's own check fails there; what the --conf folder has is flown."""
     if engine == "dask":

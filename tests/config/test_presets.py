@@ -12,10 +12,10 @@ from quadexp.errors import UsageError
 from tests.config.test_compose import hydra_composes
 
 MPCS = ["nominal_mpc", "linear_drag_mpc", "gp_mpc", "perfect_mpc", "rls_mpc"]
-GRID = ("first_node", "horizon", "nodes")
+GRID = ("first_node", "horizon", "nodes", "input_hold")
 
 
-def grid(*overrides: str, conf: Path | None = None) -> tuple[float, ...]:
+def grid(*overrides: str, conf: Path | None = None) -> tuple[float | str, ...]:
     controller = compose(list(overrides), conf).controller
     return tuple(getattr(controller, name) for name in GRID)
 
@@ -23,14 +23,15 @@ def grid(*overrides: str, conf: Path | None = None) -> tuple[float, ...]:
 @pytest.mark.parametrize("controller", MPCS)
 def test_the_presets(controller):
     """Published is the paper's grid, for every MPC, and what is flown when nothing is said."""
-    assert grid(f"controller={controller}") == grid(f"controller={controller}", "horizon=published") == (0.0, 1.0, 10)
-    assert grid(f"controller={controller}", "horizon=precise") == (0.02, 0.6, 10)
-    assert grid(f"controller={controller}", "horizon=robust") == (0.04, 0.8, 10)
+    published = (0.0, 1.0, 10, "command")
+    assert grid(f"controller={controller}") == grid(f"controller={controller}", "horizon=published") == published
+    assert grid(f"controller={controller}", "horizon=precise") == (0.02, 0.6, 10, "deviation")
+    assert grid(f"controller={controller}", "horizon=robust") == (0.06, 0.8, 10, "deviation")
 
 
 def test_a_key_of_ones_own_is_over_the_preset():
-    assert grid("horizon=precise", "controller.first_node=0.04", "controller.nodes=12") == (0.04, 0.6, 12)
-    assert grid("controller.horizon=0.9", "horizon=robust") == (0.04, 0.9, 10)
+    assert grid("horizon=precise", "controller.first_node=0.04", "controller.nodes=12") == (0.04, 0.6, 12, "deviation")
+    assert grid("controller.horizon=0.9", "horizon=robust") == (0.06, 0.9, 10, "deviation")
 
 
 @pytest.mark.parametrize("others", [[], ["experiment=quick"], ["experiment=torrente_table1"], ["vehicle=crazyflie"]])
@@ -67,7 +68,7 @@ def test_sweeps_vary_it_and_say_so():
 def test_a_preset_of_ones_own(tmp_path):
     (tmp_path / "horizon").mkdir()
     (tmp_path / "horizon" / "long.yaml").write_text("# @package controller\nhorizon: 2.0\nnodes: 20\n")
-    assert grid("horizon=long", "controller=gp_mpc", conf=tmp_path) == (0.0, 2.0, 20)
+    assert grid("horizon=long", "controller=gp_mpc", conf=tmp_path) == (0.0, 2.0, 20, "command")
 
 
 def test_options_are_listed():

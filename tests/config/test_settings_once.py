@@ -14,9 +14,9 @@ import pytest
 import yaml
 
 import quadexp
-from quadexp.config.compose import compose, conf_folder
+from quadexp.config.compose import compose
 from quadexp.config.flight import MPCKeys
-from quadexp.config.schema import SCHEMAS, Config
+from quadexp.config.schema import SCHEMAS, Config, conf_folder
 from quadexp.config.settings import REQUIRED, Setting, Settings, declared, inside, lists, plain
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
@@ -93,7 +93,7 @@ def test_nothing_declares_the_settings_of_a_node_again():
 @pytest.mark.parametrize("name", NODES)
 def test_every_key_has_a_type_a_meaning_and_a_number_its_range(name):
     node = NODES[name]
-    aside = {"name", "kind", "sweep", *SCHEMAS} if name == "" else {"kind"}
+    aside = {"name", "kind", "sweep", "world", *SCHEMAS} if name == "" else {"kind"}
     assert {f.name for f in dataclasses.fields(node)} - aside == declared(node).keys() - aside
     for key, one in declared(node).items():
         assert isinstance(one.setting, Setting) and one.setting.meaning, key

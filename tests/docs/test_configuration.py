@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from quadexp.report.config_reference import reference
+from tests.docs.configuration import reference
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "configuration.md"
 
 
 def test_the_page_is_made_from_the_schemas_of_today():
-    again = "python -m quadexp.report.config_reference > docs/configuration.md"
+    again = "python -m tests.docs.configuration > docs/configuration.md"
     assert PAGE.read_text(encoding="utf-8") == reference(), f"make it anew: {again}"
 
 

@@ -58,15 +58,11 @@ def executed_again(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
             assert alike(said, printed), (before.source, said, printed, AGAIN)
 
 
-def test_add_a_controller(tmp_path, monkeypatch):
-    executed_again("add_a_controller", tmp_path, monkeypatch)
-    assert (tmp_path / "my_parts" / "test_my_control.py").is_file()
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in NOTEBOOKS if name != "add_a_controller"])
-def test_the_others(name, tmp_path, monkeypatch):
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_executed_again(name, tmp_path, monkeypatch):
     executed_again(name, tmp_path, monkeypatch)
+    assert (tmp_path / "my_parts" / "test_my_control.py").is_file() == (name == "add_a_controller")
 
 
 def test_there_are_three():

@@ -23,13 +23,27 @@ from quadexp.reference.hover import Hover
 from quadexp.reference.lemniscate import Lemniscate
 from quadexp.reference.step import Step
 from quadexp.world import PlantEffects, SimplifiedPlant
-from quadexp.world.accelerometer import LEI_LI
+from quadexp.world.accelerometer import Accelerometer
+from quadexp.world.actuator import Actuator
+from quadexp.world.battery import Battery
 from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant, PlantChange
+from quadexp.world.constant_wind import ConstantWind
+from quadexp.world.disturbance import Disturbance
+from quadexp.world.dryden import Dryden
 from quadexp.world.from_model import FromModelPlant
+from quadexp.world.ground import GroundEffect
+from quadexp.world.link import Latency
+from quadexp.world.rotor_loss import RotorLoss
+from quadexp.world.slung_load import SlungLoad
+from quadexp.world.stated_estimate import StatedEstimate
+from quadexp.world.streams import Share, Streams
+from quadexp.world.true_vehicle import TrueVehicle
+from quadexp.world.world import World
 from tests.air.models import BLADE, make_residual, with_rotors
 from tests.properties.paths import Wander, near
 
 Q = ("q_w", "q_x", "q_y", "q_z")
+LEI_LI = Accelerometer(bias=(0.001, 0.001, -0.001), noise_std=(0.05, 0.05, 0.05))
 compiled = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 
 
@@ -136,6 +150,61 @@ def test_any_flight_of_many(monkeypatch, vehicle):
         active += int((found.flight["active"] > 0).sum())
         in_c += found.periods_in_c
     assert {"ok", "lost"} <= outcomes and active > 500 and in_c > 5_000
+
+
+WORLD = [
+    ConstantWind(velocity=(3.0, -1.0, 0.5)),
+    Latency(latency=0.003, jitter=0.03, drop=0.1),
+    StatedEstimate(position_noise=0.01, velocity_noise=0.03, attitude_noise=0.01, rate_noise=0.05, delay=0.006),
+    Actuator(time_constant_up=0.01, time_constant_down=0.02, rotor_scale_std=0.02),
+    Battery(capacity=0.1),
+    RotorLoss(({"rotor": 1, "t": 0.31, "factor": 0.95},)),
+]
+
+
+@compiled
+@pytest.mark.parametrize(
+    "effects", [[0], [1], [2], [3, 4, 5], [0, 1, 2, 3, 4, 5]], ids=["wind", "link", "estimate", "motors", "all"]
+)
+@pytest.mark.parametrize("seed", [9, 11, 15, 18])
+def test_any_flight_in_a_world(monkeypatch, vehicle, seed, effects):
+    """The same with effects around the plant; the seeds bring the three plants."""
+    plant, controller, path, options = draw(seed, vehicle)
+    world = World(plant, [WORLD[i] for i in effects])
+    flight = both(monkeypatch, world, controller, path, **options).flight
+    assert ("est_p_x" in flight.columns) == (2 in effects) and ("wind_x" in flight.columns) == (0 in effects)
+    if 2 in effects:
+        error = flight.stack(["est_p_x", "est_p_y", "est_p_z"]) - flight.stack(["p_x", "p_y", "p_z"])
+        assert np.abs(error[0]).max() == 0 and 0.003 < np.abs(error[1:]).max() < 0.5
+    if 0 in effects:
+        assert np.array_equal(flight.stack(["wind_x", "wind_y", "wind_z"]), [[3.0, -1.0, 0.5]] * len(flight.t))
+
+
+@compiled
+@pytest.mark.parametrize("first_node", [0.0, 0.04])
+def test_with_the_references_thrust_within_the_nodes(monkeypatch, vehicle, first_node):
+    """The horizon's reference then has more rows than the prediction has nodes; bounds are met on the way."""
+    controller = mpc(replace(vehicle, thrust_max=3.2), "linear_drag", first_node=first_node, input_hold="deviation")
+    plant = SimplifiedPlant(vehicle, PlantEffects(), step=1e-3, backend="compiled")
+    found = both(monkeypatch, plant, controller, Lemniscate(speed=5.0, acceleration=2.5))
+    assert found.periods_in_c > 100 and (found.flight["active"] > 0).any()
+
+
+@compiled
+@pytest.mark.parametrize("seed", [9, 11, 15])
+def test_any_flight_with_a_load_in_turbulence(monkeypatch, vehicle, seed):
+    """And with weak rotors, a push and the ground."""
+    plant, controller, path, options = draw(seed, vehicle)
+    effects = [
+        Dryden(velocity=(2.0, 1.0, 0.0), intensity=(1.0, 1.0, 0.5)),
+        SlungLoad(mass=0.1, length=0.5, point=(0.02, 0.0, -0.05), stretch=0.02),
+        TrueVehicle(thrust_coefficient=0.95, torque_coefficient=1.1),
+        Disturbance(force=(0.5, 0.0, 0.2), torque=(0.0, 0.01, 0.0), onset=0.2, duration=0.3),
+        GroundEffect(rotor_radius=0.12),
+    ]
+    flight = both(monkeypatch, World(plant, effects), controller, path, **options).flight
+    assert {"wind_x", "load_z"} < flight.columns.keys()
+    assert np.std(flight["wind_x"]) > 0.01
 
 
 def mpc(vehicle, residual="none", **settings):
@@ -342,7 +411,7 @@ def mpc_of_any_kind(vehicle, backend="auto"):
 def test_noise_drawn_in_blocks_is_the_same_noise():
     """Taken a period at a time, and given back where a flight ended early."""
     size, one, two = 7, np.random.default_rng(5), np.random.default_rng(5)
-    drawn, out = Drawn(one, 300, size), np.empty((7, 1))
+    drawn, out = Drawn(Streams([Share(one, size)], 1), 300), np.empty((7, 1))
     for _ in range(200):
         drawn.standard_normal(out=out)
         assert np.array_equal(out.ravel(), two.standard_normal(size))

@@ -19,6 +19,7 @@ from quadexp.log.store import read_flight
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.reference.base import Trajectory
 from quadexp.sweeps.sweep import run_sweep
+from tests.processes import processes
 
 INTERPRETED = ["controller.backend=interpreted", "plant.backend=interpreted"]
 SHORT = ["trajectory=step", "trajectory.duration=1", "trajectory.step_time=0.2", *INTERPRETED]
@@ -122,13 +123,7 @@ class TestSweepOfFlights:
 
 def children_of_children(pid):
     """Worker processes: children of the fork server, which is a child of this process."""
-    parents = {}
-    for entry in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = entry.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        parents[int(entry.parent.name)] = int(fields[1])
+    parents = {child: int(fields[1]) for child, fields in processes()}
     return [child for child, parent in parents.items() if parents.get(parent) == pid]
 
 

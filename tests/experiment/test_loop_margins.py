@@ -22,7 +22,7 @@ def flown(*overrides: str) -> dict:
     [
         ("published", "stands 67 ms of unmodelled delay, 93 ms of unmodelled lag (at hover)"),
         ("precise", "stands 17 ms of unmodelled delay, 51 ms of unmodelled lag (at hover)"),
-        ("robust", "stands 34 ms of unmodelled delay, 70 ms of unmodelled lag (at hover)"),
+        ("robust", "stands 47 ms of unmodelled delay, 83 ms of unmodelled lag (at hover)"),
     ],
 )
 def test_a_flight_says_what_its_loop_stands(horizon, line):
@@ -50,6 +50,7 @@ def test_who_has_no_horizon_has_no_line():
 @pytest.mark.parametrize(("lag", "grid", "stable"), [(0.04, "precise", True), (0.2, "precise", False)])
 def test_a_world_that_lags_more_than_the_loop_stands_is_noted(lag, grid, stable):
     world = ["vehicle=lei_li", "plant=blade_element", f"plant.motor_lag={lag}", f"horizon={grid}"]
+    world.append("controller.allow_unstable=true")  # without it such a flight is refused
     margins = flown(*world, "controller=nominal_mpc")["margins"]
     assert margins["world_stable"] == stable == (lag < margins["lag"]) and bool(world_note(margins)) != stable
     if not stable:

@@ -28,7 +28,7 @@ def error_against_truth(model, rows: ResidualDataset) -> dict[str, float]:
 
 
 def test_twenty_points_find_drag_and_motor_loss():
-    model = fit_gp(synthetic_dataset(rows=8000), GPSettings(inducing=20))
+    model = fit_gp(synthetic_dataset(rows=5000), GPSettings(inducing=20))
     errors = error_against_truth(model, synthetic_dataset(rows=3000, seed=1))
     assert max(errors.values()) < 0.015, errors
     for output in model.outputs:  # the noise that was put in: .05

@@ -26,17 +26,14 @@ def linear_rows(rows=600, seed=0, flights=6, noise=lambda v: 0.3, shared=0.0) ->
     return ResidualDataset(columns, {})
 
 
-def test_equals_the_normal_equations_and_the_hc1_sandwich():
+def test_equals_the_normal_equations():
     rows = linear_rows(noise=lambda v: 0.05 + 0.1 * np.abs(v))
-    fit = fit_linear_drag(rows, loss="squares", errors="hc1")
+    fit = fit_linear_drag(rows, loss="squares")
     x = np.column_stack([-rows.columns["v_z"], rows.columns["thrust"], np.ones(600)])
     y = rows.columns["a_z"]
-    bread = np.linalg.inv(x.T @ x)
-    beta = bread @ x.T @ y
+    beta = np.linalg.solve(x.T @ x, x.T @ y)
     e = y - x @ beta
-    errors = np.sqrt(np.diag(bread @ (x.T * e**2) @ x @ bread) * 600 / 597)
     np.testing.assert_allclose([fit.drag[2], fit.thrust_gain, fit.intercept[2]], beta, rtol=1e-10)
-    np.testing.assert_allclose([fit.drag_error[2], fit.thrust_gain_error, fit.intercept_error[2]], errors, rtol=1e-10)
     np.testing.assert_allclose(fit.r_squared[2], 1 - np.sum(e**2) / np.sum((y - y.mean()) ** 2), rtol=1e-10)
     np.testing.assert_allclose(fit.acceleration(rows)[:, 2], x @ beta, rtol=1e-10)
     np.testing.assert_allclose(fit.parameters, np.concatenate([fit.drag, fit.intercept, [fit.thrust_gain]]))
@@ -84,39 +81,30 @@ def test_huber_is_not_bent_by_a_few_fast_rows():
 TRUE = np.concatenate([DRAG, INTERCEPT, [GAIN]])
 
 
-def coverage(errors: str, seeds: int = 200, **options) -> float:
+def coverage(seeds: int, **options) -> float:
     """Share of true coefficients inside the 95 % intervals over the seeds (7 coefficients each)."""
-    fits = [fit_linear_drag(linear_rows(seed=seed, **options), errors=errors) for seed in range(seeds)]
+    fits = [fit_linear_drag(linear_rows(seed=seed, **options)) for seed in range(seeds)]
     return float(np.mean([np.abs(fit.parameters - TRUE) < fit.half_width for fit in fits]))
 
 
-def test_hc1_covers_where_scatter_grows_with_speed():
-    # 1400 coefficients: one standard deviation of the share is about .006.
-    assert 0.93 < coverage("hc1", rows=300, noise=lambda v: 0.02 + 0.1 * np.abs(v)) < 0.97
-
-
 def test_intervals_over_flights_cover_where_rows_of_a_flight_err_alike():
-    options = {"rows": 300, "flights": 15, "shared": 0.5, "seeds": 80}
-    assert coverage("hc1", **options) < 0.90
-    assert 0.93 < coverage("flight", **options) < 0.98
+    assert 0.93 < coverage(seeds=80, rows=300, flights=15, shared=0.5) < 0.98
 
 
-@pytest.mark.parametrize(("loss", "flights"), [("huber", 12), ("squares", 12), ("huber", 5)])
+@pytest.mark.parametrize(
+    ("loss", "flights"), [pytest.param("huber", 12, marks=pytest.mark.slow), ("squares", 12), ("huber", 5)]
+)
 def test_intervals_cover_the_best_line_where_the_drag_is_not_linear(loss, flights):
     """Linear and quadratic drag, flights of very different speeds: the truth is what very many flights give."""
     many = synthetic_dataset(rows=800 * 150, flights=800, seed=10_000)
     truth = fit_linear_drag(many, loss=loss, intervals=False).parameters
-    inside, rowwise, found = [], [], []
+    inside = []
     for seed in range(60):
         data = synthetic_dataset(rows=flights * 150, flights=flights, seed=seed)
         fit = fit_linear_drag(data, loss=loss)
         inside.append(np.abs(fit.parameters - truth) < fit.half_width)
-        found.append(fit.parameters)
-        independent = fit_linear_drag(data, loss=loss, errors="hc1")
-        rowwise.append(np.abs(independent.parameters - truth) < independent.half_width)
     # 180 drag coefficients: one standard deviation of a share of .95 is .016, of all that a share below .9 is 3 away
     assert np.mean([held[:3] for held in inside]) > 0.9 and np.mean(inside) > 0.92
-    assert np.mean([held[:3] for held in rowwise]) < 0.5
 
 
 def test_is_the_jackknife_over_flights():
@@ -153,8 +141,6 @@ def test_few_or_idle_rows_are_refused():
     still = ResidualDataset(dict(idle.columns) | {"v_z": np.full(600, 1.0)}, {})
     with pytest.raises(DataError, match="a_z on v_z, thrust: these columns are not linearly independent"):
         fit_linear_drag(still)
-    with pytest.raises(UsageError, match="drag.errors"):
-        fit_linear_drag(idle, errors="best")
     with pytest.raises(UsageError, match="drag.loss"):
         fit_linear_drag(idle, loss="cubes")
 

@@ -76,7 +76,8 @@ def coupled_dataset(flights=14, rows=120) -> ResidualDataset:
     return ResidualDataset(columns, data.metadata)
 
 
-def test_where_it_is_not_better_it_says_so_and_names_the_features_that_are():
+def test_where_it_is_not_better_it_says_so_and_names_the_features_that_are(monkeypatch):
+    monkeypatch.setattr("quadexp.learn.verdict.TRIAL_ITERATIONS", 15)
     data = coupled_dataset()
     settings = GPSettings(
         features={"a_x": ("v_x",), "a_y": ("v_y",)}, inducing=10, max_iterations=25, holdout=0.4, refit=False

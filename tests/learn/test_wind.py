@@ -28,7 +28,7 @@ from quadexp.learn.samples import gather
 from quadexp.learn.validation import read_rows
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
 from quadexp.log.schema import Flight
-from quadexp.log.store import write_flight
+from quadexp.log.store import read_flight, write_flight
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import STATE_COLUMNS
 from tests.learn.test_dataset import VEHICLE
@@ -136,3 +136,63 @@ def test_recorded_flights_are_scored_alike():
         ]
         found.append(errors)
     assert found[1] == pytest.approx(found[0], rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    "wind",
+    [
+        ["wind=constant", "wind.velocity=[4,-3,1]"],
+        ["wind=gust", "wind.velocity=[1,2,0]", "wind.amplitude=[6,-2,1]"],
+        ["wind=dryden", "wind.velocity=[3,3,0]", "wind.intensity=[1,1,0.6]"],
+    ],
+    ids=lambda wind: wind[0],
+)
+def test_drag_collected_in_a_wind_is_that_of_still_air(tmp_path, wind):
+    """The plant's own 0.3 N s/m over 1 kg, from flights with their wind; without its columns it is not."""
+    plant = ["plant.quadratic_drag=[0,0,0]", "plant.motor_loss=0"]
+    config = compose([*plant, "collect.duration=15", "collect.speed_max=6", *wind])
+    collect_dataset(config, tmp_path / "rows.parquet", save_flights=tmp_path / "flights")
+    found = fit_linear_drag(read_dataset(tmp_path / "rows.parquet"))
+    assert found.drag == pytest.approx([0.3, 0.3, 0.0], abs=2e-3)
+    assert np.abs(found.intercept[:2]).max() < 5e-3
+    told = []
+    for file in sorted((tmp_path / "flights").glob("*.parquet")):
+        flight = read_flight(file)
+        assert np.abs(flight.wind).max() > 1
+        columns = {name: values for name, values in flight.columns.items() if not name.startswith("wind_")}
+        told.append(replace(flight, columns=columns))
+    untold = fit_linear_drag(residual_dataset(told, build_vehicle(config.vehicle)))
+    assert np.abs(untold.intercept[:2]).max() > 0.2
+
+
+def test_blade_elements_are_identified_from_a_flight_in_a_wind():
+    """Profile drag and lift slope of the plant; the body's drag is better known the faster the air passes."""
+    bench = ["vehicle=lei_li", "plant=blade_element", "trajectory=rectangle", "trajectory.duration=20"]
+    config = compose([*bench, "controller=oracle_feedback", "wind=constant", "wind.velocity=[2,-2,0.5]"])
+    vehicle, flight = build_vehicle(config.vehicle), fly_one(config)
+    columns = {name: values for name, values in flight.columns.items() if not name.startswith("wind_")}
+    told, untold = (identify_flight(one, vehicle).raw[-1] for one in (flight, replace(flight, columns=columns)))
+    assert told[:2] == pytest.approx([config.plant.profile_drag, config.plant.lift_slope], rel=0.02)
+    assert np.abs(untold / told - 1).max() > 0.1
+
+
+def test_an_identified_vehicle_is_validated_in_gusts_by_the_wind_of_its_flights():
+    """Drag of the plant from flights in gusts; half a second ahead another flight is predicted better with its wind."""
+    plant = ["plant.quadratic_drag=[0,0,0]", "plant.motor_loss=0", "wind=gust", "wind.amplitude=[6,-3,1]"]
+    configs = [
+        compose(
+            [*plant, "trajectory=random", "trajectory.speed=5", f"trajectory.seed={seed}", f"wind.onset={1 + seed}"]
+        )
+        for seed in range(3)
+    ]
+    vehicle, flights = build_vehicle(configs[0].vehicle), [fly_one(config) for config in configs]
+    model = fit_vehicle_model(flights[:2], vehicle, FitSettings(powers=(1,), kinds=("linear",)))
+    assert model.drag.drag[:2] == pytest.approx([0.3, 0.3], abs=2e-3)
+    columns = {name: values for name, values in flights[2].columns.items() if not name.startswith("wind_")}
+    errors = []
+    for flight in (flights[2], replace(flights[2], columns=columns)):
+        drag = predictors(model, "x", vehicle, None)[1]
+        track = Track(read_rows(flight, "flight", model.thrust.signal), drag)
+        (found,) = rollout_errors(drag, [track], [0.5], tracked=False)
+        errors.append(found["velocity"])
+    assert errors[0] < 0.1 * errors[1]

@@ -57,7 +57,7 @@ def imitated(
     t = np.arange(-FINE * 50, int(duration * rate) * FINE + FINE * 50) / (rate * FINE)
     p, v, a, yaw = _path(rng, t, SPEED[vehicle] if speed is None else speed, busy)
     drag = rng.uniform(0.15, 0.45, 3) * [1, 1, 0.4]
-    R = _attitude(v, a, yaw, drag)
+    R = attitude_of(v, a, yaw, drag, 15)
     force = R.apply(a + [0.0, 0.0, G], inverse=True)
     w = np.zeros_like(v)
     w[1:-1] = (R[:-2].inv() * R[2:]).as_rotvec() * rate * FINE / 2
@@ -119,10 +119,10 @@ def _path(rng: np.random.Generator, t: np.ndarray, speed: float, busy: float) ->
     return p + [0.0, 0.0, 3.0], v, a, yaw
 
 
-def _attitude(v: np.ndarray, a: np.ndarray, yaw: np.ndarray, drag: np.ndarray) -> Rotation:
+def attitude_of(v: np.ndarray, a: np.ndarray, yaw: np.ndarray, drag: np.ndarray, iterations: int) -> Rotation:
     """Attitude with R^T (a + g e_z) + D R^T v along z, by fixed-point iteration on the drag."""
     R = Rotation.from_euler("Z", yaw[:, None])
-    for _ in range(15):
+    for _ in range(iterations):
         total = a + [0.0, 0.0, G] + R.apply(drag * R.apply(v, inverse=True))
         z = total / np.linalg.norm(total, axis=1, keepdims=True)
         x = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], 1)

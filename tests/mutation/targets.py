@@ -37,7 +37,6 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/physics/drag.py": (*RESIDUAL, "tests/world/test_simplified.py"),
     "quadexp/physics/motor.py": ("tests/physics/test_motor.py", *RESIDUAL, "tests/world/test_simplified.py"),
     "quadexp/physics/blade_element.py": AIR,
-    "quadexp/physics/aerodynamic_point.py": AIR,
     "quadexp/physics/induced_velocity.py": ("tests/physics/test_induced_velocity.py", *AIR),
     "quadexp/world/simplified.py": (
         "tests/air/test_contract.py",

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from quadexp.errors import ModelDomainError
-from quadexp.physics.aerodynamic_point import aerodynamic_point
 from quadexp.physics.blade_element import PRINTED, aerodynamic_wrench, blade_forces
 from quadexp.physics.rotor import BladeCoefficients
 from quadexp.physics.rotor_coefficients import motor_coefficients, static_coefficients
 from tests import paper
+from tests.physics.aerodynamic_point import aerodynamic_point
 
 HOVER_SPEED = paper.HOVER / 0.00891390136552146  # V_I = nu w, rad/s
 FLIGHTS = {  # paper's FRD: velocity (m/s) and its spread, rotor speed and its spread (rad/s)

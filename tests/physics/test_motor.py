@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from quadexp.physics.motor import lagging_rk4_step, lagging_thrust
+from quadexp.physics.motor import lagging_rk4_step, lagging_thrust, time_constant_towards
 from quadexp.physics.rigid_body import rigid_body_function
 from tests.states import random_state
 
@@ -14,6 +15,19 @@ from tests.states import random_state
 def test_a_lag_comes_63_percent_of_the_way_in_its_time_constant():
     assert float(lagging_thrust(2.0, 5.0, 0.03, 0.03)) == pytest.approx(5 - 3 * np.exp(-1))
     assert float(lagging_thrust(2.0, 5.0, 0.0, 0.03)) == 2.0
+
+
+def test_up_and_down_have_their_own_time_constants():
+    """63 % of the way up after tau_up, of the way down after tau_down; steps of any length make the same way."""
+    up, down, first, command = 0.0125, 0.025, np.array([2.0, 5.0]), np.array([5.0, 2.0])
+    tau = np.array(time_constant_towards(ca.DM(first), ca.DM(command), up, down)).ravel()
+    assert tau == pytest.approx([up, down])
+    for i, (rise, constant) in enumerate([(3.0, up), (-3.0, down)]):
+        value = first[i]
+        for _ in range(7):
+            now = float(time_constant_towards(value, command[i], up, down))
+            value = float(lagging_thrust(value, command[i], constant / 7, now))
+        assert value == pytest.approx(first[i] + rise * (1 - np.exp(-1)), rel=1e-12)
 
 
 @pytest.mark.parametrize("dt", [0.01, 0.02])

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
 from quadexp.learn.rls import BladeElementRLS, RLSSettings
 from quadexp.learn.rls_step import AXES
-from quadexp.physics.aerodynamic_point import aerodynamic_point
 from quadexp.physics.rotor import BladeCoefficients
 from quadexp.physics.rotor_coefficients import static_coefficients
 from tests.learn.batch import batch_least_squares
+from tests.physics.aerodynamic_point import aerodynamic_point
 from tests.properties.strategies import GP_FEATURES, few, generators, make_blade, make_features, make_thrusts, vehicles
 
 NAMES = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")

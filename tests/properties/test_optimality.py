@@ -18,8 +18,15 @@ from tests.properties.paths import Wander, near
 from tests.properties.strategies import few, generators, make_residual, rotor_counts, vehicles
 
 
-@pytest.mark.parametrize("error", ["plain", "body"])
-@pytest.mark.parametrize("terminal", [0.0, 2.0], ids=["no terminal weight", "terminal weight"])
+@pytest.mark.parametrize(
+    ("error", "terminal"),
+    [
+        ("plain", 0.0),
+        ("body", 2.0),
+        pytest.param("plain", 2.0, marks=pytest.mark.slow),
+        pytest.param("body", 0.0, marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("air", ["none", "linear_drag", "gaussian_process"])
 @few
 @given(rotor_counts.flatmap(lambda n: vehicles(rotors=n)), st.sampled_from([0.05, 0.6]), generators)

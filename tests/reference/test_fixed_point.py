@@ -106,7 +106,7 @@ def test_corners_take_few_iterations_and_leave_the_legs_steady(lei_li, blade_ele
         assert np.all(x[RATE] == pytest.approx(0, abs=1e-9))
 
 
-@pytest.mark.parametrize("speed", [12.0, 13.0])
+@pytest.mark.parametrize("speed", [pytest.param(12.0, marks=pytest.mark.slow), 13.0])
 def test_references_past_the_rotors_limits_are_still_found(lei_li, blade_element, speed):
     """Near its crossing the lemniscate asks one rotor to push by 13 and 20 N. Lengths of steps must not go round in
     circles there; most of the path obeys the equations to a millimetre per second squared."""

@@ -18,6 +18,7 @@ from quadexp.reference.rectangle import Rectangle
 from quadexp.world import PlantEffects, SimplifiedPlant
 
 H = 1e-4  # s, of the differences in time
+SLOW = pytest.mark.slow
 
 
 def plant_residual(vehicle):
@@ -53,7 +54,10 @@ def sampled(path, vehicle, residual, count=150):
 
 
 @pytest.mark.parametrize("air", AIRS)
-@pytest.mark.parametrize(("extent", "seed"), [(20.0, 2), (20.0, 3), (40.0, 1), (40.0, 2), (40.0, 17)])
+@pytest.mark.parametrize(
+    ("extent", "seed"),
+    [(20.0, 2), pytest.param(20.0, 3, marks=SLOW), (40.0, 1), pytest.param(40.0, 2, marks=SLOW), (40.0, 17)],
+)
 def test_the_equations_of_motion_hold_under_the_reported_share(vehicle, air, extent, seed):
     """Too fast for the drag: forces, and the derivatives in time of position, velocity, attitude and rate."""
     residual = AIRS[air](vehicle)

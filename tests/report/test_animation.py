@@ -8,7 +8,7 @@ from PIL import Image
 
 from quadexp.errors import UsageError
 from quadexp.log.schema import Flight
-from quadexp.log.store import write_flight
+from quadexp.log.store import read_flight, write_flight
 from quadexp.report.animation import animate
 from quadexp.report.style import HUES
 from tests.log.flights import straight_flight
@@ -23,11 +23,16 @@ def flight(tmp_path, controller, offset, samples=60):
     return write_flight(tmp_path / f"{controller}.parquet", Flight(made.columns, metadata))
 
 
+def near(image, colour, box):
+    """Which pixels inside a box have a colour, (height, width)."""
+    pixels = np.asarray(image.convert("RGB"), int)[box[1] : box[3], box[0] : box[2]]
+    return np.abs(pixels - [int(colour[i : i + 2], 16) for i in (1, 3, 5)]).sum(axis=2) < 40
+
+
 def centre(image, colour, box):
     """Mean (x, y) of the pixels of a colour inside a box, in pixels; None where there are none."""
-    pixels = np.asarray(image.convert("RGB"), int)[box[1] : box[3], box[0] : box[2]]
-    near = np.abs(pixels - [int(colour[i : i + 2], 16) for i in (1, 3, 5)]).sum(axis=2) < 40
-    return np.argwhere(near).mean(axis=0)[::-1] if near.any() else None
+    found = near(image, colour, box)
+    return np.argwhere(found).mean(axis=0)[::-1] if found.any() else None
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".webp"])
@@ -53,6 +58,29 @@ def test_the_vehicles_are_to_scale_and_where_they_were(tmp_path):
     assert grey[0] > blue[0] + 40 and abs(grey[1] - blue[1]) < 6
     middle = (grey + blue) / 2
     assert abs(middle[0] - 0.5 * (window[2] - window[0])) < 30
+
+
+@pytest.mark.parametrize(("wind", "way"), [((3.0, 0.0), (1, 0)), ((0.0, 3.0), (0, -1)), ((-3.0, 0.0), (-1, 0))])
+def test_the_wind_is_an_arrow_that_points_where_the_air_goes(tmp_path, wind, way):
+    """In the corner of the window, in the colour of the flight: its head has more pixels than its tail."""
+    path = flight(tmp_path, "gp_mpc", (0.0, 0.0, 0.0))
+    still = animate([path], tmp_path / "still.gif", rate=10, end=0.5)
+    made = read_flight(path)
+    made.columns.update({f"wind_{i}": np.full(len(made), speed) for i, speed in zip("xyz", (*wind, 0.0), strict=True)})
+    blown = write_flight(tmp_path / "wind" / "gp_mpc.parquet", made)
+    blown = animate([blown], tmp_path / "wind.gif", rate=10, end=0.5)
+    blue = []
+    for one in (still, blown):
+        with Image.open(one["path"]) as image:
+            image.seek(3)
+            frame = image.convert("RGB")
+            blue.append(
+                near(frame, HUES["blue"][0], (frame.width * 6 // 10, 20, frame.width * 8 // 10, frame.height // 3))
+            )
+    added = np.argwhere(blue[1] & ~blue[0])[:, ::-1]
+    along, aside = added @ np.array(way), added @ np.array(way[::-1])
+    assert np.ptp(along) > 25 and np.ptp(along) > 2.5 * np.ptp(aside)
+    assert along.mean() > (along.min() + along.max()) / 2
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,8 @@ import pytest
 from quadexp.config.compose import expand
 from quadexp.log.store import write_table
 from quadexp.report.compare import compare
-from quadexp.report.figures import draw_results, error_against_speed
+from quadexp.report.drawing import fastest
+from quadexp.report.figures import error_against_speed
 from quadexp.report.page import make_report
 from quadexp.report.page.answer import answer
 from quadexp.report.page.sections import scoreboard, tables
@@ -19,6 +20,7 @@ from quadexp.report.pairing import Flights, common, flew_least
 from quadexp.report.statistics import compute_statistics, overall
 from quadexp.report.tables import error_table, to_columns, to_latex, to_markdown
 from quadexp.report.winner import verdicts
+from quadexp.sweeps.figures import SweepFigures
 from quadexp.sweeps.sweep import run_sweep
 from tests.report.test_tables import row
 
@@ -197,13 +199,13 @@ def test_a_real_sweep_in_which_one_controller_is_lost_at_high_speed(real, tmp_pa
     first = made["answer"][0]
     assert first.startswith("Flights that ended well: perfect MPC nodes=12 and perfect MPC nodes=8 4 of 4, nominal MPC")
     assert "2 of 4. Over the 2 flights that all ended well, " in first and "the best" not in first
-    files = draw_results(result.rows, root)
+    with SweepFigures(root, None, "mean_error", 0.95) as figures:
+        figures.begin(result.rows)
+        files = figures.end()
     assert any("path_circle" in name for name in files)
 
 
 def test_paths_of_a_real_sweep_say_who_is_missing(real):
-    from quadexp.report.figures import _fastest
-
-    chosen, missing = _fastest([r for r in real[1].rows if r["speed"] == 10.0])["circle"]
+    chosen, missing = fastest([r for r in real[1].rows if r["speed"] == 10.0])["circle"]
     assert [label for label, _ in chosen] == ["perfect_mpc nodes=8", "perfect_mpc nodes=12"]
     assert missing == ["nominal_mpc nodes=8 (lost)", "nominal_mpc nodes=12 (lost)"]

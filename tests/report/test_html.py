@@ -18,6 +18,7 @@ from quadexp.report.page.provenance import sweep_command
 from quadexp.report.page.source import read_comparison
 from quadexp.report.statistics_file import results_statistics
 from quadexp.report.tables import from_columns, table_of
+from quadexp.report.text import probability
 from tests.report.results import ERRORS, make_results, many_results
 
 BARE = re.compile(r"[\s*()]")  # what is set differently on the page and in the terminal
@@ -186,6 +187,12 @@ def test_results_without_a_baseline_or_a_rival(tmp_path, controllers):
     assert all(sentence.endswith(".") and "nan" not in sentence for sentence in made["answer"])
 
 
+def test_the_p_against_the_baseline_is_the_one_of_the_tables(results, made):
+    comparison = read_comparison(results)
+    p = probability(comparison.overall[comparison.lead].p_holm)
+    assert f"against the baseline {p} (paired permutation test, by Holm over" in " ".join(made["note"].split())
+
+
 def test_an_absent_cell_leaves_the_numbers(tmp_path):
     root = make_results(tmp_path / "some")
     for path in (root / "cells").rglob("*.parquet"):
@@ -223,11 +230,11 @@ class TestSize:
         assert "by 95.0" in made["answer"][0]
 
     def test_then_lines_of_the_tables(self, tmp_path, monkeypatch):
-        monkeypatch.setattr("quadexp.report.page.build.LIMIT", 300_000)
-        made = make_report(many_results(tmp_path / "many", 250), tmp_path / "report.html")
+        monkeypatch.setattr("quadexp.report.page.build.LIMIT", 200_000)
+        made = make_report(many_results(tmp_path / "many", 80), tmp_path / "report.html")
         shown = len(Page(made["path"].read_text(encoding="utf-8")).tables["mean_error"]) - 1
-        assert made["bytes"] < 300_000 and shown in (40, 200)
-        assert f"{250 - shown} of 250 lines of the tables" in made["left_out"]
+        assert made["bytes"] < 200_000 and shown == 40
+        assert f"{80 - shown} of 80 lines of the tables" in made["left_out"]
         assert "by 95.0" in made["answer"][0], "the answer is made from all of them"
 
     def test_a_page_that_cannot_be_small_is_refused(self, results, tmp_path, monkeypatch):

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import json
 import shutil
 import time
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from quadexp.log.store import write_table
 from quadexp.report.page import make_report
 from quadexp.report.tables import to_columns
-from tests.report.results import make_results
+from tests.report.results import make_results, weather
 from tests.report.test_tables import row
 
 BROWSER = next(
@@ -19,6 +23,7 @@ BROWSER = next(
 )
 DRIVER = shutil.which("chromedriver")
 pytestmark = pytest.mark.skipif(not (BROWSER and DRIVER), reason="needs chromium and chromedriver on the PATH")
+PAIR = ("nominal_mpc", "perfect_mpc")
 FLAGS = (
     "--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
@@ -292,3 +297,73 @@ def test_everything_that_acts_is_reached_by_tab_and_shows_its_focus(opened):
     opened.switch_to.active_element.send_keys(Keys.TAB, Keys.TAB)
     outline = "const s = getComputedStyle(document.activeElement); return s.outlineStyle + ' ' + s.outlineWidth"
     assert opened.execute_script(outline) == "solid 2px"
+
+
+@pytest.fixture(scope="module")
+def worlds(tmp_path_factory):
+    """Pages of two controllers, with further columns of their flights: name -> page."""
+    folder = tmp_path_factory.mktemp("worlds")
+
+    def made(name, beside):
+        page = folder / f"{name}.html"
+        if not page.exists():
+            world = "clean" if name == "clean" else "race"
+            make_report(make_results(folder / name, controllers=PAIR, lost=False, world=world, beside=beside), page)
+        return page
+
+    return made
+
+
+def from_above(browser, page):
+    """The replay of the first controller alone, (height, width, 4)."""
+    show(browser, page)
+    browser.execute_script("document.querySelector('[data-view=top]').click()")
+    press(browser, "2")
+    stream = io.BytesIO(base64.b64decode(picture(browser).partition(",")[2]))
+    return np.asarray(Image.open(stream).convert("RGBA"), int)
+
+
+def added(before, after):
+    """Where two pictures differ, as pixels (x, y), (n, 2)."""
+    return np.argwhere(np.abs(after - before).sum(axis=2) > 60)[:, ::-1]
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_arrow_of_the_wind_points_where_the_air_goes_and_ends_at_the_vehicle(browser, worlds, axis):
+    """From above, x is to the right and y up."""
+
+    def blown(speed):
+        return lambda flight: {f"wind_{i}": np.full(len(flight), speed * (k == axis)) for k, i in enumerate("xyz")}
+
+    clean = from_above(browser, worlds("clean", lambda _: {}))
+    middles = []
+    for speed in (4.0, -4.0):
+        arrow = added(clean, from_above(browser, worlds(f"wind{axis}{speed}", blown(speed))))
+        along = arrow[:, axis] * (-1 if axis else 1) * np.sign(speed)
+        assert np.ptp(along) > 30 and np.ptp(along) > 2.5 * np.ptp(arrow[:, 1 - axis])
+        assert along.mean() > (along.min() + along.max()) / 2  # the head has more pixels than the tail
+        middles.append(along.mean() * np.sign(speed))
+        hint = "return document.querySelector('[data-replay=hint]').textContent"
+        assert browser.execute_script(hint).endswith("wind 4.0 m/s")
+    assert middles[0] < middles[1] - 30  # it comes from the other side
+
+
+@pytest.mark.parametrize("off", [1.0, -1.0])
+def test_the_estimate_is_drawn_where_the_controller_was_told(browser, worlds, off):
+    def told(flight):
+        return {f"est_p_{i}": flight[f"p_{i}"] + off * (i == "y") for i in "xyz"}
+
+    clean = from_above(browser, worlds("clean", lambda _: {}))
+    ghost = added(clean, from_above(browser, worlds(f"told{off}", told)))
+    flown = np.nonzero(clean[..., 3] > 200)[0].mean()  # the trail and the vehicle
+    assert np.ptp(ghost[:, 1]) > 20 and (ghost[:, 1].mean() - flown) * off < -5
+
+
+@pytest.mark.parametrize("width", [320, 390, 1280])
+def test_flights_in_a_world_fit_the_screen(browser, worlds, width):
+    show(browser, worlds("weather", weather), width=width)
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    right = "Math.max(...[...document.querySelectorAll('.transport *')].map(e => e.getBoundingClientRect().right))"
+    assert browser.execute_script(f"return {right} <= document.querySelector('.player').getBoundingClientRect().right")
+    assert browser.execute_script("return document.querySelectorAll('#power figure svg').length") == 2
+    assert browser.get_log("browser") == []

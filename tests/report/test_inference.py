@@ -93,9 +93,9 @@ class TestInterval:
         [
             ("normal", 0.0, 3, 0.92),
             ("normal", 0.0, 6, 0.89),
-            ("normal", 0.0, 10, 0.92),
+            pytest.param("normal", 0.0, 10, 0.92, marks=pytest.mark.slow),
             ("exponential", 1.0, 6, 0.87),
-            ("exponential", 1.0, 20, 0.90),
+            pytest.param("exponential", 1.0, 20, 0.90, marks=pytest.mark.slow),
         ],
     )
     def test_coverage(self, name, mean, n, least, monkeypatch):

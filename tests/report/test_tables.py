@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 
 from quadexp.log.store import read_table, write_table
+from quadexp.report.statistics import compute_statistics
 from quadexp.report.tables import (
     ROW_COLUMNS,
+    comparison_table,
     error_table,
     escape,
     from_columns,
+    table_of,
     to_columns,
     to_csv,
     to_latex,
@@ -75,6 +78,17 @@ def test_columns_tell_apart_whatever_differs():
     assert error_table(same_name).columns == ("gp_mpc here/gp", "gp_mpc there/gp")
     # The ideal plant is no rival: nobody flies there but one.
     assert not table.entries[table.rows[0], "nominal_mpc @ideal"].best
+
+
+def test_the_comparison_names_its_lines_as_the_error_table_does():
+    settings = ("horizon=published", "horizon=robust")
+    who = {"nominal_mpc": 0.2, "perfect_mpc": 0.001}
+    rows = [row(name, seed=s, error=e, variant=v) for v in settings for name, e in who.items() for s in (0, 1)]
+    statistics = compute_statistics(rows, metrics=("mean_error",))
+    lines = comparison_table(statistics).rows
+    assert [line[0] for line in lines] == [name for name, _ in table_of(statistics).rows]
+    assert [line[0] for line in lines] == ["circle horizon=published", "circle horizon=robust"]
+    assert [line[1:3] for line in lines] == [["8", "perfect_mpc"]] * 2
 
 
 def test_rows_are_sorted_by_speed_within_the_order_of_trajectories():

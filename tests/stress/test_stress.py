@@ -27,8 +27,8 @@ def check(outcome, steps: int) -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_hundreds_of_steps(model):
-    """A few of every situation, interpreted."""
-    steps = 40 * STEPS_EACH
+    """One or two of every situation, interpreted."""
+    steps = 16 * STEPS_EACH
     outcome = stress(make_controllers(model, "interpreted"), steps, seed=2)
     check(outcome, steps)
     assert set(outcome.by_situation) == set(SITUATIONS)

@@ -201,7 +201,7 @@ def test_slurm_needs_a_folder_for_certificates_that_nobody_else_writes_to(shared
         run_sweep(expand([GRID]), tmp_path / "r", function=cells.quick_cell, engine=engine)
 
 
-@pytest.mark.parametrize("engine", ["dask", "slurm"])
+@pytest.mark.parametrize("engine", ["dask", pytest.param("slurm", marks=pytest.mark.slow)])
 def test_without_cryptography_nothing_is_flown(engine, tmp_path):
     """One line and exit code 2, not a cluster without certificates."""
     command = ("evaluate", "--sweep", *FLY[1:], f"engine={engine}", "--out", tmp_path / "r")
@@ -263,6 +263,7 @@ class TestHostsOverSSH:
         done.set()
         thread.join(30)
 
+    @pytest.mark.slow
     def test_their_certificate_is_made_handed_out_and_taken_back(self, home, tmp_path):
         pattern = f"quadexp-{32 * '[0-9a-f]'}"
         before = set(Path("/tmp").glob(pattern))

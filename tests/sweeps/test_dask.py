@@ -71,7 +71,9 @@ class TestSameEverywhere:
         monkeypatch.chdir(tmp_path)  # relative names, which mean nothing where the workers are
         Path("track.csv").write_text("t,p_x,p_y,p_z\n" + "".join(f"{i / 10},{i / 50},0,1\n" for i in range(12)))
         make_checkpoint(tmp_path / "models/drag")
+        Path("wind.csv").write_text("t,wind_x,wind_y,wind_z\n0,1,0,0\n1,0,2,0\n")
         grid = ["trajectory=file", "trajectory.path=track.csv", "controller=linear_drag_mpc", "model=models/drag"]
+        grid += ["wind=file", "wind.path=wind.csv"]
         grid = [*grid, *INTERPRETED, "seed=0,1"]
         away = run_sweep(expand(grid), "away", engine=engine)
         assert not away.not_flown, away.not_flown[0]["cause"]

@@ -9,8 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from pebble.pool.base_pool import PoolStatus
 
-from quadexp.sweeps.engine import CellFailed, run_cells
+from quadexp.sweeps.engine import CellFailed, Workers, run_cells
 from tests.sweeps import cells
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -115,16 +116,34 @@ def wall_clock(tmp_path_factory):
     return folder / "clock.so"
 
 
-@pytest.mark.parametrize("rate", [100_000.0, -100_000.0])
-def test_time_limits_do_not_follow_the_wall_clock(wall_clock, tmp_path, rate):
+def test_time_limits_do_not_follow_the_wall_clock(wall_clock, tmp_path):
     """Days pass by the wall clock, as over a suspended night, or it is set back: a call that is in time comes to its
     end, and one that never ends is stopped."""
     (tmp_path / "driver.py").write_text(DRIVER)
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "LD_PRELOAD": str(wall_clock), "QUADEXP_TEST_RATE": f"{rate}"}
-    done = subprocess.run(
-        [sys.executable, tmp_path / "driver.py", tmp_path], env=environment, capture_output=True, text=True, timeout=900
-    )
-    lines = done.stdout.splitlines()
-    assert sorted(lines[:2]) == ["loop: took longer than 5 s", "nap: nap"], done.stderr
-    assert float(lines[2]) == pytest.approx(rate, rel=0.01), "the clock was not shifted, so nothing was shown"
-    assert (tmp_path / "nap").read_text() == "x", "the call in time was tried twice"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "LD_PRELOAD": str(wall_clock)}
+    drivers = {}
+    for rate in (100_000.0, -100_000.0):  # both at once: they wait most of the time
+        folder = tmp_path / f"{rate}"
+        folder.mkdir()
+        drivers[rate] = subprocess.Popen(
+            [sys.executable, tmp_path / "driver.py", folder], env=environment | {"QUADEXP_TEST_RATE": f"{rate}"},
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+    for rate, driver in drivers.items():
+        out, error = driver.communicate(timeout=900)
+        lines = out.splitlines()
+        assert sorted(lines[:2]) == ["loop: took longer than 5 s", "nap: nap"], error
+        assert float(lines[2]) == pytest.approx(rate, rel=0.01), "the clock was not shifted, so nothing was shown"
+        assert (tmp_path / f"{rate}" / "nap").read_text() == "x", "the call in time was tried twice"
+
+
+def test_a_pool_that_breaks_is_replaced():
+    """As where the server dies while it forks a process: a thread of the pool ends, and its calls never would."""
+    with Workers(2) as processes:
+        found = {}
+        for key, result in processes.run(cells.add, {str(i): (i, 1) for i in range(40)}):
+            found[key] = result
+            if len(found) in (3, 20):
+                processes._pool._context.status = PoolStatus.ERROR
+        assert found == {str(i): i + 1 for i in range(40)}
+        assert processes.call(cells.add, 2, 3).result(60) == 5

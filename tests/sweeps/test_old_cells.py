@@ -3,42 +3,22 @@
 from __future__ import annotations
 
 import json
-import shutil
 
 import pyarrow.parquet as pq
 import pytest
 
 from quadexp import provenance
-from quadexp.config.compose import expand
 from quadexp.errors import UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, read_metadata, write_flight
 from quadexp.report.flown_by import differing_libraries, flown_by, versions_of
 from quadexp.report.summary import summarise
 from quadexp.sweeps.results import list_results
-from quadexp.sweeps.sweep import SweepInterrupted, run_sweep
+from quadexp.sweeps.sweep import SweepInterrupted
 from tests.cli.command import run
-from tests.sweeps.cells import quick_cell
+from tests.sweeps.quick import SWEEP, contents, fly
 
 HERE = provenance.sources()
-SWEEP = ["trajectory.speed=2", "controller=nominal_mpc,perfect_mpc", "seed=0,1"]
-
-
-def fly(out, overrides=SWEEP, **options):
-    return run_sweep(expand(overrides), out, isolate=False, function=quick_cell, **options)
-
-
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory):
-    out = tmp_path_factory.mktemp("flown") / "r"
-    fly(out)
-    return out
-
-
-@pytest.fixture
-def folder(flown, tmp_path):
-    shutil.copytree(flown, tmp_path / "r")
-    return tmp_path / "r"
 
 
 def rewrite(folder, key, **changes):
@@ -48,10 +28,6 @@ def rewrite(folder, key, **changes):
     row = {**flight.metadata["row"], **changes}
     flight.metadata["row"] = {name: value for name, value in row.items() if value is not None}
     write_flight(path, flight)
-
-
-def contents(folder):
-    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 @pytest.fixture

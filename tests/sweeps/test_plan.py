@@ -9,7 +9,8 @@ import pytest
 
 from quadexp.config.cells import Cells
 from quadexp.config.compose import compose, expand, session
-from quadexp.config.schema import Config
+from quadexp.config.schema import WORLD, Config
+from quadexp.errors import UsageError
 from quadexp.experiment.build import find_model, input_hashes
 from quadexp.experiment.identity import FLIGHT_GROUPS
 from quadexp.log.store import read_table, write_table
@@ -25,6 +26,9 @@ OPTIONS = [
     ["trajectory=random", "plant=ideal", "controller=perfect_mpc"],
     ["trajectory=step", "engine=dask"],
     ["trajectory=hover", "engine=slurm"],
+    ["truth.mass=1.2", "payload=slung", "wind=dryden", "external=push", "ground=cheeseman_bennett"],
+    ["payload=fixed", "wind=file", "wind.path=wind.csv"],
+    ["wind=gust", "truth.inertia=[1.1,1,1]"],
 ]
 PLACES = {("controller", "models")}  # where a checkpoint is looked for: what is found decides
 
@@ -67,8 +71,10 @@ def test_every_setting_of_a_flight_is_in_the_key_and_no_other(overrides):
     relevant = {*FLIGHT_GROUPS, "model", "seed"}
     seen = set()
     for path in leaves(config):
-        differs = key_of(changed(config, path)) != key
-        assert differs == (path[0] in relevant and path not in PLACES), path
+        other = changed(config, path)
+        acts = path[0] in WORLD and not all(getattr(one, path[0]).idle for one in (config, other))
+        differs = key_of(other) != key
+        assert differs == ((path[0] in relevant or acts) and path not in PLACES), path
         seen.add(path[0])
     assert seen == {f.name for f in fields(Config)}
 
@@ -98,6 +104,18 @@ def test_another_content_of_a_checkpoint_is_another_cell(tmp_path):
     (other,) = plan_cells(grid).values()
     assert first.key == again.key != other.key
     assert first.condition == other.condition
+
+
+def test_another_content_of_a_wind_file_is_another_cell(tmp_path):
+    grid = expand(["wind=file", f"wind.path={tmp_path}/wind.csv"])
+    (tmp_path / "wind.csv").write_text("t,wind_x,wind_y,wind_z\n0,1,0,0\n")
+    (first,) = plan_cells(grid).values()
+    (tmp_path / "wind.csv").write_text("t,wind_x,wind_y,wind_z\n0,2,0,0\n")
+    (other,) = plan_cells(grid).values()
+    assert first.key != other.key and first.condition == other.condition
+    (tmp_path / "wind.csv").unlink()
+    with pytest.raises(UsageError, match="wind.path=.*: no such file"):
+        plan_cells(grid)
 
 
 def test_a_new_schema_makes_every_cell_new(monkeypatch):
@@ -157,7 +175,7 @@ class TestCells:
         with session() as composer:
             grid = composer.expand(overrides)
         with session() as another_one:
-            for cell in grid[:: len(grid) // 8 + 1]:  # also when the session is over
+            for cell in grid[:: len(grid) // 3 + 1]:  # also when the session is over
                 alone = another_one.compose(cell.overrides)
                 alone = replace(alone, sweep=None)
                 assert cell.config == alone

@@ -23,6 +23,7 @@ from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.keys import cell_key
 from quadexp.sweeps.plan import flying_order, plan_cells
 from quadexp.sweeps.sweep import SweepInterrupted, run_sweep
+from tests.processes import processes
 from tests.sweeps import cells
 
 GRID = ["trajectory.speed=4,8", "controller=nominal_mpc,perfect_mpc", "seed=range(3)"]
@@ -183,6 +184,8 @@ class TestSweep:
     def test_settings_that_contradict_each_other_are_said_before_anything_is_flown(self, tmp_path):
         with pytest.raises(UsageError, match="step_time"):
             fly(expand(["trajectory=step", "trajectory.duration=0.5,5"]), tmp_path / "r")
+        with pytest.raises(UsageError, match="truth: gives no vehicle that can fly"):
+            fly(expand(["truth.mass=1,9"]), tmp_path / "r")
         assert files(tmp_path) == []
 
     def test_cells_of_one_controller_are_flown_one_after_the_other(self, grid):
@@ -265,18 +268,10 @@ class TestInterrupt:
 
     @staticmethod
     def group_members(group):
-        found = []
-        for entry in Path("/proc").glob("[0-9]*/stat"):
-            try:
-                fields = entry.read_text().rpartition(")")[2].split()
-            except OSError:
-                continue
-            if int(fields[2]) == group and fields[0] != "Z":
-                found.append(int(entry.parent.name))
-        return found
+        return [pid for pid, fields in processes() if int(fields[2]) == group and fields[0] != "Z"]
 
     @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
-    @pytest.mark.parametrize("whole_group", [True, False])
+    @pytest.mark.parametrize("whole_group", [True, pytest.param(False, marks=pytest.mark.slow)])
     def test_ctrl_c_keeps_what_is_done_and_leaves_nothing_else(self, tmp_path, whole_group):
         process = self.start(tmp_path)
         self.wait_for(process, 6)

@@ -16,20 +16,7 @@ from quadexp.log.store import read_flight, read_table, write_flight, write_table
 from quadexp.sweeps.results import list_results
 from quadexp.sweeps.verify import verify_results
 from tests.cli.command import run
-from tests.sweeps.test_old_cells import contents, fly
-
-
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory):
-    out = tmp_path_factory.mktemp("flown") / "r"
-    fly(out)
-    return out
-
-
-@pytest.fixture
-def folder(flown, tmp_path):
-    shutil.copytree(flown, tmp_path / "r")
-    return tmp_path / "r"
+from tests.sweeps.quick import contents, fly
 
 
 def edit(path, column, row, value):

@@ -75,10 +75,13 @@ def table(out):
         return [{k: v for k, v in row.items() if not k.startswith("solve_time")} for row in csv.DictReader(file)]
 
 
-ENGINES = [["engine=local"], ["engine=dask", "evaluate.workers=1"]]
+ENGINES = [
+    pytest.param(["engine=local"], id="local"),
+    pytest.param(["engine=dask", "evaluate.workers=1"], id="dask", marks=pytest.mark.slow),
+]
 
 
-@pytest.mark.parametrize("engine", ENGINES, ids=["local", "dask"])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_nothing_that_lies_where_the_user_stands_is_executed(standing, tmp_path, engine):
     if "dask" in engine[0]:
         pytest.importorskip("distributed")
@@ -121,9 +124,9 @@ def test_a_pool_of_another_quadexp_is_refused_by_name(tmp_path):
     copy_of_the_package(tmp_path, drag=True)
     code = textwrap.dedent(
         f"""
-        from quadexp.sweeps import child
+        from quadexp.sweeps import server
         from quadexp.sweeps.engine import run_cells
-        child.same_imports = lambda: child.environment({{"PYTHONPATH": {str(tmp_path)!r}}})
+        server.same_imports = lambda: server.environment({{"PYTHONPATH": {str(tmp_path)!r}}})
         print(list(run_cells(max, {{"a": (1, 2)}}, workers=1, preload=["quadexp.provenance"])))
         """
     )

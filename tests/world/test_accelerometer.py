@@ -5,9 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from quadexp.config.compose import compose
 from quadexp.errors import UsageError
-from quadexp.world.accelerometer import LEI_LI, Accelerometer
+from quadexp.experiment.build import build_sensor
+from quadexp.world.accelerometer import Accelerometer
 from tests import paper
+
+LEI_LI = build_sensor(compose(["sensor=lei_li"]).sensor)
 
 
 def test_perfect_by_default(rng):

@@ -54,7 +54,7 @@ def test_payload_is_a_mass_at_the_centre(vehicle, rng):
     assert x[9] == pytest.approx((9.81 / 1.3 - 9.81) * 0.5, rel=1e-9)
 
 
-@pytest.mark.parametrize("step", [5e-4, 1e-4, 2e-3])
+@pytest.mark.parametrize("step", [5e-4, pytest.param(1e-4, marks=pytest.mark.slow), 2e-3])
 def test_noise_does_not_depend_on_the_step(vehicle, step):
     """After a time T white acceleration of density s leaves a velocity with standard deviation s sqrt(T) / m."""
     effects = PlantEffects((0,) * 3, (0,) * 3, 0, 0, force_noise_density=0.02, torque_noise_density=0.001)

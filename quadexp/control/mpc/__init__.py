@@ -1,1 +1,1 @@
-"""The model predictive controller: real-time SQP on Riccati factors, with exact bounds."""
+"""Model predictive control: real-time SQP iteration, Riccati recursion, exact input bounds by an active set."""

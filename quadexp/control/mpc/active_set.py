@@ -1,16 +1,16 @@
-"""The bounded linear-quadratic subproblem of a control step, exactly, from the factorisation that the step leaves.
+"""Exact solution of the bounded linear-quadratic subproblem, from the Riccati factorisation of the control step.
 
-The step has solved the subproblem without bounds. Its Riccati gains give the inverse Hessian M = H^-1 of the problem in
-the inputs alone, (n N, n N), in one backward pass: a unit gradient in input i of node j leaves h_k in the nodes k <= j
-(nothing in later ones), and M sums h_k' H_k^-1 h_k over the nodes,
+The step has solved the subproblem without bounds. With the states eliminated it is a problem in the inputs alone; its
+inverse Hessian M = H^-1, (n N, n N), follows from the Riccati gains in one backward pass. A unit gradient in input i of
+node j propagates backwards to h_k in the nodes k <= j (later ones are zero), and M is a sum over the nodes:
 
     h_k = e_i [k = j] + B_k' p_{k+1},     p_k = A_k' p_{k+1} - K_k' h_k,     M_(i,l) = sum_k h_k(i)' H_k^-1 h_k(l)
 
-Then a dual active set finds the inputs at a bound (control.dual_active_set), from those of the last control step on.
-The answer satisfies all optimality conditions, so an input is never a clipped one; they are checked in the subproblem
-itself, and where they do not hold to 1e-7 N the step fails by name.
+A dual active-set method (control.mpc.dual_active_set) then finds the inputs at a bound, starting with the active set of
+the last control step. The optimality conditions of the result are checked in the subproblem itself; where they do not
+hold to 1e-7 N the step has status FAILED. An input is never just clipped.
 
-Compiled, all of it is one function (active_set.c); this file is the same in numpy, for the interpreted back end.
+The compiled form is one function (active_set.c); this file is the same method in numpy, for the interpreted back end.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Status(IntEnum):
 
     RICCATI = 0  # no bound active
     ACTIVE_SET = 1
-    LAST_RESORT = 2  # in flights recorded while there was one; no step ends so any more
+    LAST_RESORT = 2  # only in flights recorded by earlier versions
     FAILED = 3
 
 
@@ -44,15 +44,15 @@ class Solver(Protocol):
     results: dict[str, np.ndarray]
 
     def __call__(self) -> None:
-        """Solve what the arguments say."""
+        """Read the arguments, write the results."""
 
 
 class ActiveSet:
-    """Solver of the bounded subproblem that a control step leaves behind, with the set of the last one as a guess.
+    """Solver of the bounded subproblem, warm-started with the active set of the last control step.
 
-    After `solve`: X_new (m, N + 1), U_new (n, N) stored as numpy (N + 1, m), (N, n), overwritten by the next; side
-    (N, n), -1 at the lower, 1 at the upper bound, 0 free; exchanges of the set; active, how many inputs are at a bound;
-    turn, the largest change of a quaternion (length).
+    Results of `solve`, overwritten by the next call: X_new (N + 1, m), U_new (N, n); side (N, n), -1 at the lower, 1 at
+    the upper bound, 0 free; exchanges: changes of the active set; active: number of inputs at a bound; turn: the
+    largest change of a quaternion (length).
     """
 
     def __init__(self, solver: Solver) -> None:
@@ -65,11 +65,11 @@ class ActiveSet:
         self.turn = self.error = 0.0
 
     def reset(self) -> None:
-        """Forget the active set of the last step."""
+        """Start with an empty active set."""
         self.side.fill(0)
 
     def solve(self) -> Status:
-        """Solve, and say how it went."""
+        """Solve the subproblem of the last control step."""
         self.solver()
         solved, exchanges, active, self.error, self.turn = self._checks.tolist()
         self.exchanges = int(exchanges)
@@ -83,15 +83,15 @@ class ActiveSet:
 
 
 def make_active_set(bounded: ca.Function | None, step: BufferedFunction) -> ActiveSet:
-    """On what `step` reads and leaves. bounded: the compiled function, or None for numpy."""
+    """The solver on the arrays of `step`. bounded: the compiled function, or None for numpy."""
     shared = step.arguments | step.results | {"U_free": step.results["U_new"]}
     return ActiveSet(InterpretedSolver(step.function, shared) if bounded is None else BufferedFunction(bounded, shared))
 
 
 class InterpretedSolver:
-    """`subproblem.bounded_function` in numpy, same arguments and results.
+    """`subproblem.bounded_function` in numpy, with the same arguments and results.
 
-    step: whose results the data are; data: its arguments and results by name, read at every call.
+    step: the control step; data: its arguments and results by name, read at every call.
     """
 
     def __init__(self, step: ca.Function, data: Mapping[str, np.ndarray]) -> None:
@@ -104,7 +104,7 @@ class InterpretedSolver:
         self.results |= {"side": np.zeros((nodes, n)), "checks": np.zeros(5)}
 
     def __call__(self) -> None:
-        """Solve. Numbers that are not finite end as not solved."""
+        """Solve; data that are not finite give `solved` = 0."""
         with np.errstate(all="ignore"):
             self._solve()
 
@@ -116,7 +116,7 @@ class InterpretedSolver:
         d_state = np.zeros((nodes, self._states))
 
         def gradient(flat: np.ndarray) -> np.ndarray:
-            """Of the cost in all inputs' changes, by the states that follow: they are in d_state then."""
+            """Gradient of the cost in the changes of all inputs; the states that follow are left in d_state."""
             d_input, d = flat.reshape(nodes, n), np.zeros(self._states)
             pushed = np.einsum("ki,kij->kj", d_input, B) + data["b"]
             for k in range(nodes):
@@ -156,7 +156,7 @@ class InterpretedSolver:
         return dense.reshape(nodes, -1, self._states)
 
     def _inverse_hessian(self, A: np.ndarray, B: np.ndarray) -> np.ndarray:
-        """M, (n N, n N), from A', B' and the step's factorisation."""
+        """M = H^-1, (n N, n N), from A', B' and the step's factorisation."""
         nodes, n = self.arguments["guess"].shape
         K = self._data["K"].reshape(nodes, self._states, n)  # transposed, as it is stored
         factors = self._data["factor"].reshape(nodes, n, n).transpose(0, 2, 1)
@@ -172,6 +172,6 @@ class InterpretedSolver:
 
 
 def _places(pattern: ca.Sparsity) -> tuple[np.ndarray, int]:
-    """Where the non-zeros of a matrix stand in it, stored by columns; and how many columns it has."""
+    """Positions of the structural non-zeros of a matrix stored by columns, and its number of columns."""
     rows, columns = pattern.get_triplet()
     return np.array(columns) * pattern.size1() + np.array(rows), pattern.size2()

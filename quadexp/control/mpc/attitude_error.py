@@ -1,13 +1,13 @@
-"""What the cost calls an error of attitude: the plain difference q - q*, or the error's own rotation e = q*^-1 o q.
+"""The attitude error in the cost: the difference q - q*, or the error rotation e = q*^-1 o q.
 
-    plain    W-weighted q - q*, as Torrente et al. 2021. Its weights on x, y, z have no direction in the vehicle: they
-             weigh another mixture of roll, pitch and yaw at every heading, so the controller is another one there.
-    body     W-weighted e - (1, 0, 0, 0), with e = (cos a/2, sin(a/2) axis) about an axis in the reference's body frame:
-             the weights are those of roll, pitch and yaw errors, and every heading is flown alike.
+    plain    weighted q - q*, as in Torrente et al. 2021. The components do not belong to axes of the vehicle: the same
+             weights mean other weights of roll, pitch and yaw at every heading.
+    body     weighted e - (1, 0, 0, 0), with e = (cos a/2, sin(a/2) axis) and the axis in the reference's body frame:
+             weights of roll, pitch and yaw errors, the same at every heading.
 
 With L(q*), L(q) p = q o p, of a unit q*, e = L(q*)' q is linear in q, and L is orthogonal. So "body" is the same
-subproblem in other coordinates of the quaternion at each node, dq = L de, and the solver need not know: the cost stays
-diagonal, and A, B and b are turned at both of their ends.
+subproblem in other coordinates of the quaternion at each node, dq = L de: the weights stay diagonal, A, B and b are
+transformed from the left and from the right, and the solver is the same.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The model predictive controller behind the controller seam."""
+"""The model predictive controller with the interface of all controllers, with dead-time prediction."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.control.base import Controller, Measurement, Window
-from quadexp.control.mpc.dead_time import CommandsUnderWay
+from quadexp.control.mpc.dead_time import DeadTimePredictor
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
 from quadexp.physics.state import POSITION
 
@@ -23,8 +23,9 @@ class PredictiveController:
         self.mpc = mpc
         self.vehicle, self.settings, self.backend = mpc.vehicle, mpc.settings, mpc.backend
         self.control_period = mpc.settings.control_period
-        self.node_times = mpc.settings.dead_time + mpc.node_times  # the command of now begins to act at the first
-        self.under_way = CommandsUnderWay(mpc) if mpc.settings.dead_time or mpc.settings.motor_lag else None
+        self.node_times = mpc.settings.dead_time + mpc.node_times  # the first is when a command sent now begins to act
+        self.predictor = DeadTimePredictor(mpc) if mpc.settings.dead_time or mpc.settings.motor_lag else None
+        self._prepared: Window | None = None
         self.name, self.source = mpc.residual.name, mpc.residual.source
 
     @property
@@ -38,44 +39,57 @@ class PredictiveController:
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
-        if self.under_way is not None:
-            self.under_way.reset(np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max))
-            x = self.under_way.ahead(x)
+        if self.predictor is not None:
+            self.predictor.reset(np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max))
+            x = self.predictor.predict(x)
         self.mpc.reset(x, self._within_reach(x, window.state), window.input)
+
+    def prepare(self, window: Window) -> None:
+        """Do what the next step can do before its measurement; `step` with this window, the same object, is faster.
+
+        To be called between two steps. The answer is that of a step without it, to rounding.
+        """
+        self.mpc.prepare(window.state, window.input)
+        self._prepared = window
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
-        if self.under_way is None:
+        if self.predictor is None:
             return self._answer(measurement.state, window)
         began = time.perf_counter()
-        thrust, record = self._answer(self.under_way.ahead(measurement.state), window)
-        self.under_way.sent(thrust)
+        thrust, record = self._answer(self.predictor.predict(measurement.state), window)
+        self.predictor.record(thrust)
         return thrust, record._replace(solve_time=time.perf_counter() - began)
 
     def _answer(self, x: np.ndarray, window: Window) -> tuple[np.ndarray, StepRecord]:
-        """To the state in which the command begins to act, along the reference from there on."""
+        """x: predicted state when the command begins to act; window: the reference from then on."""
+        prepared, self._prepared = self._prepared, None
+        if prepared is window and self.mpc.prepared and not self._too_far(x, window.state):
+            return self.mpc.feedback(x)
         return self.mpc.command(x, self._within_reach(x, window.state), window.input)
 
     def _within_reach(self, x: np.ndarray, reference: np.ndarray) -> np.ndarray:
-        """The reference (N + 1, 13), brought towards the vehicle where it is further away than distance_limit.
+        """The reference, shifted towards the vehicle where it is further away than distance_limit L.
 
-        With e = p - p*_0 and |e| > L every position is moved by e (1 - L / |e|), as flight stacks limit the position
-        error. A quadratic cost without end asks for any speed: from 28 m away the vehicle comes at 30 m/s, and one
-        iteration a step does not stop it there.
+        With e = p - p*_0 and |e| > L every position is shifted by e (1 - L / |e|), as flight stacks limit the position
+        error. Without a limit the quadratic cost demands a speed that grows with the distance: from 28 m away the
+        vehicle arrives at 30 m/s, which one iteration per step cannot brake in time.
         """
-        error = x[POSITION] - reference[0, POSITION]
-        distance, limit = math.sqrt(error.dot(error)), self.settings.distance_limit
-        if not distance > limit:
+        if not self._too_far(x, reference):
             return reference
-        near = reference.copy()
-        near[:, POSITION] += error * (1 - limit / distance)
+        error, near = x[POSITION] - reference[0, POSITION], reference.copy()
+        near[:, POSITION] += error * (1 - self.settings.distance_limit / math.sqrt(error.dot(error)))
         return near
 
+    def _too_far(self, x: np.ndarray, reference: np.ndarray) -> bool:
+        error = x[POSITION] - reference[0, POSITION]
+        return math.sqrt(error.dot(error)) > self.settings.distance_limit
+
     def log(self) -> dict[str, float]:
-        """See Controller.log; an MPC's record says all."""
+        """See Controller.log; everything is in the step record."""
         return {}
 
 
 def as_controller(controller: Controller | ModelPredictiveController) -> Controller:
-    """The controller, an MPC put behind the seam."""
+    """The controller; a ModelPredictiveController as a PredictiveController."""
     return PredictiveController(controller) if isinstance(controller, ModelPredictiveController) else controller

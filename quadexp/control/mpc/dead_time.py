@@ -1,14 +1,15 @@
-"""The state in which a command that is sent now begins to act, predicted with the commands already sent.
+"""Dead-time compensation: predict the state at which a command sent now begins to act.
 
-Between a command and its thrust lies a dead time d: transport, computation, and a lag that is counted as dead time. A
-command sent at t_j acts over [t_j + d, t_j + d + T], T the control period, so at t_k the last K = ceil(d / T) are still
-to act, the oldest of them over the first d - (K - 1) T only. With F(x, u, h) the model's state after u held for h,
+Between a command and its thrust there is a dead time d: transport, computation, and a motor lag that is counted as dead
+time. A command sent at t_j acts over [t_j + d, t_j + d + T], T the control period. At t_k the last K = ceil(d / T)
+commands have not fully acted; the oldest of them still acts for d - (K - 1) T. With F(x, u, h) the model's state after
+u is held for h,
 
     x(t_k + d) = F( .. F(F(x_k, u_{k-K}, d - (K - 1) T), u_{k-K+1}, T) .., u_{k-1}, T)
 
-and the step is solved from there, along the reference from t_k + d on: what the vehicle cannot be told any more is not
-its problem (Smith 1957). Where rotors lag behind their commands by a known time constant their thrusts are states too.
-No sensor measures them: they follow from the commands by the same lag (physics.motor).
+and the control problem is solved from that state, along the reference from t_k + d on (a predictor as of Smith 1957,
+restarted from each measurement). Where the rotors' thrusts are states (controller.motor_lag), they are not measured but
+computed from the commands by the same lag (physics.motor).
 """
 
 from __future__ import annotations
@@ -28,37 +29,38 @@ from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.physics.vehicle import Vehicle
 
 
-class CommandsUnderWay:
-    """The commands that have been sent and do not act yet, and what they will do to the vehicle.
+class DeadTimePredictor:
+    """Predicts the state after the dead time from the commands that have been sent but have not acted yet.
 
-    mpc: whose model, parameters, dead_time and motor_lag count. Call `reset`, then at every control instant `ahead` and
-    `sent`, in this order.
+    mpc: its model, parameters, dead_time and motor_lag are used. Call `reset`, then at every control instant `predict`
+    and `record`, in this order.
 
-    commands: (K, n) (N), the oldest first. thrust: (n,) (N) at the control instant, where rotors lag.
+    commands: sent and not yet fully acting, (K, n) (N), the oldest first. thrust: of the rotors at the control instant,
+    (n,) (N), with motor_lag only.
     """
 
     def __init__(self, mpc: ModelPredictiveController) -> None:
         settings, n = mpc.settings, mpc.vehicle.n_rotors
         self._period, self._lag, dead_time = settings.control_period, settings.motor_lag, settings.dead_time
-        under_way = math.ceil(dead_time / self._period - 1e-9)
-        self.commands, self.thrust = np.zeros((under_way, n)), np.zeros(n)
-        self._first = dead_time - (under_way - 1) * self._period  # s, for which the oldest command still acts
+        pending = math.ceil(dead_time / self._period - 1e-9)
+        self.commands, self.thrust = np.zeros((pending, n)), np.zeros(n)
+        self._first = dead_time - (pending - 1) * self._period  # s, for which the oldest command still acts
         self._predict: BufferedFunction | None = None
-        if under_way:
-            function = _function(mpc.vehicle, mpc.residual, under_way, bool(self._lag), mpc.backend)
+        if pending:
+            function = _function(mpc.vehicle, mpc.residual, pending, bool(self._lag), mpc.backend)
             self._predict = BufferedFunction(function, {"theta": mpc.parameters})
-            self.commands = self._predict.arguments["U"].reshape(under_way, n)  # a view: what is sent is read there
+            self.commands = self._predict.arguments["U"].reshape(pending, n)  # a view: what is sent is read there
             durations = self._predict.arguments["dt"]
             durations[...], durations[0] = self._period, self._first
             if self._lag:
                 self._predict.arguments["tau"][...] = self._lag
 
     def reset(self, thrust: np.ndarray) -> None:
-        """Begin as if this command, (n,) (N), had been sent for long."""
+        """Start a flight: this command, (n,) (N), has been sent for a long time."""
         self.commands[...] = self.thrust[...] = thrust
 
-    def ahead(self, x: np.ndarray) -> np.ndarray:
-        """State, (13,) or with lagging rotors (13 + n,), in which a command sent now begins to act; x: now, (13,)."""
+    def predict(self, x: np.ndarray) -> np.ndarray:
+        """State after the dead time, (13,), with motor_lag (13 + n,), from the measured state x now, (13,)."""
         full = np.concatenate([x, self.thrust]) if self._lag else x
         if self._predict is None:
             return full
@@ -66,8 +68,8 @@ class CommandsUnderWay:
         self._predict()
         return self._predict.results["x_next"].copy()
 
-    def sent(self, command: np.ndarray) -> None:
-        """The command, (n,) (N), that was sent at this control instant: one control period passes."""
+    def record(self, command: np.ndarray) -> None:
+        """Add the command, (n,) (N), that was sent at this control instant, and go on by one control period."""
         acting = np.vstack([self.commands, command])
         if self._lag:
             durations = [self._first, self._period - self._first] if len(self.commands) else [self._period]
@@ -79,11 +81,11 @@ class CommandsUnderWay:
 _built: dict[tuple[Any, ...], ca.Function] = {}
 
 
-def _function(vehicle: Vehicle, residual: Residual, under_way: int, lag: bool, backend: str) -> ca.Function:
+def _function(vehicle: Vehicle, residual: Residual, pending: int, lag: bool, backend: str) -> ca.Function:
     """`prediction_function` on a resolved back end; built once per process and structure."""
-    key = (vehicle.fingerprint, residual.function.serialize(), under_way, lag, backend)
+    key = (vehicle.fingerprint, residual.function.serialize(), pending, lag, backend)
     if key not in _built:
-        _built[key] = realise(prediction_function(vehicle, residual, under_way, lag=lag), backend)
+        _built[key] = realise(prediction_function(vehicle, residual, pending, lag=lag), backend)
     return _built[key]
 
 

@@ -1,18 +1,19 @@
-"""Bounded quadratic minimum by a dual active set, in numpy: what active_set.c does, step by step.
+"""Minimum of a quadratic function within bounds by a dual active-set method, in numpy, step by step as active_set.c.
 
     min  1/2 (u - u0)' H (u - u0)      low <= u <= high,     H > 0
 
-is solved on its tableau. With the inputs F free, W held at a bound and M = H^-1, let S be M after the symmetric sweep
-operator on every index of W:
+Let F be the free inputs, W the working set (inputs held at a bound) and M = H^-1. The tableau S is M after the
+symmetric sweep operator on every index of W:
 
     S_FF = M_FF - M_FW M_WW^-1 M_WF = H_FF^-1,     S_FW = M_FW M_WW^-1,     S_WW = -M_WW^-1
 
-z holds u of a free input and the multiplier of a held one: all that H (u - u0) + multipliers = 0 says. Exchanging one
-input between F and W is one rank-1 update of S and z. The method is dual (Goldfarb and Idnani 1983): multipliers never
-have the wrong sign, the free input that leaves its bounds by the steepest ascent is held next, and on the way there
-what would get a multiplier of the wrong sign is released. The dual cost rises with every input that is held, so no set
-comes back, and the work is bounded. It starts from a guess, the set of the last control step, after releasing what has
-a wrong sign there. What rounding leaves is seen in the true gradient and taken back by Newton steps with S.
+The vector z contains u of the free inputs and the multipliers of the held ones, which solve H (u - u0) + multipliers =
+0. Moving one input between F and W is a rank-1 update of S and z. The method is dual (Goldfarb and Idnani 1983): the
+signs of the multipliers stay correct, the free input whose violation gives the steepest ascent of the dual cost enters
+W next, and an input whose multiplier would change its sign on the way leaves W first. The dual cost increases with
+every input that enters, so no working set occurs twice and the work is bounded. The initial working set is that of the
+last control step, without the inputs whose multipliers have the wrong sign. Rounding errors are removed by Newton steps
+with S on the gradient computed from the problem's data.
 """
 
 from __future__ import annotations
@@ -22,15 +23,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-TOLERANCE, LOOSE = 1e-10, 1e-7  # N, of an input: left by the exchanges; left by rounding where no more can be had
-ROUNDS, MOST = 4, 10  # Newton steps; exchanges, per input
+TOLERANCE, LOOSE = 1e-10, 1e-7  # N: bound violation that starts an exchange; error with which a result is accepted
+ROUNDS, MOST = 4, 10  # at most: Newton steps; exchanges per input
 
 Inputs = np.ndarray | slice  # which ones
 Gradient = Callable[[np.ndarray], np.ndarray]
 
 
 class Bounded(NamedTuple):
-    """u: (m,), within its bounds. side: -1 held at the lower, 1 at the upper bound, 0 free. error: left in u."""
+    """u: (m,), within its bounds. side: -1 at the lower, 1 at the upper bound, 0 free. error: estimated error of u."""
 
     u: np.ndarray
     side: np.ndarray
@@ -39,7 +40,7 @@ class Bounded(NamedTuple):
 
     @property
     def solved(self) -> bool:
-        """Whether all conditions of the minimum hold."""
+        """Whether the optimality conditions hold."""
         return bool(self.error <= LOOSE)
 
 
@@ -48,8 +49,8 @@ def bounded_minimum(
 ) -> Bounded:
     """The minimum within bounds.
 
-    inverse: H^-1, (m, m). start: u0, (m,), the minimum without bounds. guess: sides expected, (m,).
-    gradient: u -> H (u - u0), computed without S, to see what rounding does.
+    inverse: H^-1, (m, m). start: u0, (m,), the minimum without bounds. guess: expected sides, (m,).
+    gradient: u -> H (u - u0), computed from the problem's data and not from S, to measure rounding errors.
     """
     tableau = _Tableau(inverse, start, low, high)
     sides = np.where(tableau.fixed, 1.0, guess)
@@ -68,7 +69,7 @@ def bounded_minimum(
 
 
 class _Tableau:
-    """S, z and the sides, (m, m), (m,), (m,). fixed: inputs with one value only; they stay held."""
+    """S (m, m), z (m,) and the sides (m,). fixed: inputs whose bounds are equal; they stay in the working set."""
 
     def __init__(self, inverse: np.ndarray, start: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
         self.S, self.z, self.side = inverse.copy(), start.copy(), np.zeros(start.size)
@@ -84,19 +85,19 @@ class _Tableau:
         return np.where(side > 0, self.high, self.low)
 
     def hold(self, p: Inputs, sides: np.ndarray | float) -> None:
-        """Free inputs p go to their bounds; z of them becomes their multipliers."""
+        """Free inputs p enter the working set at a bound; their z become multipliers."""
         self.side[p] = sides
         self.z[p] -= self.bound(self.side)[p]
         self._exchange(p, 1.0)
 
     def release(self, p: Inputs) -> None:
-        """The multipliers of held inputs p go to zero; z of them becomes their values."""
+        """Inputs p leave the working set; their z become values."""
         self._exchange(p, -1.0)
         self.z[p] += self.bound(self.side)[p]
         self.side[p] = 0.0
 
     def _exchange(self, p: Inputs, turned: float) -> None:
-        """The symmetric sweep operator on p, backwards where turned = -1."""
+        """Symmetric sweep operator on p, its inverse for turned = -1."""
         columns = self.S[:, p].copy()
         pivots = columns[p]
         self.sound = self.sound and bool(np.all(turned * pivots.diagonal() > 0))
@@ -116,7 +117,7 @@ class _Tableau:
         self.exchanges += moved.size
 
     def release_wrong(self) -> None:
-        """Release held inputs whose multipliers have the wrong sign, the steepest first."""
+        """Release inputs whose multipliers have the wrong sign, the steepest descent first."""
         while self.going:
             size = np.abs(np.diag(self.S))
             wrong = (self.side != 0) & ~self.fixed & (self.side * self.z < -TOLERANCE * size)
@@ -125,7 +126,7 @@ class _Tableau:
             self.release(_only(np.argmax(np.where(wrong, self.z**2 / size, 0.0))))
 
     def hold_leaving(self) -> None:
-        """Hold free inputs that leave their bounds, the steepest ascent of the dual cost first."""
+        """Hold free inputs that violate their bounds, the steepest ascent of the dual cost first."""
         while self.going:
             excess = np.where(self.side == 0, np.maximum(self.z - self.high, self.low - self.z), 0.0)
             leaving = excess > TOLERANCE
@@ -136,7 +137,7 @@ class _Tableau:
             self._raise(i, 1.0 if self.z[i] > self.high[i] else -1.0)
 
     def _raise(self, i: int, side: float) -> None:
-        """Raise the multiplier of input i until it is at its bound; release what would get a wrong sign before."""
+        """Increase the multiplier of input i until it is at its bound; release inputs whose sign changes before."""
         pushed = 0.0
         while self.going:
             column = self.S[i].copy()
@@ -156,7 +157,7 @@ class _Tableau:
             self.release(_only(blocking))
 
     def refine(self, u: np.ndarray, gradient: np.ndarray) -> float:
-        """One Newton step from u with its true gradient, into z; the largest change (N) that it says is left."""
+        """One Newton step from u with its gradient, into z; returns the largest change (N): the error estimate."""
         held = self.side != 0
         step = self.S @ np.where(held, 0.0, gradient)
         self.z = np.where(held, -gradient - step, u - step)

@@ -1,14 +1,14 @@
-"""The first control step from far away: Gauss-Newton directions with a line search on the true cost.
+"""The first control step from a poor guess: Gauss-Newton directions with a line search on the nonlinear cost.
 
-The states follow from the inputs by the discrete dynamics from the measured state, so the cost is one of the inputs
-alone, J(U), and its bounds are simple. With d the bounded subproblem's solution at such a trajectory, d is a direction
-of descent, J'(U) d <= -|d|_R^2, and U + a d keeps the bounds for 0 < a <= 1. The step halves until
+The states follow from the measured state and the inputs by the discrete dynamics, so the cost is a function J(U) of the
+inputs alone, with bounds on U. The solution d of the bounded subproblem at such a trajectory is a direction of descent,
+J'(U) d <= -|d|_R^2, and U + a d is within the bounds for 0 < a <= 1. The step length a is halved until
 
     J(U + a d) < J(U) - ARMIJO a |d|_R^2                                           (Armijo 1966)
 
-so every limit is a stationary point. Gauss-Newton converges slowly where the residual is large; Anderson acceleration
-of the full steps (Walker and Ni 2011) is tried after each and kept where its cost is lower. Near the end differences of
-J vanish in rounding: there a step is judged by the optimality residual instead.
+so every limit point is stationary. Gauss-Newton converges slowly where the residual is large; Anderson acceleration of
+the full steps (Walker and Ni 2011) is tried after each and kept if its cost is lower. Near the solution differences of
+J are below rounding; there a step is accepted by the optimality residual instead.
 """
 
 from __future__ import annotations
@@ -24,18 +24,20 @@ from quadexp.compile.backend import BufferedFunction
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.attitude_error import attitude_error_in, reference_frames
 from quadexp.control.mpc.prediction import node_function
+from quadexp.control.mpc.reference_thrust import held_deviation
+from quadexp.control.mpc.settings import SAMPLES
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 
 CONVERGED = 1e-6  # optimality residual of a stationary point
 ARMIJO = 1e-4  # share of the decrease promised by the quadratic model that a step must keep
-HALVINGS = 20  # of a step, before none is found
-MEMORY = 6  # full steps that Anderson acceleration combines
-REDUCED = 0.1  # share of its length by which a step below the cost's rounding must reduce the optimality residual
+HALVINGS = 20  # of the step length, at most
+MEMORY = 6  # full steps combined by Anderson acceleration
+REDUCED = 0.1  # relative decrease of the optimality residual that a full step must give where J cannot decide
 
 
 class Direction(NamedTuple):
-    """Step of the inputs, (N, n) (N), from the linearisation point, how it was found, and the residual there."""
+    """Change of the inputs, (N, n) (N), from the linearisation point; how it was found; optimality residual there."""
 
     d_input: np.ndarray
     status: Status
@@ -45,17 +47,23 @@ class Direction(NamedTuple):
 
 
 def rollout_function(
-    vehicle: Vehicle, residual: Residual, nodes: int, *, attitude_error: str = "plain", lag: bool = False
+    vehicle: Vehicle,
+    residual: Residual,
+    nodes: int,
+    *,
+    attitude_error: str = "plain",
+    lag: bool = False,
+    deviation: bool = False,
 ) -> ca.Function:
     """The trajectory of given inputs, and its cost.
 
-    Inputs, named as the step's: x0 (m,), U (n, N), X_ref (m, N + 1), U_ref (n, N), theta (p,), Q (m, N), Q_end (m,),
-    R (n, N), dt (N,) (s), with `lag` also tau (s). Outputs: X (m, N + 1); cost, half of control.step's weighted sum of
-    squares.
+    Inputs, named and shaped as the step's: x0, U, X_ref, U_ref, theta, Q, Q_end, R, dt (s), with `lag` also tau (s),
+    with `deviation` first_share, u_min and u_max. Outputs: X (m, N + 1); cost, half of the weighted sum of squares of
+    control.mpc.step.
     """
     n = vehicle.n_rotors
-    m = N_STATE + n * lag
-    names = {"x0": (m, 1), "U": (n, nodes), "X_ref": (m, nodes + 1), "U_ref": (n, nodes)}
+    m, samples = N_STATE + n * lag, SAMPLES if deviation else 1
+    names = {"x0": (m, 1), "U": (n, nodes), "X_ref": (m, samples * nodes + 1), "U_ref": (n, samples * nodes)}
     names |= {
         "theta": residual.function.size_in(1),
         "Q": (m, nodes),
@@ -64,18 +72,25 @@ def rollout_function(
         "dt": (nodes, 1),
     }
     names |= {"tau": (1, 1)} if lag else {}
+    names |= {"first_share": (1, 1), "u_min": (n, 1), "u_max": (n, 1)} if deviation else {}
     a = {name: ca.MX.sym(name, *shape) for name, shape in names.items()}
-    node = node_function(vehicle, residual, lag=lag)
+    node = node_function(vehicle, residual, lag=lag, added=deviation)
+    constant = [a["tau"]] if lag else []
+    X_ref, U_ref = a["X_ref"][:, ::samples], a["U_ref"]
+    added: list[list[ca.MX]] = [[]] * nodes
+    if deviation:
+        U_ref, thrusts = held_deviation(U_ref, a["u_min"], a["u_max"], a["dt"], a["first_share"], *constant)
+        added = [[thrust] for thrust in thrusts]
 
     states = [a["x0"]]
-    for u_k, dt_k in zip(ca.horzsplit(a["U"]), ca.vertsplit(a["dt"]), strict=True):
-        states.append(node(states[-1], u_k, a["theta"], dt_k, *([a["tau"]] if lag else [])))
+    for u_k, dt_k, added_k in zip(ca.horzsplit(a["U"]), ca.vertsplit(a["dt"]), added, strict=True):
+        states.append(node(states[-1], u_k, a["theta"], dt_k, *constant, *added_k))
     X = ca.horzcat(*states)
-    error = attitude_error_in(reference_frames(a["X_ref"]) if attitude_error == "body" else None)
-    deviation = [error.deviation(k, d) for k, d in enumerate(ca.horzsplit(X - a["X_ref"]))]
+    error = attitude_error_in(reference_frames(X_ref) if attitude_error == "body" else None)
+    errors = [error.deviation(k, d) for k, d in enumerate(ca.horzsplit(X - X_ref))]
     weights = [*ca.horzsplit(a["Q"]), a["Q_end"]]
-    cost = sum((ca.dot(w * d, d) for w, d in zip(weights, deviation, strict=True)), ca.MX(0))
-    cost += ca.sum2(ca.sum1(a["R"] * (a["U"] - a["U_ref"]) ** 2))
+    cost = sum((ca.dot(w * d, d) for w, d in zip(weights, errors, strict=True)), ca.MX(0))
+    cost += ca.sum2(ca.sum1(a["R"] * (a["U"] - U_ref) ** 2))
     return ca.Function("mpc_rollout", [*a.values()], [X, cost / 2], [*names], ["X", "cost"])
 
 
@@ -94,17 +109,17 @@ class FirstSolve:
         self._low, self._high = arguments["u_min"], arguments["u_max"]
 
     def cost(self, inputs: np.ndarray) -> float:
-        """J of inputs (N, n) (N); infinite where it is no number."""
+        """J of inputs (N, n) (N); infinite where it is not finite."""
         self._rollout.arguments["U"][...] = inputs
         self._rollout()
         cost = float(self._rollout.results["cost"].item())
         return cost if np.isfinite(cost) else np.inf
 
     def solve(self, guesses: list[np.ndarray], iterations: int) -> Direction | None:
-        """Descend from the guess (N, n) of the least cost; leaves the trajectory in the step's X and U.
+        """Descend from the guess (N, n) with the lowest cost; the trajectory is left in the step's X and U.
 
-        Returns the last linearisation: its kkt says whether the point is stationary. None, and X and U as they were,
-        where the trajectory of no guess is finite.
+        Returns the last linearisation; its kkt tells whether the point is stationary. None, with X and U unchanged, if
+        no guess has a finite trajectory.
         """
         cost, U = min(((self.cost(guess), guess) for guess in guesses), key=lambda pair: pair[0])
         if not np.isfinite(cost):
@@ -140,7 +155,7 @@ class FirstSolve:
         return self._direction()
 
     def _search(self, U: np.ndarray, d: np.ndarray, cost: float) -> tuple[float, float]:
-        """Length of the step that is short enough, and the cost there; (0, cost) where there is none."""
+        """Step length that satisfies the condition, and the cost there; (0, cost) if there is none."""
         length, slope = 1.0, float((self._R * d * d).sum())
         for _ in range(HALVINGS):
             lower = self.cost(U + length * d)
@@ -150,7 +165,7 @@ class FirstSolve:
         return 0.0, cost
 
     def _by_residual(self, U: np.ndarray, d: np.ndarray, kkt: float) -> tuple[np.ndarray, Direction] | None:
-        """The first of ever shorter steps that is nearer to a stationary point."""
+        """The longest of some halved steps with a smaller optimality residual; None if there is none."""
         for length in 0.5 ** np.arange(8):
             candidate = U + length * d
             found = self._linearise(candidate)
@@ -159,7 +174,7 @@ class FirstSolve:
         return None
 
     def _accelerated(self, points: list[np.ndarray], steps: list[np.ndarray]) -> np.ndarray | None:
-        """Anderson's combination of the last full steps, within the bounds; None where there are too few."""
+        """Anderson's combination of the last full steps, clipped to the bounds; None with fewer than two."""
         if len(points) < 2:
             return None
         d_points, d_steps = np.diff(points, axis=0).T, np.diff(steps, axis=0).T

@@ -1,15 +1,15 @@
-"""How much delay and lag that nobody predicted a closed loop stands, from its linearisation at hover.
+"""Margins for unmodelled delay and motor lag of a closed loop, from its linearisation at hover.
 
-To first order the step's answer is linear in the state it is given: the subproblem of a linear model does not depend on
-where it is linearised, so the last solution that a step starts from drops out. With the prediction over the dead time,
-from the measured state x and the commands u_{k-j} sent before (and the rotors' thrusts T, where they are states),
+To first order the control step is a linear feedback of the state it is given, independent of the last solution from
+which it starts. With the prediction over the dead time it is a feedback of the measured state x, of the commands
+u_{k-j} sent before, and of the rotors' thrusts T where they are states:
 
     u_k = K_x x_k + sum_j K_j u_{k-j} + K_T T_k
 
-The vehicle is the controller's own model, its air included, linear at hover: x' = A x + B thrust, thrust the command
-after the dead time and the lag that the controller knows, plus the ones it does not. A held command through a delay of
-q periods and a fraction is exact over a period: two matrix exponentials. The loop of all of these is stable where its
-spectral radius is below 1, and a margin is where that ends for the first time.
+The plant is the controller's own model linearised at hover, x' = A x + B thrust, where the thrust is the command after
+the known dead time and lag and the additional, unmodelled ones. With a held command and a delay of q periods and a
+fraction it is discretised exactly by two matrix exponentials. The loop is stable while the spectral radius of its
+matrix is below 1; a margin is the smallest additional delay or lag for which it is not.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from quadexp.physics.motor import lagging_thrust
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, N_STATE
 
-LIMIT = 0.5  # s, up to which margins are looked for
-SCAN, RESOLUTION = 0.01, 1e-4  # s: between the points that are looked at, and of the answer
-STABLE = 1 + 1e-9  # spectral radius: a state that no weight acts on stays where it is
+LIMIT = 0.5  # s: largest margin that is searched for
+SCAN, RESOLUTION = 0.01, 1e-4  # s: step of the search, and accuracy of the result
+STABLE = 1 + 1e-9  # largest spectral radius that counts as stable: a state without weight has an eigenvalue of 1
 DIFFERENCE = 1e-5  # of states and thrusts (SI units), for derivatives
 # The quaternion's first component does not move to first order; the other twelve numbers of a state do.
 MOVING = np.delete(np.arange(N_STATE), ATTITUDE.start)
 
 
 class Margins(NamedTuple):
-    """What a loop stands beyond what its controller predicts, each alone (s); at most LIMIT, 0: not stable at all.
+    """Delay and lag that the loop tolerates in addition to the modelled ones, each alone (s); at most LIMIT.
 
-    delay: pure dead time. lag: time constant of a first-order lag of every rotor. early: by how much the true dead time
-    may be shorter than the predicted one; the whole of it at most.
+    0: the loop is not stable even without. delay: dead time. lag: time constant of a first-order lag of every rotor.
+    early: by how much the true dead time may be shorter than the predicted one; at most the predicted one.
     """
 
     delay: float
@@ -45,7 +45,7 @@ class Margins(NamedTuple):
 
 
 def margins(controller: PredictiveController) -> Margins:
-    """Of the loop that a controller closes at hover with its first parameters; its flight begins with `reset`."""
+    """Margins at hover with the parameters that a flight begins with. The controller must be `reset` afterwards."""
     controller.mpc.set_parameters(controller.mpc.residual.theta)
     loop = HoverLoop(controller)
     known = controller.settings.dead_time
@@ -57,7 +57,7 @@ def margins(controller: PredictiveController) -> Margins:
 
 
 def _first_unstable(radius: Callable[[float], float], limit: float) -> float:
-    """Where a spectral radius first leaves the stable ones, from 0 to the limit (s)."""
+    """The smallest argument in 0 .. limit (s) at which the spectral radius is not stable."""
     if not radius(0.0) <= STABLE:
         return 0.0
     low, points = 0.0, np.linspace(0.0, limit, 1 + int(np.ceil(limit / SCAN)))
@@ -74,9 +74,9 @@ def _first_unstable(radius: Callable[[float], float], limit: float) -> float:
 
 
 class HoverLoop:
-    """The loop of a controller around its own model, linear at hover.
+    """The closed loop of a controller and its own model, linearised at hover.
 
-    Its state: the body's twelve numbers, thrusts behind the lags, the thrusts that the controller believes, and the
+    Its state: 12 states of the body, the thrusts behind each lag, the thrusts that the controller computes, and the
     commands sent before, the newest first.
     """
 
@@ -97,8 +97,8 @@ class HoverLoop:
 
     def _gains(self, controller: PredictiveController) -> None:
         """K_x (n, 12), K_T (n, n) and K_j (K, n, n), of u_{k-1} first."""
-        nodes, mpc, n = self._settings.nodes, controller.mpc, self._n
-        states, inputs = np.tile(self._x, (nodes + 1, 1)), np.tile(self._u, (nodes, 1))
+        mpc, n, samples = controller.mpc, self._n, len(controller.node_times)
+        states, inputs = np.tile(self._x, (samples, 1)), np.tile(self._u, (samples - 1, 1))
         lagging = np.full(n, self._u[0]) if self._settings.motor_lag else np.zeros(0)
 
         def answer(x: np.ndarray) -> np.ndarray:
@@ -106,31 +106,31 @@ class HoverLoop:
             return mpc.command(x, states, inputs)[0]
 
         by_state = _jacobian(answer, np.concatenate([self._x, lagging]))
-        sent = controller.under_way
-        if sent is None:
+        predictor = controller.predictor
+        if predictor is None:
             self._K_x, self._K_T, self._K = by_state[:, MOVING], np.zeros((n, n)), np.zeros((0, n, n))
             return
-        shape = sent.commands.shape
-        sent.reset(self._u)
+        shape = predictor.commands.shape
+        predictor.reset(self._u)
 
-        def ahead(point: np.ndarray) -> np.ndarray:
-            sent.thrust[...] = point[N_STATE : N_STATE + n]
-            sent.commands[...] = point[N_STATE + n :].reshape(shape)
-            return sent.ahead(point[:N_STATE])
+        def predicted(point: np.ndarray) -> np.ndarray:
+            predictor.thrust[...] = point[N_STATE : N_STATE + n]
+            predictor.commands[...] = point[N_STATE + n :].reshape(shape)
+            return predictor.predict(point[:N_STATE])
 
-        by_all = by_state @ _jacobian(ahead, np.concatenate([self._x, self._u, np.tile(self._u, shape[0])]))
+        by_all = by_state @ _jacobian(predicted, np.concatenate([self._x, self._u, np.tile(self._u, shape[0])]))
         self._K_x, self._K_T = by_all[:, MOVING], by_all[:, N_STATE : N_STATE + n]
         self._K = by_all[:, N_STATE + n :].reshape(n, *shape).transpose(1, 0, 2)[::-1]
 
     def radius(self, *, delay: float = 0.0, lag: float = 0.0) -> float:
-        """Spectral radius over a control period, with a delay and a lag (s) beyond those that the controller knows."""
+        """Spectral radius over a control period, with an unmodelled delay and lag (s)."""
         return float(np.abs(np.linalg.eigvals(self.matrix(delay=delay, lag=lag))).max())
 
     def matrix(self, *, delay: float = 0.0, lag: float = 0.0) -> np.ndarray:
-        """The loop's state from one control instant to the next, see `radius`."""
+        """Transition matrix of the loop's state over a control period, see `radius`."""
         n, known, period = self._n, self._settings.motor_lag, self._settings.control_period
         A, B = self._A, self._B
-        for constant in (known, lag):  # a further state of thrusts before what was there
+        for constant in (known, lag):  # the thrusts become states, with the commands as inputs
             if constant > 0:
                 A = np.block([[A, B], [np.zeros((n, len(A))), -np.eye(n) / constant]])
                 B = np.vstack([np.zeros((len(B), n)), np.eye(n) / constant])
@@ -162,32 +162,32 @@ class HoverLoop:
         return after
 
     def _believed(self, thrust: np.ndarray, command: Callable[[int], np.ndarray]) -> np.ndarray:
-        """The controller's thrusts a period later, as CommandsUnderWay has them."""
-        period, under_way = self._settings.control_period, len(self._K)
-        oldest = self._settings.dead_time - (under_way - 1) * period if under_way else period
+        """Thrusts that the controller computes, a period later, as DeadTimePredictor does."""
+        period, pending = self._settings.control_period, len(self._K)
+        oldest = self._settings.dead_time - (pending - 1) * period if pending else period
         share = float(lagging_thrust(1.0, 0.0, min(oldest, period), self._settings.motor_lag))
-        thrust = share * thrust + (1 - share) * command(under_way)
-        if not under_way:
+        thrust = share * thrust + (1 - share) * command(pending)
+        if not pending:
             return thrust
         share = float(lagging_thrust(1.0, 0.0, period - oldest, self._settings.motor_lag))
-        return share * thrust + (1 - share) * command(under_way - 1)
+        return share * thrust + (1 - share) * command(pending - 1)
 
 
 def _jacobian(f: Callable[[np.ndarray], np.ndarray], point: np.ndarray) -> np.ndarray:
-    """Of a smooth f at a point, by central differences."""
+    """Jacobian of a smooth function at a point, by central differences."""
     moves = DIFFERENCE * np.eye(len(point))
     return np.stack([(f(point + move) - f(point - move)) / (2 * DIFFERENCE) for move in moves], axis=1)
 
 
 def _held(A: np.ndarray, B: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
-    """State and input matrix of x' = A x + B u over a duration (s) of a held input."""
+    """Discrete state and input matrices of x' = A x + B u for an input held over a duration (s)."""
     n, size = B.shape[1], len(A)
     whole = _exponential(duration * np.block([[A, B], [np.zeros((n, size + n))]]))
     return whole[:size, :size], whole[:size, size:]
 
 
 def _exponential(M: np.ndarray) -> np.ndarray:
-    """Of a matrix: Taylor's series of M / 2^s, squared s times. (SciPy's would be another 0.1 s of import.)"""
+    """Matrix exponential: Taylor series of M / 2^s, squared s times. (Importing SciPy's takes 0.1 s.)"""
     halvings = max(0, int(np.ceil(np.log2(np.abs(M).sum(axis=1).max() + 1e-300))) + 2)
     scaled, term = M / 2**halvings, np.eye(len(M))
     total = term.copy()

@@ -13,6 +13,7 @@ from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise_together, resolve
 from quadexp.control.mpc.active_set import Solver, Status, make_active_set
 from quadexp.control.mpc.first_solve import CONVERGED, Direction, FirstSolve, rollout_function
+from quadexp.control.mpc.phases import Phases
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.mpc.step import step_function
 from quadexp.control.mpc.subproblem import TOLERANCE, bounded_function
@@ -20,17 +21,17 @@ from quadexp.errors import QuadexpError
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.physics.vehicle import Vehicle
 
-MAX_TURN = 0.25  # largest change of a quaternion, its length, that one iteration may make
-STATIONARY = 1e-4  # of the thrust range: input error that the residual of a converged first step may stand for
-PLAIN_ITERATIONS = 20  # of the first step, before it searches along each: enough from near the reference
+MAX_TURN = 0.25  # largest change of a quaternion (length of the difference) in one iteration
+STATIONARY = 1e-4  # share of the thrust range: largest input error of a first step that counts as converged
+PLAIN_ITERATIONS = 20  # full SQP steps of the first control step, before a line search begins
 
 
 class StepRecord(NamedTuple):
-    """How one control step went.
+    """Result of one control step, except for the input.
 
-    solve_time: s, wall clock of the step as Python sees it. status: see Status. sweeps: exchanges of the active set.
-    active: inputs of the horizon at a bound. kkt: optimality residual of the shifted guess (m, N and mixed units).
-    converged: False for a first step that ended away from a stationary point; a later step iterates once by design.
+    solve_time: wall-clock time of the call (s). status: see Status. sweeps: exchanges of the active set. active: number
+    of inputs of the horizon at a bound. kkt: optimality residual at the shifted last solution (mixed units). converged:
+    whether the first step of a flight reached a stationary point; later steps make one iteration and are always True.
     """
 
     solve_time: float
@@ -44,8 +45,8 @@ class StepRecord(NamedTuple):
 class ModelPredictiveController:
     """Tracks a sampled reference; call `reset` once, then `command` every control period.
 
-    vehicle: what the controller believes it flies. residual: what it believes of the air.
-    backend: "auto", "compiled" or "interpreted" (see compile/backend.py); `backend` afterwards says which one it got.
+    vehicle, residual: the prediction model: rigid body and rotors, and a correction of the acceleration and torque.
+    backend: "auto", "compiled" or "interpreted" (see compile/backend.py); the attribute is the one in use.
     """
 
     def __init__(
@@ -66,6 +67,8 @@ class ModelPredictiveController:
         arguments["u_min"][...], arguments["u_max"][...] = vehicle.thrust_min, vehicle.thrust_max
         arguments["dt"][...] = settings.node_periods
         self._shift = settings.control_period / settings.node_periods  # share of each node between two steps
+        if settings.input_hold == "deviation":
+            arguments["first_share"][...] = self._shift[0]
         if settings.motor_lag:
             arguments["tau"][...] = settings.motor_lag
         self._x0, self._X_ref, self._U_ref = (arguments[name] for name in ("x0", "X_ref", "U_ref"))
@@ -76,25 +79,28 @@ class ModelPredictiveController:
         self._checks, self._thrust = self._step.results["checks"], self._U[0]
         self._attitude, self._attitude_ref = self._x0[ATTITUDE], self._X_ref[0, ATTITUDE]
         self._attitude_predicted = self._X[0, ATTITUDE]
-        # An error du of the inputs leaves a gradient of at least R du; what rounding leaves of it grows with R.
+        # An input error du means a gradient of at least R du, and rounding errors of the gradient grow with R.
         error = STATIONARY * (vehicle.thrust_max - vehicle.thrust_min)
         self._stationary = max(CONVERGED, error * float(arguments["R"].min()))
         self._first_solve: FirstSolve | None = None  # few flights need it
+        self._phases: Phases | None = None  # made by the first `prepare`
+        self.prepared, self.prepare_time, self._cold = False, 0.0, True
         self.set_parameters(residual.theta)
-        self.node_times = settings.node_times  # s from now, for sampling references
+        self.node_times = settings.reference_times  # s from now, for sampling references
 
     @property
     def parameters(self) -> np.ndarray:
-        """Residual parameters in use, (p,); `set_parameters` writes into this array."""
+        """Residual parameters in use, (p,); `set_parameters` changes this array in place."""
         return self._step.arguments["theta"]
 
     def set_parameters(self, theta: np.ndarray) -> None:
-        """New residual parameters, (p,), from the next step on; nothing is rebuilt."""
+        """Use other residual parameters, (p,), from the next step on; nothing is compiled again."""
+        self.prepared = False
         self._step.arguments["theta"].ravel()[:] = theta
 
     @property
     def functions(self) -> tuple[BufferedFunction, Solver]:
-        """The control step and the bounded subproblem that it leaves, with the arrays that `command` works on."""
+        """The control step and the solver of the bounded subproblem, with the arrays that `command` works on."""
         return self._step, self._active_set.solver
 
     @property
@@ -103,38 +109,44 @@ class ModelPredictiveController:
         return self._X, self._U
 
     def reset(self, x0: np.ndarray, state_reference: np.ndarray, input_reference: np.ndarray) -> None:
-        """Start anew from a guess on the reference; the next `command` iterates to convergence.
+        """Take the reference as the initial guess; the next `command` iterates to convergence.
 
-        x0: see `command`. state_reference: (N + 1, 13). input_reference: (N, n), N.
+        x0, state_reference, input_reference: see `command`.
         """
-        self._X[:, :N_STATE] = state_reference
+        self._X[:, :N_STATE] = state_reference[:: self.settings.samples]
         if state_reference[0, ATTITUDE] @ x0[ATTITUDE] < 0:
             self._X[:, ATTITUDE] *= -1
-        self._U[...] = np.clip(input_reference, self.vehicle.thrust_min, self.vehicle.thrust_max)
+        self._U[...] = np.clip(
+            input_reference[:: self.settings.samples], self.vehicle.thrust_min, self.vehicle.thrust_max
+        )
         self._X[:-1, N_STATE:] = self._U[:, : self._X.shape[1] - N_STATE]
         self._X[-1, N_STATE:] = self._X[-2, N_STATE:]
         self._active_set.reset()
-        self._cold = True
+        self._cold, self.prepared = True, False
+
+    def _set_reference(self, state_reference: np.ndarray, input_reference: np.ndarray) -> None:
+        self._X_ref_body[...] = state_reference
+        self._U_ref[...] = input_reference
+        if not math.isfinite(self._X_ref_flat.dot(self._X_ref_flat) + self._U_ref_flat.dot(self._U_ref_flat)):
+            raise QuadexpError("the reference is not finite")
 
     def command(
         self, x0: np.ndarray, state_reference: np.ndarray, input_reference: np.ndarray
     ) -> tuple[np.ndarray, StepRecord]:
-        """Rotor thrusts (n,) (N) for the measured state, and how the step went.
+        """Rotor thrusts (n,) (N) for the measured state, and the record of the step.
 
         x0: (13,), unit quaternion; with settings.motor_lag (13 + n,), the rotors' thrusts (N) behind it.
-        state_reference: (N + 1, 13) at `node_times` from now; input_reference: (N, n).
+        state_reference: (s N + 1, 13) at `node_times` from now; input_reference: (s N, n) (N); s as in MPCSettings.
         Raises QuadexpError for a measurement or a reference that is not finite. A step that fails returns the last
-        prediction's input with status FAILED; whoever flies decides what to do.
+        solution's first input with status FAILED; the caller decides what to do.
         """
         began = time.perf_counter()
         if not math.isfinite(sum(x0.tolist())):
             raise QuadexpError("the measured state is not finite")
         self._x0[...] = x0
-        self._X_ref_body[...] = state_reference
-        self._U_ref[...] = input_reference
-        if not math.isfinite(self._X_ref_flat.dot(self._X_ref_flat) + self._U_ref_flat.dot(self._U_ref_flat)):
-            raise QuadexpError("the reference is not finite")
-        if self._attitude_ref.dot(self._attitude) < 0:  # q and -q are one attitude: compare on the measured side
+        self.prepared = False
+        self._set_reference(state_reference, input_reference)
+        if self._attitude_ref.dot(self._attitude) < 0:  # q and -q are the same attitude: take the measured sign
             self._X_ref[:, ATTITUDE] *= -1
         if self._attitude_predicted.dot(self._attitude) < 0:
             self._X[:, ATTITUDE] *= -1
@@ -144,8 +156,52 @@ class ModelPredictiveController:
         converged = not cold or kkt < self._stationary
         return thrust, StepRecord(time.perf_counter() - began, status, sweeps, active, kkt, converged)
 
+    def prepare(self, state_reference: np.ndarray, input_reference: np.ndarray) -> None:
+        """Compute what the next step does not need its measurement for; `feedback` completes it.
+
+        References: as for `command`. To be called after a step and before the next; before the first step it does
+        nothing. Valid until the next step, `set_parameters` or `reset`. `prepare_time`: its wall-clock time (s).
+        Raises QuadexpError for a reference that is not finite.
+        """
+        began = time.perf_counter()
+        self.prepared = False
+        if self._cold:
+            return
+        if self._phases is None:
+            form = _form(self.settings)
+            self._phases = Phases(self._step, self.vehicle, self.residual, self.settings.nodes, self.backend, **form)
+        self._set_reference(state_reference, input_reference)
+        if self._attitude_ref.dot(self._attitude_predicted) < 0:
+            self._X_ref[:, ATTITUDE] *= -1
+        self._phases.prepare()
+        self.prepared = True
+        self.prepare_time = time.perf_counter() - began
+
+    def feedback(self, x0: np.ndarray) -> tuple[np.ndarray, StepRecord]:
+        """As `command` with the prepared reference, with less work after the measurement; equal to rounding.
+
+        x0: as for `command`. Where the measured attitude is so far from the reference that the sign of the reference's
+        quaternion must change, the whole step is computed. Raises QuadexpError for a measurement that is not finite, or
+        where nothing has been prepared.
+        """
+        began = time.perf_counter()
+        if not self.prepared or self._phases is None:
+            raise QuadexpError("feedback: nothing has been prepared for this step")
+        if not math.isfinite(sum(x0.tolist())):
+            raise QuadexpError("the measured state is not finite")
+        self._x0[...] = x0
+        if self._attitude_predicted.dot(self._attitude) < 0:  # q and -q are the same attitude: take the predicted sign
+            self._attitude *= -1
+        if self._attitude_ref.dot(self._attitude) < 0:
+            return self.command(x0, self._X_ref_body.copy(), self._U_ref.copy())
+        self.prepared = False
+        self._phases.feedback()
+        status, sweeps, active, kkt = self._conclude()
+        thrust = self._thrust.copy()
+        return thrust, StepRecord(time.perf_counter() - began, status, sweeps, active, kkt)
+
     def _converge(self) -> tuple[Status, int, int, float]:
-        """Iterate on the first measurement, without moving the guess forward; full steps first, then searched ones."""
+        """Iterate on the first measurement without shifting the guess: full steps first, then with a line search."""
         shift = self._step.arguments["shift"]
         shift[...] = 0.0
         guess, iterations = self._U.copy(), self.settings.initial_iterations
@@ -156,7 +212,7 @@ class ModelPredictiveController:
         if not outcome[3] < CONVERGED and iterations > PLAIN_ITERATIONS:
             reached = self._X.copy(), self._U.copy()
             found = self._descend(guess, iterations - PLAIN_ITERATIONS)
-            if found is None or found[0] == Status.FAILED:  # then what the full steps reached stands, unconverged
+            if found is None or found[0] == Status.FAILED:  # then keep the result of the full steps, not converged
                 self._X[...], self._U[...] = reached
             else:
                 outcome = found
@@ -165,21 +221,20 @@ class ModelPredictiveController:
         return outcome
 
     def _descend(self, guess: np.ndarray, iterations: int) -> tuple[Status, int, int, float] | None:
-        """Globalised iterations from where the full ones ended, or from the first guess, (N, n).
+        """Iterations with a line search, from the result of the full steps or from the first guess, (N, n).
 
-        None where neither has a finite trajectory.
+        None where the trajectory of neither is finite.
         """
         if self._first_solve is None:
             settings = self.settings
-            form: dict[str, Any] = {"attitude_error": settings.attitude_error, "lag": bool(settings.motor_lag)}
-            rollout = rollout_function(self.vehicle, self.residual, settings.nodes, **form)
+            rollout = rollout_function(self.vehicle, self.residual, settings.nodes, **_form(settings))
             self._first_solve = FirstSolve(rollout, self._step, self._direction)
         reached = np.clip(self._U, self.vehicle.thrust_min, self.vehicle.thrust_max)
         found = self._first_solve.solve([reached, guess], iterations)
         return None if found is None else found[1:]
 
     def _direction(self) -> Direction:
-        """Linearise at the guess and solve the bounded subproblem, without a step."""
+        """Linearise at the guess and solve the bounded subproblem; the guess does not move."""
         self._step()
         excess, turn, kkt = self._checks.tolist()
         d_input = self._U_new - self._step.results["U_lin"]
@@ -192,12 +247,16 @@ class ModelPredictiveController:
         return Direction(found.U_new - self._step.results["U_lin"], status, found.exchanges, found.active, kkt)
 
     def _iterate(self) -> tuple[Status, int, int, float]:
-        """One SQP iteration: status, sweeps, active bounds, optimality residual. The guess moves unless it failed."""
+        """One SQP iteration: status, exchanges, active bounds, optimality residual. A failed one leaves the guess."""
         self._step()
+        return self._conclude()
+
+    def _conclude(self) -> tuple[Status, int, int, float]:
+        """Complete an iteration from its solution without bounds; results as of `_iterate`."""
         excess, turn, kkt = self._checks.tolist()
         if not math.isfinite(excess + turn):
             return Status.FAILED, 0, 0, kkt
-        if excess <= TOLERANCE:  # then the unbounded solution solves the bounded problem too
+        if excess <= TOLERANCE:  # then the unbounded solution is the bounded one
             self._active_set.reset()
             self._move(self._X_new, self._U_new, turn)
             return Status.RICCATI, 0, 0, kkt
@@ -209,7 +268,7 @@ class ModelPredictiveController:
         return status, found.exchanges, found.active, kkt
 
     def _move(self, X_new: np.ndarray, U_new: np.ndarray, turn: float) -> None:
-        """The guess moves to a solution; less far where an attitude would turn further than its model holds."""
+        """Move the guess to a solution; only part of the way where an attitude would change by more than MAX_TURN."""
         if turn <= MAX_TURN:
             self._X[...], self._U[...] = X_new, U_new
             return
@@ -219,6 +278,12 @@ class ModelPredictiveController:
         self._U[...] = u + length * (U_new - u)
 
 
+def _form(settings: MPCSettings) -> dict[str, Any]:
+    """What decides the structure of the step besides model and nodes, see `step_function`."""
+    deviation = settings.input_hold == "deviation"
+    return {"attitude_error": settings.attitude_error, "lag": bool(settings.motor_lag), "deviation": deviation}
+
+
 _built: dict[tuple[Any, ...], tuple[ca.Function, ca.Function | None]] = {}
 
 
@@ -226,10 +291,10 @@ def _functions(
     vehicle: Vehicle, residual: Residual, settings: MPCSettings, backend: str
 ) -> tuple[ca.Function, ca.Function | None]:
     """Step and bounded subproblem on the resolved back end (None: numpy); built once per process and structure."""
-    nodes, error, lag = settings.nodes, settings.attitude_error, bool(settings.motor_lag)
-    key = (vehicle.fingerprint, residual.function.serialize(), nodes, error, lag, backend)
+    form, nodes = _form(settings), settings.nodes
+    key = (vehicle.fingerprint, residual.function.serialize(), nodes, *form.values(), backend)
     if key not in _built:
-        step = step_function(vehicle, residual, nodes, attitude_error=error, scalar=backend == "compiled", lag=lag)
+        step = step_function(vehicle, residual, nodes, scalar=backend == "compiled", **form)
         if backend == "compiled":
             step, bounded = realise_together([step, bounded_function(step, nodes)], backend)
             _built[key] = step, bounded

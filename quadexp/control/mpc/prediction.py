@@ -1,23 +1,36 @@
-"""One node of the controller's model: the state after a held input, as every part of the controller predicts it."""
+"""The discrete prediction model: the state after one node, one Runge-Kutta step."""
 
 from __future__ import annotations
 
 import casadi as ca
 
 from quadexp.air.base import Residual
-from quadexp.physics.integrator import rk4_step
+from quadexp.physics.integrator import rk4_step, rk4_step_with_input
 from quadexp.physics.motor import lagging_rk4_step
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 
 
-def node_function(vehicle: Vehicle, residual: Residual, *, lag: bool = False) -> ca.Function:
-    """(x (13,), u (n,), theta (p,), dt (s)) -> x_next; with `lag` x is (13 + n,), and tau (s) the last input."""
+def node_function(vehicle: Vehicle, residual: Residual, *, lag: bool = False, added: bool = False) -> ca.Function:
+    """(x (13,), u (n,), theta (p,), dt (s)) -> x_next (13,).
+
+    With `lag` x is (13 + n,) and tau (s) a further input; with `added` the last one is the thrust added to what u gives
+    (N), (n, 3): at the start, the middle and the end of the node.
+    """
     n, dynamics = vehicle.n_rotors, corrected_function(vehicle, residual)
     x, u, dt = ca.MX.sym("x", N_STATE + n * lag), ca.MX.sym("u", n), ca.MX.sym("dt")
     theta, tau = ca.MX.sym("theta", residual.function.size1_in(1)), ca.MX.sym("tau")
-    if not lag:
-        return ca.Function("node", [x, u, theta, dt], [rk4_step(lambda s: dynamics(s, u, theta), x, dt)])
-    x_next = lagging_rk4_step(lambda s, thrust: dynamics(s, thrust, theta), x, u, dt, tau)
-    return ca.Function("node", [x, u, theta, dt, tau], [x_next])
+    plus = ca.MX.sym("added", n, 3)
+    arguments = [x, u, theta, dt] + [tau] * lag + [plus] * added
+
+    def derivative(s: ca.MX, thrust: ca.MX) -> ca.MX:
+        return dynamics(s, thrust, theta)
+
+    if lag:
+        x_next = lagging_rk4_step(derivative, x, u, dt, tau, plus if added else None)
+    elif added:
+        x_next = rk4_step_with_input(derivative, x, [u + column for column in ca.horzsplit(plus)], dt)
+    else:
+        x_next = rk4_step(lambda s: derivative(s, u), x, dt)
+    return ca.Function("node", arguments, [x_next])

@@ -4,14 +4,14 @@ The Gauss-Newton subproblem in deviations (dx, du) from the linearisation point 
 
     min sum_k 1/2 dx'Q dx + q'dx + 1/2 du'R du + r'du,     dx_{k+1} = A_k dx_k + B_k du_k + b_k,     dx_0 = 0
 
-and the cost to go 1/2 dx'P dx + p'dx follows, with H = R + B'PB, G = B'PA, h = r + B'(Pb + p):
+With the cost to go 1/2 dx'P dx + p'dx of the next node and H = R + B'PB, G = B'PA, h = r + B'(Pb + p):
 
     K = H^-1 G,   k = H^-1 h,   P <- Q + A'PA - G'K,   p <- q + A'(Pb + p) - G'k,   du = -k - K dx
 
-With H = L D L', each node leaves the gains K, k and the factor: L below the diagonal and D^-1 on it.
+Results of a node: the gains K, k and the factor of H = L D L', with L below the diagonal and D^-1 on it.
 
-There are two forms. `MatrixPasses`, for the virtual machine, are dense products. `CompiledPasses` are for code that
-will be compiled: the backward pass, the largest part of a control step, is C in vector registers
+There are two forms. `MatrixPasses`, for CasADi's virtual machine, use dense matrix products. `CompiledPasses` are for
+generated code: the backward pass, the largest part of a control step, is hand-written C with vector registers
 (riccati_backward.c); the others are scalar operations without the structural zeros of A and B.
 """
 
@@ -25,7 +25,7 @@ import casadi as ca
 from quadexp.compile.backend import handwritten
 from quadexp.physics.expression import Expression
 
-N_PLACE = 3  # of the state, which comes first and on which nothing depends: A's first columns are [I; 0]
+N_PLACE = 3  # first states, the position: the dynamics do not depend on it, so A's first columns are [I; 0]
 Node = tuple[list[Expression], Expression, Expression, Expression]  # cost to go, K, k, factor
 KERNEL = Path(__file__).with_name("riccati_backward.c")
 
@@ -54,7 +54,7 @@ class MatrixPasses:
         return before, K, k, factor
 
     def first_node(self, cost: list[Expression], *node: Expression) -> tuple[Expression, Expression]:
-        """k and factor of node 0: its state is measured, so no gain and no cost to go are needed."""
+        """k and factor of node 0; its state is given, so neither the gain nor the cost to go is needed."""
         k, factor = self._first_node(*cost, *node)
         return k, factor
 
@@ -149,7 +149,7 @@ def _function(name: str, arguments: list[Expression], results: list[Expression])
 
 
 def line_length(n: int, states: int) -> int:
-    """Length of a row in riccati_backward.c: motion, inputs, the affine column, padding to whole vectors."""
+    """Length of a row in riccati_backward.c: states without position, inputs, the affine column, padding."""
     return 8 * ((states - N_PLACE + n) // 8 + 1)
 
 

@@ -1,8 +1,8 @@
-"""The model predictive controller whose model of the air is identified in flight.
+"""Model predictive control with a model of the air whose coefficients are identified in flight.
 
-The blade-element residual has its coefficients as runtime parameters: recursive least squares renews them before every
-step, and nothing is rebuilt. Attitude and thrusts of the reference contain the air too; they are made anew from the
-newest coefficients every reference_period, a slower task beside the control loop.
+The coefficients of the blade-element residual are runtime parameters of the control step: recursive least squares
+updates them before every step, and nothing is compiled again. The attitudes and thrusts of the reference depend on them
+too; they are recomputed with the newest coefficients every reference_period, which is a slower task.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from quadexp.control.feedback.aerodynamics import IdentifiedCoefficients
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
 
-# Changes of (C_d0, C_la, C_D) that are worth a new reference: each moves the force by about 0.05 m/s^2 at 10 m/s.
+# Changes of (C_d0, C_la, C_D) for which the reference is recomputed: each is about 0.05 m/s^2 at 10 m/s.
 NOTABLE = np.array([0.004, 0.015, 0.004, 0.004, 0.004])
 
 
@@ -37,7 +37,7 @@ class IdentifyingController(PredictiveController):
 
     @property
     def residual(self) -> Residual | None:
-        """The model with the newest coefficients; the same object as before where they have hardly changed."""
+        """The model with the newest coefficients; the same object while no change exceeds NOTABLE."""
         theta = self.identified.theta
         if np.any(np.abs(theta - self._believed.theta) > NOTABLE):
             self._believed = replace(self._believed, theta=theta.copy())
@@ -54,8 +54,11 @@ class IdentifyingController(PredictiveController):
         self.forget()
         self._commanded = np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust)
 
+    def prepare(self, window: Window) -> None:
+        """Does nothing: the coefficients of the next step depend on its measurement."""
+
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
-        """See Controller.step; where rotor speeds are not measured, the commanded ones are taken for them."""
+        """See Controller.step; rotor speeds that are not measured are replaced by the commanded ones."""
         began = time.perf_counter()
         if measurement.specific_force is not None:
             speed = measurement.rotor_speed

@@ -11,14 +11,16 @@ from quadexp.errors import UsageError
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
+SAMPLES = 2  # of the reference in a node, where its thrust within nodes counts: the start and the middle
+
 
 @dataclass(frozen=True)
 class MPCSettings(MPCKeys):
     """Horizon, weights and iteration limits (see MPCKeys for each with its unit and range).
 
-    Every node weighs as much as its share of the horizon. *_weight: diagonal of Q on deviations in SI units.
-    input_weight: diagonal of R on thrusts normalised by the largest one. terminal_weight: factor on Q at the last node.
-    Raises UsageError where the periods contradict each other.
+    The weight of a node is proportional to its length. *_weight: diagonal of Q, on deviations in SI units.
+    input_weight: diagonal of R, on thrusts divided by thrust_max. terminal_weight: factor on Q at the last node.
+    Raises UsageError where control period, first node and mean node period do not fit together.
     """
 
     def __post_init__(self) -> None:
@@ -48,10 +50,10 @@ class MPCSettings(MPCKeys):
     def node_periods(self) -> np.ndarray:
         """Time between shooting nodes, (N,) (s).
 
-        With a first_node: a geometric series that begins with it, its nodes rounded to control instants, so that a
-        reference is sampled at no other times. The first input is predicted to be held for first_node and is held for
-        a control period T: with an unpredicted dead time d between command and thrust, first_node = T + 2 d centres the
-        one on the other. A shorter one makes the controller stiffer and leaves less margin of dead time.
+        With first_node > 0: a geometric series that begins with it, rounded to control instants. A shorter first node
+        makes the feedback stiffer and the delay margin smaller. With a control period T and an unmodelled dead time d
+        between command and thrust, first_node = T + 2 d is a good choice: the middle of the first node is then where
+        the middle of the held command acts.
         """
         if not self.first_node:
             return np.full(self.nodes, self.node_period)
@@ -64,14 +66,28 @@ class MPCSettings(MPCKeys):
 
     @property
     def node_times(self) -> np.ndarray:
-        """Shooting nodes from now, (N + 1,) (s)."""
+        """Times of the shooting nodes, from now, (N + 1,) (s)."""
         if not self.first_node:
             return self.node_period * np.arange(self.nodes + 1)
         return np.concatenate([[0.0], np.cumsum(self.node_periods)])
 
     @property
+    def samples(self) -> int:
+        """Samples of the reference in each node, s: at its start, and with input_hold=deviation in its middle."""
+        return SAMPLES if self.input_hold == "deviation" else 1
+
+    @property
+    def reference_times(self) -> np.ndarray:
+        """Times at which the reference is sampled, from now, (s N + 1,) (s)."""
+        times = self.node_times
+        if self.samples == 1:
+            return times
+        middles = (times[:-1] + times[1:]) / 2
+        return np.append(np.stack([times[:-1], middles], axis=1).ravel(), times[-1])
+
+    @property
     def node_share(self) -> np.ndarray:
-        """Weight of each node, (N,): its length over the mean one; 1 where all are alike."""
+        """Weight of each node, (N,): its length divided by the mean one."""
         return self.node_periods / self.node_period
 
     def state_weight(self) -> np.ndarray:
@@ -87,7 +103,7 @@ class MPCSettings(MPCKeys):
 
 
 def _geometric_sums(terms: int, total: float) -> np.ndarray:
-    """Partial sums, (terms,), of the geometric series 1 + g + g^2 + .. with that total; g >= 1, by bisection."""
+    """Partial sums, (terms,), of the series 1 + g + g^2 + .. whose sum is total; g >= 1 is found by bisection."""
     low, high, sums = 1.0, max(total, 1.0), np.arange(1.0, terms + 1)
     for _ in range(100):
         ratio = (low + high) / 2

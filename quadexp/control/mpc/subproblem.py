@@ -1,16 +1,15 @@
-"""The linear-quadratic subproblem that a control step leaves behind, over the whole horizon.
+"""The linear-quadratic subproblem of a control step over the whole horizon.
 
     min  sum_k 1/2 dx'Q_k dx + q'dx + 1/2 du'R_k du + r'du    dx_{k+1} = A_k dx_k + B_k du_k + b_k,   dx_0 = 0
 
-`solution` and `input_gradient` chain the passes of control.riccati: the subproblem without bounds. `bounded_function`
-solves it under low <= du <= high from the factorisation that `solution` leaves (control.active_set).
+`backward_pass`, `forward_pass` and `input_gradient` chain the passes of control.mpc.riccati: the subproblem without
+bounds. `bounded_function` solves it under low <= du <= high from their factorisation (control.mpc.active_set).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 
@@ -21,10 +20,10 @@ from quadexp.physics.expression import Expression
 from quadexp.physics.state import ATTITUDE
 
 KERNEL = Path(__file__).with_name("active_set.c")
-TOLERANCE = 1e-9  # N: how far beyond a bound is still on it
+TOLERANCE = 1e-9  # N: bound violation that counts as none
 
 
-def solution(
+def backward_pass(
     passes: Passes,
     A: Sequence[Expression],
     B: Sequence[Expression],
@@ -35,26 +34,36 @@ def solution(
     Q_end: Expression,
     R: Sequence[Expression],
 ) -> tuple[list[Expression], list[Expression], list[Expression], list[Expression]]:
-    """Deviations dX_1..dX_N and dU_0..dU_{N-1} of the unbounded subproblem (Riccati recursion).
+    """Riccati recursion over some nodes, q also of the one behind the last.
 
-    Then the gains K_0..K_{N-1} and the factors of every node (see control.riccati); K_0 is zero, nothing needs it.
+    Returns the cost to go from the first, and the gains K, k and the factors of all (see control.mpc.riccati).
     """
-    nodes = len(A)
-    K: list[Any] = [None] * nodes
-    k: list[Any] = [None] * nodes
-    factor: list[Any] = [None] * nodes
-    cost = passes.terminal(Q_end, q[nodes])
-    for i in range(nodes - 1, 0, -1):
+    K, k, factor = ([None] * len(A) for _ in range(3))
+    cost = passes.terminal(Q_end, q[-1])
+    for i in range(len(A) - 1, -1, -1):
         cost, K[i], k[i], factor[i] = passes.backward(cost, A[i], B[i], b[i], q[i], r[i], Q[i], R[i])
-    k[0], factor[0] = passes.first_node(cost, A[0], B[0], b[0], q[0], r[0], Q[0], R[0])
-    dU = [-k[0]]
-    dX = [ca.mtimes(B[0], dU[0]) + b[0]]
-    for i in range(1, nodes):
-        du, dx = passes.forward(dX[-1], A[i], B[i], b[i], K[i], k[i])
+    return cost, K, k, factor
+
+
+def forward_pass(
+    passes: Passes,
+    B_0: Expression,
+    b_0: Expression,
+    k_0: Expression,
+    A: Sequence[Expression],
+    B: Sequence[Expression],
+    b: Sequence[Expression],
+    K: Sequence[Expression],
+    k: Sequence[Expression],
+) -> tuple[list[Expression], list[Expression]]:
+    """Deviations dX_1 .. dX_N and dU_0 .. dU_{N-1} from the gains, dX_0 = 0; the sequences begin with node 1."""
+    dU = [-k_0]
+    dX = [ca.mtimes(B_0, dU[0]) + b_0]
+    for node in zip(A, B, b, K, k, strict=True):
+        du, dx = passes.forward(dX[-1], *node)
         dU.append(du)
         dX.append(dx)
-    K[0] = ca.MX.zeros(*K[1].shape)
-    return dX, dU, K, factor
+    return dX, dU
 
 
 def input_gradient(
@@ -63,23 +72,25 @@ def input_gradient(
     B: Sequence[Expression],
     q: Sequence[Expression],
     r: Sequence[Expression],
-) -> list[Expression]:
-    """Derivative of the Lagrangian with respect to each input, the adjoint run backwards from the last node."""
-    multiplier = q[len(A)]
-    gradient: list[Any] = [None] * len(A)
+) -> tuple[Expression, list[Expression]]:
+    """Derivative of the Lagrangian with respect to each input of some nodes, q also of the one behind the last.
+
+    First the multiplier of the dynamics into the first node: the adjoint runs backwards from the last.
+    """
+    multiplier, gradient = q[-1], [None] * len(A)
     for k in range(len(A) - 1, -1, -1):
         multiplier, gradient[k] = passes.adjoint(multiplier, A[k], B[k], q[k], r[k])
-    return gradient
+    return multiplier, gradient
 
 
 def bounded_function(step: ca.Function, nodes: int) -> ca.Function:
-    """The subproblem of the compiled `step` under the bounds of its inputs, by active_set.c: it can only be compiled.
+    """Solver of the subproblem of the compiled `step` with input bounds, by active_set.c; it has no interpreted form.
 
     Inputs, as `step` has or returns them: A, B, b, q, r, K, factor, X_lin, U_lin, Q, Q_end, R, u_min, u_max, frames
-    where the step has them; U_free (n, N), the inputs without bounds (N); guess (n, N), the side on which inputs are
-    expected: -1 at the lower, 1 at the upper bound, 0 free. Outputs: X_new (m, N + 1), U_new (n, N); side (n, N), on
-    which the inputs are; checks (5,): whether it is solved, exchanges of the active set, inputs at a bound, the error
-    left in the inputs (N), the largest change of a quaternion (length).
+    where the step has them; U_free (n, N), the solution without bounds (N); guess (n, N), the expected active set: -1
+    at the lower, 1 at the upper bound, 0 free. Outputs: X_new (m, N + 1), U_new (n, N); side (n, N), the active set;
+    checks (5,): whether it is solved, exchanges of the active set, inputs at a bound, the estimated error of the inputs
+    (N), the largest change of a quaternion (length).
     """
     names = ["A", "B", "b", "q", "r", "K", "factor", "X_lin", "U_lin"]
     names += ["frames"] if "frames" in step.name_out() else []
@@ -106,7 +117,7 @@ def bounded_function(step: ca.Function, nodes: int) -> ca.Function:
 
 
 def kernel_function(n: int, m: int, nodes: int) -> ca.Function:
-    """active_set.c for n inputs, m states and N nodes, its arguments named there. It can only be compiled."""
+    """active_set.c for n inputs, m states and N nodes; arguments as named there. It has no interpreted form."""
     dense = ca.Sparsity.dense
     states, inputs = dense(m, nodes), dense(n, nodes)
     arguments = {"rows": dense(line_length(n, m), m * nodes), "K": dense(n, m * nodes)}

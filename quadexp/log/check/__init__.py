@@ -128,7 +128,7 @@ def inspect_flight(
 
 
 def _holds(t: np.ndarray, when: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    """Which of the stretches when (n, 2) (s) hold one of the samples, (n,)."""
+    """Whether each stretch of `when`, (n, 2) (s), contains one of the samples, (n,)."""
     count = np.concatenate([[0], np.cumsum(samples)])
     return count[np.searchsorted(t, when[:, 1], side="right")] > count[np.searchsorted(t, when[:, 0])]
 
@@ -180,7 +180,7 @@ def _streams(flight: Flight) -> dict[str, np.ndarray]:
 
 
 def _together(columns: list[np.ndarray]) -> np.ndarray:
-    """Columns side by side, (k, m): the array itself that all of them are columns of, where there is one."""
+    """Columns side by side, (k, m); not copied where all are columns of one array."""
     base = columns[0].base
     if isinstance(base, np.ndarray) and base.shape == (len(columns[0]), len(columns)) and base.dtype == np.float64:
         views = [base[:, i] for i in range(len(columns))]
@@ -208,7 +208,7 @@ def _spiky(streams: Mapping[str, np.ndarray]) -> np.ndarray:
 def _consistency(
     t: np.ndarray, streams: dict[str, np.ndarray], bad: np.ndarray, segment: np.ndarray | None
 ) -> tuple[dict[str, np.ndarray], list[Finding]]:
-    """Streams with what was found undone, and the findings."""
+    """The streams after the corrections that were found, and the findings."""
     starts, half = window_starts(t, ~bad, segment)
     if len(starts) < LEAST_WINDOWS:
         return streams, []
@@ -228,7 +228,7 @@ def _consistency(
 def _stray(
     t: np.ndarray, streams: dict[str, np.ndarray], segment: np.ndarray | None, without: list[np.ndarray]
 ) -> list[tuple[Finding, np.ndarray]]:
-    """Stretches where a sensor leaves the motion, and their times. without: masks of samples of a wrong motion."""
+    """Stretches where a sensor contradicts the others, and their times. without: masks of samples of a wrong motion."""
     good = ~np.logical_or.reduce([np.zeros(len(t), bool), *without])
     for values in streams.values():
         good &= np.isfinite(values).all(axis=1)
@@ -277,7 +277,7 @@ def _limits(vehicle: Vehicle | None) -> dict[str, float]:
 
 
 def _without_symptoms(found: list[Finding]) -> list[Finding]:
-    """Leave out `inconsistent` where a broken sensor, which explains it, is named."""
+    """Leave out `inconsistent` where a finding about a broken sensor explains it."""
     names = {one.name for one in found if one.blocks}
     broken = {"acceleration_outlier", "rate_outlier", "position_outlier", "velocity_outlier", "frozen_sensor",
               "dead_logger"}  # fmt: skip

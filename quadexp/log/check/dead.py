@@ -61,7 +61,7 @@ def check_dead(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Find
 
 
 def _bend(x: np.ndarray, t: np.ndarray, m: int) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Second differences over m samples, (k, columns), what counts as none, and the usual one, (columns,).
+    """Second differences over m samples, (k, columns); up to which one counts as zero, and the usual one, (columns,).
 
     A line may have been drawn over the times or over the samples. Columns that never bend are left out; None where no
     column could tell.

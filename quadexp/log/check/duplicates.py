@@ -84,7 +84,7 @@ def _trace(flight: Flight) -> _Trace | None:
 
 
 def _unit(x: np.ndarray) -> np.ndarray:
-    """Free of mean, with a variance of one over all axes: units, g and degrees alike."""
+    """Normalised to mean zero and variance one over all axes, so that units do not matter."""
     x = x - x.mean(axis=0)
     return x / max(float(np.sqrt(np.mean(x * x))), 1e-9)
 

@@ -163,7 +163,7 @@ def _dead(name: str, values: np.ndarray, streams: dict[str, np.ndarray], t: np.n
 
 
 def _moving(streams: dict[str, np.ndarray], t: np.ndarray) -> dict[str, np.ndarray]:
-    """How fast the vehicle moves (rad/s, m/s), (k,), as the streams other than the named one see it."""
+    """Rate and speed of the vehicle (rad/s, m/s), (k,), from the streams other than the named one."""
     step = np.maximum(np.diff(t), 1e-9)
 
     def change(x: np.ndarray, sign: float = 1.0) -> np.ndarray:

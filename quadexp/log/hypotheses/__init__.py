@@ -1,4 +1,4 @@
-"""One engine for two questions: what are the columns of this log, and is this flight what it says it is?
+"""Frames, units and orders of a log's columns, from what the data obey: for `import --describe` and for `check`.
 
 A hypothesis (hypothesis.py) is a transformation of a log's streams: another unit, frame, order of a quaternion, sign,
 clock or mounting of a sensor. Kinematics (windows.py) says how well the streams agree under it, a score with a margin

@@ -1,4 +1,4 @@
-"""In which conventions is a log? Every reading of its attitude with every direction of up, scored like any hypothesis.
+"""The conventions of a log: every reading of its attitude with every direction of up, scored as in search.py.
 
 A convention is a hypothesis about all streams at once: order and direction of the quaternion, world and body frame, the
 sensors' own axes and units, a velocity in the body. What it explains is by how much it lowers J (search.py) below that
@@ -246,7 +246,7 @@ def _best(
     table: Table, candidates: list[list[int]], expected: list[np.ndarray], least: float, *, centred: bool,
     beside: Sequence[int] = (),
 ) -> Sensor | None:  # fmt: skip
-    """The columns that fit one of the expected courses best; None where none does.
+    """The columns that fit one of the expected signals best; None where none does.
 
     beside: the accelerometer's columns. The halves of an inertial sensor stand side by side; a rate from a camera's
     poses need not.
@@ -295,7 +295,7 @@ def _convention(
 
 
 def _explained(windows: Windows) -> float:
-    """By how much J is below that of a log whose sensors say nothing."""
+    """By how much J is below that of a log in which every sensor reads zero."""
     made = 0.0
     for pair in pairs(windows):
         pair = replace(pair, floor=min(pair.floor, FLOOR["force"]))  # drag is the same in every convention

@@ -193,7 +193,7 @@ def hypotheses(present: frozenset[str]) -> tuple[Hypothesis, ...]:
         found.append(Hypothesis(name, streams, text, apply, correction, cost))
 
     def as_they_are(streams: str) -> Correction:
-        """What keeps streams as they are where `world` and `body` of the mapping change for the attitude's sake."""
+        """Lines that keep the frames of streams when `world` and `body` of the mapping change for the attitude."""
         return {KEYS[name]: {"frame": "ENU" if name in "pv" else "FLU"} for name in streams if name in present}
 
     for streams, more in (("v", 0.0), ("p", 0.0), ("pv", 0.2), ("w", 0.0), ("f", 0.0), ("wf", 0.3)):
@@ -260,7 +260,7 @@ def hypotheses(present: frozenset[str]) -> tuple[Hypothesis, ...]:
 
 
 def clock_hypothesis(gain: float) -> Hypothesis:
-    """The clock counts `gain` seconds in one: every rate of change comes out too small by it."""
+    """The clock runs `gain` times too fast, so that every rate of change is too small by that factor."""
     known = {"ms": 1e3, "us": 1e6, "ns": 1e9}
     unit = next((unit for unit, factor in known.items() if abs(gain / factor - 1) < 0.05), None)
     correction: Correction = {"time": {"unit": unit} if unit else {"scale": _digits(1 / gain)}}
@@ -269,7 +269,7 @@ def clock_hypothesis(gain: float) -> Hypothesis:
 
 
 def scale_hypotheses(gain: float, streams: str) -> tuple[Hypothesis, ...]:
-    """One stream of two is too large by a factor that no unit has; `gain` is that of the first over the second."""
+    """One of two streams is too large by a factor that no unit explains; `gain`: of the first over the second."""
     first, second = streams[0], streams[1]
 
     def scale(name: str, factor: float, cost: float) -> Hypothesis:

@@ -75,7 +75,7 @@ def mounting_hypotheses(windows: Windows) -> list[Hypothesis]:
 
 
 def estimate(known: list[Pair], windows: int) -> Mounting | None:
-    """The turn that brings the found sides of these relations onto the expected ones; None where it is not there."""
+    """The rotation of the found sides of these relations onto the expected ones; None where there is none."""
     alone = all(pair.relation != "rate" for pair in known)
     expected, found, stretch = [], [], []
     for pair in known:

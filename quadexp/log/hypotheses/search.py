@@ -155,7 +155,7 @@ class Candidate:
 
 
 def explain(windows: Windows) -> tuple[list[Explained], Windows, list[Finding]]:
-    """The hypotheses that the flight needs, most telling first; the windows after them; a misfit that none explains.
+    """The hypotheses that explain the flight, best first; the windows after them; a misfit that none explains.
 
     A turned sensor is the first hypothesis: another one is taken only where it explains the flight clearly better. One
     that would block and leaves MOST_LEFT of the misfit or more is not taken.
@@ -246,7 +246,7 @@ def _better(before: Agreements, after: Agreements) -> list[str]:
 
 
 def _unexplained(best: Candidate, before: Agreements) -> Finding:
-    """A misfit that is stated, and no name given to it."""
+    """A misfit that no hypothesis explains, as a finding without a cause."""
     name = max(best.after, key=lambda relation: before[relation].score - best.after[relation].score)
     columns = ", ".join(COLUMNS[stream] for stream in SIDES[name])
     one = best.hypothesis
@@ -264,7 +264,7 @@ def _tried(one: Hypothesis, windows: Windows, before: Agreements) -> tuple[float
 
 
 def _more_than_nothing(one: Hypothesis, windows: Windows, before: Agreements, after: Agreements) -> bool:
-    """Whether a stream in another unit explains more than the same stream set to zero: small is not right."""
+    """Whether a stream in another unit explains more than the same stream set to zero does."""
     zero = {name: 0.0 * windows.of(name) for name in one.streams if name in "pvwf"}
     nothing = agreements(windows.having(**zero), before, one.streams)
     if one.streams == "pv":
@@ -309,7 +309,7 @@ def _settled(found: Agreements) -> bool:
 
 
 def _plausible(one: Hypothesis, before: Agreements, after: Agreements) -> bool:
-    """A hypothesis must bring two streams together that move, not only make both small, and must break nothing."""
+    """A hypothesis must make two moving streams agree, not only make both small, and must make no relation worse."""
     better = _better(before, after)
     worse = [name for name in after if after[name].score > before[name].score + 1.0]
     odd = one.name in ("axis_swap", "sign_flip", "units") and all(name.startswith("thrust") for name in better)
@@ -319,7 +319,7 @@ def _plausible(one: Hypothesis, before: Agreements, after: Agreements) -> bool:
 
 
 def _telling(before: Agreements, after: Agreements) -> bool:
-    """Whether a factor takes most of a residual away: a slope that noise has made does not."""
+    """Whether a factor removes most of a residual; a slope due to noise does not."""
     return _smaller(TELLING, before, after, [name for name in ("velocity", "rate") if name in after])
 
 
@@ -330,7 +330,7 @@ def _smaller(share: float, before: Agreements, after: Agreements, names: list[st
 
 
 def stray(windows: Windows) -> list[tuple[Finding, np.ndarray]]:
-    """Stretches where an accelerometer or gyro leaves the motion that the other sensors see, agreeing elsewhere.
+    """Stretches where an accelerometer or gyro contradicts the other sensors but agrees with them elsewhere.
 
     Each with the first and last times of its windows, (n, 2) (s).
     """

@@ -64,7 +64,7 @@ class Windows:
         return cls(t=t, **streams, rotation=rotation)
 
     def of(self, name: str) -> np.ndarray:
-        """A stream, or the rotation, that is known to be there."""
+        """A stream, or the rotation, that the caller knows to be there."""
         values: np.ndarray | None = getattr(self, name)
         if values is None:
             raise ValueError(f"these windows have no {name}")
@@ -195,7 +195,7 @@ def pairs(windows: Windows, up: np.ndarray = UP, touching: str = "tpqvwf") -> li
 
 
 def _thrust(relation: str, expected: np.ndarray) -> Pair:
-    """Rotors push along +z: what lies beside it, or below it, is missing on the found side."""
+    """Rotors push along +z: components beside +z or below zero have no counterpart on the found side."""
     along = np.stack([0 * expected[:, 0], 0 * expected[:, 1], np.abs(expected[:, 2])], axis=-1)
     return Pair(relation, expected, along, FLOOR["thrust"])
 

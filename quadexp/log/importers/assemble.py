@@ -210,13 +210,11 @@ def _cropped(t: np.ndarray, values: dict[str, np.ndarray], how: Crop, notes: lis
     height = values["position"][:, 2] if "position" in values else None
     options: dict[str, Any] = {"margin": how.margin}
     if how.mode == "height":
-        options |= {"clearance": how.height, "ground": 0.0}
+        options["clearance"] = how.height
     elif height is not None:
         return _without_rest(t, values["position"], notes)
-    else:
-        options |= {"ground": None}
-        thrust = next((values[n] for n in (*ROTORS, "thrust_acceleration") if n in values), None)
-        options["thrust"] = None if thrust is None else thrust.sum(axis=1)
+    elif signals := [values[n] for n in (*ROTORS, "thrust_acceleration") if n in values]:
+        options["thrust"] = signals[0].sum(axis=1)
     kept = crop(t, height, **options)
     if kept.sum() < LEAST_ROWS:
         notes.append("never in the air: nothing is cropped")

@@ -1,4 +1,4 @@
-"""Which format a file is in, by its content; the name decides nothing."""
+"""Which format a file is in, by its content, not by its name."""
 
 from __future__ import annotations
 

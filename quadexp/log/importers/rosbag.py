@@ -1,4 +1,4 @@
-"""ROS 1 and ROS 2 bags, read by rosbags: what a message is decides, its topic only breaks ties.
+"""ROS 1 and ROS 2 bags, read by rosbags. Messages are chosen by type; the topic's name only breaks ties.
 
     nav_msgs/Odometry                  position, attitude (world), velocity and rate (child frame: body, REP 147)
     geometry_msgs/PoseStamped, TransformStamped (Vicon), PoseWithCovarianceStamped

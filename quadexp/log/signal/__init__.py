@@ -1,6 +1,6 @@
 """What is done to signals between a log and a flight: one clock, time offsets, ground phases, derivatives."""
 
-from quadexp.log.signal.crop import airborne, crop
+from quadexp.log.signal.crop import crop
 from quadexp.log.signal.derivative import Derivative, derivative
 from quadexp.log.signal.offset import Offset, estimate_offset
 from quadexp.log.signal.resample import Resampled, continuous, resample
@@ -11,7 +11,6 @@ __all__ = [
     "Offset",
     "Resampled",
     "Stream",
-    "airborne",
     "continuous",
     "crop",
     "derivative",

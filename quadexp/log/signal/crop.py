@@ -13,54 +13,28 @@ MARGIN = 1.5  # s
 DIP = 0.2  # s: shorter losses of height or of its measurement do not end a stretch
 
 
-def airborne(
-    t: np.ndarray,
-    height: np.ndarray | None = None,
-    *,
-    thrust: np.ndarray | None = None,
-    ground: float | None = 0.0,
-    clearance: float = CLEARANCE,
-) -> np.ndarray:
-    """Mask (k,) of the samples in the air.
-
-    height: (k,) m, up. ground: height of the ground; None: the lowest height, if the log starts or ends within 0.1 m
-    of it, else the log has no ground and all of it is in the air. thrust: (k,), any unit that is 0 at rest (sum of
-    commands, collective thrust): used where there is no height; in the air is where it exceeds half its median of the
-    samples above a tenth of its peak.
-    """
-    t = np.asarray(t, float)
-    if height is not None:
-        height = np.asarray(height, float)
-        if ground is None:
-            ground = float(np.nanmin(height))
-            rest = min(height[0], height[-1]) - ground
-            if rest > 0.1:
-                return np.ones(len(t), bool)
-        up = height > ground + clearance
-    elif thrust is not None:
-        thrust = np.asarray(thrust, float)
-        running = thrust[thrust > 0.1 * np.nanmax(thrust)] if np.nanmax(thrust) > 0 else thrust
-        up = thrust > 0.5 * np.median(running) if np.nanmax(thrust) > 0 else np.zeros(len(t), bool)
-    else:
-        return np.ones(len(t), bool)
-    return _without_dips(t, up)
-
-
 def crop(
     t: np.ndarray,
     height: np.ndarray | None = None,
     *,
     thrust: np.ndarray | None = None,
-    ground: float | None = 0.0,
+    ground: float = 0.0,
     clearance: float = CLEARANCE,
     margin: float = MARGIN,
 ) -> np.ndarray:
-    """Mask (k,) of the samples in the air and `margin` (s) away from the ground phases; arguments as `airborne`.
+    """Mask (k,) of the samples in the air and `margin` (s) away from the ground phases.
 
+    height: (k,) m, up. ground: height of the ground. thrust: (k,), any unit that is 0 at rest (sum of commands,
+    collective thrust): used where there is no height; in the air is where it exceeds half its median of the samples
+    above a tenth of its peak. Without either all is in the air.
     A log that starts or ends in the air loses nothing at that end. All False: no flight.
     """
-    t = np.asarray(t, float)
-    up = airborne(t, height, thrust=thrust, ground=ground, clearance=clearance)
+    t, up = np.asarray(t, float), np.ones(len(t), bool)
+    if height is not None:
+        up = _without_dips(t, np.asarray(height, float) > ground + clearance)
+    elif thrust is not None:
+        peak = np.nanmax(thrust)
+        up = _without_dips(t, (thrust > 0.5 * np.median(thrust[thrust > 0.1 * peak])) if peak > 0 else ~up)
     kept = up.copy()
     for start, stop in runs(up):
         low = t[start] + margin if start > 0 else -np.inf

@@ -140,7 +140,7 @@ class _Fit(NamedTuple):
 
 
 def _refined(pieces: list[tuple[np.ndarray, ...]], tau: float, reach: int, rate: float) -> _Fit:
-    """The offset where no derivative of `a` is left in b, from the peak of the correlation on."""
+    """The offset at which b no longer correlates with the derivative of `a`, from the peak of the correlation on."""
     start, gain = tau, 1.0
     for _ in range(ROUNDS):
         tau = float(np.clip(tau, start - 0.5 * reach / rate, start + 0.5 * reach / rate))

@@ -199,10 +199,12 @@ def _note(comparison: Comparison) -> str:
     each = f", {comparison.common.flights} flights each" if comparison.common.flights else ""
     parts = [f"Geometric means over {flown}, {count(len(seeds), 'seed')}{each}, plant {plant}, vehicle {vehicle}."]
     if comparison.lead is not None and comparison.reference is not None:
-        (ratio, p), ways = comparison.to_base, len(comparison.ranking.ratios) + 1
-        if math.isfinite(ratio.low):
-            corrected = f", corrected for the choice among {ways}" if ways > 1 else ""
-            parts.append(f"{comparison.confidence:.0%} intervals; against the baseline {probability(p)}{corrected}.")
+        ratio, p = comparison.to_base
+        if math.isfinite(ratio.low) and math.isfinite(p):
+            parts.append(
+                f"{comparison.confidence:.0%} intervals; against the baseline {probability(p)}"
+                f" (paired permutation test, by Holm over {count(len(comparison.overall), 'comparison')})."
+            )
     if len(comparison.worlds) > 1:
         parts.append("Other plants and vehicles are in the tables.")
     bad = [row for row in comparison.main_rows if row["outcome"] != "ok"]
@@ -210,7 +212,8 @@ def _note(comparison: Comparison) -> str:
     kinds = list(dict.fromkeys(row["outcome"].replace("_", " ") for row in bad))
     if comparison.best is not None and comparison.ranking.ratios:
         chance = probability(comparison.ranking.p)
-        parts.append(f"Best of {len(comparison.ranking.ratios) + 1}: {chance}, corrected for the choice.")
+        ways = len(comparison.ranking.ratios) + 1
+        parts.append(f"Best of {ways}: {chance} (t test of the logarithms, corrected for the choice).")
     left = [spoken(x) for x in comparison.order if x not in comparison.compared]
     if left and comparison.common.flights:
         parts.append(f"Not compared, because too few flights ended well: {listed(left)}.")

@@ -22,6 +22,7 @@ from quadexp.report.page import palette
 from quadexp.report.page.answer import answer
 from quadexp.report.page.drawing import MAX_COURSES, PageFigures, draw_page, draw_paper
 from quadexp.report.page.panels import courses
+from quadexp.report.page.power import MAX_FLIGHTS
 from quadexp.report.page.provenance import origin, portable
 from quadexp.report.page.replay import BUDGET, MAX_TRACKS, Case, choose_cases, pack_replay
 from quadexp.report.page.sections import scoreboard, tables, worst, worst_rows
@@ -109,69 +110,71 @@ def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[st
 
     First fewer flights to replay, then none and no CSV inside, then only the main metric, then fewer conditions.
     """
+    from jinja2 import Environment
+
+    environment = Environment(autoescape=True, trim_blocks=False)
+    environment.filters["typeset"] = typeset
+    template = environment.from_string(_template("report.html.j2"))
+    light, dark = palette.css_blocks()
+    bad = worst_rows(comparison)
+    cases, every, downloads = choose_cases(comparison, bad), tables(comparison), _downloads(comparison)
+    content = {
+        "version": __version__,
+        "title": comparison.root.resolve().name,
+        "answer": answer(comparison),
+        "metric_title": TITLES.get(comparison.metric, comparison.metric),
+        "baseline": comparison.reference,
+        "board": scoreboard(comparison),
+        "alpha": 1 - comparison.confidence,
+        "looks": comparison.look,
+        "shapes": {marker: SHAPE_PATHS[name] for marker, name in palette.SHAPES.items()},
+        "learned": LEARNED,
+        "row_notes": comparison.notes,
+        "spoken": spoken,
+        "css_light": light,
+        "css_dark": dark,
+        "style": _safe(_template("style.css")),
+        "page_script": _template("page.js"),
+        "replay_script": _template("replay.js").replace("@@SHAPES@@", json.dumps(SHAPE_PATHS)),
+        "speed_panels": drawn.speed,
+        "speed_labels": drawn.speed_labels,
+        "pareto": drawn.pareto,
+        "pareto_lines": _pareto_lines(comparison, drawn),
+        "power": drawn.power,
+        "most_powered": MAX_FLIGHTS,
+        "fits": drawn.fits,
+        "estimates": drawn.estimates,
+        "flights": len(comparison.rows),
+        "bad": sum(row["outcome"] != "ok" for row in comparison.rows),
+        "bad_shown": sum(row["outcome"] != "ok" for row in bad),
+        "many_worlds": len(comparison.worlds) > 1,
+        "origin": origin(comparison),
+        "report_command": command,
+    }
     for extent in EXTENTS:
-        page, left_out = _render(comparison, drawn, command, extent)
+        packed, kept = pack_replay(comparison, cases, extent.replay) if extent.replay else ([], [])
+        numbers = [{**table, "lines": table["lines"][: extent.lines]} for table in every[: extent.metrics]]
+        carried = downloads if extent.carries_data else []
+        left_out = _left_out(comparison, packed, kept, every, numbers, carried)
+        left_out += [f"battery and rotors of {drawn.power_left} more worlds"] if drawn.power_left else []
+        page = template.render(
+            content,
+            reduced=extent != EXTENTS[0],
+            left_out=left_out,
+            sections=_sections(drawn, bool(packed)),
+            tables=numbers,
+            replay=bool(packed),
+            winds=any("wind" in track for case in packed for track in case["tracks"]),
+            told=any("estimate" in track for case in packed for track in case["tracks"]),
+            replay_json=json.dumps(packed, separators=(",", ":")).replace("<", "\\u003c"),
+            worst=worst(comparison, bad, {case: i for i, case in enumerate(kept)}),
+            downloads=carried,
+        )
         if len(page.encode()) < LIMIT:
             return page, left_out
     raise QuadexpError(
         f"the report would be {len(page.encode()) / 1e6:.1f} MB, more than {LIMIT / 1e6:g}: report on fewer conditions"
     )
-
-
-def _render(comparison: Comparison, drawn: PageFigures, command: str, extent: Extent) -> tuple[str, list[str]]:
-    from jinja2 import Environment
-
-    bad = worst_rows(comparison)
-    cases = choose_cases(comparison, bad)
-    packed, kept = pack_replay(comparison, cases, extent.replay) if extent.replay else ([], [])
-    every = tables(comparison)
-    numbers = [{**table, "lines": table["lines"][: extent.lines]} for table in every[: extent.metrics]]
-    downloads = _downloads(comparison) if extent.carries_data else []
-    left_out = _left_out(comparison, packed, kept, every, numbers, downloads)
-    environment = Environment(autoescape=True, trim_blocks=False)
-    environment.filters["typeset"] = typeset
-    light, dark = palette.css_blocks()
-    confidence = comparison.confidence
-    page = environment.from_string(_template("report.html.j2")).render(
-        version=__version__,
-        title=comparison.root.resolve().name,
-        answer=answer(comparison),
-        reduced=extent != EXTENTS[0],
-        left_out=left_out,
-        sections=_sections(drawn, bool(packed)),
-        metric_title=TITLES.get(comparison.metric, comparison.metric),
-        baseline=comparison.reference,
-        board=scoreboard(comparison),
-        tables=numbers,
-        alpha=1 - confidence,
-        looks=comparison.look,
-        shapes={marker: SHAPE_PATHS[name] for marker, name in palette.SHAPES.items()},
-        learned=LEARNED,
-        row_notes=comparison.notes,
-        spoken=spoken,
-        css_light=light,
-        css_dark=dark,
-        style=_safe(_template("style.css")),
-        replay=bool(packed),
-        replay_json=json.dumps(packed, separators=(",", ":")).replace("<", "\\u003c"),
-        page_script=_template("page.js"),
-        replay_script=_template("replay.js").replace("@@SHAPES@@", json.dumps(SHAPE_PATHS)),
-        speed_panels=drawn.speed,
-        speed_labels=drawn.speed_labels,
-        pareto=drawn.pareto,
-        pareto_lines=_pareto_lines(comparison, drawn),
-        fits=drawn.fits,
-        estimates=drawn.estimates,
-        worst=worst(comparison, bad, {case: i for i, case in enumerate(kept)}),
-        flights=len(comparison.rows),
-        bad=sum(row["outcome"] != "ok" for row in comparison.rows),
-        bad_shown=sum(row["outcome"] != "ok" for row in bad),
-        many_worlds=len(comparison.worlds) > 1,
-        origin=origin(comparison),
-        downloads=downloads,
-        report_command=command,
-    )
-    return page, left_out
 
 
 def _left_out(
@@ -214,6 +217,7 @@ def _sections(drawn: PageFigures, replay: bool) -> list[tuple[str, str]]:
         ("tables", "Numbers", True),
         ("speed", "Speed", bool(drawn.speed)),
         ("time", "Time", bool(drawn.pareto)),
+        ("power", "Power", bool(drawn.power)),
         ("learned", "Learned", bool(drawn.fits or drawn.estimates)),
         ("worst", "Worst", True),
         ("provenance", "Provenance", True),

@@ -29,6 +29,7 @@ from quadexp.report.page.panels import (
     speed_panel,
     truth,
 )  # fmt: skip
+from quadexp.report.page.power import Powered, battery_panel, end_of_charge, powered, rotor_columns, rotor_panel
 from quadexp.report.page.source import Comparison, spoken
 from quadexp.report.text import number, percent
 
@@ -42,16 +43,19 @@ Draw = Callable[..., None]  # (panel, palette=Palette)
 
 @dataclass
 class PageFigures:
-    """SVG of every part, and the data of the text beside it. speed: a panel per course. fits, estimates: for the
-    template. checkpoints, estimated: their sources."""
+    """SVG of every part, and the data of the text beside it. speed: a panel per course. power, fits, estimates: for the
+    template. powered, checkpoints, estimated: their sources. power_left: worlds that power leaves out."""
 
     speed: list[str] = field(default_factory=list)
     speed_labels: list[str] = field(default_factory=list)
     pareto: str = ""
     points: dict[str, tuple[float, float, float, float]] = field(default_factory=dict)
     front: list[str] = field(default_factory=list)
+    power: list[dict[str, Any]] = field(default_factory=list)
+    power_left: int = 0
     fits: list[dict[str, Any]] = field(default_factory=list)
     estimates: list[dict[str, Any]] = field(default_factory=list)
+    powered: list[Powered] = field(default_factory=list)
     checkpoints: list[Checkpoint] = field(default_factory=list)
     estimated: list[tuple[str, list[tuple[str, Flight]]]] = field(default_factory=list)
 
@@ -70,6 +74,8 @@ def draw_page(comparison: Comparison) -> PageFigures:
     if made.points:
         draw = partial(pareto_panel, comparison=comparison)
         made.pareto = panel_svg(draw, "pareto", "Error against computing time", WIDE)
+    made.powered, made.power_left = powered(comparison)
+    made.power = [_power(comparison, one, i) for i, one in enumerate(made.powered)]
     made.checkpoints = checkpoints(comparison)
     made.fits = [_fit(checkpoint, i) for i, checkpoint in enumerate(made.checkpoints)]
     made.estimated = estimated(comparison)
@@ -83,6 +89,22 @@ def panel_svg(draw: Draw, name: str, label: str, size: tuple[float, float] = SIZ
         figure = Figure(figsize=size, layout="constrained")
         draw(figure.subplots(), palette=PAGE)
         return inline_svg(figure, name, label)
+
+
+def _power(comparison: Comparison, one: Powered, i: int) -> dict[str, Any]:
+    draws = _power_draws(comparison, one)
+    panels = [panel_svg(draw, f"power{i}{k}", f"{name}, {one.title}") for k, (name, draw) in enumerate(draws.items())]
+    ends = [f"{spoken(label)} {share}" for label, flight in one.flights if (share := end_of_charge(flight))]
+    text = f"Charge left at the end: {', '.join(ends)}." if ends else ""
+    return {"title": one.title, "labels": [label for label, _ in one.flights], "panels": panels, "text": text}
+
+
+def _power_draws(comparison: Comparison, one: Powered) -> dict[str, Draw]:
+    battery = any("battery_voltage" in flight.columns for _, flight in one.flights)
+    rotors = any(rotor_columns(flight) for _, flight in one.flights)
+    draws = {"Battery voltage": battery_panel} if battery else {}
+    draws |= {"Rotors": rotor_panel} if rotors else {}
+    return {name: partial(draw, flights=one.flights, look=comparison.look) for name, draw in draws.items()}
 
 
 def checkpoints(comparison: Comparison) -> list[Checkpoint]:
@@ -174,6 +196,9 @@ def draw_paper(comparison: Comparison, drawn: PageFigures) -> dict[str, Figure]:
         figures["error_against_speed"] = _sheet(draws, _handles(comparison, drawn.speed_labels))
     if drawn.points:
         figures["error_against_time"] = _sheet([partial(pareto_panel, comparison=comparison)], [], WIDE)
+    for one in drawn.powered:
+        draws = list(_power_draws(comparison, one).values())
+        figures[_file("power", one.title)] = _sheet(draws, _handles(comparison, [label for label, _ in one.flights]))
     for checkpoint in drawn.checkpoints:
         if checkpoint.model is not None:
             draws = [partial(fit_panel, checkpoint=checkpoint, output=output) for output in checkpoint.model.outputs]

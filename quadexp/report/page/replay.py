@@ -5,6 +5,9 @@ loss), the attitude and the rotor thrusts, as integers in base64:
 
     error = int16 * error_step (m)      attitude = int16 / 32767      thrust = uint8 / 255 of the range
     position = reference + error        reference = centre + int16 * reference_step (m)
+    wind = int16 * wind_step (m/s)      estimated position = reference + int16 * estimate_step (m)
+
+A track has the wind where there is any, and the estimated position where it is not the true one.
 """
 
 from __future__ import annotations
@@ -39,6 +42,14 @@ def case_of(row: Mapping[str, Any]) -> Case:
 
 def choose_cases(comparison: Comparison, worst: Sequence[Mapping[str, Any]]) -> list[Case]:
     """The fastest condition with the largest error first, the cases of the worst flights, then all other conditions."""
+    cases = ordered_cases(comparison)
+    cases[1:1] = [case_of(row) for row in worst[:3]]
+    return list(dict.fromkeys(cases))[:MAX_CASES]
+
+
+def ordered_cases(comparison: Comparison) -> list[Case]:
+    """Every condition that flew, with the seed that most ended well: those of the main world first, then the fastest,
+    then those with the largest error."""
     seeds: dict[tuple[Any, ...], dict[int, int]] = {}
     largest: dict[tuple[Any, ...], float] = {}
     for row in comparison.rows:
@@ -55,8 +66,20 @@ def choose_cases(comparison: Comparison, worst: Sequence[Mapping[str, Any]]) -> 
     for condition in sorted(seeds, key=first):
         found = seeds[condition]
         cases.append((condition, max(found, key=lambda seed: (found[seed], -seed))))
-    cases[1:1] = [case_of(row) for row in worst[:3]]
-    return list(dict.fromkeys(cases))[:MAX_CASES]
+    return cases
+
+
+def case_title(comparison: Comparison, case: Case) -> str:
+    (plant, vehicle, trajectory, speed, setting), seed = case
+    rate = "" if speed is None else f" at {speed:g} m/s"
+    return f"{course_title(comparison, (plant, vehicle, trajectory, setting))}{rate}, seed {seed}"
+
+
+def by_rank(comparison: Comparison, rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Rows of a case: lead, baseline and bounds first, then in the order of the page."""
+    rank = {label: k for k, label in enumerate(comparison.look)}
+    first = [comparison.lead, comparison.reference, *comparison.bounds]
+    return sorted(rows, key=lambda row: (comparison.label(row) not in first, rank[comparison.label(row)]))
 
 
 def pack_replay(
@@ -82,8 +105,7 @@ def pack_replay(
 
 def _pack(comparison: Comparison, case: Case, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
     rank = {label: k for k, label in enumerate(comparison.look)}
-    first = [comparison.lead, comparison.reference, *comparison.bounds]
-    ordered = sorted(rows, key=lambda row: (comparison.label(row) not in first, rank[comparison.label(row)]))
+    ordered = by_rank(comparison, rows)
     rows = ordered[:MAX_TRACKS]
     flights = [(comparison.label(row), flight) for row in rows if (flight := comparison.flight(row)) is not None]
     flights = [(label, flight) for label, flight in flights if "ref_p_x" in flight.columns]
@@ -95,13 +117,10 @@ def _pack(comparison: Comparison, case: Case, rows: Sequence[Mapping[str, Any]])
     t = np.arange(math.floor(duration / step + 1e-9) + 1) * step
     reference = _resample(longest, _reference(longest), t)
     centre = (reference.min(axis=0) + reference.max(axis=0)) / 2
-    (condition, seed) = case
-    plant, vehicle, _, speed, setting = condition
-    rate = "" if speed is None else f" at {speed:g} m/s"
     config = longest.metadata.get("config", {}).get("vehicle", {})
     tracks = [_track(comparison, label, flight, t, config) for label, flight in flights]
     return {
-        "title": f"{course_title(comparison, (plant, vehicle, condition[2], setting))}{rate}, seed {seed}",
+        "title": case_title(comparison, case),
         "step": step,
         "samples": len(t),
         "rotors": config.get("rotor_position") or SOME_ROTORS,
@@ -134,7 +153,20 @@ def _track(
         **_integers("error", error),
         "attitude": _text(np.round(attitude * INT16).astype("<i2")),
         "thrust": _text(np.round(thrust * 255).astype("u1")),
+        **_surroundings(flight, t),
     }
+
+
+def _surroundings(flight: Flight, t: np.ndarray) -> dict[str, Any]:
+    """Wind and estimated position, where there are such."""
+    found: dict[str, Any] = {}
+    if flight.wind is not None and flight.wind.any():
+        found |= _integers("wind", _resample(flight, flight.wind, t))
+    if "est_p_x" in flight.columns:
+        told = flight.stack(["est_p_x", "est_p_y", "est_p_z"])
+        if (told != flight.stack(["p_x", "p_y", "p_z"])).any():
+            found |= _integers("estimate", _resample(flight, told - _reference(flight), t))
+    return found
 
 
 def _continuous(q: np.ndarray) -> np.ndarray:
@@ -162,5 +194,5 @@ def _text(values: np.ndarray) -> str:
 
 
 def _size(case: Mapping[str, Any]) -> int:
-    texts = [case["reference"], *(track[name] for track in case["tracks"] for name in ("error", "attitude", "thrust"))]
-    return sum(map(len, texts))
+    names = ("error", "attitude", "thrust", "wind", "estimate")
+    return len(case["reference"]) + sum(len(track.get(name, "")) for track in case["tracks"] for name in names)

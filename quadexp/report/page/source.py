@@ -232,11 +232,12 @@ class Comparison:
 
     @cached_property
     def to_base(self) -> tuple[Ratio, float]:
-        """Error of the lead over the baseline's, and the p of no difference, corrected for the choice of the lead."""
-        assert self.reference is not None
-        ratio = self.to_bound(self.reference)
-        p = (len(self.ranking.ratios) + 1) * ratio.p
-        return ratio, 1.0 if p > 1 else p
+        """Error of the lead over the baseline's, and the p of no difference that every table shows: paired permutation
+        test, corrected by Holm for all contestants, so for the choice of the lead too; NaN where so few pairs cannot
+        show significance."""
+        assert self.reference is not None and self.lead is not None
+        one = self.overall[self.lead]
+        return self.to_bound(self.reference), one.p_holm if one.p_least < 1 - self.confidence else math.nan
 
     @cached_property
     def _flown(self) -> dict[Contestant, Flights]:

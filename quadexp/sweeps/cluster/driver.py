@@ -18,7 +18,7 @@ from typing import Any
 from distributed import Client, Future
 
 from quadexp.errors import QuadexpError
-from quadexp.experiment.build import MODEL_FILE
+from quadexp.experiment.build import MODEL_FILE, input_files
 from quadexp.experiment.build_custom import source_hashes
 from quadexp.log.store import write_bytes
 from quadexp.provenance import identity
@@ -148,8 +148,7 @@ class _Flights:
         truth = getattr(task.config.plant, "model", None)
         if truth is not None:
             inputs[truth] = self._shipped(Path(truth) / MODEL_FILE), True
-        path = getattr(task.config.trajectory, "path", None)
-        if path is not None:
+        for path in input_files(task.config).values():
             inputs[path] = self._shipped(Path(path)), False
         return inputs
 

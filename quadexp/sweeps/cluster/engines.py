@@ -7,21 +7,22 @@ import importlib
 from quadexp.config.engine import ClusterConfig, DaskConfig, SlurmConfig
 from quadexp.config.schema import Config
 from quadexp.errors import UsageError
-from quadexp.sweeps.engine import Engine, LocalEngine, default_workers
+from quadexp.sweeps.engine import Engine, LocalEngine, Workers, default_workers
 
 EXTRA = "pip install 'quadexp[cluster]'"
 
 
-def build_engine(config: Config) -> Engine:
+def build_engine(config: Config, processes: Workers | None = None) -> Engine:
     """The engine; nothing is started before the first cell is flown.
 
+    processes: of this machine, in which it may fly; None for some of its own.
     Raises UsageError where a package that it needs is not installed.
     """
     settings = config.evaluate
     memory = settings.memory or None
     engine = config.engine
     if not isinstance(engine, ClusterConfig):
-        return LocalEngine(settings.workers, settings.timeout, memory)
+        return LocalEngine(settings.workers, settings.timeout, memory, processes)
     needed = ["distributed"]
     needed += ["cryptography"] if engine.tls else []
     needed += ["dask_jobqueue"] if isinstance(engine, SlurmConfig) else []

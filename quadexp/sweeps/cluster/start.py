@@ -17,8 +17,8 @@ from distributed import Client, LocalCluster
 
 from quadexp.config.engine import ClusterConfig, DaskConfig, SlurmConfig
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.sweeps.child import SAFE, THREADS, safe_path
 from quadexp.sweeps.cluster.certificates import handed_out, security, settings
+from quadexp.sweeps.server import SAFE, THREADS, safe_path
 
 UNPROTECTED = "engine.tls=false: whoever reaches the scheduler or a worker can run code as you"
 # The web server of a scheduler and of a worker, which Dask starts with or without a dashboard.

@@ -8,7 +8,7 @@ import shutil
 import tempfile
 import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import CancelledError, Future, wait
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,9 @@ from quadexp.errors import QuadexpError, stops_all
 from quadexp.experiment.build_custom import source_hashes
 from quadexp.experiment.inputs import use_copies
 from quadexp.provenance import identity
-from quadexp.sweeps.child import GONE, PRELOAD, cause, one_thread, start_pool
-from quadexp.sweeps.engine import ATTEMPTS, CellFailed, Task
+from quadexp.sweeps.child import GONE, cause, start_pool, stop_pool
+from quadexp.sweeps.engine import ATTEMPTS, CHECKED, CellFailed, Task
+from quadexp.sweeps.server import PRELOAD
 
 FOLDER = "quadexp-"  # prefix of the names of a worker's temporary folders
 
@@ -58,12 +59,18 @@ class CellRunner(WorkerPlugin):
         a stopped pool leaves its futures pending."""
         with self._lock:
             self._ended = True
-            for future in self._flying:
-                future.cancel()
-        if self._pool is not None:
-            self._pool.stop()
-            self._pool.join()
+            self._stop()
         shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _check(self) -> None:
+        """As Workers of sweeps.engine."""
+        if self._pool is not None and not self._pool.active:
+            self._stop()
+
+    def _stop(self) -> None:
+        pool, self._pool = self._pool, None
+        if pool is not None:
+            stop_pool(pool, self._flying)
 
     def fly(self, function: Callable[..., Any], task: Task, copies: Mapping[str, str], parts: Mapping[str, str]) -> Any:
         """(row, content of the cell's file), or CellFailed."""
@@ -83,13 +90,16 @@ class CellRunner(WorkerPlugin):
         with self._lock:
             if self._ended:
                 raise CancelledError("the sweep has ended")
+            self._check()
             if self._pool is None:
-                with one_thread():
-                    preload = [*PRELOAD, function.__module__]
-                    self._pool = start_pool(self._workers, self._memory, preload, self._folders)
+                preload = [*PRELOAD, function.__module__]
+                self._pool = start_pool(self._workers, self._memory, preload, self._folders)
             future = self._pool.schedule(child_cell, args=arguments, timeout=self._timeout)
             self._flying.add(future)
         try:
+            while not wait([future], CHECKED).done:
+                with self._lock:
+                    self._check()
             return future.result()
         finally:
             with self._lock:

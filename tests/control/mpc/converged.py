@@ -30,14 +30,27 @@ class ConvergedProblem:
         dynamics = corrected_function(vehicle, residual)
         m = 13 + n * bool(settings.motor_lag)
         x, u = ca.MX.sym("x", m), ca.MX.sym("u", n)
-        h, share = ca.MX.sym("h"), settings.node_share
-        if settings.motor_lag:
-            lagging = lagging_rk4_step(lambda s, T: dynamics(s, T, residual.theta), x, u, h, settings.motor_lag)
+        h, share, tau = ca.MX.sym("h"), settings.node_share, settings.motor_lag
+        samples = 2 if settings.input_hold == "deviation" else 1
+        X_all, U_all = ca.MX.sym("X_ref", 13, samples * N + 1), ca.MX.sym("U_ref", n, samples * N)
+        X_ref, U_ref, periods = X_all[:, ::samples], U_all, settings.node_periods
+        thrusts = [ca.MX.sym(f"T{i}", n) for i in range(4)]  # the reference's in a node, and the command held for them
+        if samples == 2:
+            limits = vehicle.thrust_min, vehicle.thrust_max
+            within = [self._limited(column, *limits) for column in ca.horzsplit(U_all)]
+            within.append(2 * within[-1] - within[-2])
+            profiles = [within[2 * k : 2 * k + 3] for k in range(N)]
+            holds = [settings.control_period, *periods[1:]]
+            profiles = [[*p, self._command(p, d, t, tau)] for p, d, t in zip(profiles, periods, holds, strict=True)]
+            U_ref = ca.horzcat(*(self._limited(profile[3], *limits) for profile in profiles))
+            step = self._with_profile(lambda s, T: dynamics(s, T, residual.theta), x, u, h, tau, thrusts)
+        elif tau:
+            lagging = lagging_rk4_step(lambda s, T: dynamics(s, T, residual.theta), x, u, h, tau)
             step = ca.Function("F", [x, u, h], [lagging])
         else:
             step = ca.Function("F", [x, u, h], [rk4_step(lambda s: dynamics(s, u, residual.theta), x, h)])
         X, U = ca.MX.sym("X", m, N + 1), ca.MX.sym("U", n, N)
-        X_ref, U_ref, x0 = ca.MX.sym("X_ref", 13, N + 1), ca.MX.sym("U_ref", n, N), ca.MX.sym("x0", m)
+        x0 = ca.MX.sym("x0", m)
         Q, R = settings.state_weight(), settings.thrust_weight(vehicle)
         cost = 0
         for k in range(N + 1):
@@ -48,11 +61,12 @@ class ConvergedProblem:
             cost += ca.dot(weight * error, error)
         for k in range(N):
             cost += ca.dot(share[k] * R * (U[:, k] - U_ref[:, k]), U[:, k] - U_ref[:, k])
-        periods = settings.node_periods
-        gaps = ca.vertcat(X[:, 0] - x0, *(X[:, k + 1] - step(X[:, k], U[:, k], periods[k]) for k in range(N)))
+        known = profiles if samples == 2 else [[]] * N
+        predicted = (step(X[:, k], U[:, k], periods[k], *known[k]) for k in range(N))
+        gaps = ca.vertcat(X[:, 0] - x0, *(X[:, k + 1] - x_next for k, x_next in enumerate(predicted)))
         problem = {
             "x": ca.vertcat(ca.vec(X), ca.vec(U)),
-            "p": ca.horzcat(ca.vec(X_ref).T, ca.vec(U_ref).T, x0.T),
+            "p": ca.horzcat(ca.vec(X_all).T, ca.vec(U_all).T, x0.T),
             "f": cost,
             "g": gaps,
         }
@@ -66,6 +80,38 @@ class ConvergedProblem:
         self._lower = np.r_[-free, np.full(n * N, vehicle.thrust_min)]
         self._upper = np.r_[free, np.full(n * N, vehicle.thrust_max)]
         self._n = n
+
+    @staticmethod
+    def _limited(thrust, low, high):
+        return ca.fmin(ca.fmax(thrust, low), high)
+
+    @staticmethod
+    def _command(profile, dt, held, tau):
+        """Mean of T + tau T' over the time held, of the parabola through the three thrusts; Simpson's rule is exact."""
+
+        def thrust(t):
+            s = t / dt
+            return (1 - s) * (1 - 2 * s) * profile[0] + 4 * s * (1 - s) * profile[1] + s * (2 * s - 1) * profile[2]
+
+        mean = (thrust(0) + 4 * thrust(held / 2) + thrust(held)) / 6
+        return mean + tau * (thrust(held) - thrust(0)) / held
+
+    @staticmethod
+    def _with_profile(slope, x, u, h, tau, thrusts):
+        """One RK4 step under the reference's thrust and the deviation from it, which lags."""
+        *profile, command = thrusts
+        acting = []
+        for share, T in zip((0, 0.5, 1), profile, strict=True):
+            left = ca.exp(-share * h / tau) if tau else 0
+            believed = x[13:] - profile[0] if tau else 0
+            acting.append(T + (1 - left) * (u - command) + left * believed)
+        body = x[:13]
+        k1 = slope(body, acting[0])
+        k2 = slope(body + h / 2 * k1, acting[1])
+        k3 = slope(body + h / 2 * k2, acting[1])
+        k4 = slope(body + h * k3, acting[2])
+        x_next = body + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        return ca.Function("F", [x, u, h, *thrusts], [ca.vertcat(x_next, acting[2]) if tau else x_next])
 
     def first_input(self, x0, state_reference, input_reference, guess) -> np.ndarray:
         """Converged first input (n,) (N); guess: (states (N + 1, m), inputs (N, n))."""

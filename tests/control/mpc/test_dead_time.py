@@ -52,31 +52,31 @@ def integrated(vehicle, residual, x, thrust, commands, dead_time, lag, period=0.
 def test_the_prediction_is_the_model_integrated_over_the_commands_sent(vehicle, rng, name, dead_time, lag):
     """With dead times that are no multiples of the control period too."""
     residual = make_residual(name, vehicle)
-    under_way = controller_of(vehicle, residual, dead_time=dead_time, motor_lag=lag).under_way
+    predictor = controller_of(vehicle, residual, dead_time=dead_time, motor_lag=lag).predictor
     x, thrust = random_state(rng, speed=3.0, rate=1.0), rng.uniform(1, 5, 4)
     commands = rng.uniform(1, 5, (int(np.ceil(dead_time / 0.02)), 4))
-    under_way.reset(thrust)
-    under_way.commands[...] = commands
+    predictor.reset(thrust)
+    predictor.commands[...] = commands
     expected = integrated(vehicle, residual, x, thrust, commands, dead_time, lag)
     error = 5e-4 if lag or name == "gp_thrust" else 3e-6  # of one Runge-Kutta step over a control period
-    assert under_way.ahead(x) == pytest.approx(expected, rel=error, abs=error)
+    assert predictor.predict(x) == pytest.approx(expected, rel=error, abs=error)
 
 
 @pytest.mark.parametrize("dead_time", [0.0, 0.013, 0.02, 0.047])
 def test_the_thrust_follows_the_commands_as_they_arrive(vehicle, rng, dead_time):
     """No sensor measures it: the filter on the commands, against the lag integrated over a late step-wise input."""
     lag, period = 0.03, 0.02
-    under_way = controller_of(vehicle, make_residual("none", vehicle), dead_time=dead_time, motor_lag=lag).under_way
+    predictor = controller_of(vehicle, make_residual("none", vehicle), dead_time=dead_time, motor_lag=lag).predictor
     first, commands = rng.uniform(1, 5, 4), rng.uniform(1, 5, (6, 4))
-    under_way.reset(first)
+    predictor.reset(first)
     for command in commands:
-        under_way.sent(command)
+        predictor.record(command)
     thrust, fine = first.copy(), 1e-3
     for i in range(round(len(commands) * period / fine)):
         sent = int(np.floor((i * fine - dead_time) / period + 1e-9))
         acting = commands[sent] if sent >= 0 else first
         thrust = acting + (thrust - acting) * np.exp(-fine / lag)
-    assert under_way.thrust == pytest.approx(thrust)
+    assert predictor.thrust == pytest.approx(thrust)
 
 
 @pytest.mark.parametrize("settings", [{}, {"motor_lag": 0.03}], ids=["thrusts", "lagging rotors"])
@@ -140,8 +140,8 @@ def test_parameters_that_change_in_flight_enter_the_prediction(vehicle, rng):
     controllers = [controller_of(vehicle, made, dead_time=0.05) for made in (residual, changed)]
     controllers[0].mpc.set_parameters(changed.theta)
     for controller in controllers:
-        controller.under_way.reset(np.full(4, 3.0))
-    one, other = (controller.under_way.ahead(x) for controller in controllers)
+        controller.predictor.reset(np.full(4, 3.0))
+    one, other = (controller.predictor.predict(x) for controller in controllers)
     assert np.array_equal(one, other)
 
 
@@ -150,14 +150,14 @@ def test_back_ends_predict_alike(vehicle, rng):
     found = []
     for backend in ("interpreted", "auto"):
         made = controller_of(vehicle, make_residual("gp_with_mean", vehicle), backend, dead_time=0.05, motor_lag=0.03)
-        made.under_way.reset(np.array([2.0, 3.0, 4.0, 5.0]))
-        found.append(made.under_way.ahead(x))
+        made.predictor.reset(np.array([2.0, 3.0, 4.0, 5.0]))
+        found.append(made.predictor.predict(x))
     assert found[0] == pytest.approx(found[1], rel=1e-12, abs=1e-12)
 
 
 def test_without_dead_time_and_lag_nothing_is_predicted(vehicle):
     controller = controller_of(vehicle, make_residual("none", vehicle))
-    assert controller.under_way is None and controller.node_times[0] == 0
+    assert controller.predictor is None and controller.node_times[0] == 0
 
 
 @pytest.mark.parametrize("key", ["dead_time", "motor_lag"])

@@ -46,9 +46,16 @@ def first_steps(name, air, settings, seed, starts=10, path=None):
         yield controller, x, states, inputs, u, record
 
 
-@pytest.mark.parametrize("error", ["plain", "body"])
+@pytest.mark.parametrize(
+    ("name", "error"),
+    [
+        ("torrente", "plain"),
+        ("crazyflie", "body"),
+        pytest.param("torrente", "body", marks=pytest.mark.slow),
+        pytest.param("crazyflie", "plain", marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("air", ["none", "linear_drag", "gaussian_process"])
-@pytest.mark.parametrize("name", ["torrente", "crazyflie"])
 def test_kicked_starts_converge_or_say_so(name, air, error):
     """120 in all. IPOPT, begun at the answer, stays there; at most one in ten may be flagged instead."""
     settings = MPCSettings(attitude_error=error)

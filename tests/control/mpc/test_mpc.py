@@ -23,9 +23,9 @@ HOVER = np.r_[np.zeros(3), 1, np.zeros(9)]
 
 
 def hover_reference(controller, vehicle, target=(0.0, 0.0, 0.0)):
-    nodes = controller.settings.nodes
-    state = np.tile(np.r_[target, 1, np.zeros(9)], (nodes + 1, 1))
-    return state, np.full((nodes, vehicle.n_rotors), vehicle.hover_thrust)
+    samples = len(controller.node_times)
+    state = np.tile(np.r_[target, 1, np.zeros(9)], (samples, 1))
+    return state, np.full((samples - 1, vehicle.n_rotors), vehicle.hover_thrust)
 
 
 def position_error(flight) -> np.ndarray:
@@ -33,12 +33,14 @@ def position_error(flight) -> np.ndarray:
     return flight.stack(["p_x", "p_y", "p_z"]) - flight.stack(["ref_p_x", "ref_p_y", "ref_p_z"])
 
 
+@pytest.mark.parametrize("hold", ["command", "deviation"])
 @pytest.mark.parametrize("first_node", [0.0, 0.02])
 @pytest.mark.parametrize(("residual", "bound"), [("plant", 1e-3), ("linear_drag", 1e-2)])
-def test_first_input_is_near_the_converged_one_along_the_fast_circle(vehicle, residual, bound, first_node):
+def test_first_input_is_near_the_converged_one_along_the_fast_circle(vehicle, residual, bound, first_node, hold):
     """Real-time iteration on the 8 m/s circle: median distance to IPOPT's solution at or under 1e-2 N; a stiffer
     controller, with a short first node, is so much further away."""
-    settings, plant = MPCSettings(first_node=first_node), SimplifiedPlant(vehicle, backend="interpreted")
+    settings = MPCSettings(first_node=first_node, input_hold=hold)
+    plant = SimplifiedPlant(vehicle, backend="interpreted")
     model = plant.residual() if residual == "plant" else linear_drag_residual(vehicle, (0.8, 0.8, 0.1))
     controller = ModelPredictiveController(vehicle, model, settings, backend="interpreted")
     reference = SampledReference(Circle(speed=8.0, acceleration=4.0), controller)
@@ -93,17 +95,21 @@ def test_saturated_step_converges_to_the_bounded_optimum(vehicle, first_node):
     assert u == pytest.approx(expected, abs=1e-4)
 
 
+@pytest.mark.parametrize("hold", ["command", "deviation"])
 @pytest.mark.parametrize("attitude_error", ["plain", "body"])
 @pytest.mark.parametrize("backend", ["interpreted", "auto"])
-def test_with_lagging_rotors_the_first_step_is_the_bounded_optimum_of_17_states(vehicle, backend, attitude_error):
+def test_with_lagging_rotors_the_first_step_is_the_bounded_optimum_of_17_states(
+    vehicle, rng, backend, attitude_error, hold
+):
     """From thrusts that are not the commanded ones, with and without saturated rotors; IPOPT's answer."""
-    settings = MPCSettings(first_node=0.04, motor_lag=0.03, attitude_error=attitude_error)
+    settings = MPCSettings(first_node=0.04, motor_lag=0.03, attitude_error=attitude_error, input_hold=hold)
     residual = make_residual("linear_drag", vehicle)
     controller = ModelPredictiveController(vehicle, residual, settings, backend=backend)
     expected, x0 = ConvergedProblem(vehicle, residual, settings), np.r_[HOVER, 2.6, 2.2, 2.5, 2.4]
     for target, saturated in (((0.02, -0.01, 0.01), False), ((4.0, 3.0, 3.0), True)):
         state, thrust = hover_reference(controller, vehicle, target)
-        controller.reset(x0, np.tile(HOVER, (11, 1)), thrust)
+        thrust = thrust + rng.uniform(-0.5, 0.5, thrust.shape)
+        controller.reset(x0, np.tile(HOVER, (len(state), 1)), thrust)
         u, record = controller.command(x0, state, thrust)
         assert (record.active > 0) == saturated and record.converged
         assert u == pytest.approx(expected.first_input(x0, state, thrust, controller.prediction), abs=1e-4)

@@ -28,8 +28,14 @@ def mirrored(vehicle):
     return replace(vehicle, rotor_spin=tuple(-s for s in vehicle.rotor_spin))
 
 
-@pytest.mark.parametrize("vehicle", [*VEHICLES, "hexa", "octo"])
-@pytest.mark.parametrize("signal", ["motor_command", "rotor_speed", "u"])
+@pytest.mark.parametrize(
+    ("signal", "vehicle"),
+    [
+        pytest.param(signal, name, marks=[pytest.mark.slow] * (signal != "motor_command" and name != "torrente"))
+        for signal in ("motor_command", "rotor_speed", "u")
+        for name in (*VEHICLES, "hexa", "octo")
+    ],
+)
 def test_every_order_is_told(vehicle, signal):
     body = vehicle_named(vehicle)
     flight = imitated(70, vehicle, signal=signal, duration=15, **RIGGED)

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tests.log.imitated import attitude_of
+
 G = 9.81
 DRAG = np.array([0.4, 0.3, 0.1])  # 1/s, body axes
 NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -50,7 +52,7 @@ def truth(duration: float = 30.0, rate: float = 100.0, seed: int = 0) -> Truth:
     p = amplitude * s + [0.0, 0.0, 3.0]
     v, a = amplitude * omega * c, -amplitude * omega**2 * s
     yaw = 0.6 * np.sin(0.5 * t) + 0.3
-    R = _attitude(v, a, yaw)
+    R = attitude_of(v, a, yaw, DRAG, 30)
     force = R.apply(a + [0.0, 0.0, G], inverse=True)
     body = R.apply(v, inverse=True)
     w = (R[:-1].inv() * R[1:]).as_rotvec() * rate * fine
@@ -66,19 +68,6 @@ def truth(duration: float = 30.0, rate: float = 100.0, seed: int = 0) -> Truth:
     voltage = 16.4 - 0.02 * t
     k = slice(None, None, fine)
     return Truth(t[k], p[k], q[k], v[k], w[k], force[k], command[k], voltage[k])
-
-
-def _attitude(v: np.ndarray, a: np.ndarray, yaw: np.ndarray) -> Rotation:
-    """Attitude with R^T (a + g e_z) + D R^T v along z, by fixed-point iteration on the drag."""
-    R = Rotation.from_euler("Z", yaw[:, None])
-    for _ in range(30):
-        total = a + [0.0, 0.0, G] + R.apply(DRAG * R.apply(v, inverse=True))
-        z = total / np.linalg.norm(total, axis=1, keepdims=True)
-        x = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], 1)
-        y = np.cross(z, x)
-        y /= np.linalg.norm(y, axis=1, keepdims=True)
-        R = Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=2))
-    return R
 
 
 def write_csv(path: Path, columns: dict[str, np.ndarray], digits: int = 9) -> Path:

@@ -76,7 +76,9 @@ SPOILT = {
 }
 
 
-@pytest.mark.parametrize("case", SPOILT)
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=[pytest.mark.slow] * (case == "1 % repeated")) for case in SPOILT]
+)
 def test_bad_rows_are_refused_dropped_or_gaps(tmp_path, case):
     spoil, name = SPOILT[case]
     truth = imitated(80, "torrente", duration=15)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quadexp.errors import DataError
-from quadexp.log.signal import airborne, crop, derivative, increasing
+from quadexp.log.signal import crop, derivative, increasing
 
 T = np.arange(0, 20, 0.01)
 HEIGHT = np.interp(T, [0, 2, 4, 16, 18, 20], [0.05, 0.05, 1.0, 1.0, 0.05, 0.05])
@@ -35,17 +35,15 @@ def test_a_landing_between_two_flights_makes_two():
 
 def test_a_log_that_starts_in_the_air_is_kept():
     assert crop(T, 1 + 0.1 * np.sin(T)).all()
-    assert crop(T, -3 + 0.1 * np.sin(T), ground=None).sum() == 0  # hovering at the lowest height: its ground
-    assert crop(T, np.sin(T) - 5 * np.exp(-((T - 10) ** 2)), ground=None).all()
 
 
 def test_a_log_on_the_ground_has_no_flight():
-    assert not crop(T, 0.05 + 0 * T).any() and not airborne(T, thrust=0 * T).any()
+    assert not crop(T, 0.05 + 0 * T).any() and not crop(T, thrust=0 * T).any()
 
 
 def test_thrust_tells_where_there_is_no_height():
     thrust = np.where((T > 3) & (T < 17), 0.6, 0.0)
-    assert T[airborne(T, thrust=thrust)][0] == pytest.approx(3, abs=0.02)
+    assert T[crop(T, thrust=thrust, margin=0.0)][0] == pytest.approx(3, abs=0.02)
 
 
 def test_derivative_of_tones_and_its_bandwidth():

@@ -20,6 +20,8 @@ function decode(packed) {
     track.quaternion = shorts(track.attitude, 1 / 32767);
     track.share = Float32Array.from(new Uint8Array(bytes(track.thrust)), v => v / 255);
     track.size = new Float32Array(track.samples);
+    if (track.wind) track.air = shorts(track.wind, track.wind_step);
+    if (track.estimate) track.told = shorts(track.estimate, track.estimate_step);
     for (let i = 0; i < track.samples; i++) track.size[i] = 1e3 * Math.hypot(...track.offset.subarray(3 * i, 3 * i + 3));
     track.shown = true;
   }
@@ -27,6 +29,11 @@ function decode(packed) {
   packed.low = low; packed.high = high;
   packed.radius = Math.max(0.5, Math.hypot(...low.map((l, a) => high[a] - l)) / 2);
   packed.arm = Math.max(...packed.rotors.map(r => Math.hypot(...r)));
+  packed.gale = Math.max(0, ...packed.tracks.filter(t => t.air).map(t => {
+    let most = 0;
+    for (let i = 0; i < t.samples; i++) most = Math.max(most, Math.hypot(...t.air.subarray(3 * i, 3 * i + 3)));
+    return most;
+  }));
   packed.duration = (packed.samples - 1) * packed.step;
   packed.ready = true;
   return packed;
@@ -85,8 +92,8 @@ const turn = ([w, x, y, z], [a, b, c]) => {
   const tx = 2 * (y * c - z * b), ty = 2 * (z * a - x * c), tz = 2 * (x * b - y * a);
   return [a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx];
 };
-function place(track, at) {
-  const g = +gain.value, p = lerp(flown.path, 3, at, flown.samples), e = lerp(track.offset, 3, at, track.samples);
+function place(track, at, offset = track.offset) {
+  const g = +gain.value, p = lerp(flown.path, 3, at, flown.samples), e = lerp(offset, 3, at, track.samples);
   return p.map((v, a) => v + g * e[a]);
 }
 
@@ -157,6 +164,32 @@ function drone(g, track, at, floor) {
   const nose = eye(...world([1.25 * droneSize(), 0, 0]));
   stroke(g, [middle, nose], colours.ink, 1.5, 0.8);
 }
+function arrow(g, from, to, colour) {
+  if (!from || !to) return;
+  stroke(g, [from, to], colour, 2, 0.9);
+  const x = to[0] - from[0], y = to[1] - from[1], long = Math.hypot(x, y);
+  if (long < 2) return;
+  const barb = Math.min(9, 0.5 * long) / long, side = s => [to[0] - barb * (x + s * 0.6 * y), to[1] - barb * (y - s * 0.6 * x)];
+  stroke(g, [side(1), to, side(-1)], colour, 2, 0.9);
+}
+function wind(g, track, at) { // blows towards the vehicle; the strongest of all flights is three vehicles long
+  const v = lerp(track.air, 3, at, track.samples), speed = Math.hypot(...v);
+  if (speed < 1e-3 * flown.gale) return;
+  const p = place(track, at), before = s => eye(...p.map((c, a) => c - s * droneSize() * v[a] / speed));
+  arrow(g, before(1.8 + 3 * speed / flown.gale), before(1.8), colourOf(track));
+}
+function ghost(g, track, at) { // where the controller was told that it is
+  const colour = colourOf(track), tip = eye(...place(track, at, track.told)), recent = [];
+  for (let i = Math.max(0, at - TRAIL / flown.step); i < at; i += 1) recent.push(eye(...place(track, i, track.told)));
+  if (!tip) return;
+  stroke(g, [...recent, tip], colours.panel, 1.6, 0.7);
+  stroke(g, [...recent, tip], colour, 1.6, 1, [1, 4]);
+  const ring = Array.from({ length: 25 }, (_, k) => [tip[0] + 6 * Math.cos(k * Math.PI / 12), tip[1] + 6 * Math.sin(k * Math.PI / 12)]);
+  for (const [c, width] of [[colours.panel, 5], [colour, 2]]) {
+    stroke(g, [eye(...place(track, at)), tip], c, 0.6 * width);
+    stroke(g, ring, c, width);
+  }
+}
 function drawScene() {
   const [g, w, h] = surface(scene);
   if (!w) return;
@@ -180,13 +213,17 @@ function drawScene() {
   const ordered = seen.map(t => [t, Math.min(at, t.samples - 1)]).sort((a, b) => depth(b) - depth(a));
   for (const [track, i] of ordered) {
     drone(g, track, i, floor);
+    if (track.air) wind(g, track, i);
+    if (track.told) ghost(g, track, i);
     if (track.samples < flown.samples && at > track.samples - 1) {
       const p = eye(...place(track, track.samples - 1));
       if (p) { g.fillStyle = colourOf(track); g.font = "600 13px system-ui,sans-serif"; g.fillText(`${track.outcome.replace("_", " ")}`, p[0] + 14, p[1] - 10); }
     }
   }
   clock.textContent = `${time.toFixed(2)} s`;
-  hint.textContent = `grid ${cell} m` + (+gain.value > 1 ? `, errors ${gain.value}×` : "");
+  const blown = seen.find(t => t.air);
+  const air = blown && Math.hypot(...lerp(blown.air, 3, Math.min(at, blown.samples - 1), blown.samples));
+  hint.textContent = `grid ${cell} m` + (+gain.value > 1 ? `, errors ${gain.value}×` : "") + (blown ? `, wind ${air.toFixed(1)} m/s` : "");
 }
 const depth = ([track, i]) => (eye(...place(track, i)) || [0, 0, 0, 1e9])[3];
 

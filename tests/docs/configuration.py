@@ -1,6 +1,6 @@
 """The reference of every configuration key, from the schemas and from conf/ itself.
 
-    python -m quadexp.report.config_reference > docs/configuration.md
+    python -m tests.docs.configuration > docs/configuration.md
 
 All of it is declared with the settings (quadexp/config/settings.py). The value is the default, or what the option sets
 that is taken by default, or else the one of the schema's own name, or the first that extends it.
@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, get_args, get_origin
 
 import yaml
 
-from quadexp.config.schema import PRESETS, SCHEMAS, Config, conf_folder
+from quadexp.config.schema import PRESETS, SCHEMAS, WORLD, Config, conf_folder
 from quadexp.config.settings import REQUIRED, Declared, declared, lists
 
 ASIDE = {"name", "kind", "sweep"}  # set by the option, not by its user
@@ -36,7 +37,7 @@ outside its range are refused before anything runs. Quote a value with brackets 
 Groups: GROUPS.
 
 This page is made from the schemas and from `conf/`:
-`python -m quadexp.report.config_reference > docs/configuration.md`.
+`python -m tests.docs.configuration > docs/configuration.md`.
 """
 
 
@@ -54,7 +55,7 @@ class Key:
 def reference() -> str:
     """The whole page, Markdown."""
     chosen = _chosen()
-    groups = ", ".join(f"[{name}](#{name.lower()})" for name in ("Run", *SCHEMAS))
+    groups = ", ".join(f"[{name}](#{name.lower()})" for name in ("Run", *SCHEMAS, "world"))
     parts = [HEAD.replace("GROUPS", groups), "## Run\n", _table(_keys(Config, "", {}))]
     for group, schemas in SCHEMAS.items():
         options = _options(group)
@@ -70,6 +71,7 @@ def reference() -> str:
             parts.append("\n".join(filter(None, [title, "", f"{doc}{example}"])) + "\n")
             parts.append(_table(_keys(node, f"{group}.", values)))
         parts += [_preset(name) for name, target in PRESETS.items() if target == group]
+    parts.append(_bundles())
     return "\n".join(parts)
 
 
@@ -79,20 +81,30 @@ def _preset(group: str) -> str:
     lines = [f"### {group}: presets\n", f"A choice beside `{PRESETS[group]}=` that sets several of its keys at once.\n"]
     lines += ["| option | sets | meaning |", "|---|---|---|"]
     for path in sorted(folder.glob("*.yaml")):
-        text = path.read_text(encoding="utf-8")
-        said = [line[2:] for line in text.splitlines() if line.startswith("# ") and "@package" not in line]
-        values = yaml.safe_load(text) or {}
+        said, values = _said(path)
         sets = ", ".join(f"`{PRESETS[group]}.{key}={value}`" for key, value in values.items()) or "nothing"
-        lines.append(f"| `{group}={path.stem}` | {sets} | {' '.join(said)} |")
+        lines.append(f"| `{group}={path.stem}` | {sets} | {said} |")
     return "\n".join(lines) + "\n"
 
 
-def keys() -> list[str]:
-    """Every key of the schemas, without those that the user's own options add."""
-    found = [key.name for key in _keys(Config, "", {})]
-    for group, schemas in SCHEMAS.items():
-        found += [key.name for node in schemas.values() for key in _keys(node, f"{group}.", {})]
-    return sorted(set(found))
+def _bundles() -> str:
+    """The group `world`: what each of its options chooses."""
+    lines = [f"## world\n\nA choice of several parts at once: {', '.join(f'`{group}`' for group in WORLD)}; see"]
+    lines += ["[worlds](worlds.md). An option of a part that is given besides counts.\n"]
+    lines += ["| option | chooses | meaning |", "|---|---|---|"]
+    for path in sorted((conf_folder() / "world").glob("*.yaml")):
+        said, content = _said(path)
+        choices = [item for one in content.get("defaults", ()) if one != "_self_" for item in one.items()]
+        chosen = [f"`{key.removeprefix('override /')}={value}`" for key, value in choices]
+        lines.append(f"| `world={path.stem}` | {', '.join(chosen) or 'nothing'} | {said} |")
+    return "\n".join(lines) + "\n"
+
+
+def _said(path: Path) -> tuple[str, dict[str, Any]]:
+    """The comment at the head of a file of presets, and its content."""
+    text = path.read_text(encoding="utf-8")
+    said = [line[2:] for line in text.splitlines() if line.startswith("# ") and "@package" not in line]
+    return " ".join(said), yaml.safe_load(text) or {}
 
 
 def _keys(node: type, prefix: str, values: Any) -> Iterator[Key]:
@@ -178,7 +190,7 @@ def _table(keys: Iterator[Key]) -> str:
     for key in keys:
         cells = [f"`{key.name}`", key.kind, f"`{key.value}`" if key.value else "", key.allowed, key.meaning]
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines) + "\n" if len(lines) > 2 else "It has no keys.\n"
 
 
 if __name__ == "__main__":

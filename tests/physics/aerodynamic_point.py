@@ -1,6 +1,6 @@
 """The blade-element model evaluated numerically at one velocity and set of rotor speeds.
 
-For inspection, tests and plots; plants and controllers use the expressions of quadexp.physics.blade_element.
+Plants and controllers use the expressions of quadexp.physics.blade_element.
 """
 
 from __future__ import annotations

@@ -1,0 +1,94 @@
+"""What Hydra does for this program, by its public functions alone: it composes files, and reads every override.
+
+Importing it takes a tenth of a second and composing a choice of options as much again. So it is imported only where a
+choice has not been composed before (kept.py) or an override is not plain (override.py).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import hydra
+from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from quadexp.config.override import quoted
+from quadexp.config.schema import SCHEMA, SCHEMAS, conf_folder
+from quadexp.config.settings import REQUIRED, declared, plain
+from quadexp.errors import UsageError
+from quadexp.messages import one_line
+
+_VERSION = {"version_base": "1.3"} if hydra.__version__.startswith("1.3.") else {}  # later versions take none
+
+
+def composed_files(name: str, chosen: Sequence[str], folders: Sequence[Path]) -> dict[str, Any]:
+    """What a file and a choice of options (GROUP=OPTION each) make together. folders: conf/, then others to search."""
+    register_schemas()
+    own = ",".join(quoted(f"file://{folder}") for folder in folders[1:])
+    GlobalHydra.instance().clear()
+    with _one_line(), hydra.initialize_config_dir(str(conf_folder()), **_VERSION):
+        content = OmegaConf.to_container(hydra.compose(name, overrides=[*chosen, f"hydra.searchpath=[{own}]"]))
+    assert isinstance(content, dict)
+    return {str(key): value for key, value in content.items()}
+
+
+def resolved(content: dict[str, Any]) -> dict[str, Any]:
+    """The content with its references, such as ${seed}, replaced by what they refer to."""
+    with _one_line():
+        found = OmegaConf.to_container(OmegaConf.create(content), resolve=True)
+    assert isinstance(found, dict)
+    return {str(key): value for key, value in found.items()}
+
+
+class _Groups:
+    """What the parser asks of a loader of configurations: the options of a group, for glob(...)."""
+
+    def __init__(self, options: Callable[[str], list[str]]) -> None:
+        self._options = options
+
+    def get_group_options(self, group_name: str, *_: Any, **__: Any) -> list[str]:
+        return self._options(group_name)
+
+
+def read_override(text: str, options: Callable[[str], list[str]]) -> Override | None:
+    """An override by Hydra's grammar; None where it cannot be read. options: names of a group's options."""
+    loader: Any = _Groups(options)
+    try:
+        return OverridesParser.create(config_loader=loader).parse_overrides([text])[0]
+    except HydraException:
+        return None
+
+
+@contextlib.contextmanager
+def _one_line() -> Iterator[None]:
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException) as error:
+        raise UsageError(one_line(error)) from error
+
+
+def _required(schema: type) -> dict[str, Any]:
+    """What a schema says before any file: which values have to be given. Defaults are put below the files later, so
+    that an option may extend another one of another schema."""
+    found = {key: value for key, value in plain(schema).items() if value == REQUIRED}
+    nodes = {name: one.node for name, one in declared(schema).items() if one.node and not one.optional}
+    return found | {name: _required(node) for name, node in nodes.items() if node}
+
+
+@functools.cache
+def register_schemas() -> None:
+    """Make the schemas known to Hydra."""
+    for group, schemas in SCHEMAS.items():
+        for name, schema in schemas.items():
+            only = {one.name: one.words[0] for one in declared(schema).values() if len(one.words) == 1}
+            node = {**_required(schema), **only, SCHEMA: f"{group}/{name}"}
+            ConfigStore.instance().store(group=f"schema/{group}", name=name, node=node)

@@ -1,0 +1,61 @@
+"""Preparation and feedback: a control step of which only the second phase waits for the measurement.
+
+What does not depend on the measured state is computed before it comes (control.mpc.step); the answer then takes the
+linearisation of one node and the forward pass. Both phases work on the arrays of the whole step, so that the bounded
+subproblem, the last solution and a whole step at any time go on from there.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from quadexp.air.base import Residual
+from quadexp.compile.backend import BufferedFunction, realise_together
+from quadexp.control.mpc.step import phase_functions
+from quadexp.physics.vehicle import Vehicle
+
+FROM_NODE_1 = ("X_lin", "A", "B", "b", "q", "K", "factor")  # what the preparation leaves of the subproblem's arrays
+AT_NODE_0 = ("X_lin", "A", "B", "b", "q", "factor")  # and the feedback
+
+
+class Phases:
+    """prepare, then feedback: called one after the other they leave in the step's results what the step leaves.
+
+    step: the whole step, whose arguments and results they share. form: of its structure, see `step_function`.
+    """
+
+    def __init__(
+        self, step: BufferedFunction, vehicle: Vehicle, residual: Residual, nodes: int, backend: str, **form: Any
+    ) -> None:
+        prepare, feedback = _functions(vehicle, residual, nodes, backend, **form)
+        given, results = step.arguments, step.results
+
+        def place(function: ca.Function, name: str, *, last: bool) -> np.ndarray:
+            size = function.nnz_out(name)
+            return results[name].ravel()[-size:] if last else results[name].ravel()[:size]
+
+        whole = {name: results[name] for name in ("U_lin", "r", "frames") if name in results}
+        into = whole | {name: place(prepare, name, last=True) for name in FROM_NODE_1}
+        self.prepare = BufferedFunction(prepare, given, into)
+        known = {f"{name}_prepared": array for name, array in self.prepare.results.items()}
+        into = {name: results[name] for name in ("X_new", "U_new", "checks")}
+        into |= {name: place(feedback, name, last=False) for name in AT_NODE_0}
+        self.feedback = BufferedFunction(feedback, given | known, into)
+
+
+_built: dict[tuple[Any, ...], tuple[ca.Function, ca.Function]] = {}
+
+
+def _functions(
+    vehicle: Vehicle, residual: Residual, nodes: int, backend: str, **form: Any
+) -> tuple[ca.Function, ca.Function]:
+    """The phases on a resolved back end; built once per process and structure."""
+    key = (vehicle.fingerprint, residual.function.serialize(), nodes, backend, *form.values())
+    if key not in _built:
+        phases = phase_functions(vehicle, residual, nodes, scalar=backend == "compiled", **form)
+        prepare, feedback = realise_together(phases, backend)
+        _built[key] = prepare, feedback
+    return _built[key]

@@ -1,0 +1,126 @@
+"""The server that worker processes are forked from: how it is started, and what its children inherit.
+
+It imports the slow modules once. Nothing heavy is imported here, so that a command can start the server first and go on
+meanwhile: with two cores or more, composing the cells of a sweep and importing what flies them take place at a time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from multiprocessing import forkserver, resource_tracker
+from pathlib import Path
+
+from quadexp.errors import UsageError
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+SAFE, PATH = "PYTHONSAFEPATH", "PYTHONPATH"
+# What nearly every flight needs.
+PRELOAD = (
+    "casadi", "numpy", "pyarrow.parquet", "quadexp.experiment.evaluate", "quadexp.experiment.rollout",
+    "quadexp.control.mpc.controller", "quadexp.world.simplified",
+)  # fmt: skip
+
+
+def start_server(preload: Sequence[str] = PRELOAD) -> None:
+    """Start the server, which then imports `preload`; it is not waited for. One that runs already is left as it is.
+
+    Its children search for modules where this process does, and use one thread of linear algebra.
+    """
+    multiprocessing.get_context("forkserver").set_forkserver_preload(list(dict.fromkeys(preload)))
+    with undisturbed(), same_imports(), one_thread():
+        resource_tracker.ensure_running()  # unblocks what it blocked, so it goes first
+        # Inherited: the server and its children end with this process, not by the Ctrl-C that reaches the group.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            forkserver.ensure_running()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def safe_path() -> Iterator[None]:
+    """Python processes started inside do not import from the folder where they are started.
+
+    Raises UsageError where Python was started with the option to ignore the environment variables that ask for it.
+    """
+    if sys.flags.ignore_environment and not sys.flags.safe_path:
+        raise UsageError(
+            "Python was started with -E, so that its children would import from the current folder: add -P"
+        )
+    with environment({SAFE: "1"}):
+        yield
+
+
+@contextlib.contextmanager
+def same_imports() -> Iterator[None]:
+    """Python processes started inside search for modules in the same places as this one, and in no others."""
+    places = [str(Path(place).absolute()) for place in sys.path if isinstance(place, str)]
+    known = os.pathsep.join(place for place in places if os.pathsep not in place)
+    with safe_path(), environment({PATH: known}):
+        yield
+
+
+@contextlib.contextmanager
+def without_main() -> Iterator[None]:
+    """Processes started inside do not import this program's main module: a script may start them without a guard.
+
+    What they call lies in modules of quadexp, so they have no need of it.
+    """
+    main = sys.modules["__main__"]
+    names = [name for name in ("__file__", "__spec__") if hasattr(main, name)]
+    saved = {name: getattr(main, name) for name in names}
+    for name in names:
+        setattr(main, name, None)
+    try:
+        yield
+    finally:
+        for name, value in saved.items():
+            setattr(main, name, value)
+
+
+@contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """Delay SIGINT and SIGTERM to the end of the block: workers interrupted while they start print long tracebacks."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    asked: list[int] = []
+    usual = {
+        number: signal.signal(number, lambda number, frame: asked.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in usual.items():
+            signal.signal(number, handler or signal.SIG_DFL)
+        for first in asked[:1]:
+            os.kill(os.getpid(), first)
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Processes started inside use one thread of linear algebra each."""
+    with environment(dict.fromkeys(THREADS, "1")):
+        yield
+
+
+@contextlib.contextmanager
+def environment(variables: Mapping[str, str]) -> Iterator[None]:
+    """Set environment variables for processes started inside; restored afterwards."""
+    saved = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in saved.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

@@ -1,0 +1,114 @@
+"""Motors: limits of their speed, a first-order lag up and down, and rotors that differ.
+
+    c_i = clip(u_i, k w_min^2, k w_max^2)        commanded thrusts u, N
+    y_i' = (y_c,i - y_i) / tau                   quadexp.physics.motor; y = T, or sqrt(T) for a lag of the rotor speed
+    T_i = s_0 s_i T(y_i)
+
+The lag is discretised exactly over the integration step; the thrust of its middle is held over it. The factors s_0 of
+the flight and s_i of each rotor are log-normal with mean 1 and the standard deviations of the settings, drawn when a
+flight begins. A flight begins with the rotors in hover.
+
+Inner states: y (n,), then what is logged (n,), see rotor_columns.py. Parameters: exp(-h / 2 tau) up and down over half
+an integration step h, least and largest thrust (N), thrust coefficient, s_0 s_i (n,).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from quadexp.config.motors import ActuatorKeys
+from quadexp.errors import UsageError
+from quadexp.physics.expression import Expression
+from quadexp.physics.motor import decayed, time_constant_towards
+from quadexp.physics.vehicle import Vehicle
+from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
+from quadexp.world.rotor_columns import first_rotor_column, rotor_column, rotor_column_factor, rotor_column_names
+
+NO_LAG = 1e-9  # s, in place of 0: the decay over any step is then exactly 0
+N_FIXED = 5  # parameters before the rotors' factors
+
+
+@dataclass(frozen=True)
+class Actuator(ActuatorKeys, Effect):
+    """See ActuatorKeys."""
+
+    stage = "actuator"
+
+    @property
+    def loop_lag(self) -> float:
+        """See Effect.loop_lag."""
+        return max(self.time_constant_up, self.time_constant_down)
+
+    def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
+        """See Effect.sizes. Raises UsageError for limits of the speed where the vehicle has no thrust coefficient."""
+        for key in ("rotor_speed_min", "rotor_speed_max"):
+            if getattr(self, key) is not None and vehicle.thrust_coefficient is None:
+                raise UsageError(
+                    f"actuator.{key}={getattr(self, key):g}: needs vehicle.thrust_coefficient, which"
+                    f" vehicle={vehicle.name} does not state"
+                )
+        return Sizes(inner=2 * vehicle.n_rotors, parameters=N_FIXED + vehicle.n_rotors)
+
+    def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
+        """See Effect.start."""
+        vehicle = start.vehicle
+        drawn = rng.standard_normal(1 + vehicle.n_rotors)  # whatever the settings: neither changes the other's draws
+        scale = log_normal(self.flight_scale_std, drawn[0]) * log_normal(self.rotor_scale_std, drawn[1:])
+        k = vehicle.thrust_coefficient or 0.0
+        low = k * (self.rotor_speed_min or 0.0) ** 2
+        high = math.inf if self.rotor_speed_max is None else k * self.rotor_speed_max**2
+        if not low <= vehicle.hover_thrust <= high:
+            raise UsageError(
+                f"actuator: rotors between {low:.3g} and {high:.3g} N by their speeds, hovering takes"
+                f" {vehicle.hover_thrust:.3g} N"
+            )
+        constants = [max(one, NO_LAG) for one in (self.time_constant_up, self.time_constant_down)]
+        decays = [math.exp(-start.clock.step / 2 / one) for one in constants]
+        first = self._lagging(np.full(vehicle.n_rotors, vehicle.hover_thrust))
+        inner = np.concatenate([np.array(first, float).ravel(), first_rotor_column(vehicle)])
+        return inner, np.concatenate([decays, [low, high, rotor_column_factor(vehicle)], scale])
+
+    def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
+        """See Effect.columns."""
+        return rotor_column_names(vehicle, vehicle.n_rotors)
+
+    def thrusts(self, at: Moment) -> Expression:
+        """See Effect.thrusts."""
+        return self._delivered(at, self._after(at)[0])
+
+    def advance(self, at: Moment) -> Expression:
+        """See Effect.advance."""
+        y = self._after(at)[1]
+        return ca.vertcat(y, at.inner[y.numel() :])
+
+    def end(self, at: Moment) -> Expression:
+        """See Effect.end: what is logged."""
+        y = at.inner[: at.inner.numel() // 2]
+        return ca.vertcat(y, rotor_column(self._delivered(at, y), at.parameters[4]))
+
+    def _lagging(self, thrust: Any) -> Any:
+        """y of a thrust."""
+        return ca.sqrt(thrust) if self.lag_of == "rotor_speed" else thrust
+
+    def _after(self, at: Moment) -> tuple[Expression, Expression]:
+        """y (n,) in the middle and at the end of the step."""
+        y, (up, down, low, high) = at.inner[: at.command.numel()], ca.vertsplit(at.parameters[:4])
+        command = self._lagging(ca.fmin(ca.fmax(at.command, low), high))
+        half = time_constant_towards(y, command, up, down)  # of the decays: which of the two holds
+        return decayed(y, command, half), decayed(y, command, half**2)
+
+    def _delivered(self, at: Moment, y: Expression) -> Expression:
+        """Thrusts (n,) (N)."""
+        return at.parameters[N_FIXED:] * (y**2 if self.lag_of == "rotor_speed" else y)
+
+
+def log_normal(std: float, drawn: Any) -> Any:
+    """Positive factors with mean 1 and this standard deviation, from standard normal numbers."""
+    spread = math.log1p(std**2)
+    return np.exp(math.sqrt(spread) * drawn - spread / 2)

@@ -1,0 +1,156 @@
+"""A battery that the rotors draw from, and the thrust that its voltage leaves them; equations: quadexp.physics.battery.
+
+Within an integration step the current is held, the RC pair and the charge are advanced exactly, and the voltage is its
+mean, so that energy is in balance. Over a control period E follows its tangent at the charge of the beginning: in 20 ms
+a battery that lasts 20 s loses 0.1 % of its charge, and E is off by some 1e-6 V (1e-3 V in the last percents of the
+charge, where it bends). The flight is over when the battery is empty, or its voltage below the cut-off.
+
+Inner states: state of charge, V_1, voltage (V), current (A), then of the rotors (n,) their thrusts, and at the end of a
+period what is logged, see rotor_columns.py; then a and b of the tangent a + b z. Parameters: see `PARAMETERS`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from quadexp.config.motors import BatteryKeys
+from quadexp.errors import UsageError
+from quadexp.physics.battery import (
+    OperatingPoint,
+    charge_after,
+    compensated_power,
+    compensated_thrust,
+    mean_share,
+    open_circuit_tangent,
+    open_circuit_voltage,
+    operating_point,
+    rotor_power,
+    sagging_power,
+    sagging_thrust,
+)
+from quadexp.physics.expression import Expression
+from quadexp.physics.motor import decayed
+from quadexp.physics.vehicle import Vehicle
+from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
+from quadexp.world.rotor_columns import first_rotor_column, rotor_column, rotor_column_factor, rotor_column_names
+
+CHARGE, RC_VOLTAGE, VOLTAGE, CURRENT = range(4)
+STATES, TANGENT = 4, 2
+PARAMETERS = (
+    "cells", "capacity", "resistance", "rc_resistance", "rc_decay", "rc_share", "per_reference", "power_of_a_newton",
+    "electronics", "thrust_max", "power_max", "cutoff", "rotor_column_factor",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Battery(BatteryKeys, Effect):
+    """See BatteryKeys."""
+
+    stage = "battery"
+
+    def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
+        """See Effect.sizes."""
+        return Sizes(inner=STATES + vehicle.n_rotors + TANGENT, parameters=len(PARAMETERS))
+
+    def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
+        """See Effect.start. Raises UsageError where the battery cannot hold the vehicle in hover."""
+        vehicle = start.vehicle
+        power = self.hover_power * vehicle.mass
+        source = float(open_circuit_voltage(self.state_of_charge, self.cells))
+        needed = power + self.electronics
+        if source**2 <= 4 * self.resistance * needed:
+            raise UsageError(
+                f"battery: {source:.1f} V over {self.resistance:g} Ohm give {source**2 / 4 / self.resistance:.0f} W at"
+                f" most, hovering takes {needed:.0f} W"
+            )
+        hovering = (source + math.sqrt(source**2 - 4 * self.resistance * needed)) / 2
+        step, rotor = start.clock.step, (vehicle.hover_thrust, power / vehicle.n_rotors)
+        values = {
+            "cells": self.cells, "capacity": self.capacity, "resistance": self.resistance,
+            "rc_resistance": self.rc_resistance, "rc_decay": math.exp(-step / self.rc_time_constant),
+            "rc_share": float(mean_share(self.rc_time_constant, step)),
+            "per_reference": 1 / (self.reference_voltage or hovering),
+            "power_of_a_newton": float(rotor_power(1.0, *rotor)),
+            "electronics": self.electronics, "thrust_max": vehicle.thrust_max,
+            "power_max": float(rotor_power(vehicle.thrust_max, *rotor)),
+            "cutoff": self.cutoff_voltage * self.cells, "rotor_column_factor": rotor_column_factor(vehicle),
+        }  # fmt: skip
+        inner = [self.state_of_charge, 0.0, hovering, needed / hovering, *first_rotor_column(vehicle), 0.0, 0.0]
+        return inner, [values[name] for name in PARAMETERS]
+
+    def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
+        """See Effect.columns."""
+        own = {"battery_voltage": VOLTAGE, "battery_current": CURRENT, "state_of_charge": CHARGE}
+        return {**own, **rotor_column_names(vehicle, STATES)}
+
+    def begin(self, at: Moment) -> Expression:
+        """See Effect.begin: the tangent."""
+        tangent = open_circuit_tangent(ca.fmax(at.inner[CHARGE], 0), self._named(at)["cells"])
+        return ca.vertcat(at.inner[:-TANGENT], *tangent)
+
+    def thrusts(self, at: Moment) -> Expression:
+        """See Effect.thrusts."""
+        return self._point(at).thrust
+
+    def advance(self, at: Moment) -> Expression:
+        """See Effect.advance."""
+        p, point = self._named(at), self._point(at)
+        charge = charge_after(at.inner[CHARGE], point.current, p["capacity"], at.step)
+        pair = decayed(at.inner[RC_VOLTAGE], p["rc_resistance"] * point.current, p["rc_decay"])
+        return ca.vertcat(charge, pair, point.voltage, point.current, point.thrust, at.inner[-TANGENT:])
+
+    def end(self, at: Moment) -> Expression:
+        """See Effect.end: what is logged."""
+        logged = rotor_column(at.inner[STATES:-TANGENT], self._named(at)["rotor_column_factor"])
+        return ca.vertcat(at.inner[:STATES], logged, at.inner[-TANGENT:])
+
+    def ended(self, inner: Any, parameters: Any) -> Any:
+        """See Effect.ended."""
+        cutoff = parameters[PARAMETERS.index("cutoff")]
+        return ca.fmax(inner[CHARGE] <= 0, inner[VOLTAGE] < cutoff)
+
+    def reason(self, inner: np.ndarray, parameters: np.ndarray) -> str:
+        """See Effect.reason."""
+        charge, voltage, current = (float(inner[i]) for i in (CHARGE, VOLTAGE, CURRENT))
+        if charge <= 0:
+            return f"the battery is empty (battery.capacity={self.capacity:g} Ah, {voltage:.1f} V left)"
+        if voltage < parameters[PARAMETERS.index("cutoff")]:
+            return (
+                f"the battery's {voltage:.1f} V are below battery.cutoff_voltage={self.cutoff_voltage:g} V per cell,"
+                f" at {current:.0f} A and {100 * charge:.0f} % of its charge,"
+            )
+        return ""
+
+    def _named(self, at: Moment) -> dict[str, Expression]:
+        return dict(zip(PARAMETERS, ca.vertsplit(at.parameters), strict=True))
+
+    def _point(self, at: Moment) -> OperatingPoint:
+        """Voltage, current and thrusts during the step."""
+        p = self._named(at)
+        commanded = rotor_power(at.command, 1, p["power_of_a_newton"])
+
+        def thrust_at(voltage: Expression) -> Expression:
+            ratio = voltage * p["per_reference"]
+            if self.compensation:
+                return compensated_thrust(at.command, ratio, self.thrust_exponent, p["thrust_max"])
+            return sagging_thrust(at.command, ratio, self.thrust_exponent)
+
+        def power_at(voltage: Expression) -> Expression:
+            ratio = voltage * p["per_reference"]
+            if self.compensation:
+                power = compensated_power(commanded, ratio, self.thrust_exponent, p["power_max"])
+            else:
+                power = sagging_power(commanded, ratio, self.thrust_exponent)
+            return power + p["electronics"]
+
+        first, slope = at.inner[-2], at.inner[-1]
+        source = first + slope * at.inner[CHARGE] - p["rc_share"] * at.inner[RC_VOLTAGE]
+        falls = -slope * charge_after(0, 1, p["capacity"], at.step / 2)  # E to the middle of the step, a ampere
+        resistance = p["resistance"] + (1 - p["rc_share"]) * p["rc_resistance"] + falls
+        return operating_point(source, resistance, at.inner[VOLTAGE], thrust_at, power_at)

@@ -1,0 +1,348 @@
+"""An airframe's equations and effects, joined into the one function of a control period.
+
+Over an integration step h, with the wind w, thrusts T, force F (world) and torque tau (body) held:
+
+    v -= w        the airframe flies in the frame that moves with the air; exact, whatever the airframe
+    v += h F / 2m,  omega += h J^-1 tau / 2        half of the external impulse before the step, half after it
+    x  = step(x, T)
+    v += h F / 2m,  omega += h J^-1 tau / 2
+    v += w,  p += h w
+
+The accelerometer's specific force gets R^T F / m besides. m is the mass that the airframe flies with, payload included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Any
+
+import casadi as ca
+
+from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
+from quadexp.physics.vehicle import Vehicle
+from quadexp.world.effect import Clock, Effect, Moment, Readings, Sizes, Told
+from quadexp.world.integrator import INPUTS, OUTPUTS, Equations
+
+WORLD_INPUTS = (*INPUTS, "draws", "time")
+WORLD_OUTPUTS = (*OUTPUTS, "measured")
+WRITTEN_OUT = 100  # integration steps of a control period that are not a loop
+WIND = 3  # inner states at the end: the wind of the last step, world (m/s)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the numbers of airframe and effects stand: the airframe's first, then each effect's, then the wind."""
+
+    airframe: Sizes
+    effects: tuple[Sizes, ...]
+
+    def ends(self, kind: str) -> list[int]:
+        """Where each begins, and the end of all: offsets for vertsplit."""
+        found = [0]
+        for sizes in (self.airframe, *self.effects):
+            found.append(found[-1] + getattr(sizes, kind))
+        return found
+
+    def size(self, kind: str) -> int:
+        """How many numbers there are; of the inner states without the wind."""
+        return self.ends(kind)[-1]
+
+
+def compose(
+    equations: Equations, effects: Sequence[Effect], layout: Layout, clock: Clock, vehicle: Vehicle
+) -> ca.Function:
+    """WORLD_INPUTS -> WORLD_OUTPUTS over a control period; then what the airframe keeps of the steps."""
+    last = max((i + 1 for i, effect in enumerate(effects) if effect.steps()), default=0)
+    stepping = Layout(layout.airframe, layout.effects[:last])  # the rest only measures, once a period
+    parts = _Parts(equations, tuple(effects[:last]), stepping, vehicle)
+    airframe, steps, n = layout.airframe, clock.steps, vehicle.n_rotors
+    x, inner = ca.MX.sym("x", N_STATE), ca.MX.sym("inner", layout.size("inner") + WIND)
+    u, noise, step = ca.MX.sym("u", n), ca.MX.sym("noise", layout.size("noise"), steps), ca.MX.sym("step")
+    parameters, draws = ca.MX.sym("parameters", layout.size("parameters")), ca.MX.sym("draws", layout.size("draws"))
+    time = ca.MX.sym("time")
+
+    cut = [0, airframe.inner, stepping.size("inner"), layout.size("inner"), inner.numel()]
+    inner_a, own, measuring, _ = ca.vertsplit(inner, cut)
+    theta, known = parameters[: airframe.parameters], parameters[: stepping.size("parameters")]
+    own = parts.begun()(time, x, own, u, known, draws[: stepping.size("draws")], step)
+    acting = noise[: stepping.size("noise"), :]
+    if equations.begin:
+        wind, thrusts, *_ = parts.drive()(time, x, own, u, acting[:, 0], known, step)
+        s, _ = equations.begin(_seen_from_the_air(x, wind), inner_a, thrusts, theta)
+        rest = s[N_STATE:]
+    else:
+        rest = inner_a
+    state = ca.vertcat(x, rest, parts.chosen(own, parts.moving), ca.MX.zeros(WIND + n + 3))
+    times = time + step * ca.DM(range(steps)).T
+    one, used = _trimmed(parts.step())
+    still = parts.chosen(own, parts.still)[used["still"]]
+    states, *kept = _repeated(one, steps, state, times, acting, (still, u, known[used["parameters"]], step))
+
+    sizes = [N_STATE, rest.numel(), parts.size(parts.moving), WIND, n, 3]
+    x_next, rest, moved, wind, thrusts, pushed = ca.vertsplit(states[:, -1], [0, *accumulate(sizes)])
+    own = parts.ending()(time + clock.period, x_next, parts.assembled(moved, own), known, step)
+    own = ca.vertcat(own, measuring)
+    if equations.end:
+        held = equations.command(thrusts, theta) if equations.command else thrusts
+        s = ca.vertcat(_seen_from_the_air(x_next, wind), rest)
+        _, inner_a, reading, doubt = equations.end(s, held, theta)
+        names = equations.step.name_out()[1:]
+    else:
+        inner_a, reading, doubt = rest, kept[0][:, -1], ca.MX(1, 1)
+        kept, names = kept[1:], []
+    reading += pushed
+    parts = _Parts(equations, tuple(effects), layout, vehicle)
+    doubt = parts.ended(own, parameters, doubt)
+
+    told: Told = {"state": x_next, "specific_force": reading}
+    own, told = parts.measured(
+        ca.horzcat(x, states[:N_STATE, :]), own, noise, parameters, draws, time + clock.period, step, clock, told
+    )
+    inner_next = ca.vertcat(inner_a, own, wind)
+    results = [x_next, inner_next, told["specific_force"], doubt, told["state"]]
+    arguments = [x, inner, u, noise, parameters, step, draws, time]
+    name = "_".join([equations.step.name(), *(effect.part for effect in effects)])
+    return ca.Function(f"{name}_period", arguments, [*results, *kept], WORLD_INPUTS, [*WORLD_OUTPUTS, *names])
+
+
+def _repeated(one: ca.Function, steps: int, state: ca.MX, times: ca.MX, noise: ca.MX, held: Any) -> list[ca.MX]:
+    """Results of all steps, column by column. held: still, u, parameters and step, the same for every step.
+
+    Written out, a call a step, what is held is read where it is; a loop needs a copy of it for every step.
+    """
+    if steps > WRITTEN_OUT:
+        again = [ca.repmat(value, 1, steps) for value in held]
+        found = one.mapaccum(steps)(state, times, *again[:2], noise, *again[2:])
+        return list(found) if isinstance(found, tuple) else [found]
+    columns = list[list[ca.MX]]()
+    for i in range(steps):
+        found = one(state, times[i], *held[:2], noise[:, i], *held[2:])
+        columns.append(list(found) if isinstance(found, tuple) else [found])
+        state = columns[-1][0]
+    return [ca.horzcat(*each) for each in zip(*columns, strict=True)]
+
+
+def _trimmed(step: ca.Function) -> tuple[ca.Function, dict[str, list[int]]]:
+    """A step without the entries of `still` and `parameters` that it does not use, and those that it does.
+
+    They are copied for every step, which costs more than many an effect.
+    """
+    places = {"still": 2, "parameters": 5}
+    used = {name: [*range(step.size1_in(i))] for name, i in places.items()}
+    if not step.is_a("SXFunction"):
+        return step, used
+    given = step.sx_in()
+    results = step.call(given)
+    for name, i in places.items():
+        needed = ca.which_depends(ca.vertcat(*map(ca.vec, results)), given[i], 1, False) if used[name] else []
+        used[name] = [place for place, one in enumerate(needed) if one]
+        given[i] = given[i][used[name]]
+    return ca.Function(step.name(), given, results), used
+
+
+def wind_function(equations: Equations, effects: Sequence[Effect], layout: Layout, vehicle: Vehicle) -> ca.Function:
+    """(t, x, the effects' inner states, u, noise, parameters, step) -> the wind (3,), world (m/s), as in a step."""
+    drive = _Parts(equations, tuple(effects), layout, vehicle).drive()
+    return drive.slice("wind", range(drive.n_in()), [0])
+
+
+def _seen_from_the_air(x: Any, wind: Any) -> Any:
+    """A state in the frame that moves with the wind."""
+    return ca.vertcat(x[: VELOCITY.start], x[VELOCITY] - wind, x[RATE])
+
+
+class _Parts:
+    """The functions that `compose` joins. Their `own` are the inner states of all effects, one after another."""
+
+    def __init__(self, equations: Equations, effects: tuple[Effect, ...], layout: Layout, vehicle: Vehicle) -> None:
+        self._equations, self._effects, self._layout, self._vehicle = equations, effects, layout, vehicle
+        self._kind: Any = ca.MX if any(effect.kind is ca.MX for effect in effects) else ca.SX
+        # Effects whose inner states change from step to step, and those that only use them in the steps.
+        self.moving = [i for i, effect in enumerate(effects) if effect.has("advance")]
+        acting = [i for i, one in enumerate(effects) if any(map(one.has, ("wind", "thrusts", "wrench")))]
+        self.still = [i for i in acting if i not in self.moving]
+
+    def size(self, which: list[int]) -> int:
+        """Number of the inner states of some effects."""
+        return sum(self._layout.effects[i].inner for i in which)
+
+    def chosen(self, own: Any, which: list[int]) -> Any:
+        """The inner states of some effects, of those of all."""
+        pieces = self._cut(own, "inner")
+        return ca.vertcat(own[:0], *(pieces[i] for i in which))
+
+    def assembled(self, moved: Any, own: Any) -> Any:
+        """The inner states of all effects: `moved` of those that change from step to step, the others' from `own`."""
+        pieces, first = self._cut(own, "inner"), 0
+        for i in self.moving:
+            size = self._layout.effects[i].inner
+            pieces[i], first = moved[first : first + size], first + size
+        return ca.vertcat(own[:0], *pieces)
+
+    def _cut(self, value: Any, kind: str) -> list[Any]:
+        """The effects' shares of a vector, with the airframe's before them or, of the inner states, without."""
+        ends = self._layout.ends(kind)
+        first = ends[1] if kind == "inner" else 0
+        return [value[low - first : high - first] for low, high in zip(ends[1:-1], ends[2:], strict=True)]
+
+    def _symbols(self, *names: str) -> list[Any]:
+        sizes = {
+            "t": 1, "x": N_STATE, "own": self._layout.size("inner") - self._layout.airframe.inner,
+            "u": self._vehicle.n_rotors, "noise": self._layout.size("noise"), "step": 1, "x_next": N_STATE,
+            "parameters": self._layout.size("parameters"), "draws": self._layout.size("draws"), "wind": WIND,
+            "thrusts": self._vehicle.n_rotors,
+        }  # fmt: skip
+        return [self._kind.sym(name, sizes[name]) for name in names]
+
+    def _moments(self, **given: Any) -> list[Moment]:
+        """What each effect sees. own, noise, parameters, draws: of all of them."""
+        cut = {
+            name: self._cut(given.pop(name), kind) if name in given else [self._kind(0, 1)] * len(self._effects)
+            for name, kind in (("own", "inner"), ("noise", "noise"), ("parameters", "parameters"), ("draws", "draws"))
+        }
+        rest = {"wind": self._kind.zeros(WIND), "thrust": None, "x_next": None, "command": None} | given
+        return [
+            Moment(inner=inner, noise=noise, parameters=theta, draws=draws, **rest)
+            for inner, noise, theta, draws in zip(*cut.values(), strict=True)
+        ]
+
+    def _function(self, name: str, symbols: list[Any], results: list[Any]) -> ca.Function:
+        results = [ca.densify(one) for one in results]
+        return ca.Function(name, symbols, ca.cse(results) if self._kind is ca.SX else results)
+
+    def begun(self) -> ca.Function:
+        """(t, x, own, u, parameters, draws, step) -> own at the beginning of a period."""
+        symbols = self._symbols("t", "x", "own", "u", "parameters", "draws", "step")
+        t, x, own, u, parameters, draws, step = symbols
+        moments = self._moments(t=t, x=x, own=own, command=u, parameters=parameters, draws=draws, step=step)
+        found = [
+            effect.begin(at) if effect.has("begin") else at.inner
+            for effect, at in zip(self._effects, moments, strict=True)
+        ]
+        return self._function("begun", symbols, [ca.vertcat(*found)])
+
+    def ending(self) -> ca.Function:
+        """(t, x, own, parameters, step) -> own at the end of a period, before anything is measured."""
+        symbols = self._symbols("t", "x", "own", "parameters", "step")
+        t, x, own, parameters, step = symbols
+        moments = self._moments(t=t, x=x, own=own, parameters=parameters, step=step)
+        found = [
+            effect.end(at) if effect.has("end") else at.inner for effect, at in zip(self._effects, moments, strict=True)
+        ]
+        return self._function("ending", symbols, [ca.vertcat(*found)])
+
+    def drive(self) -> ca.Function:
+        """(t, x, own, u, noise, parameters, step) -> wind (3,), thrusts (n,), force (3,) world, torque (3,) body."""
+        symbols = self._symbols("t", "x", "own", "u", "noise", "parameters", "step")
+        t, x, own, command, noise, parameters, step = symbols
+        moments = self._moments(t=t, x=x, own=own, noise=noise, parameters=parameters, step=step)
+        wind, force, torque = (self._kind.zeros(3) for _ in range(3))
+        for effect, at in zip(self._effects, moments, strict=True):
+            if effect.has("wind"):
+                wind += effect.wind(at)
+        entering = []
+        for effect, at in zip(self._effects, moments, strict=True):
+            entering.append(command)
+            if effect.has("thrusts"):
+                command = effect.thrusts(at._replace(command=command, wind=wind))
+        for effect, at, enters in zip(self._effects, moments, entering, strict=True):
+            if effect.has("wrench"):
+                more = effect.wrench(at._replace(command=enters, wind=wind, thrust=command))
+                force, torque = force + more[0], torque + more[1]
+        return self._function("drive", symbols, [wind, command, force, torque, *entering])
+
+    def _after(self) -> ca.Function:
+        """(t, x, own, noise, parameters, step, wind, thrusts, x_next, entering ..) -> own after the step."""
+        symbols = self._symbols("t", "x", "own", "noise", "parameters", "step", "wind", "thrusts", "x_next")
+        entering = [self._symbols("u")[0] for _ in self._effects]
+        t, x, own, noise, parameters, step, wind, thrusts, x_next = symbols
+        moments = self._moments(
+            t=t, x=x, own=own, noise=noise, parameters=parameters, step=step, wind=wind, thrust=thrusts, x_next=x_next
+        )
+        found = [
+            effect.advance(at._replace(command=command)) if effect.has("advance") else at.inner
+            for effect, at, command in zip(self._effects, moments, entering, strict=True)
+        ]
+        return self._function("after", [*symbols, *entering], [ca.vertcat(*found)])
+
+    def step(self) -> ca.Function:
+        """(S, t, still, u, noise, parameters, step) -> S, what the airframe keeps; S = [x, the airframe's further s,
+        moving inner states, wind, thrusts, force over mass in the body frame (3,)]; still: those that stay."""
+        equations, layout, n = self._equations, self._layout, self._vehicle.n_rotors
+        further, moving = equations.step.size1_in(0) - N_STATE, self.size(self.moving)
+        sizes = [N_STATE, further, moving, WIND + n + 3]
+        S, still = ca.MX.sym("S", sum(sizes)), ca.MX.sym("still", self.size(self.still))
+        x, rest, moved, _ = ca.vertsplit(S, [0, *accumulate(sizes)])
+        t, u, step = ca.MX.sym("t"), ca.MX.sym("u", n), ca.MX.sym("step")
+        noise, parameters = ca.MX.sym("noise", layout.size("noise")), ca.MX.sym("parameters", layout.size("parameters"))
+        theta = parameters[: layout.airframe.parameters]
+
+        pieces, first = [ca.MX(sizes.inner, 1) for sizes in layout.effects], 0
+        for i in self.still:
+            size = layout.effects[i].inner
+            pieces[i], first = still[first : first + size], first + size
+        own = self.assembled(moved, ca.vertcat(ca.MX(0, 1), *pieces))
+        wind, thrusts, force, torque, *entering = self.drive()(t, x, own, u, noise, parameters, step)
+        pushes = any(effect.has("wrench") for effect in self._effects)
+        blows = any(effect.has("wind") for effect in self._effects)
+        mass = equations.mass(theta) if equations.mass else self._vehicle.mass
+        kick = step / 2 * force / mass
+        turn = step / 2 * ca.mtimes(ca.inv(ca.DM(self._vehicle.inertia_matrix)), torque)
+
+        def kicked(state: ca.MX) -> ca.MX:
+            if not pushes:
+                return state
+            return ca.vertcat(state[: VELOCITY.start], state[VELOCITY] + kick, state[RATE] + turn)
+
+        seen = kicked(_seen_from_the_air(x, wind) if blows else x)
+        held = equations.command(thrusts, theta) if equations.command else thrusts
+        found = equations.step(ca.vertcat(seen, rest), held, noise[: layout.airframe.noise], theta, step)
+        s, *kept = found if isinstance(found, tuple) else (found,)
+        x_next, rest = kicked(s[:N_STATE]), s[N_STATE:]
+        if blows:
+            x_next = ca.vertcat(x_next[POSITION] + step * wind, x_next[ATTITUDE], x_next[VELOCITY] + wind, x_next[RATE])
+        if self.moving:
+            own = self._after()(t, x, own, noise, parameters, step, wind, thrusts, x_next, *entering)
+        pushed = ca.mtimes(rotation_matrix(x_next[ATTITUDE]).T, force / mass) if pushes else ca.MX.zeros(3)
+        S_next = ca.vertcat(x_next, rest, self.chosen(own, self.moving), wind, thrusts, pushed)
+        one = ca.Function("world_step", [S, t, still, u, noise, parameters, step], [S_next, *kept])
+        if self._kind is not ca.SX or not equations.step.is_a("SXFunction"):
+            return one
+        # In scalar expressions everything is one function, without copies, and what two hooks compute is computed once.
+        symbols = one.sx_in()
+        return ca.Function(one.name(), symbols, ca.cse(one.call(symbols)))
+
+    def ended(self, own: Any, parameters: Any, doubt: Any) -> Any:
+        """The doubt of the airframe, or that an effect ends the flight: Python then says why."""
+        for effect, inner, theta in zip(
+            self._effects, self._cut(own, "inner"), self._cut(parameters, "parameters"), strict=True
+        ):
+            if effect.has("ended"):
+                doubt = ca.fmax(doubt, effect.ended(inner, theta))
+        return doubt
+
+    def measured(
+        self,
+        states: Any,
+        own: Any,
+        noise: Any,
+        parameters: Any,
+        draws: Any,
+        t: Any,
+        step: Any,
+        clock: Clock,
+        told: Told,
+    ) -> tuple[Any, Told]:
+        """own after the period, and what the controller is told."""
+        found = []
+        rows = self._layout.ends("noise")[1:]
+        cut = [self._cut(value, kind) for value, kind in ((own, "inner"), (parameters, "parameters"), (draws, "draws"))]
+        for i, (effect, inner, theta, drawn) in enumerate(zip(self._effects, *cut, strict=True)):
+            if effect.has("measure"):
+                at = Readings(t, states, inner, noise[rows[i] : rows[i + 1], :], theta, drawn, step, clock)
+                inner, told = effect.measure(at, told)
+            found.append(inner)
+        return ca.vertcat(*found), told

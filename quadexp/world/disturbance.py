@@ -1,0 +1,47 @@
+"""A force and a torque from outside, constant or for a while.
+
+    F(t) = F, tau(t) = tau     for t_0 <= t < t_0 + D, else zero                  force world (N), torque body (N m)
+
+In a step that begins or ends the while, they act with the share of the step that lies inside, so that the impulse F D
+does not depend on the step.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from quadexp.config.airframe import DisturbanceKeys
+from quadexp.physics.expression import Expression
+from quadexp.physics.vehicle import Vehicle
+from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
+
+
+def active_share(t: Expression, step: Expression, start: Expression, end: Expression) -> Expression:
+    """Share of the step (s) from t (s) on that lies between start and end (s), 0 .. 1."""
+    return ca.fmax(ca.fmin(t + step, end) - ca.fmax(t, start), 0) / step
+
+
+@dataclass(frozen=True)
+class Disturbance(DisturbanceKeys, Effect):
+    """See DisturbanceKeys. parameters: force (3,), world (N); torque (3,), body (N m); onset and end (s)."""
+
+    stage = "external"
+
+    def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
+        """See Effect.sizes."""
+        return Sizes(parameters=8)
+
+    def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
+        """See Effect.start."""
+        end = math.inf if self.duration is None else self.onset + self.duration
+        return (), (*self.force, *self.torque, self.onset, end)
+
+    def wrench(self, at: Moment) -> tuple[Expression, Expression]:
+        """See Effect.wrench."""
+        share = active_share(at.t, at.step, at.parameters[6], at.parameters[7])
+        return share * at.parameters[:3], share * at.parameters[3:6]

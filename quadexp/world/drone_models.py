@@ -1,0 +1,180 @@
+"""drone-models' first-principles Crazyflie (version 0.1) as a plant: its equations, written anew in CasADi.
+
+Rotor i at r_i turns with n_i (rpm), its reaction torque has the sign s_i about +z_body; v is the air-relative body
+velocity:
+
+    n_i'  = c_1 (n*_i - n_i) + c_2 (n*_i^2 - n_i^2)         c: spin_up where n*_i > n_i, spin_down elsewhere
+    f_i   = k_0 + k_1 n_i + k_2 n_i^2                       N; n*_i is its root for the commanded thrust u_i
+    t_i   = m_0 + m_1 n_i + m_2 n_i^2                       N m
+    F     = sum_i f_i e_z - diag(d) v                       N
+    Gamma = sum_i (r_i x f_i e_z + s_i t_i e_z) + J_p [-w_y N, -w_x N, N'],   N = sum_i s_i n_i pi / 30        N m
+    v'    = R F / m + g,   J w' = Gamma - w x J w
+
+r_i, s_i, m, J and the limits of u_i are the vehicle's. The angular momentum of the rotors is -J_p N e_z, whose change
+would be +w_y N along x; the package has -w_y N there, and so has this plant. In hover N is zero.
+
+drone-models: MIT licence, M. Rath and M. Schuck, University of Toronto (utiasDSL/drone-models).
+"""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+import numpy as np
+
+from quadexp.air.base import Residual, feature_names, symbolic_residual
+from quadexp.config.foreign import DroneModelsKeys
+from quadexp.errors import UsageError
+from quadexp.physics.drag import linear_drag_force
+from quadexp.physics.expression import Expression
+from quadexp.physics.rigid_body import body_features, state_derivative
+from quadexp.physics.state import N_STATE
+from quadexp.physics.vehicle import Vehicle
+from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, SimulatedPlant, integrate
+
+THRUST, TORQUE, UP, DOWN, DRAG, INERTIA = (
+    slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 10), slice(10, 13), 13,
+)  # fmt: skip
+N_PARAMETERS = 14
+RPM = math.pi / 30  # rad/s
+OTHER_ROTOR = 0.1  # of the thrust per rotor speed squared in hover: more is another vehicle's
+
+
+class DroneModelsPlant(SimulatedPlant):
+    """drone-models' first-principles model, with its motors, as a Plant.
+
+    vehicle: with thrust_coefficient. keys: of rotors and drag. step: largest integration step (s); a control period is
+    divided evenly. After `advance`: rotor_speed (n,) (rad/s). Raises UsageError where thrust_curve does not rise over
+    the vehicle's thrusts, or in hover is not that of the vehicle's thrust_coefficient.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, keys: DroneModelsKeys | None = None, *, step: float = 1e-3, backend: str = "auto"
+    ) -> None:
+        self.keys = keys or DroneModelsKeys()
+        k_0, k_1, k_2 = self.keys.thrust_curve
+        if not (k_2 > 0 and k_1**2 > 4 * k_2 * (k_0 - vehicle.thrust_min)):
+            raise UsageError(
+                f"plant.thrust_curve={list(self.keys.thrust_curve)}: must rise with the speed from"
+                f" vehicle.thrust_min={vehicle.thrust_min:g} N on"
+            )
+        hover = vehicle.hover_thrust / self._speed(vehicle.hover_thrust) ** 2
+        stated = vehicle.thrust_coefficient
+        if stated is None or abs(hover / stated - 1) > OTHER_ROTOR:
+            raise UsageError(
+                f"plant.thrust_curve: vehicle={vehicle.name} would hover with {hover:.3g} N s^2 of thrust per rotor"
+                f" speed squared, its vehicle.thrust_coefficient is {stated}: the curve is another vehicle's"
+                " (vehicle=cf2x_L250 flies plant=drone_models, vehicle=cf21B_500 plant=drone_models_brushless)"
+            )
+        super().__init__(vehicle, _equations(vehicle), self._values(), step=step, backend=backend)
+
+    def _values(self) -> np.ndarray:
+        """Parameters of the equations, (14,)."""
+        keys = self.keys
+        return np.hstack(
+            [keys.thrust_curve, keys.torque_curve, keys.spin_up, keys.spin_down, keys.linear_drag]
+            + [keys.propeller_inertia]
+        )
+
+    def _speed(self, thrust: float) -> float:
+        """Rotor speed (rad/s) at a thrust (N) that is held."""
+        k_0, k_1, k_2 = self.keys.thrust_curve
+        return RPM * (math.sqrt(k_1**2 - 4 * k_2 * (k_0 - thrust)) - k_1) / (2 * k_2)
+
+    def initial(self) -> np.ndarray:
+        """See SimulatedPlant: the speeds of hover."""
+        return np.full(self.vehicle.n_rotors, self._speed(self.vehicle.hover_thrust))
+
+    @property
+    def inner_columns(self) -> tuple[str, ...]:
+        """See SimulatedPlant."""
+        return tuple(f"rotor_speed_{rotor}" for rotor in range(self.vehicle.n_rotors))
+
+    @property
+    def rotor_speed(self) -> np.ndarray:
+        """(n,), rad/s."""
+        return self.inner
+
+    @property
+    def loop_lag(self) -> float:  # type: ignore[override]
+        """See SimulatedPlant: in hover, of thrust after a small change of the command, up or down, the longer (s)."""
+        rpm = self._speed(self.vehicle.hover_thrust) / RPM
+        return 1 / min(linear + 2 * square * rpm for linear, square in (self.keys.spin_up, self.keys.spin_down))
+
+    def residual(self) -> Residual:
+        """See Plant.residual: drag, reaction torque and rotors as gyroscopes at the commanded speeds.
+
+        The lag of the motors, which controller.motor_lag says, is left out, and with it the torque of spinning up.
+        """
+        n, vehicle = self.vehicle.n_rotors, self.vehicle
+        z, theta = ca.SX.sym("z", len(feature_names(n))), ca.SX.sym("theta", N_PARAMETERS)
+        command = z[6:]
+        rpm = _commanded(ca.fmax(command, 0.1 * vehicle.hover_thrust), theta)
+        _, torque = wrench(z[:3], z[3:6], rpm, ca.SX(n, 1), vehicle, theta)
+        static = ca.mtimes(ca.DM(vehicle.allocation[1:3]), command - _thrust(rpm, theta))
+        nominal = ca.mtimes(ca.DM(vehicle.allocation[1:]), command)
+        acceleration = linear_drag_force(z[:3], theta[DRAG]) / vehicle.mass
+        outputs = ca.vertcat(acceleration, torque + ca.vertcat(static, 0) - nominal)
+        return symbolic_residual("plant", outputs, z, theta, self._values(), source="plant equations")
+
+
+def _thrust(rpm: Expression, parameters: Expression) -> Expression:
+    """f (n,) (N)."""
+    k = parameters[THRUST]
+    return k[0] + k[1] * rpm + k[2] * rpm**2
+
+
+def _commanded(u: Expression, parameters: Expression) -> Expression:
+    """n* (n,) (rpm) of thrusts u (n,) (N)."""
+    k = parameters[THRUST]
+    return (ca.sqrt(k[1] ** 2 - 4 * k[2] * (k[0] - u)) - k[1]) / (2 * k[2])
+
+
+def _spinning(rpm: Expression, command: Expression, parameters: Expression) -> Expression:
+    """n' (n,) (rpm/s)."""
+    up, down = parameters[UP], parameters[DOWN]
+    difference, squares = command - rpm, command**2 - rpm**2
+    return ca.if_else(difference > 0, up[0] * difference + up[1] * squares, down[0] * difference + down[1] * squares)
+
+
+def wrench(
+    v: Expression, rate: Expression, rpm: Expression, rpm_rate: Expression, vehicle: Vehicle, parameters: Expression
+) -> tuple[Expression, Expression]:
+    """Force (3,) (N) and torque (3,) (N m) of rotors and air, body frame; see the module.
+
+    v: air-relative velocity, body frame (3,) (m/s). rate: (3,) (rad/s). rpm, rpm_rate: (n,) (rpm, rpm/s).
+    """
+    spin, m = ca.DM(vehicle.rotor_spin), parameters[TORQUE]
+    rotors = ca.mtimes(ca.DM(vehicle.allocation[:3]), _thrust(rpm, parameters))
+    reaction = ca.dot(spin, m[0] + m[1] * rpm + m[2] * rpm**2)
+    total, change = RPM * ca.dot(spin, rpm), RPM * ca.dot(spin, rpm_rate)
+    gyroscopic = parameters[INERTIA] * ca.vertcat(-rate[1] * total, -rate[0] * total, change)
+    force = linear_drag_force(v, parameters[DRAG]) + ca.vertcat(0, 0, rotors[0])
+    return force, ca.vertcat(rotors[1:], reaction) + gyroscopic
+
+
+def derivative(vehicle: Vehicle) -> ca.Function:
+    """(s (13 + n,): x and rotor speeds (rad/s), u (n,) (N), parameters) -> s', and the specific force (3,) (m/s^2)."""
+    n = vehicle.n_rotors
+    s, u, parameters = ca.SX.sym("s", N_STATE + n), ca.SX.sym("u", n), ca.SX.sym("parameters", N_PARAMETERS)
+    x, rpm = s[:N_STATE], s[N_STATE:] / RPM
+    spinning = _spinning(rpm, _commanded(u, parameters), parameters)
+    z = body_features(x, u)
+    force, torque = wrench(z[:3], z[3:6], rpm, spinning, vehicle, parameters)
+    motion = state_derivative(x, ca.SX(n, 1), vehicle, ca.vertcat(force / vehicle.mass, torque))
+    change = ca.vertcat(motion, RPM * spinning)
+    return ca.Function("drone_models_derivative", [s, u, parameters], [change, force / vehicle.mass])
+
+
+def _equations(vehicle: Vehicle) -> Equations:
+    """RK4; inner states are the rotor speeds, and there is no noise."""
+    n, f = vehicle.n_rotors, derivative(vehicle)
+    s, u, noise = ca.SX.sym("s", N_STATE + n), ca.SX.sym("u", n), ca.SX.sym("noise", 0)
+    parameters, step = ca.SX.sym("parameters", N_PARAMETERS), ca.SX.sym("step")
+    thrusts = ca.fmin(ca.fmax(u, vehicle.thrust_min), vehicle.thrust_max)
+    after = integrate("rk4", lambda state: f(state, thrusts, parameters)[0], s, step)
+    results = ca.cse([after, f(after, thrusts, parameters)[1]])
+    return Equations(
+        ca.Function("drone_models_step", [s, u, noise, parameters, step], results, STEP_INPUTS, STEP_OUTPUTS)
+    )

@@ -1,0 +1,195 @@
+"""Continuous turbulence after Dryden in the low-altitude form of MIL-F-8785C (3.7.3 and 3.7.5).
+
+One-sided spectra over the angular frequency w (rad/s) for T = L / V, scale length over airspeed; integral sigma^2:
+
+    along the wind          Phi_u = sigma_u^2 2 T_u / pi / (1 + (T_u w)^2)
+    across, and vertical    Phi_v = sigma_v^2 T_v / pi (1 + 3 (T_v w)^2) / (1 + (T_v w)^2)^2       (m/s)^2 / (rad/s)
+
+Forming filters with white noise xi, in states without a unit whose stationary covariance P does not depend on T:
+
+    T z_1' = -z_1 + sqrt(2 T) xi,   T z_2' = z_1 - z_2         P = [1, 1/2; 1/2, 1/2]
+    u = sigma_u z_1,   v = sigma_v (sqrt(3) z_1 + (1 - sqrt(3)) z_2) / sqrt(2)
+
+They begin in P and are solved exactly over a step h, so that P holds at any step and any airspeed, constant or not:
+
+    z(t + h) = F z + sqrt(Q) n,   F = exp(-s) [1, 0; s, 1],   Q = P - F P F',   s = h / T,   n standard normal
+
+Axes, fixed in the world for a flight: "along" is the horizontal direction of the mean wind (world x where there is
+none), "across" is horizontal and 90 degrees to the left of it, "vertical" is up. The air is frozen while the vehicle
+passes at the airspeed V.
+
+The filters are advanced every 5 ms, or more often where the turbulence is finer, and their wind is held in between;
+V is that of the beginning of the control period. Held values have the asked intensity exactly. What holding changes
+lies near 200 Hz and beyond: with T = 0.3 s (6 m at 20 m/s) the corner of the spectrum is at 0.5 Hz, and a vehicle
+follows the air through its drag, within about a second.
+
+Scale lengths and intensities at the altitude h, both in feet, for 10 ft <= h <= 1000 ft and the wind W_20 at 20 ft:
+
+    L_w = h,   L_u = L_v = h / (.177 + .000823 h)^1.2
+    sigma_w = .1 W_20,   sigma_u = sigma_v = sigma_w / (.177 + .000823 h)^.4
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from quadexp.config.wind import DrydenKeys
+from quadexp.physics.expression import Expression
+from quadexp.physics.state import VELOCITY
+from quadexp.physics.vehicle import Vehicle
+from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
+
+FOOT = 0.3048  # m
+N_FILTER, N_NOISE = 5, 5  # states [along z_1; across z_1, z_2; vertical z_1, z_2], and numbers per step
+N_PARAMETERS = 21
+TRANSVERSE = (math.sqrt(1.5), (1 - math.sqrt(3)) / math.sqrt(2))  # of z_1 and z_2
+HELD = 5e-3  # s, for which a wind is held at most
+SHARE, PASSING = 0.1, 20.0  # and at most this share of L / V, at this airspeed (m/s) where V is the vehicle's own
+IN_TIME = 1e-9  # s, by which an integration step may begin before the wind that it takes
+SMALL, TERMS = 0.1, 10  # s up to which moments are summed as series, and terms that reach rounding there
+
+
+def scale_lengths(altitude: float) -> np.ndarray:
+    """L along, across and vertical, (3,) (m), at an altitude (m)."""
+    feet = altitude / FOOT
+    horizontal = altitude / (0.177 + 0.000823 * feet) ** 1.2
+    return np.array([horizontal, horizontal, altitude])
+
+
+def intensities(altitude: float, wind_at_6m: float) -> np.ndarray:
+    """Standard deviations along, across and vertical, (3,) (m/s), at an altitude (m), by the wind at 20 ft (m/s)."""
+    vertical = 0.1 * wind_at_6m
+    horizontal = vertical / (0.177 + 0.000823 * altitude / FOOT) ** 0.4
+    return np.array([horizontal, horizontal, vertical])
+
+
+def axes(mean_wind: np.ndarray) -> np.ndarray:
+    """World directions of along, across and vertical as columns, (3, 3), for a mean wind (3,), world (m/s)."""
+    speed = math.hypot(mean_wind[0], mean_wind[1])
+    x, y = (mean_wind[0] / speed, mean_wind[1] / speed) if speed > 0 else (1.0, 0.0)
+    return np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]])
+
+
+def stationary(noise: np.ndarray) -> np.ndarray:
+    """Filter states (5,) drawn from their stationary distribution, by standard-normal numbers (5,)."""
+    along, *transverse = noise
+    half = math.sqrt(0.5)
+    pairs = [(z, z / 2 + half * half * n) for z, n in (transverse[:2], transverse[2:])]
+    return np.array([along, *pairs[0], *pairs[1]])
+
+
+def advanced(filters: Expression, noise: Expression, time_scale: Expression, step: Expression) -> Expression:
+    """Filter states (5,) after a step (s); noise (5,) standard normal; time_scale T = L / V, (3,) (s)."""
+    s = [step / time_scale[i] for i in range(3)]
+    along = ca.exp(-s[0]) * filters[0] + ca.sqrt(-ca.expm1(-2 * s[0])) * noise[0]
+    rows = [along]
+    for i, first in ((1, 1), (2, 3)):
+        z, n, decay = filters[first : first + 2], noise[first : first + 2], ca.exp(-s[i])
+        root_11, root_21, root_22 = _root(s[i])
+        rows += [decay * z[0] + root_11 * n[0], decay * (s[i] * z[0] + z[1]) + root_21 * n[0] + root_22 * n[1]]
+    return ca.vertcat(*rows)
+
+
+def turbulence(filters: Expression, intensity: Expression) -> Expression:
+    """Velocity of the air along, across and vertical, (3,) (m/s); filters (5,); intensity sigma (3,) (m/s)."""
+    across, vertical = (TRANSVERSE[0] * filters[i] + TRANSVERSE[1] * filters[i + 1] for i in (1, 3))
+    return intensity * ca.vertcat(filters[0], across, vertical)
+
+
+@dataclass(frozen=True)
+class Dryden(DrydenKeys, Effect):
+    """See DrydenKeys. inner: filter states (5,); of the control period the first wind and what each further one adds
+    (3, k), world (m/s), column by column, and when each begins to hold (k,) (s).
+
+    parameters: mean wind (3,), world (m/s); axes (9,), column by column; intensity (3,) (m/s); scale lengths (3,) (m);
+    least and largest airspeed at which the turbulence passes (m/s); how long a wind is held (s).
+    """
+
+    stage = "wind"
+
+    def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
+        """See Effect.sizes."""
+        count = self.winds(clock)
+        return Sizes(inner=N_FILTER + 4 * count, parameters=N_PARAMETERS, draws=N_NOISE * count)
+
+    def winds(self, clock: Clock) -> int:
+        """How many winds there are in a control period, k; not more than integration steps."""
+        finest = min(self._lengths()) / (PASSING if self.airspeed is None else self.airspeed)
+        return min(max(1, math.ceil(clock.period / min(HELD, SHARE * finest) - 1e-9)), clock.steps)
+
+    def _lengths(self) -> np.ndarray:
+        return scale_lengths(self.altitude) if self.length is None else np.array(self.length)
+
+    def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
+        """See Effect.start: the filters begin in their stationary distribution."""
+        mean = np.array(self.velocity)
+        at_6m = math.hypot(*self.velocity[:2]) if self.wind_at_6m is None else self.wind_at_6m
+        intensity = intensities(self.altitude, at_6m) if self.intensity is None else self.intensity
+        speeds = (self.airspeed_min, math.inf) if self.airspeed is None else (self.airspeed, self.airspeed)
+        count = self.winds(start.clock)
+        held = [start.clock.period / count]
+        parameters = np.concatenate([mean, axes(mean).ravel(order="F"), intensity, self._lengths(), speeds, held])
+        filters = stationary(rng.standard_normal(N_NOISE))
+        first = _blown()(filters, parameters).full().ravel()
+        return np.concatenate([filters, first, np.zeros(4 * count - 3)]), parameters
+
+    def begin(self, at: Moment) -> Expression:
+        """See Effect.begin: the winds of the period."""
+        mean, length, limits = at.parameters[:3], at.parameters[15:18], at.parameters[18:20]
+        airspeed = ca.fmin(ca.fmax(ca.sqrt(ca.sumsqr(at.x[VELOCITY] - mean)), limits[0]), limits[1])
+        held, count = at.parameters[20], at.draws.numel() // N_NOISE
+        filters, winds = at.inner[:N_FILTER], []
+        for noise in ca.vertsplit(at.draws, N_NOISE):
+            winds.append(_velocity(filters, at.parameters))
+            filters = advanced(filters, noise, length / airspeed, held)
+        added = [after - before for before, after in pairwise(winds)]
+        return ca.vertcat(filters, winds[0], *added, *(at.t + i * held for i in range(count)))
+
+    def wind(self, at: Moment) -> Expression:
+        """See Effect.wind: the last that holds when the step begins."""
+        count = (at.inner.numel() - N_FILTER) // 4
+        winds, times = at.inner[N_FILTER:-count], at.inner[-count:]
+        found = winds[:3]
+        for i in range(1, count):
+            found += (at.t >= times[i] - IN_TIME) * winds[3 * i : 3 * i + 3]
+        return found
+
+
+@cache
+def _blown() -> ca.Function:
+    filters, parameters = ca.SX.sym("filters", N_FILTER), ca.SX.sym("parameters", N_PARAMETERS)
+    return ca.Function("blown", [filters, parameters], [_velocity(filters, parameters)])
+
+
+def _velocity(filters: Expression, parameters: Expression) -> Expression:
+    """The wind (3,), world (m/s), of the filters (5,) and the parameters of Dryden."""
+    mean, directions, intensity = parameters[:3], parameters[3:12], parameters[12:15]
+    return mean + ca.mtimes(ca.reshape(directions, 3, 3), turbulence(filters, intensity))
+
+
+def _root(s: Expression) -> tuple[Expression, Expression, Expression]:
+    """Cholesky factor of Q of the pair z_1, z_2: entries 11, 21, 22."""
+    root_11 = ca.sqrt(_moment(0, s))
+    root_21 = _moment(1, s) / root_11
+    return root_11, root_21, ca.sqrt(_moment(2, s) - root_21**2)
+
+
+def _moment(k: int, s: Expression) -> Expression:
+    """2 int_0^s r^k exp(-2 r) dr to a relative accuracy near rounding, for k = 0, 1, 2.
+
+    Small s: the series exp(-2 s) s^(k+1) sum_j 2 k! (2 s)^j / (k + 1 + j)!, whose terms do not cancel.
+    """
+    total = 0
+    for j in reversed(range(TERMS)):
+        total = 2 * math.factorial(k) * 2**j / math.factorial(k + 1 + j) + s * total
+    series = ca.exp(-2 * s) * s ** (k + 1) * total
+    polynomial = sum((2 * s) ** j / math.factorial(j) for j in range(k + 1))
+    closed = math.factorial(k) / 2**k * (1 - ca.exp(-2 * s) * polynomial)
+    return ca.if_else(s < SMALL, series, closed)

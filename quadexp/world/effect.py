@@ -1,0 +1,212 @@
+"""An effect: one imperfection of the world between a command and what the controller is told.
+
+    command -> link -> actuator -> battery -> health -> ground -> airframe in wind -> sensor -> estimator -> controller
+
+An effect is a class with one equation and its settings. It overrides the hooks that it needs; composition.py joins all
+effects and the airframe's equations into the one function of a control period. Hooks are CasADi expressions of what a
+`Moment` or `Readings` holds, so they hold for every airframe, and the flight in C needs to know none of them.
+
+What has a memory is an inner state; what is drawn once a flight is a parameter; white noise comes as standard normal
+numbers from the effect's own random stream, so that switching an effect on changes no other's numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from quadexp.errors import UsageError
+from quadexp.physics.expression import Expression
+from quadexp.physics.vehicle import Vehicle
+
+# Groups of effects in the order in which a command meets them; `truth` changes the vehicle, `wind` and `external` act
+# on the airframe, the last two on what is measured.
+STAGES = ("truth", "wind", "external", "link", "actuator", "battery", "health", "ground", "sensor", "estimator")
+
+
+@dataclass(frozen=True)
+class Clock:
+    """How a control period is divided: `period` (s) into `steps` integration steps."""
+
+    period: float
+    steps: int
+
+    @property
+    def step(self) -> float:
+        """s."""
+        return self.period / self.steps
+
+
+class Sizes(NamedTuple):
+    """How many numbers an effect has: inner states, parameters, and standard normal numbers per integration step
+    (noise) and per control period (draws)."""
+
+    inner: int = 0
+    parameters: int = 0
+    noise: int = 0
+    draws: int = 0
+
+
+class Start(NamedTuple):
+    """What is known when a flight begins. x: state (13,). duration: s, of the reference. vehicle: the true one.
+
+    begun: inner states of the effects that begin before, by part.
+    """
+
+    x: np.ndarray
+    duration: float
+    clock: Clock
+    vehicle: Vehicle
+    begun: Mapping[str, np.ndarray] = {}
+
+
+class Moment(NamedTuple):
+    """The beginning of an integration step, as expressions.
+
+    t: s since the start. x: true state (13,), world. inner, noise, parameters: the effect's own. step: s.
+    draws: the effect's own, in `begin` only. command: thrusts (n,) (N) that enter the effect; in `begin` those just
+    commanded. wind: sum of all winds (3,), world (m/s), zero in `begin` and `wind`. thrust: (n,) (N) that the airframe
+    gets, in `wrench` and `advance`. x_next: true state after the step, in `advance`.
+    """
+
+    t: Any
+    x: Any
+    inner: Any
+    noise: Any
+    parameters: Any
+    step: Any
+    draws: Any
+    command: Any
+    wind: Any
+    thrust: Any
+    x_next: Any
+
+
+class Readings(NamedTuple):
+    """The end of a control period, as MX expressions.
+
+    t: s since the start. states: true states (13, steps + 1) at the beginning and after every integration step.
+    inner, parameters, draws: the effect's own. noise: the effect's own (d, steps). step: s. clock: the same in numbers.
+    """
+
+    t: ca.MX
+    states: ca.MX
+    inner: ca.MX
+    noise: ca.MX
+    parameters: ca.MX
+    draws: ca.MX
+    step: ca.MX
+    clock: Clock
+
+
+Told = dict[str, ca.MX]  # readings by name: "state" (13,), "specific_force" (3,), and what sensors add for estimators
+
+
+class Effect:
+    """Base of all effects: does nothing. A subclass overrides the hooks that it needs.
+
+    stage: one of STAGES. kind: of the expressions that its hooks can be written in; ca.MX for what SX cannot say, such
+    as an interpolation table. loop_delay, loop_lag: s, what it adds to the loop, for the loop's margins.
+    """
+
+    stage: ClassVar[str]
+    kind: ClassVar[type] = ca.SX
+
+    @property
+    def part(self) -> str:
+        """Name of its random stream; two effects of one world differ in it."""
+        return self.stage
+
+    @property
+    def loop_delay(self) -> float:
+        """Time (s) by which commands or states come late; the mean where it varies."""
+        return 0.0
+
+    @property
+    def loop_lag(self) -> float:
+        """Time constant (s) of what follows with a first-order lag."""
+        return 0.0
+
+    def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
+        """How many numbers it has."""
+        return Sizes()
+
+    def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
+        """Inner states and parameters at the beginning of a flight; what varies from flight to flight is drawn here."""
+        return (), ()
+
+    def among(self, effects: Sequence[Effect]) -> Effect:
+        """The effect as it is in a world of these effects. Raises UsageError where it lacks another that it needs."""
+        return self
+
+    def first(self, inner: np.ndarray, state: np.ndarray) -> np.ndarray:
+        """The state (13,) that is told when a flight begins. inner: its own; state: what it would be otherwise."""
+        return state
+
+    def true_vehicle(self, vehicle: Vehicle) -> Vehicle:
+        """The vehicle that is flown, from the one that controllers believe in."""
+        return vehicle
+
+    def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
+        """Names of the columns of a flight that are inner states of its own, and which."""
+        return {}
+
+    # Hooks, in the order in which they are called. One that a class does not override is not called.
+    def begin(self, at: Moment) -> Expression:
+        """Inner states at the beginning of a control period, with the new command."""
+        raise NotImplementedError
+
+    def wind(self, at: Moment) -> Expression:
+        """Velocity of the air (3,), world (m/s), held over the step."""
+        raise NotImplementedError
+
+    def thrusts(self, at: Moment) -> Expression:
+        """Thrusts (n,) (N) that at.command becomes, held over the step."""
+        raise NotImplementedError
+
+    def wrench(self, at: Moment) -> tuple[Expression, Expression]:
+        """Force (3,), world (N), and torque (3,), body (N m), at the centre of mass, held over the step."""
+        raise NotImplementedError
+
+    def advance(self, at: Moment) -> Expression:
+        """Inner states after the step."""
+        raise NotImplementedError
+
+    def end(self, at: Moment) -> Expression:
+        """Inner states at the end of a control period, with its time and state, before anything is measured."""
+        raise NotImplementedError
+
+    def measure(self, at: Readings, told: Told) -> tuple[Expression, Told]:
+        """Inner states after the period, and what is told: `told` with some of it changed, or something added."""
+        raise NotImplementedError
+
+    def ended(self, inner: Any, parameters: Any) -> Any:
+        """Not zero where the flight is over, of its own inner states after a period and its parameters."""
+        raise NotImplementedError
+
+    def reason(self, inner: np.ndarray, parameters: np.ndarray) -> str:
+        """Why the flight is over, in one line; "" where it is not."""
+        return ""
+
+    @classmethod
+    def steps(cls) -> bool:
+        """Whether it has anything to do before a control period ends, to which its inner states belong then."""
+        return any(cls.has(hook) for hook in ("begin", "wind", "thrusts", "wrench", "advance", "end"))
+
+    @classmethod
+    def has(cls, hook: str) -> bool:
+        """Whether this class overrides a hook."""
+        return getattr(cls, hook) is not getattr(Effect, hook)
+
+
+def ordered(effects: list[Effect]) -> tuple[Effect, ...]:
+    """Effects in the order of STAGES. Raises UsageError for two with one random stream."""
+    parts = [effect.part for effect in effects]
+    twice = next((part for part in parts if parts.count(part) > 1), None)
+    if twice:
+        raise UsageError(f"{twice}: two effects of that name; each needs one of its own")
+    return tuple(sorted(effects, key=lambda effect: STAGES.index(effect.stage)))

@@ -1,0 +1,76 @@
+"""Ground effect: a rotor near the ground gives more thrust (Cheeseman & Bennett 1955, hovering flight).
+
+    T / T_free = 1 / (1 - (R / 4 z)^2)                     z: height of the rotor over the ground, R: its radius
+
+The formula is valid down to z = R / 2 about and grows without limit towards z = R / 4, so z is taken as R / 2 at least
+(a factor f of 4/3). Above a height f is taken as 1. What a rotor gives more, (f - 1) u at the thrust u that it is asked
+for, acts along z_body at the rotor; its speed does not change.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from quadexp.config.airframe import GroundKeys
+from quadexp.errors import UsageError
+from quadexp.physics.expression import Expression
+from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.state import ATTITUDE, POSITION
+from quadexp.physics.vehicle import Vehicle
+from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
+
+LEAST_HEIGHT = 0.5  # radii
+
+
+def thrust_factor(height: Expression, radius: Expression) -> Expression:
+    """T / T_free at a height (m) of the rotor, of any shape; radius: m."""
+    return 1 / (1 - (radius / (4 * ca.fmax(height, LEAST_HEIGHT * radius))) ** 2)
+
+
+def ground_wrench(
+    x: Expression, thrust: Expression, position: Expression, radius: Expression, ground: Expression, limit: Expression
+) -> tuple[Expression, Expression]:
+    """Force (3,), world (N), and torque (3,), body (N m), beyond what the thrusts (n,) (N) give far from the ground.
+
+    x: state (13,). position: of the rotors, (3, n), body (m). radius: of a rotor (m). ground: its height, world (m).
+    limit: height of a rotor over the ground (m) above which there is no effect.
+    """
+    R = rotation_matrix(x[ATTITUDE])
+    height = x[POSITION][2] - ground + ca.mtimes(R[2, :], position).T
+    added = ca.if_else(height < limit, thrust_factor(height, radius) - 1, 0) * thrust
+    torque = ca.vertcat(ca.dot(position[1, :].T, added), -ca.dot(position[0, :].T, added), 0)
+    return ca.mtimes(R, ca.vertcat(0, 0, ca.sum1(added))), torque
+
+
+@dataclass(frozen=True)
+class GroundEffect(GroundKeys, Effect):
+    """See GroundKeys. parameters: positions of the rotors (3 n,), radius, height of the ground, limit of height (m).
+
+    Raises UsageError at the beginning of a flight where no radius is known.
+    """
+
+    stage = "ground"
+
+    def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
+        """See Effect.sizes."""
+        return Sizes(parameters=3 * vehicle.n_rotors + 3)
+
+    def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
+        """See Effect.start."""
+        radius = self.rotor_radius
+        if radius is None:
+            if start.vehicle.rotor is None:
+                raise UsageError(
+                    f"ground.rotor_radius: needed, because vehicle={start.vehicle.name} has no vehicle.rotor (m)"
+                )
+            radius = start.vehicle.rotor.radius
+        return (), np.concatenate([*start.vehicle.rotor_position, [radius, self.height, self.height_max]])
+
+    def wrench(self, at: Moment) -> tuple[Expression, Expression]:
+        """See Effect.wrench."""
+        position, *others = ca.vertsplit(at.parameters, [0, *(3 * at.thrust.numel() + i for i in range(4))])
+        return ground_wrench(at.x, at.thrust, ca.reshape(position, 3, at.thrust.numel()), *others)

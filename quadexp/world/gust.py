@@ -1,0 +1,49 @@
+"""A discrete gust of one-minus-cosine shape (14 CFR 25.341; as a ramp in MIL-F-8785C, 3.7.1.3), added to a mean wind.
+
+    w(t) = w_mean + A / 2 (1 - cos(2 pi (t - t_0) / D))     for t_0 <= t <= t_0 + D, else w_mean         world, m/s
+
+Its integral over the gust is A D / 2. A gust of length l that is met at the speed V lasts D = l / V.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from quadexp.config.wind import GustKeys
+from quadexp.physics.expression import Expression
+from quadexp.physics.vehicle import Vehicle
+from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
+
+
+def one_minus_cosine(t: Expression, start: Expression, duration: Expression, amplitude: Expression) -> Expression:
+    """Velocity (3,) (m/s) that the gust adds at the time t (s), in the axes of its amplitude A (3,) (m/s).
+
+    start t_0 and duration D: s.
+    """
+    share = ca.fmin(ca.fmax((t - start) / duration, 0), 1)  # both ends are zeros of the shape
+    return amplitude / 2 * (1 - ca.cos(2 * math.pi * share))
+
+
+@dataclass(frozen=True)
+class Gust(GustKeys, Effect):
+    """See GustKeys. parameters: mean wind (3,) and amplitude (3,), world (m/s), onset and duration (s)."""
+
+    stage = "wind"
+
+    def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
+        """See Effect.sizes."""
+        return Sizes(parameters=8)
+
+    def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
+        """See Effect.start."""
+        return (), (*self.velocity, *self.amplitude, self.onset, self.duration)
+
+    def wind(self, at: Moment) -> Expression:
+        """See Effect.wind: that of the middle of the step."""
+        mean, amplitude, onset, duration = ca.vertsplit(at.parameters, [0, 3, 6, 7, 8])
+        return mean + one_minus_cosine(at.t + at.step / 2, onset, duration, amplitude)

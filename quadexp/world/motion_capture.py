@@ -1,0 +1,51 @@
+"""Motion capture: position and attitude, both with white noise.
+
+    p_m = p + s_p n        world, m
+    q_m = q o Exp(s_q n)   about body axes, rad
+
+A filter compares p_m - p and Log(q* o q_m), which to first order are the errors of position and attitude themselves.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from quadexp.config.sensing import MotionCaptureKeys
+from quadexp.physics.expression import Expression
+from quadexp.physics.rotation import conjugate, exponential, logarithm, product
+from quadexp.physics.state import ATTITUDE, POSITION
+from quadexp.world.aid import Aid, Innovation
+from quadexp.world.eskf import D_ATTITUDE, D_POSITION, D_VELOCITY
+
+
+def motion_capture(keys: MotionCaptureKeys) -> Aid:
+    """Position (m) and attitude; its first velocity is that between two poses."""
+    position, attitude = keys.pose_position_noise, keys.pose_attitude_noise
+    velocity = float(np.sqrt(2)) * position * keys.pose_rate
+    return Aid(
+        name="pose",
+        rate=keys.pose_rate,
+        delay=keys.pose_delay,
+        dropout=keys.pose_dropout,
+        outage=keys.pose_outage,
+        size=7,
+        noise=6,
+        deviations=np.array([position, attitude]),
+        measure=_measure,
+        compare=_compare,
+        first_guess={**dict.fromkeys(D_POSITION, position), **dict.fromkeys(D_VELOCITY, velocity)}
+        | dict.fromkeys(D_ATTITUDE, attitude),
+    )
+
+
+def _measure(x: Expression, noise: Expression, deviations: Expression) -> Expression:
+    turned = exponential(deviations[1] * noise[3:])
+    return ca.vertcat(x[POSITION] + deviations[0] * noise[:3], product(x[ATTITUDE], turned))
+
+
+def _compare(nominal: Expression, fix: Expression) -> list[Innovation]:
+    away = fix[:3] - nominal[POSITION]
+    turned = logarithm(product(conjugate(nominal[ATTITUDE]), fix[3:]))
+    found = [Innovation(away[i], {place: 1}, 0) for i, place in enumerate(D_POSITION)]
+    return found + [Innovation(turned[i], {place: 1}, 1) for i, place in enumerate(D_ATTITUDE)]

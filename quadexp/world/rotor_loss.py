@@ -1,0 +1,66 @@
+"""Rotors that lose part of their thrust at a time: T_i = f u_i from t on, f of the last loss that has begun.
+
+Inner states: what is logged of the rotors (n,), see rotor_columns.py. Parameters: thrust coefficient, then t (s) and
+factor of every loss.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from quadexp.config.motors import RotorLossKeys
+from quadexp.errors import UsageError
+from quadexp.physics.expression import Expression
+from quadexp.physics.vehicle import Vehicle
+from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
+from quadexp.world.rotor_columns import first_rotor_column, rotor_column, rotor_column_factor, rotor_column_names
+
+ROUNDING = 1e-9  # s; a loss at the beginning of a step acts in it
+
+
+@dataclass(frozen=True)
+class RotorLoss(RotorLossKeys, Effect):
+    """See RotorLossKeys."""
+
+    stage = "health"
+
+    @property
+    def _ordered(self) -> list[Mapping[str, Any]]:
+        return sorted(self.losses, key=lambda loss: loss["t"])
+
+    def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
+        """See Effect.sizes. Raises UsageError for a rotor that the vehicle does not have."""
+        for loss in self.losses:
+            if loss["rotor"] >= vehicle.n_rotors:
+                raise UsageError(
+                    f"health.losses: rotor {loss['rotor']}: vehicle={vehicle.name} has rotors 0 to"
+                    f" {vehicle.n_rotors - 1}"
+                )
+        return Sizes(inner=vehicle.n_rotors, parameters=1 + 2 * len(self.losses))
+
+    def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
+        """See Effect.start."""
+        numbers = [float(loss[name]) for loss in self._ordered for name in ("t", "factor")]
+        return first_rotor_column(start.vehicle), [rotor_column_factor(start.vehicle), *numbers]
+
+    def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
+        """See Effect.columns."""
+        return rotor_column_names(vehicle, 0)
+
+    def thrusts(self, at: Moment) -> Expression:
+        """See Effect.thrusts."""
+        factors = [type(at.command)(1) for _ in range(at.command.numel())]
+        for i, loss in enumerate(self._ordered):
+            begins, factor = at.parameters[1 + 2 * i], at.parameters[2 + 2 * i]
+            rotor = int(loss["rotor"])
+            factors[rotor] = ca.if_else(at.t >= begins - ROUNDING, factor, factors[rotor])
+        return at.command * ca.vertcat(*factors)
+
+    def advance(self, at: Moment) -> Expression:
+        """See Effect.advance."""
+        return rotor_column(self.thrusts(at), at.parameters[0])

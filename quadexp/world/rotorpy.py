@@ -1,0 +1,158 @@
+"""RotorPy's multirotor (Folk, Paulos and Kumar 2023; version 3.0) as a plant: its equations, written anew in CasADi.
+
+Rotor i at r_i turns with w_i, its reaction torque has the sign s_i about +z_body; v is the air-relative body velocity,
+v_i = v + w x r_i that of the rotor's hub, [v_i]_xy its part in the plane of the rotor:
+
+    w_i'  = (clip(sqrt(u_i / k)) - w_i) / tau                                   k, k_m: thrust, torque per speed squared
+    T_i   = (k w_i^2 + k_h |[v_i]_xy|^2) e_z                                    thrust and translational lift
+    H_i   = -w_i diag(k_d, k_d, k_z) v_i                                        rotor drag, and loss of thrust to inflow
+    F     = sum_i (T_i + H_i) - |v| diag(c_D) v                                 N; parasitic drag
+    Gamma = sum_i (r_i x (T_i + H_i) + s_i k_m w_i^2 e_z - k_flap w_i v_i x e_z)        N m
+    v'    = R F / m + g,   J w' = Gamma - w x J w
+
+k, k_m, r_i, s_i, m and J are the vehicle's. RotorPy's contact with the ground is left out (it is off there too by
+default), and its noise of the motors, which is zero for the Hummingbird.
+
+RotorPy: MIT licence, copyright 2023 RotorPy Authors. Folk, Paulos, Kumar: "RotorPy: A Python-based Multirotor Simulator
+with Aerodynamics for Education and Research", arXiv 2306.04485.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from quadexp.air.base import Residual, feature_names, symbolic_residual
+from quadexp.config.foreign import RotorPyKeys
+from quadexp.errors import UsageError
+from quadexp.physics.blade_element import TINY_SPEED
+from quadexp.physics.expression import Expression
+from quadexp.physics.motor import lagging_rk4_step
+from quadexp.physics.rigid_body import body_features, state_derivative
+from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.physics.vehicle import Vehicle
+from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, SimulatedPlant
+
+PARASITIC, ROTOR_DRAG, INFLOW, LIFT, FLAPPING, LAG, SPEED_MIN, SPEED_MAX = slice(0, 3), 3, 4, 5, 6, 7, 8, 9
+AIR = slice(0, 7)
+N_PARAMETERS = 10
+SLOWEST = 0.01  # share of rotor_speed_max, below which a controller believes that rotors do not go: w = sqrt(u / k) has
+# no slope at u = 0
+
+
+class RotorPyPlant(SimulatedPlant):
+    """RotorPy's Multirotor as a Plant.
+
+    vehicle: with thrust_coefficient. keys: of air and motors. step: largest integration step (s); a control period is
+    divided evenly. After `advance`: rotor_speed (n,) (rad/s). Raises UsageError where the vehicle has no
+    thrust_coefficient, or its rotors need more than rotor_speed_max to hover.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, keys: RotorPyKeys | None = None, *, step: float = 5e-4, backend: str = "auto"
+    ) -> None:
+        self.keys = keys or RotorPyKeys()
+        if vehicle.thrust_coefficient is None:
+            raise UsageError(
+                f"plant=rotorpy: vehicle={vehicle.name} has no vehicle.thrust_coefficient (thrust per rotor speed"
+                " squared); vehicle=hummingbird has"
+            )
+        if not self.keys.rotor_speed_min < self._hover_speed(vehicle) < self.keys.rotor_speed_max:
+            raise UsageError(
+                f"plant.rotor_speed_max: vehicle={vehicle.name} hovers at {self._hover_speed(vehicle):.4g} rad/s,"
+                f" outside ({self.keys.rotor_speed_min:g}, {self.keys.rotor_speed_max:g})"
+            )
+        super().__init__(vehicle, _equations(vehicle), self._values(), step=step, backend=backend)
+
+    @staticmethod
+    def _hover_speed(vehicle: Vehicle) -> float:
+        return float(np.sqrt(vehicle.hover_thrust / vehicle.static_thrust_coefficient))
+
+    def _values(self) -> np.ndarray:
+        """Parameters of the equations, (10,)."""
+        keys = self.keys
+        air = np.hstack(
+            [keys.parasitic_drag, keys.rotor_drag, keys.inflow_drag, keys.translational_lift, keys.flapping]
+        )
+        return np.hstack([air * keys.aero, keys.motor_lag, keys.rotor_speed_min, keys.rotor_speed_max])
+
+    def initial(self) -> np.ndarray:
+        """See SimulatedPlant: the speeds of hover."""
+        return np.full(self.vehicle.n_rotors, self._hover_speed(self.vehicle))
+
+    @property
+    def inner_columns(self) -> tuple[str, ...]:
+        """See SimulatedPlant."""
+        return tuple(f"rotor_speed_{rotor}" for rotor in range(self.vehicle.n_rotors))
+
+    @property
+    def rotor_speed(self) -> np.ndarray:
+        """(n,), rad/s."""
+        return self.inner
+
+    def residual(self) -> Residual:
+        """See Plant.residual: all but the lag of the motors, which controller.motor_lag says."""
+        n, vehicle = self.vehicle.n_rotors, self.vehicle
+        z, theta = ca.SX.sym("z", len(feature_names(n))), ca.SX.sym("theta", N_PARAMETERS)
+        command = z[6:]
+        w = _commanded_speed(command, vehicle, SLOWEST * theta[SPEED_MAX], theta[SPEED_MAX])
+        force, torque = wrench(z[:3], z[3:6], w, vehicle, theta[AIR])
+        nominal = ca.mtimes(ca.DM(vehicle.allocation), command)
+        acceleration = (force - ca.vertcat(0, 0, nominal[0])) / vehicle.mass
+        outputs = ca.vertcat(acceleration, torque - nominal[1:])
+        return symbolic_residual("plant", outputs, z, theta, self._values(), source="plant equations")
+
+
+def wrench(
+    v: Expression, rate: Expression, w: Expression, vehicle: Vehicle, air: Expression
+) -> tuple[Expression, Expression]:
+    """Force (3,) (N) and torque (3,) (N m) of rotors and air, body frame; see the module.
+
+    v: air-relative velocity, body frame (3,) (m/s). rate: (3,) (rad/s). w: rotor speeds (n,) (rad/s). air: [c_D (3,),
+    k_d, k_z, k_h, k_flap].
+    """
+    k = vehicle.static_thrust_coefficient
+    speed = ca.sqrt(ca.sumsqr(v) + TINY_SPEED**2)  # which has a slope at rest
+    force, torque = -speed * air[PARASITIC] * v, type(v)(3, 1)
+    up, rotor_drag = ca.DM([0, 0, 1]), ca.vertcat(air[ROTOR_DRAG], air[ROTOR_DRAG], air[INFLOW])
+    for i, (position, spin) in enumerate(zip(vehicle.rotor_position, vehicle.rotor_spin, strict=True)):
+        r = ca.DM(position)
+        hub = v + ca.cross(rate, r)
+        at_hub = up * (k * w[i] ** 2 + air[LIFT] * (hub[0] ** 2 + hub[1] ** 2)) - w[i] * rotor_drag * hub
+        force += at_hub
+        torque += ca.cross(r, at_hub) + spin * vehicle.torque_coefficient * k * w[i] ** 2 * up
+        torque -= air[FLAPPING] * w[i] * ca.cross(hub, up)
+    return force, torque
+
+
+def _commanded_speed(u: Expression, vehicle: Vehicle, least: Expression, largest: Expression) -> Expression:
+    """Rotor speeds (n,) (rad/s) that thrusts u (n,) (N) ask for, within the limits."""
+    k = vehicle.static_thrust_coefficient
+    return ca.sqrt(ca.fmin(ca.fmax(u, k * least**2), k * largest**2) / k)
+
+
+def derivative(vehicle: Vehicle) -> ca.Function:
+    """(x (13,), w (n,) (rad/s), parameters) -> x' (13,), and the specific force (3,), body frame (m/s^2)."""
+    n = vehicle.n_rotors
+    x, w, parameters = ca.SX.sym("x", N_STATE), ca.SX.sym("w", n), ca.SX.sym("parameters", N_PARAMETERS)
+    z = body_features(x, w)
+    force, torque = wrench(z[:3], z[3:6], w, vehicle, parameters[AIR])
+    motion = state_derivative(x, ca.SX(n, 1), vehicle, ca.vertcat(force / vehicle.mass, torque))
+    return ca.Function("rotorpy_derivative", [x, w, parameters], [motion, force / vehicle.mass])
+
+
+def _equations(vehicle: Vehicle) -> Equations:
+    """RK4, the rotors' lag exact; inner states are the rotor speeds, and there is no noise."""
+    n, f = vehicle.n_rotors, derivative(vehicle)
+    s, u, noise = ca.SX.sym("s", N_STATE + n), ca.SX.sym("u", n), ca.SX.sym("noise", 0)
+    parameters, step = ca.SX.sym("parameters", N_PARAMETERS), ca.SX.sym("step")
+    command = _commanded_speed(u, vehicle, parameters[SPEED_MIN], parameters[SPEED_MAX])
+    lags = parameters[LAG] > 0
+    begun = ca.vertcat(s[:N_STATE], ca.if_else(lags, s[N_STATE:], command))
+    lag = ca.if_else(lags, parameters[LAG], 1)  # s; any, where the speeds are the commanded ones already
+    after = lagging_rk4_step(lambda x, w: f(x, w, parameters)[0], begun, command, step, lag)
+    q = after[ATTITUDE]
+    after = ca.vertcat(after[: ATTITUDE.start], q / ca.norm_2(q), after[ATTITUDE.stop :])
+    reading = f(after[:N_STATE], after[N_STATE:], parameters)[1]
+    results = ca.cse([after, reading])
+    return Equations(ca.Function("rotorpy_step", [s, u, noise, parameters, step], results, STEP_INPUTS, STEP_OUTPUTS))

@@ -1,0 +1,247 @@
+"""A simulated airframe in a world: any plant of quadexp.world with effects around it (see effect.py).
+
+It is flown as the airframe alone is, in one compiled call a control period. What the controller is told of the state is
+`measured`, which differs from the truth where sensors or an estimator stand between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from quadexp.air.base import Residual
+from quadexp.compile.backend import BufferedFunction, realise
+from quadexp.errors import ModelDomainError, QuadexpError, UsageError
+from quadexp.world.composition import WIND, Layout, compose, wind_function
+from quadexp.world.effect import Clock, Effect, Sizes, Start, ordered
+from quadexp.world.integrator import Equations, SimulatedPlant
+from quadexp.world.streams import Share, Streams, part_stream
+
+WIND_COLUMNS = ("wind_x", "wind_y", "wind_z")
+
+
+class _Prepared(BufferedFunction):
+    """A period's function with the array that holds its noise and its draws."""
+
+    def __init__(
+        self, function: ca.Function, shared: Mapping[str, np.ndarray], buffer: np.ndarray, clock: Clock
+    ) -> None:
+        super().__init__(function, shared)
+        self.buffer, self.clock = buffer, clock
+
+
+class World(SimulatedPlant):
+    """An airframe with effects, as a Plant; `begin` begins a flight.
+
+    airframe: the plant, made with the true vehicle. effects: in any order. believed: the same plant made with the
+    vehicle that controllers believe in; None: the airframe itself.
+    """
+
+    def __init__(
+        self, airframe: SimulatedPlant, effects: Sequence[Effect], believed: SimulatedPlant | None = None
+    ) -> None:
+        self.airframe, self.effects = airframe, ordered([effect.among(effects) for effect in effects])
+        self._believed: Any = believed or airframe  # a Plant too
+        self._made: dict[Clock, _Prepared] = {}
+        self._winds: dict[Clock, ca.Function] = {}
+        self._layouts: dict[Clock, Layout] = {}
+        self._columns: dict[Clock, dict[str, int]] = {}
+        self._own_parameters, self._rotors = np.empty(0), list[int]()
+        self._shares: list[tuple[Effect, slice, slice]] = []  # of the inner states, and of the effects' parameters
+        rough = any(effect.has("wind") or effect.has("thrusts") for effect in self.effects)
+        equations = airframe.rough_equations if rough else airframe.equations
+        super().__init__(airframe.vehicle, equations, step=airframe.step, backend=airframe.backend)
+
+    # ------------------------------------------------------------------------------------------------- a flight begins
+    def reset(self) -> None:
+        """See Plant.reset; the flight itself begins with `begin`."""
+        self.airframe.reset()
+        self.time, self.inner = 0.0, np.empty(0)
+
+    def begin(self, x: np.ndarray, period: float, duration: float, rng: np.random.Generator) -> Streams:
+        """Begin a flight in the state x, (13,), with control periods of `period` (s), of a duration (s).
+
+        Returns the noise of the flight, for `advance`. rng: of the airframe's noise; its seed gives the effects'
+        streams.
+        """
+        self.reset()
+        clock = self.clock(period)
+        begun: dict[str, np.ndarray] = {}
+        start = Start(np.array(x, float), duration, clock, self.vehicle, begun)
+        layout = self._layout(clock)
+        shares = [Share(rng, layout.airframe.noise)]
+        inner, parameters = [self.airframe.inner], []
+        for effect, sizes in zip(self.effects, layout.effects, strict=True):
+            stream = part_stream(rng, effect.part)
+            found = [np.asarray(values, float).ravel() for values in effect.start(stream, start)]
+            if [len(values) for values in found] != [sizes.inner, sizes.parameters]:
+                raise QuadexpError(f"{effect.part}: start gives {[len(one) for one in found]} numbers, sizes {sizes}")
+            begun[effect.part] = found[0]
+            inner.append(found[0])
+            parameters.append(found[1])
+            shares.append(Share(stream, sizes.noise, sizes.draws))
+        ends = [layout.ends(kind)[1:] for kind in ("inner", "parameters")]
+        slices = [[slice(*pair) for pair in pairwise(one)] for one in ends]
+        first = layout.airframe.parameters
+        self._shares = [
+            (effect, own, slice(theta.start - first, theta.stop - first))
+            for effect, own, theta in zip(self.effects, *slices, strict=True)
+        ]
+        columns = self.columns(period)
+        self._rotors = [i for name, i in columns.items() if name.startswith("rotor_speed_")]
+        self._own_parameters, self.measured = np.concatenate(parameters), start.x.copy()
+        for effect, own in zip(self.effects, inner[1:], strict=True):
+            self.measured = effect.first(own, self.measured)
+        self.inner = np.concatenate([*inner, self._first_wind(start, np.concatenate(inner[1:]))])
+        return Streams(shares, clock.steps)
+
+    def require_flight(self) -> None:
+        """See SimulatedPlant."""
+        if not len(self.inner):
+            raise UsageError(
+                "a flight in a world begins with plant.begin(x, period, duration, rng), which returns its noise, for"
+                " plant.advance; plant.measured is what the controller is told"
+            )
+
+    def _first_wind(self, start: Start, own: np.ndarray) -> np.ndarray:
+        """The wind when the flight begins, but for white noise. own: inner states of the effects."""
+        if not any(effect.has("wind") for effect in self.effects):
+            return np.zeros(WIND)
+        layout, step = self._layout(start.clock), start.clock.step
+        if start.clock not in self._winds:
+            self._winds[start.clock] = wind_function(self.equations, self.effects, layout, self.vehicle)
+        wind = self._winds[start.clock]
+        u, noise = np.zeros(self.vehicle.n_rotors), np.zeros(layout.size("noise"))
+        return np.array(wind(0.0, start.x, own, u, noise, self.parameters(step), step)).ravel()
+
+    def clock(self, period: float) -> Clock:
+        """How a control period (s) is divided."""
+        return Clock(period, self.steps(period))
+
+    def _layout(self, clock: Clock) -> Layout:
+        if clock not in self._layouts:
+            step = self.equations.step
+            airframe = Sizes(self.equations.inner_size, step.size1_in(3), step.size1_in(2))
+            effects = tuple(effect.sizes(clock, self.vehicle) for effect in self.effects)
+            self._layouts[clock] = Layout(airframe, effects)
+        return self._layouts[clock]
+
+    # ------------------------------------------------------------------------------------------------------- one period
+    def prepared(self, duration: float) -> BufferedFunction:
+        """See SimulatedPlant; noise and draws are two views of one array, in the order of `Streams`."""
+        clock = self.clock(duration)
+        if clock not in self._made:
+            function = realise(self._period(self.equations, clock), self.backend)
+            rows, draws = function.size1_in("noise"), function.size1_in("draws")
+            buffer = np.zeros(clock.steps * rows + draws)
+            shape = (clock.steps, rows) if clock.steps > 1 else rows
+            views = {"noise": buffer[: clock.steps * rows].reshape(shape), "draws": buffer[-draws:]}
+            views = {name: view for name, view in views.items() if function.size1_in(name)}
+            self._made[clock] = _Prepared(function, views, buffer, clock)
+        made = self._made[clock]
+        made.arguments["step"][0], made.arguments["time"][0] = clock.step, self.time
+        if len(self.inner):  # a flight has begun
+            made.arguments["parameters"][:] = self.parameters(clock.step)
+        return made
+
+    def noise(self, function: BufferedFunction) -> np.ndarray:
+        """See SimulatedPlant."""
+        assert isinstance(function, _Prepared)
+        return function.buffer
+
+    def parameters(self, step: float) -> np.ndarray:
+        """See SimulatedPlant: the airframe's, then each effect's."""
+        self.airframe.time = self.time
+        return np.concatenate([self.airframe.parameters(step), self._own_parameters])
+
+    @property
+    def next_change(self) -> float:  # type: ignore[override]
+        """See SimulatedPlant."""
+        return self.airframe.next_change
+
+    def settle(self, results: Mapping[str, np.ndarray]) -> None:
+        """See SimulatedPlant."""
+        self.inner, self.measured = results["inner_next"].copy(), results["measured"].copy()
+        if results["doubt"].any():
+            self._check_ended()
+
+    def _check_ended(self) -> None:
+        """Raise ModelDomainError where an effect ends the flight."""
+        for effect, inner, parameters in self._shares:
+            if reason := effect.reason(self.inner[inner], self._own_parameters[parameters]):
+                raise ModelDomainError(f"{reason} at t={self.time:.2f} s")
+
+    def _period(self, equations: Equations, clock: Clock) -> ca.Function:
+        return compose(equations, self.effects, self._layout(clock), clock, self.vehicle)
+
+    def same_period(self, function: BufferedFunction, equations: Equations) -> ca.Function:
+        """See SimulatedPlant."""
+        assert isinstance(function, _Prepared)
+        return self._period(equations, function.clock)
+
+    @property
+    def safe_equations(self) -> Equations | None:
+        """See SimulatedPlant."""
+        return self.airframe.safe_equations
+
+    def check_safe(self, found: dict[str, np.ndarray], step: float) -> None:
+        """See SimulatedPlant."""
+        self.airframe.time = self.time
+        self.airframe.check_safe(found, step)
+
+    # ------------------------------------------------------------------------------------------ what others ask for
+    def columns(self, period: float) -> dict[str, int]:
+        """Names of the columns of a flight that are inner states, and which. Of one name, the airframe's holds, then
+        that of the last stage."""
+        clock = self.clock(period)
+        if clock not in self._columns:
+            self._columns[clock] = self._named_columns(clock)
+        return self._columns[clock]
+
+    def _named_columns(self, clock: Clock) -> dict[str, int]:
+        layout = self._layout(clock)
+        found: dict[str, int] = {}
+        for effect, first in zip(self.effects, layout.ends("inner")[1:-1], strict=True):
+            found |= {name: first + place for name, place in effect.columns(clock, self.vehicle).items()}
+        found |= {name: i for i, name in enumerate(self.airframe.inner_columns)}
+        if any(effect.has("wind") for effect in self.effects):
+            found |= {name: layout.size("inner") + i for i, name in enumerate(WIND_COLUMNS)}
+        return found
+
+    @property
+    def estimates(self) -> bool:
+        """Whether `measured` may differ from the truth."""
+        return any(effect.has("measure") for effect in self.effects)
+
+    @property
+    def loop_delay(self) -> float:
+        """Known delays of the loop (s): of commands, and of what is measured."""
+        return sum(effect.loop_delay for effect in self.effects)
+
+    @property
+    def loop_lag(self) -> float:  # type: ignore[override]
+        """See SimulatedPlant: the airframe's and the effects'."""
+        return self.airframe.loop_lag + sum(effect.loop_lag for effect in self.effects)
+
+    def residual(self) -> Residual:
+        """See Plant.residual: the airframe's own; it names what it does not know of the world."""
+        found: Residual = self._believed.residual()
+        unknown = ", ".join(effect.part for effect in self.effects)
+        return replace(found, source=f"{found.source}; does not know: {unknown}")
+
+    @property
+    def rotor_speed(self) -> np.ndarray:
+        """(n,), rad/s, of airframes and effects that have it; AttributeError otherwise."""
+        if not self._rotors:
+            raise AttributeError("rotor_speed")
+        return self.inner[self._rotors]
+
+    @property
+    def coefficients(self) -> Any:
+        """Of the airframe, for controllers that are told them; AttributeError where it has none."""
+        return self._believed.coefficients

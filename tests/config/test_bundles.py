@@ -1,0 +1,53 @@
+"""Bundles of the group `world`: options of several parts at once."""
+
+from __future__ import annotations
+
+import pytest
+import yaml
+
+from quadexp.config.compose import compose, expand
+from quadexp.config.schema import WORLD, conf_folder, world_parts
+from quadexp.config.settings import record
+from tests.config.test_compose import hydra_composes
+
+BUNDLES = sorted(path.stem for path in (conf_folder() / "world").glob("*.yaml"))
+
+
+def test_they_only_choose_options():
+    """Values stand in the options: a part that is chosen besides is then wholly that part."""
+    for name in BUNDLES:
+        content = yaml.safe_load((conf_folder() / "world" / f"{name}.yaml").read_text()) or {}
+        chosen = [key for one in content.get("defaults", ()) if one != "_self_" for key in one]
+        assert set(content) <= {"defaults"} and set(chosen) <= {f"override /{group}" for group in WORLD}
+
+
+@pytest.mark.parametrize("name", BUNDLES)
+@pytest.mark.parametrize(
+    "more", [[], ["wind=constant", "wind.velocity=[1,2,3]"], ["experiment=quick", "controller=gp_mpc"]]
+)
+def test_composed_as_hydra_itself_does(name, more):
+    choices = [*more, f"world={name}"]
+    expected, found = hydra_composes(choices), record(compose(choices))
+    assert {**found, "world": ""} == {**expected, "world": ""}
+    if "experiment=quick" not in more:
+        (cell,) = expand(choices)
+        assert record(cell.config) == found | {"sweep": None}
+
+
+@pytest.mark.parametrize("name", [name for name in BUNDLES if name != "clean"])
+def test_their_names(name):
+    config = compose([f"world={name}"])
+    assert config.world == name and world_parts(config)
+    part = next(iter(world_parts(config)))
+    assert compose([f"world={name}", "seed=3", "controller=gp_mpc"]).world == name
+    gusty = "wind=gust" if part != "wind" else "wind=constant"
+    assert compose([f"world={name}", gusty]).world == f"{name},{gusty}"
+
+
+def test_the_clean_world_is_the_default():
+    assert record(compose(["world=clean"])) == record(compose()) and not world_parts(compose())
+
+
+def test_a_sweep_over_bundles():
+    cells = expand([f"world={','.join(BUNDLES)}", "seed=0,1"])
+    assert {cell.config.world for cell in cells} == set(BUNDLES) and {cell.varied for cell in cells} == {""}

@@ -1,0 +1,162 @@
+"""Flights in worlds, from their configuration to their row: what is built, named, refused and logged."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadexp.api.loop import controller
+from quadexp.config.compose import compose, expand
+from quadexp.config.schema import WORLD, world_parts
+from quadexp.errors import UsageError
+from quadexp.experiment.build import build_controller, build_plant, build_vehicle
+from quadexp.experiment.build_world import build_world
+from quadexp.experiment.evaluate import InfeasibleError, fly_one, generator
+from quadexp.experiment.identity import flight_entropy, flight_record
+from quadexp.report.margin_line import world_note
+from quadexp.report.metrics import flight_metrics
+from quadexp.report.notes import notes
+from quadexp.world.effect import STAGES
+from quadexp.world.world import World
+
+SHORT = ["trajectory=hover", "trajectory.duration=0.4"]
+ESTIMATE = ["estimator.position_noise=0.02", "estimator.delay=0.01"]
+
+
+def test_groups_are_in_the_order_of_the_stages():
+    """A payload is part of the truth, or acts from outside."""
+    assert tuple(group for group in WORLD if group != "payload") == STAGES
+
+
+def test_without_any_part_the_plant_is_the_same_object():
+    config = compose(SHORT)
+    vehicle = build_vehicle(config.vehicle)
+    assert config.world == "clean" and not world_parts(config)
+    assert build_world(config, vehicle) is build_plant(vehicle, config.plant)
+    assert set(flight_record(config)) == {"vehicle", "plant", "sensor", "trajectory", "controller", "model", "seed"}
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [
+        (["wind=constant"], "wind=constant"),
+        (["link=latency", "wind=constant"], "wind=constant,link=latency"),
+        (["estimator.delay=0.01"], "estimator=none"),
+        (["wind=constant", "wind=none"], "clean"),
+    ],
+)
+def test_a_world_has_a_name(given, name):
+    assert compose(given).world == name
+
+
+def test_parts_change_neither_the_noise_nor_each_other():
+    clean, windy = compose(SHORT), compose([*SHORT, "wind=constant", *ESTIMATE])
+    assert flight_entropy(clean) == flight_entropy(windy)
+    assert flight_record(windy).keys() - flight_record(clean).keys() == {"wind", "estimator"}
+
+
+@pytest.mark.parametrize(
+    "plant", [["plant=simplified"], ["vehicle=lei_li", "plant=blade_element", "plant.step=1e-3", "plant.method=rk4"]]
+)
+def test_hover_in_a_wind(plant):
+    """It is blown away a little and hovers: the controller leans against the wind, and the row says where it was."""
+    flight = fly_one(compose([*SHORT, "trajectory.duration=6", "wind=constant", "wind.velocity=[2,0,0]", *plant]))
+    speed = np.linalg.norm(flight.stack(["v_x", "v_y", "v_z"])[-1])
+    assert flight.outcome == "ok" and speed < 0.02 and 0.001 < flight["p_x"][-1] < 0.5
+    assert flight.metadata["row"]["plant"].endswith("/wind=constant") and flight.metadata["world"] == "wind=constant"
+
+
+def test_metrics_are_of_the_truth():
+    """Also where the estimate is off by a metre: the controller holds the estimate where the truth should be."""
+    flight = fly_one(compose([*SHORT, "estimator.position_noise=0.05"]))
+    told = flight.stack(["est_p_x", "est_p_y", "est_p_z"])
+    true, wanted = (flight.stack([f"{kind}p_{axis}" for axis in "xyz"]) for kind in ("", "ref_"))
+    assert np.abs(told - true)[1:].max() > 0.05
+    row = flight_metrics(flight, 0.0, 20.0)
+    assert row["mean_error"] == pytest.approx(np.linalg.norm(true - wanted, axis=1).mean(), rel=1e-12)
+
+
+def test_a_plant_that_only_advances_is_refused_in_one_line(tmp_path):
+    (tmp_path / "plant").mkdir()
+    (tmp_path / "plant" / "still.yaml").write_text(
+        "defaults: [/schema/plant/custom@_here_, _self_]\nname: still\n_target_: still_plant.Still\n"
+    )
+    (tmp_path / "still_plant.py").write_text(
+        "class Still:\n    def __init__(self, vehicle, step):\n        self.vehicle = vehicle\n"
+        "    def reset(self): pass\n    def advance(self, x, u, duration, rng): return x, x[:3]\n"
+        "    def residual(self): raise NotImplementedError\n"
+    )
+    config = compose([*SHORT, "plant=still", "wind=constant", "link=latency"], tmp_path)
+    with pytest.raises(
+        UsageError, match=r"^wind=constant,link=latency: needs a plant that is a SimulatedPlant .*still"
+    ):
+        fly_one(config)
+    assert fly_one(compose([*SHORT, "plant=still"], tmp_path)).outcome == "ok"
+
+
+def test_who_knows_the_plant_says_what_it_does_not_know():
+    flight = fly_one(compose([*SHORT, "controller=perfect_mpc", "wind=constant", "link=latency"]))
+    assert flight.metadata["residual"]["source"] == "plant equations; does not know: wind, link"
+    (line,) = notes([flight.metadata["row"]])
+    assert (
+        line
+        == "perfect_mpc: knows the plant's equations, and nothing of the world around it (wind=constant,link=latency)"
+    )
+    clean = fly_one(compose([*SHORT, "controller=perfect_mpc"]))
+    assert clean.metadata["residual"]["source"] == "plant equations" and not notes([clean.metadata["row"]])
+
+
+@pytest.mark.parametrize(
+    ("world", "stable"),
+    [
+        (["link=latency", "link.latency=0.01"], True),
+        (["link=latency", "link.latency=0.03"], False),
+        (["link=latency", "link.latency=0.005", "estimator.delay=0.02"], False),
+        (["link=latency", "link.latency=0.03", "controller.dead_time=0.03"], True),
+    ],
+)
+def test_known_delays_are_held_against_the_margins(world, stable):
+    """The margin of the precise grid is 17 ms; link and estimator count together, less what the controller predicts."""
+    overrides = [*SHORT, "horizon=precise", "controller=nominal_mpc", *world]
+    if not stable:
+        with pytest.raises(InfeasibleError, match="not stable at hover"):
+            fly_one(compose(overrides))
+    margins = fly_one(compose([*overrides, "controller.allow_unstable=true"])).metadata["margins"]
+    assert margins["world_stable"] == stable and bool(world_note(margins)) != stable
+
+
+def test_a_sweep_over_worlds_names_them():
+    cells = expand(["wind=none,constant", "estimator.delay=0.0,0.01", "seed=0,1"])
+    assert {cell.config.world for cell in cells} == {
+        "clean", "wind=constant", "estimator=none", "wind=constant,estimator=none",
+    }  # fmt: skip
+    assert {cell.varied for cell in cells} == {"estimator.delay=0.0", "estimator.delay=0.01"}
+
+
+def test_a_world_with_another_plant_is_another_world():
+    """Plants and worlds that were made before are found again, each with its own settings."""
+    made = [build_world(config, build_vehicle(config.vehicle)) for config in (
+        compose(["wind=constant", f"wind.velocity=[{v},0,0]"]) for v in (1, 2, 1)
+    )]  # fmt: skip
+    assert made[0] is made[2] and made[0] is not made[1] and all(isinstance(one, World) for one in made)
+    told = [
+        build_controller(
+            config, build_vehicle(config.vehicle), build_world(config, build_vehicle(config.vehicle)), None
+        )
+        for config in (compose(["controller=perfect_mpc", f"wind={w}"]) for w in ("none", "constant"))
+    ]
+    assert told[0] is not told[1]
+
+
+def test_a_loop_of_ones_own_in_a_world():
+    """The same flight as `simulate`: what is measured goes to the controller, the noise comes from `begin`."""
+    settings = [*SHORT, "wind=constant", *ESTIMATE]
+    flown = fly_one(compose(settings))
+    loop = controller(*settings)
+    plant, x = loop.plant, loop.start
+    with pytest.raises(UsageError, match=r"^a flight in a world begins with plant\.begin"):
+        plant.advance(x, np.full(4, 2.0), loop.period, np.random.default_rng(0))
+    noise = plant.begin(x, loop.period, 1.0, generator(compose(settings)))
+    for k, t in enumerate(loop.times):
+        assert np.array_equal(x, flown.state[k])
+        x, _ = plant.advance(x, loop.step(plant.measured, t), loop.period, noise)

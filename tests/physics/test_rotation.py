@@ -1,0 +1,46 @@
+"""Rotation vectors: exponential, logarithm and right Jacobian against scipy's rotations and against a limit."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quadexp.physics.rotation import conjugate, cross_matrix, exponential, logarithm, product, right_jacobian
+
+
+def number(expression) -> np.ndarray:
+    return np.array(ca.DM(expression).full()).squeeze()
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-5, 9.9e-3, 1.01e-2, 0.7, 3.1])
+def test_exponential_and_logarithm_are_scipys(angle):
+    axis = np.array([0.6, -0.48, 0.64])
+    q = number(exponential(ca.DM(angle * axis)))
+    assert np.allclose(q, Rotation.from_rotvec(angle * axis).as_quat(scalar_first=True), atol=1e-15)
+    assert np.allclose(number(logarithm(ca.DM(q))), angle * axis, rtol=1e-12, atol=1e-15)
+    assert np.allclose(number(logarithm(ca.DM(-q))), angle * axis, rtol=1e-12, atol=1e-15)  # the same rotation
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-6, 9.9e-3, 1.01e-2, 0.3, 2.5])
+def test_right_jacobian_is_the_derivative_of_the_exponential(angle):
+    phi, small = angle * np.array([0.6, -0.48, 0.64]), 1e-6
+
+    def apart(d: np.ndarray) -> np.ndarray:
+        return (Rotation.from_rotvec(phi).inv() * Rotation.from_rotvec(phi + d)).as_rotvec()
+
+    derivative = np.column_stack([(apart(small * e) - apart(-small * e)) / (2 * small) for e in np.eye(3)])
+    assert np.allclose(number(right_jacobian(ca.DM(phi))), derivative, atol=1e-9)
+
+
+def test_products_and_cross_products():
+    rng = np.random.default_rng(0)
+    p, q = Rotation.random(2, rng=rng)
+    a, b = (r.as_quat(scalar_first=True) for r in (p, q))
+    assert np.allclose(
+        Rotation.from_quat(number(product(ca.DM(a), ca.DM(b))), scalar_first=True).as_matrix(), (p * q).as_matrix()
+    )
+    assert np.allclose(number(product(ca.DM(a), conjugate(ca.DM(a)))), [1, 0, 0, 0])
+    u, v = rng.normal(size=(2, 3))
+    assert np.allclose(number(cross_matrix(ca.DM(u))) @ v, np.cross(u, v))

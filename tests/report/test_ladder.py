@@ -1,0 +1,57 @@
+"""The ladder of worlds: means by world and controller, drawn where every flight ended well."""
+
+from __future__ import annotations
+
+import pytest
+
+from quadexp.report.ladder import by_world, draw, ladder_figure, ladder_table, world_of
+from quadexp.report.metrics import METRICS
+
+ERRORS = {"clean": (0.2, 0.001), "only_late_estimate": (0.21, 0.04), "wind=constant": (0.4, 0.28)}  # m
+CONTROLLERS = ("nominal_mpc", "perfect_mpc")
+
+
+@pytest.fixture
+def rows():
+    """Flights of two controllers in three worlds, three seeds each, with known errors."""
+    return [
+        result(f"simplified/{world}" if world != "clean" else "simplified", controller, seed, error * (1 + 0.1 * seed))
+        for world, errors in ERRORS.items()
+        for controller, error in zip(CONTROLLERS, errors, strict=True)
+        for seed in range(3)
+    ]
+
+
+def result(plant, controller, seed, error):
+    named = {"plant": plant, "vehicle": "torrente", "trajectory": "circle", "controller": controller, "model": ""}
+    metrics = dict.fromkeys(METRICS, 0.0) | {"mean_error": error, "rmse": error, "max_error": error}
+    return {**named, "speed": 8.0, "variant": "", "seed": seed, "outcome": "ok", "cause": "", **metrics}
+
+
+def test_names_of_worlds():
+    assert [world_of(name) for name in ("simplified", "simplified/race", "ideal/wind=dryden,link=latency")] == [
+        "clean", "race", "wind=dryden,link=latency",
+    ]  # fmt: skip
+
+
+def test_means_over_seeds_by_world_and_controller(rows):
+    assert tuple(by_world(rows)) == tuple(ERRORS)
+    for line, (world, errors) in zip(ladder_table(rows).rows, ERRORS.items(), strict=True):
+        means = [f"{1e3 * error * 1.1:.3g}" for error in errors]
+        assert list(line) == [world, "circle", "8", *means]
+
+
+def test_a_flight_that_is_lost_has_no_marker_and_is_named(rows):
+    hurt = [dict(row) for row in rows]
+    victim = next(row for row in hurt if row["controller"] == "perfect_mpc" and row["plant"].endswith("late_estimate"))
+    victim["outcome"] = "lost"
+    (line,) = (line for line in ladder_table(hurt).rows if line[0] == "only_late_estimate")
+    assert line[-1] == "1 of 3 lost"
+    drawn = {line.get_label(): len(line.get_xdata()) for line in ladder_figure(hurt).axes[0].lines}
+    assert drawn == {"nominal_mpc": 3, "perfect_mpc": 2}
+
+
+def test_files(rows, tmp_path):
+    files = draw(rows, tmp_path)
+    assert (tmp_path / "ladder.md").read_text().count("\n| ") >= 4 and files["figure_ladder"].endswith("ladder.svg")
+    assert (tmp_path / "figures" / "ladder.png").stat().st_size > 5_000

@@ -1,0 +1,162 @@
+"""Figures of a sweep: drawn beside the tables, only where what they show has changed, each whole or not at all."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from quadexp.config.compose import expand
+from quadexp.log.cell_store import CellStore
+from quadexp.report.drawing import DRAWN, FigureFolder, drawings
+from quadexp.sweeps.engine import Workers
+from quadexp.sweeps.figures import SweepFigures
+from quadexp.sweeps.sweep import run_sweep
+from tests.cli.command import run
+
+ASKED = ["controller=nominal_mpc,perfect_mpc", "trajectory.speed=3,4", "trajectory.acceleration=1.5"]
+CIRCLE = {"mean_error_against_speed", "path_circle", "solve_time"}
+
+
+def fly(out, trajectories="circle", seeds=1):
+    return run_sweep(expand([*ASKED, f"trajectory={trajectories}", f"seed=range({seeds})"]), out, isolate=False).rows
+
+
+def draw(out, rows, processes=None):
+    with SweepFigures(out, processes, "mean_error", 0.95) as figures:
+        figures.begin(rows)
+        return figures.end(), figures.failed
+
+
+def drawn(out):
+    """Name of a file -> when it was written."""
+    return {file.name: file.stat().st_mtime_ns for file in (out / "figures").iterdir() if file.name != DRAWN}
+
+
+def redrawn(out, before):
+    return {name.partition(".")[0] for name, at in drawn(out).items() if before.get(name) != at}
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    out = tmp_path_factory.mktemp("figures") / "results"
+    rows = fly(out)
+    files, failed = draw(out, rows)
+    assert not failed and set(files) == {f"figure_{name}" for name in CIRCLE}
+    return out, rows
+
+
+@pytest.fixture
+def flown(first, tmp_path):
+    """A folder of results with its figures, to be changed."""
+    shutil.copytree(first[0], tmp_path / "results")
+    return tmp_path / "results", first[1]
+
+
+def test_processes_draw_the_same_to_the_last_bit(first, tmp_path):
+    out, rows = tmp_path / "results", first[1]
+    shutil.copytree(first[0] / "cells", out / "cells")
+    with Workers(2) as processes:
+        files, failed = draw(out, rows, processes)
+    assert not failed and len(files) == 3
+    assert set(drawn(out)) == set(drawn(first[0])) == {f"{name}.{form}" for name in CIRCLE for form in ("svg", "png")}
+    for name in drawn(out):
+        assert (out / "figures" / name).read_bytes() == (first[0] / "figures" / name).read_bytes(), name
+
+
+def test_what_has_not_changed_is_not_drawn(flown):
+    out, rows = flown
+    before = drawn(out)
+    assert set(draw(out, rows)[0]) == {f"figure_{name}" for name in CIRCLE} and not redrawn(out, before)
+    again = fly(out)  # the rows as they come from the files
+    assert draw(out, again)[1] == {} and not redrawn(out, before)
+
+
+def test_only_what_shows_something_else_is_drawn(flown):
+    out, _ = flown
+    before = drawn(out)
+    rows = fly(out, "circle,lemniscate")
+    draw(out, rows)
+    assert redrawn(out, before) == {"mean_error_against_speed", "path_lemniscate", "solve_time"}
+    before = drawn(out)
+    slower = [row | {"solve_time_median": 2 * row["solve_time_median"]} if row["seed"] == 0 else row for row in rows]
+    other = [slow if row["speed"] == 3.0 else row for row, slow in zip(rows, slower, strict=True)]
+    draw(out, other)  # paths are drawn at the highest speed
+    assert redrawn(out, before) == {"mean_error_against_speed", "solve_time"}
+
+
+@pytest.mark.parametrize("gone", ["path_circle.png", "path_circle.svg"])
+def test_a_file_that_is_gone_is_drawn_again(flown, gone):
+    out, rows = flown
+    before = drawn(out)
+    (out / "figures" / gone).unlink()
+    draw(out, rows)
+    assert redrawn(out, before) == {"path_circle"} and set(drawn(out)) == set(before)
+
+
+def test_another_metric_is_another_figure(flown):
+    out, rows = flown
+    before = drawn(out)
+    with SweepFigures(out, None, "rmse", 0.95) as figures:
+        figures.begin(rows)
+        assert "figure_rmse_error_against_speed" in figures.end()
+    assert redrawn(out, before) == {"rmse_error_against_speed"}
+
+
+@pytest.mark.parametrize("text", ["0123456789abcdef mean_error", "[1, 2", "[]", '{"path_circle": 3}', "{}"])
+def test_a_list_of_an_earlier_version_or_a_damaged_one_counts_for_nothing(flown, text):
+    out, rows = flown
+    asked = drawings(rows, out, "mean_error", 0.95)
+    assert all(map(FigureFolder(out).shows, asked))
+    (out / "figures" / DRAWN).write_text(text)
+    assert not any(map(FigureFolder(out).shows, asked))
+
+
+@pytest.mark.parametrize("apart", [False, True], ids=["here", "in processes"])
+def test_a_figure_that_fails_costs_no_other(flown, apart):
+    """And the earlier one goes, which would show other rows."""
+    out, rows = flown
+    CellStore(out).path(rows[-1]["key"]).unlink()
+    changed = [row | {"max_error": 2 * row["max_error"]} for row in rows]
+    before = drawn(out)
+    with Workers(2) as processes:
+        files, failed = draw(out, changed, processes if apart else None)
+    assert list(failed) == ["path_circle"] and "no such file" in failed["path_circle"]
+    assert set(files) == {"figure_mean_error_against_speed", "figure_solve_time"}
+    assert redrawn(out, before) == {"mean_error_against_speed", "solve_time"}
+    assert not [name for name in drawn(out) if "path_circle" in name]
+
+
+def test_an_interrupt_leaves_whole_figures_and_the_next_run_draws_the_others(flown):
+    out, rows = flown
+    shutil.rmtree(out / "figures")
+    with (
+        pytest.raises(KeyboardInterrupt),
+        Workers(2) as processes,
+        SweepFigures(out, processes, "mean_error", 0.95) as figures,
+    ):
+        figures.begin(rows)
+        raise KeyboardInterrupt
+    for name in drawn(out) if (out / "figures").exists() else ():
+        content = (out / "figures" / name).read_bytes()
+        assert content.rstrip().endswith(b"</svg>") or b"IEND" in content[-16:], name
+    (out / "figures").mkdir(exist_ok=True)
+    (out / "figures" / ".solve_time.svg.1.tmp").write_text("<svg> of a process that was killed")
+    assert draw(out, rows)[1] == {}
+    assert set(drawn(out)) == {f"{name}.{form}" for name in CIRCLE for form in ("svg", "png")}
+
+
+def test_the_command_says_what_was_not_drawn_and_its_tables_are_there(tmp_path):
+    out = tmp_path / "results"
+    asked = ["trajectory=step", "trajectory.duration=0.4", "trajectory.step_time=0.2", "seed=0,1"]
+    asked += ["controller.backend=interpreted", "plant.backend=interpreted", "evaluate.workers=1", "--out", out]
+    assert run("evaluate", "--sweep", *asked, "--no-figures")[0] == 0
+    tables = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+    (out / "figures").write_text("a file where the folder should be")
+    code, shown, said = run("evaluate", "--sweep", *asked)
+    wrong = [line for line in said.splitlines() if line.startswith("error: ")]
+    assert code == 1 and f"error: path_step: not drawn: {out / 'figures' / 'path_step.svg'}: cannot be written" in said
+    assert len(wrong) == 3 and all(line.endswith("; the tables are not affected") for line in wrong)
+    assert (
+        str(out) in shown and {path.name: path.read_bytes() for path in out.iterdir() if path.name in tables} == tables
+    )

@@ -1,0 +1,226 @@
+"""Worlds around an airframe: by independent means, on three airframes each.
+
+A wind is a moving frame; a latency is a shift of the commands; a delay is a shift of the states. The same seed gives
+each part its own numbers, whatever else is switched on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
+from quadexp.world import PlantEffects, SimplifiedPlant
+from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant
+from quadexp.world.constant_wind import ConstantWind
+from quadexp.world.from_model import FromModelPlant
+from quadexp.world.link import Latency
+from quadexp.world.stated_estimate import StatedEstimate
+from quadexp.world.streams import Share, Streams, part_stream
+from quadexp.world.world import World
+from tests.air.models import BLADE, with_rotors
+
+PERIOD, STEP = 0.02, 1e-3
+AIRFRAMES = ("simplified", "blade_element", "from_model")
+
+
+def airframe(kind, vehicle, *, noise=True):
+    vehicle = with_rotors(vehicle)
+    if kind == "simplified":
+        effects = PlantEffects() if noise else replace(PlantEffects(), motor_noise_density=0.0, force_noise_density=0.0)
+        return SimplifiedPlant(vehicle, effects, step=STEP, backend="interpreted")
+    if kind == "blade_element":
+        lagging = BladeElementEffects(motor_lag=0.02)
+        return BladeElementPlant(vehicle, BLADE, lagging, step=STEP, method="rk4", backend="interpreted")
+    drag = linear_drag_residual(vehicle, (0.4, 0.3, 0.1))
+    return FromModelPlant(vehicle, drag, step=STEP, force_noise_density=0.02, backend="interpreted")
+
+
+def commands(vehicle, periods, seed=0):
+    """Thrusts around hover, (periods, n)."""
+    return vehicle.hover_thrust * (1 + 0.05 * np.random.default_rng(seed).standard_normal((periods, vehicle.n_rotors)))
+
+
+def start(seed=0):
+    x = np.random.default_rng(seed).normal(size=13)
+    x[ATTITUDE] = [0.98, 0.1, -0.1, 0.15]
+    x[ATTITUDE] /= np.linalg.norm(x[ATTITUDE])
+    x[10:] *= 0.2
+    return x
+
+
+def fly(plant, x, thrusts, seed=1):
+    """States (k + 1, 13), readings (k, 3), measured (k + 1, 13) under open-loop commands (k, n)."""
+    rng = np.random.default_rng(seed)
+    if isinstance(plant, World):
+        rng = plant.begin(x, PERIOD, PERIOD * len(thrusts), rng)
+    else:
+        plant.reset()
+    states, readings, told = [x], [], [x]
+    for u in thrusts:
+        x, reading = plant.advance(x, u, PERIOD, rng)
+        states.append(x)
+        readings.append(reading)
+        told.append(getattr(plant, "measured", x))
+    return np.array(states), np.array(readings), np.array(told)
+
+
+@pytest.mark.parametrize("kind", AIRFRAMES)
+def test_a_constant_wind_is_a_moving_frame(vehicle, kind):
+    """Seen from the moving frame, the flight in the wind is the flight in still air, accelerometer included."""
+    wind, x = np.array([4.0, -2.0, 1.0]), start()
+    plant = airframe(kind, vehicle)
+    world = World(airframe(kind, vehicle), [ConstantWind(velocity=tuple(wind))])
+    moving = x.copy()
+    moving[VELOCITY] -= wind
+    u = commands(vehicle, 40)
+    still, felt, _ = fly(plant, moving, u)
+    windy, reading, _ = fly(world, x, u)
+    t = PERIOD * np.arange(len(still))[:, None]
+    windy[:, POSITION] -= wind * t
+    windy[:, VELOCITY] -= wind
+    assert np.abs(windy - still).max() < 1e-9 and np.abs(reading - felt).max() < 1e-8
+    assert np.abs(still[-1, VELOCITY] - moving[VELOCITY]).max() > 0.3  # it did fly
+
+
+@pytest.mark.parametrize("kind", AIRFRAMES)
+def test_effects_that_do_nothing_change_nothing(vehicle, kind):
+    """A link without latency, still air, an estimate without noise: the airframe's own flight."""
+    world = World(airframe(kind, vehicle), [Latency(), ConstantWind(), StatedEstimate()])
+    u, x = commands(vehicle, 10), start(3)
+    flown, readings, told = fly(world, x, u)
+    expected, felt, _ = fly(airframe(kind, vehicle), x, u)
+    assert np.abs(flown - expected).max() < 1e-12 and np.abs(readings - felt).max() < 1e-10
+    assert np.array_equal(told, flown)
+
+
+@pytest.mark.parametrize("kind", AIRFRAMES)
+@pytest.mark.parametrize("late", [1, 2, 3])
+def test_a_latency_of_whole_periods_shifts_the_commands(vehicle, kind, late):
+    u, x = commands(vehicle, 15), start(1)
+    world = World(airframe(kind, vehicle), [Latency(latency=late * PERIOD)])
+    shifted = np.concatenate([np.full((late, vehicle.n_rotors), vehicle.hover_thrust), u[:-late]])
+    assert np.abs(fly(world, x, u)[0] - fly(airframe(kind, vehicle), x, shifted)[0]).max() < 1e-12
+
+
+@pytest.mark.parametrize("latency", [0.007, 0.013, 0.031])
+def test_a_latency_below_a_period_is_exact_on_the_integration_steps(vehicle, latency):
+    """Against the same airframe commanded every integration step, with the commands shifted by hand."""
+    plant = airframe("simplified", vehicle, noise=False)
+    plant.effects = replace(plant.effects, torque_noise_density=0.0)
+    plant._parameters = plant.effects.parameters()
+    u, x, steps = commands(vehicle, 12), start(2), round(PERIOD / STEP)
+    world = fly(World(plant, [Latency(latency=latency)]), x, u)[0]
+    fine = np.repeat(u, steps, axis=0)
+    late = round(latency / STEP)
+    fine = np.concatenate([np.full((late, vehicle.n_rotors), vehicle.hover_thrust), fine])[: len(u) * steps]
+    plant.reset()
+    for k, command in enumerate(fine):
+        if k % steps == 0:
+            assert np.abs(x - world[k // steps]).max() < 1e-9
+        x, _ = plant.advance(x, command, STEP, np.random.default_rng(0))
+
+
+def test_jitter_and_loss_as_a_list_of_messages_has_them(vehicle):
+    """The newest command that has arrived is flown; what was overtaken is ignored: by an event list in plain Python."""
+    latency, jitter, drop, n = 0.004, 0.05, 0.3, vehicle.n_rotors
+    link = Latency(latency=latency, jitter=jitter, drop=drop)
+    plant = airframe("simplified", vehicle, noise=False)
+    plant._parameters = replace(plant.effects, torque_noise_density=0.0).parameters()
+    u, x, steps = commands(vehicle, 60), start(4), round(PERIOD / STEP)
+    world = fly(World(plant, [link]), x, u, seed=7)[0]
+
+    from scipy.stats import norm
+
+    draws = part_stream(np.random.default_rng(7), "link").standard_normal((len(u), 2))
+    arrival = PERIOD * np.arange(len(u)) + latency + jitter * norm.cdf(draws[:, 0])
+    arrival[norm.cdf(draws[:, 1]) < drop] = np.inf
+    finite = arrival[np.isfinite(arrival)]
+    assert (np.diff(finite) < 0).sum() > 3 and 5 < np.isinf(arrival).sum() < 40  # some are overtaken, some are lost
+    plant.reset()
+    for k in range(len(u) * steps):
+        if k % steps == 0:
+            assert np.abs(x - world[k // steps]).max() < 1e-9
+        come = np.flatnonzero(arrival <= k * STEP + 1e-9)
+        command = u[come[-1]] if len(come) else np.full(n, vehicle.hover_thrust)
+        x, _ = plant.advance(x, command, STEP, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("kind", AIRFRAMES)
+def test_a_late_estimate_is_an_earlier_state(vehicle, kind):
+    u, x = commands(vehicle, 12), start(5)
+    world = World(airframe(kind, vehicle), [StatedEstimate(delay=2 * PERIOD)])
+    states, _, told = fly(world, x, u)
+    assert np.array_equal(told[2:], states[:-2]) and np.array_equal(told[:2], states[[0, 0]])
+
+
+def test_a_delay_below_a_period(vehicle):
+    """Against the same commands on a control period as short as an integration step."""
+    delay, u, x = 0.007, commands(vehicle, 12), start(6)
+    plant = airframe("simplified", vehicle, noise=False)
+    plant._parameters = replace(plant.effects, torque_noise_density=0.0).parameters()
+    _, _, told = fly(World(plant, [StatedEstimate(delay=delay)]), x, u)
+    steps, fine = round(PERIOD / STEP), [x]
+    for command in np.repeat(u, steps, axis=0):
+        fine.append(plant.advance(fine[-1], command, STEP, np.random.default_rng(0))[0])
+    for k in range(1, len(u) + 1):
+        assert np.abs(told[k] - fine[k * steps - round(delay / STEP)]).max() < 1e-9
+
+
+def test_the_noise_of_an_estimate_is_as_stated(vehicle):
+    stated = StatedEstimate(position_noise=0.005, velocity_noise=0.03, attitude_noise=0.01, rate_noise=0.05)
+    world = World(airframe("simplified", vehicle), [stated])
+    states, _, told = fly(world, start(), commands(vehicle, 400))
+    found = (told - states)[1:]
+    w, v = states[1:, 3:4], states[1:, 4:7]
+    turned = w * told[1:, 4:7] - told[1:, 3:4] * v - np.cross(v, told[1:, 4:7])  # vector part of q^-1 o q^
+    for noise, std in (
+        (found[:, POSITION], 0.005),
+        (found[:, VELOCITY], 0.03),
+        (found[:, 10:], 0.05),
+        (2 * turned, 0.01),
+    ):
+        assert np.abs(noise.std(axis=0) / std - 1).max() < 4 / np.sqrt(2 * len(noise))
+        assert np.abs(noise.mean(axis=0)).max() < 4 * std / np.sqrt(len(noise))
+    assert np.abs(np.linalg.norm(told[:, ATTITUDE], axis=1) - 1).max() < 1e-12
+
+
+class TestStreams:
+    def test_switching_a_part_on_changes_no_other_part(self, vehicle):
+        """The airframe's noise and the estimate's are the same with and without a link that draws."""
+        u, x = commands(vehicle, 20), start()
+        stated = StatedEstimate(position_noise=0.1)
+        alone = fly(World(airframe("simplified", vehicle), [stated]), x, u)
+        lossy = Latency(drop=1e-12)  # which draws, and loses nothing
+        both = fly(World(airframe("simplified", vehicle), [stated, lossy]), x, u)
+        clean = fly(airframe("simplified", vehicle), x, u)
+        assert np.abs(alone[0] - both[0]).max() < 1e-12 and np.abs(alone[2] - both[2]).max() < 1e-12
+        assert np.abs(alone[0] - clean[0]).max() < 1e-12 and np.abs(alone[2] - alone[0])[1:, 0].min() > 0
+
+    def test_a_part_has_its_own_stream_and_leaves_the_generator_alone(self):
+        rng = np.random.default_rng(4)
+        before = rng.bit_generator.state
+        first, other = part_stream(rng, "wind").random(4), part_stream(rng, "link").random(4)
+        assert rng.bit_generator.state == before and np.array_equal(first, part_stream(rng, "wind").random(4))
+        assert not np.array_equal(first, other) and not np.array_equal(first, np.random.default_rng(4).random(4))
+        (child,) = rng.spawn(1)
+        assert not np.array_equal(part_stream(child, "wind").random(4), first)
+
+    @pytest.mark.parametrize("sizes", [[(7, 0)], [(3, 2), (0, 4), (2, 0)], [(0, 1)], [(0, 0), (1, 1)]])
+    def test_in_blocks_or_one_by_one_they_are_the_same(self, sizes):
+        steps = 5
+        makers = [lambda: Streams([Share(np.random.default_rng(i), *size) for i, size in enumerate(sizes)], steps)] * 2
+        one, two = (make() for make in makers)
+        block, out = one.take(6), np.empty(one.size)
+        for row in block:
+            two.standard_normal(out)
+            assert np.array_equal(row, out)
+        column = 0
+        for i, (noise, draws) in enumerate(sizes):
+            own = np.random.default_rng(i).standard_normal((6, steps * noise + draws))
+            found = block[:, : one.noise_size].reshape(6, steps, -1)[:, :, column : column + noise] if noise else None
+            assert found is None or np.array_equal(found.reshape(6, -1), own[:, draws:])
+            column += noise
