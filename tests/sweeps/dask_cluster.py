@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -34,11 +35,9 @@ class Cluster:
         scheduler = ["dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", *self._tls]
         self.scheduler = self._start(*scheduler, "--scheduler-file", str(self._file))
         deadline = time.monotonic() + 300
-        while not self._file.exists():
+        while not (self._file.exists() and self._file.read_text().rstrip().endswith("}")):  # written in pieces
             assert time.monotonic() < deadline and self.scheduler.poll() is None, "the scheduler does not start"
             time.sleep(0.05)
-        import json
-
         self.address = json.loads(self._file.read_text())["address"]
         self.workers = [self.add_worker() for _ in range(workers)]
 
