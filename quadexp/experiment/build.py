@@ -264,7 +264,7 @@ def knows_plant(config: ControllerConfig) -> bool:
 
 
 def controller_settings(config: ControllerConfig) -> Any:
-    """The controller's settings, None for one's own; raises UsageError where they contradict each other."""
+    """The controller's settings, None for the user's own class; raises UsageError where they contradict each other."""
     if config.kind == "custom":
         return None
     if config.kind == "feedback":

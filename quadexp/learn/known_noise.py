@@ -8,7 +8,8 @@ estimate (standard deviations s per sample, velocity v, rate w, attitude q):
     motors  = sum_j g_ij^2 S_motor^2 u_j u_max / dt,    g: effect of a thrust on that axis, 1 / m or the lever
 
 with thrusts u and their sum T. The attitude enters by the direction of the predicted thrust. Noise of the features is
-left out; it is multiplied by the slope of the residual. What states no noise (filters, plants of one's own) is said.
+left out; it is multiplied by the slope of the residual. Nothing is known where a part states no noise (filters, the
+user's plants).
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ class DroneModelsPlant(SimulatedPlant):
         return self.inner
 
     @property
-    def loop_lag(self) -> float:  # type: ignore[override]
+    def loop_lag(self) -> float:  # type: ignore[override]  # a plain attribute in the base
         """See SimulatedPlant: in hover, of thrust after a small change of the command, up or down, the longer (s)."""
         rpm = self._speed(self.vehicle.hover_thrust) / RPM
         return 1 / min(linear + 2 * square * rpm for linear, square in (self.keys.spin_up, self.keys.spin_down))

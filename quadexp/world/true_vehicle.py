@@ -119,8 +119,8 @@ def _steiner(d: np.ndarray) -> np.ndarray:
     return d @ d * np.eye(3) - np.outer(d, d)
 
 
-def _made(vehicle: Vehicle, group: str, changed: dict[str, object]) -> Vehicle:
+def _made(vehicle: Vehicle, group: str, changed: dict[str, Any]) -> Vehicle:
     try:
-        return replace(vehicle, **changed)  # type: ignore[arg-type]
+        return replace(vehicle, **changed)
     except UsageError as error:
         raise UsageError(f"{group}: gives no vehicle that can fly: {error}") from None

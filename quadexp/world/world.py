@@ -160,7 +160,7 @@ class World(SimulatedPlant):
         return np.concatenate([self.airframe.parameters(step), self._own_parameters])
 
     @property
-    def next_change(self) -> float:  # type: ignore[override]
+    def next_change(self) -> float:  # type: ignore[override]  # an attribute there
         """See SimulatedPlant."""
         return self.airframe.next_change
 
@@ -224,7 +224,7 @@ class World(SimulatedPlant):
         return sum(effect.loop_delay for effect in self.effects)
 
     @property
-    def loop_lag(self) -> float:  # type: ignore[override]
+    def loop_lag(self) -> float:  # type: ignore[override]  # an attribute there
         """See SimulatedPlant: the airframe's and the effects'."""
         return self.airframe.loop_lag + sum(effect.loop_lag for effect in self.effects)
 

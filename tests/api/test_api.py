@@ -232,7 +232,7 @@ class TestSweep:
             results.flight(0)[["t", "v_x"]].plot()
 
     def test_parts_of_results_are_tables_too(self, here):
-        """Columns, no rows, two sweeps after each other, a column of one's own: shown, and said where it cannot be."""
+        """Columns, no rows, two sweeps after each other, an added column: shown, or refused in one line."""
         results = qx.sweep(*QUICK, seed=[0, 1])
         for part in (results[["controller", "mean_error"]], results[results["seed"] > 5]):
             assert "<pre>results: " in part._repr_html_()

@@ -1,4 +1,4 @@
-"""`quadexp new`: a part of one's own whose test passes at once, and which flies."""
+"""`quadexp new` writes a part whose test passes at once, and which flies."""
 
 from __future__ import annotations
 

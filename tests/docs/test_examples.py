@@ -1,4 +1,4 @@
-"""The worked examples of one's own parts together; what each claims is tested beside it, in examples/test_*.py."""
+"""The worked examples of user-written parts together; what each claims is tested beside it, in examples/test_*.py."""
 
 from __future__ import annotations
 

@@ -177,7 +177,7 @@ def test_a_folder_of_other_things(tmp_path):
 
 
 class TestOtherFiles:
-    """A flight of one's own, a data set, an imported flight: where they are read in full."""
+    """A flight outside a sweep, a data set, an imported flight: where they are read in full."""
 
     def test_an_edited_flight_teaches_nothing(self, folder, tmp_path):
         flight = read_flight(cell(folder))
