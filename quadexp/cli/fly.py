@@ -223,8 +223,10 @@ def _preload(cells: Sequence[Any], figures: bool) -> list[str]:
 
 
 def _flight_name(config: Any) -> str:
+    from quadexp.config.schema import controller_name
+
     speed = getattr(config.trajectory, "speed", None)
-    parts = [config.controller.name, config.trajectory.name, "" if speed is None else f"{speed:g}"]
+    parts = [controller_name(config), config.trajectory.name, "" if speed is None else f"{speed:g}"]
     parts.append(f"seed{config.seed}" if config.seed else "")
     return "_".join(part for part in parts if part)
 

@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, overload
 
-from quadexp.config.schema import WORLD, Config
+from quadexp.config.schema import REMEDIES, WORLD, Config
 
 # Varied keys that the result table has a column for; the plant's column names the world around it too, but not a sensor
 # that is only an accelerometer.
 COLUMN_KEYS = {
     "vehicle", "plant", "world", "trajectory", "controller", "trajectory.speed", "model", "seed", "experiment",
-    *(group for group in WORLD if group != "sensor"),
+    *(group for group in WORLD if group != "sensor"), "remedies", *REMEDIES,
 }  # fmt: skip
 
 Grid = tuple[tuple[str, ...], ...]  # for every key its overrides; the cells are their product, the last varies fastest

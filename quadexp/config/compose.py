@@ -226,11 +226,12 @@ class Composer:
         """The same, from what the experiment and every option are by themselves, where that is the same."""
         if key in self._together:
             return self._together[key]
-        # A preset sets values of another group's node, and a world chooses options of its parts: those are composed
+        # A preset sets values of another group's node, and a bundle chooses options of its parts: those are composed
         # together, with the experiment.
         joined = {
             "experiment",
             "world",
+            "remedies",
             *(g for pair in PRESETS.items() if pair[0] in (one.key for one in chosen) for g in pair),
         }
         together = [one for one in chosen if one.key in joined]

@@ -52,6 +52,7 @@ from quadexp.config.lei_li import (
     SensorConfig,
 )
 from quadexp.config.motors import ActuatorConfig, BatteryConfig, RotorLossConfig
+from quadexp.config.remedies import RemedyConfig
 from quadexp.config.sensing import EskfConfig, ImuGnssConfig, ImuMocapConfig
 from quadexp.config.settings import Setting, Settings
 from quadexp.config.wind import DrydenConfig, GustConfig, WindFileConfig
@@ -102,6 +103,10 @@ class Config(Settings):
     estimator: WorldPartConfig
     trajectory: TrajectoryConfig
     controller: ControllerConfig
+    observer: RemedyConfig
+    adaptive: RemedyConfig
+    inner: RemedyConfig
+    delay: RemedyConfig
     collect: CollectConfig
     gp: GPConfig
     drag: DragConfig
@@ -170,6 +175,10 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "custom": CustomControllerConfig,
         "custom_residual_mpc": CustomResidualMPCConfig,
     },
+    "observer": {"none": RemedyConfig},
+    "adaptive": {"none": RemedyConfig},
+    "inner": {"none": RemedyConfig},
+    "delay": {"none": RemedyConfig},
     "collect": {"flights": CollectConfig},
     "gp": {"sparse": GPConfig},
     "drag": {"linear": DragConfig},
@@ -191,8 +200,22 @@ WORLD = (
     "estimator",
 )
 
+# Groups of remedies around a controller, the one nearest to it first; see quadexp/control/wrapped.py.
+REMEDIES = ("observer", "adaptive", "inner", "delay")
+
 # Groups of presets, and the group whose values their options set (`# @package controller`).
 PRESETS = {"horizon": "controller"}
+
+
+def remedies(config: Config) -> dict[str, RemedyConfig]:
+    """The remedies that do something, by group, the one nearest to the controller first."""
+    parts = {group: getattr(config, group) for group in REMEDIES}
+    return {group: one for group, one in parts.items() if not one.idle}
+
+
+def controller_name(config: Config) -> str:
+    """What the controller is called in tables, with the remedies around it: "gp_mpc+wind+strapdown"."""
+    return "+".join([config.controller.name, *(one.name for one in remedies(config).values())])
 
 
 def world_parts(config: Config) -> dict[str, WorldPartConfig]:

@@ -15,7 +15,7 @@ from typing import Any, TypeVar, cast
 
 from quadexp.config.flight import ControllerConfig, FileConfig, MPCConfig, PlantConfig, TrajectoryConfig, VehicleConfig
 from quadexp.config.lei_li import FeedbackConfig, RLSMPCConfig, SensorConfig
-from quadexp.config.schema import Config, world_parts
+from quadexp.config.schema import Config, remedies, world_parts
 from quadexp.config.settings import part
 from quadexp.config.world import WorldPartConfig
 from quadexp.errors import DataError, UsageError
@@ -238,6 +238,7 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
     told = [asdict(config.plant), [*world_parts(config)]]
     believed = told if knows_plant(controller) else model.sha256 if model else ""
     record = ["controller", vehicle.fingerprint, asdict(controller), believed]
+    around = {group: asdict(one) for group, one in remedies(config).items()}
 
     def make() -> Any:
         if controller.kind == "custom":
@@ -253,7 +254,11 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
         residual, backend = build_residual(config, vehicle, plant, model), cast(MPCConfig, controller).backend
         return PredictiveController(ModelPredictiveController(vehicle, residual, settings, backend=backend))
 
-    return keep(record, make)
+    if not around:
+        return keep(record, make)
+    from quadexp.experiment.build_remedies import with_remedies
+
+    return keep([*record, around], lambda: with_remedies(make(), config))
 
 
 def knows_plant(config: ControllerConfig) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import quadexp
-from quadexp.config.schema import Config
+from quadexp.config.schema import Config, controller_name
 from quadexp.errors import UsageError
 from quadexp.experiment.build import (
     ModelFile,
@@ -148,7 +148,7 @@ def describe(config: Config, vehicle: Vehicle, model: ModelFile | None) -> dict[
         "plant": config.plant.name,
         "world": config.world,
         "trajectory": config.trajectory.name,
-        "controller": config.controller.name,
+        "controller": controller_name(config),
         "model": model.path if model else "",
         "model_sha256": model.sha256 if model else "",
         "versions": versions(),
@@ -165,7 +165,7 @@ def result_row(config: Config, flight: Flight) -> dict[str, Any]:
         "vehicle": config.vehicle.name,
         "trajectory": config.trajectory.name,
         "speed": getattr(config.trajectory, "speed", None),
-        "controller": config.controller.name,
+        "controller": controller_name(config),
         "model": metadata["model"],
         "seed": config.seed,
         **flight_metrics(flight, config.vehicle.thrust_min, config.vehicle.thrust_max),

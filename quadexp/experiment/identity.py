@@ -6,7 +6,7 @@ import hashlib
 import json
 from typing import Any
 
-from quadexp.config.schema import WORLD, Config
+from quadexp.config.schema import WORLD, Config, remedies
 from quadexp.config.settings import record
 from quadexp.physics.vehicle import FORMER_NAMES
 
@@ -30,11 +30,12 @@ def digest(value: Any) -> str:
 
 
 def flight_record(config: Config) -> dict[str, Any]:
-    """The part of a configuration that determines one flight, as a dictionary; parts of the world that do nothing are
-    left out."""
+    """The part of a configuration that determines one flight, as a dictionary; parts of the world and remedies
+    that do nothing are left out."""
     nodes = {group: record(getattr(config, group)) for group in FLIGHT_GROUPS}
     world = {group: getattr(config, group) for group in WORLD if group not in nodes}
     nodes |= {group: record(part) for group, part in world.items() if not part.idle}
+    nodes |= {group: record(part) for group, part in remedies(config).items()}
     return {**nodes, "model": config.model, "seed": config.seed}
 
 

@@ -1,0 +1,56 @@
+"""A controller around another one: what every remedy is that is not part of the controller's own model.
+
+    observer < adaptive < inner < delay                      the one named first is nearest to the controller
+
+A subclass overrides what it changes; all the rest is the inner controller's.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from quadexp.air.base import Residual
+from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.mpc.mpc import StepRecord
+from quadexp.physics.vehicle import Vehicle
+
+
+class WrappedController:
+    """A Controller (see control.base) that passes everything on to `inner`."""
+
+    def __init__(self, inner: Controller) -> None:
+        self.inner = inner
+        self.vehicle: Vehicle = inner.vehicle
+        self.control_period, self.node_times = inner.control_period, inner.node_times
+        self.reference_period, self.backend = inner.reference_period, inner.backend
+        self.name, self.source = inner.name, inner.source
+
+    @property
+    def residual(self) -> Residual | None:
+        """See Controller.residual."""
+        return self.inner.residual
+
+    def forget(self) -> None:
+        """See Controller.forget."""
+        self.inner.forget()
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset."""
+        self.inner.reset(x, window)
+
+    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
+        """See Controller.step."""
+        return self.inner.step(measurement, window)
+
+    def log(self) -> dict[str, float]:
+        """See Controller.log."""
+        return self.inner.log()
+
+
+def innermost(controller: Any) -> Any:
+    """The controller inside all remedies; the controller itself where there is none."""
+    while isinstance(controller, WrappedController):
+        controller = controller.inner
+    return controller
