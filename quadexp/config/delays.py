@@ -23,3 +23,17 @@ class StrapdownConfig(DelayKeys, RemedyConfig):
     """A late state is brought to now by gyroscope and accelerometer; see quadexp/control/delay/strapdown.py."""
 
     remedy = "quadexp.control.delay.strapdown:around"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictionConfig(DelayKeys, RemedyConfig):
+    """A late state is brought to now by the controller's model; see quadexp/control/delay/prediction.py."""
+
+    remedy = "quadexp.control.delay.prediction:around"
+
+    dead_time: Annotated[
+        float | None, Setting("dead time of commands; null: what the controller predicts itself", "[0, 0.5]", "s")
+    ] = None
+    motor_lag: Annotated[
+        float | None, Setting("time constant of the rotors; null: what the controller knows itself", "[0, 0.5]", "s")
+    ] = None

@@ -24,7 +24,7 @@ from quadexp.config.custom import (
     CustomResidualMPCConfig,
     CustomTrajectoryConfig,
 )
-from quadexp.config.delays import StrapdownConfig
+from quadexp.config.delays import PredictionConfig, StrapdownConfig
 from quadexp.config.engine import DaskConfig, EngineConfig, SlurmConfig
 from quadexp.config.flight import (
     SEEDS,
@@ -179,7 +179,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "observer": {"none": RemedyConfig},
     "adaptive": {"none": RemedyConfig},
     "inner": {"none": RemedyConfig},
-    "delay": {"none": RemedyConfig, "strapdown": StrapdownConfig},
+    "delay": {"none": RemedyConfig, "strapdown": StrapdownConfig, "prediction": PredictionConfig},
     "collect": {"flights": CollectConfig},
     "gp": {"sparse": GPConfig},
     "drag": {"linear": DragConfig},
