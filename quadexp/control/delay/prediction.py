@@ -4,9 +4,9 @@
 
 phi: Runge-Kutta steps of at most STEP, the last parts of the time; the thrust of each is its mean over that part, after
 the dead time and lag of the commands (sent_commands.py). Where an observer is inside, phi is in the world that it
-believes in: v' = F_air(v - w, s T) + F / m .., see control.belief. The prediction starts from the newest measurement at
-every instant (not Smith's form, whose model drifts). It needs no gyroscope and no accelerometer, but a model: an error a
-of its acceleration leaves a tau^2 / 2 in the position, where the strapdown propagation has the accelerometer's.
+believes in: v' = F_air(v - w, s T) + F / m .., see control.belief. The prediction starts from the newest measurement
+at every instant (not Smith's form, whose model drifts). It needs no gyroscope and no accelerometer, but a model: an
+error a of its acceleration leaves a tau^2 / 2 in the position.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.delay.sent_commands import SETTLED, SentCommands
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.wrapped import WrappedController, innermost
-from quadexp.physics.integrator import rk4_step
+from quadexp.physics.integrator import rk4_step_with_input
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -139,10 +139,13 @@ def prediction(vehicle: Vehicle, residual: Residual, parts: int) -> ca.Function:
     pushed = ca.vertcat(
         wind, ca.MX(4, 1), force / vehicle.mass, ca.mtimes(ca.inv(ca.DM(vehicle.inertia_matrix)), torque)
     )
+
+    def slope(s: ca.MX, held: ca.MX) -> ca.MX:
+        return model(s, held, theta) + pushed
+
     state = ca.vertcat(x[: VELOCITY.start], x[VELOCITY] - wind, x[VELOCITY.stop :])  # in the frame of the air
     for u, h in zip(ca.horzsplit(thrusts), ca.vertsplit(dt), strict=True):
-        held = (1 + scale) * u
-        state = rk4_step(lambda s, held=held: model(s, held, theta) + pushed, state, h)
+        state = rk4_step_with_input(slope, state, [(1 + scale) * u] * 3, h)
     q = state[ATTITUDE]
     now = ca.vertcat(state[: ATTITUDE.start], q / ca.norm_2(q), state[VELOCITY] + wind, state[VELOCITY.stop :])
     arguments = {"x": x, "thrusts": thrusts, "dt": dt, "theta": theta}
