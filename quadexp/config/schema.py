@@ -205,7 +205,7 @@ WORLD = (
 REMEDIES = ("observer", "adaptive", "inner", "delay")
 
 # Groups of presets, and the group whose values their options set (`# @package controller`).
-PRESETS = {"horizon": "controller"}
+PRESETS = {"horizon": "controller", "motor": "controller"}
 
 
 def remedies(config: Config) -> dict[str, RemedyConfig]:

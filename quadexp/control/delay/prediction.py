@@ -108,7 +108,7 @@ def believed(controller: Any) -> Any:
 def around(controller: Controller, config: PredictionConfig) -> Controller:
     """The controller behind a prediction of its measurements by its own model."""
     settings = getattr(innermost(controller), "settings", None)
-    told = [getattr(settings, name, 0.0) for name in ("dead_time", "motor_lag")]
+    told = [getattr(settings, name, 0.0) for name in ("dead_time", "known_lag")]
     given = (config.dead_time, config.motor_lag)
     dead_time, lag = (own if one is None else one for one, own in zip(given, told, strict=True))
     return Prediction(controller, config.time, dead_time, lag)

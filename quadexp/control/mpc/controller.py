@@ -12,8 +12,9 @@ from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.belief import Belief
 from quadexp.control.mpc.believed_world import BelievedWorld
 from quadexp.control.mpc.dead_time import DeadTimePredictor
+from quadexp.control.mpc.motor_lead import MotorLead
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
-from quadexp.physics.state import POSITION
+from quadexp.physics.state import N_STATE, POSITION
 
 
 class PredictiveController:
@@ -27,7 +28,8 @@ class PredictiveController:
         self.vehicle, self.settings, self.backend = mpc.vehicle, mpc.settings, mpc.backend
         self.control_period = mpc.settings.control_period
         self.node_times = mpc.settings.dead_time + mpc.node_times  # the first is when a command sent now begins to act
-        self.predictor = DeadTimePredictor(mpc) if mpc.settings.dead_time or mpc.settings.motor_lag else None
+        self.predictor = DeadTimePredictor(mpc) if mpc.settings.dead_time or mpc.settings.known_lag else None
+        self.lead = MotorLead(mpc.vehicle, mpc.settings) if mpc.settings.motor_lead else None
         self._prepared: Window | None = None
         self.name, self.source = mpc.residual.name, mpc.residual.source
 
@@ -47,6 +49,8 @@ class PredictiveController:
         if self.predictor is not None:
             self.predictor.reset(np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max))
             x = self.predictor.predict(x)
+        if self.lead is not None:
+            x = x[:N_STATE]
         self.mpc.reset(x, self._within_reach(x, window.state), window.input)
 
     def believe(self, belief: Belief) -> None:
@@ -79,7 +83,11 @@ class PredictiveController:
             x, window = world.enter(x, window)
         if predictor is not None:
             x = predictor.predict(x)
-        thrust, record = self._answer(x, window)
+        if self.lead is None:
+            thrust, record = self._answer(x, window)
+        else:
+            planned, record = self._answer(x[:N_STATE], window)
+            thrust = self.lead.command(planned, x[N_STATE:])
         if predictor is not None:
             predictor.record(thrust)  # in a believed world: what is delivered of the command
         if world is not None:

@@ -8,8 +8,8 @@ u is held for h,
     x(t_k + d) = F( .. F(F(x_k, u_{k-K}, d - (K - 1) T), u_{k-K+1}, T) .., u_{k-1}, T)
 
 and the control problem is solved from that state, along the reference from t_k + d on (a predictor as of Smith 1957,
-restarted from each measurement). Where the rotors' thrusts are states (controller.motor_lag), they are not measured but
-computed from the commands by the same lag (physics.motor).
+restarted from each measurement). Where the rotors' lag is known (controller.motor_lag or motor_lead), their thrusts are
+not measured but computed from the commands by the same lag (physics.motor).
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ from quadexp.physics.vehicle import Vehicle
 class DeadTimePredictor:
     """Predicts the state after the dead time from the commands that have been sent but have not acted yet.
 
-    mpc: its model, parameters, dead_time and motor_lag are used. Call `reset`, then at every control instant `predict`
+    mpc: its model, parameters, dead_time and known lag are used. Call `reset`, then at every control instant `predict`
     and `record`, in this order.
 
     commands: sent and not yet fully acting, (K, n) (N), the oldest first. thrust: of the rotors at the control instant,
-    (n,) (N), with motor_lag only.
+    (n,) (N), with a known lag only.
     """
 
     def __init__(self, mpc: ModelPredictiveController) -> None:
         settings, n = mpc.settings, mpc.vehicle.n_rotors
-        self._period, self._lag, dead_time = settings.control_period, settings.motor_lag, settings.dead_time
+        self._period, self._lag, dead_time = settings.control_period, settings.known_lag, settings.dead_time
         pending = math.ceil(dead_time / self._period - 1e-9)
         self.commands, self.thrust = np.zeros((pending, n)), np.zeros(n)
         self._first = dead_time - (pending - 1) * self._period  # s, for which the oldest command still acts
@@ -64,7 +64,7 @@ class DeadTimePredictor:
         self.commands[...] = self.thrust[...] = thrust
 
     def predict(self, x: np.ndarray) -> np.ndarray:
-        """State after the dead time, (13,), with motor_lag (13 + n,), from the measured state x now, (13,)."""
+        """State after the dead time, (13,), with a known lag (13 + n,), from the measured state x now, (13,)."""
         full = np.concatenate([x, self.thrust]) if self._lag else x
         if self._predict is None:
             return full
