@@ -2,9 +2,9 @@
 
     u = T + (T* - T) / (1 - exp(-h / tau)),    h the control period, T the thrust now, T* the planned one
 
-clipped to the vehicle's limits. It inverts T(t + h) of physics.motor. A command for the mean over the period, or one
-for T* + tau T*' with T*' from the plan, is more exact or simpler on paper: the first one amplifies noise and any error of
-the timing, the second one loses the vehicle's damping (docs/delays.md has the figures).
+clipped to the vehicle's limits. It inverts T(t + h) of physics.motor. Two other laws are worse: a command for
+the mean thrust over the period amplifies noise and errors of the timing, and T* + tau T*' with T*' from the plan takes
+damping away (docs/delays.md has the figures).
 """
 
 from __future__ import annotations

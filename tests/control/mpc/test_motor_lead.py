@@ -24,7 +24,7 @@ def test_the_planned_thrust_is_reached_within_a_period(vehicle, lag):
 def test_the_command_keeps_to_the_limits(vehicle):
     command = MotorLead(vehicle, MPCSettings(motor_lead=0.1)).command(np.array([0.0, 20, 9, 11]), np.full(4, 10.0))
     assert command.min() == vehicle.thrust_min and command.max() == vehicle.thrust_max
-    assert command[2] < 9 and 11 < command[3]
+    assert command[2] < 9 and command[3] > 11
 
 
 def test_a_lag_is_modelled_or_inverted():
@@ -32,12 +32,12 @@ def test_a_lag_is_modelled_or_inverted():
         MPCSettings(motor_lag=0.03, motor_lead=0.02)
 
 
-@pytest.mark.parametrize("latency", [[], ["link=latency", "controller.dead_time=0.01"]])
-def test_what_each_way_leaves_of_the_lag(latency):
+def test_what_each_way_leaves_of_the_lag():
     """A lemniscate at 8 m/s in the world of one's own model, rotors 30 ms slow: told as states better than inverted,
     that better than not told."""
     world = ["controller=perfect_mpc", "actuator=lag_30ms", "horizon=robust", "trajectory=lemniscate"]
-    world += ["trajectory.speed=8", *latency]
+    world += ["trajectory.speed=8", "link=latency", "controller.dead_time=0.01", "plant.step=2e-3"]
+    world += ["controller.backend=interpreted", "plant.backend=interpreted"]
     error = {}
     for way in ("none", "states", "lead"):
         flight = fly_one(compose([*world, f"motor={way}"]))
