@@ -42,7 +42,8 @@ from quadexp.config.flight import (
     VehicleConfig,
 )
 from quadexp.config.foreign import DroneModelsPlantConfig, RotorPyPlantConfig
-from quadexp.config.learning import CollectConfig, DragConfig, GPConfig
+from quadexp.config.learned import OnlineMPCConfig, SumMPCConfig
+from quadexp.config.learning import CollectConfig, DragConfig, GPConfig, NNConfig
 from quadexp.config.lei_li import (
     BladeElementPlantConfig,
     FeedbackConfig,
@@ -110,6 +111,7 @@ class Config(Settings):
     collect: CollectConfig
     gp: GPConfig
     drag: DragConfig
+    nn: NNConfig
     engine: EngineConfig
     evaluate: Annotated[EvaluateConfig, Setting("how a comparison is run and shown")] = field(
         default_factory=EvaluateConfig
@@ -172,6 +174,8 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "mpc": MPCConfig,
         "feedback": FeedbackConfig,
         "rls_mpc": RLSMPCConfig,
+        "sum_mpc": SumMPCConfig,
+        "online_mpc": OnlineMPCConfig,
         "custom": CustomControllerConfig,
         "custom_residual_mpc": CustomResidualMPCConfig,
     },
@@ -182,6 +186,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "collect": {"flights": CollectConfig},
     "gp": {"sparse": GPConfig},
     "drag": {"linear": DragConfig},
+    "nn": {"mlp": NNConfig},
     "engine": {"local": EngineConfig, "dask": DaskConfig, "slurm": SlurmConfig},
 }
 
