@@ -40,6 +40,7 @@ TRAJECTORIES = {
 MODEL_FILE = "model.json"
 KEPT = 64  # things kept at most, the one not used for longest goes: a sweep over plants makes a plant a cell
 _kept: dict[str, Any] = {}
+BELIEVERS = {"observer", "adaptive"}  # groups of remedies that tell an MPC of disturbances, see control.belief
 WITHIN_LIMITS = ("random", "file")  # kinds of trajectory that are timed by the limits of the vehicle
 
 # How to make the checkpoint that a residual needs.
@@ -313,7 +314,9 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
         from quadexp.control.mpc.mpc import ModelPredictiveController
 
         residual, backend = build_residual(config, vehicle, plant, model), cast(MPCConfig, controller).backend
-        return PredictiveController(ModelPredictiveController(vehicle, residual, settings, backend=backend))
+        told_more = bool(BELIEVERS & {*around})
+        mpc = ModelPredictiveController(vehicle, residual, settings, backend=backend, disturbed=told_more)
+        return PredictiveController(mpc)
 
     if not around:
         return keep(record, make)
