@@ -15,7 +15,7 @@ import typer
 from quadexp import __version__
 from quadexp.cli.check import check
 from quadexp.cli.files import animate, compare_two, export, report, show
-from quadexp.cli.fit import fit_drag, fit_gp
+from quadexp.cli.fit import fit_drag, fit_gp, fit_nn
 from quadexp.cli.fly import collect, evaluate, simulate
 from quadexp.cli.identify import identify
 from quadexp.cli.importing import import_flights
@@ -73,6 +73,7 @@ COMMANDS = {
     "collect": collect,
     "fit-gp": fit_gp,
     "fit-drag": fit_drag,
+    "fit-nn": fit_nn,
     "evaluate": evaluate,
     "show": show,
     "check": check,

@@ -450,4 +450,4 @@ class PredictiveConfig(MPCKeys, ControllerConfig):
 class MPCConfig(PredictiveConfig):
     """Model predictive control; see quadexp/control/mpc/settings.py. residual: its model of the air."""
 
-    residual: Annotated[Literal["none", "linear_drag", "gaussian_process", "plant"], RESIDUAL]
+    residual: Annotated[Literal["none", "linear_drag", "gaussian_process", "neural", "plant"], RESIDUAL]

@@ -43,7 +43,8 @@ from quadexp.config.flight import (
     VehicleConfig,
 )
 from quadexp.config.foreign import DroneModelsPlantConfig, RotorPyPlantConfig
-from quadexp.config.learning import CollectConfig, DragConfig, GPConfig
+from quadexp.config.learned import OnlineMPCConfig, SumMPCConfig
+from quadexp.config.learning import CollectConfig, DragConfig, GPConfig, NNConfig
 from quadexp.config.lei_li import (
     BladeElementPlantConfig,
     FeedbackConfig,
@@ -112,6 +113,7 @@ class Config(Settings):
     collect: CollectConfig
     gp: GPConfig
     drag: DragConfig
+    nn: NNConfig
     engine: EngineConfig
     evaluate: Annotated[EvaluateConfig, Setting("how a comparison is run and shown")] = field(
         default_factory=EvaluateConfig
@@ -174,6 +176,8 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "mpc": MPCConfig,
         "feedback": FeedbackConfig,
         "rls_mpc": RLSMPCConfig,
+        "sum_mpc": SumMPCConfig,
+        "online_mpc": OnlineMPCConfig,
         "custom": CustomControllerConfig,
         "custom_residual_mpc": CustomResidualMPCConfig,
     },
@@ -188,6 +192,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "collect": {"flights": CollectConfig},
     "gp": {"sparse": GPConfig},
     "drag": {"linear": DragConfig},
+    "nn": {"mlp": NNConfig},
     "engine": {"local": EngineConfig, "dask": DaskConfig, "slurm": SlurmConfig},
 }
 

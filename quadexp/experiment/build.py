@@ -8,12 +8,13 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import importlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from quadexp.config.flight import ControllerConfig, FileConfig, MPCConfig, PlantConfig, TrajectoryConfig, VehicleConfig
+from quadexp.config.learned import OnlineMPCConfig
 from quadexp.config.lei_li import FeedbackConfig, RLSMPCConfig, SensorConfig
 from quadexp.config.schema import Config, remedies, world_parts
 from quadexp.config.settings import part
@@ -46,6 +47,7 @@ WITHIN_LIMITS = ("random", "file")  # kinds of trajectory that are timed by the 
 MAKERS = {
     "linear_drag": "quadexp fit-drag DATASET --out models/drag",
     "gaussian_process": "quadexp fit-gp DATASET --out models/gp",
+    "neural": "quadexp fit-nn DATASET --out models/nn",
 }
 
 
@@ -73,10 +75,16 @@ def unshared() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class ModelFile:
-    """A checkpoint folder and the hash of its content."""
+    """A checkpoint folder and the hash of its content; of a sum, all folders with "+" between, and those as parts."""
 
     path: str
     sha256: str
+    parts: tuple[ModelFile, ...] = ()
+
+    @property
+    def files(self) -> tuple[ModelFile, ...]:
+        """The single checkpoints."""
+        return self.parts or (self,)
 
 
 def build_vehicle(config: VehicleConfig) -> Vehicle:
@@ -162,8 +170,12 @@ def find_model(config: Config) -> ModelFile | None:
     """
     controller = config.controller
     residual = getattr(controller, "residual", "none")
-    if residual not in MAKERS:
+    needed = [kind for kind in ((residual,) if isinstance(residual, str) else residual) if kind in MAKERS]
+    if not needed:
         return None
+    if len(needed) > 1:
+        return _several(config, needed)
+    (residual,) = needed
     candidates = [config.model] if config.model else list(controller.models)
     for candidate in candidates:
         file = Path(candidate) / MODEL_FILE
@@ -174,6 +186,23 @@ def find_model(config: Config) -> ModelFile | None:
         raise UsageError(f"model={config.model}: no checkpoint there ({controller.name} needs one; make it: {maker})")
     looked = " or ".join(candidates) or "nowhere"
     raise UsageError(f"{controller.name} needs a model and none is in {looked}: give model=PATH, or make one: {maker}")
+
+
+def _several(config: Config, kinds: list[str]) -> ModelFile:
+    """The checkpoints of a sum, one folder of controller.models for each."""
+    controller = config.controller
+    if config.model:
+        raise UsageError(f"model={config.model}: {controller.name} sums several models; set controller.models=[..]")
+    if len(controller.models) != len(kinds):
+        raise UsageError(f"controller.models: {controller.name} needs one folder for each of {', '.join(kinds)}")
+    found = []
+    for kind, folder in zip(kinds, controller.models, strict=True):
+        file = Path(folder) / MODEL_FILE
+        if not file.is_file():
+            raise UsageError(f"controller.models: no checkpoint in {folder} for {kind}; make one: {MAKERS[kind]}")
+        found.append(ModelFile(folder, hashlib.sha256(file.read_bytes()).hexdigest()))
+    together = hashlib.sha256("".join(one.sha256 for one in found).encode()).hexdigest()
+    return ModelFile("+".join(one.path for one in found), together, tuple(found))
 
 
 def input_hashes(config: Config, model: ModelFile | None) -> dict[str, str]:
@@ -199,7 +228,11 @@ def build_residual(config: Config, vehicle: Vehicle, plant: Any, model: ModelFil
     """What the controller believes of the air: nothing, the plant's own equations, or a checkpoint."""
     from quadexp.air.none import no_residual
 
-    kind: str = cast(MPCConfig, config.controller).residual
+    kind: Any = cast(MPCConfig, config.controller).residual
+    if not isinstance(kind, str):
+        from quadexp.air.sum import sum_residual
+
+        return sum_residual(residual_parts(kind, vehicle, model))
     if kind == "none":
         return no_residual(vehicle)
     if kind == "plant":
@@ -208,29 +241,53 @@ def build_residual(config: Config, vehicle: Vehicle, plant: Any, model: ModelFil
     if kind == "custom":
         return build_custom.custom_residual(vehicle, config.controller)
     assert model is not None
+    return residual_from_file(kind, vehicle, model)
+
+
+def residual_parts(kinds: Iterable[str], vehicle: Vehicle, model: ModelFile | None) -> list[Any]:
+    """The residuals of a sum, each from its own checkpoint."""
+    files = iter(model.files if model else ())
+    return [residual_from_file(kind, vehicle, next(files)) for kind in kinds]
+
+
+def residual_from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
+    """The residual of a checkpoint."""
     return keep(["residual", kind, vehicle.fingerprint, model.sha256], lambda: _from_file(kind, vehicle, model))
 
 
 def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
     from quadexp.air.gaussian_process import gaussian_process_residual
     from quadexp.air.linear_drag import linear_drag_residual
-    from quadexp.learn.checkpoint import load_model
+    from quadexp.air.neural import Network, neural_residual
     from quadexp.learn.model import GPModel
+    from quadexp.learn.neural import NeuralModel
 
-    folder = located(model.path)
-    if hashlib.sha256((folder / MODEL_FILE).read_bytes()).hexdigest() != model.sha256:
-        raise DataError(f"{model.path}: has changed since this run began")
-    checkpoint = load_model(folder, vehicle=vehicle)
+    checkpoint = load_checkpoint(vehicle, model)
     if kind == "linear_drag":
         drag = checkpoint.linear_drag
         residual = linear_drag_residual(vehicle, drag.drag, drag.intercept, drag.thrust_gain, source=model.path)
         return replace(residual, ranges=drag.feature_range)
+    if kind == "neural":
+        if not isinstance(checkpoint, NeuralModel):
+            raise UsageError(f"{model.path}: holds no network, {MAKERS[kind]} makes one")
+        network = Network(checkpoint.features, checkpoint.outputs, checkpoint.weights, checkpoint.biases)
+        return replace(neural_residual(vehicle, network, model.path), ranges=checkpoint.feature_range)
     if not isinstance(checkpoint, GPModel):
-        raise UsageError(f"{model.path}: holds linear drag, a Gaussian process is needed: {MAKERS[kind]}")
+        raise UsageError(f"{model.path}: holds no Gaussian process, {MAKERS[kind]} makes one")
     residual = gaussian_process_residual(
         vehicle, checkpoint.outputs, checkpoint.mean_parameters, model.path, mean_terms=checkpoint.mean_terms
     )
     return replace(residual, ranges=checkpoint.feature_range)
+
+
+def load_checkpoint(vehicle: Vehicle, model: ModelFile) -> Any:
+    """The fitted model of a checkpoint. Raises DataError where it is of another vehicle, or has changed."""
+    from quadexp.learn.checkpoint import load_model
+
+    folder = located(model.path)
+    if hashlib.sha256((folder / MODEL_FILE).read_bytes()).hexdigest() != model.sha256:
+        raise DataError(f"{model.path}: has changed since this run began")
+    return load_model(folder, vehicle=vehicle)
 
 
 def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
@@ -249,6 +306,10 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
             return build_lei_li.feedback_controller(cast(FeedbackConfig, controller), settings, vehicle, plant)
         if controller.kind == "rls_mpc":
             return build_lei_li.identifying_mpc(cast(RLSMPCConfig, controller), settings, vehicle)
+        if controller.kind == "online_mpc":
+            from quadexp.experiment.build_learned import online_mpc
+
+            return online_mpc(cast(OnlineMPCConfig, controller), settings, vehicle, model)
         from quadexp.control.mpc.controller import PredictiveController
         from quadexp.control.mpc.mpc import ModelPredictiveController
 

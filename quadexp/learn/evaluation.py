@@ -20,6 +20,7 @@ from quadexp.learn.dataset import ResidualDataset
 from quadexp.learn.gp_fit import Callback, fit_gp
 from quadexp.learn.linear_drag import LinearDrag, fit_linear_drag
 from quadexp.learn.model import GPModel, GPSettings
+from quadexp.learn.neural import NeuralModel
 from quadexp.learn.predict import AXIS, predict
 from quadexp.learn.support import feature_ranges, outside_shares
 from quadexp.learn.thrust_scale import has_thrust_scale, with_common_scale
@@ -128,6 +129,17 @@ def evaluate(model: GPModel, train: ResidualDataset, test: ResidualDataset) -> l
             rows += [row for row in baselines if row["output"] == output]
         else:
             rows.append(_zero(output, train, test))
+    return rows
+
+
+def evaluate_network(model: NeuralModel, train: ResidualDataset, test: ResidualDataset) -> list[Row]:
+    """As `evaluate`, of a network fitted to `train`; its standard deviation is that of its error there."""
+    baselines = evaluate_drag(train, test)
+    rows = []
+    for (output, mean), std in zip(model.predict(test).items(), model.residual_std, strict=True):
+        target = test.matrix([output])[:, 0]
+        rows.append({"output": output, "predictor": "nn"} | score(target, mean, np.full(len(target), std)))
+        rows += [row for row in baselines if row["output"] == output] or [_zero(output, train, test)]
     return rows
 
 
