@@ -22,6 +22,7 @@ from quadexp.cli.importing import import_flights
 from quadexp.cli.new import new
 from quadexp.cli.results import results
 from quadexp.cli.terminal import fail, flush_output, output_failed, prepare
+from quadexp.cli.tune import tune
 from quadexp.cli.validate import validate
 
 app = typer.Typer(
@@ -62,6 +63,7 @@ def root(
     quadexp identify    thrust, drag and air from flights   -> models/*
     quadexp validate    models against flights left out of the fit
     quadexp evaluate    controllers compared                -> results/*
+    quadexp tune        settings of a controller by flights -> tuned/*
     quadexp report      results as one page                 -> report.html
     quadexp new         a part of your own                  -> my_parts/
     """
@@ -85,6 +87,7 @@ COMMANDS = {
     "report": report,
     "export": export,
     "animate": animate,
+    "tune": tune,
     "new": new,
 }
 for name, command in COMMANDS.items():

@@ -36,6 +36,8 @@ COMMANDS = {
     "results": "evaluate",
     "estimates": "identify",
     "statistics": "evaluate",
+    "tuning": "tune",
+    "leaderboard": "bench",
 }
 
 # What stands in the record of a file, where it does.

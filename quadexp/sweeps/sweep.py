@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -129,6 +129,28 @@ def run_sweep(
         }
         statistics, shown, files, altered = write_results(store.root, in_order, record)
     return SweepResult(store.root, in_order, len(todo), shown, statistics, files, [*notes, *altered])
+
+
+def fly_cells(
+    cells: Iterable[Cell],
+    store: CellStore,
+    engine: Engine | None = None,
+    *,
+    function: CellFunction = evaluate_cell,
+    isolate: bool = True,
+) -> list[Row]:
+    """Rows of some cells in their order, flown where they are not in the store; no table is written.
+
+    Cells of other sources are flown again. The caller holds the lock of the store. Raises as `run_sweep` does.
+    """
+    jobs = plan_cells(cells)
+    check_jobs(jobs.values())
+    rows, _ = _recall(store, jobs)
+    _settle_old(store, rows, "refly")
+    todo = [job for job in jobs.values() if job.key not in rows]
+    for key, row in _fly(todo, store, engine or LocalEngine(), function, isolate):
+        rows[key] = _row_of(jobs[key], row)
+    return [rows[key] for key in jobs]
 
 
 def _recall(store: CellStore, jobs: Mapping[str, Job]) -> tuple[dict[str, Row], list[str]]:

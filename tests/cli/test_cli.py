@@ -17,7 +17,19 @@ from tests.cli.command import run, run_main
 from tests.log.flights import straight_flight
 
 ROOT = Path(__file__).resolve().parents[2]
-COMMANDS = ("simulate", "collect", "fit-gp", "fit-drag", "evaluate", "show", "compare", "report", "export")
+COMMANDS = (
+    "simulate",
+    "collect",
+    "fit-gp",
+    "fit-drag",
+    "evaluate",
+    "show",
+    "compare",
+    "report",
+    "export",
+    "tune",
+    "bench",
+)
 QUICK = ("trajectory=hover", "trajectory.duration=0.5", "controller.backend=interpreted", "plant.backend=interpreted")
 
 
