@@ -42,6 +42,7 @@ from quadexp.config.flight import (
     VehicleConfig,
 )
 from quadexp.config.foreign import DroneModelsPlantConfig, RotorPyPlantConfig
+from quadexp.config.laws import GeometricConfig
 from quadexp.config.learning import CollectConfig, DragConfig, GPConfig
 from quadexp.config.lei_li import (
     BladeElementPlantConfig,
@@ -172,6 +173,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "mpc": MPCConfig,
         "feedback": FeedbackConfig,
         "rls_mpc": RLSMPCConfig,
+        "geometric": GeometricConfig,
         "custom": CustomControllerConfig,
         "custom_residual_mpc": CustomResidualMPCConfig,
     },
