@@ -42,7 +42,7 @@ from quadexp.config.flight import (
     VehicleConfig,
 )
 from quadexp.config.foreign import DroneModelsPlantConfig, RotorPyPlantConfig
-from quadexp.config.laws import GeometricConfig
+from quadexp.config.laws import CascadeConfig, GeometricConfig
 from quadexp.config.learning import CollectConfig, DragConfig, GPConfig
 from quadexp.config.lei_li import (
     BladeElementPlantConfig,
@@ -174,6 +174,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "feedback": FeedbackConfig,
         "rls_mpc": RLSMPCConfig,
         "geometric": GeometricConfig,
+        "cascade": CascadeConfig,
         "custom": CustomControllerConfig,
         "custom_residual_mpc": CustomResidualMPCConfig,
     },

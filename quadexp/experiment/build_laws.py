@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from quadexp.config.laws import GeometricConfig, GeometricKeys
+from quadexp.config.laws import CascadeConfig, CascadeKeys, GeometricConfig, GeometricKeys
 from quadexp.config.settings import part
 from quadexp.physics.vehicle import Vehicle
 
@@ -17,7 +17,15 @@ def geometric_controller(vehicle: Vehicle, config: GeometricConfig, residual: An
     return GeometricController(vehicle, part(GeometricKeys, config), residual, backend=config.backend)
 
 
+def cascade_controller(vehicle: Vehicle, config: CascadeConfig, residual: Any) -> Any:
+    """A flight stack's cascade."""
+    from quadexp.control.laws.cascade import CascadeController
+
+    return CascadeController(vehicle, part(CascadeKeys, config), backend=config.backend)
+
+
 # Kind of controller -> (vehicle, its configuration, residual or None) -> controller.
 MAKERS: dict[str, Callable[[Vehicle, Any, Any], Any]] = {
     "geometric": geometric_controller,
+    "cascade": cascade_controller,
 }
