@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
+from quadexp.config.adaptive import L1Config
 from quadexp.config.airframe import (
     DisturbanceConfig,
     FixedPayloadConfig,
@@ -179,7 +180,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "custom_residual_mpc": CustomResidualMPCConfig,
     },
     "observer": {"none": RemedyConfig},
-    "adaptive": {"none": RemedyConfig},
+    "adaptive": {"none": RemedyConfig, "l1": L1Config},
     "inner": {"none": RemedyConfig},
     "delay": {"none": RemedyConfig},
     "collect": {"flights": CollectConfig},
