@@ -142,3 +142,46 @@ class CascadeConfig(CascadeKeys, ControllerConfig):
 
     kind: str = "cascade"
     backend: Backend = "auto"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RaptorKeys(Settings):
+    """What the policy is shown; see quadexp/control/laws/raptor.py."""
+
+    prefix: ClassVar[str] = "controller."
+
+    rate: Annotated[float, Setting("control rate; the policy was trained at 100 Hz", "[1, 1000]", "Hz")] = 100.0
+    position_limit: Annotated[
+        float, Setting("largest position error that the policy is shown, each axis", "(0, 100]", "m")
+    ] = 0.5
+    velocity_limit: Annotated[
+        float, Setting("largest velocity error that the policy is shown, each axis", "(0, 100]", "m/s")
+    ] = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RaptorConfig(RaptorKeys, ControllerConfig):
+    """RAPTOR, a learned policy for all quadrotors (Eschmann, Albani, Loianno 2025), of the package foundation-policy."""
+
+    kind: str = "raptor"
+    backend: Backend = "auto"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorPySE3Keys(Settings):
+    """Gains of RotorPy's SE3 controller, its own defaults; see quadexp/control/laws/rotorpy_se3.py."""
+
+    prefix: ClassVar[str] = "controller."
+
+    rate: Rate = 100.0
+    position_proportional: Annotated[Triple, Setting("kp_pos", "[0, 1000]", "1/s^2")] = (6.5, 6.5, 15.0)
+    position_derivative: Annotated[Triple, Setting("kd_pos", "[0, 1000]", "1/s")] = (4.0, 4.0, 9.0)
+    attitude_proportional: Annotated[float, Setting("kp_att", "[0, 1e5]", "1/s^2")] = 310.0
+    attitude_derivative: Annotated[float, Setting("kd_att", "[0, 1e4]", "1/s")] = 57.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorPySE3Config(RotorPySE3Keys, ControllerConfig):
+    """RotorPy's SE3Control (Folk, Paulos, Kumar 2023), the code of the package rotorpy itself."""
+
+    kind: str = "rotorpy_se3"

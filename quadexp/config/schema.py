@@ -43,7 +43,7 @@ from quadexp.config.flight import (
     VehicleConfig,
 )
 from quadexp.config.foreign import DroneModelsPlantConfig, RotorPyPlantConfig
-from quadexp.config.laws import CascadeConfig, GeometricConfig
+from quadexp.config.laws import CascadeConfig, GeometricConfig, RaptorConfig, RotorPySE3Config
 from quadexp.config.learning import CollectConfig, DragConfig, GPConfig
 from quadexp.config.lei_li import (
     BladeElementPlantConfig,
@@ -176,6 +176,8 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "rls_mpc": RLSMPCConfig,
         "geometric": GeometricConfig,
         "cascade": CascadeConfig,
+        "raptor": RaptorConfig,
+        "rotorpy_se3": RotorPySE3Config,
         "custom": CustomControllerConfig,
         "custom_residual_mpc": CustomResidualMPCConfig,
     },

@@ -37,6 +37,11 @@ def moving_attitude(
     return R, skew_part(ca.mtimes(R.T, first)), skew_part(ca.mtimes(R.T, second))
 
 
+def heading_of(R: Expression) -> Expression:
+    """The yaw (rad) of an attitude (3, 3): y_body is level against x_C = (cos yaw, sin yaw, 0), as in flat_map.py."""
+    return ca.atan2(-R[0, 1], R[1, 1])
+
+
 def skew_part(matrix: Expression) -> Expression:
     """The vector v, (3,), with v x = (A - A') / 2 of a matrix A, (3, 3)."""
     return ca.vertcat(matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]) / 2
