@@ -30,9 +30,9 @@ class L1Keys(Settings):
             "rad/s",
         ),
     ] = 10.0
-    force_limit: Annotated[
-        float, Setting("largest thrust that is added or taken away", "[0, 10]", "of the weight")
-    ] = 1.0
+    force_limit: Annotated[float, Setting("largest thrust that is added or taken away", "[0, 10]", "of the weight")] = (
+        1.0
+    )
     torque_limit: Annotated[
         float, Setting("largest angular acceleration that is added about each body axis", "[0, 1e4]", "rad/s^2")
     ] = 50.0

@@ -44,7 +44,9 @@ class GeometricKeys(Settings):
     ] = "tilt"
     force_adaptation: Annotated[
         float,
-        Setting("gain of the estimate of a constant acceleration (Goodarzi et al. 2015); 0: none", "[0, 1000]", "1/s^2"),
+        Setting(
+            "gain of the estimate of a constant acceleration (Goodarzi et al. 2015); 0: none", "[0, 1000]", "1/s^2"
+        ),
     ] = 0.0
     torque_adaptation: Annotated[
         float,
@@ -57,7 +59,9 @@ class GeometricKeys(Settings):
         float, Setting("c_2: share of the attitude error in the adaptation", "[0, 1000]", "1/s")
     ] = 7.0
     force_limit: Annotated[float, Setting("largest acceleration that is adapted", "[0, 100]", "m/s^2")] = 5.0
-    torque_limit: Annotated[float, Setting("largest angular acceleration that is adapted", "[0, 1e4]", "rad/s^2")] = 50.0
+    torque_limit: Annotated[float, Setting("largest angular acceleration that is adapted", "[0, 1e4]", "rad/s^2")] = (
+        50.0
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,14 +111,18 @@ class CascadeKeys(Settings):
     rate_integral: Annotated[
         Triple, Setting("rate of the integral per rate error: roll, pitch, yaw", "[0, 10000]", "1/s^2")
     ] = (27.0, 27.0, 4.0)
-    rate_derivative: Annotated[
-        Triple, Setting("angular acceleration per filtered angular acceleration", "[0, 10]")
-    ] = (0.4, 0.4, 0.0)
+    rate_derivative: Annotated[Triple, Setting("angular acceleration per filtered angular acceleration", "[0, 10]")] = (
+        0.4,
+        0.4,
+        0.0,
+    )
     velocity_cutoff: Annotated[float, Setting("cutoff of the filter on the acceleration", "(0, 1000]", "Hz")] = 5.0
     rate_cutoff: Annotated[float, Setting("cutoff of the filter on the angular acceleration", "(0, 1000]", "Hz")] = 30.0
-    velocity_limit: Annotated[
-        Triple, Setting("largest wanted velocity: horizontal, up, down", "(0, 100]", "m/s")
-    ] = (20.0, 10.0, 10.0)
+    velocity_limit: Annotated[Triple, Setting("largest wanted velocity: horizontal, up, down", "(0, 100]", "m/s")] = (
+        20.0,
+        10.0,
+        10.0,
+    )
     tilt_limit: Annotated[float, Setting("largest wanted tilt", "(0, 1.57]", "rad")] = 1.4
     rate_limit: Annotated[Triple, Setting("largest wanted body rates", "(0, 100]", "rad/s")] = (10.0, 10.0, 5.0)
     thrust_least: Annotated[float, Setting("least wanted collective thrust", "(0, 1]", "of the weight")] = 0.2
@@ -128,9 +136,9 @@ class CascadeKeys(Settings):
         Triple, Setting("largest integral of the rate loop, angular acceleration", "[0, 1e4]", "rad/s^2")
     ] = (40.0, 40.0, 40.0)
     airmode: Annotated[bool, Setting("thrust may be raised where roll and pitch need it")] = False
-    yaw_margin: Annotated[float, Setting("thrust that yaw may take away at the upper limit", "[0, 1]", "of the range")] = (
-        0.15
-    )
+    yaw_margin: Annotated[
+        float, Setting("thrust that yaw may take away at the upper limit", "[0, 1]", "of the range")
+    ] = 0.15
     rate_feedforward: Annotated[
         bool, Setting("add the reference's body rates to the wanted ones; flight stacks take none but the yaw rate")
     ] = False
@@ -161,7 +169,7 @@ class RaptorKeys(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class RaptorConfig(RaptorKeys, ControllerConfig):
-    """RAPTOR, a learned policy for all quadrotors (Eschmann, Albani, Loianno 2025), of the package foundation-policy."""
+    """RAPTOR, a learned policy for all quadrotors (Eschmann et al. 2025), of the package foundation-policy."""
 
     kind: str = "raptor"
     backend: Backend = "auto"

@@ -1,8 +1,8 @@
 """L1 adaptive augmentation (Hanover, Foehn, Sun, Kaufmann, Scaramuzza 2022; Wu et al. 2023) of any controller.
 
 A predictor of velocity and body rate knows the controller's model and the thrusts that its commands, as clipped, give
-through the motors' known lag. What it misses is taken for a disturbance; the part that rotors can cancel, force along the
-thrust axis and torque, is subtracted from the controller's command through a low pass. s: disturbance, world force
+through the motors' known lag. What it misses is taken for a disturbance; the part that rotors can cancel, force along
+the thrust axis and torque, is subtracted from the controller's command through a low pass. s: disturbance, world force
 s_F (N) and body torque s_tau (N m); z~: prediction minus measurement; T the control period; a_v, a_w: poles.
 
     v~_k = e^{-a_v T} v~_{k-1} + T (f_v + g) + (1 - e^{-a_v T})/a_v s_F/m - (v_k - v_{k-1})                         (1)
@@ -59,7 +59,9 @@ class LateralForce(NamedTuple):
 class L1Controller(WrappedController):
     """L1 around a controller. residual: the controller's model of the air, None for none."""
 
-    def __init__(self, inner: Controller, keys: L1Keys, residual: Residual | None, lag: float, dead_time: float) -> None:
+    def __init__(
+        self, inner: Controller, keys: L1Keys, residual: Residual | None, lag: float, dead_time: float
+    ) -> None:
         super().__init__(inner)
         self.keys, vehicle, period = keys, self.vehicle, self.control_period
         known = None if residual is None or residual.is_zero else residual
@@ -75,8 +77,10 @@ class L1Controller(WrappedController):
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         self.inner.reset(x, window)
-        start = np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max) if len(window.input) else (
-            np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust)
+        start = (
+            np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max)
+            if len(window.input)
+            else (np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust))
         )
         self._sent[...] = start
         for array in (*self._estimate.arguments.values(), *self._estimate.results.values()):

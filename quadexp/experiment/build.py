@@ -272,7 +272,8 @@ def knows_plant(config: ControllerConfig) -> bool:
 
 
 def controller_settings(config: ControllerConfig) -> Any:
-    """The controller's settings, None for a law in closed form and for the user's own class; raises UsageError where they contradict each other."""
+    """The controller's settings, None for a law in closed form and the user's own class; raises UsageError where they
+    contradict each other."""
     if config.kind == "custom" or config.kind in build_laws.MAKERS:
         return None
     if config.kind == "feedback":

@@ -1,6 +1,6 @@
 """The attitude that a wanted force and a heading determine, with its rate, and the error of an attitude.
 
-    z = F / |F|,   y = z x b / |z x b|,   R = [y x z, y, z]                   F: world, along the rotors' axis; b: heading
+    z = F / |F|,   y = z x b / |z x b|,   R = [y x z, y, z]             F: world, along the rotors' axis; b: heading
 
 Lee, Leok, McClamroch 2010, "Geometric tracking control of a quadrotor UAV on SE(3)", equations (12), (23).
 """

@@ -8,12 +8,13 @@ Velocity to acceleration, PID, and from there to tilt and collective thrust f (p
 
     a_c = a_r + K_v (v_c - v) + I - K_d v'_f,    z_d = (a_x, a_y, g)/|.|,    f = z_d (a_z + g)/(z_d . e_z)          (2)
 
-f is cut to the largest thrust, the vertical first but for a margin of the horizontal. The integral I: vertical not while
-saturated; horizontal by back-calculation, I' = K_i (v_c - v - 2/K_v (a_c - f)) where f is shorter.
+f is cut to the largest thrust, the vertical first but for a margin of the horizontal. The integral I: vertical not
+while saturated; horizontal by back-calculation, I' = K_i (v_c - v - 2/K_v (a_c - f)) where f is shorter.
 
 Attitude to rate, P on a quaternion: first the shortest rotation of z to z_d, then a share of the remaining yaw:
 
-    q_d' = q_red o (cos(w_y acos q_m,w), 0, 0, sin(w_y asin q_m,z)),   q_m = q_red^-1 o q_d,   w_c = 2 K_a vec(q^-1 o q_d')  (3)
+    q_m = q_red^-1 o q_d,   q_d' = q_red o (cos(w_y acos q_m,w), 0, 0, sin(w_y asin q_m,z)),
+    w_c = 2 K_a vec(q^-1 o q_d') + yaw' R^T e_z                                                                     (3)
 
 Rate to torque, PID with a filtered derivative: tau = J (K_r (w_c - w) + I_w - D w'_f), I_w' = i K_i (w_c - w), with
 i = max(0, 1 - ((w_c - w)/400 deg/s)^2), and 0 where an axis is saturated that way. Mixer: desaturation.py.
@@ -78,7 +79,9 @@ def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:
     acceleration = low_pass(acceleration, (v - v_last) / period, keys.velocity_cutoff, period)
     turning = low_pass(turning, (w - w_last) / period, keys.rate_cutoff, period)
 
-    v_c = wanted_velocity(ca.DM(keys.position_proportional) * (path[:, 0] - x[POSITION]), path[:, 1], keys.velocity_limit)
+    v_c = wanted_velocity(
+        ca.DM(keys.position_proportional) * (path[:, 0] - x[POSITION]), path[:, 1], keys.velocity_limit
+    )
     error = v_c - v
     a_c = path[:, 2] + ca.DM(keys.velocity_proportional) * error + integral
     a_c -= ca.DM(keys.velocity_derivative) * acceleration

@@ -1,22 +1,21 @@
 """A control law in closed form as a Controller: one compiled function a step.
 
-The function names what it reads: x (13,), state and input (thrusts) of the reference now (13,), (n,), its thrusts in the
-middle of the control period, path (3, 5), yaw (3,), belief (10,), theta, memory; and what it gives: command (n,), memory_next,
-held (rotors at a limit), log. Only what it names is filled.
+The function names what it reads: x (13,), state and input (thrusts) of the reference now (13,), (n,), its thrusts in
+the middle of the control period, path (3, 5), yaw (3,), belief (10,), theta, memory; and what it gives: command (n,),
+memory_next, held (rotors at a limit), log. Only what it names is filled.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
-from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.compile.backend import BufferedFunction, resolve
 from quadexp.control.base import Measurement, Window
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
@@ -28,8 +27,8 @@ NO_BELIEF = np.concatenate([np.zeros(9), [1.0]])  # force, torque, wind, thrust 
 class ExplicitController:
     """A Controller (see control.base) whose step is a CasADi function.
 
-    function: see the module. rate: of control (Hz). residual: what it knows of the air, for its references too; None for
-    nothing. logged: names of the entries of the function's output log. backend: as resolved.
+    function: see the module. rate: of control (Hz). residual: what it knows of the air, for its references too; None
+    for nothing. logged: names of the entries of the function's output log. backend: as resolved.
     """
 
     reference_period = 0.0

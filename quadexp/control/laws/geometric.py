@@ -9,16 +9,16 @@ disturbance.
     e_R = 1/2 vee(R_d' R - R' R_d),    e_w = w - R' R_d w_d
     tau = J (-K_R e_R - K_w e_w - (w x R' R_d w_d - R' R_d w_d') - theta_tau) + w x J w - tau_m - d_tau            (2)
 
-K_x = W^2, K_v = 2 zeta W are diagonal, in world axes (K_R, K_w in body axes), and multiply mass and inertia: with W_R the
-attitude error obeys e_w' = -W_R^2 e_R - 2 zeta W_R e_w on every vehicle. Lee et al. have scalar k_R, k_w in its place.
+K_x = W^2, K_v = 2 zeta W are diagonal, in world axes (K_R, K_w in body axes), and multiply mass and inertia: with W_R
+the attitude error obeys e_w' = -W_R^2 e_R - 2 zeta W_R e_w on every vehicle. Lee et al. have scalar k_R, k_w instead.
 
 The exact rate needs F', F''. With f = T_r R_r e_z the reference's own force, which contains the air, of
 
     F' = f' - m (K_x e_v + K_v e_a),   F'' = f'' - m (K_x e_a + K_v e_j),   e_a = (T R e_z + F_m + d_F)/m + g - a_r,
     e_j = (T' R e_z + T R (w x e_z) - f')/m,    T' = F' . R e_z + F . R (w x e_z)
 
-f' and f'' across z_r follow from w_r, w_r'; along z_r from jerk and snap, which on the reference does not turn F. So w_d
-is exact without air, and on the reference with it; off the reference the derivative of F_m is neglected.
+f' and f'' across z_r follow from w_r, w_r'; along z_r from jerk and snap, which on the reference does not turn F. So
+w_d is exact without air, and on the reference with it; off the reference the derivative of F_m is neglected.
 
 A command is held for a control period; the reference's wrench in the middle of it is used: [T; tau] += G (u_m - u_r).
 
@@ -54,7 +54,7 @@ LOGGED = ("psi",)
 
 
 class GeometricController(ExplicitController):
-    """A Controller (see control.base). residual: its model of the air, None for none. backend: see compile/backend.py."""
+    """A Controller (see control.base). residual: its model of the air, None for none."""
 
     def __init__(
         self, vehicle: Vehicle, keys: GeometricKeys, residual: Residual | None = None, *, backend: str = "auto"
@@ -179,7 +179,7 @@ def gains(keys: GeometricKeys) -> tuple[ca.DM, ca.DM, ca.DM, ca.DM]:
     """K_x (1/s^2), K_v (1/s), K_R (1/s^2), K_w (1/s), diagonals (3,)."""
     position, attitude = np.array(keys.position_bandwidth), np.array(keys.attitude_bandwidth)
     values = (position**2, 2 * keys.position_damping * position, attitude**2, 2 * keys.attitude_damping * attitude)
-    return tuple(map(ca.DM, values))  # type: ignore[return-value]
+    return tuple(map(ca.DM, values))
 
 
 def _turning(

@@ -10,8 +10,9 @@ thrust goes with its square. As the policy's own firmware module does, position 
 axis, and shown in the frame that is turned by the heading; a_last starts at 0. The policy knows no feed-forward but the
 velocity, and no vehicle: it finds out in flight what it flies, from what its actions do.
 
-It was trained on rotors in an X whose front right one pushes the vehicle clockwise (reaction torque -z). Other layouts are
-turned (a plus) or mirrored (the other sense of rotation): a mirrored quadrotor under the mirrored policy is the same one.
+It was trained on rotors in an X whose front right one pushes the vehicle clockwise (reaction torque -z). Other layouts
+are turned (a plus) or mirrored (the other sense of rotation): a mirrored quadrotor under the mirrored policy is the
+same one.
 World ENU, body FLU, SI.
 """
 

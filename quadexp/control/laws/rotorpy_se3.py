@@ -27,7 +27,7 @@ AIR = ("c_Dx", "c_Dy", "c_Dz", "k_d", "k_z", "k_flap", "tau_m", "rotor_speed_min
 
 
 class RotorPySE3Controller:
-    """A Controller (see control.base). Raises UsageError where the package is missing, and for other than four rotors."""
+    """A Controller (see control.base); raises UsageError without the package, and for other than four rotors."""
 
     reference_period, residual, backend = 0.0, None, "interpreted"
     name, source = "none", ""
