@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
+from quadexp.config.adaptive import L1Config
 from quadexp.config.airframe import (
     DisturbanceConfig,
     FixedPayloadConfig,
@@ -43,6 +44,7 @@ from quadexp.config.flight import (
     VehicleConfig,
 )
 from quadexp.config.foreign import DroneModelsPlantConfig, RotorPyPlantConfig
+from quadexp.config.laws import CascadeConfig, GeometricConfig, RaptorConfig, RotorPySE3Config
 from quadexp.config.learned import OnlineMPCConfig, SumMPCConfig
 from quadexp.config.learning import CollectConfig, DragConfig, GPConfig, NNConfig
 from quadexp.config.lei_li import (
@@ -178,6 +180,10 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "rls_mpc": RLSMPCConfig,
         "sum_mpc": SumMPCConfig,
         "online_mpc": OnlineMPCConfig,
+        "geometric": GeometricConfig,
+        "cascade": CascadeConfig,
+        "raptor": RaptorConfig,
+        "rotorpy_se3": RotorPySE3Config,
         "custom": CustomControllerConfig,
         "custom_residual_mpc": CustomResidualMPCConfig,
     },
@@ -186,7 +192,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "disturbance": DisturbanceObserverConfig,
         "wind": WindObserverConfig,
     },
-    "adaptive": {"none": RemedyConfig},
+    "adaptive": {"none": RemedyConfig, "l1": L1Config},
     "inner": {"none": RemedyConfig},
     "delay": {"none": RemedyConfig, "strapdown": StrapdownConfig, "prediction": PredictionConfig},
     "collect": {"flights": CollectConfig},

@@ -20,7 +20,7 @@ from quadexp.config.schema import Config, remedies, world_parts
 from quadexp.config.settings import part
 from quadexp.config.world import WorldPartConfig
 from quadexp.errors import DataError, UsageError
-from quadexp.experiment import build_custom, build_foreign, build_identified, build_lei_li
+from quadexp.experiment import build_custom, build_foreign, build_identified, build_laws, build_lei_li
 from quadexp.experiment.identity import digest
 from quadexp.experiment.inputs import located
 from quadexp.physics.vehicle import Vehicle
@@ -302,6 +302,9 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
         if controller.kind == "custom":
             return build_custom.custom_controller(vehicle, controller)
         settings = controller_settings(controller)
+        if controller.kind in build_laws.MAKERS:
+            residual = build_residual(config, vehicle, plant, model) if hasattr(controller, "residual") else None
+            return build_laws.MAKERS[controller.kind](vehicle, controller, residual)
         if controller.kind == "feedback":
             return build_lei_li.feedback_controller(cast(FeedbackConfig, controller), settings, vehicle, plant)
         if controller.kind == "rls_mpc":
@@ -333,8 +336,9 @@ def knows_plant(config: ControllerConfig) -> bool:
 
 
 def controller_settings(config: ControllerConfig) -> Any:
-    """The controller's settings, None for the user's own class; raises UsageError where they contradict each other."""
-    if config.kind == "custom":
+    """The controller's settings, None for a law in closed form and the user's own class; raises UsageError where they
+    contradict each other."""
+    if config.kind == "custom" or config.kind in build_laws.MAKERS:
         return None
     if config.kind == "feedback":
         from quadexp.control.feedback.settings import FeedbackSettings
