@@ -29,6 +29,7 @@ from quadexp.config.flight import (
     SEEDS,
     CircleConfig,
     ControllerConfig,
+    EllipseConfig,
     FileConfig,
     FromModelPlantConfig,
     HoverConfig,
@@ -159,6 +160,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "estimator": {"none": StatedEstimateConfig, "eskf": EskfConfig},
     "trajectory": {
         "circle": CircleConfig,
+        "ellipse": EllipseConfig,
         "lemniscate": LemniscateConfig,
         "random": RandomConfig,
         "hover": HoverConfig,

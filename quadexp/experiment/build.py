@@ -28,6 +28,7 @@ T = TypeVar("T")
 # Kind -> module of quadexp.reference and class: only the one that is flown is imported, some need half of SciPy.
 TRAJECTORIES = {
     "circle": ("circle", "Circle"),
+    "ellipse": ("ellipse", "Ellipse"),
     "lemniscate": ("lemniscate", "Lemniscate"),
     "random": ("random_polynomial", "RandomPolynomial"),
     "hover": ("hover", "Hover"),

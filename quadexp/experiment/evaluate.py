@@ -119,6 +119,7 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
         start=getattr(trajectory, "start_state", None),
         sensor=build_sensor(config.sensor),
         lost_distance=config.trajectory.lost_distance,
+        lost_box=config.trajectory.lost_box,
         metadata=describe(config, vehicle, model),
     )
     flight.metadata["reference_note"] = note
