@@ -24,6 +24,7 @@ from quadexp.config.custom import (
     CustomResidualMPCConfig,
     CustomTrajectoryConfig,
 )
+from quadexp.config.dfbc import DFBCConfig
 from quadexp.config.engine import DaskConfig, EngineConfig, SlurmConfig
 from quadexp.config.flight import (
     SEEDS,
@@ -43,6 +44,7 @@ from quadexp.config.flight import (
     VehicleConfig,
 )
 from quadexp.config.foreign import DroneModelsPlantConfig, RotorPyPlantConfig
+from quadexp.config.inner import INDIConfig
 from quadexp.config.learning import CollectConfig, DragConfig, GPConfig
 from quadexp.config.lei_li import (
     BladeElementPlantConfig,
@@ -173,13 +175,14 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "controller": {
         "mpc": MPCConfig,
         "feedback": FeedbackConfig,
+        "dfbc": DFBCConfig,
         "rls_mpc": RLSMPCConfig,
         "custom": CustomControllerConfig,
         "custom_residual_mpc": CustomResidualMPCConfig,
     },
     "observer": {"none": RemedyConfig},
     "adaptive": {"none": RemedyConfig},
-    "inner": {"none": RemedyConfig},
+    "inner": {"none": RemedyConfig, "indi": INDIConfig},
     "delay": {"none": RemedyConfig},
     "collect": {"flights": CollectConfig},
     "gp": {"sparse": GPConfig},

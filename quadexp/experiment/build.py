@@ -244,6 +244,8 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
     def make() -> Any:
         if controller.kind == "custom":
             return build_custom.custom_controller(vehicle, controller)
+        if controller.kind == "dfbc":
+            return _dfbc(config, vehicle, build_residual(config, vehicle, plant, model))
         settings = controller_settings(controller)
         if controller.kind == "feedback":
             return build_lei_li.feedback_controller(cast(FeedbackConfig, controller), settings, vehicle, plant)
@@ -262,6 +264,14 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
     return keep([*record, around], lambda: with_remedies(make(), config))
 
 
+def _dfbc(config: Config, vehicle: Vehicle, model: Any) -> Any:
+    from quadexp.config.dfbc import DFBCConfig, DFBCKeys
+    from quadexp.control.dfbc.controller import DFBC
+
+    controller = cast(DFBCConfig, config.controller)
+    return DFBC(vehicle, part(DFBCKeys, controller), model, backend=controller.backend)
+
+
 def knows_plant(config: ControllerConfig) -> bool:
     """Whether the controller is told the plant's own equations or coefficients."""
     if config.kind == "feedback":
@@ -271,7 +281,7 @@ def knows_plant(config: ControllerConfig) -> bool:
 
 def controller_settings(config: ControllerConfig) -> Any:
     """The controller's settings, None for the user's own class; raises UsageError where they contradict each other."""
-    if config.kind == "custom":
+    if config.kind in ("custom", "dfbc"):
         return None
     if config.kind == "feedback":
         from quadexp.control.feedback.settings import FeedbackSettings
