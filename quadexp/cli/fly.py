@@ -178,6 +178,10 @@ def evaluate(
             from quadexp.report import ladder
 
             files |= ladder.draw(result.rows, out)
+        elif settings.figures == "sun":
+            from quadexp.papers.sun import report as sun
+
+            files |= sun.draw(result.rows, out)
         else:
             from quadexp.papers.lei_li import report as lei_li
 

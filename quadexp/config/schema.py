@@ -74,7 +74,7 @@ class EvaluateConfig(Settings):
         Setting("error in the table: mean, root mean square, or largest distance from the reference"),
     ] = "mean_error"
     figures: Annotated[
-        Literal["standard", "lei_li", "families", "adaptation", "ladder"],
+        Literal["standard", "lei_li", "families", "adaptation", "ladder", "sun"],
         Setting("figures drawn in addition to the standard ones"),
     ] = "standard"
     baseline: Annotated[str, Setting("controller with which the others are compared, seed by seed")] = "nominal_mpc"
@@ -84,6 +84,15 @@ class EvaluateConfig(Settings):
         float, Setting("time limit of a flight (wall time), after which it is tried once more", "(0, 86400]", "s")
     ] = 600.0
     memory: Annotated[float, Setting("memory limit of the process of a flight; 0: no limit", "[0, 4096]", "GB")] = 4.0
+    log_period: Annotated[
+        float,
+        Setting(
+            "time between the samples of a flight that are stored; 0: every control instant. Figures of the table are"
+            " computed before",
+            "[0, 3600]",
+            "s",
+        ),
+    ] = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

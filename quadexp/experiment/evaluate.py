@@ -197,5 +197,13 @@ def evaluate_cell(config: Config, model: ModelFile | None, path: str, key: str) 
     except InfeasibleError as error:
         flight = infeasible_flight(config, model, str(error))
     flight.metadata["row"]["key"] = key
-    write_flight(Path(path), flight, key=key)
+    write_flight(Path(path), _thinned(flight, config.evaluate.log_period), key=key)
     return flight.metadata["row"]
+
+
+def _thinned(flight: Flight, period: float) -> Flight:
+    """The flight with one sample a period (s) only; 0: all."""
+    if not period or not len(flight):
+        return flight
+    every = max(1, round(period / (flight.t[1] - flight.t[0]))) if len(flight) > 1 else 1
+    return Flight({name: column[::every] for name, column in flight.columns.items()}, flight.metadata)
