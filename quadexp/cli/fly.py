@@ -203,6 +203,10 @@ def evaluate(
             from quadexp.report.ladder import ladder_table
 
             print("\n".join(ladder_table(result.rows).lines()))
+        elif first.evaluate.figures == "sun":  # a line for every ellipse has none either
+            from quadexp.papers.sun.report import overview
+
+            print("\n".join(overview(result.rows).lines()))
         else:
             print_table(result.table)
         print(out)

@@ -28,7 +28,8 @@ class TruthKeys(Settings):
     thrust_coefficient: Annotated[float, Setting("factor on the thrust that a rotor gives at a command", FACTOR)] = 1.0
     torque_coefficient: Annotated[float, Setting("factor on the reaction torque per thrust", "[0, 10]")] = 1.0
     drag: Annotated[
-        float, Setting("factor on the plant's drag coefficients and lift; for plant=simplified and its presets", "[0, 10]")
+        float,
+        Setting("factor on the plant's drag coefficients and lift; for plant=simplified and its presets", "[0, 10]"),
     ] = 1.0
 
 

@@ -22,7 +22,9 @@ class INDIKeys(Settings):
     ] = 300.0
     cutoff: Annotated[
         float,
-        Setting("cut-off of the Butterworth filter of body rates and rotor speeds, below half the rate", "(0, 5000]", "Hz"),
+        Setting(
+            "cut-off of the Butterworth filter of body rates and rotor speeds, below half the rate", "(0, 5000]", "Hz"
+        ),
     ] = 12.0
     allocation: Annotated[
         Literal["clip", "exact"],

@@ -91,8 +91,11 @@ def _with_drag(config: Config) -> PlantConfig:
             f"truth.drag={factor:g}: scales the drag of plant=simplified and its presets; plant={config.plant.name} has"
             " no such coefficients"
         )
-    scaled = {name: tuple(factor * k for k in getattr(config.plant, name)) for name in ("linear_drag", "quadratic_drag")}
-    return replace(config.plant, **scaled, lift=factor * config.plant.lift)
+    names = ("linear_drag", "quadratic_drag")
+    scaled: dict[str, Any] = {name: tuple(factor * k for k in getattr(config.plant, name)) for name in names}
+    plant: Any = config.plant
+    flown: PlantConfig = replace(plant, **scaled, lift=factor * plant.lift)
+    return flown
 
 
 def _effect(config: WorldPartConfig) -> Any:

@@ -144,8 +144,9 @@ def fly(
     plant: a World tells the controller what its sensors and estimator make of the state; the log has both then, and
     the flight ends by the true one.
     The flight ends early, with the log up to there, where the vehicle is further than lost_distance (m) from the
-    reference, or outside the box around it widened by lost_box (m; None: no box), or its state is not finite ("lost"), or a control step fails ("solver_failed"). metadata: extended by the
-    outcome and the mean share of the residual in the reference (None without feed-forward of a residual).
+    reference, or outside the box around it widened by lost_box (m; None: no box), or its state is not finite ("lost"),
+    or a control step fails ("solver_failed"). metadata: extended by the outcome and the mean share of the residual in
+    the reference (None without feed-forward of a residual).
     """
     controller = as_controller(controller)
     period = controller.control_period

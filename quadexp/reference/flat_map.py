@@ -29,7 +29,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-
 UPSIDE_DOWN = 1e-44  # square of the quaternion before it is normed, for a specific force 1e-7 rad from straight down
 PITCHED = np.array([[0.0], [0.0], [1.0]])  # half a turn about y
 

@@ -1,13 +1,14 @@
 """The law of flatness-based control as one CasADi function (Sun et al. 2022, (13)-(31)).
 
-p_r .. s_r: position to snap of the reference, psi_r its heading; f_a, tau_a: force and torque of the air by the model at
-the present velocity; d_F, d_tau: believed disturbance; T: collective thrust that the rotors deliver now; z = R e_z.
+p_r .. s_r: position to snap of the reference, psi_r its heading; f_a, tau_a: force and torque of the air by the model
+at the present velocity; d_F, d_tau: believed disturbance; T: collective thrust that the rotors deliver now; z = R e_z.
 
     a_d = K_p (p_r - p) + K_v (v_r - v) + a_r,         T_d z_d = m (a_d - g) - f_a - d_F                     (13), (14)
     y_d = z_d x x_C / |.|,  x_d = y_d x z_d,           x_C = [cos psi_r, sin psi_r, 0]                       (15)-(17)
     T' = m j_r . z,   T'' = m s_r . z + m (w x z) . j_r                                                      (23), (24)
     h = (m j_r - T' z) / T,   w_r = [-h . y, h . x, psi_r' e_z . z]                                          (19), (20)
-    h_a = m s_r / T - (w x (w x z) + 2 T'/T w x z + T''/T z),   alpha_r = [-h_a . y, h_a . x, psi_r'' e_z . z]  (21), (22)
+    h_a = m s_r / T - (w x (w x z) + 2 T'/T w x z + T''/T z)                                                 (21)
+    alpha_r = [-h_a . y, h_a . x, psi_r'' e_z . z]                                                           (22)
     alpha_d = k_t e_tilt + k_y e_yaw + K_w (w_r - w) + alpha_r                                               (28)
     u = argmin_{l <= u <= h} |[T_d; J alpha_d + w x J w - tau_a - d_tau] - G u|_W                            (31)
 

@@ -5,12 +5,12 @@ give, measured by their speeds W = sqrt(t / c_t), and the angular acceleration t
 increment of the one is J times the wanted increment of the other, whatever else turns the vehicle:
 
     [T; J alpha + w x J w] = G u
-    tau = G_tau c_t W_f^2 + I_p s (W_f - W_f,-1) / dt + J (alpha - (w_f - w_f,-1) / dt)                     (32)-(34)
-    [T; tau] = G c_t W_c^2 + [0, 0, 0, I_p s (W_c - W)] / T_s                                                     (35)
+    tau = G_tau c_t W_f^2 + I_p s (W_f - W_f,-1) / dt + J (alpha - (w_f - w_f,-1) / dt)               (32)-(34)
+    [T; tau] = G c_t W_c^2 + [0, 0, 0, I_p s (W_c - W)] / T_s                                               (35)
 
 _f: through the same second-order Butterworth low pass; s: signs of the reaction torques; T_s: spin_up_time, or dt as
-printed. (34) and (35) are printed without c_t. Without I_p (35) is linear in W_c^2. With the transfer functions H of the
-filter and M of the motors, and a torque d_tau that nobody models,
+printed. (34) and (35) are printed without c_t. Without I_p (35) is linear in W_c^2. With the transfer functions H of
+the filter and M of the motors, and a torque d_tau that nobody models,
 
     alpha / alpha_wanted = M,    alpha / d_tau = J^-1 (1 - H M),    M / ((D - 1) H M + 1) where J / k is D times too small
 

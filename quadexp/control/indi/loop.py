@@ -31,7 +31,7 @@ class INDI(MultiRate):
         self._delivered = DeliveredThrust(vehicle, self.control_period, keys.dead_time, keys.motor_lag)
 
     def reset(self, x: np.ndarray, window: Window) -> None:
-        """See Controller.reset. The filters start as if the rates and the thrusts of the start had been there always."""
+        """See Controller.reset. The filters start as if rates and thrusts of the start had always been there."""
         super().reset(x, window)
         thrust = np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max)
         self._delivered.reset(thrust)

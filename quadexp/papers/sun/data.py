@@ -1,7 +1,7 @@
 """The data of Sun et al. 2022: 144 ellipses with their Table III, and Tables IV and V.
 
-ellipses.csv: plane, speed V (m/s), acceleration a (m/s^2), ratio n, feasible (1 or 0). published.csv: world, controller,
-mean and standard deviation over flights of the RMSE of position (m) and of heading (deg), and crashes (%).
+ellipses.csv: plane, speed V (m/s), acceleration a (m/s^2), ratio n, feasible (1 or 0). published.csv: world,
+controller, mean and standard deviation over flights of the RMSE of position (m) and of heading (deg), and crashes (%).
 """
 
 from __future__ import annotations

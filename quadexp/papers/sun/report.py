@@ -86,9 +86,7 @@ def conditions(rows: Iterable[Row]) -> dict[str, dict[str, Condition]]:
     for row in rows:
         groups.setdefault(row["controller"], {}).setdefault(row["plant"].partition("/")[2], []).append(row)
     names = [*(name for name in PUBLISHED if name in groups), *(name for name in groups if name not in PUBLISHED)]
-    return {
-        name: {world: Condition.of(groups[name][world]) for world in _in_order(groups[name])} for name in names
-    }
+    return {name: {world: Condition.of(groups[name][world]) for world in _in_order(groups[name])} for name in names}
 
 
 def _in_order(worlds: Iterable[str]) -> list[str]:
@@ -97,7 +95,7 @@ def _in_order(worlds: Iterable[str]) -> list[str]:
 
 
 def reproduced(found: Condition, printed: Published) -> str:
-    """"yes" for a mean position error within CLOSE of the printed one; "crashes" where the flights that did not crash
+    """ "yes" for a mean position error within CLOSE of the printed one; "crashes" where the flights that did not crash
     are within it, so that the number of crashes explains the difference; else "no"."""
     if abs(found.position[0] / printed.position - 1) <= CLOSE:
         return "yes"
@@ -116,7 +114,12 @@ def draw(rows: Sequence[Row], out: str | Path) -> dict[str, str]:
 def sun_table(found: Mapping[str, Mapping[str, Condition]]) -> str:
     """Markdown: for every published controller ours and theirs, then all controllers side by side."""
     tables = [_beside(name, found[name]) for name in PUBLISHED if name in found]
-    return "\n\n".join([*tables, _all(found)])
+    return "\n\n".join([*tables, _all(found).markdown()])
+
+
+def overview(rows: Iterable[Row]) -> Table:
+    """All controllers side by side."""
+    return _all(conditions(rows))
 
 
 def _beside(name: str, worlds: Mapping[str, Condition]) -> str:
@@ -154,12 +157,12 @@ def _beside(name: str, worlds: Mapping[str, Condition]) -> str:
     return Table(heads, lines, title, notes=[note]).markdown()
 
 
-def _all(found: Mapping[str, Mapping[str, Condition]]) -> str:
+def _all(found: Mapping[str, Mapping[str, Condition]]) -> Table:
     """All controllers: mean of the flights that did not crash, and how many did or are more than OFF m away."""
     worlds = _in_order({world: None for one in found.values() for world in one})
     lines = [[TITLES.get(world, world), *(_short(one.get(world)) for one in found.values())] for world in worlds]
     title = "RMSE of the flights that did not crash (m); in brackets how many crashed + how many others are off by 2 m"
-    return Table(["condition", *found], lines, title).markdown()
+    return Table(["condition", *found], lines, title)
 
 
 def _short(one: Condition | None) -> str:
