@@ -178,6 +178,10 @@ def evaluate(
             from quadexp.report import ladder
 
             files |= ladder.draw(result.rows, out)
+        elif settings.figures == "sun":
+            from quadexp.papers.sun import report as sun
+
+            files |= sun.draw(result.rows, out)
         else:
             from quadexp.papers.lei_li import report as lei_li
 
@@ -199,6 +203,10 @@ def evaluate(
             from quadexp.report.ladder import ladder_table
 
             print("\n".join(ladder_table(result.rows).lines()))
+        elif first.evaluate.figures == "sun":  # a line for every ellipse has none either
+            from quadexp.papers.sun.report import overview
+
+            print("\n".join(overview(result.rows).lines()))
         else:
             print_table(result.table)
         print(out)

@@ -26,11 +26,13 @@ from quadexp.config.custom import (
     CustomTrajectoryConfig,
 )
 from quadexp.config.delays import PredictionConfig, StrapdownConfig
+from quadexp.config.dfbc import DFBCConfig
 from quadexp.config.engine import DaskConfig, EngineConfig, SlurmConfig
 from quadexp.config.flight import (
     SEEDS,
     CircleConfig,
     ControllerConfig,
+    EllipseConfig,
     FileConfig,
     FromModelPlantConfig,
     HoverConfig,
@@ -44,6 +46,7 @@ from quadexp.config.flight import (
     VehicleConfig,
 )
 from quadexp.config.foreign import DroneModelsPlantConfig, RotorPyPlantConfig
+from quadexp.config.inner import INDIConfig
 from quadexp.config.laws import CascadeConfig, GeometricConfig, RaptorConfig, RotorPySE3Config
 from quadexp.config.learned import OnlineMPCConfig, SumMPCConfig
 from quadexp.config.learning import CollectConfig, DragConfig, GPConfig, NNConfig
@@ -76,7 +79,7 @@ class EvaluateConfig(Settings):
         Setting("error in the table: mean, root mean square, or largest distance from the reference"),
     ] = "mean_error"
     figures: Annotated[
-        Literal["standard", "lei_li", "families", "adaptation", "ladder"],
+        Literal["standard", "lei_li", "families", "adaptation", "ladder", "sun"],
         Setting("figures drawn in addition to the standard ones"),
     ] = "standard"
     baseline: Annotated[str, Setting("controller with which the others are compared, seed by seed")] = "nominal_mpc"
@@ -86,6 +89,15 @@ class EvaluateConfig(Settings):
         float, Setting("time limit of a flight (wall time), after which it is tried once more", "(0, 86400]", "s")
     ] = 600.0
     memory: Annotated[float, Setting("memory limit of the process of a flight; 0: no limit", "[0, 4096]", "GB")] = 4.0
+    log_period: Annotated[
+        float,
+        Setting(
+            "time between the samples of a flight that are stored; 0: every control instant. Figures of the table are"
+            " computed before",
+            "[0, 3600]",
+            "s",
+        ),
+    ] = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,6 +177,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "estimator": {"none": StatedEstimateConfig, "eskf": EskfConfig},
     "trajectory": {
         "circle": CircleConfig,
+        "ellipse": EllipseConfig,
         "lemniscate": LemniscateConfig,
         "random": RandomConfig,
         "hover": HoverConfig,
@@ -177,6 +190,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "controller": {
         "mpc": MPCConfig,
         "feedback": FeedbackConfig,
+        "dfbc": DFBCConfig,
         "rls_mpc": RLSMPCConfig,
         "sum_mpc": SumMPCConfig,
         "online_mpc": OnlineMPCConfig,
@@ -193,7 +207,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "wind": WindObserverConfig,
     },
     "adaptive": {"none": RemedyConfig, "l1": L1Config},
-    "inner": {"none": RemedyConfig},
+    "inner": {"none": RemedyConfig, "indi": INDIConfig},
     "delay": {"none": RemedyConfig, "strapdown": StrapdownConfig, "prediction": PredictionConfig},
     "collect": {"flights": CollectConfig},
     "gp": {"sparse": GPConfig},

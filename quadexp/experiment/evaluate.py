@@ -119,6 +119,7 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
         start=getattr(trajectory, "start_state", None),
         sensor=build_sensor(config.sensor),
         lost_distance=config.trajectory.lost_distance,
+        lost_box=config.trajectory.lost_box,
         metadata=describe(config, vehicle, model),
     )
     flight.metadata["reference_note"] = note
@@ -196,5 +197,13 @@ def evaluate_cell(config: Config, model: ModelFile | None, path: str, key: str) 
     except InfeasibleError as error:
         flight = infeasible_flight(config, model, str(error))
     flight.metadata["row"]["key"] = key
-    write_flight(Path(path), flight, key=key)
+    write_flight(Path(path), _thinned(flight, config.evaluate.log_period), key=key)
     return flight.metadata["row"]
+
+
+def _thinned(flight: Flight, period: float) -> Flight:
+    """The flight with one sample a period (s) only; 0: all."""
+    if not period or not len(flight):
+        return flight
+    every = max(1, round(period / (flight.t[1] - flight.t[0]))) if len(flight) > 1 else 1
+    return Flight({name: column[::every] for name, column in flight.columns.items()}, flight.metadata)

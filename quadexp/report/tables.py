@@ -33,9 +33,9 @@ from quadexp.report.winner import Verdict, verdicts
 # Columns of a result row, in the order they are written.
 ROW_COLUMNS = (
     "plant", "vehicle", "trajectory", "speed", "controller", "model", "variant", "seed", "rmse", "mean_error",
-    "max_error", "attitude_rmse", "solve_time_median", "solve_time_p99", "solve_time_max", "saturated_share",
-    "peak_speed", "duration", "unconverged_count", "reference_residual", "outside_data", "outcome", "backend", "cause",
-    "program", "sources", "libraries", "key",
+    "max_error", "attitude_rmse", "heading_rmse", "solve_time_median", "solve_time_p99", "solve_time_max",
+    "saturated_share", "peak_speed", "duration", "unconverged_count", "reference_residual", "outside_data", "outcome",
+    "backend", "cause", "program", "sources", "libraries", "key",
 )  # fmt: skip
 TEXT_COLUMNS = (
     "plant", "vehicle", "trajectory", "controller", "model", "variant", "outcome", "backend", "cause",

@@ -89,7 +89,7 @@ def rollout_function(
     for u_k, dt_k, added_k in zip(ca.horzsplit(a["U"]), ca.vertsplit(a["dt"]), added, strict=True):
         states.append(node(states[-1], u_k, a["theta"], dt_k, *constant, *added_k, *pushed))
     X = ca.horzcat(*states)
-    error = attitude_error_in(reference_frames(X_ref) if attitude_error == "body" else None)
+    error = attitude_error_in(*reference_frames(X_ref, attitude_error) or [None])
     errors = [error.deviation(k, d) for k, d in enumerate(ca.horzsplit(X - X_ref))]
     weights = [*ca.horzsplit(a["Q"]), a["Q_end"]]
     cost = sum((ca.dot(w * d, d) for w, d in zip(weights, errors, strict=True)), ca.MX(0))

@@ -78,7 +78,7 @@ class _Step:
             residual = replace(residual, function=residual.to_compile)
         n, samples = vehicle.n_rotors, SAMPLES if deviation else 1
         m = N_STATE + n * lag
-        self.nodes, self.body, self.deviation, self.samples = nodes, attitude_error == "body", deviation, samples
+        self.nodes, self.attitude_error, self.deviation, self.samples = nodes, attitude_error, deviation, samples
         form = {"lag": lag, "added": deviation, "disturbed": disturbed}
         self.node = rk4_sensitivity_function(vehicle, residual, scalar=scalar, **form)
         self._kind = CompiledPasses if scalar else MatrixPasses
@@ -108,7 +108,7 @@ class _Step:
             arguments = (a[name] for name in ("U_ref", "u_min", "u_max", "dt", "first_share"))
             U_ref, added = held_deviation(*arguments, *self.time_constant)
 
-        frames = [reference_frames(self.X_ref)] if self.body else []
+        frames = reference_frames(self.X_ref, self.attitude_error)
         error, dt = attitude_error_in(*frames or [None]), ca.vertsplit(a["dt"])
         linear = [self._linearised(error, k, x[k - 1], u[k], x[k], dt[k], added[k : k + 1]) for k in range(1, nodes)]
         A, B, b = (list(parts) for parts in zip(*linear, strict=True))
