@@ -181,7 +181,7 @@ class Results(Frame):
             raise UsageError(f"row {row}: the table has {len(self)} rows")
         if self._folder is None:
             raise UsageError("these results do not say where their flights lie; load them by qx.load(FOLDER)")
-        if self["outcome"].iloc[row] in ("infeasible", "failed"):
+        if self["outcome"].iloc[row] in ("infeasible", "failed", "invalid"):
             raise UsageError(f"row {row} was not flown: {self['cause'].iloc[row]}")
         flown = read_flight(CellStore(os.fspath(self._folder)).path(self["key"].iloc[row]))
         return Flight.of(flown.columns, flown.metadata)
