@@ -320,8 +320,8 @@ class Composer:
             if not sweep:
                 raise UsageError(f"{text!r}: several values for one key; use `quadexp evaluate --sweep` for that")
             if given.key in self._options:
-                for value in given.sweep:
-                    self._parse_one(f"{given.key}={value}", False)
+                for one in given.sweep:
+                    self._parse_one(f"{given.key}={one}", False)
             return given
         if given.key in self._options:
             self._check_option(given)

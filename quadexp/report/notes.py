@@ -22,6 +22,7 @@ if TYPE_CHECKING:  # `quadexp show` and `simulate` need no statistics
     from quadexp.report.winner import Verdict
 
 LARGE_ATTITUDE_ERROR = math.radians(10.0)  # rad, RMS over a flight
+MOST_CONTESTANTS = 10  # that a kind of note has a line on
 MOST_CAUSES = 3  # of invalid combinations that are named
 UNFLOWN = ("failed", "infeasible")  # outcomes without a sample
 UNITS = {"thrust": "N", "speed": "m/s", "v": "m/s", "w": "rad/s", "u": "N"}  # of a feature, by the start of its name
@@ -70,7 +71,13 @@ def table_notes(
     if any(s.n > s.common for s in statistics):
         lines.append("own: mean over all own flights that ended well, and their number")
     lines += [text for one in found if (text := one.text())]
-    return (*lines, *(entry.text() for entry in pooled))
+    return (*lines, *_first([entry.text() for entry in pooled]))
+
+
+def _first(lines: Sequence[str]) -> list[str]:
+    """The lines on each contestant; of many the first ones, and how many more there are."""
+    rest = len(lines) - MOST_CONTESTANTS
+    return [*lines[:MOST_CONTESTANTS], f"and {rest} more of this kind: statistics.csv"] if rest > 1 else [*lines]
 
 
 def notes(rows: Sequence[Row]) -> list[str]:
@@ -83,7 +90,7 @@ def notes(rows: Sequence[Row]) -> list[str]:
     labels = contestant_labels(list(groups))
     lines = []
     for note in OF_A_CONTESTANT:
-        lines += [f"{labels[who]}: {text}" for who, own in groups.items() if (text := note(own))]
+        lines += _first([f"{labels[who]}: {text}" for who, own in groups.items() if (text := note(own))])
     return invalid + lines + mixed_programs(rows)
 
 
