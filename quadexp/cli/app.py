@@ -20,6 +20,7 @@ from quadexp.cli.fly import collect, evaluate, simulate
 from quadexp.cli.identify import identify
 from quadexp.cli.importing import import_flights
 from quadexp.cli.new import new
+from quadexp.cli.plot import plot
 from quadexp.cli.results import results
 from quadexp.cli.terminal import fail, flush_output, output_failed, prepare
 from quadexp.cli.tune import tune
@@ -64,6 +65,7 @@ def root(
     quadexp validate    models against flights left out of the fit
     quadexp evaluate    controllers compared                -> results/*
     quadexp tune        settings of a controller by flights -> tuned/*
+    quadexp plot        results over any key                -> plot.png
     quadexp report      results as one page                 -> report.html
     quadexp new         a part of your own                  -> my_parts/
     """
@@ -84,6 +86,7 @@ COMMANDS = {
     "results": results,
     "validate": validate,
     "compare": compare_two,
+    "plot": plot,
     "report": report,
     "export": export,
     "animate": animate,

@@ -86,7 +86,7 @@ def collect(
             "--sweep and --flight: give one of them; recorded flights are of the worlds they were flown in"
         )
     with session(conf) as composer:
-        worlds = [cell.config for cell in composer.expand(overrides or [])] if sweep else []
+        worlds = _worlds(composer.expand(overrides or [])) if sweep else []
         config = worlds[0] if worlds else composer.compose(overrides or [])
     path = check_output(out, force=force)
     if save_flights is not None:
@@ -210,6 +210,10 @@ def evaluate(
         else:
             print_table(result.table)
         print(out)
+    if result.invalid:
+        from quadexp.report.notes import invalid_text
+
+        say(f"note: {invalid_text(result.rows)}; all of them: quadexp results {out} --failures")
     for name, why in drawn.failed.items():
         say(f"error: {name}: not drawn: {why}; the tables are not affected")
     if result.not_flown:
@@ -219,6 +223,17 @@ def evaluate(
         )
     if drawn.failed:
         raise typer.Exit(1)
+
+
+def _worlds(cells: Sequence[Any]) -> list[Any]:
+    """The configurations of all cells; UsageError where one contradicts itself."""
+    from quadexp.errors import UsageError
+
+    found = list(cells)
+    for cell in found:
+        if cell.invalid:
+            raise UsageError(cell.invalid)
+    return [cell.config for cell in found]
 
 
 def _preload(cells: Sequence[Any], figures: bool) -> list[str]:

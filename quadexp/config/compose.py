@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from quadexp.config.cells import Cell as Cell
-from quadexp.config.cells import Cells, Grid
+from quadexp.config.cells import Cells, Grid, refuse_mistakes
 from quadexp.config.completion import folders, groups
 from quadexp.config.kept import KeptCompositions
 from quadexp.config.override import Given, plain_override, quoted
@@ -74,14 +74,14 @@ class Composer:
     def expand(self, overrides: Sequence[str] = (), *, check: bool = True) -> Cells:
         """Every combination of a sweep: the values on the command line, over those of the experiment's `sweep:`.
 
-        check: compose all of them before any is returned. They are composed again when they are asked for, and a sweep
-        asks for all before it flies the first, so it need not.
+        check: compose all of them before any is returned, see `refuse_mistakes`. They are composed again when they are
+        asked for, and a sweep asks for all before it flies the first, so it need not.
         """
         with _one_line():
             parsed = self._parse(overrides, sweep=True)
             cells = Cells([_product(grid) for grid in self._grids(parsed)], self._cell_config)
-            for i in range(len(cells)) if check else ():
-                self._cell_config(cells.overrides(i))
+            for _ in refuse_mistakes(cells) if check else ():
+                pass
         return cells
 
     def options(self, group: str) -> list[str]:
@@ -319,6 +319,9 @@ class Composer:
         if given.sweep is not None:
             if not sweep:
                 raise UsageError(f"{text!r}: several values for one key; use `quadexp evaluate --sweep` for that")
+            if given.key in self._options:
+                for one in given.sweep:
+                    self._parse_one(f"{given.key}={one}", False)
             return given
         if given.key in self._options:
             self._check_option(given)
