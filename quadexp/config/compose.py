@@ -88,7 +88,7 @@ class Composer:
         """Names of a group's options."""
         return [name for name in self._options.get(group, ()) if not name.startswith("_")]
 
-    def _having(self, key: str) -> dict[str, list[str]]:
+    def having(self, key: str) -> dict[str, list[str]]:
         """Dotted keys that are the given one or end in it -> the options, chosen or not, that have it."""
         found: dict[str, list[str]] = {}
         for group, schemas in SCHEMAS.items():
@@ -143,8 +143,11 @@ class Composer:
         base = self._put_together(chosen, key) if parts else self._whole(chosen)
         for one in values:
             if (key, one.key) not in self._checked:
-                _check_key({name: node.content for name, node in base.items()}, one.key, self._having)
+                _check_key({name: node.content for name, node in base.items()}, one.key, self.having)
                 self._checked.add((key, one.key))
+            if one.key in base and base[one.key].schema is not None and not isinstance(one.value, Mapping):
+                first = next(iter(base[one.key].content))
+                raise UsageError(f"{one.text}: holds keys; set one of them, such as {one.key}.{first}=...")
         config = Config(**self._nodes(base, values))
         config = replace(config, world=self._world_name(config, chosen, values))
         baseline = config.evaluate.baseline

@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import importlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -173,6 +173,21 @@ def find_model(config: Config) -> ModelFile | None:
         raise UsageError(f"model={config.model}: no checkpoint there ({controller.name} needs one; make it: {maker})")
     looked = " or ".join(candidates) or "nowhere"
     raise UsageError(f"{controller.name} needs a model and none is in {looked}: give model=PATH, or make one: {maker}")
+
+
+def unused_model(configs: Iterable[Config]) -> str:
+    """Where `model` is given and no controller takes one, in one line; "" otherwise. In a sweep over controllers
+    `model` is for those that take one."""
+    without: dict[str, str] = {}
+    for config in configs:
+        if config.model is None or getattr(config.controller, "residual", "none") in MAKERS:
+            return ""
+        without[config.controller.name] = config.model
+    if not without:
+        return ""
+    names = " and ".join(without) if len(without) < 3 else f"none of {', '.join(without)}"
+    verb = "takes a model" if len(without) > 2 else "take no model" if len(without) == 2 else "takes no model"
+    return f"{names} {verb}: model={next(iter(without.values()))} is not used"
 
 
 def input_hashes(config: Config, model: ModelFile | None) -> dict[str, str]:
