@@ -29,6 +29,10 @@ class DataError(QuadexpError):
     """A file was found but cannot be used: damaged, incomplete, from another schema, or not finite."""
 
 
+class WrongFileError(UsageError, DataError):
+    """A file is of another kind than the one that is needed: a wrong request, not a damaged file."""
+
+
 class ModelDomainError(QuadexpError):
     """A physical model was evaluated at a point where it has no solution, or more than one."""
 

@@ -108,7 +108,7 @@ def _run() -> int:
     try:
         code = app(standalone_mode=False, prog_name="quadexp")
         if code == INTERRUPTED:  # Ctrl-C before the command began
-            code = fail("interrupted", 1).exit_code
+            code = fail("interrupted before anything was done: run the same command again", 1).exit_code
     except typer.Abort:
         code = 1
     except OSError as error:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from quadexp.cli.options import Conf, Force, Json, Out, Overrides
-from quadexp.cli.terminal import emit, guarded
+from quadexp.cli.terminal import emit, guarded, print_lines
 
 
 After = Annotated[
@@ -95,4 +95,5 @@ def _fit(
     if json:
         emit(report)
         return
-    print("\n".join([*report["lines"], str(path)]))
+    print_lines(report["lines"])
+    print(path)

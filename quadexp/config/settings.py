@@ -232,7 +232,7 @@ def _number(key: str, value: Any, kind: type) -> Any:
         if isinstance(value, bool) or (kind is int and isinstance(value, float)):
             raise ValueError
         return kind(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         words = "a whole number" if kind is int else "a number"
         raise ForbiddenValueError(f"{key}={_shown(value)}: must be {words}") from None
 

@@ -169,9 +169,7 @@ def find_model(config: Config) -> ModelFile | None:
 
     Raises UsageError where it needs one and there is none: a controller never flies with less than its name says.
     """
-    controller = config.controller
-    residual = getattr(controller, "residual", "none")
-    needed = [kind for kind in ((residual,) if isinstance(residual, str) else residual) if kind in MAKERS]
+    controller, needed = config.controller, _learned(config)
     if not needed:
         return None
     if len(needed) > 1:
@@ -189,6 +187,12 @@ def find_model(config: Config) -> ModelFile | None:
     raise UsageError(f"{controller.name} needs a model and none is in {looked}: give model=PATH, or make one: {maker}")
 
 
+def _learned(config: Config) -> list[str]:
+    """Kinds of the models of the controller that come from a checkpoint."""
+    residual = getattr(config.controller, "residual", "none")
+    return [kind for kind in ((residual,) if isinstance(residual, str) else residual) if kind in MAKERS]
+
+
 def _several(config: Config, kinds: list[str]) -> ModelFile:
     """The checkpoints of a sum, one folder of controller.models for each."""
     controller = config.controller
@@ -204,6 +208,21 @@ def _several(config: Config, kinds: list[str]) -> ModelFile:
         found.append(ModelFile(folder, hashlib.sha256(file.read_bytes()).hexdigest()))
     together = hashlib.sha256("".join(one.sha256 for one in found).encode()).hexdigest()
     return ModelFile("+".join(one.path for one in found), together, tuple(found))
+
+
+def unused_model(configs: Iterable[Config]) -> str:
+    """Where `model` is given and no controller takes one, in one line; "" otherwise. In a sweep over controllers
+    `model` is for those that take one."""
+    without: dict[str, str] = {}
+    for config in configs:
+        if config.model is None or _learned(config):
+            return ""
+        without[config.controller.name] = config.model
+    if not without:
+        return ""
+    names = " and ".join(without) if len(without) < 3 else f"none of {', '.join(without)}"
+    verb = "takes a model" if len(without) > 2 else "take no model" if len(without) == 2 else "takes no model"
+    return f"{names} {verb}: model={next(iter(without.values()))} is not used"
 
 
 def input_hashes(config: Config, model: ModelFile | None) -> dict[str, str]:

@@ -106,8 +106,8 @@ def split_by_flight(dataset: ResidualDataset, share: float, seed: int = 0) -> tu
     flights = dataset.flights
     if len(flights) < 2:
         raise DataError(
-            "dataset: it holds one flight, which cannot be split into fit and held-out flights;"
-            " collect more flights, or pass holdout=0"
+            "the data set holds one flight, which cannot be split into flights to fit and to hold out: collect more"
+            " with collect.duration, or hold none out: gp.holdout=0 for fit-gp, drag.holdout=0 for fit-drag"
         )
     count = int(np.clip(round(share * len(flights)), 1, len(flights) - 1))
     held_out = np.random.default_rng(seed).permutation(flights)[:count]

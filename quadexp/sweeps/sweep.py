@@ -121,7 +121,9 @@ def run_sweep(
                 rows[key] = _row_of(jobs[key], row)
                 progress(len(rows), len(jobs))
         except KeyboardInterrupt:
-            raise SweepInterrupted(f"{_done(store, jobs)}; run the same command to continue") from None
+            raise SweepInterrupted(
+                f"{_done(store, jobs)}; run the same command to continue (what is done is kept in {store.root})"
+            ) from None
         except WriteError as error:
             raise QuadexpError(
                 f"{error}: {_done(store, jobs)}; run the same command to continue once it can be written"

@@ -378,7 +378,7 @@ class TestShow:
     def test_something_else(self, here):
         Path("a.txt").write_text("hello")
         code, _, err = run("show", "a.txt")
-        assert code == 1 and "not a Parquet file" in err
+        assert code == 2 and "not a Parquet file" in err
 
 
 def test_the_record_holds_all_that_was_asked_for(here):
