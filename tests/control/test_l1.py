@@ -88,7 +88,7 @@ def test_the_estimate_is_the_mean_disturbance_of_the_last_period(name, pole):
 
 @pytest.mark.parametrize("frequency", [2.0, 10.0, 40.0])
 def test_the_command_is_the_low_pass_of_the_disturbance(frequency):
-    """Yaw torque d = sin wt: added torque over d, by Fourier, against -(1 - b)/(1 - b z^-1) times the mean over the last
+    """Yaw torque d = sin wt: added torque over d, by Fourier, against -(1 - b)/(1 - b z^-1) times the mean of the last
     period, held over the next one."""
     vehicle, period = vehicle_of("torrente", torque_coefficient=0.5), 0.01
     J, keys = vehicle.inertia[2][2], L1Keys(velocity_pole=0.2, rate_pole=0.2, bandwidth=12.0)
@@ -113,7 +113,7 @@ def test_what_rotors_can_cancel_is_cancelled_and_what_they_cannot_is_only_estima
     vehicle, window = vehicle_of("torrente"), hovering(vehicle_of("torrente"))
     torque = np.array([0.2, -0.1, 0.02])
     for force in ([0.0, 0.0, 3.0], [0.0, 0.0, -4.0]):
-        body = Body(vehicle, lambda t, force=np.array(force): force, lambda t: torque)
+        body = Body(vehicle, lambda t, force=force: np.array(force), lambda t: torque)
         states, _ = fly(body, controller := geometric(vehicle), at_rest(), 6.0, lambda t: window)
         factor = 0.01 / math.expm1(0.01)  # of the pole of 1/s at 100 Hz
         left = (1 - factor) * abs(force[2]) / 16  # that share stays on the spring

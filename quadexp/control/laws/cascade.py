@@ -9,9 +9,9 @@ Velocity to acceleration, PID, and from there to tilt and collective thrust f (p
     a_c = a_r + K_v (v_c - v) + I - K_d v'_f,    z_d = (a_x, a_y, g)/|.|,    f = z_d (a_z + g)/(z_d . e_z)          (2)
 
 f is cut to the largest thrust, the vertical first but for a margin of the horizontal. The integral I: vertical not
-while saturated; horizontal by back-calculation, I' = K_i (v_c - v - 2/K_v (a_c - a_s)), a_s what the limits leave of a_c.
-(PX4 compares a_c with f g/hover thrust, and relies on its estimate of the hover thrust: without one, a constant vertical
-force would look like a saturation and leave a horizontal offset.)
+while saturated; horizontal by back-calculation, I' = K_i (v_c - v - 2/K_v (a_c - a_s)), a_s what the limits leave of
+a_c. (PX4 compares a_c with f g/hover thrust, and relies on its estimate of the hover thrust: without one, a constant
+vertical force would look like a saturation and leave a horizontal offset.)
 
 Attitude to rate, P on a quaternion: first the shortest rotation of z to z_d, then a share of the remaining yaw:
 
@@ -149,8 +149,8 @@ def wanted_velocity(towards: Expression, reference: Expression, limit: tuple[flo
 
 
 def wanted_thrust(a: Expression, vehicle: Vehicle, keys: CascadeKeys) -> tuple[Expression, Expression, Expression]:
-    """f of (2) within the thrust that there is, and before that, (3,) each, world, per mass (m/s^2); and what the limits
-    of tilt and thrust leave of the wanted horizontal acceleration, (2,) (m/s^2)."""
+    """f of (2) within the thrust that there is, and before that, (3,) each, world, per mass (m/s^2); and what the
+    limits of tilt and thrust leave of the wanted horizontal acceleration, (2,) (m/s^2)."""
     g, top = vehicle.gravity, vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
     vertical = g if keys.decoupled else ca.fmax(a[2] + g, 1e-3)
     size, widest = ca.norm_2(a[:2]), math.tan(keys.tilt_limit) * vertical

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.config.compose import compose
 from quadexp.config.laws import GeometricKeys
-from quadexp.control.laws.geometric import GeometricController
 from quadexp.control.l1 import LateralForce
+from quadexp.control.laws.geometric import GeometricController
 from quadexp.experiment.evaluate import fly_one
 from quadexp.physics.state import POSITION, RATE, VELOCITY
 from tests.control.laws.flown import VEHICLES, Body, at_rest, fly, hovering, rotation, vehicle_of
