@@ -30,6 +30,7 @@ FLOORS = (
     ("report",),
     ("experiment", "papers"),
     ("sweeps",),
+    ("tune",),
     ("api",),
     ("cli",),
     ("__main__",),

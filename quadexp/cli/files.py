@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from quadexp.cli.options import Force, Json, OptionalOut, Out
-from quadexp.cli.terminal import emit, guarded
+from quadexp.cli.terminal import emit, guarded, print_lines
 
 
 @guarded
@@ -31,7 +31,7 @@ def show(
     if json:
         emit({key: value for key, value in summary.items() if key != "lines"})
     else:
-        print("\n".join(summary["lines"]))
+        print_lines(summary["lines"])
 
 
 @guarded
@@ -52,7 +52,7 @@ def compare_two(
     if json:
         emit({key: value for key, value in report.items() if key != "lines"})
     else:
-        print("\n".join(report["lines"]))
+        print_lines(report["lines"])
 
 
 @guarded
@@ -81,7 +81,8 @@ def report(
     if json:
         emit(made)
         return
-    print("\n".join([*made["answer"], made["note"], *map(str, made["figures"].values()), str(made["path"])]))
+    print_lines([*made["answer"], made["note"]])
+    print("\n".join([*map(str, made["figures"].values()), str(made["path"])]))
 
 
 @guarded

@@ -1,14 +1,20 @@
-"""Commands that fit a data set: `quadexp fit-gp` and `fit-drag`. Only light modules are imported here."""
+"""Commands that fit a data set: `quadexp fit-gp`, `fit-drag` and `fit-nn`. Only light modules are imported here."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from quadexp.cli.options import Conf, Force, Json, Out, Overrides
-from quadexp.cli.terminal import emit, guarded
+from quadexp.cli.terminal import emit, guarded, print_lines
+
+
+After = Annotated[
+    Path | None,
+    typer.Option("--after", help="Checkpoint that explains a part; the rest is fitted, for a sum of the two."),
+]
 
 
 @guarded
@@ -17,6 +23,7 @@ def fit_gp(
     overrides: Overrides = None,
     out: Out = Path("models/gp"),
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the fit.")] = True,
+    after: After = None,
     conf: Conf = None,
     force: Force = False,
     json: Json = False,
@@ -27,7 +34,7 @@ def fit_gp(
     quadexp fit-gp data/residuals.parquet --out models/gp
     quadexp fit-gp data/residuals.parquet gp=per_axis gp.inducing=40 --out models/gp40
     """
-    _fit("gp", dataset, overrides, out, conf, force, json, figures=figures)
+    _fit("gp", dataset, overrides, out, conf, force, json, figures=figures, after=after)
 
 
 @guarded
@@ -47,6 +54,25 @@ def fit_drag(
     _fit("drag", dataset, overrides, out, conf, force, json)
 
 
+@guarded
+def fit_nn(
+    dataset: Annotated[Path, typer.Argument(help="Data set of `quadexp collect`.")],
+    overrides: Overrides = None,
+    out: Out = Path("models/nn"),
+    after: After = None,
+    conf: Conf = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Fit a neural network to a data set and write the checkpoint.
+
+    \b
+    quadexp fit-nn data/residuals.parquet --out models/nn
+    quadexp fit-nn data/residuals.parquet nn.hidden=[24,24] nn.spectral=8 --out models/nn24
+    """
+    _fit("nn", dataset, overrides, out, conf, force, json, after=after)
+
+
 def _fit(
     kind: str,
     dataset: Path,
@@ -55,7 +81,7 @@ def _fit(
     conf: Path | None,
     force: bool,
     json: bool,
-    **options: bool,
+    **options: Any,
 ) -> None:
     from quadexp.config.compose import compose
     from quadexp.experiment.fit import fit_checkpoint
@@ -69,4 +95,5 @@ def _fit(
     if json:
         emit(report)
         return
-    print("\n".join([*report["lines"], str(path)]))
+    print_lines(report["lines"])
+    print(path)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from quadexp.cli.options import Conf, Force, Json, OptionalOut, Out, Overrides
-from quadexp.cli.terminal import emit, guarded, print_table, say
+from quadexp.cli.terminal import emit, guarded, print_lines, print_table, say
 from quadexp.errors import QuadexpError
 
 FIGURES = 5  # of a usual sweep
@@ -32,6 +32,7 @@ def simulate(
     quadexp simulate controller=gp_mpc trajectory=circle trajectory.speed=8 model=models/gp seed=0 --out runs/a.parquet
     """
     from quadexp.config.compose import compose
+    from quadexp.experiment.build import unused_model
     from quadexp.experiment.evaluate import fly_one
     from quadexp.log.store import check_output, write_flight
     from quadexp.report.margin_line import world_note
@@ -41,6 +42,8 @@ def simulate(
     path = check_output(out or Path("runs") / f"{_flight_name(config)}.parquet", force=force)
     flight = fly_one(config)
     write_flight(path, flight)
+    if note := unused_model([config]):
+        say(f"note: {note}")
     if json:
         emit({"path": path, **flight.metadata["row"], "residual": flight.metadata["residual"]})
         return
@@ -48,7 +51,8 @@ def simulate(
         say(f"note: {flight.metadata['reference_note']}")
     if note := world_note(flight.metadata["margins"]):
         say(f"note: {note}")
-    print("\n".join([*flight_lines(flight.metadata), str(path)]))
+    print_lines(flight_lines(flight.metadata))
+    print(path)
 
 
 @guarded
@@ -86,7 +90,7 @@ def collect(
             "--sweep and --flight: give one of them; recorded flights are of the worlds they were flown in"
         )
     with session(conf) as composer:
-        worlds = [cell.config for cell in composer.expand(overrides or [])] if sweep else []
+        worlds = _worlds(composer.expand(overrides or [])) if sweep else []
         config = worlds[0] if worlds else composer.compose(overrides or [])
     path = check_output(out, force=force)
     if save_flights is not None:
@@ -98,7 +102,8 @@ def collect(
     if json:
         emit(report)
         return
-    print("\n".join([*report["lines"], str(path)]))
+    print_lines(report["lines"])
+    print(path)
 
 
 @guarded
@@ -145,6 +150,7 @@ def evaluate(
     if sweep and first.engine.kind == "local" and not (out / "results.parquet").exists():
         start_server(preload)  # which imports these while the modules that follow are imported here
 
+    from quadexp.experiment.build import unused_model
     from quadexp.progress import Progress
     from quadexp.sweeps.cluster.engines import build_engine
     from quadexp.sweeps.engine import Workers
@@ -171,7 +177,7 @@ def evaluate(
             flown=drawn.begin if figures else lambda rows: None,
         )
         files = dict(result.files) | drawn.end()
-    for note in result.notes:
+    for note in filter(None, [unused_model(cell.config for cell in cells), *_low_paths(cells), *result.notes]):
         say(f"note: {note}")
     if figures and settings.figures != "standard":
         if settings.figures == "ladder":
@@ -210,6 +216,10 @@ def evaluate(
         else:
             print_table(result.table)
         print(out)
+    if result.invalid:
+        from quadexp.report.notes import invalid_text
+
+        say(f"note: {invalid_text(result.rows)}; all of them: quadexp results {out} --failures")
     for name, why in drawn.failed.items():
         say(f"error: {name}: not drawn: {why}; the tables are not affected")
     if result.not_flown:
@@ -219,6 +229,31 @@ def evaluate(
         )
     if drawn.failed:
         raise typer.Exit(1)
+
+
+def _worlds(cells: Sequence[Any]) -> list[Any]:
+    """The configurations of all cells; UsageError where one contradicts itself."""
+    from quadexp.errors import UsageError
+
+    found = list(cells)
+    for cell in found:
+        if cell.invalid:
+            raise UsageError(cell.invalid)
+    return [cell.config for cell in found]
+
+
+def _low_paths(cells: Sequence[Any]) -> list[str]:
+    """What is below the ground of the references of a sweep, as far as its first cells show."""
+    from quadexp.experiment.build import build_trajectory, build_vehicle
+    from quadexp.experiment.evaluate import below_ground
+
+    nodes: dict[Any, Any] = {}
+    for config in (cell.config for cell in cells[:SAMPLED] if not cell.invalid):
+        if config.trajectory.kind != "custom":  # which is a program of its own: built where it is flown
+            nodes.setdefault((config.trajectory, config.ground, config.vehicle), config)
+    found = (below_ground(c, build_trajectory(c.trajectory, build_vehicle(c.vehicle))) for c in nodes.values())
+    named = {line: None for line in found if line}
+    return [*named][:3]
 
 
 def _preload(cells: Sequence[Any], figures: bool) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from quadexp.cli.options import Conf, Force, Json
-from quadexp.cli.terminal import emit, guarded
+from quadexp.cli.terminal import emit, guarded, print_lines
 from quadexp.errors import UsageError
 
 
@@ -69,4 +69,6 @@ def validate(
     if json:
         emit({key: value for key, value in report.items() if key != "lines"})
         return
-    print("\n".join([*report["lines"], *([str(out)] if out else [])]))
+    print_lines(report["lines"])
+    if out:
+        print(out)

@@ -406,6 +406,15 @@ class MPCKeys(Settings):
             "known time constant of the rotor thrusts, which then are states of the model; 0: no lag", "[0, 0.5]", "s"
         ),
     ] = 0.0
+    motor_lead: Annotated[
+        float,
+        Setting(
+            "time constant of the rotors' first-order lag that is inverted behind the MPC, which plans without it;"
+            " cheaper than motor_lag; 0: none",
+            "[0, 0.5]",
+            "s",
+        ),
+    ] = 0.0
     rate: Annotated[float, Setting("control rate", "[1, 1000]", "Hz")] = 50.0
     position_weight: Annotated[
         Triple, Setting("weight of the squared position error, world axes, m^-2", "[0, 1e6]")
@@ -484,4 +493,4 @@ class PredictiveConfig(MPCKeys, ControllerConfig):
 class MPCConfig(PredictiveConfig):
     """Model predictive control; see quadexp/control/mpc/settings.py. residual: its model of the air."""
 
-    residual: Annotated[Literal["none", "linear_drag", "gaussian_process", "plant"], RESIDUAL]
+    residual: Annotated[Literal["none", "linear_drag", "gaussian_process", "neural", "plant"], RESIDUAL]

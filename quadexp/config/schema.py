@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
+from quadexp.config.adaptive import L1Config
 from quadexp.config.airframe import (
     DisturbanceConfig,
     FixedPayloadConfig,
@@ -24,6 +25,7 @@ from quadexp.config.custom import (
     CustomResidualMPCConfig,
     CustomTrajectoryConfig,
 )
+from quadexp.config.delays import PredictionConfig, StrapdownConfig
 from quadexp.config.dfbc import DFBCConfig
 from quadexp.config.engine import DaskConfig, EngineConfig, SlurmConfig
 from quadexp.config.flight import (
@@ -45,7 +47,9 @@ from quadexp.config.flight import (
 )
 from quadexp.config.foreign import DroneModelsPlantConfig, RotorPyPlantConfig
 from quadexp.config.inner import INDIConfig
-from quadexp.config.learning import CollectConfig, DragConfig, GPConfig
+from quadexp.config.laws import CascadeConfig, GeometricConfig, RaptorConfig, RotorPySE3Config
+from quadexp.config.learned import OnlineMPCConfig, SumMPCConfig
+from quadexp.config.learning import CollectConfig, DragConfig, GPConfig, NNConfig
 from quadexp.config.lei_li import (
     BladeElementPlantConfig,
     FeedbackConfig,
@@ -55,6 +59,7 @@ from quadexp.config.lei_li import (
     SensorConfig,
 )
 from quadexp.config.motors import ActuatorConfig, BatteryConfig, RotorLossConfig
+from quadexp.config.observers import DisturbanceObserverConfig, WindObserverConfig
 from quadexp.config.remedies import RemedyConfig
 from quadexp.config.sensing import EskfConfig, ImuGnssConfig, ImuMocapConfig
 from quadexp.config.settings import Setting, Settings
@@ -122,6 +127,7 @@ class Config(Settings):
     collect: CollectConfig
     gp: GPConfig
     drag: DragConfig
+    nn: NNConfig
     engine: EngineConfig
     evaluate: Annotated[EvaluateConfig, Setting("how a comparison is run and shown")] = field(
         default_factory=EvaluateConfig
@@ -186,16 +192,27 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "feedback": FeedbackConfig,
         "dfbc": DFBCConfig,
         "rls_mpc": RLSMPCConfig,
+        "sum_mpc": SumMPCConfig,
+        "online_mpc": OnlineMPCConfig,
+        "geometric": GeometricConfig,
+        "cascade": CascadeConfig,
+        "raptor": RaptorConfig,
+        "rotorpy_se3": RotorPySE3Config,
         "custom": CustomControllerConfig,
         "custom_residual_mpc": CustomResidualMPCConfig,
     },
-    "observer": {"none": RemedyConfig},
-    "adaptive": {"none": RemedyConfig},
+    "observer": {
+        "none": RemedyConfig,
+        "disturbance": DisturbanceObserverConfig,
+        "wind": WindObserverConfig,
+    },
+    "adaptive": {"none": RemedyConfig, "l1": L1Config},
     "inner": {"none": RemedyConfig, "indi": INDIConfig},
-    "delay": {"none": RemedyConfig},
+    "delay": {"none": RemedyConfig, "strapdown": StrapdownConfig, "prediction": PredictionConfig},
     "collect": {"flights": CollectConfig},
     "gp": {"sparse": GPConfig},
     "drag": {"linear": DragConfig},
+    "nn": {"mlp": NNConfig},
     "engine": {"local": EngineConfig, "dask": DaskConfig, "slurm": SlurmConfig},
 }
 
@@ -218,7 +235,7 @@ WORLD = (
 REMEDIES = ("observer", "adaptive", "inner", "delay")
 
 # Groups of presets, and the group whose values their options set (`# @package controller`).
-PRESETS = {"horizon": "controller"}
+PRESETS = {"horizon": "controller", "motor": "controller"}
 
 
 def remedies(config: Config) -> dict[str, RemedyConfig]:

@@ -192,6 +192,7 @@ def _result_lines(record: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], 
 
 def _checkpoint(path: Path) -> dict[str, Any]:
     from quadexp.learn.checkpoint import KINDS, load_model, load_report
+    from quadexp.learn.neural import NeuralModel
     from quadexp.learn.vehicle_model import VehicleModel
 
     model = load_model(path)
@@ -210,7 +211,7 @@ def _checkpoint(path: Path) -> dict[str, Any]:
         "settings": dict(getattr(model, "settings", {})),
         "versions": dict(getattr(model, "versions", {}) or record.get("versions", {})),
         "drag": list(map(float, model.linear_drag.drag)),
-        "outputs": {
+        "outputs": {} if isinstance(model, NeuralModel) else {
             o.output: {
                 "features": list(o.features),
                 "inducing": len(o.alpha),
@@ -234,6 +235,13 @@ def _checkpoint(path: Path) -> dict[str, Any]:
             f"{name:<12}{output['inducing']} points, length scales {scales};"
             f" signal {output['signal_std']:.3g}, noise {output['noise_std']:.3g} {describe(name, 'residuals').unit}"
         )
+    if isinstance(model, NeuralModel):
+        summary |= {"sizes": list(model.sizes), "features": list(model.features), "lipschitz": model.lipschitz}
+        layers = "-".join(map(str, model.sizes))
+        lines.append(f"network     {layers} units: {', '.join(model.outputs)} from {', '.join(model.features)}")
+        lines.append(f"            largest slope of the scaled network at most {model.lipschitz:.3g}")
+        for name, std in zip(model.outputs, model.residual_std, strict=True):
+            lines.append(f"{name:<12}error on the rows of the fit {std:.3g} {describe(name, 'residuals').unit}")
     if isinstance(model, VehicleModel):
         from quadexp.report.identify_lines import model_lines, selection_lines
 

@@ -23,7 +23,7 @@ from quadexp.sweeps.keys import condition
 from quadexp.sweeps.sweep_table import RESULTS, Row, open_results, read_rows, table_row, write_results
 
 WANTED = "wanted"  # beside the columns of a result row: whether the last sweep asked for the cell
-FAILURES = ("failed", "infeasible", "lost", "solver_failed", "damaged")
+FAILURES = ("failed", "invalid", "infeasible", "lost", "solver_failed", "damaged")
 # What a sweep makes of its rows.
 MADE = (RESULTS, "results.csv", "statistics.parquet", "statistics.csv", "table.md", "table.tex", "comparison.tex")
 

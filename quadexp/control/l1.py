@@ -1,0 +1,219 @@
+"""L1 adaptive augmentation (Hanover, Foehn, Sun, Kaufmann, Scaramuzza 2022; Wu et al. 2023) of any controller.
+
+A predictor of velocity and body rate knows the controller's model and the thrusts that its commands, as clipped, give
+through the motors' known lag. What it misses is taken for a disturbance; the part that rotors can cancel, force along
+the thrust axis and torque, is subtracted from the controller's command through a low pass. s: disturbance, world force
+s_F (N) and body torque s_tau (N m); z~: prediction minus measurement; T the control period; a_v, a_w: poles.
+
+    v~_k = e^{-a_v T} v~_{k-1} + T (f_v + g) + (1 - e^{-a_v T})/a_v s_F/m - (v_k - v_{k-1})                         (1)
+    w~_k = e^{-a_w T} w~_{k-1} + T f_w + (1 - e^{-a_w T})/a_w J^-1 s_tau - (w_k - w_{k-1})
+    s_F <- -m c(a_v) v~_k,    s_tau <- -J c(a_w) w~_k,    c(a) = a e^{-a T}/(1 - e^{-a T})                          (2)
+    y_k = e^{-w_co T} y_{k-1} + (1 - e^{-w_co T}) [R^T s_F; s_tau],    u = u_b - G^+ [y_z; y_tau]                   (3)
+
+f_v = R (T e_z/m + a_air), f_w = J^-1 (tau + tau_air - w x J w): means of their values at both ends of the period, with
+the mean of the delivered thrusts over it. This is the exact hold of the continuous law: whatever the pole, s_k is
+a T/(e^{a T} - 1) times the mean disturbance of the last period (dead beat), so that w_co alone shapes the response.
+
+The thrusts are those of the commands, not c_t W^2 of measured rotor speeds: a motor that gives less than it was told is
+a matched disturbance too. Where u leaves the limits, desaturation.py decides. World ENU, body FLU, SI.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from quadexp.air.base import N_OUTPUTS, Residual
+from quadexp.compile.backend import BufferedFunction, realise_together, resolve
+from quadexp.config.adaptive import L1Keys
+from quadexp.config.settings import part
+from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.laws.desaturation import prioritised
+from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.mpc.mpc import StepRecord
+from quadexp.control.wrapped import WrappedController
+from quadexp.errors import UsageError
+from quadexp.physics.expression import Expression
+from quadexp.physics.rigid_body import body_features
+from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
+from quadexp.physics.vehicle import Vehicle
+
+ERROR, DISTURBANCE, FILTERED = slice(0, 6), slice(6, 12), slice(12, 18)  # of the memory: z~; s_F, s_tau; y
+LOGGED = ("l1_force_x", "l1_force_y", "l1_force_z", "l1_torque_x", "l1_torque_y", "l1_torque_z")
+
+
+class LateralForce(NamedTuple):
+    """What a controller is told of the unmatched part, with the fields of control.belief's Belief."""
+
+    force: np.ndarray
+    torque: np.ndarray
+    wind: np.ndarray
+    thrust_scale: float = 1.0
+
+
+class L1Controller(WrappedController):
+    """L1 around a controller. residual: the controller's model of the air, None for none."""
+
+    def __init__(
+        self, inner: Controller, keys: L1Keys, residual: Residual | None, lag: float, dead_time: float
+    ) -> None:
+        super().__init__(inner)
+        self.keys, vehicle, period = keys, self.vehicle, self.control_period
+        known = None if residual is None or residual.is_zero else residual
+        functions = l1_functions(vehicle, keys, period, known, lag, compiled=resolve(self.backend) == "compiled")
+        self._estimate, self._add = map(BufferedFunction, realise_together(functions, self.backend))
+        if known is not None:
+            self._estimate.arguments["theta"].ravel()[:] = known.theta
+        steps = math.ceil(dead_time / period - 1e-9)
+        self._old = steps - dead_time / period  # share of a period in which the older of two commands acts
+        self._sent = np.zeros((steps + 1, vehicle.n_rotors))  # commands, the latest last
+        self._begun = False
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset."""
+        self.inner.reset(x, window)
+        start = (
+            np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max)
+            if len(window.input)
+            else (np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust))
+        )
+        self._sent[...] = start
+        for array in (*self._estimate.arguments.values(), *self._estimate.results.values()):
+            if array is not self._estimate.arguments.get("theta"):
+                array[...] = 0.0
+        self._estimate.results["rotors_next"][...] = start
+        self._begun = False
+
+    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
+        """See Controller.step."""
+        began = time.perf_counter()
+        given, found = self._estimate.arguments, self._estimate.results
+        given["x"][...] = measurement.state
+        if self._begun:
+            given["memory"][...], given["rotors"][...] = found["memory_next"], found["rotors_next"]
+            given["acting"][...] = self._acting()
+            self._estimate()
+        given["x_last"][...] = measurement.state
+        self._begun = True
+        if self.keys.unmatched:
+            zero = np.zeros(3)
+            self.inner.believe(LateralForce(found["lateral"], zero, zero))  # type: ignore[attr-defined]
+        took = time.perf_counter() - began
+        command, record = self.inner.step(measurement, window)
+        began = time.perf_counter()
+        add = self._add.arguments
+        add["base"][...], add["filtered"][...] = command, found["memory_next"][FILTERED]
+        self._add()
+        u = self._add.results["u"].copy()
+        self._sent[:-1] = self._sent[1:]
+        self._sent[-1] = u
+        return u, record._replace(solve_time=record.solve_time + took + time.perf_counter() - began)
+
+    def _acting(self) -> np.ndarray:
+        """Mean command that acted over the last period, (n,) (N)."""
+        if len(self._sent) == 1:
+            return self._sent[0]
+        return self._old * self._sent[1] + (1 - self._old) * self._sent[0]
+
+    def log(self) -> dict[str, float]:
+        """See Controller.log; the estimated force along body axes (N) and torque (N m), before the low pass."""
+        return self.inner.log() | dict(zip(LOGGED, self._estimate.results["body"].tolist(), strict=True))
+
+
+def l1(controller: Any, config: Any) -> L1Controller:
+    """L1 around a controller.
+
+    Raises UsageError around another remedy, where the controller cannot be told what `unmatched` asks for, or knows
+    nothing of its own model.
+    """
+    if isinstance(controller, WrappedController):
+        raise UsageError(
+            "adaptive=l1: an observer estimates the same disturbance, and both would compensate it: choose"
+            " observer=none or adaptive=none"
+        )
+    if config.unmatched and not hasattr(controller, "believe"):
+        raise UsageError("adaptive.unmatched=true: this controller cannot be told of a force; adaptive.unmatched=false")
+    lag, dead_time, residual = 0.0, 0.0, controller.residual
+    if isinstance(controller, PredictiveController):
+        settings, residual = controller.settings, controller.mpc.residual
+        lag, dead_time = settings.motor_lag, settings.dead_time
+    lag = lag if config.motor_lag is None else config.motor_lag
+    dead_time = dead_time if config.dead_time is None else config.dead_time
+    return L1Controller(controller, part(L1Keys, config), residual, lag, dead_time)
+
+
+def l1_functions(
+    vehicle: Vehicle, keys: L1Keys, period: float, residual: Residual | None, lag: float, *, compiled: bool
+) -> tuple[ca.Function, ca.Function]:
+    """Equations (1), (2) and the low pass of (3); and the sum of (3) within the limits.
+
+    First: x, x_last (13,), acting: mean command over the last period (n,), rotors: thrusts at its start (n,), memory
+    (18,), theta -> memory_next, rotors_next, body: R^T s_F and s_tau (6,), lateral: the filtered force across the
+    thrust axis, world (3,). Second: base (n,), filtered: y (6,) -> u (n,).
+    """
+    n = vehicle.n_rotors
+    sizes = {"x": N_STATE, "x_last": N_STATE, "acting": n, "rotors": n, "memory": 18}
+    inputs = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
+    decay = math.exp(-period / lag) if lag else 0.0
+    rotors_next = inputs["acting"] + decay * (inputs["rotors"] - inputs["acting"])
+    mean = inputs["acting"] + lag / period * (1 - decay) * (inputs["rotors"] - inputs["acting"])
+    air = [ca.DM.zeros(N_OUTPUTS)] * 2
+    if residual is not None:
+        model = (residual.to_compile if compiled else None) or residual.function
+        inputs["theta"] = ca.MX.sym("theta", model.size1_in(1))
+        x, u = ca.SX.sym("x", N_STATE), ca.SX.sym("u", n)
+        features = ca.Function("features", [x, u], [body_features(x, u)])
+        air = [model(features(inputs[name], mean), inputs["theta"])[0] for name in ("x", "x_last")]
+    predictor = _predictor(vehicle, keys, period)
+    results = predictor(inputs["x"], inputs["x_last"], mean, inputs["memory"], *map(ca.densify, air))
+    names = ["memory_next", "body", "lateral", "rotors_next"]
+    estimate = ca.Function("l1_estimate", [*inputs.values()], [*results, rotors_next], [*inputs], names)
+    base, y = ca.SX.sym("base", n), ca.SX.sym("filtered", 6)
+    u = added(vehicle, base, -y[2:])
+    return estimate, ca.Function("l1_add", [base, y], [ca.cse(u)], ["base", "filtered"], ["u"])
+
+
+def added(vehicle: Vehicle, base: Expression, wrench: Expression) -> Expression:
+    """Commands, (n,) (N), that add a wrench [T; tau], (4,), to others, (n,), by priority where that exceeds a limit."""
+    u = base + ca.mtimes(ca.DM(np.linalg.pinv(vehicle.allocation)), wrench)
+    within = ca.logic_and(ca.mmin(u) >= vehicle.thrust_min, ca.mmax(u) <= vehicle.thrust_max)
+    return ca.if_else(within, u, prioritised(vehicle, ca.mtimes(ca.DM(vehicle.allocation), u)))
+
+
+def _predictor(vehicle: Vehicle, keys: L1Keys, period: float) -> ca.Function:
+    """(x, x_last, thrusts, memory, air, air_last) -> memory_next, body, lateral; see l1_functions."""
+    m, J = vehicle.mass, ca.DM(vehicle.inertia_matrix)
+    x, x_last, thrust = ca.SX.sym("x", N_STATE), ca.SX.sym("x_last", N_STATE), ca.SX.sym("thrust", vehicle.n_rotors)
+    memory, air, air_last = ca.SX.sym("memory", 18), ca.SX.sym("air", N_OUTPUTS), ca.SX.sym("air_last", N_OUTPUTS)
+    wrench = ca.mtimes(ca.DM(vehicle.allocation), thrust)
+
+    def known(state: Expression, y: Expression) -> Expression:
+        R, w = rotation_matrix(state[ATTITUDE]), state[RATE]
+        linear = ca.mtimes(R, ca.vertcat(0, 0, wrench[0] / m) + y[:3]) + ca.DM([0, 0, -vehicle.gravity])
+        return ca.vertcat(linear, ca.mtimes(ca.inv(J), wrench[1:] + y[3:] - ca.cross(w, ca.mtimes(J, w))))
+
+    moved = ca.vertcat(x[VELOCITY] - x_last[VELOCITY], x[RATE] - x_last[RATE])
+    poles = np.repeat([keys.velocity_pole, keys.rate_pole], 3)
+    left = np.exp(-poles * period)
+    reach, gain = (1 - left) / poles, poles * left / (1 - left)
+    s_F, s_tau = ca.vertsplit(memory[DISTURBANCE], 3)
+    believed = ca.vertcat(s_F / m, ca.mtimes(ca.inv(J), s_tau))
+    error = ca.DM(left) * memory[ERROR] + period / 2 * (known(x, air) + known(x_last, air_last))
+    error += ca.DM(reach) * believed - moved
+    found = -ca.DM(gain) * error
+    s_F, s_tau = m * found[:3], ca.mtimes(J, found[3:])
+    R = rotation_matrix(x[ATTITUDE])
+    body = ca.vertcat(ca.mtimes(R.T, s_F), s_tau)
+    stays = math.exp(-keys.bandwidth * period)
+    filtered = stays * memory[FILTERED] + (1 - stays) * body
+    force = keys.force_limit * m * vehicle.gravity
+    bound = ca.vertcat(force, force, force, keys.torque_limit * ca.DM(np.diag(vehicle.inertia_matrix)))
+    filtered = ca.fmin(ca.fmax(filtered, -bound), bound)
+    lateral = ca.mtimes(R, ca.vertcat(filtered[:2], 0))
+    outputs = [ca.vertcat(error, s_F, s_tau, filtered), body, lateral]
+    return ca.Function("l1_predictor", [x, x_last, thrust, memory, air, air_last], ca.cse(outputs))

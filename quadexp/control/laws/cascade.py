@@ -1,0 +1,181 @@
+"""A flight stack's cascade, as PX4's multicopter modules have it, with physical units and this program's frames.
+
+Position to velocity, P, the way to the reference before its velocity where the limit does not allow both; z clipped:
+
+    v_c = K_p (p_r - p) + v_r                                                                                       (1)
+
+Velocity to acceleration, PID, and from there to tilt and collective thrust f (per mass), tilt limited:
+
+    a_c = a_r + K_v (v_c - v) + I - K_d v'_f,    z_d = (a_x, a_y, g)/|.|,    f = z_d (a_z + g)/(z_d . e_z)          (2)
+
+f is cut to the largest thrust, the vertical first but for a margin of the horizontal. The integral I: vertical not
+while saturated; horizontal by back-calculation, I' = K_i (v_c - v - 2/K_v (a_c - f)) where f is shorter.
+
+Attitude to rate, P on a quaternion: first the shortest rotation of z to z_d, then a share of the remaining yaw:
+
+    q_m = q_red^-1 o q_d,   q_d' = q_red o (cos(w_y acos q_m,w), 0, 0, sin(w_y asin q_m,z)),
+    w_c = 2 K_a vec(q^-1 o q_d') + yaw' R^T e_z                                                                     (3)
+
+Rate to torque, PID with a filtered derivative: tau = J (K_r (w_c - w) + I_w - D w'_f), I_w' = i K_i (w_c - w), with
+i = max(0, 1 - ((w_c - w)/400 deg/s)^2), and 0 where an axis is saturated that way. Mixer: desaturation.py.
+
+Not in it: estimators, filters of the gyro, hover thrust estimate, thrust curve, ground handling. Rates of loops: one.
+
+Source: PX4-Autopilot, mc_pos_control (PositionControl), mc_att_control (AttitudeControl), rate_control,
+control_allocator (sequential desaturation); equations taken, code our own. World ENU, body FLU, SI.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from quadexp.compile.backend import realise, resolve
+from quadexp.config.laws import CascadeKeys
+from quadexp.control.base import Window
+from quadexp.control.laws.attitude import attitude_of
+from quadexp.control.laws.desaturation import held, prioritised
+from quadexp.control.laws.explicit import ExplicitController
+from quadexp.physics.expression import Expression
+from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
+from quadexp.physics.vehicle import Vehicle
+
+RATE_ERROR = math.radians(400.0)  # rad/s, at which the rate loop no longer integrates
+SATURATED = 1e-9  # share of a wanted torque that the mixer leaves out, from which on an axis counts as saturated
+MEMORY = {"velocity_integral": 3, "velocity": 3, "acceleration": 3, "rate_integral": 3, "rate": 3, "turning": 3}
+LOGGED = tuple(f"{name}_{axis}" for name in ("velocity_integral", "rate_integral") for axis in "xyz")
+
+
+class CascadeController(ExplicitController):
+    """A Controller (see control.base). backend: see compile/backend.py."""
+
+    def __init__(self, vehicle: Vehicle, keys: CascadeKeys, *, backend: str = "auto") -> None:
+        function = _function(vehicle, keys, resolve(backend))
+        super().__init__(vehicle, function, keys.rate, logged=LOGGED, backend=backend)
+        self.keys = keys
+
+    def initial(self, x: np.ndarray, window: Window) -> np.ndarray:
+        """Integrals and derivatives are zero; see MEMORY."""
+        zero = np.zeros(3)
+        return np.concatenate([zero, x[VELOCITY], zero, zero, x[RATE], zero])
+
+
+@lru_cache(maxsize=64)
+def _function(vehicle: Vehicle, keys: CascadeKeys, backend: str) -> ca.Function:
+    return realise(cascade_function(vehicle, keys), backend)
+
+
+def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:
+    """The cascade with the inputs and outputs of explicit.py; memory: see MEMORY."""
+    period, g = 1 / keys.rate, vehicle.gravity
+    x, state = ca.SX.sym("x", N_STATE), ca.SX.sym("state", N_STATE)
+    path, yaw, memory = ca.SX.sym("path", 3, 5), ca.SX.sym("yaw", 3), ca.SX.sym("memory", sum(MEMORY.values()))
+    integral, v_last, acceleration, rate_integral, w_last, turning = ca.vertsplit(memory, 3)
+    R, v, w = rotation_matrix(x[ATTITUDE]), x[VELOCITY], x[RATE]
+    acceleration = low_pass(acceleration, (v - v_last) / period, keys.velocity_cutoff, period)
+    turning = low_pass(turning, (w - w_last) / period, keys.rate_cutoff, period)
+
+    v_c = wanted_velocity(
+        ca.DM(keys.position_proportional) * (path[:, 0] - x[POSITION]), path[:, 1], keys.velocity_limit
+    )
+    error = v_c - v
+    a_c = path[:, 2] + ca.DM(keys.velocity_proportional) * error + integral
+    a_c -= ca.DM(keys.velocity_derivative) * acceleration
+    f, wanted = wanted_thrust(a_c, vehicle, keys)
+    top = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
+    stuck = ca.logic_or(
+        ca.logic_and(wanted[2] <= keys.thrust_least * g, error[2] <= 0), ca.logic_and(wanted[2] >= top, error[2] >= 0)
+    )
+    short = ca.if_else(ca.sumsqr(a_c[:2]) > ca.sumsqr(f[:2]), a_c[:2] - f[:2], 0)
+    back = ca.vertcat(error[:2] - 2 / max(keys.velocity_proportional[0], 1e-6) * short, ca.if_else(stuck, 0, error[2]))
+    integral = integral + period * ca.DM(keys.velocity_integral) * back
+    integral = ca.vertcat(integral[:2], ca.fmin(ca.fmax(integral[2], -g), g))
+
+    R_d = attitude_of(f, ca.mtimes(rotation_matrix(state[ATTITUDE]), ca.DM([1, 0, 0])))
+    w_c = wanted_rate(R, R_d, keys) + R[2, :].T * yaw[1]
+    if keys.rate_feedforward:
+        w_c = wanted_rate(R, R_d, keys) + state[RATE]
+    limit = ca.DM(keys.rate_limit)
+    w_c = ca.fmin(ca.fmax(w_c, -limit), limit)
+    slow = w_c - w
+    angular = ca.DM(keys.rate_proportional) * slow + rate_integral - ca.DM(keys.rate_derivative) * turning
+    torque = ca.mtimes(ca.DM(vehicle.inertia_matrix), angular)
+    thrust = vehicle.mass * ca.norm_2(f)
+    u = prioritised(vehicle, ca.vertcat(thrust, torque), airmode=keys.airmode, yaw_margin=keys.yaw_margin)
+    left = torque - ca.mtimes(ca.DM(vehicle.allocation[1:]), u)
+    scale = SATURATED * vehicle.thrust_max * float(np.abs(vehicle.allocation[1:]).max())
+    slow = ca.if_else(left > scale, ca.fmin(slow, 0), ca.if_else(left < -scale, ca.fmax(slow, 0), slow))
+    share = ca.fmax(0, 1 - (slow / RATE_ERROR) ** 2)
+    bound = ca.DM(keys.rate_integral_limit)
+    rate_integral = rate_integral + period * share * ca.DM(keys.rate_integral) * slow
+    rate_integral = ca.fmin(ca.fmax(rate_integral, -bound), bound)
+
+    outputs = {
+        "command": u,
+        "held": held(vehicle, u),
+        "memory_next": ca.vertcat(integral, v, acceleration, rate_integral, w, turning),
+        "log": ca.vertcat(integral, rate_integral),
+    }
+    values = ca.cse([ca.densify(value) for value in outputs.values()])
+    return ca.Function(
+        "cascade", [x, state, path, yaw, memory], values, ["x", "state", "path", "yaw", "memory"], [*outputs]
+    )
+
+
+def low_pass(last: Expression, value: Expression, cutoff: float, period: float) -> Expression:
+    """A first-order filter one sample on; cutoff: Hz."""
+    return last + period / (period + 1 / (2 * math.pi * cutoff)) * (value - last)
+
+
+def wanted_velocity(towards: Expression, reference: Expression, limit: tuple[float, float, float]) -> Expression:
+    """v_c, (3,), world: `towards` the reference's position before the reference's own velocity, (3,) each (m/s).
+
+    limit: horizontal, up, down. Horizontally as much of `reference` is added as keeps the sum within the limit.
+    """
+    first, second = towards[:2], reference[:2]
+    a, b, c = ca.sumsqr(second), ca.dot(first, second), ca.sumsqr(first) - limit[0] ** 2
+    inside = c < 0  # of the way to the reference alone
+    share = (-b + ca.sqrt(ca.fmax(b**2 - a * c, 0))) / ca.fmax(a, 1e-12)
+    within = first + ca.fmin(ca.fmax(share, 0), 1) * second
+    horizontal = ca.if_else(inside, within, first * limit[0] / ca.fmax(ca.norm_2(first), 1e-12))
+    vertical = ca.fmin(ca.fmax(towards[2] + reference[2], -limit[2]), limit[1])
+    return ca.vertcat(horizontal, vertical)
+
+
+def wanted_thrust(a: Expression, vehicle: Vehicle, keys: CascadeKeys) -> tuple[Expression, Expression]:
+    """f of (2) within the thrust that there is, and before that, (3,) each, world, per mass (m/s^2)."""
+    g, top = vehicle.gravity, vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
+    vertical = g if keys.decoupled else ca.fmax(a[2] + g, 1e-3)
+    size, widest = ca.norm_2(a[:2]), math.tan(keys.tilt_limit) * vertical
+    level = a[:2] * ca.fmin(1, widest / ca.fmax(size, 1e-12))
+    z = ca.vertcat(level, vertical)
+    z = z / ca.norm_2(z)
+    f = z * ca.fmax((a[2] + g) / z[2], keys.thrust_least * g)
+    sideways = ca.norm_2(f[:2])
+    most = ca.sqrt(top**2 - ca.fmin(sideways, keys.horizontal_margin * top) ** 2)
+    up = ca.fmin(f[2], most)
+    room = ca.sqrt(ca.fmax(top**2 - up**2, 0))
+    return ca.vertcat(f[:2] * ca.fmin(1, room / ca.fmax(sideways, 1e-12)), up), f
+
+
+def wanted_rate(R: Expression, R_d: Expression, keys: CascadeKeys) -> Expression:
+    """w_c of (3), (3,), body (rad/s), without feed-forward."""
+    weight = keys.yaw_weight
+    z_d = ca.mtimes(R.T, R_d[:, 2])  # in the body; the shortest rotation takes e_z there
+    turn = ca.sqrt(ca.fmax((1 + z_d[2]) / 2, 1e-12))
+    reduced = ca.vertcat(turn, -z_d[1] / (2 * turn), z_d[0] / (2 * turn), 0)  # q^-1 o q_red
+    mixed = ca.mtimes(rotation_matrix(reduced).T, ca.mtimes(R.T, R_d))  # about z by the rest of the yaw
+    angle = weight * ca.atan2(mixed[1, 0] - mixed[0, 1], mixed[0, 0] + mixed[1, 1])
+    c, s = ca.cos(angle / 2), ca.sin(angle / 2)
+    error = ca.vertcat(
+        reduced[1] * c + reduced[2] * s,
+        reduced[2] * c - reduced[1] * s,
+        reduced[0] * s,
+    )
+    sign = ca.if_else(reduced[0] * c < 0, -1, 1)
+    proportional = np.array(keys.attitude_proportional) / [1, 1, weight if weight > 1e-4 else 1]
+    return 2 * sign * ca.DM(proportional) * error

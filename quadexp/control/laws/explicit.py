@@ -1,0 +1,99 @@
+"""A control law in closed form as a Controller: one compiled function a step.
+
+The function names what it reads: x (13,), state and input (thrusts) of the reference now (13,), (n,), its thrusts in
+the middle of the control period, path (3, 5), yaw (3,), belief (10,), theta, memory; and what it gives: command (n,),
+memory_next, held (rotors at a limit), log. Only what it names is filled.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from quadexp.air.base import Residual
+from quadexp.compile.backend import BufferedFunction, resolve
+from quadexp.control.base import Measurement, Window
+from quadexp.control.mpc.active_set import Status
+from quadexp.control.mpc.mpc import StepRecord
+from quadexp.physics.vehicle import Vehicle
+
+NO_BELIEF = np.concatenate([np.zeros(9), [1.0]])  # force, torque, wind, thrust scale
+
+
+class ExplicitController:
+    """A Controller (see control.base) whose step is a CasADi function.
+
+    function: see the module. rate: of control (Hz). residual: what it knows of the air, for its references too; None
+    for nothing. logged: names of the entries of the function's output log. backend: as resolved.
+    """
+
+    reference_period = 0.0
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        function: ca.Function,
+        rate: float,
+        *,
+        residual: Residual | None = None,
+        logged: Sequence[str] = (),
+        backend: str = "auto",
+    ) -> None:
+        self.vehicle, self.control_period, self.residual = vehicle, 1.0 / rate, residual
+        self.backend = resolve(backend)
+        self.node_times = np.array([0.0, 0.5, 1.0]) * self.control_period
+        self.name, self.source = ("none", "") if residual is None else (residual.name, residual.source)
+        self._logged, self._law = tuple(logged), BufferedFunction(function)
+        arguments = self._law.arguments
+        if residual is not None:
+            arguments["theta"].ravel()[:] = residual.theta
+        if "belief" in arguments:
+            arguments["belief"][:] = NO_BELIEF
+        self._sources = [name for name in ("x", "state", "input", "middle", "path", "yaw") if name in arguments]
+        self._memory, self._begun = "memory" in arguments, False
+
+    def forget(self) -> None:
+        """See Controller.forget; nothing is learned that outlives a flight."""
+
+    def initial(self, x: np.ndarray, window: Window) -> Any:
+        """Memory at the start of a flight in the state x, (13,)."""
+        return 0.0
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset."""
+        arguments = self._law.arguments
+        if "belief" in arguments:
+            arguments["belief"][:] = NO_BELIEF
+        self._begun = False
+        if self._memory:
+            arguments["memory"][:] = self.initial(x, window)
+
+    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
+        """See Controller.step; a command that is not finite has status FAILED."""
+        began = time.perf_counter()
+        arguments, results = self._law.arguments, self._law.results
+        if self._memory and self._begun:
+            arguments["memory"][:] = results["memory_next"]
+        self._begun = True
+        given = {
+            "x": measurement.state,
+            "state": window.state[0],
+            "input": window.input[0],
+            "middle": window.input[1],
+            "path": window.position,
+            "yaw": window.yaw,
+        }
+        for name in self._sources:
+            arguments[name][...] = given[name]
+        self._law()
+        thrust = results["command"].copy()
+        status = Status.RICCATI if np.isfinite(thrust).all() else Status.FAILED
+        return thrust, StepRecord(time.perf_counter() - began, status, 0, int(results["held"][0]), 0.0)
+
+    def log(self) -> dict[str, float]:
+        """See Controller.log."""
+        return dict(zip(self._logged, self._law.results["log"].tolist(), strict=True)) if self._logged else {}

@@ -1,0 +1,210 @@
+"""Geometric tracking control on SE(3) (Lee, Leok, McClamroch 2010), with a model of the air and an adaptive variant.
+
+e_p = p - p_r, e_v = v - v_r; R_r, w_r, u_r: attitude, body rate and thrusts of the reference, exact by flatness, with
+the air where the controller knows it; F_m, tau_m: force and torque of the air by the model, d_F, d_tau: believed
+disturbance.
+
+    F   = m (a_r - g - K_x e_p - K_v e_v) - F_m - d_F - m theta_F,     T = F . R e_z                                (1)
+    R_d : z along F, heading as R_r (attitude.py);      w_d, w_d' its exact rate along the closed loop
+    e_R = 1/2 vee(R_d' R - R' R_d),    e_w = w - R' R_d w_d
+    tau = J (-K_R e_R - K_w e_w - (w x R' R_d w_d - R' R_d w_d') - theta_tau) + w x J w - tau_m - d_tau            (2)
+
+K_x = W^2, K_v = 2 zeta W are diagonal, in world axes (K_R, K_w in body axes), and multiply mass and inertia: with W_R
+the attitude error obeys e_w' = -W_R^2 e_R - 2 zeta W_R e_w on every vehicle. Lee et al. have scalar k_R, k_w instead.
+
+The exact rate needs F', F''. With f = T_r R_r e_z the reference's own force, which contains the air, of
+
+    F' = f' - m (K_x e_v + K_v e_a),   F'' = f'' - m (K_x e_a + K_v e_j),   e_a = (T R e_z + F_m + d_F)/m + g - a_r,
+    e_j = (T' R e_z + T R (w x e_z) - f')/m,    T' = F' . R e_z + F . R (w x e_z)
+
+f' and f'' across z_r follow from w_r, w_r'; along z_r from jerk and snap, which on the reference does not turn F. So
+w_d is exact without air, and on the reference with it; off the reference the derivative of F_m is neglected.
+
+A command is held for a control period; the reference's wrench in the middle of it is used: [T; tau] += G (u_m - u_r).
+
+Adaptation (Goodarzi, Lee, Lee 2015), with W_F = W_tau = 1, held within balls:
+
+    theta_F' = gamma_F (e_v + c_1 e_p),    theta_tau' = gamma_tau (e_w + c_2 e_R)                                   (3)
+
+World ENU, body FLU, SI.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from quadexp.air.base import N_OUTPUTS, Residual
+from quadexp.compile.backend import realise, resolve
+from quadexp.config.laws import GeometricKeys
+from quadexp.control.laws.attitude import attitude_distance, attitude_error, moving_attitude
+from quadexp.control.laws.desaturation import clipped, held, prioritised
+from quadexp.control.laws.explicit import ExplicitController
+from quadexp.physics.expression import Expression
+from quadexp.physics.rotation import air_velocity, rotation_matrix
+from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
+from quadexp.physics.vehicle import Vehicle
+
+E_X, E_Z = ca.DM([1, 0, 0]), ca.DM([0, 0, 1])
+FORCE, TORQUE, WIND, SCALE = slice(0, 3), slice(3, 6), slice(6, 9), 9  # of a belief, (10,)
+LOGGED = ("psi",)
+
+
+class GeometricController(ExplicitController):
+    """A Controller (see control.base). residual: its model of the air, None for none."""
+
+    def __init__(
+        self, vehicle: Vehicle, keys: GeometricKeys, residual: Residual | None = None, *, backend: str = "auto"
+    ) -> None:
+        known = None if residual is None or residual.is_zero else residual
+        function = _function(vehicle, keys, _Air(known, resolve(backend)))
+        super().__init__(vehicle, function, keys.rate, residual=known, logged=LOGGED, backend=backend)
+        self.keys = keys
+
+    def believe(self, belief: Any) -> None:
+        """Take a disturbance into account from the next step on: a Belief, see control.belief."""
+        believed = self._law.arguments["belief"]
+        believed[FORCE], believed[TORQUE], believed[WIND] = belief.force, belief.torque, belief.wind
+        believed[SCALE] = belief.thrust_scale
+
+
+class _Air:
+    """A residual on a back end, equal to another by its structure."""
+
+    def __init__(self, residual: Residual | None, backend: str) -> None:
+        self.residual, self.backend = residual, backend
+        self._key = (backend, residual and residual.function.serialize())
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Air) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+
+@lru_cache(maxsize=64)
+def _function(vehicle: Vehicle, keys: GeometricKeys, air: _Air) -> ca.Function:
+    return realise(geometric_function(vehicle, keys, air.residual, compiled=air.backend == "compiled"), air.backend)
+
+
+def geometric_function(
+    vehicle: Vehicle, keys: GeometricKeys, residual: Residual | None = None, *, compiled: bool = False
+) -> ca.Function:
+    """The law with the inputs and outputs of explicit.py.
+
+    memory: theta_F (m/s^2), theta_tau (rad/s^2), (6,). belief: force, torque, wind, thrust scale, (10,). log: Psi.
+    """
+    law, n = _law(vehicle, keys), vehicle.n_rotors
+    sizes = {"x": N_STATE, "state": N_STATE, "input": n, "middle": n, "belief": 10, "memory": 6}
+    inputs = {name: ca.MX.sym(name, size) for name, size in sizes.items()} | {"path": ca.MX.sym("path", 3, 5)}
+    air = [ca.DM.zeros(N_OUTPUTS), ca.DM.zeros(N_OUTPUTS)]
+    if residual is not None:
+        model = (residual.to_compile if compiled else None) or residual.function
+        inputs["theta"] = ca.MX.sym("theta", model.size1_in(1))
+        features = _features(n)
+        air = [
+            model(features(inputs[name], inputs["belief"][WIND], inputs["input"]), inputs["theta"])[0]
+            for name in ("x", "state")
+        ]
+    given = [inputs[name] for name in ("x", "state", "input", "middle", "path", "belief", "memory")]
+    results = law(*given, *map(ca.densify, air))
+    return ca.Function("geometric", [*inputs.values()], results, [*inputs], ["command", "held", "memory_next", "log"])
+
+
+def _features(n: int) -> ca.Function:
+    """(x, wind, u) -> z of a residual at the velocity through the air."""
+    x, wind, u = ca.SX.sym("x", N_STATE), ca.SX.sym("wind", 3), ca.SX.sym("u", n)
+    return ca.Function("features", [x, wind, u], [ca.vertcat(air_velocity(x[ATTITUDE], x[VELOCITY], wind), x[RATE], u)])
+
+
+def _law(vehicle: Vehicle, keys: GeometricKeys) -> ca.Function:
+    """Equations (1) to (3), given the air's acceleration and torque, (6,), at the state and at the reference."""
+    n, m, J = vehicle.n_rotors, vehicle.mass, ca.DM(vehicle.inertia_matrix)
+    x, state = ca.SX.sym("x", N_STATE), ca.SX.sym("state", N_STATE)
+    thrust, middle, path = ca.SX.sym("thrust", n), ca.SX.sym("middle", n), ca.SX.sym("path", 3, 5)
+    belief, memory = ca.SX.sym("belief", 10), ca.SX.sym("memory", 6)
+    air, air_r = ca.SX.sym("air", N_OUTPUTS), ca.SX.sym("air_r", N_OUTPUTS)
+    theta_force, theta_torque = memory[:3], memory[3:]
+    gravity, G = ca.DM([0, 0, -vehicle.gravity]), ca.DM(vehicle.allocation)
+    K_x, K_v, K_R, K_w = gains(keys)
+
+    R, w = rotation_matrix(x[ATTITUDE]), x[RATE]
+    R_r, w_r = rotation_matrix(state[ATTITUDE]), state[RATE]
+    wrench_r = ca.mtimes(G, thrust)
+    w_r_dot = ca.mtimes(ca.inv(J), wrench_r[1:] + air_r[3:] - ca.cross(w_r, ca.mtimes(J, w_r)))
+    e_p, e_v = x[POSITION] - path[:, 0], x[VELOCITY] - path[:, 1]
+
+    # Force per mass, and its derivatives along the closed loop.
+    known = ca.mtimes(R, air[:3]) + belief[FORCE] / m
+    force = path[:, 2] - gravity - K_x * e_p - K_v * e_v - known - theta_force
+    heading = _turning(R_r, w_r, w_r_dot, E_X)
+    if keys.rates == "none":
+        still = ca.SX(3, 1)
+        forces, heading = (force, still, still), (heading[0], still, still)
+    elif keys.rates == "reference":
+        forces = (force, ca.SX(3, 1), ca.SX(3, 1))
+    else:
+        first, second = _reference_derivatives(wrench_r[0] / m, R_r, w_r, w_r_dot, path)
+        z, z_dot = R[:, 2], ca.mtimes(R, ca.cross(w, E_Z))
+        e_a = ca.dot(force, z) * z + known + gravity - path[:, 2]
+        after = first - K_x * e_v - K_v * e_a
+        e_j = (ca.dot(after, z) + ca.dot(force, z_dot)) * z + ca.dot(force, z) * z_dot - first
+        forces = (force, after, second - K_x * e_a - K_v * e_j)
+    R_d, w_d, w_d_dot = moving_attitude(forces, heading)
+    if keys.rates == "reference":
+        w_d, w_d_dot = w_r, w_r_dot
+    turn = ca.mtimes(R.T, R_d)
+    e_R, e_w = attitude_error(R, R_d), w - ca.mtimes(turn, w_d)
+    spin = -ca.cross(w, ca.mtimes(turn, w_d)) + ca.mtimes(turn, w_d_dot)
+    torque = ca.mtimes(J, spin - K_R * e_R - K_w * e_w - theta_torque) + ca.cross(w, ca.mtimes(J, w))
+    torque -= air[3:] + belief[TORQUE]
+    wrench = ca.vertcat(m * ca.dot(force, R[:, 2]), torque) + ca.mtimes(G, middle - thrust)
+    wrench /= belief[SCALE]
+    u = prioritised(vehicle, wrench) if keys.priority == "tilt" else clipped(vehicle, wrench)
+
+    period = 1 / keys.rate
+    force_rate = keys.force_adaptation * (e_v + keys.position_share * e_p)
+    torque_rate = keys.torque_adaptation * (e_w + keys.attitude_share * e_R)
+    theta_force = _in_ball(theta_force + period * force_rate, keys.force_limit)
+    theta_torque = _in_ball(theta_torque + period * torque_rate, keys.torque_limit)
+    outputs = [u, held(vehicle, u), ca.vertcat(theta_force, theta_torque), attitude_distance(R, R_d)]
+    inputs = [x, state, thrust, middle, path, belief, memory, air, air_r]
+    return ca.Function("geometric_law", inputs, ca.cse([ca.densify(value) for value in outputs]))
+
+
+def gains(keys: GeometricKeys) -> tuple[ca.DM, ca.DM, ca.DM, ca.DM]:
+    """K_x (1/s^2), K_v (1/s), K_R (1/s^2), K_w (1/s), diagonals (3,)."""
+    position, attitude = np.array(keys.position_bandwidth), np.array(keys.attitude_bandwidth)
+    values = (position**2, 2 * keys.position_damping * position, attitude**2, 2 * keys.attitude_damping * attitude)
+    return tuple(map(ca.DM, values))
+
+
+def _turning(
+    R: Expression, w: Expression, w_dot: Expression, axis: Expression
+) -> tuple[Expression, Expression, Expression]:
+    """A body axis (3,) in the world with its two derivatives, of an attitude with rate w and w', (3,) each."""
+    across = ca.cross(w, axis)
+    return (
+        ca.mtimes(R, axis),
+        ca.mtimes(R, across),
+        ca.mtimes(R, ca.cross(w, across) + ca.cross(w_dot, axis)),
+    )
+
+
+def _reference_derivatives(
+    thrust: Expression, R: Expression, w: Expression, w_dot: Expression, path: Expression
+) -> tuple[Expression, Expression]:
+    """f'/m and f''/m, (3,) each, of the reference's force f = m thrust R e_z (see the module)."""
+    z, z_1, z_2 = _turning(R, w, w_dot, E_Z)
+    jerk, snap = path[:, 3], path[:, 4]
+    along = ca.dot(z, jerk)
+    turned = thrust * z_2 + 2 * along * z_1
+    return thrust * z_1 + along * z, turned + z * (ca.dot(z, snap) - ca.dot(z, turned))
+
+
+def _in_ball(vector: Expression, radius: float) -> Expression:
+    """The vector (3,), shortened to the radius where it is longer."""
+    return vector * radius / ca.fmax(ca.norm_2(vector), max(radius, 1e-12))

@@ -1,0 +1,144 @@
+"""RAPTOR: one recurrent policy for all quadrotors (Eschmann, Albani, Loianno 2025, arXiv 2509.11481) as a Controller.
+
+The weights are those of the package foundation-policy (MIT licence), its layers are rebuilt as one CasADi function:
+
+    o = [p - p_r, R, v - v_r, w, a_last]        22 numbers: in the frame of the wanted heading, R row by row
+    h = GRU(h, relu(W_1 o + b_1)),   a = W_2 h + b_2,   u = h_max clip((a + 1)/2, 0, 1)^2                          (1)
+
+a: -1 .. 1 per rotor, front right, back right, back left, front left, a rotor speed between 0 and the largest, so that
+thrust goes with its square. As the policy's own firmware module does, position and velocity errors are clipped on each
+axis, and shown in the frame that is turned by the heading; a_last starts at 0. The policy knows no feed-forward but the
+velocity, and no vehicle: it finds out in flight what it flies, from what its actions do.
+
+It was trained on rotors in an X whose front right one pushes the vehicle clockwise (reaction torque -z). Other layouts
+are turned (a plus) or mirrored (the other sense of rotation): a mirrored quadrotor under the mirrored policy is the
+same one.
+World ENU, body FLU, SI.
+"""
+
+from __future__ import annotations
+
+import importlib
+from functools import lru_cache
+from itertools import product
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from quadexp.compile.backend import realise, resolve
+from quadexp.config.laws import RaptorKeys
+from quadexp.control.base import Window
+from quadexp.control.laws.attitude import heading_of
+from quadexp.control.laws.desaturation import held
+from quadexp.control.laws.explicit import ExplicitController
+from quadexp.errors import UsageError
+from quadexp.physics.expression import Expression
+from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
+from quadexp.physics.vehicle import Vehicle
+
+HIDDEN, ACTIONS = 16, 4
+PLACES = np.radians([-45.0, -135.0, 135.0, 45.0])  # front right, back right, back left, front left
+SPINS = np.array([-1.0, 1.0, -1.0, 1.0])
+NEAR = np.radians(25.0)  # of a place: rotors of a stretched X
+PACKAGE = "foundation_policy"
+
+
+class RaptorController(ExplicitController):
+    """A Controller (see control.base); raises UsageError where the package is missing, or for a layout that is no X."""
+
+    def __init__(self, vehicle: Vehicle, keys: RaptorKeys, *, backend: str = "auto") -> None:
+        super().__init__(vehicle, _function(vehicle, keys, resolve(backend)), keys.rate, backend=backend)
+
+    def initial(self, x: np.ndarray, window: Window) -> np.ndarray:
+        """The policy's first hidden state, and no action."""
+        return np.concatenate([policy().layers[1].initial_hidden_state.ravel(), np.zeros(ACTIONS)])
+
+
+@lru_cache(maxsize=64)
+def _function(vehicle: Vehicle, keys: RaptorKeys, backend: str) -> ca.Function:
+    return realise(raptor_function(vehicle, keys, policy()), backend)
+
+
+@lru_cache(maxsize=1)
+def policy() -> Any:
+    """The package's policy. Raises UsageError where the package is missing, or holds another kind of policy."""
+    try:
+        made = importlib.import_module(PACKAGE).Raptor()
+    except ImportError:
+        raise UsageError(
+            'controller=raptor: needs the package foundation-policy: pip install "quadexp[controllers]"'
+        ) from None
+    kinds = [type(layer).__name__ for layer in made.layers]
+    if kinds != ["DenseLayer", "GRULayer", "DenseLayer"]:
+        raise UsageError(f"controller=raptor: foundation-policy has layers {', '.join(kinds)}; version 1.0 is needed")
+    return made
+
+
+def layout(vehicle: Vehicle) -> tuple[list[int], float, bool]:
+    """Which rotor is front right, back right, back left, front left of the policy's body, how far that is turned about
+    z_body from the vehicle's (rad), and whether it is mirrored in its x-z plane.
+
+    Raises UsageError for rotors that are no X, however turned.
+    """
+    if vehicle.n_rotors == 4:
+        x, y, _ = np.array(vehicle.rotor_position, float).T
+        angle, spin = np.arctan2(y, x), np.sign(vehicle.rotor_spin)
+        for mirrored, turn in product((False, True), np.radians([0.0, 45.0, -45.0, 90.0, -90.0])):
+            seen = (-1 if mirrored else 1) * (angle - turn)
+            apart = np.abs((seen[None] - PLACES[:, None] + np.pi) % (2 * np.pi) - np.pi)
+            order = apart.argmin(axis=1)
+            fits = apart.min(axis=1).max() < NEAR and sorted(order) == [0, 1, 2, 3]
+            if fits and (spin[order] == (-1 if mirrored else 1) * SPINS).all():
+                return order.tolist(), float(turn), mirrored
+    raise UsageError(
+        f"vehicle={vehicle.name}: controller=raptor flies four rotors in an X or a plus that turn alternately"
+    )
+
+
+def raptor_function(vehicle: Vehicle, keys: RaptorKeys, made: Any) -> ca.Function:
+    """The policy with the inputs and outputs of explicit.py; memory: hidden state and last action, (20,)."""
+    x, state, memory = ca.SX.sym("x", N_STATE), ca.SX.sym("state", N_STATE), ca.SX.sym("memory", HIDDEN + ACTIONS)
+    order, turn, mirrored = layout(vehicle)
+    mirror = ca.diag(ca.DM([1, -1 if mirrored else 1, 1]))
+    turned = ca.mtimes(about_z(ca.DM(turn)), mirror)  # policy's body to the vehicle's
+    level = ca.mtimes(about_z(heading_of(rotation_matrix(state[ATTITUDE]))), turned)  # policy's world to ours
+    R = ca.mtimes([level.T, rotation_matrix(x[ATTITUDE]), turned])
+    position, velocity = (
+        ca.fmin(ca.fmax(ca.mtimes(level.T, x[part] - state[part]), -limit), limit)
+        for part, limit in ((POSITION, keys.position_limit), (VELOCITY, keys.velocity_limit))
+    )
+    rate = (-1 if mirrored else 1) * ca.mtimes(turned.T, x[RATE])
+    observation = ca.vertcat(position, ca.vec(R.T), velocity, rate, memory[HIDDEN:])
+    action, hidden = evaluated(made, observation, memory[:HIDDEN])
+    speed = ca.fmin(ca.fmax((action + 1) / 2, 0), 1)
+    places = np.argsort(order).tolist()  # of the vehicle's rotors among the policy's
+    u = ca.fmin(ca.fmax(vehicle.thrust_max * speed[places] ** 2, vehicle.thrust_min), vehicle.thrust_max)
+    outputs = {"command": u, "held": held(vehicle, u), "memory_next": ca.vertcat(hidden, action)}
+    values = ca.cse([ca.densify(value) for value in outputs.values()])
+    return ca.Function("raptor", [x, state, memory], values, ["x", "state", "memory"], [*outputs])
+
+
+def about_z(angle: Expression) -> Expression:
+    """The rotation, (3, 3), by an angle (rad) about z."""
+    c, s = ca.cos(angle), ca.sin(angle)
+    return ca.vertcat(ca.horzcat(c, -s, 0), ca.horzcat(s, c, 0), ca.horzcat(0, 0, 1))
+
+
+def evaluated(made: Any, observation: Expression, hidden: Expression) -> tuple[Expression, Expression]:
+    """Action (4,) and next hidden state (16,) of the package's policy."""
+    first, memory, last = made.layers
+    seen = ca.fmax(ca.mtimes(_matrix(first.weights), observation) + _matrix(first.biases), 0)
+    of_hidden = ca.mtimes(_matrix(memory.weights_hidden), hidden) + _matrix(memory.biases_hidden)
+    of_input = ca.mtimes(_matrix(memory.weights_input), seen) + _matrix(memory.biases_input)
+    gates = 1 / (1 + ca.exp(-(of_hidden + of_input)[: 2 * HIDDEN]))
+    reset, keep = gates[:HIDDEN], gates[HIDDEN:]
+    new = ca.tanh(reset * of_hidden[2 * HIDDEN :] + of_input[2 * HIDDEN :])
+    hidden = keep * hidden + (1 - keep) * new
+    return ca.mtimes(_matrix(last.weights), hidden) + _matrix(last.biases), hidden
+
+
+def _matrix(values: np.ndarray) -> ca.DM:
+    values = np.asarray(values, float)
+    return ca.DM(values.ravel() if 1 in values.shape else values)
