@@ -30,6 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 
 UPSIDE_DOWN = 1e-44  # square of the quaternion before it is normed, for a specific force 1e-7 rad from straight down
+SINGULAR = 1e-9  # share of the thrust's direction below which that of the tilt frame is not determined
 PITCHED = np.array([[0.0], [0.0], [1.0]])  # half a turn about y
 
 
@@ -85,9 +86,9 @@ class Tilt:
         """The o, (3, k), with (o x f)_xy = p and (-q_y, q_x, q_w) . o = 0."""
         w, x, y = self.quaternion
         l_x, l_y, c = self.force
-        turn = x * p_x + y * p_y
-        with np.errstate(invalid="ignore"):  # upside down in a vertical plane, where neither is anything but zero
-            o_z = np.where(turn == 0, 0.0, -turn / (w * c + x * l_y - y * l_x))
+        along = w * c + x * l_y - y * l_x  # zero upside down, where a motion in a vertical plane has no numerator
+        along = np.where(np.abs(along) < SINGULAR * c, SINGULAR * c, along)
+        o_z = -(x * p_x + y * p_y) / along
         return stacked((l_x * o_z - p_y) / c, (l_y * o_z + p_x) / c, o_z)
 
     def rates(

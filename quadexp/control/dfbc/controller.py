@@ -21,7 +21,7 @@ from quadexp.physics.vehicle import Vehicle
 
 
 class DFBC:
-    """Tracks position and heading of the reference; see Controller and law.py. residual: its model of the air."""
+    """Tracks position and heading of the reference; see Controller and law.py. air: its model of the air."""
 
     reference_period = 0.0
     residual = None  # the law needs no attitude, rates or thrusts of a reference
@@ -30,7 +30,7 @@ class DFBC:
         self.vehicle, self.settings, self.backend = vehicle, keys, resolve(backend)
         self.control_period = 1.0 / keys.rate
         self.node_times = np.array([0.0, self.control_period])  # of which the thrust now is read when a flight begins
-        self.name, self.source = model.name, model.source
+        self.air, self.name, self.source = model, model.name, model.source
         self._law = BufferedFunction(_law(vehicle, keys, model, self.backend))
         if model.theta.size:
             self._law.arguments["theta"].ravel()[:] = model.theta

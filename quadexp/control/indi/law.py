@@ -10,9 +10,9 @@ increment of the one is J times the wanted increment of the other, whatever else
 
 _f: through the same second-order Butterworth low pass; s: signs of the reaction torques; T_s: spin_up_time, or dt as
 printed. (34) and (35) are printed without c_t. Without I_p (35) is linear in W_c^2. With the transfer functions H of
-the filter and M of the motors, and a torque d_tau that nobody models,
+the filter and M of the motors, a torque d_tau that nobody models, and J / k believed D times too large,
 
-    alpha / alpha_wanted = M,    alpha / d_tau = J^-1 (1 - H M),    M / ((D - 1) H M + 1) where J / k is D times too small
+    alpha / alpha_wanted = D M / (1 + (D - 1) H M),    alpha / d_tau = J^-1 (1 - H M) / (1 + (D - 1) H M)
 
 so that a constant d_tau and a wrong J leave no steady error of alpha, as long as both filters are the same.
 """

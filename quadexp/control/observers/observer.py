@@ -23,6 +23,7 @@ from quadexp.config.observers import ObserverKeys
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.belief import Belief, no_belief
 from quadexp.control.delivered import Delays, DeliveredThrust
+from quadexp.control.dfbc.controller import DFBC
 from quadexp.control.mpc.believed_world import Estimator
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import StepRecord
@@ -141,6 +142,8 @@ def known_delay(given: float | None, controller: Any, name: str) -> float:
 
 def air_of(controller: Any) -> Residual:
     """The controller's model of the air, none where it has none."""
+    if isinstance(controller, DFBC):
+        return controller.air
     known = controller.mpc.residual if isinstance(controller, PredictiveController) else controller.residual
     return no_residual(controller.vehicle) if known is None else known
 
