@@ -34,8 +34,8 @@ MODULES = {
 DECIDING = (
     "air", "compile", "control", "physics", "reference", "world",
     "experiment/build.py", "experiment/build_custom.py", "experiment/build_foreign.py",
-    "experiment/build_identified.py", "experiment/build_learned.py", "experiment/build_lei_li.py", "experiment/build_remedies.py",
-    "experiment/build_world.py",
+    "experiment/build_identified.py", "experiment/build_learned.py", "experiment/build_lei_li.py",
+    "experiment/build_remedies.py", "experiment/build_world.py",
     "experiment/compiled_flight.py", "experiment/evaluate.py", "experiment/flight.c",
     "experiment/identity.py", "experiment/loop_margins.py", "experiment/outside.py", "experiment/rollout.py",
     "experiment/stability.py",

@@ -121,5 +121,3 @@ class AdaptingController(PredictiveController):
     def _take(self) -> None:
         self._weights[...] = self.theta
         self.mpc.set_parameters(self._all)
-
-
