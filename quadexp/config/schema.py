@@ -53,6 +53,7 @@ from quadexp.config.lei_li import (
     SensorConfig,
 )
 from quadexp.config.motors import ActuatorConfig, BatteryConfig, RotorLossConfig
+from quadexp.config.observers import DisturbanceObserverConfig, WindObserverConfig
 from quadexp.config.remedies import RemedyConfig
 from quadexp.config.sensing import EskfConfig, ImuGnssConfig, ImuMocapConfig
 from quadexp.config.settings import Setting, Settings
@@ -179,7 +180,11 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "custom": CustomControllerConfig,
         "custom_residual_mpc": CustomResidualMPCConfig,
     },
-    "observer": {"none": RemedyConfig},
+    "observer": {
+        "none": RemedyConfig,
+        "disturbance": DisturbanceObserverConfig,
+        "wind": WindObserverConfig,
+    },
     "adaptive": {"none": RemedyConfig},
     "inner": {"none": RemedyConfig},
     "delay": {"none": RemedyConfig},

@@ -24,6 +24,7 @@ class PredictiveController:
     def __init__(self, mpc: ModelPredictiveController) -> None:
         self.mpc = mpc
         self.believed: BelievedWorld | None = None  # made by the first `believe`
+        self.targets = False  # whether references are recomputed to hold the path in the believed world
         self.vehicle, self.settings, self.backend = mpc.vehicle, mpc.settings, mpc.backend
         self.control_period = mpc.settings.control_period
         self.node_times = mpc.settings.dead_time + mpc.node_times  # the first is when a command sent now begins to act
@@ -55,7 +56,7 @@ class PredictiveController:
         Raises QuadexpError where the MPC was made without `disturbed`.
         """
         if self.believed is None:
-            self.believed = BelievedWorld(self.mpc, self.node_times)
+            self.believed = BelievedWorld(self.mpc, self.node_times, targets=self.targets, air=self.residual)
         self.believed.belief = belief
 
     def prepare(self, window: Window) -> None:
