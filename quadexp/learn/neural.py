@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from quadexp.air.network import Network, evaluated
 from quadexp.config.learning import NNKeys
+from quadexp.config.settings import record
 from quadexp.errors import UsageError
 from quadexp.learn.dataset import ResidualDataset
 from quadexp.learn.linear_drag import LinearDrag
@@ -34,7 +35,7 @@ class NNSettings(NNKeys):
             raise UsageError("nn.hidden=[]: at least one hidden layer is needed")
 
     def as_dict(self) -> dict[str, Any]:
-        return asdict(self)
+        return record(self)
 
 
 @dataclass(frozen=True)
