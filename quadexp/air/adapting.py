@@ -27,14 +27,15 @@ import numpy as np
 from quadexp.air.base import OUTPUTS, Residual, feature_names
 from quadexp.air.gaussian_process import PosteriorMean
 from quadexp.air.linear_drag import N_PARAMETERS
-from quadexp.air.neural import Network
+from quadexp.air.network import Network
 from quadexp.air.terms import TermStructure, columns_function, term_residual
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
 
 TYPICAL_SPEED = 8.0  # m/s
 JITTER = 1e-8  # added to K, as in the fit
-TERMS = (("linear", "quadratic", "offset"), ("linear", "quadratic", "offset"), ("linear", "quadratic", "offset", "thrust"))
+DRAG_TERMS = ("linear", "quadratic", "offset")
+TERMS = (DRAG_TERMS, DRAG_TERMS, (*DRAG_TERMS, "thrust"))
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,9 @@ class Law:
     fitc: bool = False
 
 
-def update_function(vehicle: Vehicle, adapting: Adapting, known: Residual | None = None, law: Law | None = None) -> ca.Function:
+def update_function(
+    vehicle: Vehicle, adapting: Adapting, known: Residual | None = None, law: Law | None = None
+) -> ca.Function:
     """One update, for all components.
 
     known: residual that is summed with the adapting one and does not adapt.
@@ -72,9 +74,7 @@ def update_function(vehicle: Vehicle, adapting: Adapting, known: Residual | None
     sample = f - ca.vertcat(0, 0, ca.sum1(u) / vehicle.mass) - y[:3]
     if known is not None:
         sample -= ca.densify(known.function(z, known_theta)[0])[:3]
-    sigma = ca.mtimes(
-        rotation_matrix(x[ATTITUDE]).T, x[VELOCITY] - path[3:] + rate * (x[POSITION] - path[:3])
-    )
+    sigma = ca.mtimes(rotation_matrix(x[ATTITUDE]).T, x[VELOCITY] - path[3:] + rate * (x[POSITION] - path[:3]))
 
     sizes = [part for block in adapting.blocks for part in (len(block.at), len(block.at) ** 2)]
     parts = ca.vertsplit(belief, np.cumsum([0, *sizes]).tolist())

@@ -10,7 +10,6 @@ import typer
 from quadexp.cli.options import Conf, Force, Json, Out, Overrides
 from quadexp.cli.terminal import emit, guarded, print_lines
 
-
 After = Annotated[
     Path | None,
     typer.Option("--after", help="Checkpoint that explains a part; the rest is fitted, for a sum of the two."),

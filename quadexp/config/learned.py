@@ -40,7 +40,8 @@ class AdaptKeys(Settings):
         ),
     ] = "bayes"
     memory: Annotated[
-        float, Setting("time constant of forgetting; for rls of the forgetting factor exp(-dt / memory)", "(0, 1e9]", "s")
+        float,
+        Setting("time constant of forgetting; for rls of the forgetting factor exp(-dt / memory)", "(0, 1e9]", "s"),
     ] = 2.0
     noise: Annotated[
         float, Setting("standard deviation of a sample of the residual acceleration", "(0, 100]", "m/s^2")
@@ -90,7 +91,9 @@ class OnlineMPCConfig(PredictiveConfig):
         super().__post_init__()
         _check_parts("controller.residual", self.residual, FEATURES)
         if "terms" in self.residual[:-1]:
-            raise UsageError("controller.residual: terms have no fitted values, so they can only be the last, adapting one")
+            raise UsageError(
+                "controller.residual: terms have no fitted values, so they can only be the last, adapting one"
+            )
 
 
 def _check_parts(key: str, parts: tuple[str, ...], allowed: tuple[str, ...]) -> None:

@@ -211,7 +211,9 @@ def _checkpoint(path: Path) -> dict[str, Any]:
         "settings": dict(getattr(model, "settings", {})),
         "versions": dict(getattr(model, "versions", {}) or record.get("versions", {})),
         "drag": list(map(float, model.linear_drag.drag)),
-        "outputs": {} if isinstance(model, NeuralModel) else {
+        "outputs": {}
+        if isinstance(model, NeuralModel)
+        else {
             o.output: {
                 "features": list(o.features),
                 "inducing": len(o.alpha),

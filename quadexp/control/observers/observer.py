@@ -27,6 +27,7 @@ from quadexp.control.dfbc.controller import DFBC
 from quadexp.control.mpc.believed_world import Estimator
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import StepRecord
+from quadexp.control.mpc.online_mpc import AdaptingController
 from quadexp.control.mpc.rls_mpc import IdentifyingController
 from quadexp.control.wrapped import WrappedController, innermost
 from quadexp.errors import UsageError
@@ -125,9 +126,9 @@ def believer(controller: Controller, name: str) -> Any:
 
     Raises UsageError where it cannot, or where it identifies its own model from the same accelerometer.
     """
-    if isinstance(innermost(controller), IdentifyingController):
+    if isinstance(innermost(controller), (IdentifyingController, AdaptingController)):
         raise UsageError(
-            f"observer={name}: {controller.name} explains the accelerometer by the coefficients that it identifies; an"
+            f"observer={name}: {controller.name} explains the accelerometer by what it learns in flight; an"
             " observer would explain the same readings a second time. Take one of them"
         )
     if not hasattr(controller, "believe"):
