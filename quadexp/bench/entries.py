@@ -12,7 +12,7 @@ import yaml
 
 from quadexp.bench.protocol import Family, Protocol
 from quadexp.config.compose import Composer
-from quadexp.config.schema import REMEDIES, Config
+from quadexp.config.schema import REMEDIES, Config, remedies
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle, find_model, knows_plant
 from quadexp.experiment.build_world import build_world
@@ -25,12 +25,13 @@ PUBLISHED = "published"
 @dataclass(frozen=True)
 class Entry:
     """name: of its rows. overrides: what makes it. bound: whether it is told the plant's equations. settings:
-    published, tuned with so many flights, or set by hand."""
+    published, tuned with so many flights, or set by hand. models: whether it may need a checkpoint."""
 
     name: str
     overrides: tuple[str, ...]
     bound: bool
     settings: str
+    models: bool
 
 
 def field() -> list[str]:
@@ -62,7 +63,9 @@ def _entry(text: str, composer: Composer, protocol: Protocol, extra: Path | None
             )
     config = composer.compose(given)
     name = " ".join(word.removeprefix("controller=") for word in given)
-    return Entry(name, tuple(given), knows_plant(config.controller), _settings(given, protocol, extra))
+    return Entry(
+        name, tuple(given), knows_plant(config.controller), _settings(given, protocol, extra), may_need_model(config)
+    )
 
 
 def _settings(given: Sequence[str], protocol: Protocol, extra: Path | None) -> str:
@@ -83,7 +86,7 @@ def _settings(given: Sequence[str], protocol: Protocol, extra: Path | None) -> s
 
 
 def configs_of(
-    entry: Entry, family: Family, protocol: Protocol, size: str, composer: Composer, model: Path
+    entry: Entry, family: Family, protocol: Protocol, size: str, composer: Composer, model: Path | None
 ) -> list[tuple[str, str, tuple[str, ...], Config]]:
     """(task, world, overrides, configuration) of every flight of an entry in a family."""
     seeds, tasks, worlds = family.chosen(size)
@@ -92,9 +95,15 @@ def configs_of(
         for task in tasks:
             for seed in protocol.seeds(seeds):
                 given = (*family.given, *family.tasks[task], *family.worlds[world], *entry.overrides)
-                texts = (*given, f"model={model}", f"seed={seed}")
-                found.append((task, world, texts, composer.compose(texts)))
+                texts = (*given, *([f"model={model}"] if model else []), f"seed={seed}")
+                found.append((task, world, texts, composer.expand(texts, check=False)[0].config))
     return found
+
+
+def may_need_model(config: Config) -> bool:
+    """Whether a controller, or what is around it, may read a checkpoint."""
+    none = getattr(config.controller, "residual", "none") in ("none", "plant", "blade_element")
+    return not none or bool(remedies(config))
 
 
 def why_not(config: Config) -> str:

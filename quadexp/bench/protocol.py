@@ -106,19 +106,20 @@ def size_of(protocol: Protocol, size: str) -> str:
 # -------------------------------------------------------------------------------------------------------------- lock
 def resolved(protocol: Protocol, composer: Composer) -> dict[str, Any]:
     """What the words of the protocol mean: the values of every task, world and data set."""
+
+    def composed(given: Sequence[str]) -> Config:
+        return composer.expand(given, check=False)[0].config  # every option is composed once
+
     found: dict[str, Any] = {}
     for family in protocol.families.values():
         first = next(iter(family.tasks.values()))
         found[family.name] = {
-            "tasks": {
-                name: _values(composer.compose([*family.given, *given]), GROUPS) for name, given in family.tasks.items()
-            },
+            "tasks": {name: _values(composed([*family.given, *given]), GROUPS) for name, given in family.tasks.items()},
             "worlds": {
-                name: _values(composer.compose([*family.given, *first, *given]), WORLD)
-                for name, given in family.worlds.items()
+                name: _values(composed([*family.given, *first, *given]), WORLD) for name, given in family.worlds.items()
             },
-            "data": _values(composer.compose(family.models["collect"]), ("vehicle", "plant", "controller", "collect")),
-            "fit": _values(composer.compose(family.models["fit"]), ("gp", "drag")),
+            "data": _values(composed(family.models["collect"]), ("vehicle", "plant", "controller", "collect")),
+            "fit": _values(composed(family.models["fit"]), ("gp", "drag")),
         }
     return found
 

@@ -127,7 +127,8 @@ def _cells(
     for family in protocol.families.values():
         if not family.chosen(size)[0] or not entries:
             continue
-        model = make_model(protocol, family, composer, models, say)
+        needed = any(entry.models for entry in entries)
+        model = make_model(protocol, family, composer, models, say) if needed else None
         for entry in entries:
             flights = configs_of(entry, family, protocol, size, composer, model)
             if why := why_not(flights[0][3]):
