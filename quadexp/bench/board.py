@@ -24,8 +24,8 @@ NUMBERS = ("protocol", "bound")
 BEGIN, END = "<!-- bench: begin, written by `quadexp bench --markdown` -->", "<!-- bench: end -->"
 RULE = (
     "Place: by flights lost, the fewest first, then by mean rank over all cells (task, world, seed), where lost flights"
-    " share the last ranks; [interval over the seeds, 95 %]. `=`: not told apart from the one above. x least: geometric"
-    " mean of the error over the least of each cell. Bounds are told the plant's equations and take no rank."
+    " share the last ranks; in brackets the 95 % interval over the seeds. =: not told apart from the one above. x least:"
+    " geometric mean of the error over the least of each cell. Bounds are told the plant's equations and take no rank."
 )
 
 
