@@ -196,6 +196,7 @@ _BY_KIND = {
     "estimates": ESTIMATE_COLUMNS,
     "statistics": STATISTIC_COLUMNS,
     "tuning": TUNING_COLUMNS,
+    "leaderboard": RESULT_COLUMNS,
 }
 _INPUT = re.compile(r"(ref_)?u_\d+")
 _INDUCED_VELOCITY = re.compile(r"induced_velocity_\d+")

@@ -159,18 +159,22 @@ def fly_cells(
     *,
     function: CellFunction = evaluate_cell,
     isolate: bool = True,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Row]:
     """Rows of some cells in their order, flown where they are not in the store; no table is written.
 
-    Cells of other sources are flown again. The caller holds the lock of the store. Raises as `run_sweep` does.
+    progress: called with the numbers of cells done and of all. Cells of other sources are flown again. The caller
+    holds the lock of the store. Raises as `run_sweep` does.
     """
     jobs = plan_cells(cells)
     check_jobs(jobs.values())
     rows, _ = _recall(store, jobs)
     _settle_old(store, rows, "refly")
     todo = [job for job in jobs.values() if job.key not in rows]
+    progress(len(rows), len(jobs))
     for key, row in _fly(todo, store, engine or LocalEngine(), function, isolate):
         rows[key] = _row_of(jobs[key], row)
+        progress(len(rows), len(jobs))
     return [rows[key] for key in jobs]
 
 

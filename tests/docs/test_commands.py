@@ -39,7 +39,8 @@ def read_as_it_stands(words: list[str]) -> None:
     overrides = [text for text in context.params.get("overrides") or [] if OVERRIDE.fullmatch(text)]
     conf = context.params.get("conf")
     with session(ROOT / conf if conf else None) as composer:
-        if context.params.get("sweep") and any("," in text or "range(" in text for text in overrides):
+        sweeps = context.params.get("sweep") or words[0] == "tune"  # whose trials are sweeps
+        if sweeps and any("," in text or "range(" in text for text in overrides):
             assert len(composer.expand(overrides)) >= 1
         elif overrides:
             composer.compose(overrides)
