@@ -19,11 +19,12 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.learn.checkpoint import load_report
 from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_metadata, read_table
 from quadexp.physics.state import POSITION
+from quadexp.report.compare_many import beside
+from quadexp.report.held_out import held_out_rows
 from quadexp.report.inference import holm
 from quadexp.report.metrics import METRICS, SHOWN
 from quadexp.report.pairing import common, condition_of, contestant_labels, contestant_of
@@ -38,6 +39,7 @@ MOST_CONFIGURATIONS = 40  # cells whose configurations are read on either side
 MOST_CONDITIONS = 6  # lines of conditions, the largest changes first
 MEASURED = ("solve_time",)  # columns that two runs of one flight may differ in
 EXACT = [name for name in METRICS if not name.startswith("solve_time")]  # the same for the same flight
+HIDDEN = ("lines", "tables")  # of a report: what is for people
 FIGURES = {  # of a flight, with the factor and unit in which they are printed
     "mean_error": (1e3, "mm"),
     "rmse": (1e3, "mm"),
@@ -57,7 +59,8 @@ Key = tuple[Any, ...]  # condition, contestant, seed
 def compare(first: str | Path, *others: str | Path) -> dict[str, Any]:
     """What differs; `lines` is for people, the rest for programs (SI units).
 
-    With several others: {"kind", "comparisons": one per other, "lines"}.
+    `tables` are those among the lines. With several others: {"kind", "together": all side by side, "comparisons": one
+    per other, "lines", "tables"}.
     Raises UsageError if something is not there, not of the same kind, or of a kind that cannot be compared.
     """
     paths = [Path(path) for path in (first, *others)]
@@ -73,12 +76,16 @@ def compare(first: str | Path, *others: str | Path) -> dict[str, Any]:
         found = KINDS[kinds[0]](paths[0], other)
         made.append({"kind": kinds[0], "a": str(first), "b": str(other), **found})
     if len(made) == 1:
-        return made[0]
-    lines = [line for one in made for line in ("", *one["lines"])][1:]
+        return made[0] | {"tables": beside(kinds[0], paths)["tables"]}
+    found = beside(kinds[0], paths)
+    together = [line for table in found["tables"] for line in ("", *table.lines())][1:]
+    each = [line for one in made for line in ("", *one["lines"])] if kinds[0] == "results" else []
     return {
         "kind": kinds[0],
-        "comparisons": [{k: v for k, v in one.items() if k != "lines"} for one in made],
-        "lines": lines,
+        "together": {k: v for k, v in found.items() if k != "tables"},
+        "comparisons": [{k: v for k, v in one.items() if k not in HIDDEN} for one in made],
+        "lines": [*together, *each],
+        "tables": found["tables"],
     }
 
 
@@ -209,11 +216,8 @@ def _paths(a: Flight, b: Flight) -> dict[str, Any]:
 def compare_checkpoints(a: Path, b: Path) -> dict[str, Any]:
     """Two checkpoints: their data and settings, their parameters, and their held-out errors."""
     found = [summarise(path) for path in (a, b)]
-    names = ("kind", "vehicle", "dataset", "settings", "versions")
-    features = [{n: {"features": output["features"]} for n, output in one["outputs"].items()} for one in found]
-    records = ({**{n: one[n] for n in names}, "outputs": own} for one, own in zip(found, features, strict=True))
-    settings = differing(*records)
-    left, right = (_parameters(path, one) for path, one in zip((a, b), found, strict=True))
+    settings = differing(*map(checkpoint_record, found))
+    left, right = (parameters(path, one) for path, one in zip((a, b), found, strict=True))
     metrics = {name: change(left[name], right[name]) for name in left if name in right}
     lines = [f"a  {a}: {found[0]['kind']}", f"b  {b}: {found[1]['kind']}", "", *setting_lines(settings), ""]
     lines += figure_lines((name, one, 1.0) for name, one in metrics.items())
@@ -222,17 +226,21 @@ def compare_checkpoints(a: Path, b: Path) -> dict[str, Any]:
     return {"configuration": settings, "metrics": metrics, "only": only, "lines": lines}
 
 
-def _parameters(path: Path, summary: Mapping[str, Any]) -> dict[str, float]:
+def checkpoint_record(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """What decides a checkpoint: its data, its settings, the features of its outputs."""
+    names = ("kind", "vehicle", "dataset", "settings", "versions")
+    features = {name: {"features": output["features"]} for name, output in summary["outputs"].items()}
+    return {**{name: summary[name] for name in names}, "outputs": features}
+
+
+def parameters(path: Path, summary: Mapping[str, Any]) -> dict[str, float]:
     """The numbers of a checkpoint by name; held-out errors from its report, if there is one."""
-    values: dict[str, float] = {}
-    units = {"a": "m/s^2", "t": "N m"}
-    try:
-        for row in load_report(path.parent if path.name == MODEL_FILE else path).get("rows", []):
-            if row.get("predictor") != "zero":
-                name = f"held-out RMSE of {row['output']} by {row['predictor']} ({units[row['output'][0]]})"
-                values[name] = float(row["rmse"])
-    except (QuadexpError, ValueError, TypeError, KeyError, AttributeError):  # the model does not need its report
-        values.clear()
+    folder = path.parent if path.name == MODEL_FILE else path
+    values = {
+        f"held-out RMSE of {row['output']} by {row['predictor']} ({row['unit']})": row["rmse"]
+        for row in held_out_rows(folder)
+        if row["predictor"] != "zero"
+    }
     values |= {f"drag_{axis} (1/s)": value for axis, value in zip("xyz", summary["drag"], strict=True)}
     for output, one in summary["outputs"].items():
         values[f"{output} signal"], values[f"{output} noise"] = one["signal_std"], one["noise_std"]
@@ -248,7 +256,7 @@ def compare_results(a: Path, b: Path) -> dict[str, Any]:
     """Two results folders; see the module. The metric is a's."""
     tables = [read_table(path / RESULTS_FILE, "results") for path in (a, b)]
     metric, confidence = tables[0][1].get("metric", "mean_error"), tables[0][1].get("confidence", 0.95)
-    left, right = _matched(*(from_columns(columns) for columns, _ in tables))
+    left, right = matched(*(from_columns(columns) for columns, _ in tables))
     both = {key: (row, right[key]) for key, row in left.items() if key in right}
     only = {"a": _missing(left, right), "b": _missing(right, left)}
     result: dict[str, Any] = {"metric": metric, "pairs": len(both), "only": only}
@@ -282,7 +290,7 @@ def compare_results(a: Path, b: Path) -> dict[str, Any]:
     }
 
 
-def _matched(*tables: Sequence[Row]) -> list[dict[Key, Row]]:
+def matched(*tables: Sequence[Row]) -> list[dict[Key, Row]]:
     """Rows by condition, contestant and seed; with the checkpoint only where it distinguishes contestants."""
     contestants = ((side, who) for side, rows in enumerate(tables) for who in set(map(contestant_of, rows)))
     models = Counter((side, controller, variant) for side, (controller, _, variant) in contestants)

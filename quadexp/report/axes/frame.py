@@ -58,7 +58,11 @@ class SweepFrame:
 
     def where(self, kept: Sequence[bool]) -> SweepFrame:
         """The frame of some of its rows."""
-        found = SweepFrame([row for row, keep in zip(self.rows, kept, strict=True) if keep], self.root, self.record)
+        return self.taken([i for i, keep in enumerate(kept) if keep])
+
+    def taken(self, order: Sequence[int]) -> SweepFrame:
+        """The frame of the rows at these places, in this order."""
+        found = SweepFrame([self.rows[i] for i in order], self.root, self.record)
         found._configs = self._configs
         return found
 
@@ -211,9 +215,11 @@ def is_metric(name: str) -> bool:
 
 
 def of_controller(key: str) -> bool:
-    """Whether a key belongs to who flies, not to what is flown: flights that differ in it have the same noise."""
+    """Whether a key belongs to who flies, not to what is flown: flights that differ in it have the same noise.
+
+    "results" is the folder that a flight of several results comes from (compare_picture.py)."""
     group = key.partition(".")[0]
-    return group in ("controller", "model", "remedies", *REMEDIES) or PRESETS.get(group) == "controller"
+    return group in ("controller", "model", "remedies", *REMEDIES, "results") or PRESETS.get(group) == "controller"
 
 
 def unit_of(key: str) -> str:
