@@ -55,7 +55,7 @@ def compare_two(
     quadexp compare runs/a.parquet runs/b.parquet runs/c.parquet --out compare.png
     quadexp compare results/table1 results/table1_again
     """
-    from quadexp.report.compare import compare
+    from quadexp.report.compare import compare, compare_tables
 
     form = format_of(format, json)
     path = None
@@ -70,10 +70,10 @@ def compare_two(
 
         save_figure(picture(report["kind"], [first, *others]), path)
     if form == "json":
-        picked = {key: value for key, value in report.items() if key not in ("lines", "tables")}
+        picked = {key: value for key, value in report.items() if key != "lines"}
         emit(picked | ({"picture": path} if path else {}))
     elif form != "text":
-        print_rendered(report["tables"], form, "compare")
+        print_rendered(compare_tables(first, *others), form, "compare")
     else:
         print("\n".join([*report["lines"], *([str(path)] if path else [])]))
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.log.store import read_flight, read_table
+from quadexp.report.compare_parts import FIGURES, checkpoint_record, flat, matched, parameters, record_of
 from quadexp.report.metrics import SHOWN
 from quadexp.report.pairing import common, contestant_labels
 from quadexp.report.summary import RESULTS_FILE, summarise
@@ -52,7 +53,7 @@ def beside(kind: str, paths: Sequence[Path]) -> dict[str, Any]:
     shown = [[key, *map(_short, found)] for key, found in list(differing.items())[:MOST_LINES]]
     notes = [f"and {rest} more (--json has all)"] if rest > 0 else []
     tables = [Table(["setting", *names], shown, left=frozenset(range(1 + len(names))), notes=notes)] if shown else []
-    factors = _factors(kind)
+    factors = FIGURES if kind == "flight" else {}
     lines = [
         [
             f"{name} ({factors[name][1]})" if name in factors else name,
@@ -70,8 +71,6 @@ NOTE = "means over the flights that all of them ended well in every one of these
 def results_means(paths: Sequence[Path]) -> tuple[str, dict[str, tuple[list[float], int]]]:
     """The metric of the first, and label of a contestant -> its mean in each of the results (m) and over how many
     flights; NaN where there is no common one."""
-    from quadexp.report.compare import matched
-
     tables = [read_table(path / RESULTS_FILE, "results") for path in paths]
     metric = tables[0][1].get("metric", "mean_error")
     sides = matched(*(from_columns(columns) for columns, _ in tables))
@@ -106,8 +105,6 @@ def _narrow(table: Table) -> Table:
 
 
 def _flight_side(path: Path) -> Side:
-    from quadexp.report.compare import FIGURES, flat, record_of
-
     record = read_flight(path, check=False).metadata
     row: Mapping[str, Any] = record.get("row") or {}
     numbers = {name: math.nan if row.get(name) is None else float(row[name]) for name in FIGURES}
@@ -115,19 +112,11 @@ def _flight_side(path: Path) -> Side:
 
 
 def _checkpoint_side(path: Path) -> Side:
-    from quadexp.report.compare import checkpoint_record, flat, parameters
-
     summary = summarise(path)
     return flat(checkpoint_record(summary)), parameters(path, summary)
 
 
 SIDES = {"flight": _flight_side, "checkpoint": _checkpoint_side}
-
-
-def _factors(kind: str) -> Mapping[str, tuple[float, str]]:
-    from quadexp.report.compare import FIGURES
-
-    return FIGURES if kind == "flight" else {}
 
 
 def _short(value: Any) -> str:

@@ -74,8 +74,8 @@ class SweepFrame:
         name = ALIASES.get(name, name)
         if name not in self._columns:
             made = [self._value(row, name) for row in self.rows]
-            if all(value is None for value in made) and name not in (*ROW_COLUMNS, *GROUPS, "wanted"):
-                raise UsageError(f"{name}: no such key or column{suggestion(name, self.names)}")
+            if all(value is None for value in made) and name not in (*ROW_COLUMNS, *GROUPS, *ASKED, "wanted"):
+                raise UsageError(f"{name}: no such column{suggestion(name, self.names)}")
             self._columns[name] = made
         return self._columns[name]
 
