@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from quadexp.cli.options import Conf, Force, Json, OptionalOut, Out, Overrides
-from quadexp.cli.terminal import emit, guarded, print_lines, print_table, say
+from quadexp.cli.options import Conf, Force, Format, Json, OptionalOut, Out, Overrides
+from quadexp.cli.terminal import emit, format_of, guarded, print_lines, print_table, say
 from quadexp.errors import QuadexpError
 
 FIGURES = 5  # of a usual sweep
@@ -109,7 +110,9 @@ def collect(
 @guarded
 def evaluate(
     overrides: Overrides = None,
-    sweep: Annotated[bool, typer.Option("--sweep", help="Fly every combination of the values given.")] = False,
+    sweep: Annotated[
+        bool, typer.Option("--sweep", "--multirun", "-m", help="Fly every combination of the values given.")
+    ] = False,
     out: OptionalOut = None,
     figures: Annotated[
         bool | None, typer.Option("--figures/--no-figures", help="Draw figures (default: only for a sweep).")
@@ -120,6 +123,7 @@ def evaluate(
     ] = False,
     keep_old: Annotated[bool, typer.Option("--keep-old", help="Keep them in the table, beside new ones.")] = False,
     force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Fly one cell, or every cell of a sweep, and write the table of results.
@@ -138,6 +142,7 @@ def evaluate(
 
     if refly and keep_old:
         raise UsageError("--refly and --keep-old: give one of them")
+    form = format_of(format, json)
     given = list(overrides or [])
     with session(conf) as composer:
         cells = composer.expand(given, check=False) if sweep else [Cell(composer.compose(given), tuple(given))]
@@ -192,7 +197,7 @@ def evaluate(
             from quadexp.papers.lei_li import report as lei_li
 
             files |= lei_li.draw(settings.figures, result.rows, out)
-    if json:
+    if form == "json":
         emit(
             {
                 "out": out,
@@ -204,6 +209,14 @@ def evaluate(
                 "statistics": result.statistics.record(first.evaluate.metric),
             }
         )
+    elif form == "csv":
+        from quadexp.report.statistics_file import statistics_csv
+
+        sys.stdout.write(statistics_csv(result.statistics.of(settings.metric)))
+    elif form != "text":
+        from quadexp.report.tables import to_latex, to_markdown
+
+        sys.stdout.write({"markdown": to_markdown, "latex": to_latex}[form](result.table))
     else:
         if first.evaluate.figures == "ladder":  # a column for every controller in every world has no room
             from quadexp.report.ladder import ladder_table

@@ -113,6 +113,15 @@ class Table:
             lines.append(_latex_row(row))
         return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
 
+    def csv(self) -> str:
+        """CSV of the texts, without the marks of the best and of significance."""
+        rows = ([re.sub(r"\*$", "", _BEST.sub(r"\1", cell)) for cell in row] for row in self.rows)
+        return csv_text(self.columns, rows)
+
+    def rendered(self, form: str) -> str:
+        """As csv, markdown or latex."""
+        return {"csv": self.csv, "markdown": self.markdown, "latex": self.latex}[form]()
+
     def rich(self, *, stacked: bool = False) -> Any:
         """A rich Table for the terminal. stacked: intervals below their values, for a narrow terminal."""
         from rich import markup, table
@@ -404,6 +413,22 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
     )
     title = f"{TITLES[metric]} against {', '.join(baselines)}"
     return Table(heading, rows, title, left=frozenset({0, 2, len(heading) - 1}), notes=(note,))
+
+
+def records_table(records: Sequence[Mapping[str, Any]], title: str = "") -> Table:
+    """A table of records, a row each: numbers in full precision, nothing for what is missing."""
+    names = list(dict.fromkeys(name for record in records for name in record))
+    rows = [[_exact(record.get(name)) for name in names] for record in records]
+    left = {i for i, name in enumerate(names) if any(isinstance(record.get(name), str) for record in records)}
+    return Table(names, rows, title, left=frozenset(left))
+
+
+def _exact(value: Any) -> str:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(float(value)) if isinstance(value, float) else str(value)
 
 
 def csv_text(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:

@@ -228,7 +228,8 @@ def test_units_are_those_of_the_configuration():
 
 @pytest.mark.parametrize(
     ("text", "value"),
-    [("3", 3), ("3.0", 3.0), ("1e-3", 1e-3), ("true", True), ("null", None), ("[1, 2]", "[1,2]"), ("'a b'", "a b"), ("x", "x")],
+    [("3", 3), ("3.0", 3.0), ("1e-3", 1e-3), ("true", True), ("null", None), ("[1, 2]", "[1,2]"),
+     ("'a b'", "a b"), ("x", "x")],
 )  # fmt: skip
 def test_values_of_overrides(text, value):
     assert read_value(text) == value and type(read_value(text)) is type(value)
