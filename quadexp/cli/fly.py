@@ -224,7 +224,7 @@ def _low_paths(cells: Sequence[Any]) -> list[str]:
     from quadexp.experiment.build import build_trajectory, build_vehicle
     from quadexp.experiment.evaluate import below_ground
 
-    nodes = {}
+    nodes: dict[Any, Any] = {}
     for config in (cell.config for cell in cells[:SAMPLED]):
         if config.trajectory.kind != "custom":  # which is a program of its own: built where it is flown
             nodes.setdefault((config.trajectory, config.ground, config.vehicle), config)

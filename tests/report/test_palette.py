@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from quadexp.report.page.build import SHAPE_PATHS
+from quadexp.report.page.palette import SHAPE_PATHS
 from quadexp.report.page.palette import PAGE, SHAPES, STANDINS, TOKENS
 from quadexp.report.style import HUES, LOOKS, MARKERS, MOST_VARIANTS, shaded
 
