@@ -147,7 +147,9 @@ def looks(labels: Sequence[str]) -> dict[str, Look]:
     taken = {fixed[name][:2] for name, own in variants.items() if name in fixed and len(own) <= MOST_VARIANTS}
     spare = _spare(taken)
     found: dict[str, Look] = {}
-    for name, own in sorted(variants.items(), key=lambda one: ("+" in one[0], one[0] not in LOOKS, one[0] not in fixed)):
+    for name, own in sorted(
+        variants.items(), key=lambda one: ("+" in one[0], one[0] not in LOOKS, one[0] not in fixed)
+    ):
         if len(own) > MOST_VARIANTS:
             for i, label in enumerate(own):
                 hue, marker = next(spare)

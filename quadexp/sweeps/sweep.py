@@ -72,6 +72,7 @@ def run_sweep(
     isolate: bool = True,
     progress: Callable[[int, int], None] = lambda done, total: None,
     flown: Callable[[Sequence[Row]], None] = lambda rows: None,
+    landed: Callable[[Row], None] = lambda row: None,
     function: CellFunction = evaluate_cell,
 ) -> SweepResult:
     """Fly the cells that are not done, and write the table of all.
@@ -81,7 +82,7 @@ def run_sweep(
     seconds. force: fly everything again, and replace another sweep's table. old: of cells that are there and were flown
     by other sources than those that run: "refly", "keep", or refuse to go on. isolate: False flies in this process.
     progress: called with the numbers of cells done and of all. flown: called with the rows once all cells are flown,
-    before the tables are made. function: flies one cell.
+    before the tables are made. landed: called with every row as it is there. function: flies one cell.
 
     Raises UsageError before anything is flown, SweepInterrupted on Ctrl-C, QuadexpError at the first file that cannot
     be written; what is done is kept.
@@ -103,10 +104,13 @@ def run_sweep(
         rows, notes = _recall(store, jobs)
         notes += _settle_old(store, rows, old)
         todo = [job for job in jobs.values() if job.key not in rows]
+        for row in rows.values():
+            landed(row)
         progress(len(rows), len(jobs))
         try:
             for key, row in _fly(todo, store, engine or LocalEngine(workers, timeout), function, isolate):
                 rows[key] = _row_of(jobs[key], row)
+                landed(rows[key])
                 progress(len(rows), len(jobs))
         except KeyboardInterrupt:
             raise SweepInterrupted(
