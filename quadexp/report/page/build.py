@@ -25,7 +25,7 @@ from quadexp.report.page.panels import courses
 from quadexp.report.page.power import MAX_FLIGHTS
 from quadexp.report.page.provenance import origin, portable
 from quadexp.report.page.replay import BUDGET, MAX_TRACKS, Case, choose_cases, pack_replay
-from quadexp.report.page.sections import scoreboard, tables, worst, worst_rows
+from quadexp.report.page.sections import scoreboard, tables, worlds, worst, worst_rows
 from quadexp.report.page.source import TABLED, Comparison, read_comparison, spoken
 from quadexp.report.pairing import condition_of
 from quadexp.report.statistics_file import statistics_csv
@@ -111,6 +111,7 @@ def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[st
         "metric_title": TITLES.get(comparison.metric, comparison.metric),
         "baseline": comparison.reference,
         "board": scoreboard(comparison),
+        "worlds": worlds(comparison),
         "alpha": 1 - comparison.confidence,
         "looks": comparison.look,
         "shapes": {marker: palette.SHAPE_PATHS[name] for marker, name in palette.SHAPES.items()},
@@ -147,7 +148,7 @@ def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[st
             content,
             reduced=extent != EXTENTS[0],
             left_out=left_out,
-            sections=_sections(drawn, bool(packed)),
+            sections=_sections(drawn, bool(packed), len(comparison.worlds) > 1),
             tables=numbers,
             replay=bool(packed),
             winds=any("wind" in track for case in packed for track in case["tracks"]),
@@ -197,10 +198,11 @@ def _safe(text: str) -> Any:
     return Markup(text)
 
 
-def _sections(drawn: PageFigures, replay: bool) -> list[tuple[str, str]]:
+def _sections(drawn: PageFigures, replay: bool, several_worlds: bool) -> list[tuple[str, str]]:
     wanted = [
         ("replay", "Replay", replay),
         ("tables", "Numbers", True),
+        ("worlds", "Worlds", several_worlds),
         ("speed", "Speed", bool(drawn.speed)),
         ("time", "Time", bool(drawn.pareto)),
         ("power", "Power", bool(drawn.power)),
