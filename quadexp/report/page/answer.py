@@ -212,10 +212,9 @@ def _sure(comparison: Comparison) -> str:
     seeds = ""
     if math.isfinite(ratio.low):
         low, high = sorted((100 * abs(1 - ratio.low), 100 * abs(1 - ratio.high)))
-        seeds = (
-            f" With other seeds the difference would lie between {percent(low)[0]} and {percent(high)[0]},"
-            f" {comparison.confidence:.0%} of the time."
-        )
+        ends = percent(low)[0], percent(high)[0]
+        where = f"lie between {ends[0]} and {ends[1]}" if ends[0] != ends[1] else f"again be {ends[0]}"
+        seeds = f" With other seeds the difference would {where}, {comparison.confidence:.0%} of the time."
     return (
         f"How sure: {'very' if p < VERY_SURE else 'fairly'}. If {spoken(lead)} and {spoken(base)} were equally good,"
         f" chance alone would make a difference like this one {_odds(p)} ({pairs}).{seeds}"
