@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -124,6 +125,12 @@ def evaluate(
     keep_old: Annotated[bool, typer.Option("--keep-old", help="Keep them in the table, beside new ones.")] = False,
     force: Force = False,
     format: Format = None,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Show the sweep while it runs: a table here, and a page on this machine.")
+    ] = False,
+    port: Annotated[
+        int | None, typer.Option("--port", min=0, max=65535, help="Port of the page of --watch; 0: any that is free.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Fly one cell, or every cell of a sweep, and write the table of results.
@@ -135,6 +142,7 @@ def evaluate(
     quadexp evaluate --sweep trajectory=circle,lemniscate trajectory.speed=4,8,12 \\
         controller=nominal_mpc,linear_drag_mpc,gp_mpc,perfect_mpc seed='range(3)' --out results/table1
     quadexp evaluate --sweep experiment=torrente_table1
+    quadexp evaluate --sweep experiment=torrente_table1 --watch
     """
     from quadexp.config.compose import Cell, session
     from quadexp.errors import UsageError
@@ -143,6 +151,8 @@ def evaluate(
     if refly and keep_old:
         raise UsageError("--refly and --keep-old: give one of them")
     form = format_of(format, json)
+    if (watch or port is not None) and not (watch and sweep):
+        raise UsageError("--watch is for a sweep, and --port for --watch: add --sweep --watch")
     given = list(overrides or [])
     with session(conf) as composer:
         cells = composer.expand(given, check=False) if sweep else [Cell(composer.compose(given), tuple(given))]
@@ -163,11 +173,15 @@ def evaluate(
     from quadexp.sweeps.sweep import run_sweep
 
     settings = first.evaluate
+    watching = _watching(out, settings.metric, port) if watch else None
     with (
+        watching or contextlib.nullcontext(),
         Workers(settings.workers, settings.memory or None, preload, calls=FIGURES if figures else 1) as processes,
         SweepFigures(out, processes if sweep else None, settings.metric, settings.confidence) as drawn,
-        Progress("flights") as progress,
+        Progress("flights", _table_so_far(watching)) as progress,
     ):
+        if watching:
+            say(f"watch it at {watching.url}")
         result = run_sweep(
             cells,
             out,
@@ -178,7 +192,8 @@ def evaluate(
             force=force,
             old="refly" if refly else "keep" if keep_old else "ask",
             isolate=sweep,
-            progress=progress,
+            progress=progress if watching is None else _both(watching.progress, progress),
+            landed=watching.landed if watching else lambda row: None,
             flown=drawn.begin if figures else lambda rows: None,
         )
         files = dict(result.files) | drawn.end()
@@ -253,6 +268,32 @@ def _worlds(cells: Sequence[Any]) -> list[Any]:
         if cell.invalid:
             raise UsageError(cell.invalid)
     return [cell.config for cell in found]
+
+
+def _watching(out: Path, metric: str, port: int | None) -> Any:
+    from quadexp.sweeps.watch import Watch
+
+    return Watch(out, metric, port or 0)
+
+
+def _table_so_far(watching: Any) -> Callable[[], Any] | None:
+    if watching is None:
+        return None
+
+    def made() -> Any:
+        from quadexp.report.live import live_table
+
+        return live_table(watching.shot())
+
+    return made
+
+
+def _both(first: Callable[[float, float], None], second: Callable[[float, float], None]) -> Any:
+    def call(done: float, total: float) -> None:
+        first(done, total)
+        second(done, total)
+
+    return call
 
 
 def _low_paths(cells: Sequence[Any]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Overrides that are no overrides: each is one line of this program, with none of the words of the libraries beneath."""
+"""Overrides that are no overrides: each is one line, with none of the words of the libraries beneath."""
 
 from __future__ import annotations
 

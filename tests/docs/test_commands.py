@@ -18,7 +18,14 @@ from quadexp.cli.app import app
 from quadexp.config.compose import session
 from tests.docs.commands import ROOT, commands, inline, steps
 
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "benchmarks").glob("*.md")])
+PAGES = sorted(
+    [
+        *ROOT.glob("*.md"),
+        *(ROOT / "docs").glob("*.md"),
+        *(ROOT / "docs/site").glob("*.md"),
+        *(ROOT / "benchmarks").glob("*.md"),
+    ]
+)
 OVERRIDE = re.compile(r"[\w./@]+=.*", re.DOTALL)
 LOOSE = ("step", "a_x", "a_y", "a_z", "...")  # times, errors that a few held-out rows decide, and what stands for more
 NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?!\w)")
