@@ -21,11 +21,12 @@ from quadexp.report.text import count, duration, listed, number
 FILE = "leaderboard.parquet"
 TEXTS = ("entry", "settings", "family", "task", "world", "size", "protocol_sha256")
 NUMBERS = ("protocol", "bound")
-BEGIN, END = "<!-- bench: begin, written by `quadexp bench --markdown` -->", "<!-- bench: end -->"
+BEGIN, END = "<!-- bench: begin (written by the command; edit nothing up to the end) -->", "<!-- bench: end -->"
 RULE = (
     "Place: by flights lost, the fewest first, then by mean rank over all cells (task, world, seed), where lost flights"
-    " share the last ranks; in brackets the 95 % interval over the seeds. =: not told apart from the one above. x least:"
-    " geometric mean of the error over the least of each cell. Bounds are told the plant's equations and take no rank."
+    " share the last ranks; in brackets the 95 % interval over the seeds. =: not told apart from the one above."
+    " x least: geometric mean of the error over the least of each cell. Bounds are told the plant's equations and take"
+    " no rank."
 )
 
 

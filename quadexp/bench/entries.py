@@ -12,13 +12,13 @@ import yaml
 
 from quadexp.bench.protocol import Family, Protocol
 from quadexp.config.compose import Composer
-from quadexp.config.schema import REMEDIES, Config, remedies
+from quadexp.config.schema import PRESETS, REMEDIES, Config, remedies
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle, find_model, knows_plant
 from quadexp.experiment.build_world import build_world
 from quadexp.tune.preset import provenance_of
 
-ALLOWED = ("controller", "horizon", "remedies", *REMEDIES)  # groups that an entry may set
+ALLOWED = ("controller", *PRESETS, "remedies", *REMEDIES)  # groups that an entry may set
 PUBLISHED = "published"
 
 

@@ -11,9 +11,10 @@ from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.fit import fit_checkpoint
 from quadexp.experiment.identity import digest
 from quadexp.log.store import write_text
-from quadexp.provenance import package_hash
+from quadexp.provenance import DECIDING, package_folder, source_hash
 
 MODEL, MADE = "model.json", ".made"
+MAKING = (*DECIDING, "learn", "experiment")  # sources that decide a checkpoint
 
 Say = Callable[[str], None]
 
@@ -23,9 +24,12 @@ def make_model(
 ) -> Path:
     """The checkpoint of a family in `folder`/<family>: Gaussian processes, and linear drag fitted to the same rows.
 
-    One that is there is used again if the same program made it by the same protocol.
+    One that is there is used again if the same sources made it by the same protocol.
     """
-    out, key = folder / family.name, digest([protocol.sha256, family.name, package_hash()])
+    out, key = (
+        folder / family.name,
+        digest([family.models, family.name, source_hash(package_folder() / name for name in MAKING)]),
+    )
     mark = out / MADE
     if (out / MODEL).is_file() and mark.is_file() and mark.read_text(encoding="utf-8").strip() == key:
         return out

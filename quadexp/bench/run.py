@@ -82,7 +82,9 @@ def run_bench(
     added = [(path, read_board(path)) for path in add]
     for path, rows in added:
         check_alike(rows, protocol.sha256, size, str(path))
-    entries = read_entries([*([] if only else field()), *controllers], composer, protocol, extra)
+    mine = read_entries(controllers, composer, protocol, extra)
+    entries = [*read_entries([] if only else field(), composer, protocol, extra), *mine]
+    entries = list({entry.name: entry for entry in entries}.values())
     if not entries and not added:
         raise UsageError("--only: nobody takes part; give --controller NAME, or --add FILE")
     store = CellStore(out)
@@ -91,7 +93,7 @@ def run_bench(
         store.clean()
         try:
             cells, notes = _cells(entries, protocol, size, composer, out / MODELS, say)
-            _check_takes_part(entries, cells, notes)
+            _check_takes_part(mine, cells, notes)
             rows = _fly(cells, store, engine, function, isolate, progress)
         except KeyboardInterrupt:
             raise SweepInterrupted("what is flown is kept; run the same command to continue") from None
@@ -143,6 +145,7 @@ def _cells(
 
 
 def _check_takes_part(entries: Sequence[Entry], asked: Sequence[_Asked], notes: Sequence[str]) -> None:
+    """Raise UsageError where an entry that was asked for by name flies nowhere."""
     flying = {one.about["entry"] for one in asked}
     for entry in entries:
         if entry.name not in flying:

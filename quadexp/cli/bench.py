@@ -9,17 +9,40 @@ import typer
 
 from quadexp.cli.options import Conf, Json, OptionalOut, Overrides
 from quadexp.cli.terminal import console, emit, guarded, say
+from quadexp.config.completion import groups
+
+SIZES = ("quick", "standard", "full")
+
+
+def _sizes(incomplete: str) -> list[str]:
+    return [size for size in SIZES if size.startswith(incomplete)]
+
+
+def _controllers(ctx: typer.Context, incomplete: str) -> list[str]:
+    return [
+        name
+        for name in groups(Path(ctx.params["conf"]) if ctx.params.get("conf") else None)["controller"]
+        if name.startswith(incomplete)
+    ]
 
 
 @guarded
 def bench(
     overrides: Overrides = None,
     size: Annotated[
-        str, typer.Option("--size", help="quick: minutes; standard: an hour; full: a night, on two cores.")
+        str,
+        typer.Option(
+            "--size", help="quick: minutes; standard: an hour; full: a night, on two cores.", autocompletion=_sizes
+        ),
     ] = "quick",
     controller: Annotated[
         list[str] | None,
-        typer.Option("--controller", metavar="NAME", help="Takes part too, as 'NAME observer=...'; repeatable."),
+        typer.Option(
+            "--controller",
+            metavar="NAME",
+            help="Takes part too, as 'NAME observer=...'; repeatable.",
+            autocompletion=_controllers,
+        ),
     ] = None,
     only: Annotated[bool, typer.Option("--only", help="Without the field of this program.")] = False,
     add: Annotated[

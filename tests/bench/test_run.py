@@ -130,3 +130,9 @@ def test_settings_that_were_tuned_on_its_own_seeds_are_refused(protocol, tmp_pat
     assert {row["settings"] for row in made.rows} == {"tuned, 40 flights"}
     with pytest.raises(UsageError, match="controller=peeking: was tuned on seed 2, which the protocol flies"):
         run(tmp_path / "b", ["peeking"], tmp_path / "t")
+
+
+def test_an_entry_of_the_field_that_cannot_fly_somewhere_is_a_note(protocol, monkeypatch, tmp_path):
+    monkeypatch.setattr(bench, "field", lambda: ["rls_feedback", "nominal_mpc"])
+    made, flown = run(tmp_path / "b", [], only=False)
+    assert flown == 4 and len(made.notes) == 1 and made.notes[0].startswith("rls_feedback has no part in small: ")

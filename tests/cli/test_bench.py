@@ -40,3 +40,13 @@ def test_rows_that_are_there_are_ranked_without_a_flight(here):
     assert [line["entry"] for line in found["boards"]["small"]] == ["other", "nominal_mpc"]
     assert "| 1 | other |" in (here / "b.md").read_text() and (here / "b" / "leaderboard.html").is_file()
     assert run("show", "b/leaderboard.parquet")[0] == 0
+
+
+def test_sizes_and_controllers_are_completed():
+    from types import SimpleNamespace
+
+    from quadexp.bench.protocol import read_protocol
+    from quadexp.cli.bench import SIZES, _controllers, _sizes
+
+    assert list(SIZES) == read_protocol().sizes() and _sizes("s") == ["standard"]
+    assert _controllers(SimpleNamespace(params={"conf": None}), "gp_") == ["gp_mpc", "gp_mpc_tuned"]
