@@ -139,6 +139,14 @@ def is_log(view: View) -> bool:
 def _mark_gone(grid: Any, panels: Sequence[Place], view: View, lines: Sequence[Place]) -> None:
     """A cross above the lines where no flight of a place ended well, or its settings are invalid."""
     found = looks([label_of(view, line) for line in lines])
+    start = len(view.facet)
+    for line in lines:
+        own = [point for place, point in view.places.items() if place[start : start + len(line)] == line]
+        if not any(point.is_shown for point in own):
+            what = "invalid" if all(point.invalid for point in own) else "no flight ended well"
+            label = f"{label_of(view, line)} ({what})".strip()
+            colour = found[label_of(view, line)].colour
+            grid[0].plot([], [], marker="x", markersize=5, linestyle="none", color=colour, label=label)
     for panel, facet in zip(grid, panels, strict=False):
         for k, line in enumerate(lines):
             colour = found[label_of(view, line)].colour
