@@ -145,7 +145,9 @@ class View:
 
     def title(self, keys: Sequence[str], values: Place) -> str:
         return ", ".join(
-            str(value) if key in ("trajectory", *WHO) else f"{key.rpartition('.')[2]} {value_text(key, value)}"
+            value_text(key, value)
+            if key in ("trajectory", *WHO)
+            else f"{key.rpartition('.')[2]} {value_text(key, value)}"
             for key, value in zip(keys, values, strict=True)
         )
 

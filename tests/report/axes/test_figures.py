@@ -58,6 +58,9 @@ def test_small_multiples_have_every_panel_and_every_line(frame):
         assert texts(panel).count("0/2") == (1 if horizon == 2 else 0)
         assert len(drawn["nominal_mpc"].get_xdata()) == (2 if horizon == 2 else 3)
     assert "2 of 36 flights did not end well" in figure.get_suptitle()
+    (legend,) = figure.legends
+    named = {text.get_text() for text in legend.get_texts()}
+    assert named == {"nominal_mpc", "perfect_mpc", "rls_feedback (invalid)"}
 
 
 def test_cells_of_a_heat_map_are_where_their_values_are(frame):
