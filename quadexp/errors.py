@@ -21,6 +21,10 @@ class UsageError(QuadexpError):
     exit_code = 2
 
 
+class ForbiddenValueError(UsageError):
+    """A value that its key does not allow, whatever the other settings are: a wrong type, or out of range."""
+
+
 class DataError(QuadexpError):
     """A file was found but cannot be used: damaged, incomplete, from another schema, or not finite."""
 

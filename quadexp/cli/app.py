@@ -20,6 +20,7 @@ from quadexp.cli.fly import collect, evaluate, simulate
 from quadexp.cli.identify import identify
 from quadexp.cli.importing import import_flights
 from quadexp.cli.new import new
+from quadexp.cli.plot import plot
 from quadexp.cli.results import results
 from quadexp.cli.terminal import fail, flush_output, output_failed, prepare
 from quadexp.cli.validate import validate
@@ -62,6 +63,7 @@ def root(
     quadexp identify    thrust, drag and air from flights   -> models/*
     quadexp validate    models against flights left out of the fit
     quadexp evaluate    controllers compared                -> results/*
+    quadexp plot        results over any key                -> plot.png
     quadexp report      results as one page                 -> report.html
     quadexp new         a part of your own                  -> my_parts/
     """
@@ -81,6 +83,7 @@ COMMANDS = {
     "results": results,
     "validate": validate,
     "compare": compare_two,
+    "plot": plot,
     "report": report,
     "export": export,
     "animate": animate,

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from quadexp.cli.options import Conf, Force, Json, Out, Overrides
-from quadexp.cli.terminal import emit, guarded, print_lines
+from quadexp.cli.options import Conf, Force, Format, Json, Out, Overrides
+from quadexp.cli.terminal import emit, format_of, guarded, print_lines, print_rendered
 
 
 @guarded
@@ -19,6 +19,7 @@ def fit_gp(
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the fit.")] = True,
     conf: Conf = None,
     force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Fit Gaussian processes to a data set and write the checkpoint.
@@ -27,7 +28,7 @@ def fit_gp(
     quadexp fit-gp data/residuals.parquet --out models/gp
     quadexp fit-gp data/residuals.parquet gp=per_axis gp.inducing=40 --out models/gp40
     """
-    _fit("gp", dataset, overrides, out, conf, force, json, figures=figures)
+    _fit("gp", dataset, overrides, out, conf, force, format_of(format, json), figures=figures)
 
 
 @guarded
@@ -37,6 +38,7 @@ def fit_drag(
     out: Out = Path("models/drag"),
     conf: Conf = None,
     force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Fit linear rotor drag to a data set and write the checkpoint.
@@ -44,7 +46,7 @@ def fit_drag(
     \b
     quadexp fit-drag data/residuals.parquet --out models/drag
     """
-    _fit("drag", dataset, overrides, out, conf, force, json)
+    _fit("drag", dataset, overrides, out, conf, force, format_of(format, json))
 
 
 def _fit(
@@ -54,7 +56,7 @@ def _fit(
     out: Path,
     conf: Path | None,
     force: bool,
-    json: bool,
+    form: str,
     **options: bool,
 ) -> None:
     from quadexp.config.compose import compose
@@ -66,8 +68,12 @@ def _fit(
     path = check_output(out, force=force, folder=True)
     with Progress("fit") as progress:
         report = fit_checkpoint(kind, config, dataset, path, force=force, progress=progress, **options)
-    if json:
+    if form == "json":
         emit(report)
         return
+    if form != "text":
+        from quadexp.report.tables import records_table
+
+        return print_rendered([records_table(report["rows"])], form, kind)
     print_lines(report["lines"])
     print(path)

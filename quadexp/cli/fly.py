@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from quadexp.cli.options import Conf, Force, Json, OptionalOut, Out, Overrides
-from quadexp.cli.terminal import emit, guarded, print_lines, print_table, say
+from quadexp.cli.options import Conf, Force, Format, Json, OptionalOut, Out, Overrides
+from quadexp.cli.terminal import emit, format_of, guarded, print_lines, print_table, say
 from quadexp.errors import QuadexpError
 
 FIGURES = 5  # of a usual sweep
@@ -91,7 +92,7 @@ def collect(
             "--sweep and --flight: give one of them; recorded flights are of the worlds they were flown in"
         )
     with session(conf) as composer:
-        worlds = [cell.config for cell in composer.expand(overrides or [])] if sweep else []
+        worlds = _worlds(composer.expand(overrides or [])) if sweep else []
         config = worlds[0] if worlds else composer.compose(overrides or [])
     path = check_output(out, force=force)
     if save_flights is not None:
@@ -110,7 +111,9 @@ def collect(
 @guarded
 def evaluate(
     overrides: Overrides = None,
-    sweep: Annotated[bool, typer.Option("--sweep", help="Fly every combination of the values given.")] = False,
+    sweep: Annotated[
+        bool, typer.Option("--sweep", "--multirun", "-m", help="Fly every combination of the values given.")
+    ] = False,
     out: OptionalOut = None,
     figures: Annotated[
         bool | None, typer.Option("--figures/--no-figures", help="Draw figures (default: only for a sweep).")
@@ -127,6 +130,7 @@ def evaluate(
     port: Annotated[
         int | None, typer.Option("--port", min=0, max=65535, help="Port of the page of --watch; 0: any that is free.")
     ] = None,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Fly one cell, or every cell of a sweep, and write the table of results.
@@ -148,6 +152,7 @@ def evaluate(
         raise UsageError("--refly and --keep-old: give one of them")
     if (watch or port is not None) and not (watch and sweep):
         raise UsageError("--watch is for a sweep, and --port for --watch: add --sweep --watch")
+    form = format_of(format, json)
     given = list(overrides or [])
     with session(conf) as composer:
         cells = composer.expand(given, check=False) if sweep else [Cell(composer.compose(given), tuple(given))]
@@ -203,7 +208,7 @@ def evaluate(
             from quadexp.papers.lei_li import report as lei_li
 
             files |= lei_li.draw(settings.figures, result.rows, out)
-    if json:
+    if form == "json":
         emit(
             {
                 "out": out,
@@ -215,6 +220,14 @@ def evaluate(
                 "statistics": result.statistics.record(first.evaluate.metric),
             }
         )
+    elif form == "csv":
+        from quadexp.report.statistics_file import statistics_csv
+
+        sys.stdout.write(statistics_csv(result.statistics.of(settings.metric)))
+    elif form != "text":
+        from quadexp.report.tables import to_latex, to_markdown
+
+        sys.stdout.write({"markdown": to_markdown, "latex": to_latex}[form](result.table))
     else:
         if first.evaluate.figures == "ladder":  # a column for every controller in every world has no room
             from quadexp.report.ladder import ladder_table
@@ -223,6 +236,10 @@ def evaluate(
         else:
             print_table(result.table)
         print(out)
+    if result.invalid:
+        from quadexp.report.notes import invalid_text
+
+        say(f"note: {invalid_text(result.rows)}; all of them: quadexp results {out} --failures")
     for name, why in drawn.failed.items():
         say(f"error: {name}: not drawn: {why}; the tables are not affected")
     if result.not_flown:
@@ -266,12 +283,23 @@ def _low_paths(cells: Sequence[Any]) -> list[str]:
     from quadexp.experiment.evaluate import below_ground
 
     nodes: dict[Any, Any] = {}
-    for config in (cell.config for cell in cells[:SAMPLED]):
+    for config in (cell.config for cell in cells[:SAMPLED] if not cell.invalid):
         if config.trajectory.kind != "custom":  # which is a program of its own: built where it is flown
             nodes.setdefault((config.trajectory, config.ground, config.vehicle), config)
     found = (below_ground(c, build_trajectory(c.trajectory, build_vehicle(c.vehicle))) for c in nodes.values())
     named = {line: None for line in found if line}
     return [*named][:3]
+
+
+def _worlds(cells: Sequence[Any]) -> list[Any]:
+    """The configurations of all cells; UsageError where one contradicts itself."""
+    from quadexp.errors import UsageError
+
+    found = list(cells)
+    for cell in found:
+        if cell.invalid:
+            raise UsageError(cell.invalid)
+    return [cell.config for cell in found]
 
 
 def _preload(cells: Sequence[Any], figures: bool) -> list[str]:

@@ -199,9 +199,10 @@ def program_record() -> dict[str, str]:
     return {"program": quadexp.__version__, "sources": sources(), "libraries": libraries()}
 
 
-def failed_row(config: Config, model: ModelFile | None, cause: str) -> dict[str, Any]:
-    """The row of a cell whose process crashed, timed out, or raised an exception."""
-    empty = Flight({}, {"model": model.path if model else "", "outcome": "failed", "cause": cause})
+def failed_row(config: Config, model: ModelFile | None, cause: str, outcome: str = "failed") -> dict[str, Any]:
+    """The row of a cell without a flight: its process crashed, timed out or raised an exception ("failed"), or its
+    settings contradict each other ("invalid")."""
+    empty = Flight({}, {"model": model.path if model else "", "outcome": outcome, "cause": cause})
     return result_row(config, empty)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,7 +28,7 @@ from quadexp.report.statistics import BASELINE, CONFIDENCE
 from quadexp.report.statistics_file import Statistics
 from quadexp.report.tables import ErrorTable
 from quadexp.sweeps.engine import CellFailed, CellFunction, Engine, LocalEngine, Task
-from quadexp.sweeps.plan import Job, check_jobs, flying_order, plan_cells
+from quadexp.sweeps.plan import INVALID, Job, check_jobs, flying_order, plan_cells
 from quadexp.sweeps.sweep_table import RESULTS, Row, table_row, write_results
 
 Old = Literal["ask", "refly", "keep"]  # what to do with cells that other sources have flown
@@ -51,6 +51,11 @@ class SweepResult:
     @property
     def not_flown(self) -> list[Row]:
         return [row for row in self.rows if row["outcome"] in NOT_FLOWN]
+
+    @property
+    def invalid(self) -> list[Row]:
+        """Cells whose settings contradict each other."""
+        return [row for row in self.rows if row["outcome"] == INVALID]
 
 
 class SweepInterrupted(QuadexpError):
@@ -84,14 +89,19 @@ def run_sweep(
     progress: called with the numbers of cells done and of all. flown: called with the rows once all cells are flown,
     before the tables are made. landed: called with every row as it is there. function: flies one cell.
 
-    Raises UsageError before anything is flown, SweepInterrupted on Ctrl-C, QuadexpError at the first file that cannot
-    be written; what is done is kept.
+    A cell whose settings contradict each other is not flown: the outcome of its row is "invalid", `cause` says why.
+
+    Raises UsageError before anything is flown, also where every cell is invalid, SweepInterrupted on Ctrl-C,
+    QuadexpError at the first file that cannot be written; what is done is kept.
     """
     store, jobs = CellStore(out), plan_cells(cells)
     done = set() if force else store.done()
-    check_jobs(job for job in jobs.values() if job.key not in done)
+    wrong = check_jobs(job for job in jobs.values() if job.key not in done and not job.invalid)
+    jobs |= {key: replace(jobs[key], invalid=why) for key, why in wrong.items()}
+    if wrong and all(job.invalid for job in jobs.values()):
+        raise UsageError(next(iter(wrong.values())))
     if not isolate:
-        for config in (job.cell.config for job in jobs.values()):
+        for config in (job.cell.config for job in jobs.values() if not job.invalid):
             vehicle = build_vehicle(config.vehicle)
             check_feasible(config, build_trajectory(config.trajectory, vehicle), vehicle)
     store.open()
@@ -103,6 +113,8 @@ def run_sweep(
             _refuse_another_sweep(store, jobs)
         rows, notes = _recall(store, jobs)
         notes += _settle_old(store, rows, old)
+        for job in (job for job in jobs.values() if job.invalid):
+            rows[job.key] = _row_of(job, failed_row(job.cell.config, None, job.invalid, INVALID))
         todo = [job for job in jobs.values() if job.key not in rows]
         for row in rows.values():
             landed(row)
@@ -123,6 +135,8 @@ def run_sweep(
         finally:
             store.clean()
         in_order = [rows[key] for key in jobs]
+        if all(row["outcome"] == INVALID for row in in_order):
+            raise UsageError(in_order[0]["cause"])
         flown(in_order)
         record = {
             "metric": metric,
@@ -130,6 +144,11 @@ def run_sweep(
             "confidence": confidence,
             "grids": list(cells.grids) if isinstance(cells, Cells) else [[[o] for o in c.overrides] for c in cells],
             "conditions": sorted({job.condition for job in jobs.values()}),
+            "without_flight": {
+                row["key"]: list(jobs[row["key"]].cell.overrides)
+                for row in in_order
+                if row["outcome"] in ("failed", INVALID)
+            },
             "flown_by": flown_by(in_order),
             "provenance": provenance(),
         }
@@ -215,7 +234,7 @@ def _fly(
                 if row.all:
                     raise WriteError(row.cause)
                 store.remove([key])
-                row = failed_row(*configs[key], row.cause)
+                row = failed_row(*configs[key], row.cause, INVALID if row.contradiction else "failed")
             yield key, row
 
 
