@@ -26,10 +26,8 @@ def export_results(
     """
     source = Path(results)
     if form not in FORMATS:
-        raise UsageError(
-            f"{results}: is a folder of results, for which there are --to {' and '.join(FORMATS)}; --to {form} takes a"
-            f" flight{example_in(source)}"
-        )
+        there = f"no such format for results; there are {', '.join(FORMATS)} (others take a flight)"
+        raise UsageError(f"--to {form}: {there}{example_in(source)}")
     frame = SweepFrame.read(source)
     target = Path(out) if out is not None else source.with_name(f"{source.resolve().name}_{form}")
     check_output(target, force=force, folder=True)
