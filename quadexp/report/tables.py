@@ -4,9 +4,9 @@ Cells are texts. In a cell, `**x**` marks the best value and a final `*` a signi
 translates these two marks.
 
 The error table has trajectory and speed down and controllers across; a key of the controller that was swept is a column
-of its own, with its values down. The first row counts the flights that ended well; cells are means over the common
-flights of a trajectory and speed (pairing.py), or say "invalid" where settings contradict each other. The comparison
-table has one row per contestant and condition, against the baseline.
+of its own, with its values down, and so are many plants or worlds. The first row counts the flights that ended well;
+cells are means over the common flights of a trajectory and speed (pairing.py), or say "invalid" where settings
+contradict each other. The comparison table has one row per contestant and condition, against the baseline.
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ TEXT_COLUMNS = (
     "program", "sources", "libraries", "key",
 )  # fmt: skip
 INTEGER_COLUMNS = ("seed", "unconverged_count")
+MOST_ACROSS = 6  # columns of an error table; with more, several plants are told apart by rows
 TITLES = {"rmse": "RMSE", "mean_error": "mean error", "max_error": "largest error"}
 NAN = math.nan
 
@@ -324,16 +325,20 @@ def table_of(
     metric = statistics[0].metric
     rows = [*map(row_of, statistics), *invalid]
     keys = swept_settings(rows)
+    labels = column_labels([without_settings(row, keys) for row in rows])
+    if len(set(labels)) > MOST_ACROSS and len({row["plant"] for row in rows}) > 1:
+        keys = ["plant", *keys]
+        labels = column_labels([{**without_settings(row, keys), "plant": ""} for row in rows])
     order: dict[Line, tuple[str, float]] = {}
     entries: dict[tuple[Line, str], Entry] = {}
     wrong: set[tuple[Line, str]] = set()
     flown: dict[str, Flights] = {}
     courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in rows)
-    labels = column_labels([without_settings(row, keys) for row in rows])
     for s, row, label in zip([*statistics, *(None for _ in invalid)], rows, labels, strict=True):
         *_, speed, setting = condition_of(row)
         course = courses[row["trajectory"], setting]
-        line = (course, speed_text(speed, ""), *(settings_of(row).get(key, "") for key in keys))
+        own = settings_of(row) | {"plant": row["plant"]}
+        line = (course, speed_text(speed, ""), *(own.get(key, "") for key in keys))
         order.setdefault(line, (course, -1.0 if speed is None else speed))
         flown[label] = flown.get(label, Flights(0, 0)).plus(s.flown if s else Flights(0, 0))
         if s is None:

@@ -1,4 +1,4 @@
-"""`quadexp plot`, `results` as a table tool, `compare` of many, `--format` and `export` of results, as a user meets them."""
+"""`quadexp plot`, `results`, `compare` of many, `--format`, `export` of results, as a user meets them."""
 
 from __future__ import annotations
 

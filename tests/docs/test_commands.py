@@ -30,7 +30,7 @@ OVERRIDE = re.compile(r"[\w./@]+=.*", re.DOTALL)
 LOOSE = ("step", "a_x", "a_y", "a_z", "...")  # times, errors that a few held-out rows decide, and what stands for more
 NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?!\w)")
 FACTOR = 1.5  # that a number may differ by: a new key makes `collect` draw other paths, and so what is learned
-FORCED = ("simulate", "collect", "fit-gp", "report", "export", "import")
+FORCED = ("simulate", "collect", "fit-gp", "report", "export", "import", "plot", "compare")
 
 
 def name(page: Path) -> str:
@@ -88,7 +88,7 @@ def test_what_a_command_prints_is_found_below_it():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", ["README.md", "docs/guide.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/guide.md", "docs/plots.md"])
 def test_they_run_in_their_order_and_print_what_is_said(page, tmp_path, monkeypatch):
     """In an empty folder, beside what a checkout has; the README's own are run after `make`'s collect and fit."""
     for folder in ("examples", "conf"):

@@ -55,7 +55,8 @@ def line_figure(view: View) -> Figure:
         grid[0, 0].set_yscale("log")
         grid[0, 0].set_ylim(bottom=0.8 * view.factor * min(ends))
     elif all(point.mean >= 0 for point in view.places.values() if point.is_shown):
-        grid[0, 0].set_ylim(bottom=0)
+        largest = max(max(point.mean, max(0, point.high)) for point in view.places.values() if point.is_shown)
+        grid[0, 0].set_ylim(0, 1.08 * view.factor * largest or 1.0)
     _make_room(grid[0, 0], view, len(lines), log)
     if log:
         plain_log(grid[0, 0].yaxis, minor=True)
@@ -70,14 +71,13 @@ def line_figure(view: View) -> Figure:
 
 def label_of(view: View, line: Place) -> str:
     """The text of a line in the legend, beginning with its controller, which decides its colour."""
-    return " ".join(
-        str(value)
-        if key == "controller"
-        else f"{key.rpartition('.')[2]}={value}"
-        if key != "model"
-        else view.title((key,), (value,))
-        for key, value in zip(view.by, line, strict=True)
-    )
+    parts = []
+    for key, value in zip(view.by, line, strict=True):
+        if key == "model":
+            parts.append(view.title((key,), (value,)) or ("" if "controller" in view.by else "no checkpoint"))
+        else:
+            parts.append(str(value) if key == "controller" else f"{key.rpartition('.')[2]}={value}")
+    return " ".join(filter(None, parts))
 
 
 def _draw_line(
