@@ -1,8 +1,9 @@
 """Build the documentation site from the Markdown of the repository, without a network: `make docs`.
 
 The pages are copied to build/pages with the layout of the repository, so that their links hold, together with every
-file that they link to; MkDocs makes build/site from them. The navigation is that of mkdocs.yml, without pages that do not exist; a page of docs/
-that it does not name stands under `More`. A link or an anchor that leads nowhere ends the build.
+file that they link to; MkDocs makes build/site from them. The navigation is that of mkdocs.yml, without pages that do
+not exist; a page of docs/ that it does not name stands under `More`. A link or an anchor that leads nowhere ends the
+build.
 """
 
 from __future__ import annotations

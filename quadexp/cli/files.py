@@ -75,7 +75,9 @@ def compare_two(
     elif form != "text":
         print_rendered(compare_tables(first, *others), form, "compare")
     else:
-        print_lines([*report["lines"], *([str(path)] if path else [])])
+        print_lines(report["lines"])
+        if path:
+            print(path)
 
 
 @guarded

@@ -124,13 +124,13 @@ def evaluate(
     ] = False,
     keep_old: Annotated[bool, typer.Option("--keep-old", help="Keep them in the table, beside new ones.")] = False,
     force: Force = False,
-    format: Format = None,
     watch: Annotated[
         bool, typer.Option("--watch", help="Show the sweep while it runs: a table here, and a page on this machine.")
     ] = False,
     port: Annotated[
         int | None, typer.Option("--port", min=0, max=65535, help="Port of the page of --watch; 0: any that is free.")
     ] = None,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Fly one cell, or every cell of a sweep, and write the table of results.
@@ -150,9 +150,9 @@ def evaluate(
 
     if refly and keep_old:
         raise UsageError("--refly and --keep-old: give one of them")
-    form = format_of(format, json)
     if (watch or port is not None) and not (watch and sweep):
         raise UsageError("--watch is for a sweep, and --port for --watch: add --sweep --watch")
+    form = format_of(format, json)
     given = list(overrides or [])
     with session(conf) as composer:
         cells = composer.expand(given, check=False) if sweep else [Cell(composer.compose(given), tuple(given))]
@@ -259,17 +259,6 @@ def evaluate(
         raise typer.Exit(1)
 
 
-def _worlds(cells: Sequence[Any]) -> list[Any]:
-    """The configurations of all cells; UsageError where one contradicts itself."""
-    from quadexp.errors import UsageError
-
-    found = list(cells)
-    for cell in found:
-        if cell.invalid:
-            raise UsageError(cell.invalid)
-    return [cell.config for cell in found]
-
-
 def _watching(out: Path, metric: str, port: int | None) -> Any:
     from quadexp.sweeps.watch import Watch
 
@@ -308,6 +297,17 @@ def _low_paths(cells: Sequence[Any]) -> list[str]:
     found = (below_ground(c, build_trajectory(c.trajectory, build_vehicle(c.vehicle))) for c in nodes.values())
     named = {line: None for line in found if line}
     return [*named][:3]
+
+
+def _worlds(cells: Sequence[Any]) -> list[Any]:
+    """The configurations of all cells; UsageError where one contradicts itself."""
+    from quadexp.errors import UsageError
+
+    found = list(cells)
+    for cell in found:
+        if cell.invalid:
+            raise UsageError(cell.invalid)
+    return [cell.config for cell in found]
 
 
 def _preload(cells: Sequence[Any], figures: bool) -> list[str]:

@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 
 from quadexp.errors import UsageError
-from quadexp.log.store import check_output
+from quadexp.log.store import check_output, example_in
 from quadexp.report.axes.frame import SweepFrame
 
 FORMATS = {  # name -> module, in which `write(frame, folder, name) -> files` stands
@@ -26,9 +26,8 @@ def export_results(
     """
     source = Path(results)
     if form not in FORMATS:
-        raise UsageError(
-            f"--to {form}: no such format for results; there are {', '.join(FORMATS)} (others take a flight)"
-        )
+        there = f"no such format for results; there are {', '.join(FORMATS)} (others take a flight)"
+        raise UsageError(f"--to {form}: {there}{example_in(source)}")
     frame = SweepFrame.read(source)
     target = Path(out) if out is not None else source.with_name(f"{source.resolve().name}_{form}")
     check_output(target, force=force, folder=True)
