@@ -14,6 +14,7 @@ _API = {
     "collect": "api.calls",
     "fit_gp": "api.calls",
     "fit_drag": "api.calls",
+    "fit_nn": "api.calls",
     "sweep": "api.calls",
     "load": "api.calls",
     "controller": "api.loop",

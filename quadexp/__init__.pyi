@@ -2,6 +2,7 @@
 from quadexp.api.calls import collect as collect
 from quadexp.api.calls import fit_drag as fit_drag
 from quadexp.api.calls import fit_gp as fit_gp
+from quadexp.api.calls import fit_nn as fit_nn
 from quadexp.api.calls import load as load
 from quadexp.api.calls import simulate as simulate
 from quadexp.api.calls import sweep as sweep

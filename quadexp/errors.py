@@ -21,8 +21,16 @@ class UsageError(QuadexpError):
     exit_code = 2
 
 
+class ForbiddenValueError(UsageError):
+    """A value that its key does not allow, whatever the other settings are: a wrong type, or out of range."""
+
+
 class DataError(QuadexpError):
     """A file was found but cannot be used: damaged, incomplete, from another schema, or not finite."""
+
+
+class WrongFileError(UsageError, DataError):
+    """A file is of another kind than the one that is needed: a wrong request, not a damaged file."""
 
 
 class ModelDomainError(QuadexpError):

@@ -47,6 +47,8 @@ def raw(stream: Any) -> Any:
 # Message of OmegaConf for a value of the wrong type.
 _CONVERSION = re.compile(r"Value '(.*)' of type '[^']*' could not be converted to (\w+)$")
 RENAMED = {"static_thrust": "thrust_coefficient"}  # former name of a key -> its name now
+MOST_NAMED = 8  # names that a question lists at most
+LIKE = 0.6  # of 1: likeness from which a name may have been meant
 _KINDS = {"Float": "a number", "Integer": "a whole number", "Boolean": "true or false"}
 
 
@@ -56,16 +58,31 @@ def suggestion(found: str, known: Sequence[str], listed: Sequence[str] | None = 
     renamed = found.removesuffix(last) + RENAMED.get(last, last)
     if renamed != found and renamed in known:
         return f"; it is called {renamed} now"
-    near = _ending_in(found, known) or difflib.get_close_matches(found, known, n=1, cutoff=0.6)
+    near = ending_in(found, known) or _nearest(found, known)
     if near:
-        return f"; did you mean {' or '.join(near)}?"
+        more = ", ..." if len(near) > MOST_NAMED else ""
+        return f"; did you mean {' or '.join(near[:MOST_NAMED])}{more}?"
     names = sorted((set(known) if listed is None else set(listed)) - {"sweep"})
     return f"; there are: {', '.join(names[:16])}{', ...' if len(names) > 16 else ''}" if names else ""
 
 
-def _ending_in(found: str, known: Sequence[str]) -> list[str]:
-    """At most three dotted names whose last part is the given one: trajectory.speed for speed."""
-    return [name for name in known if "." in name and name.rpartition(".")[2] == found][:3]
+def ending_in(found: str, known: Sequence[str]) -> list[str]:
+    """The dotted names that end in the given one: trajectory.speed for speed, gp.features.a_x for features.a_x."""
+    return [name for name in known if name.endswith(f".{found}")]
+
+
+def _nearest(found: str, known: Sequence[str]) -> list[str]:
+    """The names most like the given one; of a name without dots, the last parts of dotted ones count as names too."""
+
+    def likeness(name: str) -> float:
+        group, _, leaf = name.rpartition(".")
+        shared = found.removeprefix(f"{group}.") if group else found
+        pair = (found, name) if "." in shared else (shared, leaf)
+        return difflib.SequenceMatcher(None, *pair).ratio()
+
+    scores = {name: likeness(name) for name in known}
+    best = max(scores.values(), default=0.0)
+    return [name for name in scores if scores[name] == best] if best >= LIKE else []
 
 
 def one_line(error: BaseException) -> str:

@@ -30,6 +30,8 @@ FLOORS = (
     ("report",),
     ("experiment", "papers"),
     ("sweeps",),
+    ("tune",),
+    ("bench",),
     ("api",),
     ("cli",),
     ("__main__",),

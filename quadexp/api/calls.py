@@ -85,6 +85,11 @@ def fit_drag(data: Place | Dataset, *settings: Given, **keywords: Any) -> Checkp
     return _fit("drag", data, settings, **keywords)
 
 
+def fit_nn(data: Place | Dataset, *settings: Given, **keywords: Any) -> Checkpoint:
+    """Fit a neural network, as `quadexp fit-nn`; see fit_gp. Other keywords are keys of `nn`."""
+    return _fit("nn", data, settings, **keywords)
+
+
 def _fit(
     kind: str,
     data: Place | Dataset,

@@ -33,11 +33,13 @@ class Checkpoint:
         """Mean and standard deviation of the residual at every row of `data`, which has the features as columns.
 
         Columns a_x .. (body, m/s^2), tau_x .. (body, N m), as far as the model has them, and a_x_std ..; of linear
-        drag the means alone. Raises DataError where a feature is missing, UsageError for an identified vehicle.
+        drag and networks the means alone. Raises DataError where a feature is missing, UsageError for an identified
+        vehicle.
         """
         from quadexp.learn.dataset import ResidualDataset
         from quadexp.learn.linear_drag import LinearDrag
         from quadexp.learn.model import GPModel
+        from quadexp.learn.neural import NeuralModel
         from quadexp.learn.predict import predict
 
         rows = ResidualDataset({str(name): data[name].to_numpy() for name in data}, {})
@@ -45,6 +47,8 @@ class Checkpoint:
         if isinstance(self.model, GPModel):
             for output, found in predict(self.model, rows).items():
                 made |= {output: found.mean, f"{output}_std": found.std}
+        elif isinstance(self.model, NeuralModel):
+            made = dict(self.model.predict(rows))
         elif isinstance(self.model, LinearDrag):
             made = dict(zip(("a_x", "a_y", "a_z"), self.model.acceleration(rows).T, strict=True))
         else:

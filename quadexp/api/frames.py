@@ -7,10 +7,10 @@ attrs["record"] is what the file carries beside its columns: configuration, seed
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 import pandas as pd
@@ -23,6 +23,7 @@ from quadexp.log.schema import describe
 from quadexp.log.store import check_output, read_flight, write_table
 
 if TYPE_CHECKING:
+    from quadexp.report.axes.frame import SweepFrame
     from quadexp.report.tables import ErrorTable
 
 SHOWN_ROWS, SHOWN_COLUMNS = 6, 12  # of a table in a notebook
@@ -165,15 +166,41 @@ class Results(Frame):
         chosen = (self._metric(metric),)
         return pd.DataFrame([asdict(row) for row in compute_statistics(self.rows(), metrics=chosen, **self._options())])
 
-    def plot(self, metric: str | None = None) -> Any:
-        """A matplotlib figure: error against speed, a panel a trajectory, a line a controller."""
+    def plot(
+        self,
+        metric: str | None = None,
+        *,
+        x: str | None = None,
+        by: str | Sequence[str] | None = None,
+        facet: str | Sequence[str] | None = None,
+        kind: Literal["lines", "heat", "parallel"] | None = None,
+    ) -> Any:
+        """A matplotlib figure with any keys as axes, as `quadexp plot`: results.plot(x="controller.nodes").
+
+        Without keys: error against speed, a panel a trajectory, a line a controller; or, where other keys were swept,
+        what these choose. by: a key for the lines. facet: for the panels. metric: a number of the flights.
+        """
+        from quadexp.report.axes.save import figure_of
+        from quadexp.report.axes.view import view
+        from quadexp.report.drawing import ONLY_SPEED
         from quadexp.report.figures import error_against_speed
+        from quadexp.report.metrics import SHOWN
 
         options = {"confidence": self._options()["confidence"]}
-        figure = error_against_speed(self.rows(), self._metric(metric), **options)
-        if figure is None:
-            raise UsageError("no flight that ended well has a speed to draw its error against")
-        return html.displayed(figure)
+        frame = self._sweep_frame()
+        if not (x or by or facet or kind) and metric in (None, *SHOWN) and set(frame.swept) <= ONLY_SPEED:
+            figure = error_against_speed(self.rows(), self._metric(metric), **options)
+            if figure is None:
+                raise UsageError("no flight that ended well has a speed to draw its error against")
+            return html.displayed(figure)
+        lines, panels = ([keys] if isinstance(keys, str) else keys for keys in (by, facet))
+        made = view(frame, y=metric or self._metric(None), x=x, by=lines, facet=panels, kind=kind, **options)
+        return html.displayed(figure_of(made))
+
+    def _sweep_frame(self) -> SweepFrame:
+        from quadexp.report.axes.frame import SweepFrame
+
+        return SweepFrame(self.rows(), os.fspath(self._folder or "."), self.record)
 
     def flight(self, row: int = 0) -> Flight:
         """The flight of a row, counted from 0 in this table: results[results["controller"] == "gp_mpc"].flight(0)."""
@@ -181,7 +208,7 @@ class Results(Frame):
             raise UsageError(f"row {row}: the table has {len(self)} rows")
         if self._folder is None:
             raise UsageError("these results do not say where their flights lie; load them by qx.load(FOLDER)")
-        if self["outcome"].iloc[row] in ("infeasible", "failed"):
+        if self["outcome"].iloc[row] in ("infeasible", "failed", "invalid"):
             raise UsageError(f"row {row} was not flown: {self['cause'].iloc[row]}")
         flown = read_flight(CellStore(os.fspath(self._folder)).path(self["key"].iloc[row]))
         return Flight.of(flown.columns, flown.metadata)

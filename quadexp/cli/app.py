@@ -13,15 +13,18 @@ from typing import Annotated
 import typer
 
 from quadexp import __version__
+from quadexp.cli.bench import bench
 from quadexp.cli.check import check
 from quadexp.cli.files import animate, compare_two, export, report, show
-from quadexp.cli.fit import fit_drag, fit_gp
+from quadexp.cli.fit import fit_drag, fit_gp, fit_nn
 from quadexp.cli.fly import collect, evaluate, simulate
 from quadexp.cli.identify import identify
 from quadexp.cli.importing import import_flights
 from quadexp.cli.new import new
+from quadexp.cli.plot import plot
 from quadexp.cli.results import results
 from quadexp.cli.terminal import fail, flush_output, output_failed, prepare
+from quadexp.cli.tune import tune
 from quadexp.cli.validate import validate
 
 app = typer.Typer(
@@ -62,6 +65,9 @@ def root(
     quadexp identify    thrust, drag and air from flights   -> models/*
     quadexp validate    models against flights left out of the fit
     quadexp evaluate    controllers compared                -> results/*
+    quadexp tune        settings of a controller by flights -> tuned/*
+    quadexp plot        results over any key                -> plot.png
+    quadexp bench       controllers ranked by one protocol  -> results/bench*
     quadexp report      results as one page                 -> report.html
     quadexp new         a part of your own                  -> my_parts/
     """
@@ -73,6 +79,7 @@ COMMANDS = {
     "collect": collect,
     "fit-gp": fit_gp,
     "fit-drag": fit_drag,
+    "fit-nn": fit_nn,
     "evaluate": evaluate,
     "show": show,
     "check": check,
@@ -81,9 +88,12 @@ COMMANDS = {
     "results": results,
     "validate": validate,
     "compare": compare_two,
+    "plot": plot,
     "report": report,
     "export": export,
     "animate": animate,
+    "tune": tune,
+    "bench": bench,
     "new": new,
 }
 for name, command in COMMANDS.items():
@@ -101,7 +111,7 @@ def _run() -> int:
     try:
         code = app(standalone_mode=False, prog_name="quadexp")
         if code == INTERRUPTED:  # Ctrl-C before the command began
-            code = fail("interrupted", 1).exit_code
+            code = fail("interrupted before anything was done: run the same command again", 1).exit_code
     except typer.Abort:
         code = 1
     except OSError as error:

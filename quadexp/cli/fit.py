@@ -1,14 +1,19 @@
-"""Commands that fit a data set: `quadexp fit-gp` and `fit-drag`. Only light modules are imported here."""
+"""Commands that fit a data set: `quadexp fit-gp`, `fit-drag` and `fit-nn`. Only light modules are imported here."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from quadexp.cli.options import Conf, Force, Json, Out, Overrides
-from quadexp.cli.terminal import emit, guarded
+from quadexp.cli.options import Conf, Force, Format, Json, Out, Overrides
+from quadexp.cli.terminal import emit, format_of, guarded, print_lines, print_rendered
+
+After = Annotated[
+    Path | None,
+    typer.Option("--after", help="Checkpoint that explains a part; the rest is fitted, for a sum of the two."),
+]
 
 
 @guarded
@@ -17,8 +22,10 @@ def fit_gp(
     overrides: Overrides = None,
     out: Out = Path("models/gp"),
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the fit.")] = True,
+    after: After = None,
     conf: Conf = None,
     force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Fit Gaussian processes to a data set and write the checkpoint.
@@ -27,7 +34,7 @@ def fit_gp(
     quadexp fit-gp data/residuals.parquet --out models/gp
     quadexp fit-gp data/residuals.parquet gp=per_axis gp.inducing=40 --out models/gp40
     """
-    _fit("gp", dataset, overrides, out, conf, force, json, figures=figures)
+    _fit("gp", dataset, overrides, out, conf, force, format_of(format, json), figures=figures, after=after)
 
 
 @guarded
@@ -37,6 +44,7 @@ def fit_drag(
     out: Out = Path("models/drag"),
     conf: Conf = None,
     force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Fit linear rotor drag to a data set and write the checkpoint.
@@ -44,7 +52,27 @@ def fit_drag(
     \b
     quadexp fit-drag data/residuals.parquet --out models/drag
     """
-    _fit("drag", dataset, overrides, out, conf, force, json)
+    _fit("drag", dataset, overrides, out, conf, force, format_of(format, json))
+
+
+@guarded
+def fit_nn(
+    dataset: Annotated[Path, typer.Argument(help="Data set of `quadexp collect`.")],
+    overrides: Overrides = None,
+    out: Out = Path("models/nn"),
+    after: After = None,
+    conf: Conf = None,
+    force: Force = False,
+    format: Format = None,
+    json: Json = False,
+) -> None:
+    """Fit a neural network to a data set and write the checkpoint.
+
+    \b
+    quadexp fit-nn data/residuals.parquet --out models/nn
+    quadexp fit-nn data/residuals.parquet nn.hidden=[24,24] nn.spectral=8 --out models/nn24
+    """
+    _fit("nn", dataset, overrides, out, conf, force, format_of(format, json), after=after)
 
 
 def _fit(
@@ -54,8 +82,8 @@ def _fit(
     out: Path,
     conf: Path | None,
     force: bool,
-    json: bool,
-    **options: bool,
+    form: str,
+    **options: Any,
 ) -> None:
     from quadexp.config.compose import compose
     from quadexp.experiment.fit import fit_checkpoint
@@ -66,7 +94,12 @@ def _fit(
     path = check_output(out, force=force, folder=True)
     with Progress("fit") as progress:
         report = fit_checkpoint(kind, config, dataset, path, force=force, progress=progress, **options)
-    if json:
+    if form == "json":
         emit(report)
         return
-    print("\n".join([*report["lines"], str(path)]))
+    if form != "text":
+        from quadexp.report.tables import records_table
+
+        return print_rendered([records_table(report["rows"])], form, kind)
+    print_lines(report["lines"])
+    print(path)

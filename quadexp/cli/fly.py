@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from quadexp.cli.options import Conf, Force, Json, OptionalOut, Out, Overrides
-from quadexp.cli.terminal import emit, guarded, print_table, say
+from quadexp.cli.options import Conf, Force, Format, Json, OptionalOut, Out, Overrides
+from quadexp.cli.terminal import emit, format_of, guarded, print_lines, print_table, say
 from quadexp.errors import QuadexpError
 
 FIGURES = 5  # of a usual sweep
@@ -32,6 +34,7 @@ def simulate(
     quadexp simulate controller=gp_mpc trajectory=circle trajectory.speed=8 model=models/gp seed=0 --out runs/a.parquet
     """
     from quadexp.config.compose import compose
+    from quadexp.experiment.build import unused_model
     from quadexp.experiment.evaluate import fly_one
     from quadexp.log.store import check_output, write_flight
     from quadexp.report.margin_line import world_note
@@ -41,6 +44,8 @@ def simulate(
     path = check_output(out or Path("runs") / f"{_flight_name(config)}.parquet", force=force)
     flight = fly_one(config)
     write_flight(path, flight)
+    if note := unused_model([config]):
+        say(f"note: {note}")
     if json:
         emit({"path": path, **flight.metadata["row"], "residual": flight.metadata["residual"]})
         return
@@ -48,7 +53,8 @@ def simulate(
         say(f"note: {flight.metadata['reference_note']}")
     if note := world_note(flight.metadata["margins"]):
         say(f"note: {note}")
-    print("\n".join([*flight_lines(flight.metadata), str(path)]))
+    print_lines(flight_lines(flight.metadata))
+    print(path)
 
 
 @guarded
@@ -86,7 +92,7 @@ def collect(
             "--sweep and --flight: give one of them; recorded flights are of the worlds they were flown in"
         )
     with session(conf) as composer:
-        worlds = [cell.config for cell in composer.expand(overrides or [])] if sweep else []
+        worlds = _worlds(composer.expand(overrides or [])) if sweep else []
         config = worlds[0] if worlds else composer.compose(overrides or [])
     path = check_output(out, force=force)
     if save_flights is not None:
@@ -98,13 +104,16 @@ def collect(
     if json:
         emit(report)
         return
-    print("\n".join([*report["lines"], str(path)]))
+    print_lines(report["lines"])
+    print(path)
 
 
 @guarded
 def evaluate(
     overrides: Overrides = None,
-    sweep: Annotated[bool, typer.Option("--sweep", help="Fly every combination of the values given.")] = False,
+    sweep: Annotated[
+        bool, typer.Option("--sweep", "--multirun", "-m", help="Fly every combination of the values given.")
+    ] = False,
     out: OptionalOut = None,
     figures: Annotated[
         bool | None, typer.Option("--figures/--no-figures", help="Draw figures (default: only for a sweep).")
@@ -115,6 +124,13 @@ def evaluate(
     ] = False,
     keep_old: Annotated[bool, typer.Option("--keep-old", help="Keep them in the table, beside new ones.")] = False,
     force: Force = False,
+    format: Format = None,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Show the sweep while it runs: a table here, and a page on this machine.")
+    ] = False,
+    port: Annotated[
+        int | None, typer.Option("--port", min=0, max=65535, help="Port of the page of --watch; 0: any that is free.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Fly one cell, or every cell of a sweep, and write the table of results.
@@ -126,6 +142,7 @@ def evaluate(
     quadexp evaluate --sweep trajectory=circle,lemniscate trajectory.speed=4,8,12 \\
         controller=nominal_mpc,linear_drag_mpc,gp_mpc,perfect_mpc seed='range(3)' --out results/table1
     quadexp evaluate --sweep experiment=torrente_table1
+    quadexp evaluate --sweep experiment=torrente_table1 --watch
     """
     from quadexp.config.compose import Cell, session
     from quadexp.errors import UsageError
@@ -133,6 +150,9 @@ def evaluate(
 
     if refly and keep_old:
         raise UsageError("--refly and --keep-old: give one of them")
+    form = format_of(format, json)
+    if (watch or port is not None) and not (watch and sweep):
+        raise UsageError("--watch is for a sweep, and --port for --watch: add --sweep --watch")
     given = list(overrides or [])
     with session(conf) as composer:
         cells = composer.expand(given, check=False) if sweep else [Cell(composer.compose(given), tuple(given))]
@@ -145,6 +165,7 @@ def evaluate(
     if sweep and first.engine.kind == "local" and not (out / "results.parquet").exists():
         start_server(preload)  # which imports these while the modules that follow are imported here
 
+    from quadexp.experiment.build import unused_model
     from quadexp.progress import Progress
     from quadexp.sweeps.cluster.engines import build_engine
     from quadexp.sweeps.engine import Workers
@@ -152,11 +173,15 @@ def evaluate(
     from quadexp.sweeps.sweep import run_sweep
 
     settings = first.evaluate
+    watching = _watching(out, settings.metric, port) if watch else None
     with (
+        watching or contextlib.nullcontext(),
         Workers(settings.workers, settings.memory or None, preload, calls=FIGURES if figures else 1) as processes,
         SweepFigures(out, processes if sweep else None, settings.metric, settings.confidence) as drawn,
-        Progress("flights") as progress,
+        Progress("flights", _table_so_far(watching)) as progress,
     ):
+        if watching:
+            say(f"watch it at {watching.url}")
         result = run_sweep(
             cells,
             out,
@@ -167,22 +192,27 @@ def evaluate(
             force=force,
             old="refly" if refly else "keep" if keep_old else "ask",
             isolate=sweep,
-            progress=progress,
+            progress=progress if watching is None else _both(watching.progress, progress),
+            landed=watching.landed if watching else lambda row: None,
             flown=drawn.begin if figures else lambda rows: None,
         )
         files = dict(result.files) | drawn.end()
-    for note in result.notes:
+    for note in filter(None, [unused_model(cell.config for cell in cells), *_low_paths(cells), *result.notes]):
         say(f"note: {note}")
     if figures and settings.figures != "standard":
         if settings.figures == "ladder":
             from quadexp.report import ladder
 
             files |= ladder.draw(result.rows, out)
+        elif settings.figures == "sun":
+            from quadexp.papers.sun import report as sun
+
+            files |= sun.draw(result.rows, out)
         else:
             from quadexp.papers.lei_li import report as lei_li
 
             files |= lei_li.draw(settings.figures, result.rows, out)
-    if json:
+    if form == "json":
         emit(
             {
                 "out": out,
@@ -194,14 +224,30 @@ def evaluate(
                 "statistics": result.statistics.record(first.evaluate.metric),
             }
         )
+    elif form == "csv":
+        from quadexp.report.statistics_file import statistics_csv
+
+        sys.stdout.write(statistics_csv(result.statistics.of(settings.metric)))
+    elif form != "text":
+        from quadexp.report.tables import to_latex, to_markdown
+
+        sys.stdout.write({"markdown": to_markdown, "latex": to_latex}[form](result.table))
     else:
         if first.evaluate.figures == "ladder":  # a column for every controller in every world has no room
             from quadexp.report.ladder import ladder_table
 
             print("\n".join(ladder_table(result.rows).lines()))
+        elif first.evaluate.figures == "sun":  # a line for every ellipse has none either
+            from quadexp.papers.sun.report import overview
+
+            print("\n".join(overview(result.rows).lines()))
         else:
             print_table(result.table)
         print(out)
+    if result.invalid:
+        from quadexp.report.notes import invalid_text
+
+        say(f"note: {invalid_text(result.rows)}; all of them: quadexp results {out} --failures")
     for name, why in drawn.failed.items():
         say(f"error: {name}: not drawn: {why}; the tables are not affected")
     if result.not_flown:
@@ -211,6 +257,57 @@ def evaluate(
         )
     if drawn.failed:
         raise typer.Exit(1)
+
+
+def _worlds(cells: Sequence[Any]) -> list[Any]:
+    """The configurations of all cells; UsageError where one contradicts itself."""
+    from quadexp.errors import UsageError
+
+    found = list(cells)
+    for cell in found:
+        if cell.invalid:
+            raise UsageError(cell.invalid)
+    return [cell.config for cell in found]
+
+
+def _watching(out: Path, metric: str, port: int | None) -> Any:
+    from quadexp.sweeps.watch import Watch
+
+    return Watch(out, metric, port or 0)
+
+
+def _table_so_far(watching: Any) -> Callable[[], Any] | None:
+    if watching is None:
+        return None
+
+    def made() -> Any:
+        from quadexp.report.live import live_table
+
+        return live_table(watching.shot())
+
+    return made
+
+
+def _both(first: Callable[[float, float], None], second: Callable[[float, float], None]) -> Any:
+    def call(done: float, total: float) -> None:
+        first(done, total)
+        second(done, total)
+
+    return call
+
+
+def _low_paths(cells: Sequence[Any]) -> list[str]:
+    """What is below the ground of the references of a sweep, as far as its first cells show."""
+    from quadexp.experiment.build import build_trajectory, build_vehicle
+    from quadexp.experiment.evaluate import below_ground
+
+    nodes: dict[Any, Any] = {}
+    for config in (cell.config for cell in cells[:SAMPLED] if not cell.invalid):
+        if config.trajectory.kind != "custom":  # which is a program of its own: built where it is flown
+            nodes.setdefault((config.trajectory, config.ground, config.vehicle), config)
+    found = (below_ground(c, build_trajectory(c.trajectory, build_vehicle(c.vehicle))) for c in nodes.values())
+    named = {line: None for line in found if line}
+    return [*named][:3]
 
 
 def _preload(cells: Sequence[Any], figures: bool) -> list[str]:

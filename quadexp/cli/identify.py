@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from quadexp.cli.options import Conf, Force, Json
-from quadexp.cli.terminal import emit, guarded, say
+from quadexp.cli.terminal import emit, guarded, print_lines, say
 from quadexp.errors import UsageError
 
 CURVES = {"auto": None, "s": (1,), "s2": (2,), "s+s2": (1, 2)}
@@ -120,7 +120,8 @@ def identify(
             emit(record)
             return
         for path, one in found:
-            print("\n".join([*one.lines(), str(path)]))
+            print_lines(one.lines())
+            print(path)
         return
 
     from quadexp.experiment.identify_vehicle import identify_flights
@@ -140,7 +141,8 @@ def identify(
     if json:
         emit({key: value for key, value in report.items() if key != "lines"})
         return
-    print("\n".join([*report["lines"], str(out)]))
+    print_lines(report["lines"])
+    print(out)
 
 
 def _exponent(text: str) -> float | None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from quadexp.cli.options import Conf, Force, Json
-from quadexp.cli.terminal import emit, guarded, say
+from quadexp.cli.terminal import emit, guarded, print_lines, say
 from quadexp.errors import QuadexpError, UsageError
 
 _FORMATS = "auto, nanobench, blackbird, ulog, px4csv, csv, rosbag or quadexp."
@@ -73,7 +74,8 @@ def import_flights(
     for one in import_files(logs, out, options, vehicle=vehicle, conf=conf, force=force, keep=keep):
         records.append(one.record())
         if not json:
-            print("\n".join(one.lines()), flush=True)
+            print_lines(one.lines())
+            sys.stdout.flush()
     if json:
         emit({"out": out, "logs": records})
     failed = [record for record in records if record["path"] is None]

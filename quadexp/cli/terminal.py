@@ -9,19 +9,35 @@ import json
 import math
 import os
 import re
+import shutil
 import signal
 import sys
-from collections.abc import Callable, Iterator
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import typer
 
-from quadexp.errors import QuadexpError
+from quadexp.errors import QuadexpError, UsageError
 from quadexp.messages import CleanStream, clean, raw
 
+if TYPE_CHECKING:
+    from quadexp.report.tables import Table
+
+FORMATS = ("text", "json", "csv", "markdown", "latex")
 PLAIN = {"\u00a0": " ", "\u202f": " ", "\u2013": "-", "\u2212": "-", "\u00b5": "u", "\u00b1": "+-", "\u00b7": "."}
 NO_MEMORY = re.compile("can't allocate memory|Cannot allocate memory|bad_alloc")  # messages of libraries
+LONGEST = 900  # letters of a message: a value may be of any length
+# What is kept when a command is interrupted, and how to go on.
+AGAIN = "no file is left half written: run the same command again"
+GO_ON = {
+    "evaluate": "what has been flown is kept: run the same command to continue",
+    "import_flights": "the logs imported so far are kept: give the others, or all with --force",
+    "identify": f"{AGAIN}, with --force where it had begun to write",
+    "validate": f"{AGAIN}, with --force where it had begun to write",
+    "report": f"{AGAIN}, with --force where it had begun to write",
+}
 _signals: list[int] = []  # received signals that ask this process to end
 
 
@@ -83,7 +99,7 @@ def guarded(function: Callable[..., Any]) -> Callable[..., Any]:
         except QuadexpError as error:
             raise fail(error, error.exit_code) from error
         except KeyboardInterrupt as error:
-            raise fail("interrupted", 1) from error
+            raise _interrupted(function) from error
         except BrokenPipeError as error:
             raise output_failed(error) from None
         except (typer.Exit, typer.Abort):
@@ -94,7 +110,7 @@ def guarded(function: Callable[..., Any]) -> Callable[..., Any]:
             if isinstance(error, MemoryError) or NO_MEMORY.search(str(error)):
                 raise fail("not enough memory", 1) from error
             if _signals:  # the signal that a library has turned into an error of its own
-                raise fail("interrupted", 1) from error
+                raise _interrupted(function) from error
             if os.environ.get("QUADEXP_DEBUG"):
                 raise
             text = " ".join(str(error).split())[:300]
@@ -102,6 +118,11 @@ def guarded(function: Callable[..., Any]) -> Callable[..., Any]:
             raise fail(message, 1) from error
 
     return command
+
+
+def _interrupted(function: Callable[..., Any]) -> typer.Exit:
+    """End after Ctrl-C or SIGTERM: what is kept, and how to go on."""
+    return fail(f"interrupted: {GO_ON.get(function.__name__, AGAIN)}", 1)
 
 
 def system_error(error: OSError) -> str:
@@ -115,13 +136,43 @@ def fail(message: object, code: int) -> typer.Exit:
         import traceback
 
         traceback.print_exc()
-    typer.secho(f"error: {clean(' '.join(str(message).split()))}", fg="red", file=raw(sys.stderr))
+    text = " ".join(str(message).split())
+    if len(text) > LONGEST:
+        text = f"{text[: LONGEST * 2 // 3]} ... {text[-LONGEST // 3 :]}"
+    typer.secho(f"error: {clean(text)}", fg="red", file=raw(sys.stderr))
     return typer.Exit(code)
 
 
 def say(text: str) -> None:
     """Print a message to the error stream, so that standard output holds results only."""
+    if sys.stderr.isatty():
+        text = fitted(text, shutil.get_terminal_size().columns)
     print(text, file=sys.stderr, flush=True)
+
+
+def print_lines(lines: Iterable[str]) -> None:
+    """Print lines of text; on a terminal they are broken at blanks to its width, and go on below their text."""
+    if not sys.stdout.isatty():
+        print("\n".join(lines))
+        return
+    width = shutil.get_terminal_size().columns
+    for line in lines:
+        print(fitted(line, width))
+
+
+def fitted(line: str, width: int) -> str:
+    """A line broken at blanks to a width; what follows is indented to where the text after a label begins. A table of
+    Markdown and a line of one word, such as a path, are left as they are."""
+    if len(line) <= width or line.lstrip().startswith("|") or " " not in line.strip():
+        return line
+    label = re.match(r"\s*(?:\S+(?: \S+)?\s{2,})?", line)
+    indent = len(label[0]) if label and len(label[0]) <= width // 3 else 2
+    words = line[indent:] if label and indent == len(label[0]) else line
+    start = line[:indent] if words is not line else ""
+    return textwrap.fill(
+        words, width, initial_indent=start, subsequent_indent=" " * max(indent, 2),
+        break_long_words=False, break_on_hyphens=False, drop_whitespace=True,
+    )  # fmt: skip
 
 
 def emit(record: dict[str, Any]) -> None:
@@ -172,6 +223,22 @@ class _Clean:
             yield piece if piece.control else Segment(clean(piece.text), piece.style)
 
 
+def format_of(form: str | None, json: bool) -> str:
+    """What --format and --json ask for: text, json, csv, markdown or latex; UsageError for anything else."""
+    if form is not None and form not in FORMATS:
+        raise UsageError(f"--format {form}: must be one of {', '.join(FORMATS)}")
+    if json and form not in (None, "json"):
+        raise UsageError(f"--json and --format {form}: give one of them")
+    return "json" if json else form or "text"
+
+
+def print_rendered(tables: Sequence[Table], form: str, what: str) -> None:
+    """Print tables as csv, markdown or latex, a blank line between them; UsageError where there is none."""
+    if not tables:
+        raise UsageError(f"{what}: there is no table to print as {form}; --format json has everything")
+    sys.stdout.write("\n".join(table.rendered(form) for table in tables))
+
+
 def print_table(table: Any) -> None:
     from quadexp.report.tables import to_rich
 
@@ -180,5 +247,4 @@ def print_table(table: Any) -> None:
     if out.measure(shown, options=out.options.update(max_width=10_000)).maximum > out.width:
         shown = to_rich(table, stacked=True)
     out.print(shown)
-    for note in table.notes:
-        out.print(note, markup=False, highlight=False, soft_wrap=True)
+    print_lines(table.notes)

@@ -27,6 +27,10 @@ class TruthKeys(Settings):
     ] = ZERO
     thrust_coefficient: Annotated[float, Setting("factor on the thrust that a rotor gives at a command", FACTOR)] = 1.0
     torque_coefficient: Annotated[float, Setting("factor on the reaction torque per thrust", "[0, 10]")] = 1.0
+    drag: Annotated[
+        float,
+        Setting("factor on the plant's drag coefficients and lift; for plant=simplified and its presets", "[0, 10]"),
+    ] = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +42,7 @@ class TruthConfig(TruthKeys, WorldPartConfig):
     @property
     def idle(self) -> bool:
         """See WorldPartConfig."""
-        factors = (self.mass, *self.inertia, self.thrust_coefficient, self.torque_coefficient)
+        factors = (self.mass, *self.inertia, self.thrust_coefficient, self.torque_coefficient, self.drag)
         return set(factors) == {1.0} and not any(self.center_of_mass)
 
 

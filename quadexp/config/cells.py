@@ -1,13 +1,19 @@
-"""The cells of a sweep, made when they are asked for: a million cells take no more memory than ten."""
+"""The cells of a sweep, made when they are asked for: a million cells take no more memory than ten.
+
+A combination that contradicts itself, such as `controller=geometric controller.nodes=20`, is an invalid cell: it is
+not flown, and its row of results says why. Only a request that is wrong as a whole is refused (`refuse_mistakes`).
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, overload
 
-from quadexp.config.schema import REMEDIES, WORLD, Config
+from quadexp.config.schema import PRESETS, REMEDIES, WORLD, Config
+from quadexp.errors import ForbiddenValueError, UsageError
 
 # Varied keys that the result table has a column for; the plant's column names the world around it too, but not a sensor
 # that is only an accelerometer.
@@ -22,13 +28,15 @@ Grid = tuple[tuple[str, ...], ...]  # for every key its overrides; the cells are
 @dataclass(frozen=True, slots=True)
 class Cell:
     """One configuration of a sweep. overrides: what made it. varied: the overrides that differ within the sweep and
-    that no column of the result table names by itself.
+    that no column of the result table names by itself. invalid: why the overrides contradict each other, "" where they
+    do not; `config` is then made of those that do not.
 
     Cells share the nodes of their configurations: read them, do not write them."""
 
     config: Config
     overrides: tuple[str, ...]
     varied: str = ""
+    invalid: str = ""
 
 
 class Combinations:
@@ -79,8 +87,58 @@ class Cells(Combinations, Sequence[Cell]):
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         overrides = self.overrides(index)
-        varied = [text for text in overrides if _key(text) in self._varied]
-        return Cell(self._compose(overrides), overrides, " ".join(varied))
+        varied = " ".join(text for text in overrides if _key(text) in self._varied)
+        try:
+            return Cell(self._compose(overrides), overrides, varied)
+        except UsageError as error:
+            kept = self._consistent(overrides)
+            return InvalidCell(
+                self._compose(kept), overrides, varied, str(error), error, frozenset({*overrides} - {*kept})
+            )
+
+    def _consistent(self, overrides: Sequence[str]) -> list[str]:
+        """Those overrides that do not contradict the ones before them; options come first, presets of their values
+        next, then values."""
+        kept: list[str] = []
+        for text in sorted(overrides, key=lambda text: ("." in _key(text), _key(text) in PRESETS)):
+            try:
+                self._compose([*kept, text])
+            except UsageError:
+                continue
+            kept.append(text)
+        return kept
+
+
+@dataclass(frozen=True, slots=True)
+class InvalidCell(Cell):
+    """A cell that cannot be composed. error: why. refused: the overrides that `config` is made without."""
+
+    error: UsageError | None = None
+    refused: frozenset[str] = frozenset()
+
+
+def refuse_mistakes(cells: Iterable[Cell]) -> Iterator[Cell]:
+    """The cells one after the other; at their end, UsageError where the request itself is wrong: every cell is
+    invalid, no cell has a key that is given, or a value is none that its key allows."""
+    errors: dict[str, UsageError] = {}  # override -> why the first cell refused it
+    accepted: Counter[str] = Counter()
+    first, valid = None, False
+    for cell in cells:
+        refused: frozenset[str] = frozenset()
+        if isinstance(cell, InvalidCell) and cell.error is not None:
+            first, refused = first or cell.error, cell.refused
+            for text in refused:
+                errors.setdefault(text, cell.error)
+        else:
+            valid = True
+        accepted.update(text for text in cell.overrides if text not in refused)
+        yield cell
+    if first is not None and not valid:
+        raise first
+    keys = {_key(text) for text in accepted}
+    for text, error in errors.items():
+        if _key(text) not in keys or (isinstance(error, ForbiddenValueError) and text not in accepted):
+            raise error
 
 
 def _key(override: str) -> str:

@@ -12,13 +12,13 @@ from __future__ import annotations
 import contextlib
 import copy
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from quadexp.config.cells import Cell as Cell
-from quadexp.config.cells import Cells, Grid
+from quadexp.config.cells import Cells, Grid, refuse_mistakes
 from quadexp.config.completion import folders, groups
 from quadexp.config.kept import KeptCompositions
 from quadexp.config.override import Given, plain_override, quoted
@@ -26,7 +26,7 @@ from quadexp.config.plugins import import_from
 from quadexp.config.schema import PRESETS, SCHEMA, SCHEMAS, WORLD, Config, world_name
 from quadexp.config.settings import declared, made, plain
 from quadexp.errors import UsageError
-from quadexp.messages import one_line, suggestion
+from quadexp.messages import MOST_NAMED, ending_in, one_line, suggestion
 
 _INTEGER = re.compile(r"0|-?[1-9]\d{0,17}")
 _REFERENCE = re.compile(r"\$\{(\w+(?=\})|)")
@@ -36,6 +36,17 @@ PATHS = {
     "model", "plant.model", "trajectory.path", "wind.path", "collect.identified", "engine.shared", "engine.python",
     "engine.remote_python", "engine.tls_ca", "engine.tls_cert", "engine.tls_key",
 }  # fmt: skip
+HYDRA = {  # how a key of Hydra itself begins -> what does that here
+    "hydra.sweep.": "--out names the folder of a sweep",
+    "hydra.run.": "--out names where a flight is written",
+    "hydra.job.": "--out names what is written",
+    "hydra/launcher": "engine=local, dask or slurm says where a sweep is flown",
+    "hydra.launcher": "engine=local, dask or slurm says where a sweep is flown, evaluate.workers on how many processes",
+    "hydra/sweeper": "evaluate --sweep flies every combination",
+    "hydra.sweeper": "evaluate --sweep flies every combination",
+    "hydra.searchpath": "--conf names a folder of configuration",
+    "hydra": "Hydra composes the configuration, and nothing else",
+}
 KEPT = 50_000  # parsed overrides, and made nodes, that are remembered at most
 
 
@@ -74,19 +85,38 @@ class Composer:
     def expand(self, overrides: Sequence[str] = (), *, check: bool = True) -> Cells:
         """Every combination of a sweep: the values on the command line, over those of the experiment's `sweep:`.
 
-        check: compose all of them before any is returned. They are composed again when they are asked for, and a sweep
-        asks for all before it flies the first, so it need not.
+        check: compose all of them before any is returned, see `refuse_mistakes`. They are composed again when they are
+        asked for, and a sweep asks for all before it flies the first, so it need not.
         """
         with _one_line():
             parsed = self._parse(overrides, sweep=True)
             cells = Cells([_product(grid) for grid in self._grids(parsed)], self._cell_config)
-            for i in range(len(cells)) if check else ():
-                self._cell_config(cells.overrides(i))
+            for _ in refuse_mistakes(cells) if check else ():
+                pass
         return cells
 
     def options(self, group: str) -> list[str]:
         """Names of a group's options."""
         return [name for name in self._options.get(group, ()) if not name.startswith("_")]
+
+    def having(self, key: str) -> dict[str, list[str]]:
+        """Dotted keys that are the given one or end in it -> the options, chosen or not, that have it."""
+        found: dict[str, list[str]] = {}
+        for group, schemas in SCHEMAS.items():
+            named = {f"{group}.{name}" for schema in schemas.values() for name in declared(schema)}
+            for name in ending_in(key, sorted(named)) + ([key] if key in named else []):
+                kinds = {kind for kind, schema in schemas.items() if name.removeprefix(f"{group}.") in declared(schema)}
+                options = [f"{group}={one}" for one in self.options(group) if self._schema_of(group, one) in kinds]
+                found |= {name: options[:MOST_NAMED]} if options else {}
+        return found
+
+    def _schema_of(self, group: str, option: str) -> str:
+        """The schema that an option's file names, "" where it names none itself."""
+        for file in (folder / group / f"{option}.yaml" for folder in self._folders):
+            if file.is_file():
+                named = re.search(rf"/schema/{group}/(\w+)@", file.read_text(encoding="utf-8", errors="replace"))
+                return named[1] if named else ""
+        return ""
 
     # ------------------------------------------------------------------------------------------------ configurations
     def _cell_config(self, overrides: Sequence[str]) -> Config:
@@ -124,8 +154,11 @@ class Composer:
         base = self._put_together(chosen, key) if parts else self._whole(chosen)
         for one in values:
             if (key, one.key) not in self._checked:
-                _check_key({name: node.content for name, node in base.items()}, one.key)
+                _check_key({name: node.content for name, node in base.items()}, one.key, self.having)
                 self._checked.add((key, one.key))
+            if one.key in base and base[one.key].schema is not None and not isinstance(one.value, Mapping):
+                first = next(iter(base[one.key].content))
+                raise UsageError(f"{one.text}: holds keys; set one of them, such as {one.key}.{first}=...")
         config = Config(**self._nodes(base, values))
         config = replace(config, world=self._world_name(config, chosen, values))
         baseline = config.evaluate.baseline
@@ -315,10 +348,14 @@ class Composer:
         given = None if key in PATHS and not re.match("[A-Za-z]", value) else plain_override(text)
         given = given or self._read(text)
         if given.key.split("/")[0].split(".")[0] in ("hydra", "schema", "sweep"):
-            raise UsageError(f"{text!r}: not a key of this program")
+            hint = next((f"; {said}" for begin, said in HYDRA.items() if given.key.startswith(begin)), "")
+            raise UsageError(f"{text!r}: not a key of this program{hint}")
         if given.sweep is not None:
             if not sweep:
                 raise UsageError(f"{text!r}: several values for one key; use `quadexp evaluate --sweep` for that")
+            if given.key in self._options:
+                for one in given.sweep:
+                    self._parse_one(f"{given.key}={one}", False)
             return given
         if given.key in self._options:
             self._check_option(given)
@@ -355,7 +392,7 @@ class Composer:
         if not override.is_sweep_override():
             return Given(name, override.value(), f"{name}={override.get_value_element_as_str()}")
         if not override.is_discrete_sweep():
-            raise UsageError(f"{text!r}: not a list of values; use commas, range, choice or glob")
+            raise UsageError(f"{text!r}: not a list of values; use commas, range, choice or glob for a sweep")
         return Given(name, None, text, tuple(override.sweep_string_iterator()))
 
     def _check_option(self, given: Given) -> None:
@@ -446,7 +483,8 @@ def _set(content: dict[str, Any], parts: Sequence[str], value: Any) -> None:
         content[parts[-1]] = copy.deepcopy(value)
 
 
-def _check_key(content: Any, key: str) -> None:
+def _check_key(content: Any, key: str, having: Callable[[str], dict[str, list[str]]]) -> None:
+    """UsageError where the content has no such key. having: keys of options that are not chosen; see Composer."""
     root, parts = content, key.split(".")
     for i, part in enumerate(parts):
         if not isinstance(content, dict) or part not in content:
@@ -454,6 +492,12 @@ def _check_key(content: Any, key: str) -> None:
             everywhere = [*_keys(root), *here]
             if isinstance(content, dict) and i > 0:
                 here = everywhere = [f"{'.'.join(parts[:i])}.{name}" for name in map(str, content)]
+            others = {} if ending_in(key, everywhere) else having(key)
+            if others:
+                of = " or ".join(f"{name} of {' or '.join(options)}" for name, options in others.items())
+                asked = "it is a key" if key in others else "did you mean"
+                what = of.removeprefix(f"{key} ") if key in others else f"{of}?"
+                raise UsageError(f"{key}: no such key here; {asked} {what}")
             raise UsageError(f"{key}: no such key{suggestion(key, everywhere, here)}")
         content = content[part]
 

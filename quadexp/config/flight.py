@@ -144,6 +144,10 @@ class SimplifiedKeys(Settings):
     force_noise_density: Annotated[float, FORCE_NOISE] = 1.118033988749895e-4
     torque_noise_density: Annotated[float, TORQUE_NOISE] = 1.118033988749895e-4
     payload: Annotated[float, PAYLOAD] = 0.0
+    lift: Annotated[
+        float,
+        Setting("k of the force k (v_x^2 + v_y^2) along z_body, v the velocity in body axes", "[0, 100]", "N s^2/m^2"),
+    ] = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,7 +180,8 @@ class TrajectoryConfig(Settings):
     """What every trajectory has. kind: which one of quadexp/reference/ (set by the schema).
 
     allow_infeasible: fly a reference although it asks for more than the vehicle has.
-    lost_distance: a flight ends as lost when the vehicle is further (m) from the reference.
+    lost_distance: a flight ends as lost when the vehicle is further (m) from the reference. lost_box: or when it leaves
+    the box around the whole reference, widened by this (m).
     """
 
     prefix: ClassVar[str] = "trajectory."
@@ -195,6 +200,15 @@ class TrajectoryConfig(Settings):
         float,
         Setting("a flight ends as lost when the vehicle is further than this from the reference", "(0, 1e6]", "m"),
     ] = 10.0
+    lost_box: Annotated[
+        float | None,
+        Setting(
+            "a flight also ends as lost when the vehicle leaves the box around the whole reference, widened by this on"
+            " every side; null: no box",
+            "(0, 1e6]",
+            "m",
+        ),
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,6 +242,34 @@ class LemniscateConfig(CircleKeys, TrajectoryConfig):
     """A lemniscate (r cos th, r sin th cos th), started and ended at rest."""
 
     kind: str = "lemniscate"
+
+
+@dataclass(frozen=True, kw_only=True)
+class EllipseKeys(PathKeys):
+    """An ellipse flown at a constant angular rate, from the first instant on; see quadexp/reference/ellipse.py."""
+
+    speed: Annotated[float, Setting("V: speed at the ends of the minor axis, where it begins", "(0, 60]", "m/s")] = 10.0
+    acceleration: Annotated[
+        float, Setting("a: centripetal acceleration at the ends of the major axis", "(0, 1000]", "m/s^2")
+    ] = 20.0
+    ratio: Annotated[float, Setting("n: major axis divided by the minor one", "[1, 100]")] = 1.0
+    plane: Annotated[Literal["horizontal", "vertical"], Setting("plane of the ellipse")] = "horizontal"
+    heading: Annotated[
+        Literal["auto", "centre", "constant"],
+        Setting(
+            "towards the centre, or along x; auto: towards the centre in the horizontal plane, constant in the vertical"
+            " one, where y_body stays across the plane through inverted flight"
+        ),
+    ] = "auto"
+    height: Annotated[float, Setting("height of the centre, world", "[-1000, 1000]", "m")] = 5.0
+    duration: Annotated[float, DURATION] = 20.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class EllipseConfig(EllipseKeys, TrajectoryConfig):
+    """An ellipse in a horizontal or vertical plane, at speed from the start."""
+
+    kind: str = "ellipse"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -364,6 +406,15 @@ class MPCKeys(Settings):
             "known time constant of the rotor thrusts, which then are states of the model; 0: no lag", "[0, 0.5]", "s"
         ),
     ] = 0.0
+    motor_lead: Annotated[
+        float,
+        Setting(
+            "time constant of the rotors' first-order lag that is inverted behind the MPC, which plans without it;"
+            " cheaper than motor_lag; 0: none",
+            "[0, 0.5]",
+            "s",
+        ),
+    ] = 0.0
     rate: Annotated[float, Setting("control rate", "[1, 1000]", "Hz")] = 50.0
     position_weight: Annotated[
         Triple, Setting("weight of the squared position error, world axes, m^-2", "[0, 1e6]")
@@ -380,11 +431,12 @@ class MPCKeys(Settings):
         ),
     ] = (0.0, 0.1, 0.1, 0.1)
     attitude_error: Annotated[
-        Literal["plain", "body"],
+        Literal["plain", "body", "world"],
         Setting(
             "plain: q - q_ref as in the paper's code, so that the effect of unequal weights depends on the heading;"
             " body:"
-            " the rotation q_ref^-1 o q, whose weights act on roll, pitch and yaw errors"
+            " the rotation q_ref^-1 o q, whose weights act on roll, pitch and yaw errors; world: q o q_ref^-1, whose"
+            " weights act on turns about the world's axes"
         ),
     ] = "plain"
     velocity_weight: Annotated[
@@ -441,4 +493,4 @@ class PredictiveConfig(MPCKeys, ControllerConfig):
 class MPCConfig(PredictiveConfig):
     """Model predictive control; see quadexp/control/mpc/settings.py. residual: its model of the air."""
 
-    residual: Annotated[Literal["none", "linear_drag", "gaussian_process", "plant"], RESIDUAL]
+    residual: Annotated[Literal["none", "linear_drag", "gaussian_process", "neural", "plant"], RESIDUAL]

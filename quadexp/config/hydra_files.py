@@ -19,7 +19,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
 
 from quadexp.config.override import quoted
 from quadexp.config.schema import SCHEMA, SCHEMAS, conf_folder
@@ -43,8 +43,15 @@ def composed_files(name: str, chosen: Sequence[str], folders: Sequence[Path]) ->
 
 def resolved(content: dict[str, Any]) -> dict[str, Any]:
     """The content with its references, such as ${seed}, replaced by what they refer to."""
-    with _one_line():
+    try:
         found = OmegaConf.to_container(OmegaConf.create(content), resolve=True)
+    except OmegaConfBaseException as error:
+        key = str(getattr(error, "full_key", None) or "a value").split("\n")[0]
+        reason = "a name that does not exist" if isinstance(error, InterpolationKeyError) else "what cannot be read"
+        raise UsageError(
+            f"{key}: refers to {reason}; a reference is ${{KEY}} with a key of the configuration, such as ${{seed}}"
+            " or ${trajectory.speed}, and none that leads back to itself"
+        ) from None
     assert isinstance(found, dict)
     return {str(key): value for key, value in found.items()}
 

@@ -88,11 +88,12 @@ class GPFeatures(Settings):
         super().__post_init__()
         for output in declared(type(self)):
             for feature in getattr(self, output):
-                if not _FEATURE.fullmatch(feature):
-                    raise UsageError(
-                        f"{self.prefix}{output}: unknown feature {feature!r}; allowed are v_x v_y v_z w_x w_y w_z"
-                        " thrust u_0 u_1 ..."
-                    )
+                _check_feature(f"{self.prefix}{output}", feature)
+
+
+def _check_feature(key: str, feature: str) -> None:
+    if not _FEATURE.fullmatch(feature):
+        raise UsageError(f"{key}: unknown feature {feature!r}; allowed are v_x v_y v_z w_x w_y w_z thrust u_0 u_1 ...")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,6 +132,49 @@ class GPConfig(GPKeys):
     """How the Gaussian processes are fitted; see quadexp/learn/gp_fit.py."""
 
     features: Annotated[GPFeatures, Setting("features of every output")] = field(default_factory=GPFeatures)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NNKeys(Settings):
+    """How the neural network is made and trained; see quadexp/learn/nn_fit.py."""
+
+    prefix: ClassVar[str] = "nn."
+
+    features: Annotated[tuple[str, ...], Setting("features of all outputs")] = (
+        "v_x",
+        "v_y",
+        "v_z",
+        "thrust",
+    )
+    outputs: Annotated[tuple[str, ...], Setting("outputs; the others are not corrected")] = ("a_x", "a_y", "a_z")
+    hidden: Annotated[tuple[int, ...], Setting("units of every hidden layer", "[1, 1000]", "units")] = (16, 16)
+    spectral: Annotated[
+        float | None,
+        Setting(
+            "largest slope of the scaled network, kept by spectral normalisation of every layer; null: no limit",
+            "(0, 1000]",
+        ),
+    ] = None
+    max_iterations: Annotated[int, Setting("largest number of L-BFGS iterations", "[1, 100000]")] = 400
+    penalty: Annotated[
+        float, Setting("penalty on every layer's mean square weight, relative to the outputs' mean square", "[0, 1]")
+    ] = 1e-6
+    seed: Annotated[int, Setting("seed of held-out flights, first weights", SEEDS)] = 0
+    device: Annotated[
+        Literal["auto", "cpu", "cuda"], Setting("where torch trains; auto: a CUDA device where there is one")
+    ] = "cpu"
+    holdout: Annotated[float, HOLDOUT] = 0.2
+    refit: Annotated[bool, Setting("after the report, fit again to all flights")] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for feature in self.features:
+            _check_feature("nn.features", feature)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NNConfig(NNKeys):
+    """How the neural network is made and trained; see quadexp/learn/nn_fit.py."""
 
 
 @dataclass(frozen=True, kw_only=True)

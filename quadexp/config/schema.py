@@ -25,11 +25,14 @@ from quadexp.config.custom import (
     CustomResidualMPCConfig,
     CustomTrajectoryConfig,
 )
+from quadexp.config.delays import PredictionConfig, StrapdownConfig
+from quadexp.config.dfbc import DFBCConfig
 from quadexp.config.engine import DaskConfig, EngineConfig, SlurmConfig
 from quadexp.config.flight import (
     SEEDS,
     CircleConfig,
     ControllerConfig,
+    EllipseConfig,
     FileConfig,
     FromModelPlantConfig,
     HoverConfig,
@@ -43,8 +46,10 @@ from quadexp.config.flight import (
     VehicleConfig,
 )
 from quadexp.config.foreign import DroneModelsPlantConfig, RotorPyPlantConfig
+from quadexp.config.inner import INDIConfig
 from quadexp.config.laws import CascadeConfig, GeometricConfig, RaptorConfig, RotorPySE3Config
-from quadexp.config.learning import CollectConfig, DragConfig, GPConfig
+from quadexp.config.learned import OnlineMPCConfig, SumMPCConfig
+from quadexp.config.learning import CollectConfig, DragConfig, GPConfig, NNConfig
 from quadexp.config.lei_li import (
     BladeElementPlantConfig,
     FeedbackConfig,
@@ -54,6 +59,7 @@ from quadexp.config.lei_li import (
     SensorConfig,
 )
 from quadexp.config.motors import ActuatorConfig, BatteryConfig, RotorLossConfig
+from quadexp.config.observers import DisturbanceObserverConfig, WindObserverConfig
 from quadexp.config.remedies import RemedyConfig
 from quadexp.config.sensing import EskfConfig, ImuGnssConfig, ImuMocapConfig
 from quadexp.config.settings import Setting, Settings
@@ -73,7 +79,7 @@ class EvaluateConfig(Settings):
         Setting("error in the table: mean, root mean square, or largest distance from the reference"),
     ] = "mean_error"
     figures: Annotated[
-        Literal["standard", "lei_li", "families", "adaptation", "ladder"],
+        Literal["standard", "lei_li", "families", "adaptation", "ladder", "sun"],
         Setting("figures drawn in addition to the standard ones"),
     ] = "standard"
     baseline: Annotated[str, Setting("controller with which the others are compared, seed by seed")] = "nominal_mpc"
@@ -83,6 +89,15 @@ class EvaluateConfig(Settings):
         float, Setting("time limit of a flight (wall time), after which it is tried once more", "(0, 86400]", "s")
     ] = 600.0
     memory: Annotated[float, Setting("memory limit of the process of a flight; 0: no limit", "[0, 4096]", "GB")] = 4.0
+    log_period: Annotated[
+        float,
+        Setting(
+            "time between the samples of a flight that are stored; 0: every control instant. Figures of the table are"
+            " computed before",
+            "[0, 3600]",
+            "s",
+        ),
+    ] = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,6 +127,7 @@ class Config(Settings):
     collect: CollectConfig
     gp: GPConfig
     drag: DragConfig
+    nn: NNConfig
     engine: EngineConfig
     evaluate: Annotated[EvaluateConfig, Setting("how a comparison is run and shown")] = field(
         default_factory=EvaluateConfig
@@ -161,6 +177,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "estimator": {"none": StatedEstimateConfig, "eskf": EskfConfig},
     "trajectory": {
         "circle": CircleConfig,
+        "ellipse": EllipseConfig,
         "lemniscate": LemniscateConfig,
         "random": RandomConfig,
         "hover": HoverConfig,
@@ -173,7 +190,10 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "controller": {
         "mpc": MPCConfig,
         "feedback": FeedbackConfig,
+        "dfbc": DFBCConfig,
         "rls_mpc": RLSMPCConfig,
+        "sum_mpc": SumMPCConfig,
+        "online_mpc": OnlineMPCConfig,
         "geometric": GeometricConfig,
         "cascade": CascadeConfig,
         "raptor": RaptorConfig,
@@ -181,13 +201,18 @@ SCHEMAS: dict[str, dict[str, type]] = {
         "custom": CustomControllerConfig,
         "custom_residual_mpc": CustomResidualMPCConfig,
     },
-    "observer": {"none": RemedyConfig},
+    "observer": {
+        "none": RemedyConfig,
+        "disturbance": DisturbanceObserverConfig,
+        "wind": WindObserverConfig,
+    },
     "adaptive": {"none": RemedyConfig, "l1": L1Config},
-    "inner": {"none": RemedyConfig},
-    "delay": {"none": RemedyConfig},
+    "inner": {"none": RemedyConfig, "indi": INDIConfig},
+    "delay": {"none": RemedyConfig, "strapdown": StrapdownConfig, "prediction": PredictionConfig},
     "collect": {"flights": CollectConfig},
     "gp": {"sparse": GPConfig},
     "drag": {"linear": DragConfig},
+    "nn": {"mlp": NNConfig},
     "engine": {"local": EngineConfig, "dask": DaskConfig, "slurm": SlurmConfig},
 }
 
@@ -210,7 +235,7 @@ WORLD = (
 REMEDIES = ("observer", "adaptive", "inner", "delay")
 
 # Groups of presets, and the group whose values their options set (`# @package controller`).
-PRESETS = {"horizon": "controller"}
+PRESETS = {"horizon": "controller", "motor": "controller"}
 
 
 def remedies(config: Config) -> dict[str, RemedyConfig]:

@@ -21,7 +21,7 @@ from dataclasses import MISSING, Field, asdict, dataclass, fields
 from types import NoneType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from quadexp.errors import UsageError
+from quadexp.errors import ForbiddenValueError, UsageError
 from quadexp.messages import suggestion
 
 if TYPE_CHECKING:
@@ -190,18 +190,18 @@ def lists(value: Any) -> Any:
 
 # ------------------------------------------------------------------------------------------------------------ checks
 def _checked(key: str, value: Any, one: Declared) -> Any:
-    """The value in its declared type; UsageError where it is none that is allowed."""
+    """The value in its declared type; ForbiddenValueError where it is none that is allowed."""
     if value is None and one.optional:
         return None
     value = _typed(key, value, one.type)
     if one.words and value not in one.words:
-        raise UsageError(f"{key}={value}: must be one of {', '.join(one.words)}")
+        raise ForbiddenValueError(f"{key}={value}: must be one of {', '.join(one.words)}")
     if one.length and len(value) != one.length and not _is_rows(one.type):
-        raise UsageError(f"{key}={_shown(value)}: must be a list of {one.length} numbers")
+        raise ForbiddenValueError(f"{key}={_shown(value)}: must be a list of {one.length} numbers")
     interval, unit = one.setting.interval, one.setting.unit
     for item in value if isinstance(value, tuple) else [value] if interval else ():
         if interval and not inside(item, interval):
-            raise UsageError(f"{key}={_shown(value)}: must be in {interval} {unit}".rstrip())
+            raise ForbiddenValueError(f"{key}={_shown(value)}: must be in {interval} {unit}".rstrip())
     return value
 
 
@@ -212,7 +212,7 @@ def _typed(key: str, value: Any, kind: Any) -> Any:
         if isinstance(value, (str, Mapping)) or not hasattr(value, "__iter__"):
             length = "" if get_args(kind)[-1] is Ellipsis else f"{len(get_args(kind))} "
             of = f" of {length}numbers" if get_args(kind)[0] is float else ""
-            raise UsageError(f"{key}={_shown(value)}: must be a list{of}")
+            raise ForbiddenValueError(f"{key}={_shown(value)}: must be a list{of}")
         return tuple(_typed(f"{key}[{i}]", item, get_args(kind)[0]) for i, item in enumerate(value))
     if kind is bool:
         return _truth(key, value)
@@ -220,10 +220,10 @@ def _typed(key: str, value: Any, kind: Any) -> Any:
         return _number(key, value, kind)
     if kind is str or get_origin(kind) is Literal:
         if value is None or isinstance(value, (list, tuple, Mapping)):
-            raise UsageError(f"{key}={_shown(value)}: must be a text")
+            raise ForbiddenValueError(f"{key}={_shown(value)}: must be a text")
         return value if isinstance(value, str) else str(value)
     if isinstance(kind, type) and issubclass(kind, Settings) and not isinstance(value, kind):
-        raise UsageError(f"{key}={_shown(value)}: must hold keys and values")
+        raise ForbiddenValueError(f"{key}={_shown(value)}: must hold keys and values")
     return value
 
 
@@ -232,15 +232,15 @@ def _number(key: str, value: Any, kind: type) -> Any:
         if isinstance(value, bool) or (kind is int and isinstance(value, float)):
             raise ValueError
         return kind(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         words = "a whole number" if kind is int else "a number"
-        raise UsageError(f"{key}={_shown(value)}: must be {words}") from None
+        raise ForbiddenValueError(f"{key}={_shown(value)}: must be {words}") from None
 
 
 def _truth(key: str, value: Any) -> bool:
     found = _WORDS.get(str(value).lower())
     if found is None:
-        raise UsageError(f"{key}={_shown(value)}: must be true or false")
+        raise ForbiddenValueError(f"{key}={_shown(value)}: must be true or false")
     return found
 
 
@@ -257,7 +257,7 @@ def _rows(key: str, value: Any, kind: Any) -> tuple[tuple[float, ...], ...]:
         found = ()
     right = all(len(row) == 3 and all(map(math.isfinite, row)) for row in found)
     if not found or not right or (count is not None and len(found) != count):
-        raise UsageError(f"{key}={_shown(value)}: must be {count or 'some'} rows of 3 numbers each")
+        raise ForbiddenValueError(f"{key}={_shown(value)}: must be {count or 'some'} rows of 3 numbers each")
     return found
 
 

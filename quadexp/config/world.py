@@ -7,7 +7,7 @@ A part of the world is one option of its group (`wind=constant`, `link=latency`)
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from quadexp.config.flight import Name
 from quadexp.config.settings import Setting, Settings, Triple
@@ -77,6 +77,10 @@ class StatedEstimateKeys(Settings):
     attitude_noise: Annotated[float, Setting("standard deviation of the attitude, per axis", "[0, 1]", "rad")] = 0.0
     rate_noise: Annotated[float, Setting("standard deviation of the body rate, per axis", "[0, 10]", "rad/s")] = 0.0
     delay: Annotated[float, Setting("age of the state that is told, in whole integration steps", "[0, 0.5]", "s")] = 0.0
+    gyro: Annotated[
+        Literal["late", "fresh"],
+        Setting("body rate that is told: as old as the rest of the state, or that of now, as a gyroscope's is"),
+    ] = "late"
 
 
 @dataclass(frozen=True, kw_only=True)

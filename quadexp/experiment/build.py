@@ -8,12 +8,13 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import importlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from quadexp.config.flight import ControllerConfig, FileConfig, MPCConfig, PlantConfig, TrajectoryConfig, VehicleConfig
+from quadexp.config.learned import OnlineMPCConfig
 from quadexp.config.lei_li import FeedbackConfig, RLSMPCConfig, SensorConfig
 from quadexp.config.schema import Config, remedies, world_parts
 from quadexp.config.settings import part
@@ -28,6 +29,7 @@ T = TypeVar("T")
 # Kind -> module of quadexp.reference and class: only the one that is flown is imported, some need half of SciPy.
 TRAJECTORIES = {
     "circle": ("circle", "Circle"),
+    "ellipse": ("ellipse", "Ellipse"),
     "lemniscate": ("lemniscate", "Lemniscate"),
     "random": ("random_polynomial", "RandomPolynomial"),
     "hover": ("hover", "Hover"),
@@ -39,12 +41,14 @@ TRAJECTORIES = {
 MODEL_FILE = "model.json"
 KEPT = 64  # things kept at most, the one not used for longest goes: a sweep over plants makes a plant a cell
 _kept: dict[str, Any] = {}
+BELIEVERS = {"observer", "adaptive"}  # groups of remedies that tell an MPC of disturbances, see control.belief
 WITHIN_LIMITS = ("random", "file")  # kinds of trajectory that are timed by the limits of the vehicle
 
 # How to make the checkpoint that a residual needs.
 MAKERS = {
     "linear_drag": "quadexp fit-drag DATASET --out models/drag",
     "gaussian_process": "quadexp fit-gp DATASET --out models/gp",
+    "neural": "quadexp fit-nn DATASET --out models/nn",
 }
 
 
@@ -72,10 +76,16 @@ def unshared() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class ModelFile:
-    """A checkpoint folder and the hash of its content."""
+    """A checkpoint folder and the hash of its content; of a sum, all folders with "+" between, and those as parts."""
 
     path: str
     sha256: str
+    parts: tuple[ModelFile, ...] = ()
+
+    @property
+    def files(self) -> tuple[ModelFile, ...]:
+        """The single checkpoints."""
+        return self.parts or (self,)
 
 
 def build_vehicle(config: VehicleConfig) -> Vehicle:
@@ -159,10 +169,12 @@ def find_model(config: Config) -> ModelFile | None:
 
     Raises UsageError where it needs one and there is none: a controller never flies with less than its name says.
     """
-    controller = config.controller
-    residual = getattr(controller, "residual", "none")
-    if residual not in MAKERS:
+    controller, needed = config.controller, _learned(config)
+    if not needed:
         return None
+    if len(needed) > 1:
+        return _several(config, needed)
+    (residual,) = needed
     candidates = [config.model] if config.model else list(controller.models)
     for candidate in candidates:
         file = Path(candidate) / MODEL_FILE
@@ -173,6 +185,44 @@ def find_model(config: Config) -> ModelFile | None:
         raise UsageError(f"model={config.model}: no checkpoint there ({controller.name} needs one; make it: {maker})")
     looked = " or ".join(candidates) or "nowhere"
     raise UsageError(f"{controller.name} needs a model and none is in {looked}: give model=PATH, or make one: {maker}")
+
+
+def _learned(config: Config) -> list[str]:
+    """Kinds of the models of the controller that come from a checkpoint."""
+    residual = getattr(config.controller, "residual", "none")
+    return [kind for kind in ((residual,) if isinstance(residual, str) else residual) if kind in MAKERS]
+
+
+def _several(config: Config, kinds: list[str]) -> ModelFile:
+    """The checkpoints of a sum, one folder of controller.models for each."""
+    controller = config.controller
+    if config.model:
+        raise UsageError(f"model={config.model}: {controller.name} sums several models; set controller.models=[..]")
+    if len(controller.models) != len(kinds):
+        raise UsageError(f"controller.models: {controller.name} needs one folder for each of {', '.join(kinds)}")
+    found = []
+    for kind, folder in zip(kinds, controller.models, strict=True):
+        file = Path(folder) / MODEL_FILE
+        if not file.is_file():
+            raise UsageError(f"controller.models: no checkpoint in {folder} for {kind}; make one: {MAKERS[kind]}")
+        found.append(ModelFile(folder, hashlib.sha256(file.read_bytes()).hexdigest()))
+    together = hashlib.sha256("".join(one.sha256 for one in found).encode()).hexdigest()
+    return ModelFile("+".join(one.path for one in found), together, tuple(found))
+
+
+def unused_model(configs: Iterable[Config]) -> str:
+    """Where `model` is given and no controller takes one, in one line; "" otherwise. In a sweep over controllers
+    `model` is for those that take one."""
+    without: dict[str, str] = {}
+    for config in configs:
+        if config.model is None or _learned(config):
+            return ""
+        without[config.controller.name] = config.model
+    if not without:
+        return ""
+    names = " and ".join(without) if len(without) < 3 else f"none of {', '.join(without)}"
+    verb = "takes a model" if len(without) > 2 else "take no model" if len(without) == 2 else "takes no model"
+    return f"{names} {verb}: model={next(iter(without.values()))} is not used"
 
 
 def input_hashes(config: Config, model: ModelFile | None) -> dict[str, str]:
@@ -198,7 +248,11 @@ def build_residual(config: Config, vehicle: Vehicle, plant: Any, model: ModelFil
     """What the controller believes of the air: nothing, the plant's own equations, or a checkpoint."""
     from quadexp.air.none import no_residual
 
-    kind: str = cast(MPCConfig, config.controller).residual
+    kind: Any = cast(MPCConfig, config.controller).residual
+    if not isinstance(kind, str):
+        from quadexp.air.sum import sum_residual
+
+        return sum_residual(residual_parts(kind, vehicle, model))
     if kind == "none":
         return no_residual(vehicle)
     if kind == "plant":
@@ -207,29 +261,52 @@ def build_residual(config: Config, vehicle: Vehicle, plant: Any, model: ModelFil
     if kind == "custom":
         return build_custom.custom_residual(vehicle, config.controller)
     assert model is not None
+    return residual_from_file(kind, vehicle, model)
+
+
+def residual_parts(kinds: Iterable[str], vehicle: Vehicle, model: ModelFile | None) -> list[Any]:
+    """The residuals of a sum, each from its own checkpoint."""
+    files = iter(model.files if model else ())
+    return [residual_from_file(kind, vehicle, next(files)) for kind in kinds]
+
+
+def residual_from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
+    """The residual of a checkpoint."""
     return keep(["residual", kind, vehicle.fingerprint, model.sha256], lambda: _from_file(kind, vehicle, model))
 
 
 def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
     from quadexp.air.gaussian_process import gaussian_process_residual
     from quadexp.air.linear_drag import linear_drag_residual
-    from quadexp.learn.checkpoint import load_model
+    from quadexp.air.neural import neural_residual
     from quadexp.learn.model import GPModel
+    from quadexp.learn.neural import NeuralModel
 
-    folder = located(model.path)
-    if hashlib.sha256((folder / MODEL_FILE).read_bytes()).hexdigest() != model.sha256:
-        raise DataError(f"{model.path}: has changed since this run began")
-    checkpoint = load_model(folder, vehicle=vehicle)
+    checkpoint = load_checkpoint(vehicle, model)
     if kind == "linear_drag":
         drag = checkpoint.linear_drag
         residual = linear_drag_residual(vehicle, drag.drag, drag.intercept, drag.thrust_gain, source=model.path)
         return replace(residual, ranges=drag.feature_range)
+    if kind == "neural":
+        if not isinstance(checkpoint, NeuralModel):
+            raise UsageError(f"{model.path}: holds no network, {MAKERS[kind]} makes one")
+        return replace(neural_residual(vehicle, checkpoint.network, model.path), ranges=checkpoint.feature_range)
     if not isinstance(checkpoint, GPModel):
-        raise UsageError(f"{model.path}: holds linear drag, a Gaussian process is needed: {MAKERS[kind]}")
+        raise UsageError(f"{model.path}: holds no Gaussian process, {MAKERS[kind]} makes one")
     residual = gaussian_process_residual(
         vehicle, checkpoint.outputs, checkpoint.mean_parameters, model.path, mean_terms=checkpoint.mean_terms
     )
     return replace(residual, ranges=checkpoint.feature_range)
+
+
+def load_checkpoint(vehicle: Vehicle, model: ModelFile) -> Any:
+    """The fitted model of a checkpoint. Raises DataError where it is of another vehicle, or has changed."""
+    from quadexp.learn.checkpoint import load_model
+
+    folder = located(model.path)
+    if hashlib.sha256((folder / MODEL_FILE).read_bytes()).hexdigest() != model.sha256:
+        raise DataError(f"{model.path}: has changed since this run began")
+    return load_model(folder, vehicle=vehicle)
 
 
 def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
@@ -243,6 +320,8 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
     def make() -> Any:
         if controller.kind == "custom":
             return build_custom.custom_controller(vehicle, controller)
+        if controller.kind == "dfbc":
+            return _dfbc(config, vehicle, build_residual(config, vehicle, plant, model))
         settings = controller_settings(controller)
         if controller.kind in build_laws.MAKERS:
             residual = build_residual(config, vehicle, plant, model) if hasattr(controller, "residual") else None
@@ -251,17 +330,36 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
             return build_lei_li.feedback_controller(cast(FeedbackConfig, controller), settings, vehicle, plant)
         if controller.kind == "rls_mpc":
             return build_lei_li.identifying_mpc(cast(RLSMPCConfig, controller), settings, vehicle)
+        if isinstance(controller, OnlineMPCConfig):
+            from quadexp.experiment.build_learned import online_mpc
+
+            *others, last = controller.residual
+            known, files = residual_parts(others, vehicle, model), model.files if model else ()
+            own = None
+            if last in MAKERS:
+                own = residual_from_file(last, vehicle, files[-1]), load_checkpoint(vehicle, files[-1])
+            return online_mpc(controller, settings, vehicle, known, own)
         from quadexp.control.mpc.controller import PredictiveController
         from quadexp.control.mpc.mpc import ModelPredictiveController
 
         residual, backend = build_residual(config, vehicle, plant, model), cast(MPCConfig, controller).backend
-        return PredictiveController(ModelPredictiveController(vehicle, residual, settings, backend=backend))
+        told_more = bool(BELIEVERS & {*around})
+        mpc = ModelPredictiveController(vehicle, residual, settings, backend=backend, disturbed=told_more)
+        return PredictiveController(mpc)
 
     if not around:
         return keep(record, make)
     from quadexp.experiment.build_remedies import with_remedies
 
     return keep([*record, around], lambda: with_remedies(make(), config))
+
+
+def _dfbc(config: Config, vehicle: Vehicle, model: Any) -> Any:
+    from quadexp.config.dfbc import DFBCConfig, DFBCKeys
+    from quadexp.control.dfbc.controller import DFBC
+
+    controller = cast(DFBCConfig, config.controller)
+    return DFBC(vehicle, part(DFBCKeys, controller), model, backend=controller.backend)
 
 
 def knows_plant(config: ControllerConfig) -> bool:
@@ -274,7 +372,7 @@ def knows_plant(config: ControllerConfig) -> bool:
 def controller_settings(config: ControllerConfig) -> Any:
     """The controller's settings, None for a law in closed form and the user's own class; raises UsageError where they
     contradict each other."""
-    if config.kind == "custom" or config.kind in build_laws.MAKERS:
+    if config.kind in ("custom", "dfbc") or config.kind in build_laws.MAKERS:
         return None
     if config.kind == "feedback":
         from quadexp.control.feedback.settings import FeedbackSettings

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import importlib
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from quadexp.config.flight import PlantConfig, SimplifiedKeys
 from quadexp.config.schema import Config, world_parts
 from quadexp.config.settings import part
 from quadexp.config.world import WorldPartConfig
@@ -37,7 +38,9 @@ def build_world(config: Config, vehicle: Vehicle) -> Any:
     record = ["world", plant_record(vehicle, config.plant), given, read]
 
     def make() -> Any:
-        airframe = believed if true_vehicle is vehicle else build_plant(true_vehicle, config.plant, vehicle)
+        flown = _with_drag(config)
+        same = true_vehicle is vehicle and flown is config.plant
+        airframe = believed if same else build_plant(true_vehicle, flown, vehicle)
         if not isinstance(airframe, SimulatedPlant) or type(airframe).advance is not SimulatedPlant.advance:
             raise UsageError(
                 f"{config.world}: needs a plant that is a SimulatedPlant (quadexp/world/integrator.py);"
@@ -76,6 +79,23 @@ def _check_one_lag(config: Config, plant: Any) -> None:
             f"plant={config.plant.name} and actuator={config.actuator.name}: both let the rotors lag, the plant's own"
             f" motors by {1e3 * lag:.0f} ms; set {remedy} (actuator.time_constant_up=0 actuator.time_constant_down=0)"
         )
+
+
+def _with_drag(config: Config) -> PlantConfig:
+    """The plant with `truth.drag` times its drag and lift. Raises UsageError where it has none of these settings."""
+    factor = getattr(config.truth, "drag", 1.0)
+    if factor == 1.0:
+        return config.plant
+    if not isinstance(config.plant, SimplifiedKeys):
+        raise UsageError(
+            f"truth.drag={factor:g}: scales the drag of plant=simplified and its presets; plant={config.plant.name} has"
+            " no such coefficients"
+        )
+    names = ("linear_drag", "quadratic_drag")
+    scaled: dict[str, Any] = {name: tuple(factor * k for k in getattr(config.plant, name)) for name in names}
+    plant: Any = config.plant
+    flown: PlantConfig = replace(plant, **scaled, lift=factor * plant.lift)
+    return flown
 
 
 def _effect(config: WorldPartConfig) -> Any:

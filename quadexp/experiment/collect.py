@@ -6,11 +6,13 @@ paths of trajectory=random, so that the data cover the whole range of the vehicl
 random points, each held for the duration of a minimum-snap move to the next one at a peak speed of that range.
 
 Paths and noise depend on the seed only, not on controller or plant, so that their data can be compared. Collection
-stops at a simulated time, so the same command gives the same data set on every machine.
+stops at a simulated time, so the same command gives the same data set on every machine: the last path is flown to its
+end where this takes at most 5 % longer than asked for, and ended in time otherwise.
 """
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -47,7 +49,27 @@ DRAWS = 50  # attempts to draw a path that can be flown
 OF_RECORDED = ("target", "identified")  # keys of `collect` for recorded flights only
 OF_TIMING = ("vehicle", "plant", "truth", "link", "actuator", "health", "sensor", "estimator")  # decide lag and delays
 LOST_DISTANCE = 1e3  # m; large, because a jump of the set-point must not end the flight
+OVERTIME = (
+    0.05  # share of collect.duration by which the last path may end later; of a longer one the beginning is flown
+)
+SHORTEST = 1.0  # s of a flight at least: fewer samples show neither lag nor drag
 GOLDEN = 0.6180339887498949  # step of an even spread over an interval for any number of points
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """The beginning of a path, `duration` seconds of it; the horizon of a controller sees where it goes on."""
+
+    path: RandomPolynomial
+    duration: float
+
+    @property
+    def peak_speed(self) -> float:
+        return self.path.peak_speed
+
+    def flat_output(self, t: np.ndarray) -> FlatOutput:
+        """See Trajectory.flat_output."""
+        return self.path.flat_output(t)
 
 
 @dataclass(frozen=True)
@@ -108,7 +130,8 @@ def collect_flights(
         path_rng, noise_rng = map(np.random.default_rng, sequence.spawn(2))
         share = (offset + index * GOLDEN) % 1.0
         speed = config.collect.speed_min + share * (config.collect.speed_max - config.collect.speed_min)
-        trajectory = _trajectory(config, vehicle, speed, config.collect.duration - recorded, path_rng)
+        left = config.collect.duration - recorded
+        trajectory = _trajectory(config, vehicle, controller, speed, left, path_rng)
         reference = SampledReference(trajectory, controller)
         metadata = describe(world, vehicle, model) | {"name": f"flight_{index:03d}", "trajectory": config.collect.mode}
         metadata["config"] = {**flown, "collect": _decisive(config)}
@@ -143,7 +166,9 @@ def _decisive(config: Config) -> dict[str, Any]:
     return {key: value for key, value in asdict(config.collect).items() if key not in OF_RECORDED}
 
 
-def _trajectory(config: Config, vehicle: Vehicle, speed: float, left: float, rng: np.random.Generator) -> Any:
+def _trajectory(
+    config: Config, vehicle: Vehicle, controller: Any, speed: float, left: float, rng: np.random.Generator
+) -> Any:
     settings = config.collect
     if settings.mode == "setpoints":
         return setpoints(settings.extent, settings.clearance, speed, min(settings.flight_duration, left), rng)
@@ -151,7 +176,9 @@ def _trajectory(config: Config, vehicle: Vehicle, speed: float, left: float, rng
         seed = int(rng.integers(2**31))
         path = RandomPolynomial(speed=speed, seed=seed, extent=settings.extent, clearance=settings.clearance)
         if thrust_excess(path, vehicle) is None:
-            return path
+            period = controller.control_period
+            wanted = max(SHORTEST, math.ceil(left / period - 1e-6) * period)
+            return Beginning(path, wanted) if path.duration > wanted + OVERTIME * settings.duration else path
     raise QuadexpError(
         f"none of {DRAWS} random paths at {speed:.1f} m/s can be flown; lower collect.speed_max"
         f" ({settings.speed_max:g} m/s) or raise collect.extent ({settings.extent:g} m)"

@@ -89,8 +89,24 @@ def check_feasible(config: Config, trajectory: Any, vehicle: Vehicle) -> str:
             " lower trajectory.speed, or pass trajectory.allow_infeasible=true"
         )
     worst = compare(reference, vehicle)
-    notes = [getattr(trajectory, "note", ""), "" if worst is None else str(worst)]
+    notes = [getattr(trajectory, "note", ""), "" if worst is None else str(worst), below_ground(config, trajectory)]
     return "; ".join(note for note in notes if note)
+
+
+def below_ground(config: Config, trajectory: Any) -> str:
+    """Where a reference is below the ground, in one line, "" if nowhere. Only ground effect knows a ground: without it
+    the plane z = 0 is meant, and nothing stops a vehicle there."""
+    ground = getattr(config.ground, "height", 0.0)
+    t = np.linspace(0.0, trajectory.duration, max(2, math.ceil(trajectory.duration / CHECK_STEP) + 1))
+    z = trajectory.flat_output(t).position[:, 0, 2]
+    lowest = int(np.argmin(z))
+    if z[lowest] >= ground - 1e-6:
+        return ""
+    keys = [name for name in ("height", "clearance", "position") if hasattr(config.trajectory, name)]
+    return (
+        f"the reference is below the ground (z = {ground:g} m), by {ground - z[lowest]:.3g} m at"
+        f" t = {t[lowest]:.2f} s; nothing stops the vehicle there" + (f": raise trajectory.{keys[0]}" if keys else "")
+    )
 
 
 def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
@@ -119,6 +135,7 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
         start=getattr(trajectory, "start_state", None),
         sensor=build_sensor(config.sensor),
         lost_distance=config.trajectory.lost_distance,
+        lost_box=config.trajectory.lost_box,
         metadata=describe(config, vehicle, model),
     )
     flight.metadata["reference_note"] = note
@@ -183,9 +200,10 @@ def program_record() -> dict[str, str]:
     return {"program": quadexp.__version__, "sources": sources(), "libraries": libraries()}
 
 
-def failed_row(config: Config, model: ModelFile | None, cause: str) -> dict[str, Any]:
-    """The row of a cell whose process crashed, timed out, or raised an exception."""
-    empty = Flight({}, {"model": model.path if model else "", "outcome": "failed", "cause": cause})
+def failed_row(config: Config, model: ModelFile | None, cause: str, outcome: str = "failed") -> dict[str, Any]:
+    """The row of a cell without a flight: its process crashed, timed out or raised an exception ("failed"), or its
+    settings contradict each other ("invalid")."""
+    empty = Flight({}, {"model": model.path if model else "", "outcome": outcome, "cause": cause})
     return result_row(config, empty)
 
 
@@ -196,5 +214,13 @@ def evaluate_cell(config: Config, model: ModelFile | None, path: str, key: str) 
     except InfeasibleError as error:
         flight = infeasible_flight(config, model, str(error))
     flight.metadata["row"]["key"] = key
-    write_flight(Path(path), flight, key=key)
+    write_flight(Path(path), _thinned(flight, config.evaluate.log_period), key=key)
     return flight.metadata["row"]
+
+
+def _thinned(flight: Flight, period: float) -> Flight:
+    """The flight with one sample a period (s) only; 0: all."""
+    if not period or not len(flight):
+        return flight
+    every = max(1, round(period / (flight.t[1] - flight.t[0]))) if len(flight) > 1 else 1
+    return Flight({name: column[::every] for name, column in flight.columns.items()}, flight.metadata)

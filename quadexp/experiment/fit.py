@@ -29,23 +29,34 @@ def fit_checkpoint(
     *,
     force: bool = False,
     figures: bool = True,
+    after: Path | None = None,
     progress: ProgressCallback = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Fit (kind "gp" or "drag"), write the checkpoint, return the report.
+    """Fit (kind "gp", "drag" or "nn"), write the checkpoint, return the report.
+
+    after: checkpoint whose prediction is subtracted from the data first; the fit is then to be flown in a sum with it.
 
     Raises UsageError or DataError before anything is written.
     """
     data = read_dataset(dataset)
     _check_vehicle(data, config, dataset)
+    if after is not None:
+        data = _rest(data, after, config)
     if kind == "gp":
         model, report, draw = _fit_gp(data, config, progress)
+    elif kind == "nn":
+        model, report, draw = _fit_nn(data, config, progress)
     else:
         model, report, draw = _fit_drag(data, config)
     report["explained"] = explained(report["rows"], data.metadata.get("known_noise") or {})
+    if after is not None:
+        report["after"] = str(after)
     report |= {"dataset": str(dataset), "versions": versions(), "provenance": provenance()}
     save_model(out, model, report=report, force=force)
     files = draw(out / "figures") if figures else {}
     lines = [f"{report['summary']} from {data.n_rows} rows of {len(data.flights)} flights"]
+    if after is not None:
+        lines.append(f"of what {after} leaves: to be flown in a sum with it")
     lines += [*_split_lines(report), *explained_lines(report["explained"])]
     if "verdict" in report:
         from quadexp.learn.verdict import verdict_lines
@@ -120,6 +131,47 @@ def _fit_drag(data: ResidualDataset, config: Config) -> tuple[Any, ...]:
         "drag": model.drag.tolist(), "error": model.drag_error.tolist(), "half_width_95": half,
         "intervals": model.label,
     }  # fmt: skip
+    return model, report, lambda folder: {}
+
+
+def _rest(data: ResidualDataset, after: Path, config: Config) -> ResidualDataset:
+    """The data without what a checkpoint predicts of them."""
+    from quadexp.learn.checkpoint import load_model
+    from quadexp.learn.explained_part import without
+
+    return without(data, load_model(after, vehicle=build_vehicle(config.vehicle)), str(after))
+
+
+def _fit_nn(data: ResidualDataset, config: Config, progress: ProgressCallback) -> tuple[Any, ...]:
+    from quadexp.learn.evaluation import evaluate_network, split_by_flight
+    from quadexp.learn.neural import NNSettings
+    from quadexp.learn.nn_fit import fit_network
+
+    settings = part(NNSettings, config.nn)
+    refit, rows, held_out = settings.holdout == 0 or settings.refit, [], []
+    parts = (settings.holdout > 0) + refit
+
+    def follow(first: int) -> Callable[[str, float], None]:
+        return lambda message, done: progress(round((first + done) / parts, 2), 1)
+
+    model = None
+    if settings.holdout > 0:
+        train, test = split_by_flight(data, settings.holdout, settings.seed)
+        model = fit_network(train, settings, callback=follow(0))
+        rows = evaluate_network(model, train, test)
+        held_out = sorted(set(map(str, test.columns["flight_name"])))
+    if refit:
+        model = fit_network(data, settings, callback=follow(parts - 1))
+    assert model is not None
+    layers = "-".join(map(str, model.sizes))
+    report = {
+        "rows": rows,
+        "held_out_flights": held_out,
+        "refitted": bool(rows) and refit,
+        "lipschitz": model.lipschitz,
+        "summary": f"neural network {layers}, {', '.join(model.outputs)} <- {', '.join(model.features)}, largest slope"
+        f" of the scaled network at most {model.lipschitz:.3g},",
+    }
     return model, report, lambda folder: {}
 
 

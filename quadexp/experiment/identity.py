@@ -47,7 +47,7 @@ def flight_entropy(config: Config) -> int:
     parts of the world: each has a stream of its own, which is the same whatever the others do.
     """
     nodes = flight_record(config)
-    aside = {"name", "backend", "allow_infeasible", "lost_distance", "path"}
+    aside = {"name", "backend", "allow_infeasible", "lost_distance", "lost_box", "path"}
     parts = [
         {FORMER_NAMES.get(k, k): v for k, v in nodes[group].items() if k not in aside and v is not None}
         for group in ("vehicle", "plant", "trajectory")

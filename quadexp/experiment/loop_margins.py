@@ -29,11 +29,11 @@ def loop_margins(controller: Any, config: PlantConfig, plant: Any = None) -> dic
         from quadexp.control.mpc.margins import STABLE, HoverLoop, margins
 
         settings = controller.settings
-        beyond = {"delay": latency - settings.dead_time, "lag": max(lag - settings.motor_lag, 0.0)}
+        beyond = {"delay": latency - settings.dead_time, "lag": max(lag - settings.known_lag, 0.0)}
         made[latency, lag] = {
             **margins(controller)._asdict(),
             "dead_time": settings.dead_time,
-            "motor_lag": settings.motor_lag,
+            "motor_lag": settings.known_lag,
             "world_latency": latency,
             "world_lag": lag,
             "world_stable": HoverLoop(controller).radius(**beyond) <= STABLE,

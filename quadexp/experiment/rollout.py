@@ -15,8 +15,9 @@ from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
 from quadexp.errors import ModelDomainError, QuadexpError, UsageError
 from quadexp.experiment.compiled_flight import CompiledFlight, covers
 from quadexp.log.schema import Flight
-from quadexp.physics.state import POSITION, STATE_COLUMNS, input_columns
+from quadexp.physics.state import POSITION, STATE_COLUMNS, VELOCITY, input_columns
 from quadexp.reference.base import Trajectory
+from quadexp.reference.feasibility import clipped
 from quadexp.reference.flatness import Reference, flat_reference
 from quadexp.world.base import Plant
 from quadexp.world.world import World
@@ -69,6 +70,8 @@ class SampledReference:
         self.reference = flat_reference(
             self._trajectory, times, self._vehicle, residual=residual, backend=self._backend
         )
+        if getattr(self._trajectory, "clipped", False):
+            self.reference = clipped(self.reference, self._vehicle)
         self.reference.state.flags.writeable = self.reference.input.flags.writeable = False  # horizons are views
 
     @property
@@ -94,6 +97,17 @@ class SampledReference:
     def window(self, k: int) -> Window:
         """The reference for the controller at control instant k."""
         return Window(*self.horizon(k), self._position[k], self._yaw[k])
+
+    def box(self, margin: float) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest position (3,) of the reference, widened by a margin (m)."""
+        position = self._position[:, 0]
+        return position.min(axis=0) - margin, position.max(axis=0) + margin
+
+    @property
+    def first_thrust(self) -> np.ndarray | None:
+        """Rotor thrusts (n,) (N) with which a flight begins, where the reference begins in motion; else None."""
+        state, thrust = self.at(0)
+        return thrust if state[VELOCITY].any() else None
 
     def along(self) -> tuple[np.ndarray, np.ndarray]:
         """States (k, 13) and inputs (k, n) at the control instants."""
@@ -121,6 +135,7 @@ def fly(
     start: np.ndarray | None = None,
     sensor: Sensor | None = None,
     lost_distance: float = LOST_DISTANCE,
+    lost_box: float | None = None,
     metadata: dict[str, Any] | None = None,
 ) -> Flight:
     """Fly the reference from its start (or from `start`, (13,)) and return the log, one row per control instant.
@@ -129,8 +144,9 @@ def fly(
     plant: a World tells the controller what its sensors and estimator make of the state; the log has both then, and
     the flight ends by the true one.
     The flight ends early, with the log up to there, where the vehicle is further than lost_distance (m) from the
-    reference or its state is not finite ("lost"), or a control step fails ("solver_failed"). metadata: extended by the
-    outcome and the mean share of the residual in the reference (None without feed-forward of a residual).
+    reference, or outside the box around it widened by lost_box (m; None: no box), or its state is not finite ("lost"),
+    or a control step fails ("solver_failed"). metadata: extended by the outcome and the mean share of the residual in
+    the reference (None without feed-forward of a residual).
     """
     controller = as_controller(controller)
     period = controller.control_period
@@ -140,7 +156,8 @@ def fly(
     world = plant if isinstance(plant, World) else None
     noise: Any = rng
     if world is not None:
-        noise = world.begin(x, period, float(reference.t[-1]) + period, rng)
+        thrust = reference.first_thrust if start is None else None
+        noise = world.begin(x, period, float(reference.t[-1]) + period, rng, thrust)
     else:
         plant.reset()
     inner = _Inner(plant, period)
@@ -150,10 +167,12 @@ def fly(
     told = x if world is None else world.measured
     controller.reset(told, reference.window(0))
     compiled: CompiledFlight | None = None
+    box = None if lost_box is None else reference.box(lost_box)
+    inside = lost_distance if lost_box is None else min(lost_distance, lost_box)  # surely not lost
     if covers(plant, controller, rng, len(inner.names)):
         log.state_reference[:], log.input_reference[:] = along = reference.along()
         arrays, horizons = log.arrays(), reference.horizons()
-        compiled = CompiledFlight(plant, controller, horizons, along[0], arrays, inner.places, noise, lost_distance)
+        compiled = CompiledFlight(plant, controller, horizons, along[0], arrays, inner.places, noise, inside)
         noise = compiled.drawn
     outcome, cause, shares = "ok", "", np.full(len(reference), reference.residual_share)
     k, commanded = 0, False
@@ -168,6 +187,9 @@ def fly(
             distance = math.sqrt(error.dot(error))
             if not distance <= lost_distance:
                 outcome, cause = "lost", f"{distance:.1f} m from the reference at t={t:.2f} s"
+                break
+            if box is not None and not (box[0] <= x[POSITION]).all() & (x[POSITION] <= box[1]).all():
+                outcome, cause = "lost", f"{lost_box:g} m outside the box of the reference at t={t:.2f} s"
                 break
             u, record = controller.step(Measurement(t, told, measured, speed), reference.window(k))
             row = (x, u, state_reference, input_reference, reading, inner.values(), told)

@@ -41,7 +41,7 @@ def instability(
         except UsageError:  # of settings that contradict each other
             return False
         delay = margins["world_latency"] - loop.settings.dead_time
-        lag = max(margins["world_lag"] - loop.settings.motor_lag, 0.0)
+        lag = max(margins["world_lag"] - loop.settings.known_lag, 0.0)
         return bool(HoverLoop(loop).radius(delay=delay, lag=lag) <= STABLE)
 
     grids = [

@@ -21,6 +21,7 @@ from quadexp.errors import DataError, UsageError, write_error
 from quadexp.learn.checkpoint_check import check_model
 from quadexp.learn.linear_drag import LinearDrag
 from quadexp.learn.model import GPModel, OutputPosterior
+from quadexp.learn.neural import NeuralModel
 from quadexp.learn.term_mean import TermMean
 from quadexp.learn.terms import TermModel
 from quadexp.learn.thrust_curve import ThrustCurve
@@ -33,10 +34,16 @@ SCHEMA = 1
 LARGEST = 100_000_000  # bytes of a model.json; six outputs of a thousand inducing points each take 60 MB
 MODEL_FILE = "model.json"
 REPORT_FILE = "report.json"
-Model = GPModel | LinearDrag | VehicleModel
-KINDS = {GPModel: "gaussian_process", LinearDrag: "linear_drag", VehicleModel: "vehicle_model"}
+Model = GPModel | LinearDrag | NeuralModel | VehicleModel
+KINDS = {
+    GPModel: "gaussian_process",
+    LinearDrag: "linear_drag",
+    NeuralModel: "neural",
+    VehicleModel: "vehicle_model",
+}
 COMMANDS = (
-    "`quadexp fit-gp DATASET --out {path}`, `quadexp fit-drag DATASET --out {path}` or `quadexp identify FLIGHT..."
+    "`quadexp fit-gp DATASET --out {path}`, `quadexp fit-drag DATASET --out {path}`,"
+    " `quadexp fit-nn DATASET --out {path}` or `quadexp identify FLIGHT..."
     " --out {path}`"
 )
 
@@ -141,7 +148,7 @@ def _hash(payload: Any) -> str:
 def _encode(model: Model) -> dict[str, Any]:
     """The model as JSON types; a variance factor as its upper triangle, row by row."""
     payload = asdict(model)
-    for output in payload.get("outputs", ()):
+    for output in payload.get("outputs", ()) if isinstance(model, GPModel) else ():
         factor = output["variance_factor"]
         output["variance_factor"] = factor[np.triu_indices(len(factor))]
     return {"kind": KINDS[type(model)]} | json.loads(json.dumps(payload, default=_plain, allow_nan=False))
@@ -159,6 +166,8 @@ def _decode(payload: dict[str, Any]) -> Model:
         return _drag(content)
     if payload["kind"] == KINDS[VehicleModel]:
         return _vehicle_model(content)
+    if payload["kind"] == KINDS[NeuralModel]:
+        return _network(content)
     if payload["kind"] != KINDS[GPModel]:
         raise ValueError(f"kind {payload['kind']!r}, allowed are {', '.join(KINDS.values())}")
     content["outputs"] = tuple(_posterior(output) for output in content["outputs"])
@@ -173,6 +182,13 @@ def _mean(content: dict[str, Any]) -> LinearDrag | TermMean:
 
 def _drag(content: dict[str, Any]) -> LinearDrag:
     return LinearDrag(**arrays_of(content, LinearDrag))
+
+
+def _network(content: dict[str, Any]) -> NeuralModel:
+    layers = {key: tuple(_numbers(part, key) for part in content[key]) for key in ("weights", "biases")}
+    names = {key: tuple(content[key]) for key in ("features", "outputs")}
+    drag = {"linear_drag": _drag(content["linear_drag"])}
+    return NeuralModel(**arrays_of(content | {"weights": (), "biases": ()}, NeuralModel) | layers | names | drag)
 
 
 def _vehicle_model(content: dict[str, Any]) -> VehicleModel:

@@ -14,6 +14,7 @@ import numpy as np
 
 from quadexp.learn.linear_drag import LinearDrag
 from quadexp.learn.model import GPModel, OutputPosterior
+from quadexp.learn.neural import NeuralModel
 from quadexp.learn.samples import SIGNALS
 from quadexp.learn.term_mean import TermMean
 from quadexp.learn.terms import UNITS, TermModel
@@ -97,6 +98,15 @@ def _gp(model: GPModel, where: str) -> None:
         _require(ordered, f"feature_range[{feature!r}]", limits, "[least, largest] is needed")
 
 
+def _neural(model: NeuralModel, where: str) -> None:
+    for output in model.outputs:
+        _require(output in OUTPUTS, "outputs", output, f"one of {', '.join(OUTPUTS)} is needed")
+    _require(len(set(model.outputs)) == len(model.outputs), "outputs", ", ".join(model.outputs), "each is allowed once")
+    shapes = ", ".join(str(w.shape) for w in model.weights)
+    _require(model.shapes_fit(), "weights", f"of the shapes {shapes}", "matrices that fit features, biases and outputs")
+    _shape(model.residual_std, (len(model.outputs),), "residual_std")
+
+
 def _drag(model: LinearDrag, where: str) -> None:
     for name in ("drag", "intercept", "drag_error", "intercept_error", "residual_std", "r_squared"):
         _shape(getattr(model, name), (3,), f"{where}.{name}".lstrip("."))
@@ -143,6 +153,7 @@ _RELATIONS: dict[type, Any] = {
     OutputPosterior: _posterior,
     GPModel: _gp,
     LinearDrag: _drag,
+    NeuralModel: _neural,
     TermMean: _mean,
     ThrustCurve: _curve,
     TermModel: _terms,

@@ -20,6 +20,7 @@ from quadexp.learn.dataset import ResidualDataset
 from quadexp.learn.gp_fit import Callback, fit_gp
 from quadexp.learn.linear_drag import LinearDrag, fit_linear_drag
 from quadexp.learn.model import GPModel, GPSettings
+from quadexp.learn.neural import NeuralModel
 from quadexp.learn.predict import AXIS, predict
 from quadexp.learn.support import feature_ranges, outside_shares
 from quadexp.learn.thrust_scale import has_thrust_scale, with_common_scale
@@ -105,8 +106,8 @@ def split_by_flight(dataset: ResidualDataset, share: float, seed: int = 0) -> tu
     flights = dataset.flights
     if len(flights) < 2:
         raise DataError(
-            "dataset: it holds one flight, which cannot be split into fit and held-out flights;"
-            " collect more flights, or pass holdout=0"
+            "the data set holds one flight, which cannot be split into flights to fit and to hold out: collect more"
+            " with collect.duration, or hold none out: gp.holdout=0 for fit-gp, drag.holdout=0 for fit-drag"
         )
     count = int(np.clip(round(share * len(flights)), 1, len(flights) - 1))
     held_out = np.random.default_rng(seed).permutation(flights)[:count]
@@ -128,6 +129,17 @@ def evaluate(model: GPModel, train: ResidualDataset, test: ResidualDataset) -> l
             rows += [row for row in baselines if row["output"] == output]
         else:
             rows.append(_zero(output, train, test))
+    return rows
+
+
+def evaluate_network(model: NeuralModel, train: ResidualDataset, test: ResidualDataset) -> list[Row]:
+    """As `evaluate`, of a network fitted to `train`; its standard deviation is that of its error there."""
+    baselines = evaluate_drag(train, test)
+    rows = []
+    for (output, mean), std in zip(model.predict(test).items(), model.residual_std, strict=True):
+        target = test.matrix([output])[:, 0]
+        rows.append({"output": output, "predictor": "nn"} | score(target, mean, np.full(len(target), std)))
+        rows += [row for row in baselines if row["output"] == output] or [_zero(output, train, test)]
     return rows
 
 

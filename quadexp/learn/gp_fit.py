@@ -76,7 +76,7 @@ def fit_gp(
     mean = _prior_mean(dataset, settings, drag)
     prior = None if mean is None else mean.acceleration(dataset)
     posteriors: list[OutputPosterior] = []
-    with _one_thread():
+    with one_thread():
         for i, (output, features) in enumerate(settings.features.items()):
             target = dataset.matrix([output])[:, 0]
             if prior is not None and output in AXIS:
@@ -206,7 +206,7 @@ def _fit_output(
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def one_thread() -> Iterator[None]:
     """torch on one thread, so that the order of summation, and with it the result, does not depend on the machine."""
     import torch
 

@@ -18,6 +18,7 @@ from quadexp.errors import UsageError
 from quadexp.learn.dataset import feature_rows
 from quadexp.learn.linear_drag import LinearDrag
 from quadexp.learn.model import GPModel
+from quadexp.learn.neural import NeuralModel
 from quadexp.learn.predict import predict
 from quadexp.learn.recorded import curve_from_record
 from quadexp.learn.thrust_curve import ThrustCurve
@@ -73,6 +74,8 @@ def predictors(model: Any, label: str, vehicle: Vehicle, curve: ThrustCurve | No
     seen = tuple((model.dataset or {}).get("names", ()))
     if isinstance(model, GPModel):
         return [Predictor(label, own, _of_gp(model, vehicle), seen, model.feature_range, vehicle.mass)]
+    if isinstance(model, NeuralModel):
+        return [Predictor(label, own, _of_network(model, vehicle), seen, model.feature_range, vehicle.mass)]
     return [Predictor(label, own, _of_drag(model, vehicle), seen, model.feature_range, vehicle.mass)]
 
 
@@ -92,6 +95,14 @@ def _of_gp(model: GPModel, vehicle: Vehicle) -> Acceleration:
             if f"a_{axis}" in prediction:
                 mean[:, i] = prediction[f"a_{axis}"].mean
         return mean
+
+    return beyond
+
+
+def _of_network(model: NeuralModel, vehicle: Vehicle) -> Acceleration:
+    def beyond(v: np.ndarray, w: np.ndarray, a: np.ndarray) -> np.ndarray:
+        found = model.predict(feature_rows(v, w, vehicle.mass * a))
+        return np.stack([found.get(f"a_{axis}", np.zeros(len(v))) for axis in "xyz"], axis=1)
 
     return beyond
 

@@ -179,12 +179,24 @@ ESTIMATE_COLUMNS: dict[str, Column] = {
     **{f"error_{i}": Column("m/s^2", "body", "specific force less its prediction") for i in _AXES},
 }
 
+TUNING_COLUMNS: dict[str, Column] = {
+    "trial": Column("1", "", "number of the trial; 0 is the option as it is"),
+    "flights": Column("1", "", "flights up to and with this trial"),
+    "value": Column("1", "", "objective, the smaller the better (quadexp/tune/objective.py)"),
+    "best": Column("1", "", "smallest objective so far"),
+    "error": Column("m", "", "geometric mean of the flights' errors, of those that ended well"),
+    "lost": Column("1", "", "flights that did not end well"),
+    "margin": Column("s", "", "smallest delay margin found"),
+}
+
 _BY_KIND = {
     "flight": FLIGHT_COLUMNS,
     "residuals": RESIDUAL_COLUMNS,
     "results": RESULT_COLUMNS,
     "estimates": ESTIMATE_COLUMNS,
     "statistics": STATISTIC_COLUMNS,
+    "tuning": TUNING_COLUMNS,
+    "leaderboard": RESULT_COLUMNS,
 }
 _INPUT = re.compile(r"(ref_)?u_\d+")
 _INDUCED_VELOCITY = re.compile(r"induced_velocity_\d+")

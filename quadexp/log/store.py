@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.errors import DataError, UsageError, write_error
+from quadexp.errors import DataError, UsageError, WrongFileError, write_error
 from quadexp.log.declared import check_declared, check_numbers
 from quadexp.log.hashes import CONTENT_KEY, content_hash, sealed_bytes, sealed_value, write_sealed
 from quadexp.log.schema import Flight, describe
@@ -36,7 +36,19 @@ COMMANDS = {
     "results": "evaluate",
     "estimates": "identify",
     "statistics": "evaluate",
+    "tuning": "tune",
+    "leaderboard": "bench",
 }
+
+# What the kinds of tables are called.
+NAMES = {
+    "flight": "a flight",
+    "residuals": "a data set",
+    "results": "a table of results",
+    "estimates": "a table of estimates",
+    "statistics": "a table of statistics",
+}
+MAGIC = b"PAR1"  # first bytes of a Parquet file
 
 # What stands in the record of a file, where it does.
 RECORD: dict[str, type] = {
@@ -161,12 +173,14 @@ def _plain(value: Any) -> Any:
 def read_metadata(path: str | Path, kind: str | None = None) -> dict[str, Any]:
     """The record of a table, without its rows.
 
-    Raises UsageError where there is no such file, DataError where it is none of ours or of another kind or schema.
+    Raises UsageError where there is no such file, WrongFileError where it is a folder, no Parquet file, or of another
+    kind, DataError where it is damaged, none of ours or of another schema.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     path = Path(path)
+    _check_kind_of_file(path, kind)
     if not path.is_file():
         maker = f" (made by `quadexp {COMMANDS[kind]}`)" if kind in COMMANDS else ""
         raise UsageError(f"{path}: no such file{maker}")
@@ -181,7 +195,7 @@ def read_metadata(path: str | Path, kind: str | None = None) -> dict[str, Any]:
         record = json.loads(raw)
         found, version = record["kind"], record["schema"]
     except (TypeError, ValueError, KeyError, RecursionError):
-        raise DataError(f"{path}: a Parquet file, but not one that quadexp wrote") from None
+        raise WrongFileError(f"{path}: a Parquet file, but not one that quadexp wrote") from None
     if version != SCHEMA:
         raise DataError(f"{path}: written with schema {version}, this program reads schema {SCHEMA}: make it again")
     if schema.metadata.get(HASH_KEY) != _digest(raw, schema.names, schema.metadata.get(CONTENT_KEY)):
@@ -190,8 +204,32 @@ def read_metadata(path: str | Path, kind: str | None = None) -> dict[str, Any]:
     if wrong:
         raise DataError(f"{path}: damaged, {wrong[0]!r} of its record is {str(record[wrong[0]])[:40]!r}")
     if kind is not None and found != kind:
-        raise DataError(f"{path}: holds {found}, {kind} are needed here (made by `quadexp {COMMANDS[kind]}`)")
+        raise WrongFileError(f"{path}: is {NAMES.get(found, found)}, {needed(kind)}")
     return record
+
+
+def needed(kind: str | None) -> str:
+    """What is needed instead of a file of another kind, as the end of a message."""
+    if kind is None:
+        return "a file that quadexp wrote is needed here"
+    return f"{NAMES.get(kind, kind)} is needed here (made by `quadexp {COMMANDS[kind]}`)"
+
+
+def _check_kind_of_file(path: Path, kind: str | None) -> None:
+    """Raise WrongFileError for a folder, with what to give instead, and for a file that is no Parquet file."""
+    if path.is_dir():
+        flight = next(path.glob("cells/*/*.parquet"), None) or next(path.glob("*.parquet"), None)
+        listed = f" (`quadexp results {path}` lists them)" if (path / "cells").is_dir() else ""
+        hint = f"; give one of its files, such as {flight}{listed}" if flight and kind in ("flight", None) else ""
+        raise WrongFileError(f"{path}: is a folder, {needed(kind)}{hint}")
+    try:
+        with open(path, "rb") as file:
+            start = file.read(len(MAGIC))
+    except OSError:
+        return  # which is said where it is read
+    if start != MAGIC:
+        what = "is empty" if not start else "not a Parquet file, or damaged from its first byte on"
+        raise WrongFileError(f"{path}: {what}; {needed(kind)}{_remade(kind)}")
 
 
 def _remade(kind: str | None) -> str:
@@ -390,7 +428,7 @@ def write_flight(path: str | Path, flight: Flight, **extra: Any) -> Path:
 def read_flight(path: str | Path, *, check: bool = True, ordered: bool = False) -> Flight:
     """Read a flight. check: refuse NaN in time, state or input (naming column and row). ordered: refuse time that does
     not go on, as what is learned from differences must."""
-    thrust = () if read_metadata(path).get("recorded") else ("u_0",)  # a log seldom says the rotors' thrust
+    thrust = () if read_metadata(path, "flight").get("recorded") else ("u_0",)  # a log seldom says the rotors' thrust
     columns, record = read_table(path, "flight", required=("t", *STATE_COLUMNS, *thrust))
     if check:
         names = ["t", *STATE_COLUMNS, *(name for name in columns if name.startswith("u_"))]

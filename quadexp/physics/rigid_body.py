@@ -6,6 +6,7 @@
     w' = J^-1 (tau + tau_body - w x J w)                                    body, rad/s^2
 
 [T, tau] = G u is the vehicle's allocation; [a_body, tau_body] = y is the residual's output, zero for the nominal body.
+A disturbance d = [F / m (world, m/s^2), J^-1 tau (body, rad/s^2)] is added to [v', w'].
 """
 
 from __future__ import annotations
@@ -17,6 +18,13 @@ from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import air_velocity, quaternion_rate, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
+
+N_DISTURBANCE = 6
+
+
+def disturbed_derivative(derivative: Expression, disturbance: Expression) -> Expression:
+    """x' (13,) with a disturbance (6,): acceleration, world (m/s^2), and angular acceleration, body (rad/s^2)."""
+    return derivative + ca.vertcat(type(derivative)(N_STATE - N_DISTURBANCE, 1), disturbance)
 
 
 def state_derivative(

@@ -66,6 +66,17 @@ def left_matrix(q: Expression) -> Expression:
     )
 
 
+def right_matrix(q: Expression) -> Expression:
+    """M(q), (4, 4), of the Hamilton product: M(q) p = p o q. Orthogonal where q is a unit quaternion."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    return ca.vertcat(
+        ca.horzcat(w, -x, -y, -z),
+        ca.horzcat(x, w, z, -y),
+        ca.horzcat(y, -z, w, x),
+        ca.horzcat(z, y, -x, w),
+    )
+
+
 def quaternion_rate(q: Expression, w: Expression) -> Expression:
     """Time derivative of the quaternion, (4,) (1/s), under the body rate w, (3,) (rad/s)."""
     return 0.5 * ca.mtimes(left_matrix(q)[:, 1:], w)

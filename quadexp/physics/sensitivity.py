@@ -13,6 +13,9 @@ With rotors that lag, the thrusts T are states behind the 13 of the body, and th
 T_i = u + a_i (T - u), a_i = exp(-c_i / tau) (physics.motor). Then S_i is taken by (s, T, u), (10, 10 + 2 n):
 
     S_i = [f_s, a_i f_T, (1 - a_i) f_T] + c_i f_s S_{i-1},        dT_next = a dT + (1 - a) du
+
+A known disturbance d, an acceleration in the world and an angular acceleration of the body, is added to every slope; it
+does not depend on the state, so the sensitivities keep their form.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ import casadi as ca
 from quadexp.physics.correction import N_OUTPUTS, Correction
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import lagging_thrust
-from quadexp.physics.rigid_body import body_features, state_derivative
+from quadexp.physics.rigid_body import N_DISTURBANCE, body_features, disturbed_derivative, state_derivative
 from quadexp.physics.scalars import as_scalars
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
@@ -35,13 +38,20 @@ FLAT_LIMIT = 100  # scalar operations of a residual; above, one function called 
 
 
 def rk4_sensitivity_function(
-    vehicle: Vehicle, residual: Correction, *, scalar: bool = True, lag: bool = False, added: bool = False
+    vehicle: Vehicle,
+    residual: Correction,
+    *,
+    scalar: bool = True,
+    lag: bool = False,
+    added: bool = False,
+    disturbed: bool = False,
 ) -> ca.Function:
     """(x (13,), u (n,), theta (p,), dt (s)) -> x_next (13,), A (13, 13), B (13, n).
 
     lag: rotors lag behind their commands; x (13 + n,) then ends with their thrusts (N), and the last input is the time
     constant tau (s).
     added: a further input (n, 3): thrust (N) added to what u gives, at the start, the middle and the end of the step.
+    disturbed: a further input (6,): what is added to v' (world, m/s^2) and to w' (body, rad/s^2) throughout the step.
     scalar: scalar operations without structural zeros, fastest when compiled; otherwise dense matrix products, fastest
     in CasADi's virtual machine. A residual that is large or in matrix operations remains a function call.
     """
@@ -50,7 +60,7 @@ def rk4_sensitivity_function(
     n = vehicle.n_rotors
     start, u = kind.sym("x", N_STATE + n * lag), kind.sym("u", n)
     theta, dt, tau = kind.sym("theta", residual.function.size1_in(1)), kind.sym("dt"), kind.sym("tau")
-    plus = kind.sym("added", n, 3)
+    plus, disturbance = kind.sym("added", n, 3), kind.sym("disturbance", N_DISTURBANCE)
     x, thrust = (start[:N_STATE], start[N_STATE:]) if lag else (start, u)
     if added:
         thrust = thrust + plus[:, 0]
@@ -70,7 +80,12 @@ def rk4_sensitivity_function(
 
     parts: tuple[Callable[..., Expression], ...] = (chained_stage, _combine)
     stage, combine = (as_scalars(f) if scalar else f for f in parts)
+
+    def pushed(k: Expression) -> Expression:
+        return as_scalars(disturbed_derivative)(k, disturbance) if disturbed else k
+
     k, S = slope(x, thrust, *residual.function(as_scalars(body_features)(x, thrust), theta))
+    k = pushed(k)
     slopes, sensitivities = [k], [ca.horzcat(S, kind(N_MOTION, n)) if lag else S]
     for c, column in ((dt / 2, 1), (dt / 2, 1), (dt, 2)):
         share = [ca.exp(-c / tau)] if lag else []
@@ -79,7 +94,7 @@ def rk4_sensitivity_function(
             delivered = delivered + plus[:, column]
         x_stage, z = as_scalars(_stage_point)(x, delivered, slopes[-1], c)
         k, S = stage(x_stage, delivered, *residual.function(z, theta), sensitivities[-1], c, *share)
-        slopes.append(k)
+        slopes.append(pushed(k))
         sensitivities.append(S)
     outputs = combine(x, dt, *slopes, *sensitivities)
     if lag:
@@ -91,6 +106,8 @@ def rk4_sensitivity_function(
         arguments, names = [*arguments, tau], [*names, "tau"]
     if added:
         arguments, names = [*arguments, plus], [*names, "added"]
+    if disturbed:
+        arguments, names = [*arguments, disturbance], [*names, "disturbance"]
     return ca.Function("node", arguments, outputs, names, ["x_next", "A", "B"])
 
 

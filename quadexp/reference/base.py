@@ -1,7 +1,7 @@
 """The interface of trajectories: a flat output (position and yaw) with its derivatives as a function of time.
 
 World frame ENU (z up), SI units. A trajectory is defined on 0 <= t <= duration; outside, the nearest flat output is
-held, with all derivatives zero.
+held, with all derivatives zero. One that goes on for the horizon of a controller has a later `end`.
 """
 
 from __future__ import annotations
@@ -43,6 +43,11 @@ class Trajectory(Protocol):
 
     def flat_output(self, t: np.ndarray) -> FlatOutput:
         """Flat output at the times t, (k,) (s); held outside 0 .. duration."""
+
+
+def end_of(trajectory: Trajectory) -> float:
+    """Time (s) up to which a trajectory moves: its `end` where it goes on after the flight, else its duration."""
+    return float(getattr(trajectory, "end", trajectory.duration))
 
 
 def hold_outside(t: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:

@@ -50,7 +50,8 @@ class Demand:
     def tilt(self, lateral: np.ndarray) -> Tilt:
         """Tilt frames for the lateral accelerations l, (2, k) (m/s^2); raises UsageError where there are none."""
         frame = tilt(self.specific_force, lateral)
-        undefined = ~((frame.force[2] > NO_ATTITUDE * self.size) & (frame.quaternion[0] > NO_ATTITUDE))
+        above = (frame.quaternion[0] > NO_ATTITUDE) | self._in_a_vertical_plane(lateral)
+        undefined = ~((frame.force[2] > NO_ATTITUDE * self.size) & above)
         if undefined.any():
             i = int(np.argmax(undefined))
             raise UsageError(
@@ -59,3 +60,8 @@ class Demand:
                 " trajectory.speed"
             )
         return frame
+
+    def _in_a_vertical_plane(self, lateral: np.ndarray) -> bool:
+        """Whether all specific forces lie in the plane of x, z, with y_body across it: then the body only pitches, and
+        its attitude is determined upside down too."""
+        return self.yaw is None and not self.specific_force[1].any() and not lateral[1].any()

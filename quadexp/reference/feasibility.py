@@ -7,7 +7,7 @@ Checked before flight, so that a violation is reported with its time and size.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,3 +60,10 @@ def check_feasible(reference: Reference, vehicle: Vehicle) -> Infeasibility | No
     return Infeasibility(
         names[column], value, limit, unit, float(reference.t[row]), sign * (value - limit), float(beyond.mean())
     )
+
+
+def clipped(reference: Reference, vehicle: Vehicle) -> Reference:
+    """The reference with every thrust, and every component of the body rate, brought back to the vehicle's limits."""
+    state = reference.state.copy()
+    state[:, RATE] = np.clip(state[:, RATE], -vehicle.rate_max, vehicle.rate_max)
+    return replace(reference, state=state, input=np.clip(reference.input, vehicle.thrust_min, vehicle.thrust_max))

@@ -9,7 +9,7 @@ air provides; |f| = |a - g| determines c > 0. The body frame is R = R_t R_z(chi)
 
 Tilt: R_t rotates about a horizontal axis only (Watterson & Kumar 2017). Of all rotations that take f to F = a - g,
 q = p (1 + f.F, f x F) + r (0, f + F) for unit f and F, it is the one with q_z = 0:  p = (f + F)_z, r = -(f x F)_z.  (2)
-Regular up to inverted flight. Its rate o, from the derivative of (1) with jerk j and of q_z = 0, and o', with snap s:
+Regular but upside down. Its rate o, from the derivative of (1) with jerk j and of q_z = 0, and o', with snap s:
 
     (o x f)_xy  = (R_t^T j)_xy - l',                                (-q_y, q_x, q_w) . o  = 0                     (3)
     (o' x f)_xy = (R_t^T s - o x (2 R_t^T j - o x f))_xy - l'',     (-q_y, q_x, q_w) . o' = 0                     (4)
@@ -28,6 +28,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
+UPSIDE_DOWN = 1e-44  # square of the quaternion before it is normed, for a specific force 1e-7 rad from straight down
+SINGULAR = 1e-9  # share of the thrust's direction below which that of the tilt frame is not determined
+PITCHED = np.array([[0.0], [0.0], [1.0]])  # half a turn about y
 
 
 def stacked(*components: np.ndarray) -> np.ndarray:
@@ -82,7 +86,9 @@ class Tilt:
         """The o, (3, k), with (o x f)_xy = p and (-q_y, q_x, q_w) . o = 0."""
         w, x, y = self.quaternion
         l_x, l_y, c = self.force
-        o_z = -(x * p_x + y * p_y) / (w * c + x * l_y - y * l_x)
+        along = w * c + x * l_y - y * l_x  # zero upside down, where a motion in a vertical plane has no numerator
+        along = np.where(np.abs(along) < SINGULAR * c, SINGULAR * c, along)
+        o_z = -(x * p_x + y * p_y) / along
         return stacked((l_x * o_z - p_y) / c, (l_y * o_z + p_x) / c, o_z)
 
     def rates(
@@ -113,8 +119,8 @@ def tilt(specific_force: np.ndarray, lateral: np.ndarray) -> Tilt:
     """Tilt frames in which the specific force has the given lateral components: equation (2).
 
     specific_force: a - g, (3, k), world (m/s^2). lateral: l, (2, k), tilt frame (m/s^2).
-    There is none in free fall, in inverted flight and where l exceeds the specific force: c or q_w is then not above
-    zero, which the caller must check.
+    There is none in free fall, upside down and where l exceeds the specific force: c or q_w is then not above zero,
+    which the caller must check. Upside down, where any horizontal axis would do, it is that of pitch.
     """
     size = np.sqrt((specific_force**2).sum(axis=0))
     force = np.stack([*lateral, np.sqrt(np.maximum(size**2 - (lateral**2).sum(axis=0), 0.0))])
@@ -123,7 +129,8 @@ def tilt(specific_force: np.ndarray, lateral: np.ndarray) -> Tilt:
         turn, middle = cross(before, after), before + after
         w = middle[2] * (1 + (before * after).sum(axis=0))
         quaternion = np.stack([w, *(middle[2] * turn - turn[2] * middle)[:2]])
-        return Tilt(quaternion / np.sqrt((quaternion**2).sum(axis=0)), force)
+        square = (quaternion**2).sum(axis=0)
+        return Tilt(np.where(square < UPSIDE_DOWN, PITCHED, quaternion / np.sqrt(square)), force)
 
 
 def free_body_rates(o: np.ndarray, o_dot: np.ndarray, chi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -24,7 +24,7 @@ from quadexp.air.base import N_OUTPUTS, Residual
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.air_model import AirModel
-from quadexp.reference.base import Trajectory
+from quadexp.reference.base import Trajectory, end_of
 from quadexp.reference.demand import Demand
 from quadexp.reference.fixed_point import Settings, consistent_air
 from quadexp.reference.motion import Air, Constant, Motion, flat_motion
@@ -93,11 +93,11 @@ class _Path:
     def grid(self) -> TimeGrid:
         t = self._times
         start = 0.0 if self.demand.yaw is None else float(t.min())  # a free heading is an integral from the start
-        return TimeGrid.around(start, float(t.max()), 0.0, self.trajectory.duration)
+        return TimeGrid.around(start, float(t.max()), 0.0, end_of(self.trajectory))
 
     @cached_property
     def _times(self) -> np.ndarray:
-        return np.clip(self.demand.t, 0.0, self.trajectory.duration)
+        return np.clip(self.demand.t, 0.0, end_of(self.trajectory))
 
     def with_largest_share(self, model: AirModel) -> tuple[Motion, float]:
         """The motion with the largest share of the model for which a solution is found, and this share."""

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def draw(kind: str, inputs: tuple[Any, ...], path: Path) -> bool:
@@ -17,8 +21,18 @@ def draw(kind: str, inputs: tuple[Any, ...], path: Path) -> bool:
         "error": figures.error_against_speed,
         "times": figures.solve_times,
         "paths": figures.path_figure,
+        "axes": _swept,
     }
     figure = makers[kind](*inputs)
     if figure is not None:
         figures.save(figure, path)
     return figure is not None
+
+
+def _swept(rows: Sequence[Mapping[str, Any]], out: str, metric: str, confidence: float, which: int) -> Figure:
+    """One of the figures that were chosen by what was swept."""
+    from quadexp.report.axes.frame import SweepFrame
+    from quadexp.report.axes.save import figure_of
+    from quadexp.report.axes.view import automatic
+
+    return figure_of(automatic(SweepFrame(rows, out), metric, confidence)[which])

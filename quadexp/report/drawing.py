@@ -18,15 +18,20 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.errors import UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_text, write_text
 from quadexp.provenance import source_hash
+from quadexp.report.axes.frame import SweepFrame
+from quadexp.report.axes.view import automatic
 from quadexp.report.pairing import condition_of, is_flown
 from quadexp.report.tables import column_labels, course_labels, to_columns
 from quadexp.report.text import speed_text
 
 FOLDER = "figures"
 FORMATS = ("svg", "png")
+# Swept keys whose figure is the error against the speed, a panel a trajectory and a line a controller on its plant.
+ONLY_SPEED = {"trajectory.speed", "trajectory", "controller", "model", "plant", "vehicle", "seed"}
 DRAWN = ".drawn"  # file beside the figures: name of each -> digest of what it was drawn from
 
 
@@ -45,14 +50,29 @@ def drawings(rows: Sequence[Mapping[str, Any]], out: str | Path, metric: str, co
     """The figures of these rows, the one that takes longest first. out: folder of the results."""
     rows, store = [dict(row) for row in rows], CellStore(out)
     of_rows = _digest_of_columns(to_columns(rows))
-    name = f"{metric.removesuffix('_error')}_error_against_speed"
-    found = [_drawing(name, "error", (rows, metric, confidence), [of_rows, metric, confidence])]
+    found = [_drawing(*one, [of_rows, *one[2][1:]]) for one in _over_what_was_swept(rows, str(out), metric, confidence)]
     for trajectory, (chosen, missing) in fastest(rows).items():
         cells = {heading: str(store.path(row["key"])) for heading, row in chosen}
         title = ", ".join(filter(None, (trajectory, speed_text(chosen[0][1]["speed"]))))
         shown = [[heading, row] for heading, row in chosen]
         found.append(_drawing(f"path_{trajectory}", "paths", (cells, title, missing), [shown, title, missing]))
     return [*found, _drawing("solve_time", "times", (rows,), of_rows)]
+
+
+def _over_what_was_swept(
+    rows: Sequence[Mapping[str, Any]], out: str, metric: str, confidence: float
+) -> list[tuple[str, str, tuple[Any, ...]]]:
+    """Name, kind and inputs of the figures of errors: over the speed where nothing else was swept, and otherwise those
+    that quadexp/report/axes chooses."""
+    begin = f"{metric.removesuffix('_error')}_error"
+    frame = SweepFrame(rows, out)
+    if set(frame.swept) <= ONLY_SPEED:
+        return [(f"{begin}_against_speed", "error", (rows, metric, confidence))]
+    try:
+        views = automatic(frame, metric, confidence)
+    except UsageError:  # no flight ended well
+        return []
+    return [(f"{begin}_{view.file_name}", "axes", (rows, out, metric, confidence, i)) for i, view in enumerate(views)]
 
 
 def _drawing(name: str, kind: str, inputs: tuple[Any, ...], decided_by: Any) -> Drawing:

@@ -3,6 +3,7 @@
 With e the position error (m), phi the angle of the rotation between attitude and reference (rad):
 
     rmse = sqrt(mean ||e||^2)    mean_error = mean ||e||    max_error = max ||e||    attitude_rmse = sqrt(mean phi^2)
+    heading_rmse = sqrt(mean psi^2), psi the difference of the azimuths of y_body, which a prescribed yaw commands
 
 Torrente et al. 2021 print mean ||e|| under the name RMSE. All samples of the flight count, ramps included.
 """
@@ -40,6 +41,18 @@ def attitude_error(flight: Flight) -> np.ndarray:
     return 4 * np.arctan2(np.minimum(apart, together), np.maximum(apart, together))
 
 
+def heading_error(flight: Flight) -> np.ndarray:
+    """Azimuth of y_body minus that of the reference, (k,) (rad), in [-pi, pi]."""
+    found, wanted = (_azimuth(q) for q in (flight.state[:, ATTITUDE], flight.reference_state[:, ATTITUDE]))
+    return np.remainder(found - wanted + np.pi, 2 * np.pi) - np.pi
+
+
+def _azimuth(q: np.ndarray) -> np.ndarray:
+    """atan2(-R_01, R_11), (k,) (rad), of quaternions (k, 4)."""
+    w, x, y, z = q.T
+    return np.arctan2(-2 * (x * y - w * z), w * w - x * x + y * y - z * z)
+
+
 def saturated_share(flight: Flight, thrust_min: float, thrust_max: float) -> float:
     """Share of the samples in which at least one rotor is commanded to a limit."""
     margin = SATURATION_MARGIN * (thrust_max - thrust_min)
@@ -58,6 +71,7 @@ def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float) -> dict
         "mean_error": float(np.mean(error)),
         "max_error": float(np.max(error)),
         "attitude_rmse": float(np.sqrt(np.mean(angle**2))),
+        "heading_rmse": float(np.sqrt(np.mean(heading_error(flight) ** 2))),
         "saturated_share": saturated_share(flight, thrust_min, thrust_max),
         "peak_speed": float(np.linalg.norm(flight.state[:, VELOCITY], axis=1).max()),
         "duration": float(t[-1] - t[0]),
@@ -69,6 +83,6 @@ def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float) -> dict
 
 
 METRICS = (
-    "rmse", "mean_error", "max_error", "attitude_rmse", "saturated_share", "peak_speed", "duration",
+    "rmse", "mean_error", "max_error", "attitude_rmse", "heading_rmse", "saturated_share", "peak_speed", "duration",
     "unconverged_count", "solve_time_median", "solve_time_p99", "solve_time_max",
 )  # fmt: skip

@@ -8,12 +8,13 @@ missing in them.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from quadexp.learn.support import REPORTED_SHARE
 from quadexp.report.flown_by import mixed_programs
-from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_bound
+from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_bound, is_invalid
 from quadexp.report.text import METHODS, count, speed_text
 
 if TYPE_CHECKING:  # `quadexp show` and `simulate` need no statistics
@@ -21,6 +22,8 @@ if TYPE_CHECKING:  # `quadexp show` and `simulate` need no statistics
     from quadexp.report.winner import Verdict
 
 LARGE_ATTITUDE_ERROR = math.radians(10.0)  # rad, RMS over a flight
+MOST_CONTESTANTS = 10  # that a kind of note has a line on
+MOST_CAUSES = 3  # of invalid combinations that are named
 UNFLOWN = ("failed", "infeasible")  # outcomes without a sample
 UNITS = {"thrust": "N", "speed": "m/s", "v": "m/s", "w": "rad/s", "u": "N"}  # of a feature, by the start of its name
 
@@ -42,8 +45,9 @@ def table_notes(
     over = f"mean over {'' if all_well else 'the flights of a line that all ended well, of '}{seeds_text}"
     contestants = len({s.contestant for s in statistics})
     alpha = 1 - confidence
+    line = "a trajectory and speed, whatever the settings" if any(s.variant for s in statistics) else "a line"
     bold = (
-        f"; bold: least error of a line, significantly less than every other (p < {alpha:.2g}, corrected for the choice"
+        f"; bold: least error of {line}, significantly less than every other (p < {alpha:.2g}, corrected for the choice"
         " among them and for the lines), if no other ended more flights well"
         + ("; bounds are not ranked" if any(is_bound(s.controller) for s in statistics) else "")
         + ("" if any(s.best for s in statistics) else "; here: none")
@@ -67,19 +71,39 @@ def table_notes(
     if any(s.n > s.common for s in statistics):
         lines.append("own: mean over all own flights that ended well, and their number")
     lines += [text for one in found if (text := one.text())]
-    return (*lines, *(entry.text() for entry in pooled))
+    return (*lines, *_first([entry.text() for entry in pooled]))
+
+
+def _first(lines: Sequence[str]) -> list[str]:
+    """The lines on each contestant; of many the first ones, and how many more there are."""
+    rest = len(lines) - MOST_CONTESTANTS
+    return [*lines[:MOST_CONTESTANTS], f"and {rest} more of this kind: statistics.csv"] if rest > 1 else [*lines]
 
 
 def notes(rows: Sequence[Row]) -> list[str]:
     """The notes on result rows; empty if there are none."""
+    invalid = [text] if (text := invalid_text(rows)) else []
+    rows = [row for row in rows if not is_invalid(row)]
     groups: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
         groups.setdefault(contestant_of(row), []).append(row)
     labels = contestant_labels(list(groups))
     lines = []
     for note in OF_A_CONTESTANT:
-        lines += [f"{labels[who]}: {text}" for who, own in groups.items() if (text := note(own))]
-    return lines + mixed_programs(rows)
+        lines += _first([f"{labels[who]}: {text}" for who, own in groups.items() if (text := note(own))])
+    return invalid + lines + mixed_programs(rows)
+
+
+def invalid_text(rows: Sequence[Row]) -> str:
+    """How many cells are invalid, and why; "" where none is."""
+    causes = Counter(row["cause"] for row in rows if is_invalid(row))
+    if not causes:
+        return ""
+    shown = [f"{cause} ({n})" if len(causes) > 1 else cause for cause, n in causes.most_common(MOST_CAUSES)]
+    rest = f"; and {len(causes) - MOST_CAUSES} other causes" if len(causes) > MOST_CAUSES else ""
+    return (
+        f"{sum(causes.values())} of {len(rows)} combinations are invalid and were not flown: {'; '.join(shown)}{rest}"
+    )
 
 
 def _known(rows: Sequence[Row], name: str) -> Iterator[tuple[float, Row]]:

@@ -3,6 +3,7 @@
     condition   what was flown: plant, vehicle, trajectory, speed and any other setting that varies within the sweep
     contestant  who flew it: controller, checkpoint and the controller's own settings
     trial       a flight that was requested and that at least one contestant could fly (was not infeasible for all)
+    invalid     a combination of settings that contradict each other: no flight was requested, it takes no part
     flown       "k of n": of n trials, k ended well
     compared    contestants with k > 0
     common      the flights (condition, seed) that all compared contestants ended well; as long as there are none, the
@@ -59,6 +60,11 @@ def is_flown(row: Row) -> bool:
     return bool(row["outcome"] == "ok")
 
 
+def is_invalid(row: Row) -> bool:
+    """Whether the settings of a row contradict each other, so that there was nothing to fly."""
+    return bool(row["outcome"] == "invalid")
+
+
 def is_bound(controller: str) -> bool:
     return controller.startswith(BOUNDS)
 
@@ -85,6 +91,12 @@ def contestant_labels(contestants: Sequence[Contestant]) -> dict[Contestant, str
 def variant_parts(variant: str) -> list[str]:
     """The settings of a variant, each without its groups: "controller.nodes=20" becomes "nodes=20"."""
     return [_KEYS_ABOVE.sub("", part) for part in _BEFORE_KEY.split(variant) if part]
+
+
+def setting_pairs(variant: str) -> list[tuple[str, str]]:
+    """(key, value) of the settings of a variant, as texts; values may hold blanks."""
+    parts = (part.partition("=") for part in _BEFORE_KEY.split(variant) if part)
+    return [(key, value) for key, _, value in parts]
 
 
 class Flights(NamedTuple):
@@ -150,7 +162,7 @@ class Groups:
 
     def __init__(self, rows: Sequence[Row], baseline: str, metrics: Sequence[str]) -> None:
         self.cells: dict[tuple[Condition, Contestant], list[Flown]] = {}
-        for row in rows:
+        for row in (row for row in rows if not is_invalid(row)):
             flown = Flown(int(row["seed"]), str(row["outcome"]), tuple(float(row[metric]) for metric in metrics))
             self.cells.setdefault((condition_of(row), contestant_of(row)), []).append(flown)
         self.contestants = list(dict.fromkeys(contestant for _, contestant in self.cells))

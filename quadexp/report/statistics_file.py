@@ -20,7 +20,7 @@ import numpy as np
 from quadexp.errors import QuadexpError
 from quadexp.log.store import read_table, read_text, write_table, write_text
 from quadexp.report.notes import notes
-from quadexp.report.pairing import Row
+from quadexp.report.pairing import Row, is_invalid
 from quadexp.report.statistics import (
     BASELINE,
     COMPARED,
@@ -43,7 +43,8 @@ _DTYPES = {"int": np.int64, "float": float, "str": object}
 @dataclass(frozen=True)
 class Statistics:
     """rows: per metric, condition and contestant. overall: per metric and contestant, over all conditions. verdicts:
-    per metric, plant and vehicle, the least error. notes: on the result rows, see report/notes.py."""
+    per metric, plant and vehicle, the least error. notes: on the result rows, see report/notes.py. invalid: those rows
+    whose settings contradict each other."""
 
     rows: list[Statistic]
     overall: list[Overall]
@@ -52,6 +53,7 @@ class Statistics:
     baseline: str
     confidence: float
     fingerprint: str
+    invalid: tuple[Row, ...] = ()
 
     def of(self, metric: str) -> list[Statistic]:
         return [row for row in self.rows if row.metric == metric]
@@ -72,6 +74,7 @@ def results_statistics(
 ) -> Statistics:
     """The statistics of result rows: those in the folder `root` if they are of the same rows, else computed."""
     fingerprint = _fingerprint(rows, baseline, confidence)
+    invalid = tuple(row for row in rows if is_invalid(row))
     if root is not None:
         try:
             columns, record = read_table(Path(root) / FILE, "statistics", required=list(_KINDS))
@@ -81,12 +84,12 @@ def results_statistics(
             pooled = [Overall(**_swapped(entry, None, math.nan)) for entry in record["overall"]]
             found = [Verdict(**_swapped(entry, None, math.nan)) for entry in record["verdicts"]]
             stored = from_statistics_columns(columns)
-            return Statistics(stored, pooled, found, notes(rows), baseline, confidence, fingerprint)
+            return Statistics(stored, pooled, found, notes(rows), baseline, confidence, fingerprint, invalid)
     options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
     pooled = [entry for metric in COMPARED for entry in overall(rows, metric=metric, **options)]
     found = [one for metric in COMPARED for one in verdicts(rows, metric=metric, confidence=confidence)]
     made = compute_statistics(rows, **options)
-    return Statistics(made, pooled, found, notes(rows), baseline, confidence, fingerprint)
+    return Statistics(made, pooled, found, notes(rows), baseline, confidence, fingerprint, invalid)
 
 
 def write_statistics(root: str | Path, statistics: Statistics) -> dict[str, str]:
@@ -114,7 +117,9 @@ def write_statistics(root: str | Path, statistics: Statistics) -> dict[str, str]
 def comparison_texts(statistics: Statistics, metric: str) -> tuple[ErrorTable, dict[str, str]]:
     """The error table of one metric, and name -> content of the text files made of it."""
     compared = statistics.of(metric)
-    table = table_of(compared, statistics.pooled(metric), statistics.verdicts_of(metric), statistics.notes)
+    table = table_of(
+        compared, statistics.pooled(metric), statistics.verdicts_of(metric), statistics.notes, statistics.invalid
+    )
     files = {"table.md": to_markdown(table), "table.tex": to_latex(table)}
     if (comparison := comparison_table(compared)) is not None:
         files["table.md"] += f"\n{comparison.markdown()}"

@@ -3,9 +3,10 @@
 Cells are texts. In a cell, `**x**` marks the best value and a final `*` a significant difference; every renderer
 translates these two marks.
 
-The error table has trajectory and speed down and controllers across; its first row counts the flights that ended well,
-its cells are means over the common flights of a line (pairing.py). The comparison table has one row per contestant and
-condition, against the baseline.
+The error table has trajectory and speed down and controllers across; a key of the controller that was swept is a column
+of its own, with its values down. The first row counts the flights that ended well; cells are means over the common
+flights of a trajectory and speed (pairing.py), or say "invalid" where settings contradict each other. The comparison
+table has one row per contestant and condition, against the baseline.
 """
 
 from __future__ import annotations
@@ -25,7 +26,15 @@ from quadexp.messages import clean
 from quadexp.report.metrics import SHOWN
 from quadexp.report.notes import notes as row_notes
 from quadexp.report.notes import table_notes
-from quadexp.report.pairing import Flights, contestant_labels, contestant_of, variant_parts
+from quadexp.report.pairing import (
+    Flights,
+    condition_of,
+    contestant_labels,
+    contestant_of,
+    is_invalid,
+    setting_pairs,
+    variant_parts,
+)  # fmt: skip
 from quadexp.report.statistics import BASELINE, CONFIDENCE, Overall, Statistic, compute_statistics, overall
 from quadexp.report.text import p_value, speed_text, with_interval
 from quadexp.report.winner import Verdict, verdicts
@@ -33,9 +42,9 @@ from quadexp.report.winner import Verdict, verdicts
 # Columns of a result row, in the order they are written.
 ROW_COLUMNS = (
     "plant", "vehicle", "trajectory", "speed", "controller", "model", "variant", "seed", "rmse", "mean_error",
-    "max_error", "attitude_rmse", "solve_time_median", "solve_time_p99", "solve_time_max", "saturated_share",
-    "peak_speed", "duration", "unconverged_count", "reference_residual", "outside_data", "outcome", "backend", "cause",
-    "program", "sources", "libraries", "key",
+    "max_error", "attitude_rmse", "heading_rmse", "solve_time_median", "solve_time_p99", "solve_time_max",
+    "saturated_share", "peak_speed", "duration", "unconverged_count", "reference_residual", "outside_data", "outcome",
+    "backend", "cause", "program", "sources", "libraries", "key",
 )  # fmt: skip
 TEXT_COLUMNS = (
     "plant", "vehicle", "trajectory", "controller", "model", "variant", "outcome", "backend", "cause",
@@ -52,8 +61,8 @@ _BEST = re.compile(r"\*\*(.+?)\*\*")
 @dataclass(frozen=True)
 class Table:
     """columns: headings, with units in parentheses. rows: texts. left: indices of left-aligned columns. head: number
-    of rows that belong to the heading. over: a heading above all columns but the first two. notes: lines below. groups:
-    index of a column -> text above the columns that begin there, in plain text."""
+    of rows that belong to the heading. over: a heading above all columns but the first `beside`. notes: lines below.
+    groups: index of a column -> text above the columns that begin there, in plain text."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -61,6 +70,7 @@ class Table:
     left: Set[int] = frozenset({0})
     head: int = 0
     over: str = ""
+    beside: int = 2
     notes: Sequence[str] = ()
     groups: Mapping[int, str] = field(default_factory=dict)
 
@@ -94,14 +104,23 @@ class Table:
         lines = [rf"% {'' if self.over else f'{self.title}; '}needs \usepackage{{booktabs}}"]
         lines += [*(f"% {note}" for note in self.notes), rf"\begin{{tabular}}{{{columns}}}", r"\toprule"]
         if self.over:
-            span = rf"\multicolumn{{{len(columns) - 2}}}{{c}}{{{escape(self.over)}}}"
-            lines.append(rf" & & {span} \\ \cmidrule(l){{3-{len(columns)}}}")
+            span = rf"\multicolumn{{{len(columns) - self.beside}}}{{c}}{{{escape(self.over)}}}"
+            lines.append(rf"{' &' * self.beside} {span} \\ \cmidrule(l){{{self.beside + 1}-{len(columns)}}}")
         lines += [_latex_row(self.columns), r"\midrule", *map(_latex_row, self.rows[: self.head])]
         lines += [r"\midrule"] if self.head else []
         for before, row in zip([None, *self.rows[self.head :]], self.rows[self.head :], strict=False):
             lines += [r"\addlinespace"] if self.over and before and before[0] != row[0] else []
             lines.append(_latex_row(row))
         return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
+
+    def csv(self) -> str:
+        """CSV of the texts, without the marks of the best and of significance."""
+        rows = ([re.sub(r"\*$", "", _BEST.sub(r"\1", cell)) for cell in row] for row in self.rows)
+        return csv_text(self.columns, rows)
+
+    def rendered(self, form: str) -> str:
+        """As csv, markdown or latex."""
+        return {"csv": self.csv, "markdown": self.markdown, "latex": self.latex}[form]()
 
     def rich(self, *, stacked: bool = False) -> Any:
         """A rich Table for the terminal. stacked: intervals below their values, for a narrow terminal."""
@@ -146,6 +165,9 @@ def _latex_row(cells: Sequence[str]) -> str:
 def escape(text: str) -> str:
     """Text for LaTeX."""
     return text.translate(_LATEX)
+
+
+Line = tuple[str, ...]  # of an error table: trajectory with what else varies, speed, values of swept keys
 
 
 @dataclass(frozen=True)
@@ -201,16 +223,19 @@ class Entry:
 
 @dataclass(frozen=True)
 class ErrorTable:
-    """rows: (trajectory and what else varies, speed text). columns: controller labels. flown: column -> how many of its
-    flights ended well. entries: (row, column) -> Entry. notes: lines below the table."""
+    """rows: (trajectory and what else varies, speed text, a value of each of `keys`). columns: controller labels.
+    flown: column -> how many of its flights ended well. entries: (row, column) -> Entry. notes: lines below the table.
+    keys: swept keys of the controllers. invalid: (row, column) of settings that contradict each other."""
 
     metric: str
     unit: str
-    rows: tuple[tuple[str, str], ...]
+    rows: tuple[Line, ...]
     columns: tuple[str, ...]
-    entries: Mapping[tuple[tuple[str, str], str], Entry]
+    entries: Mapping[tuple[Line, str], Entry]
     flown: Mapping[str, Flights]
     notes: tuple[str, ...] = ()
+    keys: tuple[str, ...] = ()
+    invalid: Set[tuple[Line, str]] = frozenset()
 
     @property
     def title(self) -> str:
@@ -218,12 +243,17 @@ class ErrorTable:
 
     def table(self, *, speed: str = "m/s", over: bool = False) -> Table:
         """As texts. speed: heading of that column. over: title above the controllers."""
-        rows = [["flown", "", *(self.flown[column].text() for column in self.columns)]]
-        for line in self.rows:
-            cells = (self.entries.get((line, column)) for column in self.columns)
-            rows.append([*line, *(cell.text() if cell else "-" for cell in cells)])
-        heads = ["trajectory", speed, *self.columns]
-        return Table(heads, rows, self.title, head=1, over=self.title if over else "", notes=self.notes)
+        counts = (self.flown[column] for column in self.columns)
+        empty = [""] * (1 + len(self.keys))
+        rows = [["flown", *empty, *(count.text() if count.trials else "-" for count in counts)]]
+        rows += [[*line, *(self._text(line, column) for column in self.columns)] for line in self.rows]
+        heads = ["trajectory", speed, *short_keys(self.keys), *self.columns]
+        beside = 2 + len(self.keys)
+        return Table(heads, rows, self.title, head=1, over=self.title if over else "", notes=self.notes, beside=beside)
+
+    def _text(self, line: Line, column: str) -> str:
+        entry = self.entries.get((line, column))
+        return entry.text() if entry else "invalid" if (line, column) in self.invalid else "-"
 
     def __str__(self) -> str:
         return to_markdown(self)
@@ -267,10 +297,19 @@ def course_labels(conditions: Iterable[tuple[str, str]]) -> dict[tuple[str, str]
 
 def statistic_labels(statistics: Sequence[Statistic]) -> list[str]:
     """`column_labels` of statistics."""
-    names = ("plant", "vehicle", "controller", "model")
-    return column_labels(
-        [{**{n: getattr(s, n) for n in names}, "variant": f"{s.variant} {s.setting}".strip()} for s in statistics]
-    )
+    return column_labels([row_of(s) for s in statistics])
+
+
+def row_of(s: Statistic) -> dict[str, Any]:
+    """What a statistic tells of the rows it is made from."""
+    names = ("plant", "vehicle", "trajectory", "speed", "controller", "model")
+    return {**{n: getattr(s, n) for n in names}, "variant": f"{s.variant} {s.setting}".strip()}
+
+
+def short_keys(keys: Sequence[str]) -> list[str]:
+    """The last part of each key, such as "nodes"; the whole key where two end alike."""
+    last = [key.rpartition(".")[2] for key in keys]
+    return [short if last.count(short) == 1 else key for key, short in zip(keys, last, strict=True)]
 
 
 def table_of(
@@ -278,23 +317,55 @@ def table_of(
     pooled: Sequence[Overall] = (),
     found: Sequence[Verdict] = (),
     more: Sequence[str] = (),
+    invalid: Sequence[Mapping[str, Any]] = (),
 ) -> ErrorTable:
-    """The error table of one metric's statistics. pooled, found, more: for the notes, over all conditions."""
+    """The error table of one metric's statistics. pooled, found, more: for the notes, over all conditions. invalid:
+    rows of results whose settings contradict each other."""
     metric = statistics[0].metric
-    courses = course_labels((s.trajectory, s.setting) for s in statistics)
-    order: dict[tuple[str, float], tuple[str, str]] = {}
-    entries: dict[tuple[tuple[str, str], str], Entry] = {}
+    rows = [*map(row_of, statistics), *invalid]
+    keys = swept_settings(rows)
+    order: dict[Line, tuple[str, float]] = {}
+    entries: dict[tuple[Line, str], Entry] = {}
+    wrong: set[tuple[Line, str]] = set()
     flown: dict[str, Flights] = {}
-    for s, label in zip(statistics, statistic_labels(statistics), strict=True):
-        course = courses[s.trajectory, s.setting]
-        line = (course, speed_text(s.speed, ""))
-        order.setdefault((course, -1.0 if math.isnan(s.speed) else s.speed), line)
-        flown[label] = flown.get(label, Flights(0, 0)).plus(s.flown)
-        entries[line, label] = Entry.of(s)
-    names = list(dict.fromkeys(name for name, _ in order))
-    lines = tuple(order[key] for key in sorted(order, key=lambda key: (names.index(key[0]), key[1])))
+    courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in rows)
+    labels = column_labels([without_settings(row, keys) for row in rows])
+    for s, row, label in zip([*statistics, *(None for _ in invalid)], rows, labels, strict=True):
+        *_, speed, setting = condition_of(row)
+        course = courses[row["trajectory"], setting]
+        line = (course, speed_text(speed, ""), *(settings_of(row).get(key, "") for key in keys))
+        order.setdefault(line, (course, -1.0 if speed is None else speed))
+        flown[label] = flown.get(label, Flights(0, 0)).plus(s.flown if s else Flights(0, 0))
+        if s is None:
+            wrong.add((line, label))
+        else:
+            entries[line, label] = Entry.of(s)
+    names = list(dict.fromkeys(line[0] for line in order))
+    lines = tuple(sorted(order, key=lambda line: (names.index(order[line][0]), order[line][1])))
     notes = (*table_notes(statistics, pooled, found), *more)
-    return ErrorTable(metric, SHOWN[metric][1], lines, tuple(flown), entries, flown, notes)
+    return ErrorTable(
+        metric, SHOWN[metric][1], lines, tuple(flown), entries, flown, notes, tuple(keys), wrong - entries.keys()
+    )
+
+
+def settings_of(row: Mapping[str, Any]) -> dict[str, str]:
+    """Key -> value, as text, of the controller's settings that vary within the sweep."""
+    return dict(setting_pairs(contestant_of(row)[2]))
+
+
+def swept_settings(rows: Iterable[Mapping[str, Any]]) -> list[str]:
+    """The keys of the controllers that take several values."""
+    values: dict[str, set[str]] = {}
+    for row in rows:
+        for key, value in settings_of(row).items():
+            values.setdefault(key, set()).add(value)
+    return [key for key, several in values.items() if len(several) > 1]
+
+
+def without_settings(row: Mapping[str, Any], keys: Sequence[str]) -> dict[str, Any]:
+    """The row without the settings of these keys."""
+    kept = [f"{key}={value}" for key, value in setting_pairs(row.get("variant") or "") if key not in keys]
+    return {**row, "variant": " ".join(kept)}
 
 
 def error_table(
@@ -308,7 +379,8 @@ def error_table(
     options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
     statistics = compute_statistics(rows, metrics=(metric,), **options)
     found = verdicts(rows, metric=metric, confidence=confidence)
-    return table_of(statistics, overall(rows, metric=metric, **options), found, row_notes(rows))
+    invalid = [row for row in rows if is_invalid(row)]
+    return table_of(statistics, overall(rows, metric=metric, **options), found, row_notes(rows), invalid)
 
 
 def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
@@ -341,6 +413,22 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
     )
     title = f"{TITLES[metric]} against {', '.join(baselines)}"
     return Table(heading, rows, title, left=frozenset({0, 2, len(heading) - 1}), notes=(note,))
+
+
+def records_table(records: Sequence[Mapping[str, Any]], title: str = "") -> Table:
+    """A table of records, a row each: numbers in full precision, nothing for what is missing."""
+    names = list(dict.fromkeys(name for record in records for name in record))
+    rows = [[_exact(record.get(name)) for name in names] for record in records]
+    left = {i for i, name in enumerate(names) if any(isinstance(record.get(name), str) for record in records)}
+    return Table(names, rows, title, left=frozenset(left))
+
+
+def _exact(value: Any) -> str:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(float(value)) if isinstance(value, float) else str(value)
 
 
 def csv_text(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:

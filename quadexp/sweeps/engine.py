@@ -16,7 +16,7 @@ from typing import Any, Protocol
 from pebble import ProcessPool
 
 from quadexp.config.schema import Config
-from quadexp.errors import stops_all
+from quadexp.errors import UsageError, WriteError, stops_all
 from quadexp.experiment.build import ModelFile
 from quadexp.sweeps.child import GONE, cause, start_pool, stop_pool
 from quadexp.sweeps.server import PRELOAD, without_main
@@ -28,10 +28,18 @@ CHECKED = 1.0  # s between checks of the pool
 
 @dataclass(frozen=True)
 class CellFailed:
-    """Why a cell has no result. all: whether the same will happen to every other cell, as on a full disk."""
+    """Why a cell has no result. all: whether the same will happen to every other cell, as on a full disk.
+    contradiction: whether its settings contradict each other, which showed only where its parts were built."""
 
     cause: str
     all: bool = False
+    contradiction: bool = False
+
+    @classmethod
+    def of(cls, error: Exception, timeout: float | None) -> CellFailed:
+        """Of what a call raised."""
+        wrong = isinstance(error, UsageError) and not isinstance(error, WriteError)
+        return cls(cause(error, timeout), stops_all(error), wrong)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +171,7 @@ class Workers:
                         else:
                             yield key, CellFailed(cause(error, timeout))
                     except Exception as error:
-                        yield key, CellFailed(cause(error, timeout), stops_all(error))
+                        yield key, CellFailed.of(error, timeout)
         finally:
             if waiting or running:
                 self.stop()

@@ -6,10 +6,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from quadexp.config.cells import Cell
+from quadexp.config.cells import Cell, refuse_mistakes
 from quadexp.config.flight import TrajectoryConfig, VehicleConfig
 from quadexp.config.schema import world_parts
 from quadexp.config.world import WorldPartConfig
+from quadexp.errors import UsageError
 from quadexp.experiment.build import (
     ModelFile,
     build_trajectory,
@@ -25,29 +26,36 @@ from quadexp.sweeps.keys import cell_key, condition
 
 BUILDS_AT_ONCE = 32  # compiled structures that every worker surely keeps, see experiment.build.KEPT
 FILES = ("trajectory", "plant", "wind")  # groups, beside the controller, whose settings may name a file
+INVALID = "invalid"  # outcome of a cell whose settings contradict each other
 STRUCTURE = ("kind", "residual", "nodes", "backend", "variant", "_target_")  # controller settings that are compiled in
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
     """A cell to fly. key: of its file. condition: hash of what was asked for, whatever the files it reads contain.
-    model: the checkpoint that its controller uses."""
+    model: the checkpoint that its controller uses. invalid: why its settings contradict each other, "" where they do
+    not; it is not flown then."""
 
     key: str
     condition: str
     cell: Cell
     model: ModelFile | None
+    invalid: str = ""
 
 
 def plan_cells(cells: Iterable[Cell]) -> dict[str, Job]:
     """Key -> job of every different flight, in the order of the cells.
 
-    Raises UsageError where a file that a cell needs does not exist.
+    Raises UsageError where a file that a cell needs does not exist, or the request is wrong as a whole.
     """
     jobs: dict[str, Job] = {}
     known: dict[str, tuple[ModelFile | None, dict[str, str]]] = {}  # files that some settings name, hashed once
-    for cell in cells:
+    for cell in refuse_mistakes(cells):
         config, record = cell.config, flight_record(cell.config)
+        if cell.invalid:
+            key = digest([INVALID, *sorted(cell.overrides)])
+            jobs.setdefault(key, Job(key, key, cell, None, cell.invalid))
+            continue
         named = {group: [record.get(group, {}).get(name) for name in ("_target_", "model", "path")] for group in FILES}
         reads = canonical([config.model, record["controller"], named])
         if reads not in known:
@@ -63,9 +71,10 @@ def plan_cells(cells: Iterable[Cell]) -> dict[str, Job]:
     return jobs
 
 
-def check_jobs(jobs: Iterable[Job]) -> None:
-    """Raise UsageError where the settings of a cell contradict each other, before anything is flown."""
-    checked = set()
+def check_jobs(jobs: Iterable[Job]) -> dict[str, str]:
+    """Key -> why the settings of a cell contradict each other, of those where they do, before anything is flown."""
+    known: dict[tuple[Any, ...], str] = {}
+    found: dict[str, str] = {}
     for job in jobs:
         config = job.cell.config
         checks: tuple[tuple[Any, ...], ...] = (
@@ -76,9 +85,15 @@ def check_jobs(jobs: Iterable[Job]) -> None:
         )
         for check, *nodes in checks:
             name = (check, *map(id, nodes))  # cells share the nodes of their configurations
-            if name not in checked:
-                check(*nodes)
-                checked.add(name)
+            if name not in known:
+                known[name] = ""
+                try:
+                    check(*nodes)
+                except UsageError as error:
+                    known[name] = str(error)
+            if known[name]:
+                found.setdefault(job.key, known[name])
+    return found
 
 
 def flying_order(jobs: Sequence[Job]) -> list[Job]:

@@ -9,9 +9,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,7 +28,7 @@ from quadexp.report.statistics import BASELINE, CONFIDENCE
 from quadexp.report.statistics_file import Statistics
 from quadexp.report.tables import ErrorTable
 from quadexp.sweeps.engine import CellFailed, CellFunction, Engine, LocalEngine, Task
-from quadexp.sweeps.plan import Job, check_jobs, flying_order, plan_cells
+from quadexp.sweeps.plan import INVALID, Job, check_jobs, flying_order, plan_cells
 from quadexp.sweeps.sweep_table import RESULTS, Row, table_row, write_results
 
 Old = Literal["ask", "refly", "keep"]  # what to do with cells that other sources have flown
@@ -52,6 +52,11 @@ class SweepResult:
     def not_flown(self) -> list[Row]:
         return [row for row in self.rows if row["outcome"] in NOT_FLOWN]
 
+    @property
+    def invalid(self) -> list[Row]:
+        """Cells whose settings contradict each other."""
+        return [row for row in self.rows if row["outcome"] == INVALID]
+
 
 class SweepInterrupted(QuadexpError):
     """Ctrl-C: what is done is kept."""
@@ -72,6 +77,7 @@ def run_sweep(
     isolate: bool = True,
     progress: Callable[[int, int], None] = lambda done, total: None,
     flown: Callable[[Sequence[Row]], None] = lambda rows: None,
+    landed: Callable[[Row], None] = lambda row: None,
     function: CellFunction = evaluate_cell,
 ) -> SweepResult:
     """Fly the cells that are not done, and write the table of all.
@@ -81,16 +87,21 @@ def run_sweep(
     seconds. force: fly everything again, and replace another sweep's table. old: of cells that are there and were flown
     by other sources than those that run: "refly", "keep", or refuse to go on. isolate: False flies in this process.
     progress: called with the numbers of cells done and of all. flown: called with the rows once all cells are flown,
-    before the tables are made. function: flies one cell.
+    before the tables are made. landed: called with every row as it is there. function: flies one cell.
 
-    Raises UsageError before anything is flown, SweepInterrupted on Ctrl-C, QuadexpError at the first file that cannot
-    be written; what is done is kept.
+    A cell whose settings contradict each other is not flown: the outcome of its row is "invalid", `cause` says why.
+
+    Raises UsageError before anything is flown, also where every cell is invalid, SweepInterrupted on Ctrl-C,
+    QuadexpError at the first file that cannot be written; what is done is kept.
     """
     store, jobs = CellStore(out), plan_cells(cells)
     done = set() if force else store.done()
-    check_jobs(job for job in jobs.values() if job.key not in done)
+    wrong = check_jobs(job for job in jobs.values() if job.key not in done and not job.invalid)
+    jobs |= {key: replace(jobs[key], invalid=why) for key, why in wrong.items()}
+    if wrong and all(job.invalid for job in jobs.values()):
+        raise UsageError(next(iter(wrong.values())))
     if not isolate:
-        for config in (job.cell.config for job in jobs.values()):
+        for config in (job.cell.config for job in jobs.values() if not job.invalid):
             vehicle = build_vehicle(config.vehicle)
             check_feasible(config, build_trajectory(config.trajectory, vehicle), vehicle)
     store.open()
@@ -102,14 +113,21 @@ def run_sweep(
             _refuse_another_sweep(store, jobs)
         rows, notes = _recall(store, jobs)
         notes += _settle_old(store, rows, old)
+        for job in (job for job in jobs.values() if job.invalid):
+            rows[job.key] = _row_of(job, failed_row(job.cell.config, None, job.invalid, INVALID))
         todo = [job for job in jobs.values() if job.key not in rows]
+        for row in rows.values():
+            landed(row)
         progress(len(rows), len(jobs))
         try:
             for key, row in _fly(todo, store, engine or LocalEngine(workers, timeout), function, isolate):
                 rows[key] = _row_of(jobs[key], row)
+                landed(rows[key])
                 progress(len(rows), len(jobs))
         except KeyboardInterrupt:
-            raise SweepInterrupted(f"{_done(store, jobs)}; run the same command to continue") from None
+            raise SweepInterrupted(
+                f"{_done(store, jobs)}; run the same command to continue (what is done is kept in {store.root})"
+            ) from None
         except WriteError as error:
             raise QuadexpError(
                 f"{error}: {_done(store, jobs)}; run the same command to continue once it can be written"
@@ -117,6 +135,8 @@ def run_sweep(
         finally:
             store.clean()
         in_order = [rows[key] for key in jobs]
+        if all(row["outcome"] == INVALID for row in in_order):
+            raise UsageError(in_order[0]["cause"])
         flown(in_order)
         record = {
             "metric": metric,
@@ -124,11 +144,42 @@ def run_sweep(
             "confidence": confidence,
             "grids": list(cells.grids) if isinstance(cells, Cells) else [[[o] for o in c.overrides] for c in cells],
             "conditions": sorted({job.condition for job in jobs.values()}),
+            "without_flight": {
+                row["key"]: list(jobs[row["key"]].cell.overrides)
+                for row in in_order
+                if row["outcome"] in ("failed", INVALID)
+            },
             "flown_by": flown_by(in_order),
             "provenance": provenance(),
         }
         statistics, shown, files, altered = write_results(store.root, in_order, record)
     return SweepResult(store.root, in_order, len(todo), shown, statistics, files, [*notes, *altered])
+
+
+def fly_cells(
+    cells: Iterable[Cell],
+    store: CellStore,
+    engine: Engine | None = None,
+    *,
+    function: CellFunction = evaluate_cell,
+    isolate: bool = True,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Row]:
+    """Rows of some cells in their order, flown where they are not in the store; no table is written.
+
+    progress: called with the numbers of cells done and of all. Cells of other sources are flown again. The caller
+    holds the lock of the store. Raises as `run_sweep` does.
+    """
+    jobs = plan_cells(cells)
+    check_jobs(jobs.values())
+    rows, _ = _recall(store, jobs)
+    _settle_old(store, rows, "refly")
+    todo = [job for job in jobs.values() if job.key not in rows]
+    progress(len(rows), len(jobs))
+    for key, row in _fly(todo, store, engine or LocalEngine(), function, isolate):
+        rows[key] = _row_of(jobs[key], row)
+        progress(len(rows), len(jobs))
+    return [rows[key] for key in jobs]
 
 
 def _recall(store: CellStore, jobs: Mapping[str, Job]) -> tuple[dict[str, Row], list[str]]:
@@ -209,7 +260,7 @@ def _fly(
                 if row.all:
                     raise WriteError(row.cause)
                 store.remove([key])
-                row = failed_row(*configs[key], row.cause)
+                row = failed_row(*configs[key], row.cause, INVALID if row.contradiction else "failed")
             yield key, row
 
 

@@ -80,7 +80,7 @@ def _unlike(listed: list[Row], rows: dict[str, Row | None]) -> str:
         mine = rows.get(row["key"])
         if mine is not None:
             other += [f"{row['key']} ({name})" for name in COMPARED if not _same(mine[name], row[name])][:1]
-        elif row["key"] not in rows and row["outcome"] != "failed":
+        elif row["key"] not in rows and row["outcome"] not in ("failed", "invalid"):
             lost.append(row["key"])
     differences = {"are not what their flights say": other, "are of flights that are not there": lost}
     return "; ".join(f"{len(keys)} rows {what}, the first {keys[0]}" for what, keys in differences.items() if keys)

@@ -6,7 +6,7 @@
 
 The lag is discretised exactly over the integration step; the thrust of its middle is held over it. The factors s_0 of
 the flight and s_i of each rotor are log-normal with mean 1 and the standard deviations of the settings, drawn when a
-flight begins. A flight begins with the rotors in hover.
+flight begins. A flight begins with the rotors in hover, or at the thrusts of the reference where it begins in motion.
 
 Inner states: y (n,), then what is logged (n,), see rotor_columns.py. Parameters: exp(-h / 2 tau) up and down over half
 an integration step h, least and largest thrust (N), thrust coefficient, s_0 s_i (n,).
@@ -70,8 +70,11 @@ class Actuator(ActuatorKeys, Effect):
             )
         constants = [max(one, NO_LAG) for one in (self.time_constant_up, self.time_constant_down)]
         decays = [math.exp(-start.clock.step / 2 / one) for one in constants]
-        first = self._lagging(np.full(vehicle.n_rotors, vehicle.hover_thrust))
-        inner = np.concatenate([np.array(first, float).ravel(), first_rotor_column(vehicle)])
+        thrust = np.full(vehicle.n_rotors, vehicle.hover_thrust)
+        if start.thrust is not None:
+            thrust = np.clip(start.thrust, low, high)
+        first = self._lagging(thrust)
+        inner = np.concatenate([np.array(first, float).ravel(), first_rotor_column(vehicle, start.thrust)])
         return inner, np.concatenate([decays, [low, high, rotor_column_factor(vehicle)], scale])
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:

@@ -54,7 +54,7 @@ class Sizes(NamedTuple):
 class Start(NamedTuple):
     """What is known when a flight begins. x: state (13,). duration: s, of the reference. vehicle: the true one.
 
-    begun: inner states of the effects that begin before, by part.
+    begun: inner states of the effects that begin before, by part. thrust: of the rotors (n,) (N); None: in hover.
     """
 
     x: np.ndarray
@@ -62,6 +62,7 @@ class Start(NamedTuple):
     clock: Clock
     vehicle: Vehicle
     begun: Mapping[str, np.ndarray] = {}
+    thrust: np.ndarray | None = None
 
 
 class Moment(NamedTuple):

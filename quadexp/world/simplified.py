@@ -1,14 +1,15 @@
 """The simplified simulation of Torrente et al. 2021: rigid body, drag, motor loss, process noise, payload.
 
     delivered thrust   t_i = clip(u_i - k u_i^2 / u_max - noise_i, 0, u_max)
-    body force         F   = [0, 0, sum t_i] - d v_b - c v_b |v_b| + noise          N, per axis
+    body force         F   = [0, 0, sum t_i + lift] - d v_b - c v_b |v_b| + noise          N, per axis; lift = k v_xy^2
     v'                     = R F / M + g,   M = m + payload (a point mass at the centre)
     w'                     = J^-1 (G t + noise - w x J w)
 
 Every noise is white and given by its spectral density, drawn once per integration step h with standard deviation
 density / sqrt(h), so that trajectories have the same statistics for every h. The published code draws force and torque
 with 0.005 N and N m at h = 0.5 ms: densities 1.118e-4. The motor noise's deviation grows with the root of the
-normalised thrust, 0.02 sqrt(u / u_max) u_max at h = 0.5 ms: density 4.472e-4.
+normalised thrust, 0.02 sqrt(u / u_max) u_max at h = 0.5 ms: density 4.472e-4. The lift of rotors in forward flight is
+that of Sun et al. 2022, zero by default.
 """
 
 from __future__ import annotations
@@ -39,13 +40,13 @@ class PlantEffects(SimplifiedKeys):
         return cls((0.0,) * 3, (0.0,) * 3, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def parameters(self) -> np.ndarray:
-        """The numbers in the order of the plant's symbolic parameter vector, (11,)."""
+        """The numbers in the order of the plant's symbolic parameter vector, (12,)."""
         return np.hstack(astuple(self)).astype(float)
 
 
-N_EFFECTS = 11
-LINEAR_DRAG, QUADRATIC_DRAG, LOSS, MOTOR_NOISE, FORCE_NOISE, TORQUE_NOISE, PAYLOAD = (
-    slice(0, 3), slice(3, 6), 6, 7, 8, 9, 10,
+N_EFFECTS = 12
+LINEAR_DRAG, QUADRATIC_DRAG, LOSS, MOTOR_NOISE, FORCE_NOISE, TORQUE_NOISE, PAYLOAD, LIFT = (
+    slice(0, 3), slice(3, 6), 6, 7, 8, 9, 10, 11,
 )  # fmt: skip
 
 
@@ -84,7 +85,8 @@ def _body_acceleration(
     """Acceleration by rotors and drag, body frame (m/s^2)."""
     force = linear_drag_force(body_velocity, effects[LINEAR_DRAG])
     force += quadratic_drag_force(body_velocity, effects[QUADRATIC_DRAG])
-    return (force + ca.vertcat(0, 0, ca.sum1(delivered))) / (vehicle.mass + effects[PAYLOAD])
+    lift = effects[LIFT] * ca.sumsqr(body_velocity[:2])
+    return (force + ca.vertcat(0, 0, ca.sum1(delivered) + lift)) / (vehicle.mass + effects[PAYLOAD])
 
 
 def _equations(vehicle: Vehicle) -> Equations:

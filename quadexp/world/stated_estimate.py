@@ -3,7 +3,8 @@
     p^ = p + n_p    v^ = v + n_v    w^ = w + n_w    q^ = q o [1, n_a / 2] / |..|        all at t - delay
 
 n: white from sample to sample, independent on each axis. The delay is a whole number of integration steps, the nearest
-one. Until the first delayed state is there, the state at the start holds.
+one. Until the first delayed state is there, the state at the start holds. With gyro=fresh the body rate is that of t:
+a gyroscope has no part in what makes poses late.
 """
 
 from __future__ import annotations
@@ -52,6 +53,7 @@ class StatedEstimate(StatedEstimateKeys, Effect):
         late, steps = self._late(at.clock), at.clock.steps
         past, now = ca.reshape(at.inner, N_STATE, late), at.states[:, 1:]
         x = past[:, steps - 1] if late >= steps else now[:, steps - 1 - late]
+        rate = now[:, -1] if self.gyro == "fresh" else x
         kept = ca.horzcat(past[:, steps:], now) if late > steps else now[:, steps - late :]
         noise = at.draws * ca.vertcat(*(ca.repmat(std, 3, 1) for std in ca.vertsplit(at.parameters)))
         turned = ca.mtimes(left_matrix(x[ATTITUDE]), ca.vertcat(1, noise[6:9] / 2))
@@ -59,6 +61,6 @@ class StatedEstimate(StatedEstimateKeys, Effect):
             x[POSITION] + noise[:3],
             ca.if_else(at.parameters[2] > 0, turned / ca.norm_2(turned), x[ATTITUDE]),
             x[VELOCITY] + noise[3:6],
-            x[RATE] + noise[9:],
+            rate[RATE] + noise[9:],
         )
         return ca.reshape(kept, N_STATE * late, 1), told | {"state": noisy}

@@ -63,16 +63,23 @@ class World(SimulatedPlant):
         self.airframe.reset()
         self.time, self.inner = 0.0, np.empty(0)
 
-    def begin(self, x: np.ndarray, period: float, duration: float, rng: np.random.Generator) -> Streams:
+    def begin(
+        self,
+        x: np.ndarray,
+        period: float,
+        duration: float,
+        rng: np.random.Generator,
+        thrust: np.ndarray | None = None,
+    ) -> Streams:
         """Begin a flight in the state x, (13,), with control periods of `period` (s), of a duration (s).
 
         Returns the noise of the flight, for `advance`. rng: of the airframe's noise; its seed gives the effects'
-        streams.
+        streams. thrust: of the rotors, (n,) (N); None: they hover.
         """
         self.reset()
         clock = self.clock(period)
         begun: dict[str, np.ndarray] = {}
-        start = Start(np.array(x, float), duration, clock, self.vehicle, begun)
+        start = Start(np.array(x, float), duration, clock, self.vehicle, begun, thrust)
         layout = self._layout(clock)
         shares = [Share(rng, layout.airframe.noise)]
         inner, parameters = [self.airframe.inner], []

@@ -17,7 +17,19 @@ from tests.cli.command import run, run_main
 from tests.log.flights import straight_flight
 
 ROOT = Path(__file__).resolve().parents[2]
-COMMANDS = ("simulate", "collect", "fit-gp", "fit-drag", "evaluate", "show", "compare", "report", "export")
+COMMANDS = (
+    "simulate",
+    "collect",
+    "fit-gp",
+    "fit-drag",
+    "evaluate",
+    "show",
+    "compare",
+    "report",
+    "export",
+    "tune",
+    "bench",
+)
 QUICK = ("trajectory=hover", "trajectory.duration=0.5", "controller.backend=interpreted", "plant.backend=interpreted")
 
 
@@ -366,7 +378,7 @@ class TestShow:
     def test_something_else(self, here):
         Path("a.txt").write_text("hello")
         code, _, err = run("show", "a.txt")
-        assert code == 1 and "not a Parquet file" in err
+        assert code == 2 and "not a Parquet file" in err
 
 
 def test_the_record_holds_all_that_was_asked_for(here):

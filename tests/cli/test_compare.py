@@ -59,7 +59,7 @@ class TestCompare:
             (("nowhere", "r"), 2, "nowhere: no such file or folder"),
             (("r", "r/statistics.parquet"), 2, "holds statistics; flights, results and checkpoints can be compared"),
             (("r", "cell"), 2, "cannot compare results (r) with a flight"),
-            (("r", "r/table.md"), 1, "not a Parquet file"),
+            (("r", "r/table.md"), 2, "not a Parquet file"),
         ],
     )
     def test_what_cannot_be_compared_is_one_line(self, results, arguments, code, said):

@@ -138,11 +138,38 @@ class TestExpand:
         ideal = [cell for cell in cells if cell.config.plant.name == "ideal"]
         assert ideal and {cell.config.controller.name for cell in ideal} == {"nominal_mpc"}
 
-    def test_a_mistake_in_any_cell_stops_the_sweep_before_it_begins(self):
-        with pytest.raises(UsageError, match=r"trajectory.speed: no such key"):
-            expand(["trajectory=circle,hover", "trajectory.speed=4"])
-        with pytest.raises(UsageError, match=r"trajectory.speed=-1.0: must be in \(0, 60\] m/s"):
-            expand(["trajectory.speed=4,-1"])
+    @pytest.mark.parametrize(
+        ("overrides", "said"),
+        [
+            (["trajectory.speed=4,-1"], r"trajectory.speed=-1.0: must be in \(0, 60\] m/s"),
+            (["trajectory=circle,hover", "trajectory.sped=4,8"], "trajectory.sped: no such key"),
+            (
+                ["trajectory=circle,hovr", "trajectory.speed=4"],
+                "trajectory=hovr: no such trajectory; did you mean hover",
+            ),
+            (["trajectory=hover", "trajectory.speed=4,8"], "trajectory.speed: no such key"),
+            (
+                ["controller=nominal_mpc,rls_feedback", "controller.nodes=10,few"],
+                "controller.nodes=few: must be a whole",
+            ),
+        ],
+    )
+    def test_a_mistake_in_any_cell_stops_the_sweep_before_it_begins(self, overrides, said):
+        """A key that no cell has, an option that is none, a value that its key does not allow in any cell."""
+        with pytest.raises(UsageError, match=said):
+            expand(overrides)
+
+    def test_a_combination_that_contradicts_itself_is_a_cell_that_says_why(self):
+        cells = list(expand(["trajectory=circle,hover", "trajectory.speed=4", "seed=0,1"]))
+        assert [cell.config.trajectory.name for cell in cells] == ["circle", "circle", "hover", "hover"]
+        assert [cell.config.seed for cell in cells] == [0, 1, 0, 1]
+        assert [cell.invalid.partition(";")[0] for cell in cells] == [""] * 2 + ["trajectory.speed: no such key"] * 2
+        made = list(
+            expand(["horizon=published,precise", "controller=nominal_mpc,rls_feedback", "controller.nodes=10,20"])
+        )
+        wrong = [(cell.config.controller.name, bool(cell.invalid)) for cell in made]
+        assert wrong == [("nominal_mpc", False)] * 2 + [("rls_feedback", True)] * 2 + wrong[:4]
+        assert made[4].varied == "horizon=precise controller.nodes=10" == made[6].varied
 
 
 MISTAKES = {

@@ -18,7 +18,14 @@ from quadexp.cli.app import app
 from quadexp.config.compose import session
 from tests.docs.commands import ROOT, commands, inline, steps
 
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "benchmarks").glob("*.md")])
+PAGES = sorted(
+    [
+        *ROOT.glob("*.md"),
+        *(ROOT / "docs").glob("*.md"),
+        *(ROOT / "docs/site").glob("*.md"),
+        *(ROOT / "benchmarks").glob("*.md"),
+    ]
+)
 OVERRIDE = re.compile(r"[\w./@]+=.*", re.DOTALL)
 LOOSE = ("step", "a_x", "a_y", "a_z", "...")  # times, errors that a few held-out rows decide, and what stands for more
 NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?!\w)")
@@ -39,7 +46,8 @@ def read_as_it_stands(words: list[str]) -> None:
     overrides = [text for text in context.params.get("overrides") or [] if OVERRIDE.fullmatch(text)]
     conf = context.params.get("conf")
     with session(ROOT / conf if conf else None) as composer:
-        if context.params.get("sweep") and any("," in text or "range(" in text for text in overrides):
+        sweeps = context.params.get("sweep") or words[0] == "tune"  # whose trials are sweeps
+        if sweeps and any("," in text or "range(" in text for text in overrides):
             assert len(composer.expand(overrides)) >= 1
         elif overrides:
             composer.compose(overrides)

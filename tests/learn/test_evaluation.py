@@ -50,7 +50,7 @@ def test_report_is_about_flights_the_model_has_not_seen(dataset, small_trials):
 
 def test_one_flight_is_fitted_without_a_report_only():
     one = synthetic_dataset(rows=500, flights=1)
-    with pytest.raises(DataError, match="one flight, .*collect more flights, or pass holdout=0"):
+    with pytest.raises(DataError, match="one flight, .*collect more.*gp.holdout=0 for fit-gp"):
         fit_with_report(one, QUICK)
     fit = fit_with_report(one, GPSettings(inducing=5, max_iterations=5, holdout=0))
     assert fit.test is None and fit.report["rows"] == []

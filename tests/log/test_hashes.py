@@ -169,7 +169,7 @@ def test_the_record_is_the_one_that_arrow_reads(tmp_path):
     for text in ("", "x" * 90, "\u00e9" * 200, "y" * 40_000, 'quadexp"{}\\'):
         path = write_table(tmp_path / "a.parquet", {"t": np.arange(3.0)}, {"text": text, "quadexp": 1}, "estimates")
         assert read_record(path, "estimates") == json.loads(pq.read_schema(path).metadata[METADATA_KEY])
-        with pytest.raises(DataError, match="holds estimates, flight are needed"):
+        with pytest.raises(DataError, match="is a table of estimates, a flight is needed"):
             read_record(path, "flight")
 
 

@@ -105,7 +105,7 @@ class TestBadFiles:
 
     def test_another_kind(self, tmp_path):
         path = write_flight(tmp_path / "a.parquet", straight_flight())
-        with pytest.raises(DataError, match="holds flight, residuals are needed"):
+        with pytest.raises(DataError, match="is a flight, a data set is needed"):
             read_table(path, "residuals")
 
     def test_another_schema(self, tmp_path, monkeypatch):

@@ -22,7 +22,9 @@ from quadexp.sweeps import keys as cell_keys
 from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.keys import cell_key
 from quadexp.sweeps.plan import flying_order, plan_cells
+from quadexp.sweeps.results import list_results
 from quadexp.sweeps.sweep import SweepInterrupted, run_sweep
+from quadexp.sweeps.verify import verify_results
 from tests.processes import processes
 from tests.sweeps import cells
 
@@ -181,12 +183,37 @@ class TestSweep:
         fly(grid, tmp_path / "r", progress=lambda done, total: seen.append((done, total)))
         assert seen[0] == (6, 12) and seen[-1] == (12, 12)
 
-    def test_settings_that_contradict_each_other_are_said_before_anything_is_flown(self, tmp_path):
+    def test_settings_that_contradict_each_other_in_every_cell_are_said_before_anything_is_flown(self, tmp_path):
         with pytest.raises(UsageError, match="step_time"):
-            fly(expand(["trajectory=step", "trajectory.duration=0.5,5"]), tmp_path / "r")
+            fly(expand(["trajectory=step", "trajectory.duration=0.4,0.5"]), tmp_path / "r")
         with pytest.raises(UsageError, match="truth: gives no vehicle that can fly"):
-            fly(expand(["truth.mass=1,9"]), tmp_path / "r")
+            fly(expand(["truth.mass=9,10"]), tmp_path / "r")
         assert files(tmp_path) == []
+
+    def test_a_cell_whose_settings_contradict_each_other_is_marked_and_the_others_are_flown(self, tmp_path):
+        """Found while composing (hover has no speed), while planning (a truth that cannot fly), and while its parts are
+        built (a part of this test's own)."""
+        asked = ["trajectory=circle,hover", "trajectory.speed=4", "truth.mass=1,9", "seed=0,1"]
+        result = run_sweep(expand(asked), tmp_path / "r", function=cells.contradicting_cell, workers=1)
+        found = {(r["trajectory"], r["variant"], r["seed"]): (r["outcome"], r["cause"]) for r in result.rows}
+        assert len(found) == 8 and found.pop(("circle", "truth.mass=1", 0)) == ("ok", "")
+        assert found.pop(("circle", "truth.mass=1", 1)) == ("invalid", "seed 1 does not go with this")
+        assert {outcome for outcome, _ in found.values()} == {"invalid"} and not result.not_flown
+        assert all("no such key" in cause for (name, *_), (_, cause) in found.items() if name == "hover")
+        assert all("no vehicle that can fly" in cause for (name, *_), (_, cause) in found.items() if name == "circle")
+        assert "7 of 8 combinations are invalid and were not flown" in (tmp_path / "r" / "table.md").read_text()
+        again = run_sweep(expand(asked), tmp_path / "r", function=cells.contradicting_cell, workers=1)
+        assert [row["outcome"] for row in again.rows] == [row["outcome"] for row in result.rows] and again.flown == 1
+        assert [row["outcome"] for row in list_results(tmp_path / "r", failures=True)] == ["invalid"] * 7
+        assert not verify_results(tmp_path / "r").wrong
+
+    def test_an_invalid_cell_takes_no_part_in_statistics_and_is_marked_in_the_table(self, tmp_path):
+        asked = ["controller=nominal_mpc,rls_feedback", "controller.nodes=8,12", "trajectory.speed=2", "seed=0,1"]
+        result = fly(expand(asked), tmp_path / "r")
+        assert {s.controller for s in result.statistics.rows} == {"nominal_mpc"} and len(result.invalid) == 4
+        assert result.table.columns == ("nominal_mpc", "rls_feedback") and result.table.keys == ("controller.nodes",)
+        rows = result.table.table().rows
+        assert [row[2] for row in rows] == ["", "8", "12"] and [row[4] for row in rows] == ["-", "invalid", "invalid"]
 
     def test_cells_of_one_controller_are_flown_one_after_the_other(self, grid):
         names = [job.cell.config.controller.name for job in flying_order(list(plan_cells(grid).values()))]
@@ -280,7 +307,8 @@ class TestInterrupt:
         assert process.returncode == 1
         line = rest.strip().splitlines()[-1]
         done = int(line.split()[1])
-        assert line == f"error: {done} of 40 done; run the same command to continue" and done >= 6
+        assert line.startswith(f"error: {done} of 40 done; run the same command to continue (what is done is kept in ")
+        assert done >= 6
         assert len(CellStore(tmp_path / "r").done()) == done
         assert not [name for name in files(tmp_path) if name.endswith((".tmp", ".lock"))]
         deadline = time.time() + 120

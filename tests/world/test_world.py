@@ -157,6 +157,18 @@ def test_a_late_estimate_is_an_earlier_state(vehicle, kind):
     assert np.array_equal(told[2:], states[:-2]) and np.array_equal(told[:2], states[[0, 0]])
 
 
+@pytest.mark.parametrize("kind", AIRFRAMES)
+@pytest.mark.parametrize("delay", [0.007, PERIOD, 2 * PERIOD])
+def test_a_fresh_gyroscope_beside_a_late_pose(vehicle, kind, delay):
+    """Only the rate differs from the estimate that is late as a whole, and it is that of now."""
+    u, x = commands(vehicle, 12), start(5)
+    estimates = (StatedEstimate(delay=delay, gyro=gyro) for gyro in ("late", "fresh"))
+    late, fresh = (fly(World(airframe(kind, vehicle), [one]), x, u) for one in estimates)
+    assert np.array_equal(fresh[0], late[0]) and np.array_equal(fresh[2][:, :10], late[2][:, :10])
+    assert np.array_equal(fresh[2][:, 10:], fresh[0][:, 10:])
+    assert np.abs(fresh[2][3:, 10:] - late[2][3:, 10:]).max() > 1e-3
+
+
 def test_a_delay_below_a_period(vehicle):
     """Against the same commands on a control period as short as an integration step."""
     delay, u, x = 0.007, commands(vehicle, 12), start(6)

@@ -1,13 +1,16 @@
-"""The attitude error in the cost: the difference q - q*, or the error rotation e = q*^-1 o q.
+"""The attitude error in the cost: the difference q - q*, or the error rotation e = q*^-1 o q or q o q*^-1.
 
     plain    weighted q - q*, as in Torrente et al. 2021. The components do not belong to axes of the vehicle: the same
              weights mean other weights of roll, pitch and yaw at every heading.
     body     weighted e - (1, 0, 0, 0), with e = (cos a/2, sin(a/2) axis) and the axis in the reference's body frame:
              weights of roll, pitch and yaw errors, the same at every heading.
+    world    weighted q o q*^-1 - (1, 0, 0, 0): the axis in world axes, as Sun et al. 2022 print it; the third weight
+             is that of a turn about the vertical, however the vehicle is tilted.
 
 With L(q*), L(q) p = q o p, of a unit q*, e = L(q*)' q is linear in q, and L is orthogonal. So "body" is the same
 subproblem in other coordinates of the quaternion at each node, dq = L de: the weights stay diagonal, A, B and b are
-transformed from the left and from the right, and the solver is the same.
+transformed from the left and from the right, and the solver is the same. So it is for "world", with M(q*),
+M(q) p = p o q, in place of L(q*).
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ from typing import Protocol
 import casadi as ca
 
 from quadexp.physics.expression import Expression
-from quadexp.physics.rotation import left_matrix
+from quadexp.physics.rotation import left_matrix, right_matrix
 from quadexp.physics.scalars import as_scalars
 from quadexp.physics.state import ATTITUDE
 
@@ -55,10 +58,10 @@ class PlainDifference:
         return A, B, b
 
 
-class BodyRotation:
-    """q*^-1 o q.
+class Rotation:
+    """q*^-1 o q, or q o q*^-1.
 
-    frames: L(q*_k) side by side, (4, 4 (N + 1)); see `reference_frames`.
+    frames: L(q*_k), or M(q*_k), side by side, (4, 4 (N + 1)); see `reference_frames`.
     """
 
     def __init__(self, frames: Expression) -> None:
@@ -82,16 +85,23 @@ class BodyRotation:
 
 def attitude_error_in(frames: Expression | None) -> AttitudeError:
     """The error in a horizon's frames; None: the plain difference."""
-    return PlainDifference() if frames is None else BodyRotation(frames)
+    return PlainDifference() if frames is None else Rotation(frames)
 
 
-def reference_frames(X_ref: Expression) -> Expression:
-    """L(q* / |q*|) of every reference state, (13, N + 1), side by side: (4, 4 (N + 1))."""
-    return ca.horzcat(*(as_scalars(_frame)(x[ATTITUDE]) for x in ca.horzsplit(X_ref)))
+def reference_frames(X_ref: Expression, kind: str) -> list[Expression]:
+    """L or M of q* / |q*| of every reference state, (13, N + 1), side by side: (4, 4 (N + 1)); none for "plain"."""
+    if kind == "plain":
+        return []
+    frame = as_scalars({"body": _body_frame, "world": _world_frame}[kind])
+    return [ca.horzcat(*(frame(x[ATTITUDE]) for x in ca.horzsplit(X_ref)))]
 
 
-def _frame(q: Expression) -> Expression:
+def _body_frame(q: Expression) -> Expression:
     return left_matrix(q / ca.norm_2(q))
+
+
+def _world_frame(q: Expression) -> Expression:
+    return right_matrix(q / ca.norm_2(q))
 
 
 def _into(L: Expression, rows: Expression) -> Expression:

@@ -1,4 +1,4 @@
-"""The model predictive controller with the interface of all controllers, with dead-time prediction."""
+"""The model predictive controller with the interface of all controllers, with dead-time prediction and a belief."""
 
 from __future__ import annotations
 
@@ -9,9 +9,13 @@ import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.belief import Belief
+from quadexp.control.mpc.believed_world import BelievedWorld, Estimator
 from quadexp.control.mpc.dead_time import DeadTimePredictor
+from quadexp.control.mpc.motor_lead import MotorLead
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
-from quadexp.physics.state import POSITION
+from quadexp.physics.rigid_body import N_DISTURBANCE
+from quadexp.physics.state import N_STATE, POSITION
 
 
 class PredictiveController:
@@ -21,10 +25,13 @@ class PredictiveController:
 
     def __init__(self, mpc: ModelPredictiveController) -> None:
         self.mpc = mpc
+        self.believed: BelievedWorld | None = None  # made by the first `believe`
+        self.targets = False  # whether references are recomputed to hold the path in the believed world
         self.vehicle, self.settings, self.backend = mpc.vehicle, mpc.settings, mpc.backend
         self.control_period = mpc.settings.control_period
         self.node_times = mpc.settings.dead_time + mpc.node_times  # the first is when a command sent now begins to act
-        self.predictor = DeadTimePredictor(mpc) if mpc.settings.dead_time or mpc.settings.motor_lag else None
+        self.predictor = DeadTimePredictor(mpc) if mpc.settings.dead_time or mpc.settings.known_lag else None
+        self.lead = MotorLead(mpc.vehicle, mpc.settings) if mpc.settings.motor_lead else None
         self._prepared: Window | None = None
         self.name, self.source = mpc.residual.name, mpc.residual.source
 
@@ -39,27 +46,66 @@ class PredictiveController:
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
+        if self.believed is not None:
+            self.mpc.set_disturbance(np.zeros(N_DISTURBANCE))
         if self.predictor is not None:
             self.predictor.reset(np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max))
             x = self.predictor.predict(x)
+        if self.lead is not None:
+            x = x[:N_STATE]
         self.mpc.reset(x, self._within_reach(x, window.state), window.input)
+        if self.believed is not None:
+            self.believed.reset(None)
+
+    def believe(self, belief: Belief) -> None:
+        """Plan the next step, and all after it until told otherwise, in the world of a belief.
+
+        Raises QuadexpError where the MPC was made without `disturbed`.
+        """
+        if self.believed is None:
+            self.believed = BelievedWorld(self.mpc, self.node_times, targets=self.targets, air=self.residual)
+        self.believed.belief = belief
+
+    def observed_by(self, estimator: Estimator) -> BelievedWorld:
+        """Plan every step in the world that an estimator finds, which is a part of the step from now on."""
+        self.believed = BelievedWorld(
+            self.mpc, self.node_times, targets=self.targets, air=self.residual, estimator=estimator
+        )
+        return self.believed
 
     def prepare(self, window: Window) -> None:
         """Do what the next step can do before its measurement; `step` with this window, the same object, is faster.
 
-        To be called between two steps. The answer is that of a step without it, to rounding.
+        To be called between two steps. The answer is that of a step without it, to rounding. Where there is a belief it
+        does nothing: that of the next step depends on its measurement.
         """
+        if self.believed is not None:
+            return
         self.mpc.prepare(window.state, window.input)
         self._prepared = window
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
-        if self.predictor is None:
-            return self._answer(measurement.state, window)
+        x, world, predictor = measurement.state, self.believed, self.predictor
+        if world is None and predictor is None:
+            return self._answer(x, window)
         began = time.perf_counter()
-        thrust, record = self._answer(self.predictor.predict(measurement.state), window)
-        self.predictor.record(thrust)
-        return thrust, record._replace(solve_time=time.perf_counter() - began)
+        if world is not None:
+            x, states, inputs = world.enter(measurement, window)
+        if predictor is not None:
+            x = predictor.predict(x)
+        body = x if self.lead is None else x[:N_STATE]
+        if world is None:
+            thrust, record = self._answer(body, window)
+        else:
+            thrust, record = self.mpc.command(body, self._within_reach(body, states), inputs)
+        if self.lead is not None:
+            thrust = self.lead.command(thrust, x[N_STATE:])
+        if predictor is not None:
+            predictor.record(thrust)  # in a believed world: what is delivered of the command
+        if world is not None:
+            thrust = world.leave(thrust)
+        return thrust, StepRecord(time.perf_counter() - began, *record[1:])
 
     def _answer(self, x: np.ndarray, window: Window) -> tuple[np.ndarray, StepRecord]:
         """x: predicted state when the command begins to act; window: the reference from then on."""

@@ -8,8 +8,8 @@ u is held for h,
     x(t_k + d) = F( .. F(F(x_k, u_{k-K}, d - (K - 1) T), u_{k-K+1}, T) .., u_{k-1}, T)
 
 and the control problem is solved from that state, along the reference from t_k + d on (a predictor as of Smith 1957,
-restarted from each measurement). Where the rotors' thrusts are states (controller.motor_lag), they are not measured but
-computed from the commands by the same lag (physics.motor).
+restarted from each measurement). Where the rotors' lag is known (controller.motor_lag or motor_lead), their thrusts are
+not measured but computed from the commands by the same lag (physics.motor).
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise
+from quadexp.control.delivered import advanced
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.prediction import node_function
-from quadexp.physics.motor import lagging_thrust
+from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.physics.vehicle import Vehicle
 
@@ -32,23 +33,27 @@ from quadexp.physics.vehicle import Vehicle
 class DeadTimePredictor:
     """Predicts the state after the dead time from the commands that have been sent but have not acted yet.
 
-    mpc: its model, parameters, dead_time and motor_lag are used. Call `reset`, then at every control instant `predict`
+    mpc: its model, parameters, dead_time and known lag are used. Call `reset`, then at every control instant `predict`
     and `record`, in this order.
 
     commands: sent and not yet fully acting, (K, n) (N), the oldest first. thrust: of the rotors at the control instant,
-    (n,) (N), with motor_lag only.
+    (n,) (N), with a known lag only.
     """
 
     def __init__(self, mpc: ModelPredictiveController) -> None:
         settings, n = mpc.settings, mpc.vehicle.n_rotors
-        self._period, self._lag, dead_time = settings.control_period, settings.motor_lag, settings.dead_time
+        self._period, self._lag, dead_time = settings.control_period, settings.known_lag, settings.dead_time
         pending = math.ceil(dead_time / self._period - 1e-9)
         self.commands, self.thrust = np.zeros((pending, n)), np.zeros(n)
         self._first = dead_time - (pending - 1) * self._period  # s, for which the oldest command still acts
         self._predict: BufferedFunction | None = None
         if pending:
-            function = _function(mpc.vehicle, mpc.residual, pending, bool(self._lag), mpc.backend)
-            self._predict = BufferedFunction(function, {"theta": mpc.parameters})
+            form = {"lag": bool(self._lag), "disturbed": mpc.disturbance is not None}
+            function = _function(mpc.vehicle, mpc.residual, pending, mpc.backend, **form)
+            shared = {"theta": mpc.parameters}
+            shared |= {} if mpc.disturbance is None else {"disturbance": mpc.disturbance}
+            self._predict = BufferedFunction(function, shared)
+            self._x, self._x_next = self._predict.arguments["x"], self._predict.results["x_next"]
             self.commands = self._predict.arguments["U"].reshape(pending, n)  # a view: what is sent is read there
             durations = self._predict.arguments["dt"]
             durations[...], durations[0] = self._period, self._first
@@ -60,49 +65,57 @@ class DeadTimePredictor:
         self.commands[...] = self.thrust[...] = thrust
 
     def predict(self, x: np.ndarray) -> np.ndarray:
-        """State after the dead time, (13,), with motor_lag (13 + n,), from the measured state x now, (13,)."""
+        """State after the dead time, (13,), with a known lag (13 + n,), from the measured state x now, (13,)."""
         full = np.concatenate([x, self.thrust]) if self._lag else x
         if self._predict is None:
             return full
-        self._predict.arguments["x"][...] = full
+        self._x[...] = full
         self._predict()
-        return self._predict.results["x_next"].copy()
+        return self._x_next.copy()
 
     def record(self, command: np.ndarray) -> None:
         """Add the command, (n,) (N), that was sent at this control instant, and go on by one control period."""
+        if not self._lag:
+            self.commands[:-1] = self.commands[1:]
+            self.commands[-1:] = command
+            return
         acting = np.vstack([self.commands, command])
         if self._lag:
             durations = [self._first, self._period - self._first] if len(self.commands) else [self._period]
             for u, duration in zip(acting, durations, strict=False):
-                self.thrust[...] = np.array(lagging_thrust(self.thrust, u, duration, self._lag))
+                self.thrust[...] = advanced(self.thrust, u, duration, self._lag)
         self.commands[...] = acting[1:]
 
 
 _built: dict[tuple[Any, ...], ca.Function] = {}
 
 
-def _function(vehicle: Vehicle, residual: Residual, pending: int, lag: bool, backend: str) -> ca.Function:
+def _function(vehicle: Vehicle, residual: Residual, pending: int, backend: str, **form: bool) -> ca.Function:
     """`prediction_function` on a resolved back end; built once per process and structure."""
-    key = (vehicle.fingerprint, residual.function.serialize(), pending, lag, backend)
+    key = (vehicle.fingerprint, residual.function.serialize(), pending, *form.values(), backend)
     if key not in _built:
-        _built[key] = realise(prediction_function(vehicle, residual, pending, lag=lag), backend)
+        _built[key] = realise(prediction_function(vehicle, residual, pending, **form), backend)
     return _built[key]
 
 
-def prediction_function(vehicle: Vehicle, residual: Residual, commands: int, *, lag: bool = False) -> ca.Function:
+def prediction_function(
+    vehicle: Vehicle, residual: Residual, commands: int, *, lag: bool = False, disturbed: bool = False
+) -> ca.Function:
     """The model's state after K = commands held inputs.
 
     Inputs: x (m,), m = 13, with `lag` 13 + n; U (n, K) (N), the first to act first; dt (K,), for how long each acts
-    (s); theta (p,); with `lag` tau (s). Output: x_next (m,), its quaternion of unit length.
+    (s); theta (p,); with `lag` tau (s); with `disturbed` disturbance (6,), see physics.rigid_body. Output: x_next (m,),
+    its quaternion of unit length.
     """
     n = vehicle.n_rotors
-    node = node_function(vehicle, residual, lag=lag)
+    node = node_function(vehicle, residual, lag=lag, disturbed=disturbed)
     arguments = {"x": ca.MX.sym("x", N_STATE + n * lag), "U": ca.MX.sym("U", n, commands)}
     arguments |= {"dt": ca.MX.sym("dt", commands), "theta": ca.MX.sym("theta", residual.function.size1_in(1))}
     arguments |= {"tau": ca.MX.sym("tau")} if lag else {}
-    x, time_constant = arguments["x"], [arguments["tau"]] if lag else []
+    arguments |= {"disturbance": ca.MX.sym("disturbance", N_DISTURBANCE)} if disturbed else {}
+    x, further = arguments["x"], [arguments[name] for name in ("tau", "disturbance") if name in arguments]
     for u, dt in zip(ca.horzsplit(arguments["U"]), ca.vertsplit(arguments["dt"]), strict=True):
-        x = node(x, u, arguments["theta"], dt, *time_constant)
+        x = node(x, u, arguments["theta"], dt, *further)
     q = x[ATTITUDE]
     x = ca.vertcat(x[: ATTITUDE.start], q / ca.norm_2(q), x[ATTITUDE.stop :])
     return ca.Function("mpc_prediction", [*arguments.values()], [x], [*arguments], ["x_next"])

@@ -26,6 +26,7 @@ from quadexp.control.mpc.attitude_error import attitude_error_in, reference_fram
 from quadexp.control.mpc.prediction import node_function
 from quadexp.control.mpc.reference_thrust import held_deviation
 from quadexp.control.mpc.settings import SAMPLES
+from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 
@@ -54,12 +55,13 @@ def rollout_function(
     attitude_error: str = "plain",
     lag: bool = False,
     deviation: bool = False,
+    disturbed: bool = False,
 ) -> ca.Function:
     """The trajectory of given inputs, and its cost.
 
     Inputs, named and shaped as the step's: x0, U, X_ref, U_ref, theta, Q, Q_end, R, dt (s), with `lag` also tau (s),
-    with `deviation` first_share, u_min and u_max. Outputs: X (m, N + 1); cost, half of the weighted sum of squares of
-    control.mpc.step.
+    with `deviation` first_share, u_min and u_max, with `disturbed` disturbance. Outputs: X (m, N + 1); cost, half of
+    the weighted sum of squares of control.mpc.step.
     """
     n = vehicle.n_rotors
     m, samples = N_STATE + n * lag, SAMPLES if deviation else 1
@@ -73,9 +75,10 @@ def rollout_function(
     }
     names |= {"tau": (1, 1)} if lag else {}
     names |= {"first_share": (1, 1), "u_min": (n, 1), "u_max": (n, 1)} if deviation else {}
+    names |= {"disturbance": (N_DISTURBANCE, 1)} if disturbed else {}
     a = {name: ca.MX.sym(name, *shape) for name, shape in names.items()}
-    node = node_function(vehicle, residual, lag=lag, added=deviation)
-    constant = [a["tau"]] if lag else []
+    node = node_function(vehicle, residual, lag=lag, added=deviation, disturbed=disturbed)
+    constant, pushed = [a["tau"]] if lag else [], [a["disturbance"]] if disturbed else []
     X_ref, U_ref = a["X_ref"][:, ::samples], a["U_ref"]
     added: list[list[ca.MX]] = [[]] * nodes
     if deviation:
@@ -84,9 +87,9 @@ def rollout_function(
 
     states = [a["x0"]]
     for u_k, dt_k, added_k in zip(ca.horzsplit(a["U"]), ca.vertsplit(a["dt"]), added, strict=True):
-        states.append(node(states[-1], u_k, a["theta"], dt_k, *constant, *added_k))
+        states.append(node(states[-1], u_k, a["theta"], dt_k, *constant, *added_k, *pushed))
     X = ca.horzcat(*states)
-    error = attitude_error_in(reference_frames(X_ref) if attitude_error == "body" else None)
+    error = attitude_error_in(*reference_frames(X_ref, attitude_error) or [None])
     errors = [error.deviation(k, d) for k, d in enumerate(ca.horzsplit(X - X_ref))]
     weights = [*ca.horzsplit(a["Q"]), a["Q_end"]]
     cost = sum((ca.dot(w * d, d) for w, d in zip(weights, errors, strict=True)), ca.MX(0))

@@ -97,13 +97,15 @@ class HoverLoop:
 
     def _gains(self, controller: PredictiveController) -> None:
         """K_x (n, 12), K_T (n, n) and K_j (K, n, n), of u_{k-1} first."""
-        mpc, n, samples = controller.mpc, self._n, len(controller.node_times)
+        mpc, lead, n, samples = controller.mpc, controller.lead, self._n, len(controller.node_times)
         states, inputs = np.tile(self._x, (samples, 1)), np.tile(self._u, (samples - 1, 1))
-        lagging = np.full(n, self._u[0]) if self._settings.motor_lag else np.zeros(0)
+        lagging = np.full(n, self._u[0]) if self._settings.known_lag else np.zeros(0)
 
         def answer(x: np.ndarray) -> np.ndarray:
-            mpc.reset(x, states, inputs)
-            return mpc.command(x, states, inputs)[0]
+            s = x if lead is None else x[:N_STATE]
+            mpc.reset(s, states, inputs)
+            planned = mpc.command(s, states, inputs)[0]
+            return planned if lead is None else lead.command(planned, x[N_STATE:])
 
         by_state = _jacobian(answer, np.concatenate([self._x, lagging]))
         predictor = controller.predictor
@@ -128,7 +130,7 @@ class HoverLoop:
 
     def matrix(self, *, delay: float = 0.0, lag: float = 0.0) -> np.ndarray:
         """Transition matrix of the loop's state over a control period, see `radius`."""
-        n, known, period = self._n, self._settings.motor_lag, self._settings.control_period
+        n, known, period = self._n, self._settings.known_lag, self._settings.control_period
         A, B = self._A, self._B
         for constant in (known, lag):  # the thrusts become states, with the commands as inputs
             if constant > 0:
@@ -165,11 +167,11 @@ class HoverLoop:
         """Thrusts that the controller computes, a period later, as DeadTimePredictor does."""
         period, pending = self._settings.control_period, len(self._K)
         oldest = self._settings.dead_time - (pending - 1) * period if pending else period
-        share = float(lagging_thrust(1.0, 0.0, min(oldest, period), self._settings.motor_lag))
+        share = float(lagging_thrust(1.0, 0.0, min(oldest, period), self._settings.known_lag))
         thrust = share * thrust + (1 - share) * command(pending)
         if not pending:
             return thrust
-        share = float(lagging_thrust(1.0, 0.0, period - oldest, self._settings.motor_lag))
+        share = float(lagging_thrust(1.0, 0.0, period - oldest, self._settings.known_lag))
         return share * thrust + (1 - share) * command(pending - 1)
 
 

@@ -47,15 +47,22 @@ class ModelPredictiveController:
 
     vehicle, residual: the prediction model: rigid body and rotors, and a correction of the acceleration and torque.
     backend: "auto", "compiled" or "interpreted" (see compile/backend.py); the attribute is the one in use.
+    disturbed: whether the model has a disturbance that may be set before every step (`set_disturbance`).
     """
 
     def __init__(
-        self, vehicle: Vehicle, residual: Residual, settings: MPCSettings | None = None, *, backend: str = "auto"
+        self,
+        vehicle: Vehicle,
+        residual: Residual,
+        settings: MPCSettings | None = None,
+        *,
+        backend: str = "auto",
+        disturbed: bool = False,
     ) -> None:
         self.vehicle, self.residual = vehicle, residual
         self.settings = settings = settings or MPCSettings()
-        self.backend = resolve(backend)
-        step, bounded = _functions(vehicle, residual, settings, self.backend)
+        self.backend, self._form = resolve(backend), _form(settings, disturbed)
+        step, bounded = _functions(vehicle, residual, settings.nodes, self._form, self.backend)
         self._step = BufferedFunction(step)
         arguments = self._step.arguments
         self._active_set = make_active_set(bounded, self._step)
@@ -97,6 +104,29 @@ class ModelPredictiveController:
         """Use other residual parameters, (p,), from the next step on; nothing is compiled again."""
         self.prepared = False
         self._step.arguments["theta"].ravel()[:] = theta
+
+    @property
+    def disturbance(self) -> np.ndarray | None:
+        """Acceleration, world (m/s^2), and angular acceleration, body (rad/s^2), in use, (6,), changed in place by
+        `set_disturbance`; None where the model has none."""
+        return self._step.arguments.get("disturbance")
+
+    def set_disturbance(self, disturbance: np.ndarray) -> None:
+        """Use another disturbance, (6,), from the next step on; nothing is compiled again.
+
+        Raises QuadexpError where the controller was made without.
+        """
+        if self.disturbance is None:
+            raise QuadexpError("this model has no disturbance: ModelPredictiveController(.., disturbed=True) has")
+        self.prepared = False
+        self.disturbance[...] = disturbance
+
+    def set_thrust_scale(self, scale: float) -> None:
+        """What a rotor gives of a command of 1 N, from the next step on: inputs are the thrusts that are delivered, so
+        only their limits change."""
+        self.prepared = False
+        given, vehicle = self._step.arguments, self.vehicle
+        given["u_min"][...], given["u_max"][...] = scale * vehicle.thrust_min, scale * vehicle.thrust_max
 
     @property
     def functions(self) -> tuple[BufferedFunction, Solver]:
@@ -168,8 +198,8 @@ class ModelPredictiveController:
         if self._cold:
             return
         if self._phases is None:
-            form = _form(self.settings)
-            self._phases = Phases(self._step, self.vehicle, self.residual, self.settings.nodes, self.backend, **form)
+            nodes, form = self.settings.nodes, self._form
+            self._phases = Phases(self._step, self.vehicle, self.residual, nodes, self.backend, **form)
         self._set_reference(state_reference, input_reference)
         if self._attitude_ref.dot(self._attitude_predicted) < 0:
             self._X_ref[:, ATTITUDE] *= -1
@@ -226,8 +256,7 @@ class ModelPredictiveController:
         None where the trajectory of neither is finite.
         """
         if self._first_solve is None:
-            settings = self.settings
-            rollout = rollout_function(self.vehicle, self.residual, settings.nodes, **_form(settings))
+            rollout = rollout_function(self.vehicle, self.residual, self.settings.nodes, **self._form)
             self._first_solve = FirstSolve(rollout, self._step, self._direction)
         reached = np.clip(self._U, self.vehicle.thrust_min, self.vehicle.thrust_max)
         found = self._first_solve.solve([reached, guess], iterations)
@@ -278,20 +307,19 @@ class ModelPredictiveController:
         self._U[...] = u + length * (U_new - u)
 
 
-def _form(settings: MPCSettings) -> dict[str, Any]:
+def _form(settings: MPCSettings, disturbed: bool) -> dict[str, Any]:
     """What decides the structure of the step besides model and nodes, see `step_function`."""
-    deviation = settings.input_hold == "deviation"
-    return {"attitude_error": settings.attitude_error, "lag": bool(settings.motor_lag), "deviation": deviation}
+    form = {"attitude_error": settings.attitude_error, "lag": bool(settings.motor_lag)}
+    return form | {"deviation": settings.input_hold == "deviation", "disturbed": disturbed}
 
 
 _built: dict[tuple[Any, ...], tuple[ca.Function, ca.Function | None]] = {}
 
 
 def _functions(
-    vehicle: Vehicle, residual: Residual, settings: MPCSettings, backend: str
+    vehicle: Vehicle, residual: Residual, nodes: int, form: dict[str, Any], backend: str
 ) -> tuple[ca.Function, ca.Function | None]:
     """Step and bounded subproblem on the resolved back end (None: numpy); built once per process and structure."""
-    form, nodes = _form(settings), settings.nodes
     key = (vehicle.fingerprint, residual.function.serialize(), nodes, *form.values(), backend)
     if key not in _built:
         step = step_function(vehicle, residual, nodes, scalar=backend == "compiled", **form)

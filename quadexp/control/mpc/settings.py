@@ -30,6 +30,11 @@ class MPCSettings(MPCKeys):
                 f"controller.rate={self.rate:g}: a control period of {self.control_period:g} s must not exceed the node"
                 f" period of {self.node_period:g} s (horizon / nodes)"
             )
+        if self.motor_lag and self.motor_lead:
+            raise UsageError(
+                f"controller.motor_lead={self.motor_lead:g}: must be 0 where controller.motor_lag={self.motor_lag:g}"
+                " models the rotors' lag: it is inverted or planned with, not both"
+            )
         if self.first_node and not self.control_period - 1e-12 <= self.first_node <= self.node_period + 1e-12:
             raise UsageError(
                 f"controller.first_node={self.first_node:g}: must be 0 or between the control period of"
@@ -40,6 +45,11 @@ class MPCSettings(MPCKeys):
     def control_period(self) -> float:
         """Time between control steps (s)."""
         return 1.0 / self.rate
+
+    @property
+    def known_lag(self) -> float:
+        """Time constant (s) of the rotors that the controller knows of, be it planned with or inverted."""
+        return self.motor_lag or self.motor_lead
 
     @property
     def node_period(self) -> float:

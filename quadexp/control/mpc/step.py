@@ -26,6 +26,7 @@ from quadexp.control.mpc.riccati import CompiledPasses, MatrixPasses, Passes
 from quadexp.control.mpc.settings import SAMPLES
 from quadexp.control.mpc.subproblem import backward_pass, forward_pass, input_gradient
 from quadexp.physics.expression import Expression
+from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.sensitivity import rk4_sensitivity_function
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.physics.vehicle import Vehicle
@@ -71,13 +72,15 @@ class _Step:
         scalar: bool,
         lag: bool,
         deviation: bool,
+        disturbed: bool,
     ) -> None:
         if scalar and residual.to_compile is not None:
             residual = replace(residual, function=residual.to_compile)
         n, samples = vehicle.n_rotors, SAMPLES if deviation else 1
         m = N_STATE + n * lag
-        self.nodes, self.body, self.deviation, self.samples = nodes, attitude_error == "body", deviation, samples
-        self.node = rk4_sensitivity_function(vehicle, residual, scalar=scalar, lag=lag, added=deviation)
+        self.nodes, self.attitude_error, self.deviation, self.samples = nodes, attitude_error, deviation, samples
+        form = {"lag": lag, "added": deviation, "disturbed": disturbed}
+        self.node = rk4_sensitivity_function(vehicle, residual, scalar=scalar, **form)
         self._kind = CompiledPasses if scalar else MatrixPasses
         self._passes: Passes | None = None
         shapes = {"X": (m, nodes + 1), "U": (n, nodes), "x0": (m, 1), "X_ref": (m, samples * nodes + 1)}
@@ -85,7 +88,9 @@ class _Step:
         shapes |= {"Q_end": (m, 1), "R": (n, nodes), "u_min": (n, 1), "u_max": (n, 1)}
         shapes |= {"dt": (nodes, 1), "shift": (nodes, 1)} | ({"tau": (1, 1)} if lag else {})
         shapes |= {"first_share": (1, 1)} if deviation else {}
+        shapes |= {"disturbance": (N_DISTURBANCE, 1)} if disturbed else {}
         self.given = {name: ca.MX.sym(name, *shape) for name, shape in shapes.items()}
+        self.disturbance = [self.given["disturbance"]] if disturbed else []
         self.time_constant = [self.given["tau"]] if lag else []
         self.X_ref = self.given["X_ref"][:, ::samples]
 
@@ -103,7 +108,7 @@ class _Step:
             arguments = (a[name] for name in ("U_ref", "u_min", "u_max", "dt", "first_share"))
             U_ref, added = held_deviation(*arguments, *self.time_constant)
 
-        frames = [reference_frames(self.X_ref)] if self.body else []
+        frames = reference_frames(self.X_ref, self.attitude_error)
         error, dt = attitude_error_in(*frames or [None]), ca.vertsplit(a["dt"])
         linear = [self._linearised(error, k, x[k - 1], u[k], x[k], dt[k], added[k : k + 1]) for k in range(1, nodes)]
         A, B, b = (list(parts) for parts in zip(*linear, strict=True))
@@ -155,7 +160,7 @@ class _Step:
         added: list[Expression],
     ) -> tuple[Expression, Expression, Expression]:
         """A, B and b of node k, linearised at x and u, in the cost's coordinates."""
-        predicted, A, B = self.node(x, u, self.given["theta"], dt, *self.time_constant, *added)
+        predicted, A, B = self.node(x, u, self.given["theta"], dt, *self.time_constant, *added, *self.disturbance)
         return error.linearisation(k, A, B, predicted - x_next)
 
     def _projected(self, u: list[Expression], gradient: list[Expression]) -> Expression:
@@ -174,25 +179,28 @@ def step_function(
     scalar: bool = True,
     lag: bool = False,
     deviation: bool = False,
+    disturbed: bool = False,
 ) -> ca.Function:
     """One iteration for N = nodes; scalar: the form to compile, otherwise the form that the virtual machine runs.
 
     attitude_error: what Q weighs of the attitude, see control.mpc.attitude_error.
     lag: rotors lag behind their commands, and their thrusts are states: m = 13 + n of them; otherwise m = 13.
     deviation: nodes hold the deviation from the reference's thrust, see control.mpc.reference_thrust.
+    disturbed: the model has a disturbance, see physics.rigid_body: an input like the others, constant over the horizon.
 
     Inputs: X (m, N + 1), U (n, N) last solution; x0 (m,) measured; X_ref (m, s N + 1), U_ref (n, s N) the reference at
     s times in every node, s = 2 with `deviation`, otherwise 1; theta (p,) residual parameters; Q (m, N), Q_end (m,),
     R (n, N) weights; u_min, u_max (n,) N; dt (N,) node periods (s); shift (N,), the share of each node by which to
     move the last solution forward; with `lag` tau, the lag's time constant (s); with `deviation` first_share, the part
-    of the first node for which its command is held.
+    of the first node for which its command is held; with `disturbed` disturbance (6,).
     Outputs: X_new, U_new; checks (3,): the largest bound violation (N), the largest change of a quaternion (length),
     and the optimality residual of the shifted guess (the largest of the gaps of the dynamics and of the projected
     gradient step in u); then the subproblem: A (m, m N), B (m, n N), b (m, N), q (m, N + 1), r (n, N), its
     factorisation K (n, m N), factor (n, n N), the linearisation point X_lin, U_lin, and frames, (4, 4 (N + 1)), where
     the subproblem is in the coordinates of "body".
     """
-    step = _Step(vehicle, residual, nodes, attitude_error, scalar=scalar, lag=lag, deviation=deviation)
+    form = {"scalar": scalar, "lag": lag, "deviation": deviation, "disturbed": disturbed}
+    step = _Step(vehicle, residual, nodes, attitude_error, **form)
     p = step.prepare()
     first = step.feedback(p)
     results = {name: first[name] for name in ("X_new", "U_new", "checks")}
@@ -215,6 +223,7 @@ def phase_functions(
     scalar: bool = True,
     lag: bool = False,
     deviation: bool = False,
+    disturbed: bool = False,
 ) -> tuple[ca.Function, ca.Function]:
     """`prepare` and `feedback` of the step that `step_function` makes of the same arguments.
 
@@ -223,7 +232,8 @@ def phase_functions(
     kkt, added. feedback: further inputs as the step's, but for X, U, U_ref, Q_end, shift and first_share.
     Outputs X_new, U_new, checks as the step's, and at node 0: X_lin, A, B, b, q, factor.
     """
-    step = _Step(vehicle, residual, nodes, attitude_error, scalar=scalar, lag=lag, deviation=deviation)
+    form = {"scalar": scalar, "lag": lag, "deviation": deviation, "disturbed": disturbed}
+    step = _Step(vehicle, residual, nodes, attitude_error, **form)
     p = step.prepare()
     left = {"X_lin": ca.horzcat(*p.x), "U_lin": ca.horzcat(*p.u), "r": ca.horzcat(*p.r), "q": ca.horzcat(*p.q)}
     left |= {name: ca.horzcat(*getattr(p, name)) for name in ("A", "B", "b", "K", "factor", "k")}

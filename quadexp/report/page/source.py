@@ -29,6 +29,7 @@ from quadexp.report.pairing import (
     contestant_labels,
     contestant_of,
     is_bound,
+    is_invalid,
 )  # fmt: skip
 from quadexp.report.statistics import CONFIDENCE, Overall, Statistic, overall
 from quadexp.report.statistics_file import results_statistics
@@ -49,6 +50,10 @@ NAMES = {
     "rls_feedback": "RLS feedback",
     "static_feedback": "static feedback",
     "oracle_feedback": "oracle feedback",
+    "geometric": "geometric control",
+    "pid": "PID",
+    "dfbc": "DFBC",
+    "neural_mpc": "neural MPC",
 }
 KNOWS = {
     "nominal_mpc": "nothing of the air",
@@ -66,8 +71,9 @@ BASELINES = ("nominal_mpc", "static_feedback")  # in this order, unless told
 def spoken(label: str) -> str:
     """A label in a sentence: "gp_mpc nodes=20" is "GP MPC nodes=20"."""
     controller, _, rest = label.partition(" ")
+    controller, *remedies = controller.split("+")
     name = NAMES.get(controller, controller.replace("_mpc", " MPC").replace("_", " "))
-    return f"{name} {rest}".strip()
+    return f"{' + '.join([name, *remedies])} {rest}".strip()
 
 
 @dataclass(frozen=True)
@@ -308,7 +314,8 @@ def read_comparison(path: str | Path, *, baseline: str | None = None) -> Compari
     path = Path(path)
     file = path / RESULTS if path.is_dir() else path
     columns, record = read_table(file, "results")
-    rows = from_columns(columns)
+    every = from_columns(columns)
+    rows = [row for row in every if not is_invalid(row)]  # the notes say how many there are
     if not rows:
         raise DataError(f"{file}: holds no flights; run the sweep again")
     flown = {row["controller"] for row in rows}
@@ -318,7 +325,7 @@ def read_comparison(path: str | Path, *, baseline: str | None = None) -> Compari
     usual = next((str(name) for name in (asked, *BASELINES) if name in flown), asked or BASELINES[0])
     chosen: str = baseline or usual
     confidence = float(record.get("confidence", CONFIDENCE))
-    statistics = results_statistics(file.parent, rows, baseline=chosen, confidence=confidence)
+    statistics = results_statistics(file.parent, every, baseline=chosen, confidence=confidence)
     return Comparison(
         root=file.parent,
         rows=rows,

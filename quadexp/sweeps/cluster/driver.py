@@ -143,8 +143,8 @@ class _Flights:
     def _ship(self, task: Task) -> dict[str, tuple[str, bool]]:
         """Send every worker the files that the task reads; path as configured -> (plugin's name, whether a folder)."""
         inputs = {}
-        if task.model is not None:
-            inputs[task.model.path] = self._shipped(Path(task.model.path) / MODEL_FILE, task.model.sha256), True
+        for model in task.model.files if task.model is not None else ():
+            inputs[model.path] = self._shipped(Path(model.path) / MODEL_FILE, model.sha256), True
         truth = getattr(task.config.plant, "model", None)
         if truth is not None:
             inputs[truth] = self._shipped(Path(truth) / MODEL_FILE), True

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+from collections.abc import Iterator
+from dataclasses import replace
 
 from quadexp.config.engine import ClusterConfig, DaskConfig, SlurmConfig
 from quadexp.config.schema import Config
@@ -37,3 +40,17 @@ def build_engine(config: Config, processes: Workers | None = None) -> Engine:
 
     workers = settings.workers or default_workers()
     return DaskEngine(lambda: open_cluster(engine, workers), settings.timeout, memory, engine.wait)
+
+
+@contextlib.contextmanager
+def open_engine(config: Config, processes: Workers | None = None) -> Iterator[Engine]:
+    """The same engine for several rounds of flights: its cluster is opened once, and ends with the context."""
+    engine = build_engine(config, processes)
+    if isinstance(engine, LocalEngine):
+        yield engine
+        return
+    from quadexp.sweeps.cluster.driver import DaskEngine
+
+    assert isinstance(engine, DaskEngine)
+    with engine.open() as client:
+        yield replace(engine, open=lambda: contextlib.nullcontext(client))

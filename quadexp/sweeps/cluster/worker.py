@@ -15,7 +15,7 @@ from typing import Any
 from distributed import WorkerPlugin, get_worker
 
 from quadexp.config.plugins import own_folders
-from quadexp.errors import QuadexpError, stops_all
+from quadexp.errors import QuadexpError
 from quadexp.experiment.build_custom import source_hashes
 from quadexp.experiment.inputs import use_copies
 from quadexp.provenance import identity
@@ -82,7 +82,7 @@ class CellRunner(WorkerPlugin):
                 if attempt == ATTEMPTS - 1:
                     return CellFailed(cause(error, self._timeout))
             except Exception as error:
-                return CellFailed(cause(error, self._timeout), stops_all(error))
+                return CellFailed.of(error, self._timeout)
         raise AssertionError
 
     def _result(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:

@@ -34,6 +34,7 @@ CASES = [
     ({"first_node": 0.04, "dead_time": 0.05}, {"latency": 0.05}),
     ({"dead_time": 0.013}, {"latency": 0.013}),
     ({"first_node": 0.02, "dead_time": 0.02, "motor_lag": 0.03}, {"latency": 0.02, "lag": 0.03}),
+    ({"first_node": 0.02, "dead_time": 0.013, "motor_lead": 0.03}, {"latency": 0.013, "lag": 0.03}),
 ]
 
 
@@ -75,10 +76,17 @@ class OwnModel:
 
 
 @pytest.mark.parametrize("drag", [(0.0, 0.0, 0.0), (1.5, 0.8, 0.3)])
-@pytest.mark.parametrize("attitude_error", ["plain", "body"])
-def test_the_loop_is_a_flight_to_first_order(vehicle, drag, attitude_error):
+@pytest.mark.parametrize(
+    "way",
+    [
+        {"attitude_error": "plain", "motor_lag": 0.04},
+        {"attitude_error": "body", "motor_lag": 0.04},
+        {"motor_lead": 0.04},
+    ],
+)
+def test_the_loop_is_a_flight_to_first_order(vehicle, drag, way):
     """A small deviation from hover, flown by the model itself, moves as the loop's matrix says."""
-    settings = {"dead_time": 0.027, "motor_lag": 0.04, "first_node": 0.04, "attitude_error": attitude_error}
+    settings = {"dead_time": 0.027, "first_node": 0.04, **way}
     residual = linear_drag_residual(vehicle, drag)
     controller = controller_of(vehicle, residual, **settings)
     loop, states, size = HoverLoop(controller), [], 1e-4

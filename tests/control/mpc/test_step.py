@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from quadexp.control.mpc.active_set import Status
+from quadexp.control.mpc.attitude_error import attitude_error_in, reference_frames
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.mpc.step import step_function
 from quadexp.log.schema import FLIGHT_COLUMNS
@@ -56,3 +59,19 @@ def test_the_log_says_what_its_numbers_mean():
     assert FLIGHT_COLUMNS["status"].description == ", ".join(
         f"{status.value} {status.name.lower()}" for status in Status
     )
+
+
+def test_the_error_in_world_axes_is_that_of_the_rotation_from_the_reference():
+    """Vector part of q o q_r^-1, by SciPy; with equal weights it costs what the error in body axes does."""
+    rng = np.random.default_rng(4)
+    q, ref = (Rotation.random(random_state=rng) for _ in range(2))
+    X_ref, x = np.zeros((13, 1)), np.zeros(13)
+    X_ref[3:7, 0], x[3:7] = ref.as_quat(scalar_first=True), q.as_quat(scalar_first=True)
+    found = {}
+    for kind in ("world", "body"):
+        error = attitude_error_in(*reference_frames(ca.DM(X_ref), kind))
+        found[kind] = np.array(error.deviation(0, ca.DM(x))).ravel()[3:7]
+        assert np.array(error.change(0, error.deviation(0, ca.DM(x)))).ravel() == pytest.approx(x)
+    assert np.abs(found["world"]) == pytest.approx(np.abs((q * ref.inv()).as_quat(scalar_first=True)), abs=1e-12)
+    assert np.abs(found["body"]) == pytest.approx(np.abs((ref.inv() * q).as_quat(scalar_first=True)), abs=1e-12)
+    assert np.abs(found["world"] - found["body"]).max() > 0.1

@@ -1,0 +1,1 @@
+"""Remedies against measurements that come late and commands that act late."""

@@ -1,0 +1,156 @@
+"""A late state brought to now by the controller's model and the commands that were sent.
+
+    x^(t) = phi(tau; x(t - tau), thrusts over [t - tau, t])
+
+phi: Runge-Kutta steps of at most STEP, the last parts of the time; the thrust of each is its mean over that part, after
+the dead time and lag of the commands (sent_commands.py). Where an observer is inside, phi is in the world that it
+believes in: v' = F_air(v - w, s T) + F / m .., see control.belief. The prediction starts from the newest measurement
+at every instant (not Smith's form, whose model drifts). It needs no gyroscope and no accelerometer, but a model: an
+error a of its acceleration leaves a tau^2 / 2 in the position.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from quadexp.air.base import Residual
+from quadexp.air.none import no_residual
+from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.config.delays import PredictionConfig
+from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.delay.sent_commands import SETTLED, SentCommands
+from quadexp.control.mpc.mpc import StepRecord
+from quadexp.control.wrapped import WrappedController, innermost
+from quadexp.physics.integrator import rk4_step_with_input
+from quadexp.physics.rigid_body import corrected_function
+from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
+from quadexp.physics.vehicle import Vehicle
+
+STEP = 0.01  # s, of the integration
+
+
+class Prediction(WrappedController):
+    """A controller that is told the state of now instead of that of `delay` (s) ago, predicted by a model.
+
+    dead_time, lag: of commands (s). The model is that of the MPC inside; without one, the rigid body alone.
+    """
+
+    def __init__(self, inner: Controller, delay: float, dead_time: float, lag: float) -> None:
+        super().__init__(inner)
+        self.delay, self.dead_time, self.lag = delay, dead_time, lag
+        model = getattr(innermost(inner), "mpc", None)
+        residual = no_residual(self.vehicle) if model is None else model.residual
+        parts = math.ceil(delay / STEP - 1e-9)
+        self.commands = SentCommands(
+            self.vehicle.n_rotors, self.control_period, delay + dead_time + SETTLED * lag + self.control_period
+        )
+        self._predict: BufferedFunction | None = None
+        if parts:
+            shared = {} if model is None else {"theta": model.parameters}
+            function = _function(self.vehicle, residual, parts, inner.backend)
+            self._predict = BufferedFunction(function, shared)
+            self._arguments = self._predict.arguments
+            if model is None:
+                self._arguments["theta"][...] = residual.theta
+        self._since = 0
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset."""
+        self._since, self._shown = 0, -1.0
+        self.commands.reset(np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max))
+        super().reset(x, window)
+
+    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
+        """See Controller.step."""
+        thrust, record = super().step(measurement._replace(state=self.now(measurement.state)), window)
+        self.commands.record(thrust)
+        return thrust, record
+
+    def now(self, x: np.ndarray) -> np.ndarray:
+        """The state of this instant, (13,), of the measured one; to be called once an instant."""
+        late = min(self.delay, self._since * self.control_period)
+        self._since += 1
+        if self._predict is None or not late:
+            return x
+        arguments = self._arguments
+        if late != self._shown:
+            self._divide(late)
+        arguments["x"][:] = x
+        np.matmul(self._weights, self.commands.values, out=arguments["thrusts"])
+        belief = believed(self.inner)
+        if belief is not None:
+            arguments["wind"][:], arguments["scale"][0] = belief.wind, belief.thrust_scale - 1
+            arguments["force"][:], arguments["torque"][:] = belief.force, belief.torque
+        self._predict()
+        return self._predict.results["now"].copy()
+
+    def _divide(self, late: float) -> None:
+        """Parts of the time, and the weights of commands in each."""
+        ends = np.minimum(np.arange(len(self._arguments["dt"]) - 1, -1, -1) * STEP, late)
+        starts = np.minimum(ends + STEP, late)
+        self._weights = self.commands.weights(-np.stack([starts, ends], axis=1), self.dead_time, self.lag)
+        self._arguments["dt"][:], self._shown = starts - ends, late
+
+
+def believed(controller: Any) -> Any:
+    """What an observer inside believes (control.belief), None where there is none."""
+    while isinstance(controller, WrappedController):
+        if hasattr(controller, "belief"):
+            return controller.belief
+        controller = controller.inner
+    return None
+
+
+def around(controller: Controller, config: PredictionConfig) -> Controller:
+    """The controller behind a prediction of its measurements by its own model."""
+    settings = getattr(innermost(controller), "settings", None)
+    told = [getattr(settings, name, 0.0) for name in ("dead_time", "known_lag")]
+    given = (config.dead_time, config.motor_lag)
+    dead_time, lag = (own if one is None else one for one, own in zip(given, told, strict=True))
+    return Prediction(controller, config.time, dead_time, lag)
+
+
+_built: dict[tuple[Any, ...], ca.Function] = {}
+
+
+def _function(vehicle: Vehicle, residual: Residual, parts: int, backend: str) -> ca.Function:
+    """`prediction` on a back end; built once per process and structure."""
+    key = (vehicle.fingerprint, residual.function.serialize(), parts, backend)
+    if key not in _built:
+        _built[key] = realise(prediction(vehicle, residual, parts), resolve(backend))
+    return _built[key]
+
+
+def prediction(vehicle: Vehicle, residual: Residual, parts: int) -> ca.Function:
+    """The model's state after held thrusts, in a believed world.
+
+    Inputs: x (13,); thrusts (n, parts) (N), the first to act first; dt (parts,), for how long each acts (s); theta of
+    the residual; wind (3,), world (m/s); force (3,), world (N); torque (3,), body (N m); scale of the thrusts less 1.
+    """
+    n = vehicle.n_rotors
+    model = corrected_function(vehicle, residual)
+    x, dt = ca.MX.sym("x", N_STATE), ca.MX.sym("dt", parts)
+    thrusts, theta = ca.MX.sym("thrusts", n, parts), ca.MX.sym("theta", residual.function.size1_in(1))
+    wind, force, torque, scale = (ca.MX.sym(name, size) for name, size in WORLD.items())
+    pushed = ca.vertcat(
+        wind, ca.MX(4, 1), force / vehicle.mass, ca.mtimes(ca.inv(ca.DM(vehicle.inertia_matrix)), torque)
+    )
+
+    def slope(s: ca.MX, held: ca.MX) -> ca.MX:
+        return model(s, held, theta) + pushed
+
+    state = ca.vertcat(x[: VELOCITY.start], x[VELOCITY] - wind, x[VELOCITY.stop :])  # in the frame of the air
+    for u, h in zip(ca.horzsplit(thrusts), ca.vertsplit(dt), strict=True):
+        state = rk4_step_with_input(slope, state, [(1 + scale) * u] * 3, h)
+    q = state[ATTITUDE]
+    now = ca.vertcat(state[: ATTITUDE.start], q / ca.norm_2(q), state[VELOCITY] + wind, state[VELOCITY.stop :])
+    arguments = {"x": x, "thrusts": thrusts, "dt": dt, "theta": theta}
+    arguments |= dict(zip(WORLD, (wind, force, torque, scale), strict=True))
+    return ca.Function("delay_prediction", [*arguments.values()], [now], [*arguments], ["now"])
+
+
+WORLD = {"wind": 3, "force": 3, "torque": 3, "scale": 1}  # of a belief, and the size of each

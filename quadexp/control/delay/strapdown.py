@@ -1,0 +1,121 @@
+"""A late state brought to now by the gyroscope's and accelerometer's readings since: no model, no disturbance needed.
+
+Position, velocity and attitude are those of t - tau; the body rate w and the specific force f are read at every control
+instant, and taken to be linear between two. Over a part of a period, of length h, from (w_0, f_0) to (w_1, f_1):
+
+    phi(s) = integral of w + s^2 / 12 w_0 x w(s)          rotation vector from its beginning, to third order in s
+    q^    <- q^ o Exp(phi(h))
+    a(s)   = R(q^) Exp(phi(s)) f(s) + g                   quadratic in s through s = 0, h/2, h
+    p^    <- p^ + h v^ + h^2 (a(0) + 2 a(h/2)) / 6
+    v^    <- v^ + h (a(0) + 4 a(h/2) + a(h)) / 6
+
+It starts from the newest measurement at every instant, so nothing drifts (Tal & Karaman 2021; Savage 1998 for phi). A
+bias b of the accelerometer leaves b tau^2 / 2 in the position and b tau in the velocity. The oldest period counts by
+the part of it that is younger than tau.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.config.delays import StrapdownConfig
+from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.mpc.mpc import StepRecord
+from quadexp.control.wrapped import WrappedController
+from quadexp.physics.rotation import exponential, product, rotation_matrix
+from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
+
+
+class Strapdown(WrappedController):
+    """A controller that is told position, velocity and attitude of now instead of those of `delay` (s) ago."""
+
+    def __init__(self, inner: Controller, delay: float) -> None:
+        super().__init__(inner)
+        self.delay = delay
+        self._periods = math.ceil(delay / self.control_period - 1e-9)
+        self._since = 0
+        if self._periods:
+            function = _function(self._periods, self.vehicle.gravity, self.control_period, inner.backend)
+            self._propagate = BufferedFunction(function)
+            arguments = self._propagate.arguments
+            self._state, self._late = arguments["x"], arguments["late"]
+            self._rates, self._forces = arguments["rates"], arguments["forces"]  # (K + 1, 3), the oldest first
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset."""
+        self._since = 0
+        super().reset(x, window)
+
+    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
+        """See Controller.step."""
+        return super().step(measurement._replace(state=self.now(measurement)), window)
+
+    def now(self, measurement: Measurement) -> np.ndarray:
+        """The state at this instant, (13,), of a measurement whose rate and specific force are of now; to be called
+        once an instant. Until `delay` has passed since the start, the measured state is that of the start."""
+        x, force = measurement.state, measurement.specific_force
+        if not self._periods:
+            return x
+        if force is None:  # nothing has been flown yet
+            self._rates[...] = x[RATE]
+            return x
+        if not self._since:
+            self._forces[...] = force
+        self._since += 1
+        self._rates[:-1], self._forces[:-1] = self._rates[1:], self._forces[1:]
+        self._rates[-1], self._forces[-1], self._state[:] = x[RATE], force, x
+        self._late[0] = min(self.delay, self._since * self.control_period)
+        self._propagate()
+        return self._propagate.results["now"].copy()
+
+
+def around(controller: Controller, config: StrapdownConfig) -> Controller:
+    """The controller behind a strapdown propagation of its measurements."""
+    return Strapdown(controller, config.time)
+
+
+_built: dict[tuple[Any, ...], ca.Function] = {}
+
+
+def _function(periods: int, gravity: float, period: float, backend: str) -> ca.Function:
+    """`propagation` on a back end; built once per process and structure."""
+    key = (periods, gravity, period, backend)
+    if key not in _built:
+        _built[key] = realise(propagation(periods, gravity, period), resolve(backend))
+    return _built[key]
+
+
+def propagation(periods: int, gravity: float, period: float) -> ca.Function:
+    """The state `late` (s) after x by the readings of the last K = `periods` control periods.
+
+    Inputs: x (13,), its rate unused; rates (3, K + 1) (rad/s) and forces (3, K + 1) (m/s^2), body, the last ones of
+    now; late, at most K periods. Output: now (13,), with the rate of now.
+    """
+    x, late = ca.SX.sym("x", N_STATE), ca.SX.sym("late")
+    rates, forces = ca.SX.sym("rates", 3, periods + 1), ca.SX.sym("forces", 3, periods + 1)
+    p, q, v = x[POSITION], x[ATTITUDE], x[VELOCITY]
+    for j in range(periods):
+        h = ca.fmax(ca.fmin(late - (periods - 1 - j) * period, period), 0)
+        before = 1 - h / period  # share of the period that is older than the state
+        w, f = (
+            [values[:, j] + share * (values[:, j + 1] - values[:, j]) for share in (before, (1 + before) / 2, 1)]
+            for values in (rates, forces)
+        )
+        R = rotation_matrix(q)
+        turned = [f[0], *(ca.mtimes(rotation_matrix(exponential(_turn(w[0], w[i], h * i / 2))), f[i]) for i in (1, 2))]
+        a = [ca.mtimes(R, one) + ca.vertcat(0, 0, -gravity) for one in turned]
+        p = p + h * v + h**2 * (a[0] + 2 * a[1]) / 6
+        v = v + h * (a[0] + 4 * a[1] + a[2]) / 6
+        q = product(q, exponential(_turn(w[0], w[2], h)))
+    now = ca.vertcat(p, q / ca.norm_2(q), v, rates[:, -1])
+    return ca.Function("strapdown", [x, rates, forces, late], [now], ["x", "rates", "forces", "late"], ["now"])
+
+
+def _turn(first: ca.SX, last: ca.SX, duration: ca.SX) -> ca.SX:
+    """Rotation vector (3,) (rad) of a body rate that goes linearly from first to last (rad/s) in a duration (s)."""
+    return duration / 2 * (first + last) + duration**2 / 12 * ca.cross(first, last)

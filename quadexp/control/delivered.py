@@ -1,0 +1,107 @@
+"""The thrust that the rotors deliver, as far as a controller can know it.
+
+Where rotor speeds W are measured and the vehicle's thrust coefficient is stated, it is c_t W^2. Otherwise it follows
+from the commands: one that was sent at t_j acts over [t_j + d, t_j + d + T], d the dead time and T the control period,
+and the thrust follows it with a first-order lag (physics.motor).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from quadexp.control.base import Measurement
+from quadexp.physics.motor import decayed
+from quadexp.physics.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Delays:
+    """What is known of the commands' way to thrust: control period, dead time, lag of the rotors (s)."""
+
+    period: float
+    dead_time: float = 0.0
+    lag: float = 0.0
+
+    @property
+    def pending(self) -> int:
+        """Commands that have been sent and have not acted for their whole period."""
+        return max(math.ceil(self.dead_time / self.period - 1e-9), 0)
+
+    @property
+    def durations(self) -> tuple[float, float]:
+        """For how long the oldest pending command, and the next one, act in a control period (s)."""
+        first = self.dead_time - (self.pending - 1) * self.period
+        return (first, self.period - first) if self.pending else (self.period, 0.0)
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """For `delivered_by_commands`: the durations' shares of the period, the decays over them, the lag in periods,
+        and whether there is a lag."""
+        decays = [math.exp(-d / self.lag) if self.lag else float(not d) for d in self.durations]
+        shares = [d / self.period for d in self.durations]
+        return np.array([*shares, *decays, self.lag / self.period, float(self.lag > 0)])
+
+
+def delivered_by_commands(commands: ca.MX, thrust: ca.MX, sent: ca.MX, numbers: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
+    """One control period: pending commands (n, K) and thrust (n,) after it, and the mean thrust over it (N).
+
+    commands, thrust: before it. sent: the command that was sent at its beginning, (n,) (N). numbers: of Delays.
+    """
+    acting = ca.horzcat(commands, sent)
+    first, mean = thrust, 0
+    for i in range(min(acting.size2(), 2)):
+        u = acting[:, i]
+        after = decayed(thrust, u, numbers[2 + i])
+        mean, thrust = mean + numbers[i] * u, after
+    return acting[:, 1:], thrust, mean + numbers[4] * (first - thrust)
+
+
+class DeliveredThrust:
+    """Call `reset`, then at every control instant `now` and `record`, in this order.
+
+    dead_time, lag: what is known of the commands' delay and of the rotors' time constant (s).
+    thrust: by the commands, at the control instant, (n,) (N). mean: the same over the last control period; where rotor
+    speeds are measured, and lag is not 0, of the measured thrusts at its two ends.
+    """
+
+    def __init__(self, vehicle: Vehicle, control_period: float, dead_time: float = 0.0, lag: float = 0.0) -> None:
+        delays = Delays(control_period, dead_time, lag)
+        self._coefficient, self._lag, self._durations = vehicle.thrust_coefficient, lag, delays.durations
+        self._commands = np.zeros((delays.pending, vehicle.n_rotors))
+        self.thrust, self.mean = np.zeros((2, vehicle.n_rotors))
+
+    def reset(self, thrust: np.ndarray) -> None:
+        """Start a flight: this command, (n,) (N), has been sent for a long time."""
+        self._commands[...] = self.thrust[...] = self.mean[...] = thrust
+        self._measured: np.ndarray | None = None
+
+    def now(self, measurement: Measurement) -> np.ndarray:
+        """Thrusts at the control instant, just before the new command, (n,) (N)."""
+        if measurement.rotor_speed is None or self._coefficient is None:
+            return self.thrust
+        before, measured = self._measured, self._coefficient * measurement.rotor_speed**2
+        self._measured = measured
+        self.mean[...] = (before + measured) / 2 if self._lag and before is not None else measured
+        return measured
+
+    def record(self, command: np.ndarray) -> None:
+        """Add the command, (n,) (N), that was sent at this control instant, and go on by one control period."""
+        acting = np.vstack([self._commands, command])
+        self._commands[...] = acting[1:]
+        total = 0.0
+        for u, duration in zip(acting, self._durations, strict=False):
+            after = advanced(self.thrust, u, duration, self._lag)
+            total = total + duration * u + self._lag * (self.thrust - after)
+            self.thrust = after
+        self.mean[...] = total / sum(self._durations)
+
+
+def advanced(thrust: np.ndarray, command: np.ndarray, duration: float, lag: float) -> np.ndarray:
+    """Thrust (n,) (N) after a held command (n,) (N) has acted for a duration (s) with a lag (s); 0: at once."""
+    if not duration:
+        return thrust
+    return decayed(thrust, command, math.exp(-duration / lag) if lag else 0.0)

@@ -1,0 +1,117 @@
+"""The law of flatness-based control as one CasADi function (Sun et al. 2022, (13)-(31)).
+
+p_r .. s_r: position to snap of the reference, psi_r its heading; f_a, tau_a: force and torque of the air by the model
+at the present velocity; d_F, d_tau: believed disturbance; T: collective thrust that the rotors deliver now; z = R e_z.
+
+    a_d = K_p (p_r - p) + K_v (v_r - v) + a_r,         T_d z_d = m (a_d - g) - f_a - d_F                     (13), (14)
+    y_d = z_d x x_C / |.|,  x_d = y_d x z_d,           x_C = [cos psi_r, sin psi_r, 0]                       (15)-(17)
+    T' = m j_r . z,   T'' = m s_r . z + m (w x z) . j_r                                                      (23), (24)
+    h = (m j_r - T' z) / T,   w_r = [-h . y, h . x, psi_r' e_z . z]                                          (19), (20)
+    h_a = m s_r / T - (w x (w x z) + 2 T'/T w x z + T''/T z)                                                 (21)
+    alpha_r = [-h_a . y, h_a . x, psi_r'' e_z . z]                                                           (22)
+    alpha_d = k_t e_tilt + k_y e_yaw + K_w (w_r - w) + alpha_r                                               (28)
+    u = argmin_{l <= u <= h} |[T_d; J alpha_d + w x J w - tau_a - d_tau] - G u|_W                            (31)
+
+The error of attitude is that of q^-1 o q_d, in body axes, split into tilt and yaw ((25)-(27)) and counted double, since
+the vector part of a quaternion is half an angle; printed are q_d o q^-1 and the single vector part, with which their
+gains do not fly. With r = R' z_d and the angle phi of R' R_d about z_body
+
+    e_tilt = 2 [-r_y, r_x, 0] / sqrt(2 (1 + r_z)),    e_yaw = 2 sin(phi / 2) e_z
+
+Rates and accelerations are fed forward at the present attitude and thrust, which stays right off the reference. y_d
+turns by 180 degrees where z_d passes the horizon; upside down the side that is nearer to the present y is taken.
+
+World ENU, body FLU, SI.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from quadexp.air.base import N_OUTPUTS, Residual
+from quadexp.config.dfbc import DFBCKeys
+from quadexp.control.allocation import allocation
+from quadexp.physics.expression import Expression
+from quadexp.physics.rotation import air_velocity, rotation_matrix
+from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
+from quadexp.physics.vehicle import Vehicle
+
+AT_LIMIT = 1e-9  # of the thrust range
+BELIEF = 10  # numbers: force, torque, wind, thrust scale
+OPPOSITE = 1e-6  # least 1 + r_z: a tilt error of 180 degrees has no axis
+SMALL = 1e-9  # of a length, below which a direction is not determined
+
+
+def law_function(vehicle: Vehicle, keys: DFBCKeys, residual: Residual, *, compiled: bool) -> ca.Function:
+    """The law: x (13,), path (3, 5) position (m) .. snap, yaw (3,), delivered thrusts (n,) (N), belief (10,), theta ->
+    thrust (n,) (N); angle, (2,): errors of tilt and yaw (rad); held: rotors at a limit.
+
+    compiled: whether the residual's form for compilation is taken.
+    """
+    n = vehicle.n_rotors
+    x, path, yaw = ca.SX.sym("x", N_STATE), ca.SX.sym("path", 3, 5), ca.SX.sym("yaw", 3)
+    delivered, belief = ca.SX.sym("delivered", n), ca.SX.sym("belief", BELIEF)
+    air = ca.SX.sym("air", N_OUTPUTS)
+    wrench, angle = _wrench(vehicle, keys, x, path, yaw, delivered, belief, air)
+    wanted = ca.Function("dfbc_wrench", [x, path, yaw, delivered, belief, air], ca.cse([wrench, angle]))
+
+    given = {"x": (N_STATE, 1), "path": (3, 5), "yaw": (3, 1), "delivered": (n, 1), "belief": (BELIEF, 1)}
+    a = {name: ca.MX.sym(name, *shape) for name, shape in given.items()}
+    theta = ca.MX.sym("theta", residual.function.size1_in(1))
+    model = residual.to_compile if compiled and residual.to_compile is not None else residual.function
+    of_air = ca.MX(N_OUTPUTS, 1)
+    if not residual.is_zero:
+        velocity = air_velocity(a["x"][ATTITUDE], a["x"][VELOCITY], a["belief"][6:9])
+        of_air = ca.densify(model(ca.vertcat(velocity, a["x"][RATE], a["delivered"]), theta)[0])
+    wrench, angle = wanted(*a.values(), of_air)
+    thrust = allocation(vehicle, keys.allocation, keys.wrench_weight)(wrench / a["belief"][9])
+    margin = AT_LIMIT * (vehicle.thrust_max - vehicle.thrust_min)
+    low, high = vehicle.thrust_min + margin, vehicle.thrust_max - margin
+    held = ca.sum1(ca.logic_or(thrust < low, thrust > high))
+    outputs = {"thrust": thrust, "angle": angle, "held": held}
+    return ca.Function("dfbc", [*a.values(), theta], [*outputs.values()], [*a, "theta"], [*outputs])
+
+
+def _wrench(
+    vehicle: Vehicle,
+    keys: DFBCKeys,
+    x: Expression,
+    path: Expression,
+    yaw: Expression,
+    delivered: Expression,
+    belief: Expression,
+    air: Expression,
+) -> tuple[Expression, Expression]:
+    """Wanted thrust and torques (4,), and the errors of tilt and yaw (2,). air: by the model, (6,)."""
+    m, J, up = vehicle.mass, ca.DM(vehicle.inertia_matrix), ca.DM([0, 0, 1])
+    R, w = rotation_matrix(x[ATTITUDE]), x[RATE]
+    x_b, y_b, z_b = ca.horzsplit(R)
+    p_r, v_r, a_r, j_r, s_r = ca.horzsplit(path)
+
+    a_d = ca.DM(keys.position_gain) * (p_r - x[POSITION]) + ca.DM(keys.velocity_gain) * (v_r - x[VELOCITY]) + a_r
+    force = m * (a_d + vehicle.gravity * up) - m * ca.mtimes(R, air[:3]) - belief[:3]
+    T_d = ca.norm_2(force)
+    z_d = force / ca.fmax(T_d, SMALL)
+    y_d = ca.cross(z_d, ca.vertcat(ca.cos(yaw[0]), ca.sin(yaw[0]), 0))
+    y_d = y_d / ca.fmax(ca.norm_2(y_d), SMALL)
+    if keys.inverted == "continuous":
+        upside_down = ca.fmin(z_d[2], z_b[2]) < 0
+        y_d = ca.if_else(ca.logic_and(upside_down, ca.dot(y_d, y_b) < 0), -1, 1) * y_d
+
+    T = ca.fmax(ca.sum1(delivered), keys.least_thrust * m * vehicle.gravity)
+    turning = ca.cross(ca.mtimes(R, w), z_b)  # z', world
+    T_1 = m * ca.dot(j_r, z_b)
+    T_2 = m * ca.dot(s_r, z_b) + m * ca.dot(turning, j_r)
+    h = (m * j_r - T_1 * z_b) / T
+    w_r = ca.vertcat(-ca.dot(h, y_b), ca.dot(h, x_b), yaw[1] * z_b[2])
+    h_a = m * s_r / T - (ca.cross(ca.mtimes(R, w), turning) + 2 * T_1 / T * turning + T_2 / T * z_b)
+    alpha_r = ca.vertcat(-ca.dot(h_a, y_b), ca.dot(h_a, x_b), yaw[2] * z_b[2])
+
+    error = ca.mtimes(R.T, ca.horzcat(ca.cross(y_d, z_d), y_d, z_d))
+    r = error[:, 2]
+    tilt = 2 * ca.vertcat(-r[1], r[0]) / ca.sqrt(2 * ca.fmax(1 + r[2], OPPOSITE))
+    turn = ca.atan2(error[1, 0] - error[0, 1], error[0, 0] + error[1, 1])
+    alpha = ca.vertcat(keys.tilt_gain * tilt, keys.yaw_gain * 2 * ca.sin(turn / 2))
+    alpha += ca.DM(keys.rate_gain) * (w_r - w) + alpha_r
+    torque = ca.mtimes(J, alpha) + ca.cross(w, ca.mtimes(J, w)) - air[3:] - belief[3:6]
+    return ca.vertcat(T_d, torque), ca.vertcat(ca.acos(ca.fmin(ca.fmax(r[2], -1), 1)), turn)

@@ -1,0 +1,96 @@
+"""The INDI rate loop as one CasADi function (Sun et al. 2022, (32)-(35)).
+
+The thrusts u that a controller wants mean a collective thrust and an angular acceleration. The torque that the rotors
+give, measured by their speeds W = sqrt(t / c_t), and the angular acceleration that came of it are known up to now; the
+increment of the one is J times the wanted increment of the other, whatever else turns the vehicle:
+
+    [T; J alpha + w x J w] = G u
+    tau = G_tau c_t W_f^2 + I_p s (W_f - W_f,-1) / dt + J (alpha - (w_f - w_f,-1) / dt)               (32)-(34)
+    [T; tau] = G c_t W_c^2 + [0, 0, 0, I_p s (W_c - W)] / T_s                                               (35)
+
+_f: through the same second-order Butterworth low pass; s: signs of the reaction torques; T_s: spin_up_time, or dt as
+printed. (34) and (35) are printed without c_t. Without I_p (35) is linear in W_c^2. With the transfer functions H of
+the filter and M of the motors, a torque d_tau that nobody models, and J / k believed D times too large,
+
+    alpha / alpha_wanted = D M / (1 + (D - 1) H M),    alpha / d_tau = J^-1 (1 - H M) / (1 + (D - 1) H M)
+
+so that a constant d_tau and a wrong J leave no steady error of alpha, as long as both filters are the same.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from scipy.signal import butter
+
+from quadexp.config.inner import INDIKeys
+from quadexp.control.allocation import allocation
+from quadexp.errors import UsageError
+from quadexp.physics.expression import Expression
+from quadexp.physics.vehicle import Vehicle
+
+NEWTON_STEPS = 5  # of (35) with I_p, from the filtered speeds; quadratic convergence
+
+
+def indi_function(vehicle: Vehicle, keys: INDIKeys) -> ca.Function:
+    """wanted (n,) (N), rate (3,) (rad/s), delivered (n,) (N), memory (2, 3 + n), before (3 + n,) -> thrust (n,) (N),
+    memory_next, filtered (3 + n,): rates and roots of the thrusts, `before` of the next instant.
+
+    Raises UsageError where the cut-off is not below half the rate, or rotor_inertia lacks what it needs.
+    """
+    n, dt = vehicle.n_rotors, 1.0 / keys.rate
+    if not keys.cutoff < keys.rate / 2:
+        raise UsageError(f"inner.cutoff={keys.cutoff:g}: must be below half of inner.rate={keys.rate:g} Hz")
+    b, a = butter(2, keys.cutoff, fs=keys.rate)
+    wanted, rate, delivered = ca.MX.sym("wanted", n), ca.MX.sym("rate", 3), ca.MX.sym("delivered", n)
+    memory, before = ca.MX.sym("memory", 3 + n, 2), ca.MX.sym("before", 3 + n)
+
+    root = ca.sqrt(ca.fmax(delivered, 0))  # sqrt(c_t) W
+    now = ca.vertcat(rate, root)
+    filtered = b[0] * now + memory[:, 0]  # transposed direct form
+    memory_next = ca.horzcat(b[1] * now - a[1] * filtered + memory[:, 1], b[2] * now - a[2] * filtered)
+
+    G, J = ca.DM(vehicle.allocation), ca.DM(vehicle.inertia_matrix)
+    meant = ca.mtimes(G, wanted)
+    torque = meant[1:] - ca.cross(rate, ca.mtimes(J, rate))  # J alpha
+    torque += ca.mtimes(G[1:, :], filtered[3:] ** 2) - ca.mtimes(J, (filtered[:3] - before[:3]) / dt)
+    wrench = ca.vertcat(meant[0], torque)
+    if keys.rotor_inertia:
+        spin = _spin(vehicle, keys)
+        wrench[3] += ca.dot(spin, filtered[3:] - before[3:]) / dt
+        wrench = _without_spin_up(vehicle, spin / (keys.spin_up_time or dt), wrench, root, filtered[3:])
+    thrust = allocation(vehicle, keys.allocation, keys.wrench_weight)(wrench)
+    names = ["wanted", "rate", "delivered", "memory", "before"], ["thrust", "memory_next", "filtered"]
+    return ca.Function("indi", [wanted, rate, delivered, memory, before], [thrust, memory_next, filtered], *names)
+
+
+def settled_memory(keys: INDIKeys, values: np.ndarray) -> np.ndarray:
+    """The filter's memory, (2, 3 + n), after these values, (3 + n,), have been there for long."""
+    b, a = butter(2, keys.cutoff, fs=keys.rate)
+    return np.stack([(1 - b[0]) * values, (b[2] - a[2]) * values])
+
+
+def _spin(vehicle: Vehicle, keys: INDIKeys) -> ca.DM:
+    """Torque about z_body per change of sqrt(thrust) per second, (n,). Raises UsageError where it is not known."""
+    if vehicle.thrust_coefficient is None or vehicle.n_rotors != 4:
+        raise UsageError(
+            f"inner.rotor_inertia={keys.rotor_inertia:g}: needs vehicle.thrust_coefficient and four rotors;"
+            f" vehicle={vehicle.name} does not have both"
+        )
+    return ca.DM(keys.rotor_inertia * np.array(vehicle.rotor_spin) / np.sqrt(vehicle.thrust_coefficient))
+
+
+def _without_spin_up(
+    vehicle: Vehicle, gain: ca.DM, wrench: Expression, root: Expression, start: Expression
+) -> Expression:
+    """The wrench that static thrusts have to give so that (35) holds; Newton's method on the roots of the thrusts.
+
+    gain: torque per change of a root (n,). root: measured (n,).
+    """
+    G, found = ca.DM(vehicle.allocation), ca.fmax(start, 0.05 * np.sqrt(vehicle.hover_thrust))
+    last = ca.DM([[0.0]] * 3 + [[1.0]])
+    for _ in range(NEWTON_STEPS):
+        left = ca.mtimes(G, found**2) + last * ca.dot(gain, found - root) - wrench
+        slope = 2 * ca.mtimes(G, ca.diag(found)) + ca.mtimes(last, gain.T)
+        found = ca.fmax(found - ca.solve(slope, left), 0.0)
+    return wrench - last * ca.dot(gain, found - root)

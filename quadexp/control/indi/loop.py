@@ -1,0 +1,61 @@
+"""The INDI rate loop around a controller, see law.py."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.config.inner import INDIConfig, INDIKeys
+from quadexp.config.settings import part
+from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.delivered import DeliveredThrust
+from quadexp.control.indi.law import indi_function, settled_memory
+from quadexp.control.multirate import MultiRate
+from quadexp.physics.state import RATE
+from quadexp.physics.vehicle import Vehicle
+
+
+class INDI(MultiRate):
+    """A Controller: the inner one's thrusts as an INDI loop at inner.rate gives them to the rotors.
+
+    Raises UsageError for settings that contradict each other.
+    """
+
+    def __init__(self, inner: Controller, keys: INDIKeys, *, backend: str = "auto") -> None:
+        super().__init__(inner, keys.rate)
+        self._keys, vehicle = keys, inner.vehicle
+        self._law = BufferedFunction(_law(vehicle, keys, resolve(backend)))
+        self._delivered = DeliveredThrust(vehicle, self.control_period, keys.dead_time, keys.motor_lag)
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset. The filters start as if rates and thrusts of the start had always been there."""
+        super().reset(x, window)
+        thrust = np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max)
+        self._delivered.reset(thrust)
+        arguments, values = self._law.arguments, np.concatenate([x[RATE], np.sqrt(thrust)])
+        arguments["before"][:], arguments["memory"][:] = values, settled_memory(self._keys, values)
+
+    def shaped(self, measurement: Measurement, wanted: np.ndarray) -> np.ndarray:
+        """See MultiRate.shaped."""
+        arguments, results = self._law.arguments, self._law.results
+        arguments["wanted"][:], arguments["rate"][:] = wanted, measurement.state[RATE]
+        arguments["delivered"][:] = self._delivered.now(measurement)
+        self._law()
+        arguments["before"][:], arguments["memory"][:] = results["filtered"], results["memory_next"]
+        thrust = results["thrust"].copy()
+        if measurement.rotor_speed is None:
+            self._delivered.record(thrust)
+        return thrust
+
+
+def with_indi(controller: Controller, config: INDIConfig) -> INDI:
+    """The controller inside an INDI loop. Raises UsageError where the rates do not fit."""
+    return INDI(controller, part(INDIKeys, config), backend=config.backend)
+
+
+@lru_cache(maxsize=16)
+def _law(vehicle: Vehicle, keys: INDIKeys, backend: str) -> ca.Function:
+    return realise(indi_function(vehicle, keys), backend)

@@ -1,0 +1,97 @@
+"""Disturbance observer: the force, world axes, and the torque, body axes, that the controller's model does not know.
+
+    y = R (f - T e_z / m - a_air(z))        f: accelerometer, T: delivered thrust, a_air: the model of the air
+
+is the unknown force over the mass, and noise. A scalar Kalman filter on each axis, for a force that walks at random,
+
+    P- = P + q,   K = P- / (P- + r),   a^ += K (y - a^),   P = (1 - K) P-
+
+begins with a large P and ends at the gain of a first-order low pass: with K = 1 - exp(-b T), b the bandwidth and T the
+control period, q = r K^2 / (1 - K). A white noise of variance r then gives a^ the variance r K / (2 - K).
+
+Without an accelerometer (observer.source=velocity) from the velocity, which is not differentiated:
+
+    v^- = v^ + T [R (T e_z / m + a_air) + g + a^],   v^ = v^- + (1 - z^2) (v - v^-),   a^ += (1 - z)^2 / T (v - v^-)
+
+with both poles of the error at z = exp(-b T). The torque: control.observers.torque.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from quadexp.air.base import Residual
+from quadexp.config.observers import DisturbanceObserverConfig, DisturbanceObserverKeys
+from quadexp.control.base import Controller
+from quadexp.control.observers.observer import (
+    Observer,
+    Update,
+    air_of,
+    arguments,
+    believer,
+    callable_air,
+)
+from quadexp.control.observers.torque import N_TORQUE_SETTINGS, N_TORQUE_STATE, torque_settings, torque_update
+from quadexp.control.wrapped import innermost
+from quadexp.physics.rigid_body import body_features
+from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
+from quadexp.physics.vehicle import Vehicle
+
+N_FORCE_STATE = 7  # a^, v^, P
+
+
+def with_disturbance_observer(controller: Controller, config: DisturbanceObserverConfig) -> Observer:
+    """The controller with a disturbance observer; raises UsageError where it cannot be told of a disturbance."""
+    inner = believer(controller, config.name)
+    core = innermost(inner)
+    function = disturbance_function(
+        inner.vehicle, air_of(core), inner.control_period, inner.backend, velocity=config.source == "velocity"
+    )
+    settings = disturbance_settings(config, inner.control_period)
+
+    def begin(x: np.ndarray) -> np.ndarray:
+        return np.concatenate([np.zeros(3), x[VELOCITY], [config.force_initial**2], x[RATE], np.zeros(3)])
+
+    return Observer(inner, Update(function, settings, begin), config)
+
+
+def disturbance_settings(config: DisturbanceObserverKeys, period: float) -> np.ndarray:
+    """The numbers that the update takes: [q, r, gain on v^, gain on a^ from v, limit] and those of the torque."""
+    z, r = float(np.exp(-config.force_bandwidth * period)), config.force_noise**2
+    K = 1 - z
+    force = [r * K**2 / (1 - K), r, 1 - z * z, (1 - z) ** 2 / period, config.force_limit]
+    return np.array(force + torque_settings(config.torque_bandwidth, config.torque_limit, period))
+
+
+def disturbance_function(
+    vehicle: Vehicle, residual: Residual, period: float, backend: str, *, velocity: bool = False
+) -> ca.Function:
+    """The update of control.observers.observer; s = [a^ (3,), v^ (3,), P, w^ (3,), J^-1 tau^ (3,)]."""
+    model = callable_air(residual, backend)
+    a = arguments(vehicle, N_FORCE_STATE + N_TORQUE_STATE, model.size1_in(1), 5 + N_TORQUE_SETTINGS)
+    x, s, settings = a["x"], a["s"], a["settings"]
+    R, thrust = rotation_matrix(x[ATTITUDE]), ca.sum1(a["thrust"]) / vehicle.mass
+    y, _ = model(body_features(x, a["thrust"]), a["theta"])
+    y = ca.densify(y)
+    force, estimate, P = s[:3], s[3:6], s[6]
+    q, r, for_v, for_a, limit = ca.vertsplit(settings[:5])
+    known: Any = ca.vertcat(0, 0, thrust) + y[:3]
+    if velocity:
+        mean = ca.vertcat(0, 0, ca.sum1(a["mean"]) / vehicle.mass) + y[:3]
+        predicted = estimate + period * (ca.mtimes(R, mean) + ca.vertcat(0, 0, -vehicle.gravity) + force)
+        error = x[VELOCITY] - predicted
+        force, estimate = force + for_a * error, predicted + for_v * error
+    else:
+        P = P + q
+        gain = P / (P + r)
+        force, P = force + gain * (ca.mtimes(R, a["reading"] - known) - force), (1 - gain) * P
+    size = ca.sqrt(ca.sumsqr(force) + 1e-30)
+    force = force * ca.fmin(1, limit / size)
+    rates, torque = torque_update(s[N_FORCE_STATE:], x[RATE], a["mean"], y[3:], settings[5:], vehicle, period)
+    belief = ca.vertcat(vehicle.mass * force, torque, ca.MX.zeros(3), 1)
+    results = [ca.vertcat(force, estimate, P, rates), belief]
+    return ca.Function("disturbance_observer", [*a.values()], results, [*a], ["s_next", "belief"])

@@ -1,0 +1,169 @@
+"""What every observer does in a control step: delivered thrusts, one compiled update, the belief for the controller.
+
+The update is a function of the observer's state s and of what is known at a control instant,
+
+    (s, x, reading, thrust, mean, theta, settings) -> s_next, belief        belief = [F, tau, w, s_T], 10 numbers
+
+with the accelerometer's reading (3,), the delivered thrusts now and over the last control period, (n,) each, and the
+parameters of the controller's model of the air. It runs from the second instant on: before the first nothing was flown.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from quadexp.air.base import Residual
+from quadexp.air.none import no_residual
+from quadexp.compile.backend import BufferedFunction, realise
+from quadexp.config.observers import ObserverKeys
+from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.belief import Belief, no_belief
+from quadexp.control.delivered import Delays, DeliveredThrust
+from quadexp.control.dfbc.controller import DFBC
+from quadexp.control.mpc.believed_world import Estimator
+from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.mpc.mpc import StepRecord
+from quadexp.control.mpc.online_mpc import AdaptingController
+from quadexp.control.mpc.rls_mpc import IdentifyingController
+from quadexp.control.wrapped import WrappedController, innermost
+from quadexp.errors import UsageError
+from quadexp.physics.vehicle import Vehicle
+
+COLUMNS = (
+    *(f"observer_force_{axis}" for axis in "xyz"),
+    *(f"observer_torque_{axis}" for axis in "xyz"),
+    *(f"observer_wind_{axis}" for axis in "xyz"),
+    "observer_thrust_scale",
+)
+
+
+class Update(NamedTuple):
+    """What an observer is made of.
+
+    function: see the module. settings: its last argument. begin: state of the observer for the first measurement,
+    from that state, (13,).
+    """
+
+    function: ca.Function
+    settings: np.ndarray
+    begin: Any
+
+
+class Observer(WrappedController):
+    """A controller that is told what an observer estimates; columns observer_.. of a flight: SI, forces and wind in the
+    world, torques in body axes.
+
+    Under an MPC the update is a part of its step (control.mpc.believed_world); any other controller is told before each
+    of its steps.
+    """
+
+    def __init__(self, inner: Controller, update: Update, config: ObserverKeys) -> None:
+        super().__init__(inner)
+        names = ("dead_time", "motor_lag")
+        known = [known_delay(getattr(config, name), inner, name) for name in names]
+        self._begin, self._world, self._belief = update.begin, None, no_belief()
+        if isinstance(inner, PredictiveController):
+            inner.targets = config.targets
+            delays = Delays(inner.control_period, *known)
+            self._world = inner.observed_by(Estimator(update.function, update.settings, delays))
+            return
+        self._told: Any = inner
+        self._delivered = DeliveredThrust(inner.vehicle, inner.control_period, *known)
+        self._update = BufferedFunction(realise(update.function, inner.backend), {"theta": parameters_of(inner)})
+        self._given, self._result = self._update.arguments, self._update.results
+        self._given["settings"].ravel()[:] = update.settings
+
+    @property
+    def belief(self) -> Belief:
+        """What is believed since the last step."""
+        return self._belief if self._world is None else self._world.found
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset: nothing is believed of the world yet."""
+        self.inner.reset(x, window)
+        if self._world is not None:
+            self._world.reset(self._begin(x))
+            return
+        self._delivered.reset(np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max))
+        self._given["s"].ravel()[:] = self._begin(x)
+        self._belief = no_belief()
+
+    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
+        """See Controller.step."""
+        if self._world is not None:
+            return self.inner.step(measurement, window)
+        began = time.perf_counter()
+        thrust = self._delivered.now(measurement)
+        if measurement.specific_force is not None:
+            self._observe(measurement, thrust)
+        self._told.believe(self._belief)
+        command, record = self.inner.step(measurement, window)
+        self._delivered.record(command)
+        return command, record._replace(solve_time=time.perf_counter() - began)
+
+    def _observe(self, measurement: Measurement, thrust: np.ndarray) -> None:
+        given = self._given
+        given["x"][...], given["reading"][...] = measurement.state, measurement.specific_force
+        given["thrust"][...], given["mean"][...] = thrust, self._delivered.mean
+        self._update()
+        given["s"][...] = self._result["s_next"]
+        b = self._result["belief"]
+        self._belief = Belief(b[0:3], b[3:6], b[6:9], float(b[9]))
+
+    def log(self) -> dict[str, float]:
+        """See Controller.log: the estimates, beside the columns of the controller."""
+        belief = self.belief
+        values = [*belief.force, *belief.torque, *belief.wind, belief.thrust_scale]
+        return {**self.inner.log(), **dict(zip(COLUMNS, map(float, values), strict=True))}
+
+
+def believer(controller: Controller, name: str) -> Any:
+    """The controller, which can be told what an observer estimates.
+
+    Raises UsageError where it cannot, or where it identifies its own model from the same accelerometer.
+    """
+    if isinstance(innermost(controller), (IdentifyingController, AdaptingController)):
+        raise UsageError(
+            f"observer={name}: {controller.name} explains the accelerometer by what it learns in flight; an"
+            " observer would explain the same readings a second time. Take one of them"
+        )
+    if not hasattr(controller, "believe"):
+        raise UsageError(f"observer={name}: {controller.name} cannot be told what an observer estimates; an MPC can")
+    return controller
+
+
+def known_delay(given: float | None, controller: Any, name: str) -> float:
+    """What an observer is told of a delay, else what its controller was told (s)."""
+    return float(getattr(getattr(controller, "settings", None), name, 0.0)) if given is None else given
+
+
+def air_of(controller: Any) -> Residual:
+    """The controller's model of the air, none where it has none."""
+    if isinstance(controller, DFBC):
+        return controller.air
+    known = controller.mpc.residual if isinstance(controller, PredictiveController) else controller.residual
+    return no_residual(controller.vehicle) if known is None else known
+
+
+def parameters_of(controller: Any) -> np.ndarray:
+    """The parameters of that model, the very array that changes in flight where they do."""
+    if isinstance(controller, PredictiveController):
+        return controller.mpc.parameters
+    return np.ascontiguousarray(air_of(controller).theta, float)
+
+
+def callable_air(residual: Residual, backend: str) -> ca.Function:
+    """The model's function in the form for a back end."""
+    compiled = backend == "compiled" and residual.to_compile is not None
+    return residual.to_compile if compiled else residual.function
+
+
+def arguments(vehicle: Vehicle, states: int, parameters: int, settings: int) -> dict[str, ca.MX]:
+    """Symbols of an update's arguments, in their order."""
+    n = vehicle.n_rotors
+    sizes = {"s": states, "x": 13, "reading": 3, "thrust": n, "mean": n, "theta": parameters, "settings": settings}
+    return {name: ca.MX.sym(name, size) for name, size in sizes.items()}

@@ -1,0 +1,134 @@
+"""Wind observer: an extended Kalman filter of the wind, in world axes, from the drag that it causes.
+
+    w' = noise,  k' = noise        f = (1 + k) T e_z / m + a_air(R'(v - w), ..) + noise            f: accelerometer
+
+    H = [-da/dv R',  T e_z / m + da/du u],   S = H P- H' + N
+    K = P- H' S^-1,   [w, k] += K (f - f^),   P = (1 - K H) P-
+
+da/dv is the model's own Jacobian, so what is called wind is whatever air velocity makes the model explain the reading.
+k, the error of the thrust scale, is estimated where observer.scale_walk is not 0. P of the wind is not let beyond its
+initial value where a hovering vehicle feels no drag.
+
+Around an airspeed with a drag slope c = |da/dv| the filter is, on one axis, a low pass of bandwidth b = c q / r, q the
+walk (m/s in a root of a second) and r the noise (m/s^2 in a root of a hertz: sigma sqrt(T)). A vehicle with little drag
+is a poor anemometer: where b is below observer.least_bandwidth the controller is refused, and observer=disturbance does
+what can be done.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from quadexp.air.base import Residual
+from quadexp.config.observers import WindObserverConfig, WindObserverKeys
+from quadexp.control.base import Controller
+from quadexp.control.observers.observer import (
+    Observer,
+    Update,
+    air_of,
+    arguments,
+    believer,
+    callable_air,
+    parameters_of,
+)
+from quadexp.control.observers.torque import N_TORQUE_SETTINGS, N_TORQUE_STATE, torque_settings, torque_update
+from quadexp.control.wrapped import innermost
+from quadexp.errors import UsageError
+from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
+from quadexp.physics.vehicle import Vehicle
+
+N_AIR = 4  # wind (3,), thrust scale - 1
+TYPICAL_AIRSPEED = 5.0  # m/s, at which the drag slope is taken
+
+
+def with_wind_observer(controller: Controller, config: WindObserverConfig) -> Observer:
+    """The controller with a wind observer.
+
+    Raises UsageError where it cannot be told of a wind, or its model has too little drag to measure one.
+    """
+    inner = believer(controller, config.name)
+    core = innermost(inner)
+    residual, period = air_of(core), inner.control_period
+    found = wind_bandwidth(inner.vehicle, residual, parameters_of(core), config, period)
+    if found < config.least_bandwidth:
+        raise UsageError(
+            f"observer={config.name}: {inner.name} on vehicle={inner.vehicle.name} knows too little drag to measure the"
+            f" wind (bandwidth {found:.2g} rad/s at {TYPICAL_AIRSPEED:g} m/s, observer.least_bandwidth is"
+            f" {config.least_bandwidth:g}); take observer=disturbance"
+        )
+    function = wind_function(inner.vehicle, residual, period, inner.backend)
+
+    def begin(x: np.ndarray) -> np.ndarray:
+        P = np.diag([config.wind_initial**2] * 3 + [config.scale_initial**2 if config.scale_walk else 0.0])
+        return np.concatenate([np.zeros(N_AIR), P.ravel(), x[RATE], np.zeros(3)])
+
+    return Observer(inner, Update(function, wind_settings(config, period), begin), config)
+
+
+def wind_settings(config: WindObserverKeys, period: float) -> np.ndarray:
+    """The numbers that the update takes: variances of a step's walks and of readings, limits; those of the torque."""
+    walks = [config.wind_walk**2 * period, config.scale_walk**2 * period]
+    limits = [config.wind_initial**2, config.wind_limit]
+    noise = [sigma**2 for sigma in config.noise]
+    return np.array(walks + noise + limits + torque_settings(config.torque_bandwidth, config.torque_limit, period))
+
+
+def wind_bandwidth(
+    vehicle: Vehicle, residual: Residual, theta: np.ndarray, config: WindObserverKeys, period: float
+) -> float:
+    """Bandwidth of the estimated wind on the worse horizontal body axis (rad/s), where it hovers in a breeze."""
+    slopes = []
+    for axis in (0, 1):
+        each = []
+        for airspeed in (-TYPICAL_AIRSPEED, TYPICAL_AIRSPEED):
+            z = np.zeros(6 + vehicle.n_rotors)
+            z[axis], z[6:] = airspeed, vehicle.hover_thrust
+            _, slope = residual.function(z, theta)
+            each.append(abs(float(np.array(ca.DM(slope).full())[axis, axis])))
+        slopes.append(np.mean(each) / (config.noise[axis] * np.sqrt(period)))
+    return float(config.wind_walk * min(slopes))
+
+
+def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: str) -> ca.Function:
+    """The update of control.observers.observer; s = [wind (3,), k, P (4, 4), w^ (3,), J^-1 tau^ (3,)]."""
+    model = callable_air(residual, backend)
+    first = N_AIR + N_AIR**2
+    a = arguments(vehicle, first + N_TORQUE_STATE, model.size1_in(1), 7 + N_TORQUE_SETTINGS)
+    x, s, settings = a["x"], a["s"], a["settings"]
+    R, thrust = rotation_matrix(x[ATTITUDE]), ca.sum1(a["thrust"]) / vehicle.mass
+    air, P = s[:N_AIR], ca.reshape(s[N_AIR:first], N_AIR, N_AIR)
+    wind_walk, scale_walk, *noise, largest, limit = ca.vertsplit(settings[:7])
+
+    scale = 1 + air[3]
+    z = ca.vertcat(ca.mtimes(R.T, x[VELOCITY] - air[:3]), x[RATE], scale * a["thrust"])
+    y, slope = model(z, a["theta"])
+    y = ca.densify(y)
+    slope = ca.densify(slope)
+    by_scale = ca.vertcat(0, 0, thrust) + ca.mtimes(slope[:3, 6:], a["thrust"])
+    H = ca.horzcat(-ca.mtimes(slope[:3, :3], R.T), by_scale)
+    P = P + ca.diag(ca.vertcat(wind_walk, wind_walk, wind_walk, scale_walk))
+    error = a["reading"] - y[:3] - ca.vertcat(0, 0, scale * thrust)
+    S = ca.mtimes([H, P, H.T]) + ca.diag(ca.vertcat(*noise))
+    K = ca.mtimes([P, H.T, _inverse(S)])
+    air = air + ca.mtimes(K, error)
+    left = ca.DM.eye(N_AIR) - ca.mtimes(K, H)
+    P = ca.mtimes([left, P, left.T]) + ca.mtimes([K, ca.diag(ca.vertcat(*noise)), K.T])  # Joseph's form
+    shrink = ca.fmin(1, ca.sqrt(3 * largest / ca.trace(P[:3, :3])))
+    by = ca.diag(ca.vertcat(shrink, shrink, shrink, 1))
+    P = ca.mtimes([by, P, by])
+    size = ca.sqrt(ca.sumsqr(air[:3]) + 1e-30)
+    air = ca.vertcat(air[:3] * ca.fmin(1, limit / size), ca.fmin(ca.fmax(air[3], -0.5), 1.0))
+
+    rates, torque = torque_update(s[first:], x[RATE], (1 + air[3]) * a["mean"], y[3:], settings[7:], vehicle, period)
+    belief = ca.vertcat(ca.MX.zeros(3), torque, air[:3], 1 + air[3])
+    results = [ca.vertcat(air, ca.vec(P), rates), belief]
+    return ca.Function("wind_observer", [*a.values()], results, [*a], ["s_next", "belief"])
+
+
+def _inverse(S: ca.MX) -> ca.MX:
+    """Of a 3 by 3 matrix, by cofactors."""
+    rows = [S[i, :].T for i in range(3)]
+    cofactors = ca.horzcat(*(ca.cross(rows[(i + 1) % 3], rows[(i + 2) % 3]) for i in range(3)))
+    return cofactors / ca.dot(rows[0], cofactors[:, 0])

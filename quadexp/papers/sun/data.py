@@ -1,0 +1,77 @@
+"""The data of Sun et al. 2022: 144 ellipses with their Table III, and Tables IV and V.
+
+ellipses.csv: plane, speed V (m/s), acceleration a (m/s^2), ratio n, feasible (1 or 0). published.csv: world,
+controller, mean and standard deviation over flights of the RMSE of position (m) and of heading (deg), and crashes (%).
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+FLIGHTS = 75  # behind the published tables: every crash rate is a multiple of 1/75
+CRASHED = (5.0, 90.0)  # m and deg, for which a crashed flight counts
+
+
+@dataclass(frozen=True)
+class Ellipse:
+    """One of the 144. speed: m/s. acceleration: m/s^2."""
+
+    plane: str
+    speed: float
+    acceleration: float
+    ratio: float
+    feasible: bool
+
+
+@dataclass(frozen=True)
+class Published:
+    """A mean over the flights of one condition. position: m. heading: deg. *_sd: standard deviations. crash: %."""
+
+    position: float
+    position_sd: float
+    heading: float
+    heading_sd: float
+    crash: float
+
+    @property
+    def lost(self) -> int:
+        """Crashed flights."""
+        return round(self.crash / 100 * FLIGHTS)
+
+    @property
+    def survivors(self) -> float:
+        """Mean position error of the flights that did not crash (m)."""
+        return (FLIGHTS * self.position - CRASHED[0] * self.lost) / (FLIGHTS - self.lost)
+
+
+@cache
+def ellipses() -> tuple[Ellipse, ...]:
+    """All 144, the horizontal ones first."""
+    return tuple(
+        Ellipse(
+            row["plane"],
+            float(row["speed"]),
+            float(row["acceleration"]),
+            float(row["ratio"]),
+            row["feasible"] == "1",
+        )
+        for row in _rows("ellipses.csv")
+    )
+
+
+@cache
+def published() -> dict[tuple[str, str], Published]:
+    """(world, controller) -> what is printed."""
+    names = ("position", "position_sd", "heading", "heading_sd", "crash")
+    return {
+        (row["world"], row["controller"]): Published(*(float(row[name]) for name in names))
+        for row in _rows("published.csv")
+    }
+
+
+def _rows(name: str) -> list[dict[str, str]]:
+    with open(Path(__file__).with_name(name), encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))

@@ -1,0 +1,208 @@
+"""Tables and a figure of a sweep over the conditions of Sun et al. 2022, ours beside the published ones.
+
+As there, a flight counts with its RMSE, a crashed one with 5 m and 90 degrees. Because this mixes two things, the error
+of the flights that did not crash and the number of those that did stand apart, and so do flights that stayed inside the
+box but are more than 2 m off: they are not flown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from quadexp.log.store import write_text
+from quadexp.papers.sun.data import CRASHED, Published, published
+from quadexp.report.figures import save
+from quadexp.report.style import looks, plain_log, styled
+from quadexp.report.tables import Table
+
+OFF = 2.0  # m of RMSE; a flight that is further off is not flown, although it stays inside the box
+CLOSE = 0.2  # share by which a mean may differ and count as reproduced
+TITLES = {
+    "sun_baseline": "baseline",
+    "sun_drag_50": "+50 % drag",
+    "sun_drag_100": "+100 % drag",
+    "sun_mass_minus_30": "-30 % mass",
+    "sun_mass_30": "+30 % mass",
+    "sun_com_10": "10 % CoG",
+    "sun_com_15": "15 % CoG",
+    "sun_ct_minus_30": "-30 % c_t",
+    "sun_ct_30": "+30 % c_t",
+    "sun_cq_minus_30": "-30 % c_q",
+    "sun_cq_30": "+30 % c_q",
+    "sun_force_5": "5 N",
+    "sun_force_10": "10 N",
+    "sun_force_15": "15 N",
+    "sun_torque_01": ".1 N m",
+    "sun_torque_02": ".2 N m",
+    "sun_torque_03": ".3 N m",
+    "sun_late_10": "10 ms",
+    "sun_late_30": "30 ms",
+    "sun_late_50": "50 ms",
+}
+PUBLISHED = ("sun_nmpc", "sun_dfbc", "sun_nmpc+indi", "sun_dfbc+indi")
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """The flights of one controller in one world, as Sun et al. count them.
+
+    flights, lost, off: numbers of flights, of crashed ones, of others with more than OFF m. position, heading: mean and
+    standard deviation (m, deg). survivors, survivors_heading: means of the flights that did not crash (m, deg).
+    """
+
+    flights: int
+    lost: int
+    off: int
+    position: tuple[float, float]
+    heading: tuple[float, float]
+    survivors: float
+    survivors_heading: float
+
+    @classmethod
+    def of(cls, rows: Iterable[Row]) -> Condition:
+        """From the rows of its flights."""
+        rows = list(rows)
+        lost = np.array([row["outcome"] != "ok" for row in rows])
+        position = np.array([row["rmse"] for row in rows], float)
+        heading = np.degrees(np.array([row["heading_rmse"] for row in rows], float))
+        counted = [np.where(lost, worst, values) for worst, values in zip(CRASHED, (position, heading), strict=True)]
+        means = [(float(values.mean()), float(values.std())) for values in counted]
+        flown = ~lost
+        kept = [float(values[flown].mean()) if flown.any() else float("nan") for values in (position, heading)]
+        return cls(len(rows), int(lost.sum()), int((position[flown] > OFF).sum()), means[0], means[1], *kept)
+
+
+def conditions(rows: Iterable[Row]) -> dict[str, dict[str, Condition]]:
+    """Controller (with its variant's remedies) -> world -> condition; both in the order of the tables."""
+    groups: dict[str, dict[str, list[Row]]] = {}
+    for row in rows:
+        groups.setdefault(row["controller"], {}).setdefault(row["plant"].partition("/")[2], []).append(row)
+    names = [*(name for name in PUBLISHED if name in groups), *(name for name in groups if name not in PUBLISHED)]
+    return {name: {world: Condition.of(groups[name][world]) for world in _in_order(groups[name])} for name in names}
+
+
+def _in_order(worlds: Iterable[str]) -> list[str]:
+    worlds = list(worlds)
+    return [*(world for world in TITLES if world in worlds), *(world for world in worlds if world not in TITLES)]
+
+
+def reproduced(found: Condition, printed: Published) -> str:
+    """ "yes" for a mean position error within CLOSE of the printed one; "crashes" where the flights that did not crash
+    are within it, so that the number of crashes explains the difference; else "no"."""
+    if abs(found.position[0] / printed.position - 1) <= CLOSE:
+        return "yes"
+    return "crashes" if abs(found.survivors / printed.survivors - 1) <= CLOSE else "no"
+
+
+def draw(rows: Sequence[Row], out: str | Path) -> dict[str, str]:
+    """Tables and figure of a sweep into <out>; returns name -> path."""
+    found, folder = conditions(rows), Path(out)
+    return {
+        "table_sun": str(write_text(folder / "sun.md", sun_table(found))),
+        "figure_sun": str(save(sun_figure(found), folder / "figures" / "sun")),
+    }
+
+
+def sun_table(found: Mapping[str, Mapping[str, Condition]]) -> str:
+    """Markdown: for every published controller ours and theirs, then all controllers side by side."""
+    tables = [_beside(name, found[name]) for name in PUBLISHED if name in found]
+    return "\n\n".join([*tables, _all(found).markdown()])
+
+
+def overview(rows: Iterable[Row]) -> Table:
+    """All controllers side by side."""
+    return _all(conditions(rows))
+
+
+def _beside(name: str, worlds: Mapping[str, Condition]) -> str:
+    printed, lines, verdicts = published(), [], []
+    for world, ours in worlds.items():
+        theirs = printed.get((world, name))
+        line = [
+            TITLES.get(world, world),
+            _with_sd(ours.position, 3),
+            _with_sd(ours.heading, 1),
+            str(ours.lost),
+            str(ours.off),
+            _number(ours.survivors, 3),
+        ]
+        if theirs is None:
+            lines.append([*line, "", "", "", "", ""])
+            continue
+        verdicts.append(reproduced(ours, theirs))
+        other = [
+            _with_sd((theirs.position, theirs.position_sd), 3),
+            _with_sd((theirs.heading, theirs.heading_sd), 1),
+            str(theirs.lost),
+            _number(theirs.survivors, 3),
+            verdicts[-1],
+        ]
+        lines.append(line + other)
+    heads = (
+        "condition", "position (m)", "heading (deg)", "lost", "> 2 m", "survivors (m)",
+        "printed position (m)", "printed heading (deg)", "printed lost", "printed survivors (m)", "reproduced",
+    )  # fmt: skip
+    flights = max(one.flights for one in worlds.values())
+    counts = ", ".join(f"{word} {verdicts.count(word)}" for word in ("yes", "crashes", "no"))
+    note = f"Mean position within {CLOSE:.0%} of the printed one: {counts} of {len(verdicts)}"
+    title = f"{name}: mean (SD) over {flights} flights of the RMSE; a lost flight counts {CRASHED[0]:g} m"
+    return Table(heads, lines, title, notes=[note]).markdown()
+
+
+def _all(found: Mapping[str, Mapping[str, Condition]]) -> Table:
+    """All controllers: mean of the flights that did not crash, and how many did or are more than OFF m away."""
+    worlds = _in_order({world: None for one in found.values() for world in one})
+    lines = [[TITLES.get(world, world), *(_short(one.get(world)) for one in found.values())] for world in worlds]
+    title = "RMSE of the flights that did not crash (m); in brackets how many crashed + how many others are off by 2 m"
+    return Table(["condition", *found], lines, title)
+
+
+def _short(one: Condition | None) -> str:
+    if one is None:
+        return ""
+    text = _number(one.survivors, 3)
+    return f"{text} ({one.lost}+{one.off})" if one.lost or one.off else text
+
+
+def _with_sd(values: tuple[float, float], digits: int) -> str:
+    return f"{values[0]:.{digits}f} ({values[1]:.{digits}f})"
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if np.isfinite(value) else "-"
+
+
+@styled
+def sun_figure(found: Mapping[str, Mapping[str, Condition]]) -> Figure:
+    """Position error of the flights that did not crash by condition, and below the number of those that did; hollow:
+    as printed."""
+    worlds = _in_order({world: None for one in found.values() for world in one})
+    figure = Figure(figsize=(2.0 + 0.42 * len(worlds), 4.8), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    look, printed, place = looks(list(found)), published(), {world: i for i, world in enumerate(worlds)}
+    for k, (name, own) in enumerate(found.items()):
+        shift = 0.7 * ((k + 0.5) / len(found) - 0.5)
+        theirs = {world: printed[world, name] for world in own if (world, name) in printed}
+        for panel, ours, other in (
+            (above, [one.survivors for one in own.values()], [one.survivors for one in theirs.values()]),
+            (below, [one.lost for one in own.values()], [one.lost for one in theirs.values()]),
+        ):
+            style = look[name].points() | {"linestyle": "none"}
+            panel.plot([place[world] + shift for world in own], ours, label=name, **style)
+            hollow = style | {"markerfacecolor": "none"}
+            panel.plot([place[world] + shift for world in theirs], other, **hollow)
+    above.set(yscale="log", ylabel="survivors' position error (m)")
+    plain_log(above.yaxis)
+    below.set(ylabel="lost flights")
+    below.set_xticks(range(len(worlds)), [TITLES.get(world, world) for world in worlds], rotation=60, ha="right")
+    handles, labels = above.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=4)
+    return figure

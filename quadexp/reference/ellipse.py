@@ -1,0 +1,74 @@
+"""Ellipses flown at a constant angular rate, at speed from the first instant on (Sun et al. 2022, (36)-(38)).
+
+    r = V^2 / a,   k = a / V,   b = r / n
+    horizontal   p = [r sin kt, b cos kt, h],       heading towards the centre, psi = atan2(-p_y, -p_x)
+    vertical     p = [r sin kt, 0, h + b cos kt],   heading constant
+
+World ENU (m). V: speed at t = 0, the end of the minor axis; a: centripetal acceleration at the ends of the major axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from quadexp.config.flight import EllipseKeys
+from quadexp.errors import UsageError
+from quadexp.reference.base import N_DERIVATIVES, FlatOutput, flat_output_held
+
+LONGEST_HORIZON = 10.0  # s, for which the ellipse goes on behind the flight
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ellipse(EllipseKeys):
+    """An ellipse; settings: see EllipseKeys. Raises UsageError where a number is out of range.
+
+    clipped: references stay within the vehicle's limits, where a controller only tries to follow.
+    """
+
+    clipped = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.plane == "vertical" and self.heading == "centre":
+            raise UsageError("trajectory.heading=centre: a vertical ellipse has heading=constant (or auto)")
+
+    @property
+    def end(self) -> float:
+        """Time (s) up to which it goes on, so that the horizon of a controller ends nowhere."""
+        return self.duration + LONGEST_HORIZON
+
+    @property
+    def peak_speed(self) -> float:
+        return self.speed
+
+    def flat_output(self, t: np.ndarray) -> FlatOutput:
+        """See Trajectory.flat_output.
+
+        The constant heading of the vertical plane is left free, which there means: y_body stays across the plane,
+        upside down too.
+        """
+        t = np.atleast_1d(np.asarray(t, float))
+        inside = (t >= 0.0) & (t <= self.end)
+        t = np.clip(t, 0.0, self.end)
+        rate, major = self.acceleration / self.speed, self.speed**2 / self.acceleration
+        turning = np.exp(1j * rate * t)[:, None] * (1j * rate) ** np.arange(N_DERIVATIVES)
+        position = np.zeros((len(t), N_DERIVATIVES, 3))
+        position[:, :, 0] = major * turning.imag
+        position[:, :, 1 if self.plane == "horizontal" else 2] = major / self.ratio * turning.real
+        position[:, 0, 2] += self.height
+        if self.plane == "vertical":
+            return flat_output_held(position, None, inside)
+        if self.heading == "constant":
+            return flat_output_held(position, 0.0, inside)
+        return flat_output_held(position, _towards_centre(position), inside)
+
+
+def _towards_centre(position: np.ndarray) -> np.ndarray:
+    """Heading with its derivatives (k, 3) (rad, s) of flat outputs (k, 5, 3), continuous."""
+    (x, x_1, x_2), (y, y_1, y_2) = position[:, :3, 0].T, position[:, :3, 1].T
+    square, moment = x * x + y * y, x * y_1 - y * x_1
+    square_1, moment_1 = 2 * (x * x_1 + y * y_1), x * y_2 - y * x_2
+    yaw = np.arctan2(-y, -x)
+    return np.stack([yaw, moment / square, (moment_1 * square - moment * square_1) / square**2], axis=1)

@@ -1,0 +1,251 @@
+"""The flights of a sweep with the value of any key of the configuration beside each, whether it was swept or not.
+
+The value is that of the configuration stored with the flight; `model.inducing` and the like are settings of the fit of
+its checkpoint, as long as that is where the flight found it. A cell without a flight (invalid, failed) has no file:
+the overrides that asked for it are in the record of the results.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from quadexp.config.schema import PRESETS, REMEDIES, SCHEMAS, WORLD
+from quadexp.config.settings import declared
+from quadexp.errors import DataError, QuadexpError, UsageError
+from quadexp.log.cell_store import CellStore
+from quadexp.log.store import read_metadata, read_table
+from quadexp.messages import suggestion
+from quadexp.report.pairing import setting_pairs
+from quadexp.report.tables import ROW_COLUMNS, TEXT_COLUMNS, from_columns
+
+RESULTS = "results.parquet"
+ALIASES = {"speed": "trajectory.speed"}
+GROUPS = ("vehicle", "plant", "world", "trajectory", "controller", "model", "seed", *WORLD, "remedies", *REMEDIES)
+# Columns of the rows that tell what was flown, in the order in which a figure considers them.
+ASKED = ("vehicle", "plant", "trajectory", "trajectory.speed", "controller", "model", "seed")
+SETTINGS_ASIDE = ("evaluate", "engine", "experiment", "collect", "gp", "drag")  # nodes that decide no flight
+
+Row = Mapping[str, Any]
+
+
+class SweepFrame:
+    """Rows of results, one a flight, with a column for every key. record: of the table; {} where there is none."""
+
+    def __init__(self, rows: Sequence[Row], root: str | Path, record: Mapping[str, Any] | None = None) -> None:
+        self.rows = list(rows)
+        self.root, self.record = Path(root), record or {}
+        self._store = CellStore(root)
+        self._configs: dict[str, dict[str, Any]] = {}
+        self._columns: dict[str, list[Any]] = {}
+        self._checkpoints: dict[str, dict[str, Any]] = {}
+        self._lacking: dict[str, list[str]] = dict(self.record.get("without_flight", {}))
+
+    @classmethod
+    def read(cls, folder: str | Path) -> SweepFrame:
+        """The last sweep of a folder; UsageError where it holds no results."""
+        path = Path(folder)
+        file = path / RESULTS if path.is_dir() else path
+        if not file.is_file():
+            raise UsageError(f"{folder}: holds no results (made by `quadexp evaluate`)")
+        columns, record = read_table(file, "results", required=("key", "outcome"))
+        rows = [{**dict.fromkeys(ROW_COLUMNS), **row} for row in from_columns(columns)]
+        if not rows:
+            raise DataError(f"{file}: holds no flights; run the sweep again")
+        return cls(rows, file.parent, record)
+
+    def where(self, kept: Sequence[bool]) -> SweepFrame:
+        """The frame of some of its rows."""
+        return self.taken([i for i, keep in enumerate(kept) if keep])
+
+    def taken(self, order: Sequence[int]) -> SweepFrame:
+        """The frame of the rows at these places, in this order."""
+        found = SweepFrame([self.rows[i] for i in order], self.root, self.record)
+        found._configs = self._configs
+        return found
+
+    def column(self, name: str) -> list[Any]:
+        """The value of a key or of a column of the results in every row; None where a flight does not have it.
+
+        Raises UsageError for a name that no flight has.
+        """
+        name = ALIASES.get(name, name)
+        if name not in self._columns:
+            made = [self._value(row, name) for row in self.rows]
+            if all(value is None for value in made) and name not in (*ROW_COLUMNS, *GROUPS, *ASKED, "wanted"):
+                raise UsageError(f"{name}: no such column{suggestion(name, self.names)}")
+            self._columns[name] = made
+        return self._columns[name]
+
+    def has(self, name: str) -> bool:
+        """Whether there is such a key or column."""
+        try:
+            self.column(name)
+        except UsageError:
+            return False
+        return True
+
+    @cached_property
+    def names(self) -> list[str]:
+        """The columns of the results, and every key of a flight."""
+        found: dict[str, None] = dict.fromkeys((*ROW_COLUMNS, *GROUPS))
+        for row in self.rows[:: max(1, len(self.rows) // 20)]:
+            found.update(dict.fromkeys(_flat(self._config(row))))
+            found.update(dict.fromkeys(f"model.{key}" for key in self._of_checkpoint(row["model"])))
+        return list(found)
+
+    @cached_property
+    def swept(self) -> list[str]:
+        """The keys that take several values, the one that varies slowest first; the seed among them."""
+        texts: dict[str, set[str]] = {}
+        for grid in self.record.get("grids") or ():
+            for text in (text for several in grid for text in several):
+                texts.setdefault(text.partition("=")[0], set()).add(text)
+        asked = [key for key, values in texts.items() if len(values) > 1]
+        for row in self.rows:
+            texts.update((key, set()) for key, _ in setting_pairs(row["variant"] or ""))
+        asked += [key for key, values in texts.items() if not values]
+        parts = {"plant": ("world", *WORLD), "controller": ("remedies", *REMEDIES), "trajectory.speed": ("speed",)}
+        named = {key.partition(".")[0] for key in asked}
+        asked += [key for key in ASKED if key not in asked and not named.intersection(parts.get(key, ()))]
+        asked = [key for key in dict.fromkeys(asked) if key.partition(".")[0] not in SETTINGS_ASIDE]
+        return [key for key in asked if len(self.values(key)) > 1]
+
+    def values(self, name: str) -> list[Any]:
+        """The different values of a column, without None; numbers sorted, texts in the order of the rows."""
+        found = list(dict.fromkeys(value for value in self.column(name) if value is not None))
+        return sorted(found) if all(map(is_number, found)) else found
+
+    def controllers(self, axes: Iterable[str]) -> list[str]:
+        """The controller of every row with those remedies in its name that are not axes by themselves."""
+        kept = [group for group in REMEDIES if group not in axes and "remedies" not in axes]
+        return [
+            "+".join([row["controller"].partition("+")[0], *self._remedies(row, kept)])
+            if "+" in row["controller"]
+            else row["controller"]
+            for row in self.rows
+        ]
+
+    # ---------------------------------------------------------------------------------------------------------- values
+    def _value(self, row: Row, name: str) -> Any:
+        if name == "trajectory.speed":
+            return _plain(row["speed"])
+        if name == "world":
+            return str(row["plant"]).partition("/")[2] or "clean"
+        if name in (*ROW_COLUMNS, "wanted") and name not in SCHEMAS:
+            return _plain(row.get(name))
+        if name in ("vehicle", "plant", "trajectory", "controller"):
+            return row[name]
+        if name == "remedies":
+            return "+".join(self._remedies(row, REMEDIES)) or "none"
+        if name.startswith("model."):
+            return self._of_checkpoint(row["model"]).get(name.removeprefix("model."))
+        varied = dict(setting_pairs(row["variant"] or ""))
+        if name in varied:
+            return read_value(varied[name])
+        config = self._config(row)
+        if name in config:  # the overrides of a cell without a flight
+            return _named(config[name])
+        found: Any = config
+        for part in name.split("."):
+            found = found.get(part) if isinstance(found, Mapping) else None
+        if found is None and name in (*WORLD, *REMEDIES):
+            return "none"  # what does nothing is left out of the record of a flight
+        return _named(found)
+
+    def _of_checkpoint(self, path: str | None) -> dict[str, Any]:
+        """Settings of the fit, and the data, of a checkpoint that is still where the flight found it."""
+        if not path:
+            return {}
+        if path not in self._checkpoints:
+            found: dict[str, Any] = {}
+            try:
+                payload = json.loads((Path(path) / "model.json").read_text(encoding="utf-8"))["payload"]
+                for part in ("settings", "dataset"):
+                    found |= {key: _named(value) for key, value in dict(payload.get(part) or {}).items()}
+            except (OSError, ValueError, KeyError, TypeError, AttributeError):
+                pass
+            self._checkpoints[path] = found
+        return self._checkpoints[path]
+
+    def _remedies(self, row: Row, groups: Iterable[str]) -> list[str]:
+        chosen = [self._value(row, group) for group in groups]
+        return [str(name) for name in chosen if name not in (None, "none")]
+
+    def _config(self, row: Row) -> dict[str, Any]:
+        key = row["key"]
+        if key not in self._configs:
+            try:
+                if key in self._lacking:
+                    pairs = (text.partition("=") for text in self._lacking[key])
+                    self._configs[key] = {name: read_value(value) for name, _, value in pairs}
+                else:
+                    self._configs[key] = dict(read_metadata(self._store.path(key), "flight").get("config") or {})
+            except QuadexpError:  # a cell that has gone: what its row says has to do
+                self._configs[key] = {}
+        return self._configs[key]
+
+
+def _flat(value: Mapping[str, Any], prefix: str = "") -> Iterable[str]:
+    for name, inner in value.items():
+        if isinstance(inner, Mapping):
+            yield from _flat(inner, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}"
+
+
+def _plain(value: Any) -> Any:
+    """None for a missing number or text."""
+    if value is None or value == "" or (isinstance(value, float) and math.isnan(value)):
+        return None
+    return value
+
+
+def _named(value: Any) -> Any:
+    """A value that can be compared and printed: the name of a part, a list as its text."""
+    if isinstance(value, Mapping):
+        return value.get("name")
+    return json.dumps(value, separators=(",", ":")) if isinstance(value, (list, tuple)) else _plain(value)
+
+
+def read_value(text: str) -> Any:
+    """The value of an override's text: a number, true, false, null (None), or a text."""
+    text = text.strip()
+    words = {"true": True, "false": False, "null": None}
+    if text.lower() in words:
+        return words[text.lower()]
+    try:
+        number = float(text)
+    except ValueError:
+        return text[1:-1] if len(text) > 1 and text[0] == text[-1] and text[0] in "'\"" else text.replace(", ", ",")
+    return int(number) if number.is_integer() and "." not in text and "e" not in text.lower() else number
+
+
+def is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def is_metric(name: str) -> bool:
+    """Whether a column is a number of the flight itself, not a setting."""
+    return name in ROW_COLUMNS and name not in (*TEXT_COLUMNS, "speed", "seed")
+
+
+def of_controller(key: str) -> bool:
+    """Whether a key belongs to who flies, not to what is flown: flights that differ in it have the same noise.
+
+    "results" is the folder that a flight of several results comes from (compare_picture.py)."""
+    group = key.partition(".")[0]
+    return group in ("controller", "model", "remedies", *REMEDIES, "results") or PRESETS.get(group) == "controller"
+
+
+def unit_of(key: str) -> str:
+    """The unit of a key of the configuration; "" for a number without one, or an unknown key."""
+    group, _, name = ALIASES.get(key, key).partition(".")
+    for schema in SCHEMAS.get(group, {}).values():
+        if name in declared(schema):
+            return declared(schema)[name].setting.unit
+    return ""

@@ -1,0 +1,162 @@
+"""From a request to files: the options that were found, the history as Parquet, and its figure."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import quadexp
+from quadexp.config.compose import Composer
+from quadexp.config.schema import controller_name
+from quadexp.errors import UsageError
+from quadexp.log.store import write_table
+from quadexp.provenance import libraries, provenance, sources
+from quadexp.report.metrics import SHOWN
+from quadexp.report.text import number
+from quadexp.tune.preset import check_name, options_of, write_presets
+from quadexp.tune.search import JOURNAL, Request, Search, Trial, best_of
+from quadexp.tune.space import overrides, settings_of
+
+HISTORY = "history.parquet"
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """trials: all, the first one as it was. best: place of the best. options: GROUP=NAME -> file. record: for --json.
+    lines: what is printed."""
+
+    trials: Sequence[Trial]
+    best: int
+    options: Mapping[str, Path]
+    record: Mapping[str, Any]
+    lines: Sequence[str]
+
+
+def trials_of(flights: int, each: int) -> int:
+    """How many trials of `each` flights a budget pays; raises UsageError where it is not two."""
+    if flights < 2 * each:
+        raise UsageError(f"--flights {flights}: a trial takes {each} flights, so {2 * each} are needed at least")
+    return flights // each
+
+
+def clear(out: Path) -> None:
+    """Let a search begin anew; its flights are kept, for they are named by what they are."""
+    for name in (JOURNAL, f"{JOURNAL}.lock"):
+        (out / name).unlink(missing_ok=True)
+
+
+def tune(
+    composer: Composer,
+    request: Request,
+    out: Path,
+    flights: int,
+    *,
+    name: str | None = None,
+    figure: bool = True,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    **how: Any,
+) -> Tuned:
+    """Search with a budget of flights, and write what was found. how: engine, function, isolate of a Search.
+
+    Raises UsageError before anything is flown; see also Search.run.
+    """
+    search = Search(composer, request, out, **how)
+    options = options_of(composer, request.given, search.config)
+    check_name(options["controller"], name)
+    trials = search.run(trials_of(flights, search.flights), progress)
+    best = best_of(trials)
+    history = _write_history(out, request, search, trials)
+    config = composer.expand([*request.given, *overrides(request.axes, trials[best].numbers)], check=False)[0].config
+    about = _about(request, search, trials, best)
+    written = write_presets(out, composer, options, config, about, name)
+    if figure:
+        from quadexp.tune.figure import draw_history
+
+        draw_history(trials, request, search.flights, out / "history")
+    settings = {
+        key: (old, new)
+        for (key, old), new in zip(
+            settings_of(request.axes, trials[0].numbers).items(),
+            settings_of(request.axes, trials[best].numbers).values(),
+            strict=True,
+        )
+    }
+    record = {"out": out, **about, "options": dict(written), "settings": settings, "history": history}
+    lines = _lines(request, search, trials, best)
+    width = max(map(len, settings))
+    lines += [f"  {key:<{width}}  {_short(old)} -> {_short(new)}" for key, (old, new) in settings.items()]
+    lines += [str(path) for path in written.values()]
+    return Tuned(trials, best, written, record, lines)
+
+
+def _short(value: Any) -> str:
+    return f"[{', '.join(f'{x:.4g}' for x in value)}]" if isinstance(value, list) else f"{value:.4g}"
+
+
+def _lines(request: Request, search: Search, trials: Sequence[Trial], best: int) -> list[str]:
+    spent = len(trials) * search.flights
+    title = f"{controller_name(search.config)}: {len(trials)} trials of {search.flights} flights, {spent} in all"
+
+    def line(what: str, trial: Trial) -> str:
+        factor, unit = SHOWN[request.metric]
+        margin = f", delay margin {1e3 * trial.worth.margin:.0f} ms" if np.isfinite(trial.worth.margin) else ""
+        error = number(factor * trial.worth.error)
+        return f"  {what}  {error} {unit}, {trial.worth.lost} of {search.flights} flights lost{margin}"
+
+    lines = [title, line("before", trials[0]), line("tuned ", trials[best])]
+    if best == 0:
+        lines.append("  nothing better was found: the settings stay as they were")
+    return lines
+
+
+def _write_history(out: Path, request: Request, search: Search, trials: Sequence[Trial]) -> Path:
+    values = [trial.worth.value for trial in trials]
+    columns: dict[str, Any] = {
+        "trial": np.arange(len(trials)),
+        "flights": search.flights * np.arange(1, len(trials) + 1),
+        "value": np.array(values),
+        "best": np.minimum.accumulate(values),
+        "error": np.array([trial.worth.error for trial in trials]),
+        "lost": np.array([trial.worth.lost for trial in trials]),
+        "margin": np.array([trial.worth.margin for trial in trials]),
+    }
+    for i, axis in enumerate(request.axes):
+        columns[axis.name] = np.array([float(trial.numbers[i]) for trial in trials])
+    record = {"request": request.record(), "cells": list(request.given), "provenance": provenance()}
+    return write_table(out / HISTORY, columns, record, "tuning")
+
+
+def fingerprint(trials: Sequence[Sequence[float]]) -> str:
+    """Hash of the numbers and the value of every trial, 20 hex digits: what a history holds, and an option names."""
+    return hashlib.sha256(np.array(trials, float).tobytes()).hexdigest()[:20]
+
+
+def _about(
+    request: Request,
+    search: Search,
+    trials: Sequence[Trial],
+    best: int,
+) -> dict[str, Any]:
+    """The provenance of an option. Nothing in it depends on time or machine."""
+    first, last = trials[0].worth, trials[best].worth
+    return {
+        "cells": [text for text in request.given if not text.startswith(("engine", "evaluate."))],
+        "space": [axis.text() for axis in request.axes],
+        "budget": f"{len(trials) * search.flights} flights: {len(trials)} trials of {search.flights}",
+        "flights": len(trials) * search.flights,
+        "metric": request.metric,
+        **({"least delay margin": request.least_margin} if request.least_margin else {}),
+        "seeds": search.seeds,
+        **({"model": search.models} if search.models else {}),
+        "search": f"Optuna TPE, seed {request.seed}, batch {request.batch}",
+        "before": f"{first.error:.6g} m, {first.lost} lost",
+        "tuned": f"{last.error:.6g} m, {last.lost} lost, trial {best}",
+        "program": f"quadexp {quadexp.__version__}, sources {sources()}",
+        "libraries": libraries(),
+        "trials": fingerprint([[*trial.numbers, trial.worth.value] for trial in trials]),
+    }

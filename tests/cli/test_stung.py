@@ -1,0 +1,152 @@
+"""Small things that stung: wrong kinds of files, folders for files, a model for a controller that takes none, paths
+below the ground, and terminals of few columns."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import select
+import struct
+import subprocess
+import sys
+from fcntl import ioctl
+from pathlib import Path
+from termios import TIOCSWINSZ
+
+import pytest
+
+from quadexp.cli.terminal import fitted
+from tests.cli.command import run, run_main
+
+ROOT = Path(__file__).resolve().parents[2]
+QUICK = ("trajectory=hover", "trajectory.duration=0.5", "controller.backend=interpreted", "plant.backend=interpreted")
+FLOWN = ("plant=ideal", *QUICK)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A folder with one of each: flight, data set, results, text, table, empty file, empty folder."""
+    folder, before = tmp_path_factory.mktemp("made"), Path.cwd()
+    os.chdir(folder)
+    try:
+        assert run("simulate", *FLOWN, "--out", "flight.parquet")[0] == 0
+        assert run("collect", "--flight", "flight.parquet", "--out", "data.parquet")[0] == 0
+        assert run("evaluate", "--sweep", *FLOWN, "seed=0,1", "--no-figures", "--out", "results")[0] == 0
+        Path("text.txt").write_text("hello")
+        Path("table.csv").write_text("a,b\n1,2\n")
+        Path("nothing").touch()
+        Path("folder").mkdir()
+        yield folder
+    finally:
+        os.chdir(before)
+
+
+COMMANDS = {  # what each takes
+    ("show", "FILE"): {"flight.parquet", "data.parquet", "results"},
+    ("compare", "flight.parquet", "FILE"): {"flight.parquet"},
+    ("compare", "results", "FILE"): {"results"},
+    ("report", "FILE", "--out", "page.html", "--force"): {"results"},
+    ("export", "FILE", "--to", "csv", "--out", "out.csv", "--force"): {"flight.parquet"},
+    ("animate", "FILE", "--out", "a.gif", "--to", "0.1", "--force"): {"flight.parquet"},
+    ("results", "FILE"): {"results"},
+    ("check", "FILE"): {"flight.parquet"},
+    ("identify", "FILE", "--out", "identified", "--force"): {"flight.parquet"},
+    ("fit-gp", "FILE", "--out", "gp", "--force"): {"data.parquet"},
+    ("fit-drag", "FILE", "--out", "drag", "--force"): {"data.parquet"},
+    ("validate", "FILE", "--flights", "flight.parquet"): set(),
+    ("collect", "--flight", "FILE", "--out", "d.parquet", "--force"): {"flight.parquet"},
+    ("simulate", "controller=linear_drag_mpc", "model=FILE", "--out", "s.parquet", "--force"): set(),
+}
+FILES = ("flight.parquet", "data.parquet", "results", "text.txt", "table.csv", "nothing", "folder", "absent")
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=lambda words: " ".join(words[:2]))
+def test_a_file_of_another_kind_is_one_line_and_exit_code_2(made, words):
+    for file in FILES:
+        if file not in COMMANDS[words]:
+            done = run_main(*(word.replace("FILE", file) for word in words))
+            assert (done.returncode, done.stdout) == (2, ""), (file, done)
+            assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1, (file, done.stderr)
+
+
+def test_a_folder_of_results_names_its_flights(made):
+    code, _, err = run("export", "results", "--to", "csv")
+    assert code == 2 and err.startswith("error: results: is a folder, a flight is needed here")
+    named = err.split("such as ")[1].split(" (")[0]
+    assert "`quadexp results results` lists them" in err
+    assert run("export", named, "--to", "csv", "--out", "named.csv")[0] == 0
+
+
+def test_a_model_for_a_controller_that_takes_none_is_said(made):
+    _, _, err = run("simulate", *FLOWN, "model=models/gp", "--out", "a.parquet", "--force")
+    assert "note: nominal_mpc takes no model: model=models/gp is not used" in err
+    sweep = ("evaluate", "--sweep", *FLOWN, "model=models/gp", "--no-figures", "controller=nominal_mpc,perfect_mpc")
+    code, _, err = run(*sweep, "--out", "unused")
+    assert code == 0 and "note: nominal_mpc and perfect_mpc take no model" in err
+
+
+def test_a_sweep_over_controllers_gives_the_model_to_those_that_take_one(made, tmp_path):
+    backends = ("controller.backend=interpreted", "plant.backend=interpreted")
+    assert run("collect", "collect.duration=3", *backends, "--out", str(tmp_path / "d.parquet"))[0] == 0
+    assert run("fit-drag", tmp_path / "d.parquet", "drag.holdout=0", "--out", str(tmp_path / "drag"))[0] == 0
+    words = ("evaluate", "--sweep", *FLOWN, f"model={tmp_path / 'drag'}", "--no-figures", "--out", "with_drag")
+    code, _, err = run(*words, "controller=nominal_mpc,linear_drag_mpc")
+    assert code == 0 and "model" not in err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("trajectory=hover", "trajectory.position=[0,0,-1.5]"), "by 1.5 m at t = 0.00 s"),
+        (("trajectory=hover", "trajectory.position=[0,0,0]"), ""),
+        (("trajectory=hover", "trajectory.position=[0,0,-1]", "ground=cheeseman_bennett", "ground.height=-2"), ""),
+    ],
+)
+def test_a_reference_below_the_ground_is_said(made, words, said):
+    quick = ("trajectory.duration=0.5", "controller.backend=interpreted", "plant.backend=interpreted")
+    radius = ("ground.rotor_radius=0.1",) if "ground=cheeseman_bennett" in words else ()
+    code, _, err = run("simulate", *words, *quick, *radius, "--out", "low.parquet", "--force")
+    assert code == 0 and (said in err and "raise trajectory.position" in err if said else "ground" not in err)
+
+
+@pytest.mark.parametrize("width", [60, 80, 200])
+def test_lines_are_broken_at_blanks_and_go_on_below_their_text(width):
+    text = "flight      " + " ".join(f"word{i}" for i in range(40))
+    lines = fitted(text, width).splitlines()
+    assert len(lines) > 1
+    assert max(map(len, lines)) <= width
+    assert lines[0].startswith("flight      word0") and all(line.startswith(" " * 12 + "word") for line in lines[1:])
+    assert " ".join(" ".join(lines).split()) == " ".join(text.split())
+    assert fitted("/a/" + "b" * 300, width) == "/a/" + "b" * 300  # a path stays in one piece
+    assert fitted("short", width) == "short"
+
+
+@pytest.mark.parametrize(("width", "command"), [(60, "results"), (80, "show"), (200, "show")])
+def test_what_commands_print_fits_the_terminal(made, width, command):
+    lines = on_a_terminal((command, "results"), width, made)
+    assert lines and max(map(len, lines)) <= width, max(lines, key=len)
+
+
+def on_a_terminal(words, width, folder):
+    """What a command prints on a terminal of a width, as lines."""
+    ours, theirs = pty.openpty()
+    ioctl(theirs, TIOCSWINSZ, struct.pack("HHHH", 40, width, 0, 0))
+    known = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES", "NO_COLOR")}
+    started = subprocess.Popen(
+        [sys.executable, "-m", "quadexp", *words], cwd=folder, stdin=theirs, stdout=theirs, stderr=theirs,
+        env={**known, "PYTHONPATH": str(ROOT), "TERM": "xterm"},
+    )  # fmt: skip
+    os.close(theirs)
+    out = b""
+    while True:
+        if select.select([ours], [], [], 0.2)[0]:
+            try:
+                out += os.read(ours, 65536)
+            except OSError:
+                break
+        elif started.poll() is not None:
+            break
+    os.close(ours)
+    assert started.wait() == 0, out.decode()
+    return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", out.decode()).replace("\r", "").splitlines()

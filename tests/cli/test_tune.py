@@ -1,0 +1,43 @@
+"""`quadexp tune` as a user meets it."""
+
+from __future__ import annotations
+
+import json
+
+from tests.cli.command import run
+from tests.tune.parts import open_loop
+
+TASK = ["plant=ideal", "trajectory=hover", "trajectory.duration=0.2", "evaluate.workers=1"]
+SHARE = ["--vary", "controller.options.share=0.8..2", "--seeds", "1"]
+
+
+def tune(*words):
+    return run("tune", "controller=open_loop", *TASK, *SHARE, "--conf", "mine", "--out", "t", *words)
+
+
+def test_it_tunes_in_worker_processes_says_what_was_found_and_goes_on(here):
+    """The vehicle hovers with its own weight: nothing better is to be found."""
+    open_loop(here / "mine")
+    code, out, err = tune("--flights", "3")
+    assert code == 0, err
+    assert out.splitlines()[0] == "open_loop: 3 trials of 1 flights, 3 in all"
+    assert "nothing better was found" in out and "t/controller/open_loop_tuned.yaml" in out
+    assert "copy" in out and "mine/controller" in out  # its module is in that folder
+    code, out, _ = tune("--flights", "5", "--json")
+    found = json.loads(out)
+    assert code == 0 and found["flights"] == 5 and found["options"].keys() == {"controller=open_loop_tuned"}
+    assert found["settings"]["controller.options.share"] == [1.0, 1.0]
+    code, out, _ = tune("--flights", "2", "--seed", "1", "--force", "--json")
+    assert code == 0 and json.loads(out)["flights"] == 2
+    assert run("show", "t/history.parquet")[0] == 0
+
+
+def test_wrong_requests_are_one_line(here):
+    for words, message in [
+        (["--flights", "1"], "a trial takes 2 flights, so 4 are needed"),
+        (["--vary", "plant.mass=1..2"], "what is tuned is the controller"),
+        (["controller=rls_feedback,static_feedback"], "one controller is tuned at a time"),
+        (["trajectory=circle", "trajectory.speed=40"], "circle cannot be flown"),
+    ]:
+        code, out, err = run("tune", *words)
+        assert code == 2 and out == "" and err.startswith("error: ") and err.count("\n") == 1 and message in err, err

@@ -1,0 +1,144 @@
+"""Prediction of a late state by the model: against SciPy's integration with thrusts that follow their commands."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+
+from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.control.base import Measurement, Window
+from quadexp.control.delay.prediction import Prediction
+from quadexp.control.delay.sent_commands import SentCommands
+from quadexp.control.mpc import mpc as landed
+from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.mpc.settings import MPCSettings
+from quadexp.control.wrapped import WrappedController
+from quadexp.physics.rigid_body import corrected_function
+from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
+
+PERIOD = 0.02
+
+
+class Belief(NamedTuple):
+    """What an observer tells, see Belief of quadexp.control.belief."""
+
+    force: np.ndarray
+    torque: np.ndarray
+    wind: np.ndarray
+    thrust_scale: float = 1.0
+
+
+PUSHED = Belief(np.array([0.5, -1, 0.3]), np.array([0.02, 0, 0.01]), np.array([3.0, -2, 1]), 0.9)
+
+
+def thrust_at(t, commands, dead_time, lag):
+    """Thrust at a time t (s) where commands[k] is sent at k PERIOD - len(commands) PERIOD, so that now is 0."""
+    sent = PERIOD * (np.arange(len(commands)) - len(commands)) + dead_time
+    change = np.diff(commands, axis=0)
+    since = np.maximum(t - sent[1:], 0.0)
+    share = 1 - np.exp(-since / lag) if lag else (t >= sent[1:]).astype(float)
+    return commands[0] + share @ change
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.03])
+@pytest.mark.parametrize("dead_time", [0.0, 0.013, 0.04])
+def test_mean_thrusts_are_those_of_the_commands(dead_time, lag):
+    rng = np.random.default_rng(1)
+    history = SentCommands(2, PERIOD, 0.4)
+    history.reset(np.array([3.0, 4.0]))
+    for u in rng.uniform(0, 10, (30, 2)):
+        history.record(u)
+    spans = np.array([[-0.05, -0.041], [-0.041, -0.02], [-0.02, 0.0], [-0.033, -0.033], [0.0, 0.01]])
+    found = history.weights(spans, dead_time, lag) @ history.values
+    for (a, b), mean in zip(spans, found, strict=True):
+        kinks = [k * PERIOD + dead_time for k in range(-20, 2)]
+        inside = [point for point in kinks if a < point < b]
+        for i in range(2):
+            own = history.values[:, i]
+            true = (
+                quad(thrust_at, a, b, (own, dead_time, lag), points=inside)[0] / (b - a)
+                if b > a
+                else thrust_at(a, own, dead_time, lag)
+            )
+            assert mean[i] == pytest.approx(true, abs=2e-6)
+
+
+class Told(WrappedController):
+    """Keeps what it is told, sends what it is given, and believes something."""
+
+    def __init__(self, inner, commands, belief=None):
+        super().__init__(inner)
+        self.commands, self.states = iter(commands), []
+        if belief is not None:
+            self.belief = belief
+
+    def reset(self, x, window):
+        pass
+
+    def step(self, measurement, window):
+        self.states.append(measurement.state)
+        return next(self.commands), None
+
+
+def made(vehicle, residual, **settings):
+    mpc = landed.ModelPredictiveController(vehicle, residual, MPCSettings(**settings), backend="interpreted")
+    return PredictiveController(mpc)
+
+
+@pytest.mark.parametrize("which", ["vehicle", "odd_vehicle"])
+@pytest.mark.parametrize("belief", [None, PUSHED])
+@pytest.mark.parametrize(("delay", "dead_time", "lag"), [(0.01, 0.0, 0.0), (0.035, 0.0, 0.0), (0.05, 0.013, 0.03)])
+def test_the_state_of_now_is_found(request, which, belief, delay, dead_time, lag):
+    """The model itself flies, with rotors that follow late and in a wind and under a force that are believed."""
+    vehicle = request.getfixturevalue(which)
+    residual = linear_drag_residual(vehicle, (0.4, 0.3, 0.1))
+    model, (theta, n) = corrected_function(vehicle, residual), (residual.theta, vehicle.n_rotors)
+    rng = np.random.default_rng(4)
+    commands = vehicle.hover_thrust * (1 + 0.1 * rng.standard_normal((12, n)))
+    told = Told(made(vehicle, residual), commands, belief)
+    wrapped = Prediction(told, delay, dead_time, lag)
+    world = belief or Belief(np.zeros(3), np.zeros(3), np.zeros(3))
+
+    def slope(t, x, now):
+        sent = np.vstack([np.tile(vehicle.hover_thrust, (40, n)), commands[:now]])
+        thrust = world.thrust_scale * thrust_at(t - now * PERIOD, sent, dead_time, lag)
+        air = x.copy()
+        air[VELOCITY] -= world.wind
+        found = model(air, thrust, theta).full().ravel()
+        found[POSITION] = x[VELOCITY]
+        found[VELOCITY] += world.force / vehicle.mass
+        found[10:] += np.linalg.solve(vehicle.inertia_matrix, world.torque)
+        return found
+
+    x = np.concatenate([[0, 0, 1], [0.98, 0.1, -0.1, 0.15], [2, 1, 0.5], [0.3, -0.2, 0.1]])
+    x[ATTITUDE] /= np.linalg.norm(x[ATTITUDE])
+    times, states = np.zeros(1), [x]
+    for k in range(12):  # finely, so that late states can be read off
+        grid = (k * 20 + np.arange(21)) * 1e-3
+        precise = {"rtol": 1e-7, "atol": 1e-9, "max_step": 5e-3}
+        found = solve_ivp(slope, (grid[0], grid[-1]), states[-1], args=(12,), t_eval=grid[1:], **precise)
+        times, states = np.append(times, grid[1:]), [*states, *found.y.T]
+    states = np.array(states)
+    states[:, ATTITUDE] /= np.linalg.norm(states[:, ATTITUDE], axis=1)[:, None]
+    wrapped.reset(states[0], Window(None, np.full((1, n), vehicle.hover_thrust), None, None))
+    for k in range(12):
+        late = states[max(k * 20 - round(delay * 1e3), 0)]
+        wrapped.step(Measurement(k * PERIOD, late, None, None), None)
+    error = np.abs(np.array(told.states) - states[:240:20])
+    assert error[:, POSITION].max() < 2e-5 and error[:, VELOCITY].max() < 2e-3
+    assert error[:, ATTITUDE].max() < 1e-3 and error[:, 10:].max() < 5e-3
+    assert np.abs(states[20:240:20] - states[:220:20])[:, POSITION].min(axis=0).max() > 1e-2  # it does fly
+
+
+def test_dead_time_and_lag_of_the_mpc_inside_are_known(vehicle):
+    from quadexp.config.delays import PredictionConfig
+    from quadexp.control.delay.prediction import around
+
+    inner = made(vehicle, linear_drag_residual(vehicle, (0.4, 0.3, 0.1)), dead_time=0.013, motor_lag=0.03)
+    own = around(inner, PredictionConfig(name="p", time=0.02))
+    given = around(inner, PredictionConfig(name="p", time=0.02, dead_time=0.0, motor_lag=0.01))
+    assert (own.delay, own.dead_time, own.lag) == (0.02, 0.013, 0.03)
+    assert (given.dead_time, given.lag) == (0.0, 0.01)

@@ -1,0 +1,54 @@
+"""Delivered thrusts: against a lag integrated over a late step-wise command, and from rotor speeds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadexp.control.base import Measurement
+from quadexp.control.delivered import DeliveredThrust
+
+PERIOD = 0.02
+
+
+def measured(speed=None) -> Measurement:
+    return Measurement(0.0, np.zeros(13), None, speed)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.03])
+@pytest.mark.parametrize("dead_time", [0.0, 0.013, 0.02, 0.047])
+def test_commands_act_late_and_lag(vehicle, rng, dead_time, lag):
+    first, commands, fine = rng.uniform(1, 5, 4), rng.uniform(1, 5, (6, 4)), 1e-5
+    delivered = DeliveredThrust(vehicle, PERIOD, dead_time, lag)
+    delivered.reset(first)
+    assert np.array_equal(delivered.now(measured()), first)
+    for command in commands:
+        delivered.record(command)
+    thrust, every = first.copy(), []
+    for i in range(round(len(commands) * PERIOD / fine)):
+        sent = int(np.floor((i * fine - dead_time) / PERIOD + 1e-9))
+        acting = commands[sent] if sent >= 0 else first
+        thrust = acting + (thrust - acting) * np.exp(-fine / lag) if lag else acting
+        every.append(thrust)
+    assert delivered.now(measured()) == pytest.approx(thrust, rel=1e-9)
+    assert delivered.mean == pytest.approx(np.mean(every[-round(PERIOD / fine) :], axis=0), rel=1e-3)
+
+
+def test_measured_rotor_speeds_are_believed(vehicle, rng):
+    known = replace(vehicle, thrust_coefficient=2e-5)
+    delivered = DeliveredThrust(known, PERIOD, lag=0.03)
+    delivered.reset(np.full(4, 3.0))
+    speeds = rng.uniform(200, 500, (2, 4))
+    for speed in speeds:
+        assert delivered.now(measured(speed)) == pytest.approx(2e-5 * speed**2)
+        mean = delivered.mean.copy()
+        delivered.record(np.full(4, 9.0))
+    assert mean == pytest.approx(2e-5 * (speeds**2).mean(axis=0))
+
+
+def test_speeds_say_nothing_without_a_coefficient(vehicle):
+    delivered = DeliveredThrust(vehicle, PERIOD)
+    delivered.reset(np.full(4, 3.0))
+    assert delivered.now(measured(np.full(4, 400.0))) == pytest.approx(3.0)

@@ -1,0 +1,107 @@
+"""Flatness-based control by its theory: exact on the reference, its errors and gains by a second computation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quadexp.air.none import no_residual
+from quadexp.config.dfbc import DFBCKeys
+from quadexp.control.base import Measurement, Window
+from quadexp.control.belief import Belief
+from quadexp.control.dfbc.controller import DFBC
+from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.physics.state import POSITION
+from quadexp.reference.ellipse import Ellipse
+from quadexp.reference.flatness import flat_reference
+from quadexp.reference.hover import Hover
+from quadexp.world.disturbance import Disturbance
+from quadexp.world.simplified import PlantEffects, SimplifiedPlant
+from quadexp.world.world import World
+
+
+def controller(vehicle, residual=None, **keys):
+    return DFBC(vehicle, DFBCKeys(**keys), residual or no_residual(vehicle), backend="interpreted")
+
+
+def commanded(dfbc, x, path, yaw, thrust):
+    """Thrusts (n,) for one state; thrust: that the rotors deliver, (n,)."""
+    window = Window(np.tile(x, (2, 1)), thrust[None], path, yaw)
+    dfbc.reset(x, window)
+    return dfbc.step(Measurement(0.0, x, None, None), window)[0]
+
+
+@pytest.mark.parametrize("ratio", [1.0, 3.0])
+def test_on_a_reference_in_a_vertical_plane_it_commands_the_references_thrusts(vehicle, ratio):
+    """All of (19)-(24) against the flatness map, upside down too: the acceleration at the top is -1.6 g."""
+    trajectory = Ellipse(speed=8.0, acceleration=16.0 * ratio, ratio=ratio, plane="vertical")
+    t = np.linspace(0.1, 3.1, 40)
+    reference, flat = flat_reference(trajectory, t, vehicle), trajectory.flat_output(t)
+    assert (reference.state[:, 3] ** 2 - reference.state[:, 5] ** 2).min() < -0.9  # of R_33: it does fly upside down
+    dfbc = controller(vehicle, wrench_weight=(1.0, 1.0, 1.0, 1.0), least_thrust=1e-3)
+    low, high = vehicle.thrust_min, vehicle.thrust_max
+    for x, u, path in zip(reference.state, reference.input, flat.position, strict=True):
+        if (u > low).all() and (u < high).all():
+            assert commanded(dfbc, x, path, np.zeros(3), u) == pytest.approx(u, abs=1e-6)
+
+
+def test_the_printed_side_of_y_flips_upside_down(vehicle):
+    """Half a turn of heading is asked for: with the same state and reference the commands differ."""
+    trajectory = Ellipse(speed=8.0, acceleration=16.0, plane="vertical")
+    reference, flat = flat_reference(trajectory, np.zeros(1), vehicle), trajectory.flat_output(np.zeros(1))
+    case = reference.state[0], flat.position[0], np.zeros(3), reference.input[0]
+    continuous, printed = (commanded(controller(vehicle, inverted=kind), *case) for kind in ("continuous", "printed"))
+    assert continuous == pytest.approx(reference.input[0], abs=1e-6)
+    assert np.abs(printed - continuous).max() > 0.01
+
+
+def test_the_error_of_attitude_by_quaternions(vehicle):
+    """(25)-(28) as printed, with e = q^-1 o q_d counted double, for random attitudes at rest."""
+    rng, keys = np.random.default_rng(2), DFBCKeys()
+    big = (1.0, 1.0, 1.0, 1.0)
+    hover, path = np.full(4, vehicle.hover_thrust), np.zeros((5, 3))
+    for _ in range(20):
+        turn = Rotation.from_rotvec(rng.normal(0, 0.25, 3))
+        q = turn.as_quat(scalar_first=True)
+        x = np.r_[np.zeros(3), q, np.zeros(6)]
+        e_w, e_x, e_y, e_z = turn.inv().as_quat(scalar_first=True)  # q_d = 1
+        n = np.hypot(e_w, e_z)
+        alpha = 2 * keys.tilt_gain * np.array([e_w * e_x - e_y * e_z, e_w * e_y + e_x * e_z, 0]) / n
+        alpha += 2 * keys.yaw_gain * np.sign(e_w) * np.array([0, 0, e_z]) / n
+        expected = np.r_[vehicle.mass * vehicle.gravity, vehicle.inertia_matrix @ alpha]
+        u = np.linalg.solve(vehicle.allocation, expected)
+        if (u < vehicle.thrust_min).any() or (u > vehicle.thrust_max).any():
+            continue
+        found = commanded(controller(vehicle, wrench_weight=big), x, path, np.zeros(3), hover)
+        assert found == pytest.approx(u, abs=1e-8)
+
+
+def flown(vehicle, dfbc, world, duration=8.0):
+    reference = SampledReference(Hover(position=(0, 0, 1), duration=duration), dfbc)
+    return fly(world, dfbc, reference, np.random.default_rng(0))
+
+
+def test_a_force_moves_it_by_what_the_position_gain_says_and_a_belief_brings_it_back(vehicle):
+    """Steady error F / (m K_p), without; none with the force and the torque believed."""
+    force, torque = np.array([0.8, -0.5, 0.6]), np.array([0.02, -0.01, 0.005])
+    plant = SimplifiedPlant(vehicle, PlantEffects.none(), backend="interpreted")
+    push = World(plant, [Disturbance(force=tuple(force))])
+    error = flown(vehicle, controller(vehicle), push).state[-1, POSITION] - [0, 0, 1]
+    assert error == pytest.approx(force / (vehicle.mass * 10.0), abs=2e-3)
+
+    dfbc = controller(vehicle)
+    believe = Belief(force, torque, np.zeros(3))
+    step = dfbc.step
+    dfbc.step = lambda measurement, window: (dfbc.believe(believe), step(measurement, window))[1]
+    both = World(plant, [Disturbance(force=tuple(force), torque=tuple(torque))])
+    error = flown(vehicle, dfbc, both).state[-1, POSITION] - [0, 0, 1]
+    assert error == pytest.approx(np.zeros(3), abs=1e-5)
+
+
+def test_six_rotors(odd_vehicle):
+    """A vehicle that nobody tuned it for holds its place."""
+    plant = SimplifiedPlant(odd_vehicle, PlantEffects(), backend="interpreted")
+    flight = flown(odd_vehicle, controller(odd_vehicle), plant, duration=4.0)
+    assert flight.metadata["outcome"] == "ok"
+    assert np.abs(flight.state[-1, POSITION] - [0, 0, 1]).max() < 0.02

@@ -1,0 +1,191 @@
+"""The INDI loop by its theory: transfer functions, steady errors, and what must break them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import butter
+
+from quadexp.compile.backend import BufferedFunction
+from quadexp.config.inner import INDIKeys
+from quadexp.control.base import Measurement, Window
+from quadexp.control.delivered import DeliveredThrust
+from quadexp.control.indi.law import indi_function, settled_memory
+from quadexp.control.indi.loop import INDI
+from quadexp.errors import UsageError
+from quadexp.physics.state import N_STATE, RATE
+
+TAU = 0.03  # s, lag of the thrusts
+FAST = INDIKeys(rate=3000.0)  # near continuous time
+
+
+class Loop:
+    """One vehicle turning about its roll axis: thrusts follow commands with a lag, J w' = G t + disturbance."""
+
+    def __init__(self, vehicle, keys, *, inertia=1.0, distort=lambda rate: rate):
+        self.vehicle, self.keys, self.distort = vehicle, keys, distort
+        self.law = BufferedFunction(indi_function(vehicle, keys).expand())
+        self.J = inertia * vehicle.inertia_matrix
+        self.thrust, self.w = np.full(vehicle.n_rotors, vehicle.hover_thrust), np.zeros(3)
+        self.before = np.r_[self.w, np.sqrt(self.thrust)]
+        self.memory = settled_memory(keys, self.before)
+
+    def step(self, wanted, disturbance):
+        """Roll acceleration (rad/s^2) over a period with a wanted one, under a disturbance (N m)."""
+        v, dt = self.vehicle, 1 / self.keys.rate
+        torque = v.inertia_matrix[0, 0] * wanted
+        u = np.linalg.pinv(v.allocation) @ np.array([v.mass * v.gravity, torque, 0, 0])
+        given = {"wanted": u, "rate": self.distort(self.w), "delivered": self.thrust}
+        for name, value in (given | {"memory": self.memory, "before": self.before}).items():
+            self.law.arguments[name][:] = value
+        self.law()
+        found = self.law.results
+        self.memory, self.before = found["memory_next"].copy(), found["filtered"].copy()
+        command = found["thrust"]
+        decay = np.exp(-dt / TAU)
+        mean = command + (self.thrust - command) * TAU / dt * (1 - decay)
+        self.thrust = command + (self.thrust - command) * decay
+        alpha = ((v.allocation @ mean)[1] + disturbance) / self.J[0, 0]
+        self.w = self.w + np.array([alpha, 0, 0]) * dt
+        return alpha
+
+    def response(self, frequency, *, wanted=0.0, disturbance=0.0, cycles=2):
+        """Complex amplitude of the roll acceleration at a frequency (Hz), once settled."""
+        rate, settle = self.keys.rate, 0.6
+        k = np.arange(round((settle + cycles / frequency) * rate))
+        wave = np.cos(2 * np.pi * frequency * k / rate)
+        found = np.array([self.step(wanted * c, disturbance * c) for c in wave])
+        last = k >= settle * rate
+        return 2 * np.mean(found[last] * np.exp(-2j * np.pi * frequency * (k[last] + 0.5) / rate))
+
+
+def motor(frequency):
+    return 1 / (1 + 2j * np.pi * frequency * TAU)
+
+
+def low_pass(frequency, cutoff=FAST.cutoff):
+    b, a = butter(2, 2 * np.pi * cutoff, analog=True)
+    s = 2j * np.pi * frequency
+    return np.polyval(b, s) / np.polyval(a, s)
+
+
+@pytest.mark.parametrize("frequency", [2.0, 8.0])
+@pytest.mark.parametrize("inertia", [1.0, 2.0], ids=["right", "half"])
+def test_transfer_functions(vehicle, frequency, inertia):
+    """alpha/alpha* = D M/(1 + (D - 1) H M), alpha/d = J^-1 (1 - H M)/(1 + (D - 1) H M), D: J believed by J true."""
+    D, H, M = 1 / inertia, low_pass(frequency), motor(frequency)
+    closed, J = 1 + (D - 1) * H * M, inertia * vehicle.inertia_matrix[0, 0]
+    found = Loop(vehicle, FAST, inertia=inertia).response(frequency, wanted=2.0) / 2.0
+    assert abs(found - D * M / closed) < 0.03 * abs(M)
+    found = Loop(vehicle, FAST, inertia=inertia).response(frequency, disturbance=0.05) / 0.05
+    assert abs(found - (1 - H * M) / (J * closed)) < 0.03 / J
+
+
+def test_filters_that_differ_are_noticed(vehicle):
+    """The rates through another low pass than the rotor speeds: the transfer function is another one."""
+    b, a = butter(1, 6.0, fs=FAST.rate)
+    state = np.zeros(2)
+
+    def distort(w):
+        state[:] = w[0], b[0] * w[0] + b[1] * state[0] - a[1] * state[1]
+        return np.array([state[1], 0, 0])
+
+    found = Loop(vehicle, FAST, distort=distort).response(4.0, disturbance=0.05) / 0.05
+    J = vehicle.inertia_matrix[0, 0]
+    assert abs(found - (1 - low_pass(4.0) * motor(4.0)) / J) > 0.15 / J
+
+
+@pytest.mark.parametrize("inertia", [0.6, 1.0, 2.0])
+def test_a_torque_and_a_wrong_inertia_leave_no_steady_error(vehicle, inertia):
+    """At the published rate; without the loop the torque would leave d/J = 10 rad/s^2."""
+    loop = Loop(vehicle, INDIKeys(), inertia=inertia)
+    found = [loop.step(3.0, 10 * loop.J[0, 0]) for _ in range(600)]
+    assert abs(found[0] - 3.0) > 5 and found[-1] == pytest.approx(3.0, abs=1e-3)
+
+
+def window(vehicle, thrust):
+    state = np.zeros((2, N_STATE))
+    state[:, 3] = 1
+    return Window(state, thrust[None], np.zeros((5, 3)), np.zeros(3))
+
+
+class Held:
+    """A controller that always wants the same thrusts, and counts its steps."""
+
+    node_times, reference_period, backend, name, source, residual = np.zeros(2), 0.0, "interpreted", "held", "", None
+
+    def __init__(self, vehicle, thrust, rate=100.0):
+        self.vehicle, self.thrust, self.control_period, self.steps = vehicle, thrust, 1 / rate, 0
+
+    def forget(self): ...
+    def reset(self, x, window): ...
+    def log(self):
+        return {}
+
+    def step(self, measurement, window):
+        from quadexp.control.mpc.active_set import Status
+        from quadexp.control.mpc.mpc import StepRecord
+
+        self.steps += 1
+        return self.thrust.copy(), StepRecord(0.0, Status.RICCATI, 0, 0, 0.0)
+
+
+def test_the_controller_steps_at_its_own_rate(vehicle):
+    hover = np.full(4, vehicle.hover_thrust)
+    held = Held(vehicle, hover)
+    loop = INDI(held, INDIKeys(), backend="interpreted")
+    x, w = window(vehicle, hover).state[0], window(vehicle, hover)
+    loop.reset(x, w)
+    for k in range(7):
+        u, _ = loop.step(Measurement(k / 300, x, None, None), w)
+        assert u == pytest.approx(hover, rel=1e-9)  # nothing is disturbed, so nothing is changed
+    assert held.steps == 3 and loop.control_period == pytest.approx(1 / 300)
+
+
+def test_rates_that_do_not_divide_are_refused(vehicle):
+    with pytest.raises(
+        UsageError, match=r"inner.rate=250: must be a whole multiple of the controller's rate of 100 Hz"
+    ):
+        INDI(Held(vehicle, np.zeros(4)), INDIKeys(rate=250.0))
+    with pytest.raises(UsageError, match="inner.cutoff=200: must be below half"):
+        INDI(Held(vehicle, np.zeros(4)), INDIKeys(cutoff=200.0), backend="interpreted")
+
+
+def test_commands_through_the_right_lag_are_as_good_as_rotor_speeds(vehicle):
+    """Motors with a lag of the thrust: measured speeds, and commands through the same lag, give the same commands."""
+    measuring = replace(vehicle, thrust_coefficient=1e-5)
+    hover, rng = np.full(4, vehicle.hover_thrust), np.random.default_rng(0)
+    keys = INDIKeys(motor_lag=TAU)
+    loops = [INDI(Held(v, hover, 300.0), keys, backend="interpreted") for v in (measuring, vehicle)]
+    motors, w = DeliveredThrust(vehicle, 1 / 300, lag=TAU), window(vehicle, hover)
+    motors.reset(hover)
+    for loop in loops:
+        loop.reset(w.state[0], w)
+    for k in range(60):
+        x = w.state[0].copy()
+        x[RATE] = rng.normal(0, 0.02, 3)
+        speeds = np.sqrt(motors.thrust / 1e-5)
+        one, _ = loops[0].step(Measurement(k / 300, x, None, speeds), w)
+        other, _ = loops[1].step(Measurement(k / 300, x, None, None), w)
+        assert one == pytest.approx(other, abs=1e-6)
+        motors.record(one)
+
+
+def test_the_spin_up_torque_is_part_of_the_answer(vehicle):
+    """(35): the static thrusts with the torque of the rotors' own acceleration give the wanted yaw torque."""
+    measured = replace(vehicle, thrust_coefficient=1e-5)
+    keys = INDIKeys(rotor_inertia=5e-6)
+    hover = np.full(4, vehicle.hover_thrust)
+    values = np.r_[np.zeros(3), np.sqrt(hover)]
+    yaw = 0.02
+    wanted = np.linalg.pinv(vehicle.allocation) @ [vehicle.mass * vehicle.gravity, 0, 0, yaw]
+    law = indi_function(measured, keys)
+    u = np.array(law(wanted, np.zeros(3), hover, settled_memory(keys, values).T, values)[0]).ravel()
+    speed, now = np.sqrt(u / 1e-5), np.sqrt(hover / 1e-5)
+    spin_up = 5e-6 * np.array(vehicle.rotor_spin) @ (speed - now) / keys.spin_up_time
+    assert (vehicle.allocation @ u)[3] + spin_up == pytest.approx(yaw, rel=1e-6)
+    assert (vehicle.allocation @ u)[3] < 0.99 * yaw  # without it the rotors would be asked for more
+    with pytest.raises(UsageError, match="rotor_inertia"):
+        indi_function(vehicle, keys)

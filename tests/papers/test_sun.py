@@ -1,0 +1,136 @@
+"""The comparison of Sun et al. 2022: its data, its experiments, how flights are counted, worlds and lost flights."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadexp.config.compose import compose, session
+from quadexp.experiment.build import build_vehicle
+from quadexp.experiment.build_world import build_world
+from quadexp.experiment.evaluate import fly_one
+from quadexp.papers.sun.data import ellipses, published
+from quadexp.papers.sun.report import TITLES, Condition, conditions, overview, reproduced, sun_table
+
+ELLIPSE = ["vehicle=sun", "plant=sun", "trajectory=ellipse"]
+
+
+def test_the_vehicle_is_that_of_table_ii():
+    """Hover thrust and thrust to weight as printed; torques by the signs of (6)."""
+    vehicle = build_vehicle(compose(["vehicle=sun"], None).vehicle)
+    assert vehicle.hover_thrust == pytest.approx(1.839, abs=1e-3)
+    assert 4 * vehicle.thrust_max / (vehicle.mass * vehicle.gravity) == pytest.approx(4.62, abs=0.01)
+    b, a, k = 0.14 * np.sin(np.radians(56)), 0.14 * np.cos(np.radians(56)), 2.37e-8 / 1.51e-6
+    expected = [[1, 1, 1, 1], [b, -b, -b, b], [-a, -a, a, a], [k, -k, k, -k]]
+    assert vehicle.allocation == pytest.approx(np.array(expected), abs=1e-9)
+
+
+def test_published_data():
+    """144 ellipses, 76 of them feasible; crashes are counts of 75 flights; the survivors that follow are as known."""
+    feasible = [one for one in ellipses() if one.feasible]
+    assert len(ellipses()) == 144 and len(feasible) == 76
+    assert sum(one.plane == "horizontal" for one in feasible) == 40
+    printed = published()
+    assert len(printed) == 80 and {world for world, _ in printed} == set(TITLES)
+    assert all(abs(100 * one.lost / 75 - one.crash) < 0.07 for one in printed.values())
+    assert printed["sun_mass_30", "sun_nmpc"].survivors == pytest.approx(0.309, abs=1e-3)
+    assert printed["sun_late_50", "sun_dfbc+indi"].survivors == pytest.approx(0.386, abs=1e-3)
+
+
+@pytest.mark.parametrize(("experiment", "feasible", "others"), [("sun", True, 20 * 4), ("sun_infeasible", False, 2)])
+def test_an_experiment_flies_the_ellipses_of_table_iii(experiment, feasible, others):
+    with session() as composer:
+        cells = composer.expand([f"experiment={experiment}"], check=False)
+        found = set()
+        for i in range(len(cells)):
+            given = dict(text.split("=", 1) for text in cells.overrides(i))
+            numbers = (float(given[f"trajectory.{name}"]) for name in ("speed", "acceleration", "ratio"))
+            found.add((given["trajectory.plane"], *numbers))
+    wanted = {(e.plane, e.speed, e.acceleration, e.ratio) for e in ellipses() if e.feasible is feasible}
+    assert found == wanted and len(cells) == others * len(wanted)
+
+
+def row(world, controller, outcome, rmse, heading=0.1):
+    return {
+        "plant": f"sun/{world}",
+        "controller": controller,
+        "outcome": outcome,
+        "rmse": rmse,
+        "heading_rmse": heading,
+    }
+
+
+def test_a_lost_flight_counts_five_metres():
+    """Mean and SD with it, survivors without, and flights that are far off apart."""
+    rows = [row("sun_late_50", "sun_dfbc", "ok", rmse) for rmse in (0.2, 0.4, 2.5)]
+    rows.append(row("sun_late_50", "sun_dfbc", "lost", 30.0))
+    found = Condition.of(rows)
+    assert found.position[0] == pytest.approx((0.2 + 0.4 + 2.5 + 5) / 4)
+    assert found.heading[0] == pytest.approx((3 * np.degrees(0.1) + 90) / 4)
+    assert (found.lost, found.off) == (1, 1) and found.survivors == pytest.approx(3.1 / 3)
+    assert found.position[1] == pytest.approx(np.std([0.2, 0.4, 2.5, 5.0]))
+    printed = published()["sun_late_50", "sun_dfbc"]
+    assert reproduced(found, printed) == "no"
+    close = Condition.of([row("", "", "ok", printed.position * 1.1)])
+    assert reproduced(close, printed) == "yes"
+    assert reproduced(Condition.of([row("", "", "ok", printed.survivors)]), printed) == "crashes"
+
+
+def test_the_tables_have_every_condition_and_controller():
+    rows = [row(world, name, "ok", 0.1) for world in TITLES for name in ("sun_dfbc+indi", "sun_nmpc", "gp_mpc")]
+    text = sun_table(conditions(rows))
+    assert text.count("| baseline |") == 3 and "printed position" in text
+    assert overview(rows).columns == ["condition", "sun_nmpc", "sun_dfbc+indi", "gp_mpc"]
+    assert [line[0] for line in overview(rows).rows] == list(TITLES.values())
+
+
+def flight(*overrides):
+    return fly_one(compose([*ELLIPSE, *overrides], None))
+
+
+def test_lost_is_who_leaves_the_box():
+    """With a force that nobody withstands: the last sample is outside the widened box, the one before inside."""
+    lost = flight("controller=sun_dfbc", "world=sun_force_15", "external.onset=0", "external.force=[40,0,0]")
+    assert lost.metadata["outcome"] == "lost" and "outside the box" in lost.metadata["cause"]
+    r, last = 10.0**2 / 20.0, lost.state[-1, :3]
+    assert r + 4.5 < last[0] <= r + 5.0  # the sample beyond it is not logged
+    free = flight(
+        "controller=sun_dfbc", "world=sun_force_15", "external.onset=0", "external.force=[40,0,0]",
+        "trajectory.lost_box=null", "trajectory.duration=2",
+    )  # fmt: skip
+    assert free.t[-1] > lost.t[-1]
+
+
+def test_a_flight_begins_on_the_reference():
+    """State, and rotor speeds: the thrust of the first instant is the reference's, not that of hovering."""
+    found = flight("controller=sun_nmpc", "world=sun_baseline", "trajectory.duration=1")
+    assert found.state[0] == pytest.approx(found.reference_state[0])
+    speeds = np.array([found[f"rotor_speed_{i}"][0] for i in range(4)])
+    assert 1.51e-6 * speeds**2 == pytest.approx(found.columns["ref_u_0"][0] * np.ones(4), rel=0.2)
+    assert 1.51e-6 * (speeds**2).sum() == pytest.approx(sum(found[f"ref_u_{i}"][0] for i in range(4)), rel=1e-9)
+
+
+def test_worlds_are_what_their_names_say():
+    """Masses, drag and coefficients of what is flown, while controllers believe the vehicle."""
+    believed = build_vehicle(compose(["vehicle=sun"], None).vehicle)
+    worlds = {
+        w: build_world(compose([*ELLIPSE, f"world={w}"], None), believed) for w in ("sun_mass_30", "sun_drag_100")
+    }
+    assert worlds["sun_mass_30"].vehicle.mass == pytest.approx(0.975)
+    assert worlds["sun_drag_100"].airframe.effects.linear_drag == pytest.approx((0.52, 0.56, 0.84))
+    assert worlds["sun_drag_100"].airframe.effects.lift == pytest.approx(0.02)
+    told = worlds["sun_drag_100"].residual()
+    z = np.r_[3.0, -2.0, 1.0, np.zeros(3), np.full(4, 2.0)]
+    expected = np.array([-0.26 * 3, 0.28 * 2, -0.42 + 0.01 * 13]) / 0.75
+    assert told(z)[0, :3] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("outer", ["sun_nmpc", "sun_dfbc"])
+def test_indi_removes_a_shift_of_the_centre_of_mass(outer):
+    """The row where it helps most: the error falls to less than half."""
+    errors = []
+    for inner in ("none", "indi"):
+        found = flight(f"controller={outer}", f"inner={inner}", "world=sun_com_10", "trajectory.duration=6")
+        assert found.metadata["outcome"] == "ok"
+        errors.append(found.metadata["row"]["rmse"])
+    assert errors[1] < errors[0] / 2

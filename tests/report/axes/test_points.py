@@ -1,0 +1,255 @@
+"""The numbers behind a figure, compared with pandas and with the tables of the same results."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from quadexp.errors import UsageError
+from quadexp.log.store import read_metadata
+from quadexp.report.axes.frame import SweepFrame, read_value, unit_of
+from quadexp.report.axes.points import points
+from quadexp.report.axes.save import records
+from quadexp.report.axes.view import Axis, automatic, view
+from quadexp.report.statistics import compute_statistics
+from tests.report.axes.sweeps import noise, swept
+
+NODES = [
+    "controller=nominal_mpc,perfect_mpc",
+    "controller.nodes=5,10,20",
+    "controller.horizon=0.5,1,2",
+    "seed=range(3)",
+]
+
+
+def of_nodes(config):
+    """Decreases with the nodes, increases with the horizon; perfect_mpc is better; the seed is noise."""
+    name, nodes, horizon = config.controller.name, config.controller.nodes, config.controller.horizon
+    scale = {"nominal_mpc": 0.2, "perfect_mpc": 0.002}[name]
+    return scale * horizon / nodes * (1 + 0.1 * noise(config.seed, name, nodes, horizon))
+
+
+@pytest.fixture(scope="module")
+def nodes(tmp_path_factory):
+    return swept(tmp_path_factory.mktemp("nodes") / "r", NODES, of_nodes)
+
+
+@pytest.fixture(scope="module")
+def masses(tmp_path_factory):
+    """A key of the condition; at 1.4 kg nominal_mpc loses seed 1, and at 1.8 kg all."""
+
+    def error(config):
+        mass, name = config.vehicle.mass, config.controller.name
+        if name == "nominal_mpc" and (mass == 1.8 or (mass == 1.4 and config.seed == 1)):
+            return None
+        return 0.01 * mass * (1 + 0.2 * noise(config.seed, name, mass, config.trajectory.name))
+
+    asked = [
+        "trajectory=circle,lemniscate",
+        "vehicle.mass=1,1.4,1.8",
+        "controller=nominal_mpc,perfect_mpc",
+        "seed=range(4)",
+    ]
+    return swept(tmp_path_factory.mktemp("masses") / "r", asked, error)
+
+
+def flights(folder) -> pd.DataFrame:
+    """The flights with their configuration, read without this package's frame."""
+    table = pd.read_parquet(folder / "results.parquet")
+    configs = [read_metadata(folder / "cells" / key[:2] / f"{key}.parquet")["config"] for key in table["key"]]
+    return table.join(pd.json_normalize(configs).add_prefix("c_"))
+
+
+class TestNumbers:
+    def test_means_and_intervals_are_those_of_pandas(self, nodes):
+        made = pd.DataFrame(records(view(SweepFrame.read(nodes), x="controller.nodes", by=["controller.horizon"])))
+        expected = flights(nodes).groupby(["controller", "c_controller.horizon", "c_controller.nodes"])["mean_error"]
+        assert len(made) == 18 == len(expected)
+        for row in made.itertuples(index=False):
+            record = dict(zip(made.columns, row, strict=True))
+            at = record["controller"], record["controller.horizon"], record["controller.nodes"]
+            own = expected.get_group(at).to_numpy()
+            half = stats.t.ppf(0.975, 2) * own.std(ddof=1) / np.sqrt(3)
+            assert record["mean_error"] == pytest.approx(own.mean(), rel=1e-12)
+            assert record["low"] == pytest.approx(max(own.mean() - half, 0), abs=1e-12)
+            assert record["high"] == pytest.approx(own.mean() + half, rel=1e-12)
+            assert (record["flights"], record["seeds"], record["interval"]) == (3, 3, "t")
+
+    def test_keys_that_are_not_shown_are_averaged_seed_by_seed(self, nodes):
+        made = view(SweepFrame.read(nodes), x="controller.nodes")
+        assert made.others == ("controller.horizon",) and made.by == ("controller",)
+        assert "mean over controller.horizon: 0.5, 1, 2" in made.notes
+        table = flights(nodes)
+        for (name, count), point in made.places.items():
+            own = table[(table["controller"] == name) & (table["c_controller.nodes"] == count)]
+            by_seed = own.groupby("seed")["mean_error"].mean()
+            assert point.mean == pytest.approx(by_seed.mean(), rel=1e-12) and point.flights == 9
+            half = stats.t.ppf(0.975, 2) * by_seed.std(ddof=1) / np.sqrt(3)
+            assert point.high == pytest.approx(by_seed.mean() + half, rel=1e-12)
+
+    @pytest.mark.parametrize("y", ["mean_error", "rmse", "max_error"])
+    def test_they_are_the_numbers_of_the_tables(self, masses, y):
+        """Also where flights are lost: both take the flights that all controllers of a line ended well."""
+        frame = SweepFrame.read(masses)
+        made = view(frame, x="vehicle.mass", y=y)
+        assert made.by == ("controller",) and made.facet == ("trajectory",)
+        rows = compute_statistics(frame.rows, metrics=(y,), baseline="")
+        assert len(rows) == len(made.places) == 12
+        for s in rows:
+            mass = float(s.setting.partition("=")[2])
+            point = made.places[s.trajectory, s.controller, mass]
+            same = {"nan_ok": True, "rel": 1e-12}
+            assert point.mean == pytest.approx(s.common_mean, **same)
+            assert (point.low, point.high) == (
+                pytest.approx(s.common_low, **same),
+                pytest.approx(s.common_high, **same),
+            )
+            assert (point.seeds, point.ended, point.trials) == (s.common, s.flown.ended, s.flown.trials)
+
+    def test_lost_flights_are_counted_and_take_the_same_flight_from_the_others(self, masses):
+        made = view(SweepFrame.read(masses), x="vehicle.mass", facet=["trajectory"])
+        nominal, perfect = (made.places["circle", name, 1.4] for name in ("nominal_mpc", "perfect_mpc"))
+        assert (nominal.ended, nominal.trials, dict(nominal.lost)) == (3, 4, {"lost": 1})
+        assert perfect.ended == 4 and perfect.seeds == nominal.seeds == 3
+        assert not made.places["circle", "nominal_mpc", 1.8].is_shown
+        assert made.places["circle", "perfect_mpc", 1.8].seeds == 4
+        assert "10 of 48 flights did not end well: marked k/n where k of n did" in made.notes
+
+    def test_success_is_a_number_like_the_others(self, masses):
+        made = view(SweepFrame.read(masses), x="vehicle.mass", y="success")
+        assert [made.places["circle", "nominal_mpc", mass].mean for mass in (1, 1.4, 1.8)] == [1.0, 0.75, 0.0]
+        low, high = stats.binomtest(3, 4).proportion_ci(method="wilson")
+        point = made.places["circle", "nominal_mpc", 1.4]
+        assert (point.low, point.high) == (pytest.approx(low), pytest.approx(high))
+
+    def test_any_key_also_one_that_was_not_swept(self, nodes):
+        frame = SweepFrame.read(nodes)
+        made = view(frame, x="controller.rate")
+        assert "controller.rate is 50 in all flights that have it" in made.notes
+        assert frame.column("vehicle.mass") == flights(nodes)["c_vehicle.mass"].tolist()
+        assert frame.column("controller.position_weight") == ["[10.0,10.0,10.0]"] * len(frame.rows)
+        assert set(frame.column("observer")) == {"none"} and set(frame.column("world")) == {"clean"}
+
+    @pytest.mark.parametrize(
+        ("asked", "said"),
+        [
+            ({"x": "controler.nodes"}, "controler.nodes: no such key; did you mean controller.nodes"),
+            ({"x": "nodes"}, "nodes: no such key; did you mean controller.nodes"),
+            ({"y": "mean_eror"}, "--y mean_eror: no number of a flight; did you mean mean_error"),
+            ({"y": "controller"}, "--y controller: no number of a flight"),
+            ({"x": "rmse"}, "rmse: is a result of a flight, not a setting: it can be --y"),
+            ({"x": "controller.nodes", "by": ["controller.nodes"]}, "stands twice"),
+        ],
+    )
+    def test_what_cannot_be_drawn_is_one_line(self, nodes, asked, said):
+        with pytest.raises(UsageError, match=said):
+            view(SweepFrame.read(nodes), **asked)
+
+
+class TestChoice:
+    """What was swept chooses the figure."""
+
+    def kinds(self, folder):
+        return [(one.kind, one.x.key, one.by, one.facet) for one in automatic(SweepFrame.read(folder))]
+
+    def test_one_key(self, masses):
+        assert self.kinds(masses) == [("lines", "vehicle.mass", ("controller",), ("trajectory",))]
+
+    def test_two_keys(self, nodes):
+        assert self.kinds(nodes) == [
+            ("lines", "controller.nodes", ("controller",), ("controller.horizon",)),
+            ("heat", "controller.nodes", ("controller.horizon",), ("controller",)),
+        ]
+        one = SweepFrame.read(nodes)
+        kept = one.where([row["controller"] == "nominal_mpc" for row in one.rows])
+        assert [(v.kind, v.by, v.facet) for v in automatic(kept)] == [
+            ("lines", ("controller.horizon",), ()),
+            ("heat", ("controller.horizon",), ()),
+        ]
+
+    @pytest.mark.parametrize(
+        ("overrides", "expected"),
+        [
+            (["vehicle.mass=1,2", "controller.nodes=5,10", "plant.payload=0,0.1"], ("parallel", 3)),
+            (["seed=range(3)"], ("lines", "seed")),
+            (["controller=nominal_mpc,perfect_mpc"], ("lines", "controller")),
+            (["trajectory.speed=4,6"], ("lines", "trajectory.speed")),
+            (["trajectory.speed=4"], ("lines", "seed")),
+            (["wind=constant", "wind.velocity=[0,0,0],[2,0,0]"], ("lines", "wind.velocity")),
+            (["wind=none,constant", "seed=0,1"], ("lines", "wind")),
+            (["world=clean,outdoor_breeze"], ("lines", "world")),
+            (["horizon=published,robust"], ("lines", "horizon")),
+        ],
+    )
+    def test_of_other_sweeps(self, tmp_path, overrides, expected):
+        made = automatic(SweepFrame.read(swept(tmp_path / "r", overrides, lambda config: 0.01)))[0]
+        assert made.kind == expected[0]
+        assert expected[1] == (len(made.along) if made.kind == "parallel" else made.x.key)
+
+    def test_without_the_grids_the_rows_tell_what_was_swept(self, nodes):
+        frame = SweepFrame.read(nodes)
+        assert SweepFrame(frame.rows, nodes).swept == ["controller.nodes", "controller.horizon", "controller", "seed"]
+        assert frame.swept == ["controller", "controller.nodes", "controller.horizon", "seed"]
+
+    def test_a_figure_does_not_average_over_controllers(self, nodes):
+        made = view(SweepFrame.read(nodes), x="controller.nodes", by=["controller.horizon"])
+        assert made.facet == ("controller",) and not made.others
+
+
+def test_invalid_cells_have_a_place_and_no_number(tmp_path):
+    out = swept(tmp_path / "r", ["controller=nominal_mpc,rls_feedback", "controller.nodes=5,10"], lambda config: 0.01)
+    made = view(SweepFrame.read(out), x="controller.nodes")
+    assert made.places["nominal_mpc", 5].mean == pytest.approx(0.01)
+    wrong = made.places["rls_feedback", 10]
+    assert not wrong.is_shown and wrong.trials == 0 and "controller.nodes: no such key" in wrong.invalid
+    assert "2 places invalid: settings that contradict each other" in made.notes
+
+
+@pytest.mark.parametrize(
+    ("values", "scale"),
+    [
+        ((4, 8, 12), "linear"), ((5, 10, 20), "log"), ((0.01, 0.1, 1), "log"), ((10, 20), "linear"),
+        ((1, 1.2, 1.44), "linear"), ((0, 1, 10, 100), "symlog"), ((-1, 1, 10, 100), "linear"), (("a", "b"), "linear"),
+        ((0, 0.25, 0.5, 1.0), "symlog"), ((1, 2, 3, 4, 5), "linear"), ((10, 30, 100, 300), "log"),
+    ],
+)  # fmt: skip
+def test_axes_are_logarithmic_where_ratios_matter(values, scale):
+    assert Axis.of("controller.nodes", values).scale == scale
+
+
+def test_units_are_those_of_the_configuration():
+    assert unit_of("controller.horizon") == "s" and unit_of("speed") == "m/s" and unit_of("vehicle.mass") == "kg"
+    assert unit_of("controller") == "" and unit_of("no.such") == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("3", 3), ("3.0", 3.0), ("1e-3", 1e-3), ("true", True), ("null", None), ("[1, 2]", "[1,2]"),
+     ("'a b'", "a b"), ("x", "x")],
+)  # fmt: skip
+def test_values_of_overrides(text, value):
+    assert read_value(text) == value and type(read_value(text)) is type(value)
+
+
+def test_a_flight_lost_in_one_setting_takes_its_seed_from_the_mean(tmp_path):
+    """Averaged over two speeds, seed 0 lacks one of them: the mean is over seeds 1 and 2 at both."""
+
+    def error(config):
+        return (
+            None
+            if (config.seed, config.trajectory.speed) == (0, 6)
+            else 0.001 * (1 + config.seed) * config.trajectory.speed
+        )
+
+    out = swept(tmp_path / "r", ["controller.nodes=5,10", "trajectory.speed=2,6", "seed=range(3)"], error)
+    frame = SweepFrame.read(out)
+    (point, _) = points(frame, ["controller.nodes"], "mean_error", others=["trajectory.speed"]).values()
+    assert point.mean == pytest.approx(np.mean([0.004 * 2, 0.004 * 3]), rel=1e-9) and (point.seeds, point.flights) == (
+        2,
+        4,
+    )
+    assert json.dumps(records(view(frame, x="controller.nodes")))

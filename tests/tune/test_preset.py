@@ -1,0 +1,107 @@
+"""What was found, as options: they fly what was found, and say where it comes from."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from quadexp.config.compose import compose, session
+from quadexp.config.settings import record
+from quadexp.errors import UsageError
+from quadexp.log.store import read_metadata, read_table
+from quadexp.tune.preset import check_name, provenance_of, read_provenance, write_presets
+from quadexp.tune.result import fingerprint, tune
+from quadexp.tune.search import FIRST_SEED, Request, with_seeds
+from quadexp.tune.space import read_axes
+from tests.docs.commands import ROOT
+from tests.tune.parts import HOVER, WeightCell
+
+GIVEN = with_seeds([*HOVER, "controller=perfect_mpc", "horizon=precise", "controller.rate=100"])
+
+
+@pytest.fixture(scope="module")
+def tuned(tmp_path_factory):
+    out = tmp_path_factory.mktemp("tuned") / "t"
+    with session() as composer:
+        axes = read_axes(["controller.position_weight=1..1000:log"], composer.expand(GIVEN)[0].config)
+        request = Request(tuple(GIVEN), tuple(axes))
+        return out, tune(composer, request, out, 9, function=WeightCell(), isolate=False)
+
+
+def test_the_option_flies_what_was_found(tuned):
+    """With the horizon and the rate that it was tuned with, and without them being given again."""
+    out, found = tuned
+    (weight,) = found.trials[found.best].numbers
+    own = compose(["controller=perfect_mpc_tuned"], out).controller
+    wanted = compose(
+        ["controller=perfect_mpc", "horizon=precise", "controller.rate=100",
+         f"controller.position_weight=[{weight},{weight},{weight}]"]
+    ).controller  # fmt: skip
+    assert record(own) == record(wanted) | {"name": "perfect_mpc_tuned"}
+
+
+def test_the_budget_is_counted_in_flights(tuned):
+    out, found = tuned
+    assert len(found.trials) == 4 and found.record["flights"] == 8  # of two flights each: nine pay four trials
+    columns, _ = read_table(out / "history.parquet", "tuning")
+    assert columns["flights"].tolist() == [2, 4, 6, 8] and columns["trial"].tolist() == [0, 1, 2, 3]
+    assert columns["best"].tolist() == [min(columns["value"][: k + 1]) for k in range(4)]
+    assert read_metadata(out / "history.parquet")["request"]["space"] == ["controller.position_weight=1..1000:log"]
+    assert (out / "history.svg").is_file()
+
+
+def test_where_it_comes_from_stands_in_its_file(tuned):
+    about = provenance_of("perfect_mpc_tuned", tuned[0])
+    assert about and all(tuned[1].record[key] == value for key, value in about.items())
+    assert about["seeds"] == [FIRST_SEED, FIRST_SEED + 1]
+    assert provenance_of("perfect_mpc", tuned[0]) is None and read_provenance("name: x\n") is None
+
+
+def test_the_same_search_writes_the_same_bytes(tuned, tmp_path):
+    out = tuned[0]
+    shutil.copytree(out, tmp_path / "u", ignore=shutil.ignore_patterns("journal*", "*.yaml"))
+    with session() as composer:
+        axes = read_axes(["controller.position_weight=1..1000:log"], composer.expand(GIVEN)[0].config)
+        tune(composer, Request(tuple(GIVEN), tuple(axes)), tmp_path / "u", 9, function=WeightCell(), isolate=False)
+    option = "controller/perfect_mpc_tuned.yaml"
+    assert (out / option).read_bytes() == (tmp_path / "u" / option).read_bytes()
+
+
+def test_settings_below_settings(tmp_path):
+    with session() as composer:
+        config = composer.compose(["controller=rls_mpc", "controller.rls.noise=0.5", "controller.nodes=15"])
+        options = {"controller": "rls_mpc"}
+        ((option, path),) = write_presets(tmp_path, composer, options, config, {"flights": 7}, "mine").items()
+    assert option == "controller=mine" and read_provenance(path.read_text()) == {"flights": 7}
+    assert record(compose([option], tmp_path).controller) == record(config.controller) | {"name": "mine"}
+
+
+def test_an_option_is_not_written_over_itself():
+    with pytest.raises(UsageError, match="give another name"):
+        check_name("gp_mpc", "gp_mpc")
+
+
+SHIPPED = sorted(path.stem for path in (ROOT / "conf" / "controller").glob("*_tuned.yaml"))
+
+
+@pytest.mark.parametrize("option", SHIPPED)
+def test_shipped_tunings_come_from_the_history_beside_them(option):
+    about = provenance_of(option)
+    columns, meta = read_table(ROOT / "docs" / "tuned" / f"{option}.parquet", "tuning")
+    names = [text.partition("=")[0] for text in meta["request"]["space"]]
+    trials = [[float(columns[name][i]) for name in (*names, "value")] for i in range(len(columns["trial"]))]
+    assert about and about["trials"] == fingerprint(trials) and about["space"] == meta["request"]["space"]
+    best = min(range(len(trials)), key=lambda i: trials[i][-1])
+    assert about["tuned"].endswith(f"trial {best}")
+    values = record(compose([f"controller={option}"]).controller)
+    for name, value in zip(names, trials[best], strict=False):
+        own = values[name.removeprefix("controller.")]
+        assert (own[-1] if isinstance(own, list) else own) == value
+
+
+def test_shipped_tunings_had_the_same_budget_and_cells():
+    """But for the controller, and for what of the budget did not pay a whole trial."""
+    abouts = [provenance_of(option) for option in SHIPPED]
+    cells = {tuple(text for text in about["cells"] if not text.startswith("controller=")) for about in abouts}
+    assert len(cells) == 1 and len({about["flights"] for about in abouts}) == 1

@@ -1,0 +1,111 @@
+"""A search finds what is known to be best, is the same again, and goes on where it was interrupted."""
+
+from __future__ import annotations
+
+import pytest
+
+from quadexp.config.compose import session
+from quadexp.errors import UsageError
+from quadexp.log.store import read_table
+from quadexp.sweeps.sweep import SweepInterrupted
+from quadexp.tune.result import tune
+from quadexp.tune.search import FIRST_SEED, Request, best_of
+from quadexp.tune.space import read_axes
+from tests.tune.parts import BEST, HOVER, WeightCell, open_loop, same, search
+
+BOTH = ("controller.position_weight=1..1000:log", "controller.nodes=5..20")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A search of fourteen trials: ten at random, four by what was learned."""
+    out = tmp_path_factory.mktemp("whole") / "t"
+    return out, search(out, 14, WeightCell(), BOTH)
+
+
+def test_the_first_trial_is_the_option_as_it_is(whole):
+    assert whole[1][0].numbers == (10.0, 10)
+
+
+def test_it_finds_the_best_weight(tmp_path):
+    trials = search(tmp_path / "t", 30, WeightCell())
+    assert trials[best_of(trials)].numbers[0] == pytest.approx(BEST, rel=0.1)
+
+
+def test_weights_that_lose_the_vehicle_are_left(tmp_path):
+    trials = search(tmp_path / "t", 30, WeightCell(lost=20.0))
+    best = trials[best_of(trials)]
+    assert 15 < best.numbers[0] <= 20 and best.worth.lost == 0
+    assert sum(trial.worth.lost for trial in trials[15:]) < 10
+
+
+def test_the_same_again(whole, tmp_path):
+    assert same(whole[1], search(tmp_path / "t", 14, WeightCell(), BOTH))
+    assert not same(whole[1], search(tmp_path / "u", 14, WeightCell(), BOTH, seed=1))
+
+
+@pytest.mark.parametrize("stop", [0, 3, 12])
+def test_an_interrupted_search_goes_on_as_if_it_never_had_been(whole, tmp_path, stop):
+    with pytest.raises(SweepInterrupted, match=f"{stop} of 14 trials done"):
+        search(tmp_path / "t", 14, WeightCell(stop=stop), BOTH)
+    assert same(whole[1], search(tmp_path / "t", 14, WeightCell(), BOTH))
+
+
+def test_batches_too(tmp_path):
+    complete = search(tmp_path / "a", 13, WeightCell(), BOTH, batch=4)
+    with pytest.raises(SweepInterrupted):
+        search(tmp_path / "b", 13, WeightCell(stop=11), BOTH, batch=4)
+    assert same(complete, search(tmp_path / "b", 13, WeightCell(), BOTH, batch=4))
+
+
+def test_a_larger_budget_continues_and_a_smaller_one_is_its_beginning(whole, tmp_path):
+    first = search(tmp_path / "t", 6, WeightCell(), BOTH)
+    assert same(first, whole[1][:6])
+    counted = WeightCell()
+    assert same(whole[1], search(tmp_path / "t", 14, counted, BOTH)) and counted.flown == 8
+    assert same(first, search(tmp_path / "t", 6, WeightCell(stop=0), BOTH))  # nothing is flown
+
+
+@pytest.mark.parametrize(
+    ("changed", "what"),
+    [
+        ({"vary": BOTH[:1]}, "other space"),
+        ({"seed": 3}, "other seed"),
+        ({"metric": "rmse"}, "other metric"),
+        ({"given": [*HOVER, "wind=constant", "wind.velocity=[1,0,0]"]}, "other cells"),
+    ],
+)
+def test_another_search_does_not_go_on_there(whole, changed, what):
+    with pytest.raises(UsageError, match=f"holds a search with {what}"):
+        search(whole[0], 14, WeightCell(), **{"vary": BOTH, **changed})
+
+
+def test_settings_that_contradict_each_other_count_as_lost(tmp_path):
+    """The first interval may not be longer than its share of the horizon."""
+    trials = search(tmp_path / "t", 12, WeightCell(), ("controller.first_node=0..1",))
+    assert trials[0].worth.lost == 0 and {0, 1} == {trial.worth.lost for trial in trials}
+    assert trials[best_of(trials)].worth.lost == 0
+
+
+def test_one_controller_at_a_time(tmp_path):
+    for several in ("controller=nominal_mpc,perfect_mpc", "horizon=published,precise", "controller.nodes=10,20"):
+        with pytest.raises(UsageError, match="one controller is tuned at a time"):
+            search(tmp_path / "t", 4, WeightCell(), given=[*HOVER, several])
+
+
+def test_seeds_are_not_those_of_evaluations(whole):
+    keys = {read_table(path, "flight")[1]["seed"] for path in whole[0].rglob("cells/*/*.parquet")}
+    assert keys == {FIRST_SEED}
+
+
+def test_a_controller_of_the_users_own_is_tuned_to_what_is_known_to_be_best(tmp_path):
+    """Real flights: with 0.2 kg more than the 1 kg that is believed, thrust without feedback must be 1.2 times larger,
+    and z is off by (share / 1.2 - 1) g t^2 / 2 otherwise."""
+    with session(open_loop(tmp_path / "mine")) as composer:
+        given = ["controller=open_loop", "plant=ideal", *HOVER, "payload=fixed", "payload.mass=0.2", "seed=7"]
+        axes = read_axes(["controller.options.share=0.8..2"], composer.compose(given))
+        found = tune(composer, Request(tuple(given), tuple(axes)), tmp_path / "t", 20, isolate=False, figure=False)
+        (share,) = found.trials[found.best].numbers
+        assert share == pytest.approx(1.2, abs=0.03)
+        off = sum(abs(1.0 / 1.2 - 1) * 9.81 * (0.02 * k) ** 2 / 2 for k in range(26)) / 26
+        assert found.trials[0].worth.error == pytest.approx(off, rel=1e-6)

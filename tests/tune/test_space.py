@@ -1,0 +1,105 @@
+"""Which settings are varied, and what a number of an axis makes of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from quadexp.config.compose import compose
+from quadexp.config.schema import conf_folder
+from quadexp.errors import UsageError
+from quadexp.tune.space import default_space, overrides, read_axes
+
+CONFIG = compose(["controller=nominal_mpc", "controller.position_weight=[6,6,15]"])
+
+
+def varied(*texts, numbers):
+    return overrides(read_axes(texts, CONFIG), numbers)
+
+
+def test_a_list_keeps_its_proportions_and_its_zeros():
+    assert varied("controller.position_weight=1..100", numbers=[12.0]) == [
+        "controller.position_weight=[12.0,12.0,30.0]"
+    ]
+    assert varied("controller.attitude_weight=0.01..1:log", numbers=[0.2]) == [
+        "controller.attitude_weight=[0.0,0.2,0.2,0.2]"
+    ]
+
+
+def test_entries_of_a_list_are_axes_of_their_own():
+    axes = "controller.position_weight.xy=1..100", "controller.position_weight.z=1..100"
+    assert varied(*axes, numbers=[7.0, 3.0]) == ["controller.position_weight=[7.0,7.0,3.0]"]
+    assert varied("controller.attitude_weight.z=0.01..1", numbers=[0.5]) == [
+        "controller.attitude_weight=[0.0,0.1,0.1,0.5]"
+    ]
+
+
+def test_whole_numbers_stay_whole():
+    (axis,) = read_axes(["controller.nodes=5..20"], CONFIG)
+    assert axis.whole and overrides([axis], [axis.rounded(7)]) == ["controller.nodes=7"]
+    assert not read_axes(["controller.horizon=0.5..2"], CONFIG)[0].whole  # 1.0
+
+
+def test_a_range_that_is_not_given():
+    (axis,) = read_axes(["controller.horizon"], CONFIG)
+    assert (axis.low, axis.high, axis.log) == (0.1, 10.0, True)
+    (axis,) = read_axes(["controller.nodes"], CONFIG)
+    assert (axis.low, axis.high, axis.whole) == (5, 20, True)
+
+
+@pytest.mark.parametrize(
+    ("texts", "message"),
+    [
+        (["controller.positon_weight=1..2"], "no such key; did you mean controller.position_weight"),
+        (["plant.mass=1..2"], "what is tuned is the controller and what is around it"),
+        (["controller.horizon=0..2"], r"controller.horizon: 0: must be in \(0, 10\] s"),
+        (["controller.horizon=0.5..20"], r"20: must be in \(0, 10\] s"),
+        (["controller.horizon=2..3"], "must contain 1, which it is now"),
+        (["controller.horizon=1..1"], "the range is empty"),
+        (["controller.horizon=1-2"], "expected LOW..HIGH"),
+        (["controller.horizon=0..2:log"], "a logarithmic range begins above 0"),
+        (["controller.nodes=5.5..20"], "is a whole number"),
+        (["controller.terminal_weight"], "is 0 now: give its range"),
+        (["controller.residual=1..2"], "is none, not a number"),
+        (["controller.feedforward=0..1"], "is True, not a number"),
+        (["controller.attitude_weight.w=0..1"], "not a number|no such key"),
+        (["controller.horizon=0.5..2", "controller.horizon=0.5..3"], "is varied twice"),
+        (["controller.position_weight=1..9", "controller.position_weight.z=1..90"], "is varied twice"),
+        (["controller.input_weight=0.01..2e6"], r"must be in \(0, 1e6\]"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(texts, message):
+    with pytest.raises(UsageError, match=message) as error:
+        read_axes(texts, CONFIG)
+    assert "\n" not in str(error.value)
+
+
+def test_proportions_are_within_the_range_of_the_setting():
+    with pytest.raises(UsageError, match="must be in"):
+        read_axes(["controller.position_weight=1..999999"], CONFIG)  # z is 2.5 times that
+
+
+SPACES = sorted(path.stem for path in (conf_folder() / "tune").glob("*.yaml"))
+OPTIONS = sorted(path.stem for path in (conf_folder() / "controller").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("option", OPTIONS)
+def test_default_spaces_are_of_settings_that_there_are_and_contain_them(option):
+    config = compose([f"controller={option}"])
+    if {config.controller.kind, config.controller.name}.isdisjoint(SPACES):
+        with pytest.raises(UsageError, match="no default space"):
+            default_space(config)
+        return
+    if option.endswith("_tuned"):
+        return
+    axes = read_axes([], config)
+    assert axes and all(axis.low < axis.start < axis.high for axis in axes)
+
+
+def test_a_space_of_the_users_own_comes_first(tmp_path):
+    (tmp_path / "tune").mkdir()
+    (tmp_path / "tune" / "nominal_mpc.yaml").write_text(yaml.safe_dump({"horizon": "0.5..2", "nodes": None}))
+    axes = read_axes([], compose([]), Path(tmp_path))
+    assert [axis.text() for axis in axes] == ["controller.horizon=0.5..2", "controller.nodes=5..20"]
