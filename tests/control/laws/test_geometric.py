@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from quadexp.config.compose import compose
 from quadexp.config.laws import GeometricKeys
 from quadexp.control.base import Measurement
-from quadexp.control.l1 import LateralForce
+from quadexp.control.belief import Belief
 from quadexp.control.laws.geometric import GeometricController
 from quadexp.experiment.evaluate import fly_one
 from quadexp.physics.state import POSITION, RATE, VELOCITY
@@ -197,7 +197,7 @@ def test_an_unknown_force_leaves_the_offset_of_a_spring_and_a_believed_one_none(
     states, _ = fly(body, controller, at_rest(), 6.0, lambda t: window)
     assert states[-1, POSITION] == pytest.approx(offset, abs=1e-3)  # nearly: the tilted thrust along z is projected
     body = Body(vehicle, lambda t: FORCE, lambda t: TORQUE)
-    belief = LateralForce(FORCE, TORQUE, np.zeros(3))
+    belief = Belief(FORCE, TORQUE, np.zeros(3))
     states, _ = fly(body, controller, at_rest(), 6.0, lambda t: window, lambda t: controller.believe(belief))
     assert np.abs(states[-1, POSITION]).max() < 1e-6
 
@@ -206,7 +206,7 @@ def test_a_believed_thrust_scale_is_divided_out():
     vehicle, window = vehicle_of("torrente"), hovering(vehicle_of("torrente"))
     controller = GeometricController(vehicle, GeometricKeys(), **INTERPRETED)
     controller.reset(at_rest(), window)
-    controller.believe(LateralForce(np.zeros(3), np.zeros(3), np.zeros(3), 0.8))
+    controller.believe(Belief(np.zeros(3), np.zeros(3), np.zeros(3), 0.8))
     u, _ = controller.step(Measurement(0.0, at_rest(), None, None), window)
     assert u == pytest.approx(vehicle.hover_thrust / 0.8)
 
@@ -261,7 +261,17 @@ def test_the_air_is_that_of_the_state_and_of_the_believed_wind():
             if controller is knowing
             else -vehicle.mass * R.apply(drag * R.inv().apply(x[VELOCITY] - through))
         )
-        controller.believe(LateralForce(force, np.zeros(3), through))
+        controller.believe(Belief(force, np.zeros(3), through))
         commands.append(controller.step(Measurement(0.0, x, None, None), window)[0])
     assert commands[0] == pytest.approx(commands[2]) and commands[1] == pytest.approx(commands[3])
     assert np.abs(commands[0] - commands[1]).max() > 0.1
+
+
+def test_an_observer_around_it_takes_the_offset_of_an_unknown_force_away():
+    push = ["controller=geometric", "plant=ideal", "trajectory=hover", "trajectory.duration=6"]
+    push += ["external=push", "external.force=[1.5,-1,0.5]", "external.torque=[0.03,0.02,0.01]"]
+    offsets = []
+    for observer in ("none", "disturbance"):
+        columns = fly_one(compose([*push, f"observer={observer}"])).columns
+        offsets.append(max(abs(columns[f"p_{axis}"][-1] - columns[f"ref_p_{axis}"][-1]) for axis in "xyz"))
+    assert offsets[0] > 0.05 and offsets[1] < 1e-4
