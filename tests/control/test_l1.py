@@ -49,7 +49,7 @@ class Held:
 
 def geometric(vehicle, rate=100.0, **keys):
     inner = GeometricController(vehicle, GeometricKeys(rate=rate), **INTERPRETED)
-    return L1Controller(inner, L1Keys(**keys), None, keys.get("motor_lag") or 0.0, keys.get("dead_time") or 0.0)
+    return L1Controller(inner, L1Keys(**keys), keys.get("motor_lag") or 0.0, keys.get("dead_time") or 0.0)
 
 
 def estimate(controller):
@@ -67,7 +67,7 @@ def test_the_estimate_is_the_mean_disturbance_of_the_last_period(name, pole):
     torque = lambda t: J * np.array([3 * np.sin(17 * t), -2.0, np.cos(31 * t)])  # noqa: E731
     inner = Held(vehicle, period, np.full(4, vehicle.hover_thrust))
     keys = L1Keys(velocity_pole=pole, rate_pole=pole, force_limit=0.0, torque_limit=0.0)
-    controller, body, found = L1Controller(inner, keys, None, 0.0, 0.0), Body(vehicle, force, torque), []
+    controller, body, found = L1Controller(inner, keys), Body(vehicle, force, torque), []
     x = at_rest()
     controller.reset(x, hovering(vehicle))
     for k in range(80):
@@ -94,7 +94,7 @@ def test_the_command_is_the_low_pass_of_the_disturbance(frequency):
     J, keys = vehicle.inertia[2][2], L1Keys(velocity_pole=0.2, rate_pole=0.2, bandwidth=12.0)
     body = Body(vehicle, torque=lambda t: np.array([0, 0, J * np.sin(frequency * t)]))
     inner = Held(vehicle, period, np.full(4, vehicle.hover_thrust))
-    controller = L1Controller(inner, keys, None, 0.0, 0.0)
+    controller = L1Controller(inner, keys)
     duration = 2 * math.pi / frequency * max(3, round(frequency / 2)) + 1.0
     _, commands = fly(body, controller, at_rest(), duration, lambda t: hovering(vehicle))
     added = (commands @ vehicle.allocation.T)[:, 3] / J
@@ -135,7 +135,7 @@ def test_the_predictor_sees_the_command_as_it_was_clipped():
     """A base beyond what the rotors give: nothing is missing, so nothing is estimated."""
     vehicle, period = vehicle_of("torrente"), 0.01
     inner = Held(vehicle, period, [30.0, 30.0, 30.0, 30.0])
-    controller = L1Controller(inner, L1Keys(), None, 0.0, 0.0)
+    controller = L1Controller(inner, L1Keys())
     states, commands = fly(Body(vehicle), controller, at_rest(), 0.3, lambda t: hovering(vehicle))
     assert commands == pytest.approx(vehicle.thrust_max)
     assert np.abs(estimate(controller)).max() < 1e-6
@@ -147,7 +147,7 @@ def test_a_known_lag_and_dead_time_are_no_disturbance(lag, dead_time):
     vehicle, period, fine = vehicle_of("torrente"), 0.01, 100
     rng = np.random.default_rng(5)
     inner = Held(vehicle, period, np.full(4, vehicle.hover_thrust))
-    controller = L1Controller(inner, L1Keys(force_limit=0.0, torque_limit=0.0), None, lag, dead_time)
+    controller = L1Controller(inner, L1Keys(force_limit=0.0, torque_limit=0.0), lag, dead_time)
     window, body = hovering(vehicle), Body(vehicle)
     x = at_rest()
     controller.reset(x, window)
@@ -164,7 +164,7 @@ def test_a_known_lag_and_dead_time_are_no_disturbance(lag, dead_time):
             rotors = acting + (rotors - acting) * (math.exp(-period / fine / lag) if lag else 0.0)
             x = body.advance(x, (before + rotors) / 2 if lag else rotors, 0.0, period / fine)
     assert np.abs(np.array(estimates)[:, 2]).max() < 0.02 and np.abs(np.array(estimates)[:, 3:]).max() < 6e-3
-    blind = L1Controller(inner, L1Keys(), None, 0.0, 0.0)
+    blind = L1Controller(inner, L1Keys())
     blind.reset(at_rest(), window)
     assert len(blind._sent) == 1
 
@@ -224,7 +224,7 @@ def test_it_knows_what_its_controller_knows():
     assert drag < 0.02 * np.abs(unknown.columns["l1_force_x"][50:]).mean()
 
 
-@pytest.mark.parametrize("controller", ["nominal_mpc", "geometric", "pid", "static_feedback"])
+@pytest.mark.parametrize("controller", ["nominal_mpc", "geometric", "pid", "dfbc", "static_feedback"])
 def test_around_every_controller(controller):
     vehicle = ["vehicle=lei_li", "plant=blade_element"] if controller == "static_feedback" else []
     flight = fly_one(compose([f"controller={controller}", "adaptive=l1", "trajectory=hover", *vehicle]))
@@ -237,6 +237,8 @@ def test_what_it_cannot_be_put_around_is_said():
     from quadexp.control.l1 import l1
     from quadexp.control.wrapped import WrappedController
 
+    with pytest.raises(UsageError, match="explains the same error by what it learns in flight"):
+        fly_one(compose(["controller=rls_mpc", "adaptive=l1", "vehicle=lei_li", "plant=blade_element"]))
     vehicle = vehicle_of("torrente")
     inner = WrappedController(GeometricController(vehicle, GeometricKeys(), **INTERPRETED))
     with pytest.raises(UsageError, match="an observer estimates the same disturbance"):

@@ -8,10 +8,13 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.config.compose import compose
 from quadexp.config.laws import GeometricKeys
-from quadexp.control.l1 import LateralForce
+from quadexp.control.base import Measurement
+from quadexp.control.belief import Belief
 from quadexp.control.laws.geometric import GeometricController
 from quadexp.experiment.evaluate import fly_one
 from quadexp.physics.state import POSITION, RATE, VELOCITY
+from quadexp.reference.base import FlatOutput
+from quadexp.reference.flatness import flat_reference
 from tests.control.laws.flown import VEHICLES, Body, at_rest, fly, hovering, rotation, vehicle_of
 
 INTERPRETED = {"backend": "interpreted"}
@@ -151,9 +154,6 @@ def test_lee_s_helix():
         rows += [[0, -0.4 * pi**2 * s, 0.6 * pi**2 * c], [0, -0.4 * pi**3 * c, -0.6 * pi**3 * s]]
         return np.array([*rows, [0, 0.4 * pi**4 * s, -0.6 * pi**4 * c]])
 
-    from quadexp.reference.base import FlatOutput
-    from quadexp.reference.flatness import flat_reference
-
     class Helix:
         duration, peak_speed = 100.0, 3.0
 
@@ -197,7 +197,7 @@ def test_an_unknown_force_leaves_the_offset_of_a_spring_and_a_believed_one_none(
     states, _ = fly(body, controller, at_rest(), 6.0, lambda t: window)
     assert states[-1, POSITION] == pytest.approx(offset, abs=1e-3)  # nearly: the tilted thrust along z is projected
     body = Body(vehicle, lambda t: FORCE, lambda t: TORQUE)
-    belief = LateralForce(FORCE, TORQUE, np.zeros(3))
+    belief = Belief(FORCE, TORQUE, np.zeros(3))
     states, _ = fly(body, controller, at_rest(), 6.0, lambda t: window, lambda t: controller.believe(belief))
     assert np.abs(states[-1, POSITION]).max() < 1e-6
 
@@ -206,9 +206,7 @@ def test_a_believed_thrust_scale_is_divided_out():
     vehicle, window = vehicle_of("torrente"), hovering(vehicle_of("torrente"))
     controller = GeometricController(vehicle, GeometricKeys(), **INTERPRETED)
     controller.reset(at_rest(), window)
-    controller.believe(LateralForce(np.zeros(3), np.zeros(3), np.zeros(3), 0.8))
-    from quadexp.control.base import Measurement
-
+    controller.believe(Belief(np.zeros(3), np.zeros(3), np.zeros(3), 0.8))
     u, _ = controller.step(Measurement(0.0, at_rest(), None, None), window)
     assert u == pytest.approx(vehicle.hover_thrust / 0.8)
 
@@ -236,8 +234,6 @@ def test_what_is_adapted_stays_in_its_ball():
 
 
 def test_compiled_and_interpreted_give_the_same_commands():
-    from quadexp.control.base import Measurement
-
     vehicle, x = vehicle_of("lei_li"), at_rest((0.2, 0.1, -0.3), Rotation.from_rotvec([0.4, 0.3, -0.2]))
     commands = []
     for backend in ("compiled", "interpreted"):
@@ -245,3 +241,37 @@ def test_compiled_and_interpreted_give_the_same_commands():
         controller.reset(x, hovering(vehicle))
         commands.append(controller.step(Measurement(0.0, x, None, None), hovering(vehicle))[0])
     assert commands[0] == pytest.approx(commands[1], rel=1e-12)
+
+
+def test_the_air_is_that_of_the_state_and_of_the_believed_wind():
+    """At rest, a model of drag is a believed force of the same size; wind takes its part of the velocity."""
+    from quadexp.air.linear_drag import linear_drag_residual
+
+    vehicle, window, drag = vehicle_of("torrente"), hovering(vehicle_of("torrente")), np.array([0.5, 0.3, 0.1])
+    knowing = GeometricController(vehicle, GeometricKeys(), linear_drag_residual(vehicle, drag), **INTERPRETED)
+    told = GeometricController(vehicle, GeometricKeys(), **INTERPRETED)
+    x = at_rest((0.1, -0.2, 0.3), Rotation.from_rotvec([0.3, -0.2, 0.5]))
+    x[VELOCITY], wind = (2.0, -1.0, 0.5), np.array([1.5, 3.0, 0.0])
+    commands = []
+    for controller, through in ((knowing, np.zeros(3)), (knowing, wind), (told, np.zeros(3)), (told, wind)):
+        controller.reset(x, window)
+        R = rotation(x)
+        force = (
+            np.zeros(3)
+            if controller is knowing
+            else -vehicle.mass * R.apply(drag * R.inv().apply(x[VELOCITY] - through))
+        )
+        controller.believe(Belief(force, np.zeros(3), through))
+        commands.append(controller.step(Measurement(0.0, x, None, None), window)[0])
+    assert commands[0] == pytest.approx(commands[2]) and commands[1] == pytest.approx(commands[3])
+    assert np.abs(commands[0] - commands[1]).max() > 0.1
+
+
+def test_an_observer_around_it_takes_the_offset_of_an_unknown_force_away():
+    push = ["controller=geometric", "plant=ideal", "trajectory=hover", "trajectory.duration=6"]
+    push += ["external=push", "external.force=[1.5,-1,0.5]", "external.torque=[0.03,0.02,0.01]"]
+    offsets = []
+    for observer in ("none", "disturbance"):
+        columns = fly_one(compose([*push, f"observer={observer}"])).columns
+        offsets.append(max(abs(columns[f"p_{axis}"][-1] - columns[f"ref_p_{axis}"][-1]) for axis in "xyz"))
+    assert offsets[0] > 0.05 and offsets[1] < 1e-4
