@@ -230,8 +230,8 @@ class Printed:
 
     def sample(self, phi, y, s):
         gain = self.P @ phi / (phi @ self.P @ phi + self.noise)
-        self.b = self.b - gain * (phi @ self.b - y) + self.step * self.weight * self.P @ phi * s
         self.P = self.P - np.outer(gain, phi @ self.P)
+        self.b = self.b - gain * (phi @ self.b - y) + self.step * self.weight * self.P @ phi * s
 
 
 def motion(t):
@@ -266,7 +266,7 @@ def lyapunov(learner_step, b_of, P_of, truth, phi_of):
 def test_the_composite_law_makes_the_lyapunov_function_fall(vehicle):
     """V' = -2 c s'K s - b~' phi' phi b~ / r < 0; the printed form, and each of its slips, lets V rise or P be wrong."""
     adapting = adapting_terms(vehicle, 1.0)
-    thrust, density = np.full(4, vehicle.hover_thrust), 0.02
+    thrust, density = np.full(4, vehicle.hover_thrust), 300.0  # a poor accelerometer: tracking decides
     rng = np.random.default_rng(2)
     truth = [rng.normal(size=len(block.at)) for block in adapting.blocks]
 
@@ -287,7 +287,7 @@ def test_the_composite_law_makes_the_lyapunov_function_fall(vehicle):
         phi_of,
     )
     assert np.all(np.diff(values) <= 1e-9 * values[:-1])
-    assert values[-1] < 0.7 * values[0]
+    assert values[-1] < 0.95 * values[0]
 
     def printed(slips):
         laws = [Printed(len(a), DT, density, slips, WEIGHT) for a in truth]
@@ -302,7 +302,7 @@ def test_the_composite_law_makes_the_lyapunov_function_fall(vehicle):
     assert np.allclose(right, values, rtol=1e-6)  # a second writing of the same law
     for slips in (("sign", "step", "noise"), ("sign", "step"), ("sign",), ("step",)):
         rises = np.diff(printed(slips)) / printed(slips)[:-1]
-        assert rises.max() > 1e-3, slips
+        assert rises.max() > 1e-4, slips
 
 
 def test_noise_of_a_sample_is_the_density_over_the_time(vehicle):
