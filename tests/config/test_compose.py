@@ -176,7 +176,7 @@ MISTAKES = {
     "seed=0.5": "^seed=0.5: must be a whole number$",
     "controller.nodes=1": r"controller.nodes=1: must be in \[2, 200\] nodes",
     "controller.attitude_weight=[1,2]": "must be a list of 4 numbers",
-    "controller.residual=magic": "must be one of none, linear_drag, gaussian_process, plant",
+    "controller.residual=magic": "must be one of none, linear_drag, gaussian_process, neural, plant",
     "plant.motor_loss=2": r"plant.motor_loss=2.0: must be in \[0, 1\)",
     "gp.features.a_x=[speed]": "unknown feature 'speed'; allowed are v_x",
     "gp.features.a_q=[v_x]": r"gp.features.a_q: no such key; did you mean gp.features.a_",
