@@ -59,7 +59,7 @@ def make_residual(name: str, vehicle: Vehicle) -> Residual:
     if name == "neural":
         return neural_residual(vehicle, network())
     if name == "sum":
-        return sum_residual([make_residual(part, vehicle) for part in ("linear_drag", "neural", "gp_thrust")])
+        return sum_residual([make_residual(part, vehicle) for part in ("linear_drag", "neural", "gp_with_mean")])
     rng = np.random.default_rng(5)
     features = {"a_x": ("v_x",), "a_y": ("v_y",), "a_z": ("v_z",)}
     if name == "gp_thrust":
