@@ -21,11 +21,14 @@ import numpy as np
 
 from benchmarks.machine import cores, machine, pin
 from benchmarks.step import make_residual
+from quadexp.air.adapting import adapting_terms
 from quadexp.config.compose import compose
+from quadexp.config.learned import AdaptKeys
 from quadexp.config.observers import DisturbanceObserverConfig, WindObserverConfig
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.online_mpc import AdaptingController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.observers.disturbance import with_disturbance_observer
 from quadexp.control.observers.wind import with_wind_observer
@@ -55,6 +58,14 @@ def contestants(vehicle: Vehicle) -> dict[str, Controller]:
     return {
         f"{CASE}": mpc(disturbed=False),
         f"{CASE}, dead time predicted": mpc(disturbed=False, dead_time=0.02),
+        f"{CASE} and terms that adapt": AdaptingController(
+            vehicle,
+            [make_residual(CASE, vehicle)[0]],
+            adapting_terms(vehicle, AdaptKeys().deviation),
+            MPCSettings(first_node=0.02, horizon=0.6),
+            AdaptKeys(),
+            backend="compiled",
+        ),
         f"{CASE}, observer=disturbance": with_disturbance_observer(mpc(), disturbance),
         f"{CASE}, observer=wind without targets": with_wind_observer(mpc(), still),
         f"{CASE}, observer=wind": with_wind_observer(mpc(), wind),

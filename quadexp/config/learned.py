@@ -42,14 +42,14 @@ class AdaptKeys(Settings):
     memory: Annotated[
         float,
         Setting("time constant of forgetting; for rls of the forgetting factor exp(-dt / memory)", "(0, 1e9]", "s"),
-    ] = 2.0
+    ] = 10.0
     noise: Annotated[
         float, Setting("standard deviation of a sample of the residual acceleration", "(0, 100]", "m/s^2")
-    ] = 0.3
+    ] = 0.1
     deviation: Annotated[
         float,
         Setting("prior standard deviation of the acceleration that the weights can add, roughly", "(0, 100]", "m/s^2"),
-    ] = 1.0
+    ] = 0.8
     fit_prior: Annotated[
         bool, Setting("of a Gaussian process: take the signal variance of its fit in place of deviation")
     ] = False
@@ -67,7 +67,7 @@ class AdaptKeys(Settings):
     ] = 1  # fmt: skip
     tracking: Annotated[
         float, Setting("of law=composite: weight of the tracking error in the adaptation", "[0, 1e6]", "s^2 m^-2")
-    ] = 0.01
+    ] = 10.0
     tracking_rate: Annotated[
         float, Setting("of law=composite: Lambda of the tracking error (v - v_r) + Lambda (p - p_r)", "[0, 100]", "1/s")
     ] = 1.0

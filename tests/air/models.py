@@ -37,12 +37,10 @@ def with_rotors(vehicle: Vehicle) -> Vehicle:
 def network(seed: int = 6) -> Network:
     """A small network of thrust and velocity."""
     rng, sizes = np.random.default_rng(seed), (5, 7, 6, 3)
-    return Network(
-        ("v_x", "v_y", "v_z", "w_y", "thrust"),
-        ("a_x", "a_z", "tau_y"),
-        tuple(rng.normal(size=(rows, columns)) / columns for columns, rows in pairwise(sizes)),
-        tuple(rng.normal(size=rows) for rows in sizes[1:]),
-    )
+    weights = [rng.normal(size=(rows, columns)) / columns for columns, rows in pairwise(sizes)]
+    biases = [rng.normal(size=rows) for rows in sizes[1:]]
+    weights[-1][2], biases[-1][2] = 0.1 * weights[-1][2], 0.1 * biases[-1][2]  # N m
+    return Network(("v_x", "v_y", "v_z", "w_y", "thrust"), ("a_x", "a_z", "tau_y"), tuple(weights), tuple(biases))
 
 
 def make_residual(name: str, vehicle: Vehicle) -> Residual:
@@ -61,7 +59,7 @@ def make_residual(name: str, vehicle: Vehicle) -> Residual:
     if name == "neural":
         return neural_residual(vehicle, network())
     if name == "sum":
-        return sum_residual([make_residual(part, vehicle) for part in ("linear_drag", "neural", "gp_thrust")])
+        return sum_residual([make_residual(part, vehicle) for part in ("linear_drag", "neural", "gp_with_mean")])
     rng = np.random.default_rng(5)
     features = {"a_x": ("v_x",), "a_y": ("v_y",), "a_z": ("v_z",)}
     if name == "gp_thrust":

@@ -46,9 +46,9 @@ class _Prior(GPOutput):
 def stream(vehicle, law, v, u, a, forgetting=0.0):
     outputs = process()
     adapting = adapting_process(gaussian_process_residual(vehicle, outputs), outputs, None)
-    update = BufferedFunction(
-        realise(update_function(vehicle, adapting, None, law), "compiled" if compiler() else "interpreted")
-    )
+    compiled = compiler() is not None
+    function = update_function(vehicle, adapting, None, law, compiled=compiled)
+    update = BufferedFunction(realise(function, "compiled" if compiled else "interpreted"))
     given = update.arguments
     given["belief"][...], given["variance"][...], given["decay"][...] = prior_belief(adapting), 0.04, 1 - forgetting
     given["x"][3] = 1.0
