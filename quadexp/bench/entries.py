@@ -96,7 +96,7 @@ def configs_of(
             for seed in protocol.seeds(seeds):
                 given = (*family.given, *family.tasks[task], *family.worlds[world], *entry.overrides)
                 texts = (*given, *([f"model={model}"] if model else []), f"seed={seed}")
-                found.append((task, world, texts, composer.expand(texts, check=False)[0].config))
+                found.append((task, world, texts, composer.expand(texts, check=False).sound()[0].config))
     return found
 
 

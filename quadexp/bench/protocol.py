@@ -108,7 +108,7 @@ def resolved(protocol: Protocol, composer: Composer) -> dict[str, Any]:
     """What the words of the protocol mean: the values of every task, world and data set."""
 
     def composed(given: Sequence[str]) -> Config:
-        return composer.expand(given, check=False)[0].config  # every option is composed once
+        return composer.expand(given, check=False).sound()[0].config  # every option is composed once
 
     found: dict[str, Any] = {}
     for family in protocol.families.values():

@@ -92,7 +92,8 @@ def collect(
             "--sweep and --flight: give one of them; recorded flights are of the worlds they were flown in"
         )
     with session(conf) as composer:
-        worlds = _worlds(composer.expand(overrides or [])) if sweep else []
+        cells = composer.expand(overrides or []).sound() if sweep else []
+        worlds = [cell.config for cell in cells]
         config = worlds[0] if worlds else composer.compose(overrides or [])
     path = check_output(out, force=force)
     if save_flights is not None:
@@ -297,17 +298,6 @@ def _low_paths(cells: Sequence[Any]) -> list[str]:
     found = (below_ground(c, build_trajectory(c.trajectory, build_vehicle(c.vehicle))) for c in nodes.values())
     named = {line: None for line in found if line}
     return [*named][:3]
-
-
-def _worlds(cells: Sequence[Any]) -> list[Any]:
-    """The configurations of all cells; UsageError where one contradicts itself."""
-    from quadexp.errors import UsageError
-
-    found = list(cells)
-    for cell in found:
-        if cell.invalid:
-            raise UsageError(cell.invalid)
-    return [cell.config for cell in found]
 
 
 def _preload(cells: Sequence[Any], figures: bool) -> list[str]:

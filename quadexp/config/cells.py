@@ -96,6 +96,14 @@ class Cells(Combinations, Sequence[Cell]):
                 self._compose(kept), overrides, varied, str(error), error, frozenset({*overrides} - {*kept})
             )
 
+    def sound(self) -> list[Cell]:
+        """All cells; raises the UsageError of the first that is invalid."""
+        cells = list(self)
+        for cell in cells:
+            if isinstance(cell, InvalidCell) and cell.error is not None:
+                raise cell.error
+        return cells
+
     def _consistent(self, overrides: Sequence[str]) -> list[str]:
         """Those overrides that do not contradict the ones before them; options come first, presets of their values
         next, then values."""

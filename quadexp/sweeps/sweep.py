@@ -168,10 +168,11 @@ def fly_cells(
     """Rows of some cells in their order, flown where they are not in the store; no table is written.
 
     progress: called with the numbers of cells done and of all. Cells of other sources are flown again. The caller
-    holds the lock of the store. Raises as `run_sweep` does.
+    holds the lock of the store. Raises as `run_sweep` does, and UsageError for a cell that contradicts itself.
     """
     jobs = plan_cells(cells)
-    check_jobs(jobs.values())
+    if wrong := check_jobs(jobs.values()):
+        raise UsageError(next(iter(wrong.values())))
     rows, _ = _recall(store, jobs)
     _settle_old(store, rows, "refly")
     todo = [job for job in jobs.values() if job.key not in rows]

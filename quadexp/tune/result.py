@@ -71,7 +71,8 @@ def tune(
     trials = search.run(trials_of(flights, search.flights), progress)
     best = best_of(trials)
     history = _write_history(out, request, search, trials)
-    config = composer.expand([*request.given, *overrides(request.axes, trials[best].numbers)], check=False)[0].config
+    cells = composer.expand([*request.given, *overrides(request.axes, trials[best].numbers)], check=False)
+    config = cells.sound()[0].config
     about = _about(request, search, trials, best)
     written = write_presets(out, composer, options, config, about, name)
     if figure:

@@ -87,7 +87,7 @@ def cells_of(composer: Composer, given: Sequence[str]) -> list[Cell]:
         several = [texts[0].partition("=")[0] for texts in grid if len(texts) > 1]
         if wrong := [key for key in several if key.partition(".")[0] in (*TUNED, *PRESETS, "remedies")]:
             raise UsageError(f"{wrong[0]}: has several values; one controller is tuned at a time")
-    made = list(cells)
+    made = cells.sound()
     nodes = {canonical([repr(getattr(cell.config, group)) for group in TUNED]) for cell in made}
     if len(nodes) > 1:
         raise UsageError("the cells are of several controllers; one is tuned at a time")
@@ -229,7 +229,7 @@ class Search:
         texts = [*request.given, *overrides(request.axes, numbers)]
         cells = self._composer.expand(texts, check=False)
         try:
-            rows = fly_cells(cells, self.store, self._engine, function=self._function, isolate=self._isolate)
+            rows = fly_cells(cells.sound(), self.store, self._engine, function=self._function, isolate=self._isolate)
         except UsageError as error:
             if first or isinstance(error, WriteError):
                 raise
