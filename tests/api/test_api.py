@@ -135,12 +135,12 @@ class TestSimulate:
 
 class TestLearning:
     def test_data_set_and_fit_are_the_commands_to_the_last_bit(self, here):
-        short = ("collect.duration=12", "collect.flight_duration=4", *INTERPRETED)
+        short = ("collect.duration=15", "collect.flight_duration=4", *INTERPRETED)
         gp = ("gp.inducing=5", "gp.max_iterations=3", "gp.max_rows=100")
         assert run("collect", *short, "--out", "d.parquet")[0] == 0
         assert run("fit-gp", "d.parquet", *gp, "--out", "gp", "--no-figures")[0] == 0
         assert run("fit-drag", "d.parquet", "--out", "drag")[0] == 0
-        data = qx.collect(*INTERPRETED, duration=12, flight_duration=4)
+        data = qx.collect(*INTERPRETED, duration=15, flight_duration=4)
         same(data, read_table("d.parquet", "residuals")[0])
         model, drag = qx.fit_gp(data, inducing=5, max_iterations=3, max_rows=100), qx.fit_drag(data)
         for made, folder in ((model, "gp"), (drag, "drag")):
