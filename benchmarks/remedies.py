@@ -69,6 +69,7 @@ def contestants(vehicle: Vehicle) -> dict[str, Controller]:
         f"{CASE}, observer=disturbance": with_disturbance_observer(mpc(), disturbance),
         f"{CASE}, observer=wind without targets": with_wind_observer(mpc(), still),
         f"{CASE}, observer=wind": with_wind_observer(mpc(), wind),
+        f"{CASE}, observer=wind without targets, dead time predicted": with_wind_observer(mpc(dead_time=0.02), still),
         f"{CASE}, observer=wind, dead time predicted": with_wind_observer(mpc(dead_time=0.02), wind),
     }
 

@@ -97,15 +97,16 @@ class PredictiveController:
         body = x if self.lead is None else x[:N_STATE]
         if world is None:
             thrust, record = self._answer(body, window)
+            record = StepRecord(time.perf_counter() - began, *record[1:])
         else:
-            thrust, record = self.mpc.command(body, self._within_reach(body, states), inputs)
+            thrust, record = self.mpc.command(body, self._within_reach(body, states), inputs, began=began)
         if self.lead is not None:
             thrust = self.lead.command(thrust, x[N_STATE:])
         if predictor is not None:
             predictor.record(thrust)  # in a believed world: what is delivered of the command
         if world is not None:
             thrust = world.leave(thrust)
-        return thrust, StepRecord(time.perf_counter() - began, *record[1:])
+        return thrust, record
 
     def _answer(self, x: np.ndarray, window: Window) -> tuple[np.ndarray, StepRecord]:
         """x: predicted state when the command begins to act; window: the reference from then on."""
