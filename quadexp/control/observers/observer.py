@@ -60,7 +60,7 @@ class Observer(WrappedController):
         core = innermost(inner)
         dead_time, lag = (
             known_delay(config.dead_time, core, "dead_time"),
-            known_delay(config.motor_lag, core, "motor_lag"),
+            known_delay(config.motor_lag, core, "known_lag"),
         )
         self.delivered = DeliveredThrust(inner.vehicle, inner.control_period, dead_time, lag)
         self._update = BufferedFunction(realise(update.function, inner.backend), {"theta": parameters_of(core)})
