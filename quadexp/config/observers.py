@@ -52,7 +52,7 @@ class DisturbanceObserverKeys(ObserverKeys):
         Literal["accelerometer", "velocity"],
         Setting("what the force is found from: the accelerometer, or the velocity where there is none"),
     ] = "accelerometer"
-    force_bandwidth: Annotated[float, Setting("bandwidth of the estimated force", "(0, 1000]", "rad/s")] = 10.0
+    force_bandwidth: Annotated[float, Setting("bandwidth of the estimated force", "(0, 1000]", "rad/s")] = 25.0
     force_noise: Annotated[
         float,
         Setting(
@@ -87,10 +87,10 @@ class WindObserverKeys(ObserverKeys):
             "(0, 1000]",
             "m/s^2",
         ),
-    ] = (0.15, 0.15, 0.6)
+    ] = (0.1, 0.1, 0.3)
     wind_walk: Annotated[
         float, Setting("how fast the wind changes: standard deviation that it gains in a second", "[0, 100]", "m/s")
-    ] = 0.45
+    ] = 1.5
     wind_initial: Annotated[
         float, Setting("standard deviation of the wind when a flight begins, and the largest later", "(0, 100]", "m/s")
     ] = 4.0

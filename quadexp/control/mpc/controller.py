@@ -60,7 +60,7 @@ class PredictiveController:
         Raises QuadexpError where the MPC was made without `disturbed`.
         """
         if self.believed is None:
-            self.believed = BelievedWorld(self.mpc, self.node_times)
+            self.believed = BelievedWorld(self.mpc, self.node_times, targets=self.targets, air=self.residual)
         self.believed.belief = belief
 
     def prepare(self, window: Window) -> None:

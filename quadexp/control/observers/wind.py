@@ -2,7 +2,8 @@
 
     w' = noise,  k' = noise        f = (1 + k) T e_z / m + a_air(R'(v - w), ..) + noise            f: accelerometer
 
-    H = [-da/dv R',  T e_z / m],   S = H P- H' + N,   K = P- H' S^-1,   [w, k] += K (f - f^),   P = (1 - K H) P-
+    H = [-da/dv R',  T e_z / m + da/du u],   S = H P- H' + N
+    K = P- H' S^-1,   [w, k] += K (f - f^),   P = (1 - K H) P-
 
 da/dv is the model's own Jacobian, so what is called wind is whatever air velocity makes the model explain the reading.
 k, the error of the thrust scale, is estimated where observer.scale_walk is not 0. P of the wind is not let beyond its
@@ -104,8 +105,9 @@ def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: 
     z = ca.vertcat(ca.mtimes(R.T, x[VELOCITY] - air[:3]), x[RATE], scale * a["thrust"])
     y, slope = model(z, a["theta"])
     y = ca.densify(y)
-    slope = ca.densify(slope)[:3, :3]
-    H = ca.horzcat(-ca.mtimes(slope, R.T), ca.vertcat(0, 0, thrust))
+    slope = ca.densify(slope)
+    by_scale = ca.vertcat(0, 0, thrust) + ca.mtimes(slope[:3, 6:], a["thrust"])
+    H = ca.horzcat(-ca.mtimes(slope[:3, :3], R.T), by_scale)
     P = P + ca.diag(ca.vertcat(wind_walk, wind_walk, wind_walk, scale_walk))
     error = a["reading"] - y[:3] - ca.vertcat(0, 0, scale * thrust)
     S = ca.mtimes([H, P, H.T]) + ca.diag(ca.vertcat(*noise))

@@ -1,0 +1,128 @@
+"""What the remedies cost a control step: ratios to the step of the same controller without them.
+
+    python -m benchmarks.remedies [--rounds 20] [--json]
+
+Each contestant is the whole step of a controller as called from Python, on what it was asked in a flight on the circle in
+wind; a round is one pass of each over its own record, so that a slow moment of the machine meets all. Printed are the
+medians over the rounds of the median step, and their ratios to the first row, in one run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from benchmarks.machine import cores, machine, pin
+from benchmarks.step import make_residual
+from quadexp.config.compose import compose
+from quadexp.config.observers import DisturbanceObserverConfig, WindObserverConfig
+from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.settings import MPCSettings
+from quadexp.control.observers.disturbance import with_disturbance_observer
+from quadexp.control.observers.wind import with_wind_observer
+from quadexp.experiment.build import build_vehicle
+from quadexp.experiment.build_world import build_world
+from quadexp.experiment.rollout import SampledReference
+from quadexp.physics.vehicle import Vehicle
+from quadexp.reference.circle import Circle
+
+CASE = "gp20"
+STEPS = 200  # of a round
+Log = list[tuple[Measurement, Window]]
+
+
+def contestants(vehicle: Vehicle) -> dict[str, Controller]:
+    """By what is around the MPC; the first is the one that ratios refer to."""
+
+    def mpc(*, disturbed: bool = True, **settings: Any) -> PredictiveController:
+        form = MPCSettings(first_node=0.02, horizon=0.6, **settings)
+        residual = make_residual(CASE, vehicle)[0]
+        return PredictiveController(
+            ModelPredictiveController(vehicle, residual, form, backend="compiled", disturbed=disturbed)
+        )
+
+    disturbance, wind = DisturbanceObserverConfig(name="disturbance"), WindObserverConfig(name="wind")
+    still = WindObserverConfig(name="wind", targets=False)
+    return {
+        f"{CASE}": mpc(disturbed=False),
+        f"{CASE}, dead time predicted": mpc(disturbed=False, dead_time=0.02),
+        f"{CASE}, observer=disturbance": with_disturbance_observer(mpc(), disturbance),
+        f"{CASE}, observer=wind without targets": with_wind_observer(mpc(), still),
+        f"{CASE}, observer=wind": with_wind_observer(mpc(), wind),
+        f"{CASE}, observer=wind, dead time predicted": with_wind_observer(mpc(dead_time=0.02), wind),
+    }
+
+
+def flown(vehicle: Vehicle, controller: Controller) -> Log:
+    """What a controller is asked on the circle in a gusty wind."""
+    world = build_world(compose(["world=only_wind"]), vehicle)
+    reference, rng = SampledReference(Circle(speed=8.0), controller), np.random.default_rng(0)
+    x, reading = reference.along()[0][0], None
+    noise = world.begin(x, controller.control_period, float(reference.t[-1]) + 1.0, rng)
+    controller.reset(x, reference.window(0))
+    log: Log = []
+    for k in range(STEPS + 100):
+        asked = Measurement(float(reference.t[k]), world.measured.copy(), reading, None), reference.window(k)
+        log.append(asked)
+        thrust, _ = controller.step(*asked)
+        x, reading = world.advance(x, thrust, controller.control_period, noise)
+    return log
+
+
+def median_step(controller: Controller, log: Log) -> float:
+    """Seconds."""
+    seconds = []
+    controller.reset(log[0][0].state, log[0][1])
+    gc.collect()
+    gc.disable()
+    for asked in log:
+        began = time.perf_counter()
+        controller.step(*asked)
+        seconds.append(time.perf_counter() - began)
+    gc.enable()
+    return float(np.median(seconds[100:]))
+
+
+def measure(rounds: int) -> dict[str, float]:
+    """Seconds of a step by contestant."""
+    vehicle = build_vehicle(compose([]).vehicle)
+    works: dict[str, Callable[[], float]] = {}
+    for name, controller in contestants(vehicle).items():
+        log = flown(vehicle, controller)
+        works[name] = lambda controller=controller, log=log: median_step(controller, log)  # type: ignore[misc]
+    every = cores()
+    pin(0, {min(every)})
+    seconds: dict[str, list[float]] = {name: [] for name in works}
+    for _ in range(rounds):
+        for name, work in works.items():
+            seconds[name].append(work())
+    pin(0, every)
+    return {name: float(np.median(times)) for name, times in seconds.items()}
+
+
+def table(seconds: dict[str, float]) -> str:
+    """As Markdown."""
+    first = next(iter(seconds.values()))
+    lines = ["| step | us | ratio |", "|---|--:|--:|"]
+    return "\n".join([*lines, *(f"| {name} | {1e6 * s:.0f} | {s / first:.2f} |" for name, s in seconds.items())])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=20)
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
+    arguments = parser.parse_args()
+    seconds = measure(arguments.rounds)
+    print(json.dumps(seconds) if arguments.json else f"{machine()}\n\n{table(seconds)}")
+
+
+if __name__ == "__main__":
+    main()

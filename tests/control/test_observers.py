@@ -1,0 +1,313 @@
+"""Observers: their filters as designed, and no offset under a constant force and torque, whatever the weights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quadexp.air.base import Residual
+from quadexp.config.observers import DisturbanceObserverConfig, WindObserverConfig
+from quadexp.control.base import Measurement
+from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.settings import MPCSettings
+from quadexp.control.observers.disturbance import with_disturbance_observer
+from quadexp.control.observers.observer import COLUMNS
+from quadexp.control.observers.wind import with_wind_observer
+from quadexp.errors import UsageError
+from quadexp.experiment.rollout import SampledReference
+from quadexp.physics.integrator import rk4_step
+from quadexp.physics.rigid_body import corrected_function
+from quadexp.physics.vehicle import Vehicle
+from quadexp.reference.circle import Circle
+from quadexp.reference.hover import Hover
+from tests.air.models import make_residual
+from tests.states import random_state
+
+PERIOD = 0.02
+
+
+class Truth:
+    """A rigid body with its air, in a force, a torque and a wind; RK4 in steps of a millisecond."""
+
+    def __init__(
+        self, vehicle: Vehicle, residual: Residual, force=(0, 0, 0), torque=(0, 0, 0), wind=(0, 0, 0), scale=1.0
+    ):
+        force, torque, wind = (np.array(value, float) for value in (force, torque, wind))
+        corrected, x, u = corrected_function(vehicle, residual), ca.MX.sym("x", 13), ca.MX.sym("u", vehicle.n_rotors)
+        push = ca.vertcat(ca.MX.zeros(7), force / vehicle.mass, np.linalg.solve(vehicle.inertia_matrix, torque))
+        blown = np.concatenate([np.zeros(7), wind, np.zeros(3)])
+
+        def slope(s):
+            found = corrected(s - blown, u * scale, residual.theta) + push
+            return ca.vertcat(s[7:10], found[3:])
+
+        z = x
+        for _ in range(20):
+            z = rk4_step(slope, z, PERIOD / 20)
+        reading = ca.mtimes(_rotation(z).T, slope(z)[7:10] + ca.vertcat(0, 0, vehicle.gravity))
+        self._advance = ca.Function("truth", [x, u], [z, reading])
+
+    def advance(self, x, u):
+        """State (13,) and the accelerometer's reading after a control period."""
+        x, reading = (np.array(part).ravel() for part in self._advance(x, u))
+        x[3:7] /= np.linalg.norm(x[3:7])
+        return x, reading
+
+
+def _rotation(x):
+    w, a, b, c = x[3], x[4], x[5], x[6]
+    rows = [
+        [w * w + a * a - b * b - c * c, 2 * (a * b - w * c), 2 * (a * c + w * b)],
+        [2 * (a * b + w * c), w * w - a * a + b * b - c * c, 2 * (b * c - w * a)],
+        [2 * (a * c - w * b), 2 * (b * c + w * a), w * w - a * a - b * b + c * c],
+    ]
+    return ca.vertcat(*(ca.horzcat(*row) for row in rows)) / ca.sumsqr(x[3:7])
+
+
+def mpc_of(vehicle, residual, backend="auto", **settings) -> PredictiveController:
+    settings = {"nodes": 5, "horizon": 0.5} | settings
+    mpc = ModelPredictiveController(vehicle, residual, MPCSettings(**settings), backend=backend, disturbed=True)
+    return PredictiveController(mpc)
+
+
+def disturbance(controller, **settings):
+    return with_disturbance_observer(controller, DisturbanceObserverConfig(name="disturbance", **settings))
+
+
+def wind(controller, **settings):
+    return with_wind_observer(controller, WindObserverConfig(name="wind", **settings))
+
+
+def flown(truth, observer, reference, steps, noise=0.0, rng=None):
+    """Fly from the reference's start: states (steps, 13) and the beliefs before each command."""
+    x, reading = reference.at(0)[0].copy(), None
+    observer.reset(x, reference.window(0))
+    states, beliefs = [], []
+    for k in range(steps):
+        row = min(k, len(reference) - 1)
+        u, _ = observer.step(Measurement(k * PERIOD, x, reading, None), reference.window(row))
+        states.append(x)
+        beliefs.append(np.array([*observer.log().values()]))
+        x, reading = truth.advance(x, u)
+        if noise:
+            reading = reading + noise * rng.normal(size=3)
+    return np.array(states), np.array(beliefs)
+
+
+# ------------------------------------------------------------------------------------------- no offset, any weights
+def weights(rng):
+    """Weights over a decade each, none of them zero: attitude, rates and thrusts pull too."""
+    spread = 10.0 ** rng.uniform(-0.5, 0.5, 5)
+    return {
+        "position_weight": (10.0 * spread[0],) * 3,
+        "attitude_weight": (0.0, *(0.5 * spread[1],) * 3),
+        "velocity_weight": (0.5 * spread[2],) * 3,
+        "rate_weight": (0.05 * spread[3],) * 3,
+        "input_weight": 0.3 * spread[4],
+    }
+
+
+def hover_error(vehicle, believed, residual, observed, push, seed, **form):
+    truth = Truth(vehicle, residual, *push)
+    settings = weights(np.random.default_rng(seed)) | form
+    controller = observed(mpc_of(believed, residual, **settings))
+    reference = SampledReference(Hover(position=(0, 0, 1), duration=0.5), controller)
+    states, beliefs = flown(truth, controller, reference, 1800)
+    return np.linalg.norm(states[-1, :3] - [0, 0, 1]), beliefs[-1]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("name", ["none", "linear_drag"])
+def test_a_constant_force_and_torque_leave_no_error(vehicle, name, seed):
+    force, torque = (1.5, -2.0, -3.0), (0.05, -0.08, 0.01)
+    residual = make_residual(name, vehicle)
+    error, belief = hover_error(vehicle, vehicle, residual, disturbance, (force, torque), seed)
+    assert belief[:6] == pytest.approx([*force, *torque], abs=1e-6)
+    assert error < 1e-6
+
+
+def test_no_error_on_six_odd_rotors_with_the_thrust_of_the_reference_in_the_nodes(odd_vehicle):
+    force, torque = (2.0, 1.0, 2.0), (0.03, 0.05, -0.02)
+    form = {"input_hold": "deviation", "first_node": 0.04, "attitude_error": "body"}
+    residual = make_residual("none", odd_vehicle)
+    assert hover_error(odd_vehicle, odd_vehicle, residual, disturbance, (force, torque), 4, **form)[0] < 1e-6
+
+
+@pytest.mark.parametrize("share", [0.7, 1.3])
+def test_no_error_with_another_mass(vehicle, share):
+    """What flies weighs 30 % less or more than the controller believes."""
+    heavy = replace(vehicle, mass=share * vehicle.mass)
+    residual = make_residual("none", vehicle)
+    error, belief = hover_error(heavy, vehicle, residual, disturbance, (), 5)
+    assert belief[2] == pytest.approx((1 - share) * vehicle.mass * vehicle.gravity, rel=1e-3)
+    assert error < 1e-6
+
+
+def test_no_error_in_a_constant_wind(vehicle):
+    residual = make_residual("gp_with_mean", vehicle)
+    push = ((0, 0, 0), (0.02, -0.01, 0.0), (5.0, -2.0, 0.5))
+    error, belief = hover_error(vehicle, vehicle, residual, wind, push, 6)
+    assert belief[6:9] == pytest.approx(push[2], abs=1e-3)
+    assert error < 1e-4
+
+
+def test_without_targets_an_offset_stays(vehicle):
+    """The weights on attitude and thrust pull against the correction: what the test above would miss on its own."""
+    residual = make_residual("none", vehicle)
+
+    def plain(controller):
+        return disturbance(controller, targets=False)
+
+    assert hover_error(vehicle, vehicle, residual, plain, ((1.5, -2.0, -3.0),), 1)[0] > 1e-3
+
+
+@pytest.mark.parametrize("source", ["accelerometer", "velocity"])
+def test_a_force_on_a_path_is_found_in_the_world(vehicle, source):
+    """Along a circle the body turns and a constant force of the world does not."""
+    residual, force = make_residual("linear_drag", vehicle), (2.0, -1.0, 1.0)
+    controller = disturbance(mpc_of(vehicle, residual), source=source)
+    reference = SampledReference(Circle(speed=5.0, acceleration=2.5), controller)
+    states, beliefs = flown(Truth(vehicle, residual, force), controller, reference, 200)
+    limit = 0.05 if source == "accelerometer" else 0.4  # a held thrust turns with the body within a period
+    assert np.abs(beliefs[100:, :3] - force).max() < limit
+
+
+def test_wind_and_thrust_scale_are_told_apart(vehicle, rng):
+    """A reading of three axes, four unknowns: along a path they separate."""
+    residual, blown = make_residual("linear_drag", vehicle), (3.0, -2.0, 0.0)
+    controller = wind(mpc_of(vehicle, residual), scale_walk=0.01, wind_walk=0.3)
+    reference = SampledReference(Circle(speed=6.0, acceleration=3.0), controller)
+    states, beliefs = flown(Truth(vehicle, residual, wind=blown, scale=0.92), controller, reference, 300)
+    assert beliefs[150:, 6:8].mean(axis=0) == pytest.approx(blown[:2], abs=0.2)
+    assert beliefs[150:, 9].mean() == pytest.approx(0.92, abs=0.01)
+    errors = np.linalg.norm(states[150:, :3] - reference.along()[0][150:300, :3], axis=1)
+    assert errors.mean() < 0.03
+
+
+# ---------------------------------------------------------------------------------------------- filters as designed
+def still(vehicle, observed, reading, steps, rates=None):
+    """The beliefs of an observer of a hovering vehicle that reads what it is given, (steps, 3) or rates (steps, 3)."""
+    controller = observed(mpc_of(vehicle, make_residual("none", vehicle), backend="interpreted"))
+    reference = SampledReference(Hover(duration=0.1), controller)
+    x, thrust = reference.at(0)[0].copy(), np.full(vehicle.n_rotors, vehicle.hover_thrust)
+    controller.reset(x, reference.window(0))
+    found = []
+    for k in range(steps):
+        x[10:] = 0 if rates is None else rates[k]
+        controller._observe(Measurement(0.0, x, reading[k], None), thrust)
+        found.append(np.concatenate(controller.belief[:3]))
+    return np.array(found)
+
+
+def test_the_force_is_a_low_pass_of_the_chosen_bandwidth(vehicle):
+    """With the variance begun at its steady value: 1 - exp(-b t) after a step, at every instant."""
+    bandwidth, noise = 12.0, 0.3
+    K = 1 - np.exp(-bandwidth * PERIOD)
+    steady = noise * np.sqrt(K)  # P = (1 - K) P-, P- = r K / (1 - K)
+
+    def observed(controller):
+        return disturbance(controller, force_bandwidth=bandwidth, force_noise=noise, force_initial=steady)
+
+    reading = np.tile([0.7, -0.4, vehicle.gravity + 1.1], (60, 1))
+    found = still(vehicle, observed, reading, 60)[:, :3] / vehicle.mass
+    t = PERIOD * np.arange(1, 61)
+    assert found == pytest.approx((1 - np.exp(-bandwidth * t))[:, None] * [0.7, -0.4, 1.1], abs=1e-9)
+
+
+def test_first_estimates_are_fast_and_later_ones_smooth(vehicle, rng):
+    """The variance of the estimate under white noise: r K / (2 - K)."""
+    bandwidth, noise, steps = 8.0, 0.5, 20000
+    reading = [0, 0, vehicle.gravity] + noise * rng.normal(size=(steps, 3))
+
+    def observed(controller):
+        return disturbance(controller, force_bandwidth=bandwidth, force_noise=noise, force_initial=10.0)
+
+    found = still(vehicle, observed, reading, steps)[:, :3] / vehicle.mass
+    K = 1 - np.exp(-bandwidth * PERIOD)
+    assert found[200:].var() == pytest.approx(noise**2 * K / (2 - K), rel=0.05)
+    first = reading[0] - [0, 0, vehicle.gravity]
+    assert found[0] == pytest.approx(first * 100 / (100 + noise**2), rel=0.01)
+
+
+def test_the_torque_observer_has_its_poles_where_they_were_put(vehicle):
+    """An angular acceleration that steps: rates as it makes them, the estimate as two equal poles give it."""
+    bandwidth, spin, steps = 10.0, np.array([3.0, -2.0, 1.0]), 80
+    z, k = np.exp(-bandwidth * PERIOD), np.arange(1, steps + 1)[:, None]
+    rates = 0.5 * spin * k * PERIOD  # small inertia differences: gyroscopic terms are known to the model
+
+    def observed(controller):
+        return disturbance(controller, torque_bandwidth=bandwidth)
+
+    reading = np.tile([0, 0, vehicle.gravity], (steps, 1))
+    expected = 0.5 * spin * (1 - z**k - k * (1 - z) * z**k)
+    principal = replace(vehicle, inertia=((0.03, 0, 0), (0, 0.03, 0), (0, 0, 0.03)))  # then w x J w is zero
+    found = still(principal, observed, reading, steps, rates)[:, 3:6] / 0.03
+    assert found == pytest.approx(expected, abs=1e-9)
+
+
+def test_the_wind_filter_is_an_extended_kalman_filter(vehicle, rng):
+    """Against the textbook's equations in numpy, with the model's derivative by differences."""
+    residual = make_residual("gp_with_mean", vehicle)
+    settings = {"scale_walk": 0.05, "wind_walk": 0.8, "noise": (0.2, 0.3, 0.5), "wind_initial": 3.0}
+    controller = wind(mpc_of(vehicle, residual, backend="interpreted"), **settings)
+    reference = SampledReference(Hover(duration=0.1), controller)
+    controller.reset(reference.at(0)[0], reference.window(0))
+    s, P = np.zeros(4), np.diag([9.0, 9.0, 9.0, 0.1**2])
+    N = np.diag(np.square(settings["noise"]))
+    for _ in range(6):
+        x, thrust = random_state(rng, speed=3.0, rate=0.5), rng.uniform(2, 4, 4)
+        reading = np.array([0.3, -0.2, thrust.sum()]) + rng.normal(size=3)
+        R = Rotation.from_quat(x[3:7], scalar_first=True).as_matrix()
+
+        def expected(s, R=R, x=x, thrust=thrust):
+            y = residual(np.concatenate([R.T @ (x[7:10] - s[:3]), x[10:], thrust * (1 + s[3])]))[0, :3]
+            return y + [0, 0, (1 + s[3]) * thrust.sum() / vehicle.mass]
+
+        H = np.stack([(expected(s + 1e-6 * e) - expected(s - 1e-6 * e)) / 2e-6 for e in np.eye(4)], axis=1)
+        P = P + np.diag([0.8**2 * PERIOD] * 3 + [0.05**2 * PERIOD])
+        K = P @ H.T @ np.linalg.inv(H @ P @ H.T + N)
+        s, P = s + K @ (reading - expected(s)), (np.eye(4) - K @ H) @ P
+        if np.trace(P[:3, :3]) > 27:
+            by = np.diag([*[np.sqrt(27 / np.trace(P[:3, :3]))] * 3, 1])
+            P = by @ P @ by
+        controller._observe(Measurement(0.0, x, reading, None), thrust)
+        found = np.array([*controller.belief.wind, controller.belief.thrust_scale - 1])
+        assert found == pytest.approx(s, abs=1e-5)
+
+
+# ------------------------------------------------------------------------------------------------ limits and refusals
+def test_estimates_stay_within_their_limits(vehicle):
+    def observed(controller):
+        return disturbance(controller, force_limit=2.0, torque_limit=5.0)
+
+    reading = np.tile([30.0, 0, vehicle.gravity], (50, 1))
+    found = still(vehicle, observed, reading, 50, rates=np.arange(50)[:, None] * [1.0, 0, 0])
+    assert found[-1, 0] == pytest.approx(2.0 * vehicle.mass) and found[-1, 3] == pytest.approx(5.0 * 0.03)
+
+
+def test_a_poor_anemometer_is_refused_by_name(vehicle):
+    with pytest.raises(UsageError, match="knows too little drag .* take observer=disturbance"):
+        wind(mpc_of(vehicle, make_residual("none", vehicle), backend="interpreted"))
+
+
+def test_the_flight_has_the_estimates(vehicle):
+    controller = disturbance(mpc_of(vehicle, make_residual("none", vehicle), backend="interpreted"))
+    reference = SampledReference(Hover(duration=0.1), controller)
+    controller.reset(reference.at(0)[0], reference.window(0))
+    controller.step(Measurement(0.0, reference.at(0)[0], None, None), reference.window(0))
+    assert tuple(controller.log()) == COLUMNS and controller.log()["observer_thrust_scale"] == 1.0
+
+
+def test_back_ends_estimate_alike(vehicle, rng):
+    found = []
+    for backend in ("interpreted", "auto"):
+        controller = wind(mpc_of(vehicle, make_residual("gp_with_mean", vehicle), backend=backend))
+        reference = SampledReference(Circle(speed=5.0, acceleration=2.5), controller)
+        truth = Truth(vehicle, make_residual("linear_drag", vehicle), wind=(3, 1, 0))
+        found.append(flown(truth, controller, reference, 30)[1])
+    assert found[0] == pytest.approx(found[1], abs=1e-6)
