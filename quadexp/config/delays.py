@@ -37,3 +37,16 @@ class PredictionConfig(DelayKeys, RemedyConfig):
     motor_lag: Annotated[
         float | None, Setting("time constant of the rotors; null: what the controller knows itself", "[0, 0.5]", "s")
     ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentifiedDelayConfig(RemedyConfig):
+    """Delays that are found in flight; see quadexp/control/delay/identified.py."""
+
+    prefix = "delay."
+    remedy = "quadexp.control.delay.identified:around"
+
+    after: Annotated[
+        float, Setting("time of the flight in which delays are looked for at first; then twice that, ..", "[2, 60]", "s")
+    ] = 3.0
+    assumed: Annotated[float, Setting("dead time that is predicted until they are known", "[0, 0.1]", "s")] = 0.03

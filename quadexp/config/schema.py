@@ -24,7 +24,7 @@ from quadexp.config.custom import (
     CustomResidualMPCConfig,
     CustomTrajectoryConfig,
 )
-from quadexp.config.delays import PredictionConfig, StrapdownConfig
+from quadexp.config.delays import IdentifiedDelayConfig, PredictionConfig, StrapdownConfig
 from quadexp.config.engine import DaskConfig, EngineConfig, SlurmConfig
 from quadexp.config.flight import (
     SEEDS,
@@ -184,7 +184,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
     },
     "adaptive": {"none": RemedyConfig},
     "inner": {"none": RemedyConfig},
-    "delay": {"none": RemedyConfig, "strapdown": StrapdownConfig, "prediction": PredictionConfig},
+    "delay": {"none": RemedyConfig, "strapdown": StrapdownConfig, "prediction": PredictionConfig, "identified": IdentifiedDelayConfig},
     "collect": {"flights": CollectConfig},
     "gp": {"sparse": GPConfig},
     "drag": {"linear": DragConfig},

@@ -35,6 +35,7 @@ def loop_margins(controller: Any, config: PlantConfig, plant: Any = None) -> dic
     if (latency, lag) not in made:
         from quadexp.control.mpc.margins import STABLE, HoverLoop, margins
 
+        controller.forget()  # as it is when a flight begins
         around = layers(controller)
         age = sum(one.delay for one in around if isinstance(one, Prediction | Strapdown))
         settings = core.settings

@@ -36,27 +36,32 @@ STEP = 0.01  # s, of the integration
 class Prediction(WrappedController):
     """A controller that is told the state of now instead of that of `delay` (s) ago, predicted by a model.
 
-    dead_time, lag: of commands (s). The model is that of the MPC inside; without one, the rigid body alone.
+    dead_time, lag: of commands (s). reach: largest delay, and how long commands may act (s), where `tune` changes them
+    in flight. The model is that of the MPC inside; without one, the rigid body alone.
     """
 
-    def __init__(self, inner: Controller, delay: float, dead_time: float, lag: float) -> None:
+    def __init__(
+        self, inner: Controller, delay: float, dead_time: float, lag: float, reach: tuple[float, float] | None = None
+    ) -> None:
         super().__init__(inner)
         self.delay, self.dead_time, self.lag = delay, dead_time, lag
+        largest, memory = reach or (delay, dead_time + SETTLED * lag)
         model = getattr(innermost(inner), "mpc", None)
         residual = no_residual(self.vehicle) if model is None else model.residual
-        parts = math.ceil(delay / STEP - 1e-9)
+        parts = math.ceil(largest / STEP - 1e-9)
         self.commands = SentCommands(
-            self.vehicle.n_rotors, self.control_period, delay + dead_time + SETTLED * lag + self.control_period
+            self.vehicle.n_rotors, self.control_period, largest + memory + self.control_period
         )
         self._predict: BufferedFunction | None = None
         if parts:
             shared = {} if model is None else {"theta": model.parameters}
-            function = _function(self.vehicle, residual, parts, inner.backend)
+            function = prediction_on(self.vehicle, residual, parts, inner.backend)
             self._predict = BufferedFunction(function, shared)
             self._arguments = self._predict.arguments
             if model is None:
                 self._arguments["theta"][...] = residual.theta
-        self._since = 0
+        self._since, self._shown = 0, -1.0
+        self._inverse_inertia = np.linalg.inv(self.vehicle.inertia_matrix)
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
@@ -69,6 +74,10 @@ class Prediction(WrappedController):
         thrust, record = super().step(measurement._replace(state=self.now(measurement.state)), window)
         self.commands.record(thrust)
         return thrust, record
+
+    def tune(self, delay: float, dead_time: float, lag: float) -> None:
+        """Go on with others."""
+        self.delay, self.dead_time, self.lag, self._shown = delay, dead_time, lag, -1.0
 
     def now(self, x: np.ndarray) -> np.ndarray:
         """The state of this instant, (13,), of the measured one; to be called once an instant."""
@@ -84,7 +93,8 @@ class Prediction(WrappedController):
         belief = believed(self.inner)
         if belief is not None:
             arguments["wind"][:], arguments["scale"][0] = belief.wind, belief.thrust_scale - 1
-            arguments["force"][:], arguments["torque"][:] = belief.force, belief.torque
+            arguments["push"][:3] = belief.force / self.vehicle.mass
+            arguments["push"][3:] = self._inverse_inertia @ belief.torque
         self._predict()
         return self._predict.results["now"].copy()
 
@@ -117,7 +127,7 @@ def around(controller: Controller, config: PredictionConfig) -> Controller:
 _built: dict[tuple[Any, ...], ca.Function] = {}
 
 
-def _function(vehicle: Vehicle, residual: Residual, parts: int, backend: str) -> ca.Function:
+def prediction_on(vehicle: Vehicle, residual: Residual, parts: int, backend: str) -> ca.Function:
     """`prediction` on a back end; built once per process and structure."""
     key = (vehicle.fingerprint, residual.function.serialize(), parts, backend)
     if key not in _built:
@@ -129,16 +139,15 @@ def prediction(vehicle: Vehicle, residual: Residual, parts: int) -> ca.Function:
     """The model's state after held thrusts, in a believed world.
 
     Inputs: x (13,); thrusts (n, parts) (N), the first to act first; dt (parts,), for how long each acts (s); theta of
-    the residual; wind (3,), world (m/s); force (3,), world (N); torque (3,), body (N m); scale of the thrusts less 1.
+    the residual; wind (3,), world (m/s); push (6,): acceleration, world (m/s^2), and angular acceleration, body
+    (rad/s^2), beyond the model; scale of the thrusts less 1.
     """
     n = vehicle.n_rotors
     model = corrected_function(vehicle, residual)
     x, dt = ca.MX.sym("x", N_STATE), ca.MX.sym("dt", parts)
     thrusts, theta = ca.MX.sym("thrusts", n, parts), ca.MX.sym("theta", residual.function.size1_in(1))
-    wind, force, torque, scale = (ca.MX.sym(name, size) for name, size in WORLD.items())
-    pushed = ca.vertcat(
-        wind, ca.MX(4, 1), force / vehicle.mass, ca.mtimes(ca.inv(ca.DM(vehicle.inertia_matrix)), torque)
-    )
+    wind, push, scale = (ca.MX.sym(name, size) for name, size in WORLD.items())
+    pushed = ca.vertcat(wind, ca.MX(4, 1), push)
 
     def slope(s: ca.MX, held: ca.MX) -> ca.MX:
         return model(s, held, theta) + pushed
@@ -149,8 +158,8 @@ def prediction(vehicle: Vehicle, residual: Residual, parts: int) -> ca.Function:
     q = state[ATTITUDE]
     now = ca.vertcat(state[: ATTITUDE.start], q / ca.norm_2(q), state[VELOCITY] + wind, state[VELOCITY.stop :])
     arguments = {"x": x, "thrusts": thrusts, "dt": dt, "theta": theta}
-    arguments |= dict(zip(WORLD, (wind, force, torque, scale), strict=True))
+    arguments |= dict(zip(WORLD, (wind, push, scale), strict=True))
     return ca.Function("delay_prediction", [*arguments.values()], [now], [*arguments], ["now"])
 
 
-WORLD = {"wind": 3, "force": 3, "torque": 3, "scale": 1}  # of a belief, and the size of each
+WORLD = {"wind": 3, "push": 6, "scale": 1}  # of a belief, and the size of each

@@ -34,10 +34,10 @@ from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 class Strapdown(WrappedController):
     """A controller that is told position, velocity and attitude of now instead of those of `delay` (s) ago."""
 
-    def __init__(self, inner: Controller, delay: float) -> None:
+    def __init__(self, inner: Controller, delay: float, largest: float | None = None) -> None:
         super().__init__(inner)
-        self.delay = delay
-        self._periods = math.ceil(delay / self.control_period - 1e-9)
+        self.delay = delay  # may change in flight, up to `largest`
+        self._periods = math.ceil((largest or delay) / self.control_period - 1e-9)
         self._since = 0
         if self._periods:
             function = _function(self._periods, self.vehicle.gravity, self.control_period, inner.backend)

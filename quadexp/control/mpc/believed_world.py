@@ -48,6 +48,10 @@ class BelievedWorld:
         self._scale = 1.0
         self.reset()
 
+    def retime(self, node_times: np.ndarray) -> None:
+        """Use other times of the reference, (k,) (s) from the measurement on, from the next step on."""
+        self._enter.arguments["times"][...] = node_times
+
     def reset(self) -> None:
         """Begin a flight in the world of the model."""
         self.belief = no_belief()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from quadexp.control.mpc.believed_world import BelievedWorld
 from quadexp.control.mpc.dead_time import DeadTimePredictor
 from quadexp.control.mpc.motor_lead import MotorLead
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
+from quadexp.control.mpc.settings import MPCSettings
 from quadexp.physics.state import N_STATE, POSITION
 
 
@@ -29,7 +31,7 @@ class PredictiveController:
         self.vehicle, self.settings, self.backend = mpc.vehicle, mpc.settings, mpc.backend
         self.control_period = mpc.settings.control_period
         self.node_times = mpc.settings.dead_time + mpc.node_times  # the first is when a command sent now begins to act
-        self.predictor = DeadTimePredictor(mpc) if mpc.settings.dead_time or mpc.settings.known_lag else None
+        self.predictor: Any = DeadTimePredictor(mpc) if mpc.settings.dead_time or mpc.settings.known_lag else None
         self.lead = MotorLead(mpc.vehicle, mpc.settings) if mpc.settings.motor_lead else None
         self._prepared: Window | None = None
         self.name, self.source = mpc.residual.name, mpc.residual.source
@@ -62,6 +64,17 @@ class PredictiveController:
         if self.believed is None:
             self.believed = BelievedWorld(self.mpc, self.node_times, targets=self.targets, air=self.residual)
         self.believed.belief = belief
+
+    def use(self, settings: MPCSettings, predictor: Any, lead: MotorLead | None) -> None:
+        """Go on with other settings, see ModelPredictiveController.use, and what they know of dead time and lag.
+
+        predictor: as DeadTimePredictor, for settings.dead_time and settings.motor_lead; None: there is neither.
+        """
+        self.mpc.use(settings)
+        self.settings, self.predictor, self.lead, self._prepared = settings, predictor, lead, None
+        self.node_times = settings.dead_time + self.mpc.node_times
+        if self.believed is not None:
+            self.believed.retime(self.node_times)
 
     def prepare(self, window: Window) -> None:
         """Do what the next step can do before its measurement; `step` with this window, the same object, is faster.
