@@ -2,9 +2,10 @@
 
     python -m benchmarks.remedies [--rounds 20] [--json]
 
-Each contestant is the whole step of a controller as called from Python, on what it was asked in a flight on the circle in
-wind; a round is one pass of each over its own record, so that a slow moment of the machine meets all. Printed are the
-medians over the rounds of the median step, and their ratios to the first row, in one run.
+Each contestant is the whole step of a controller as called from Python, on what it was asked in a flight on the circle,
+in wind and with the dead time that it knows; a round is one pass of each over its own record, so that a slow moment of
+the machine meets all. Printed are the medians over the rounds of the median step, and their ratios to the first row, in
+one run.
 """
 
 from __future__ import annotations
@@ -63,7 +64,9 @@ def contestants(vehicle: Vehicle) -> dict[str, Controller]:
 
 def flown(vehicle: Vehicle, controller: Controller) -> Log:
     """What a controller is asked on the circle in a gusty wind."""
-    world = build_world(compose(["world=only_wind"]), vehicle)
+    late = controller.node_times[0]
+    link = [f"link.latency={late}", "link=latency"] if late else []
+    world = build_world(compose(["world=only_wind", *link]), vehicle)
     reference, rng = SampledReference(Circle(speed=8.0), controller), np.random.default_rng(0)
     x, reading = reference.along()[0][0], None
     noise = world.begin(x, controller.control_period, float(reference.t[-1]) + 1.0, rng)

@@ -47,6 +47,11 @@ class IdentifiedDelayConfig(RemedyConfig):
     remedy = "quadexp.control.delay.identified:around"
 
     after: Annotated[
-        float, Setting("time of the flight in which delays are looked for at first; then twice that, ..", "[2, 60]", "s")
+        float,
+        Setting(
+            "time of the flight in which delays are looked for at first; then each time half as long again",
+            "[2, 60]",
+            "s",
+        ),
     ] = 3.0
     assumed: Annotated[float, Setting("dead time that is predicted until they are known", "[0, 0.1]", "s")] = 0.03

@@ -184,7 +184,12 @@ SCHEMAS: dict[str, dict[str, type]] = {
     },
     "adaptive": {"none": RemedyConfig},
     "inner": {"none": RemedyConfig},
-    "delay": {"none": RemedyConfig, "strapdown": StrapdownConfig, "prediction": PredictionConfig, "identified": IdentifiedDelayConfig},
+    "delay": {
+        "none": RemedyConfig,
+        "strapdown": StrapdownConfig,
+        "prediction": PredictionConfig,
+        "identified": IdentifiedDelayConfig,
+    },
     "collect": {"flights": CollectConfig},
     "gp": {"sparse": GPConfig},
     "drag": {"linear": DragConfig},

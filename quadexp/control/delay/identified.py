@@ -2,7 +2,7 @@
 
     at first    the published grid with soft weights (`soft`), which stands some 50 ms that nobody told it; dead time
                 `assumed`, the middle of what it stands
-    at times    delay.after, then 2, 4, .. times that, until both are known to FINE_ENOUGH: timing.find_delays on what
+    at times    delay.after, then each time half as long again, until both are known to FINE_ENOUGH: timing.find_delays on what
                 was told and sent so far
     then        the state is brought to now (by gyroscope and accelerometer where the rates are fresh, by the model
                 otherwise), the dead time predicted and the motors' lag inverted; and the grid and weights are those of
@@ -28,7 +28,6 @@ from quadexp.control.delay.prediction import STEP, Prediction, prediction_on
 from quadexp.control.delay.sent_commands import SETTLED, SentCommands
 from quadexp.control.delay.strapdown import Strapdown
 from quadexp.control.delay.timing import LEAST, Delays, Stream, find_delays
-from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.dead_time import DeadTimePredictor
 from quadexp.control.mpc.motor_lead import MotorLead
@@ -60,6 +59,7 @@ class Identified(WrappedController):
         self._prediction = Prediction(inner, 0.0, 0.0, 0.0, (LARGEST, memory))
         self._strapdown = Strapdown(inner, 0.0, LARGEST)
         self._ahead = CommandsAhead(self._core.mpc)
+        self._observers = [one for one in layers(inner) if hasattr(one, "be_cautious")]
         longest = LARGEST + max(self._own.horizon, self._soft.horizon)
         self._spacing = self.control_period / GRID
         self.node_times = self._spacing * np.arange(math.ceil(longest / self._spacing) + 2)
@@ -80,12 +80,15 @@ class Identified(WrappedController):
         inside = self._inside(window)
         for one in (self._prediction, self._strapdown):
             one.reset(x, inside)
+        self._prediction.tune(0.0, 0.0, 0.0)
+        self._be_cautious(True, None)
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
         began = time.perf_counter()
         if len(self._records) == self._next:
-            self._look()
+            self._look(measurement.state)
+        self._tell_thrusts()
         now = self._prediction.now(measurement.state)
         fresh = self._strapdown.now(measurement)
         state = fresh if self._strapdown.delay else now
@@ -106,10 +109,22 @@ class Identified(WrappedController):
     def _aim(self) -> None:
         self._rows = np.round(self._core.node_times / self._spacing).astype(int)
 
-    def _look(self) -> None:
+    def _tell_thrusts(self) -> None:
+        """What the rotors deliver now, for an observer in the MPC's step."""
+        if self._core.believed is not None:
+            self._core.believed.thrust = self._delivered @ self._prediction.commands.values
+
+    def _be_cautious(self, cautious: bool, x: np.ndarray | None) -> None:
+        """Observers inside: whether they rely on the time of the thrusts."""
+        for one in self._observers:
+            one.be_cautious(cautious, x)
+        dead_time, lag = (self._config.assumed, 0.0) if cautious else (self._prediction.dead_time, self._prediction.lag)
+        self._delivered = self._prediction.commands.weights(np.zeros((1, 2)), dead_time, lag)[0]
+
+    def _look(self, x: np.ndarray) -> None:
         """Find the delays in what was told and sent so far, and make good what is known."""
         records = self._records[1:]
-        self._next *= 2
+        self._next += self._next // 2
         if len(records) < LEAST:
             return
         t, states, forces, commands = (np.array(one, float) for one in zip(*records, strict=True))
@@ -118,6 +133,7 @@ class Identified(WrappedController):
             self._make_young(found)
         if found.commands_known:
             self._make_early(found)
+            self._be_cautious(False, x)
         known = found.age_known and found.commands_known
         if known and max(found.age_error, found.dead_time_error) < FINE_ENOUGH:
             self._next = -1
@@ -135,10 +151,6 @@ class Identified(WrappedController):
         self._prediction.tune(self._prediction.delay, found.dead_time, lag)
         self._ahead.tune(dead_time, lag, self._prediction.commands.values * self._scale())
         self._core.use(settings, self._ahead, MotorLead(self.vehicle, settings) if lag else None)
-        for one in layers(self.inner):
-            if hasattr(one, "delivered"):
-                one.delivered = DeliveredThrust(self.vehicle, self.control_period, dead_time, lag)
-                one.delivered.reset(self._prediction.commands.values[-1])
         self._made_good = (self._made_good[0], self._made_good[1], dead_time, lag)
         self._aim()
 

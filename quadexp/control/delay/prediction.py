@@ -49,9 +49,7 @@ class Prediction(WrappedController):
         model = getattr(innermost(inner), "mpc", None)
         residual = no_residual(self.vehicle) if model is None else model.residual
         parts = math.ceil(largest / STEP - 1e-9)
-        self.commands = SentCommands(
-            self.vehicle.n_rotors, self.control_period, largest + memory + self.control_period
-        )
+        self.commands = SentCommands(self.vehicle.n_rotors, self.control_period, largest + memory + self.control_period)
         self._predict: BufferedFunction | None = None
         if parts:
             shared = {} if model is None else {"theta": model.parameters}

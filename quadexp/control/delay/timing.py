@@ -34,7 +34,7 @@ LARGEST_AGE, LARGEST_DEAD_TIME, LARGEST_LAG = 0.1, 0.1, 0.15  # s
 WORTH = 8.0  # log likelihood that one more constant must bring to be real
 LEAST = 100  # readings
 OVERLAP = 6.0  # samples that tell the same, in spans that overlap
-KNOWN = 0.005  # s, standard error up to which a delay counts as known
+KNOWN, KNOWN_AGE = 0.005, 0.003  # s, standard errors up to which delays of commands and of the state count as known
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Delays:
     @property
     def age_known(self) -> bool:
         """Whether these data tell the age."""
-        return self.age_error <= KNOWN
+        return self.age_error <= KNOWN_AGE
 
     @property
     def commands_known(self) -> bool:
@@ -262,7 +262,8 @@ class _Commands:
         slopes = [((self._left(found + step * e) - left) / (noise * step)).ravel() for e in np.eye(3)]
         normal = np.stack(slopes) @ np.stack(slopes).T
         covariance = np.linalg.inv(normal + np.eye(3) / 0.1**2)  # 100 ms before anything is known
-        return found, np.sqrt(np.diag(covariance))
+        together = float(found.sum() + np.sqrt(covariance.sum()))  # none is negative: none is more than all of them
+        return found, np.minimum(np.sqrt(np.diag(covariance)), max(together, 0.0))
 
 
 def _remains(target: np.ndarray, design: np.ndarray) -> np.ndarray:
