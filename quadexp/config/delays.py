@@ -32,7 +32,13 @@ class PredictionConfig(DelayKeys, RemedyConfig):
     remedy = "quadexp.control.delay.prediction:around"
 
     dead_time: Annotated[
-        float | None, Setting("dead time of commands; null: what the controller predicts itself", "[0, 0.5]", "s")
+        float | None,
+        Setting(
+            "dead time of commands; null: what the controller predicts itself; one that is no MPC is told the state and"
+            " the reference after it",
+            "[0, 0.5]",
+            "s",
+        ),
     ] = None
     motor_lag: Annotated[
         float | None, Setting("time constant of the rotors; null: what the controller knows itself", "[0, 0.5]", "s")

@@ -2,8 +2,8 @@
 
     at first    the published grid with soft weights (`soft`), which stands some 50 ms that nobody told it; dead time
                 `assumed`, the middle of what it stands
-    at times    delay.after, then each time half as long again, until both are known to FINE_ENOUGH: timing.find_delays on what
-                was told and sent so far
+    at times    delay.after, then each time half as long again, until all are known to FINE_ENOUGH: timing.find_delays
+                on what was told and sent so far
     then        the state is brought to now (by gyroscope and accelerometer where the rates are fresh, by the model
                 otherwise), the dead time predicted and the motors' lag inverted; and the grid and weights are those of
                 the controller's own settings
@@ -203,9 +203,9 @@ class CommandsAhead:
 
 def soft(settings: MPCSettings, dead_time: float) -> MPCSettings:
     """The published grid and weights, for a controller that does not know its delays; nodes remain as many."""
-    position = tuple(min(weight, SOFT_WEIGHT) for weight in settings.position_weight)
+    x, y, z = (min(weight, SOFT_WEIGHT) for weight in settings.position_weight)
     horizon = settings.nodes * max(0.1, settings.control_period)
-    return replace(settings, first_node=0.0, horizon=horizon, position_weight=position, dead_time=dead_time)
+    return replace(settings, first_node=0.0, horizon=horizon, position_weight=(x, y, z), dead_time=dead_time)
 
 
 def around(controller: Controller, config: IdentifiedDelayConfig) -> Controller:
@@ -214,8 +214,8 @@ def around(controller: Controller, config: IdentifiedDelayConfig) -> Controller:
     core = innermost(controller)
     if type(core) is not PredictiveController:
         raise UsageError(
-            f"delay={config.name}: {controller.name} is no MPC whose grid can follow what is found; find the delays with"
-            " `quadexp identify --method delays FLIGHT` and give them: delay=prediction or delay=strapdown"
+            f"delay={config.name}: {controller.name} is no MPC whose grid can follow what is found; find the delays"
+            " with `quadexp identify --method delays FLIGHT` and give them: delay=prediction or delay=strapdown"
         )
     if controller.control_period != core.control_period:
         raise UsageError(f"delay={config.name}: not around an inner loop with a rate of its own; give delay.time")

@@ -7,6 +7,9 @@ the dead time and lag of the commands (sent_commands.py). Where an observer is i
 believes in: v' = F_air(v - w, s T) + F / m .., see control.belief. The prediction starts from the newest measurement
 at every instant (not Smith's form, whose model drifts). It needs no gyroscope and no accelerometer, but a model: an
 error a of its acceleration leaves a tau^2 / 2 in the position.
+
+An MPC predicts the dead time of its commands itself. Any other controller is told the state, and the reference, of the
+time at which its command begins to act: phi goes on over the dead time, under the commands that have been sent.
 """
 
 from __future__ import annotations
@@ -48,7 +51,9 @@ class Prediction(WrappedController):
         largest, memory = reach or (delay, dead_time + SETTLED * lag)
         model = getattr(innermost(inner), "mpc", None)
         residual = no_residual(self.vehicle) if model is None else model.residual
-        parts = math.ceil(largest / STEP - 1e-9)
+        self.ahead = dead_time if model is None else 0.0  # an MPC predicts the dead time itself
+        self.node_times = inner.node_times + self.ahead
+        parts = math.ceil((largest + self.ahead) / STEP - 1e-9)
         self.commands = SentCommands(self.vehicle.n_rotors, self.control_period, largest + memory + self.control_period)
         self._predict: BufferedFunction | None = None
         if parts:
@@ -65,11 +70,12 @@ class Prediction(WrappedController):
         """See Controller.reset."""
         self._since, self._shown = 0, -1.0
         self.commands.reset(np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max))
-        super().reset(x, window)
+        super().reset(x, self._later(window))
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
-        thrust, record = super().step(measurement._replace(state=self.now(measurement.state)), window)
+        state = self.now(measurement.state)
+        thrust, record = super().step(measurement._replace(state=state), self._later(window))
         self.commands.record(thrust)
         return thrust, record
 
@@ -81,7 +87,7 @@ class Prediction(WrappedController):
         """The state of this instant, (13,), of the measured one; to be called once an instant."""
         late = min(self.delay, self._since * self.control_period)
         self._since += 1
-        if self._predict is None or not late:
+        if self._predict is None or not late + self.ahead:
             return x
         arguments = self._arguments
         if late != self._shown:
@@ -96,10 +102,21 @@ class Prediction(WrappedController):
         self._predict()
         return self._predict.results["now"].copy()
 
+    def _later(self, window: Window) -> Window:
+        """The reference when a command of now begins to act; states and inputs are asked for then."""
+        if not self.ahead:
+            return window
+        powers = [self.ahead**i / math.factorial(i) for i in range(len(window.position))]
+        position, yaw = (
+            np.stack([sum(p * row for p, row in zip(powers, one[i:], strict=False)) for i in range(len(one))])
+            for one in (window.position, window.yaw)
+        )
+        return window._replace(position=position, yaw=yaw)
+
     def _divide(self, late: float) -> None:
         """Parts of the time, and the weights of commands in each."""
-        ends = np.minimum(np.arange(len(self._arguments["dt"]) - 1, -1, -1) * STEP, late)
-        starts = np.minimum(ends + STEP, late)
+        before = np.arange(len(self._arguments["dt"]) - 1, -1, -1) * STEP  # from the end of the prediction
+        ends, starts = (np.minimum(one, late + self.ahead) - self.ahead for one in (before, before + STEP))
         self._weights = self.commands.weights(-np.stack([starts, ends], axis=1), self.dead_time, self.lag)
         self._arguments["dt"][:], self._shown = starts - ends, late
 
