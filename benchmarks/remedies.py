@@ -24,6 +24,8 @@ from benchmarks.step import make_residual
 from quadexp.config.compose import compose
 from quadexp.config.observers import DisturbanceObserverConfig, WindObserverConfig
 from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.delay.prediction import Prediction
+from quadexp.control.delay.strapdown import Strapdown
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
@@ -58,7 +60,15 @@ def contestants(vehicle: Vehicle) -> dict[str, Controller]:
         f"{CASE}, observer=disturbance": with_disturbance_observer(mpc(), disturbance),
         f"{CASE}, observer=wind without targets": with_wind_observer(mpc(), still),
         f"{CASE}, observer=wind": with_wind_observer(mpc(), wind),
+        f"{CASE}, observer=wind without targets, dead time predicted": with_wind_observer(mpc(dead_time=0.02), still),
         f"{CASE}, observer=wind, dead time predicted": with_wind_observer(mpc(dead_time=0.02), wind),
+        f"{CASE}, delay=strapdown (20 ms)": Strapdown(mpc(disturbed=False), 0.02),
+        f"{CASE}, delay=prediction (20 ms)": Prediction(mpc(disturbed=False), 0.02, 0.0, 0.0),
+        f"{CASE}, motor=lead": mpc(disturbed=False, motor_lead=0.03),
+        f"{CASE}, motor=states": mpc(disturbed=False, motor_lag=0.03),
+        f"{CASE}, observer=wind, dead time predicted, delay=prediction": Prediction(
+            with_wind_observer(mpc(dead_time=0.02), wind), 0.02, 0.02, 0.0
+        ),
     }
 
 

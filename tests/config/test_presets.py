@@ -27,6 +27,8 @@ def test_the_presets(controller):
     assert grid(f"controller={controller}") == grid(f"controller={controller}", "horizon=published") == published
     assert grid(f"controller={controller}", "horizon=precise") == (0.02, 0.6, 10, "deviation")
     assert grid(f"controller={controller}", "horizon=robust") == (0.06, 0.8, 10, "deviation")
+    assert grid(f"controller={controller}", "horizon=firm") == (0.04, 0.8, 10, "deviation")
+    assert grid(f"controller={controller}", "horizon=stiff") == grid(f"controller={controller}", "horizon=precise")
 
 
 def test_a_key_of_ones_own_is_over_the_preset():
@@ -34,8 +36,18 @@ def test_a_key_of_ones_own_is_over_the_preset():
     assert grid("controller.horizon=0.9", "horizon=robust") == (0.06, 0.9, 10, "deviation")
 
 
+@pytest.mark.parametrize("name, observer", [("wind", "wind"), ("offset_free", "disturbance")])
+def test_a_bundle_of_remedies_chooses_the_horizon_too(name, observer):
+    """And what is chosen beside it is over the bundle."""
+    config = compose([f"remedies={name}", "controller=gp_mpc"])
+    assert config.observer.name == observer and config.controller.position_weight == (200.0, 200.0, 200.0)
+    config = compose([f"remedies={name}", "controller=gp_mpc", "horizon=firm", "observer.torque_bandwidth=7"])
+    assert config.controller.position_weight == (50.0, 50.0, 50.0) and config.observer.torque_bandwidth == 7
+    assert record(compose([f"remedies={name}"])) == hydra_composes([f"remedies={name}"])
+
+
 @pytest.mark.parametrize("others", [[], ["experiment=quick"], ["experiment=torrente_table1"], ["vehicle=crazyflie"]])
-@pytest.mark.parametrize("horizon", ["published", "precise", "robust"])
+@pytest.mark.parametrize("horizon", ["published", "precise", "robust", "stiff"])
 def test_composed_as_hydra_itself_does(others, horizon):
     """Putting nodes together option by option is a shortcut: what comes out is Hydra's own composition."""
     choices = [*others, "controller=gp_mpc", f"horizon={horizon}"]
@@ -73,4 +85,4 @@ def test_a_preset_of_ones_own(tmp_path):
 
 def test_options_are_listed():
     with session() as composer:
-        assert composer.options("horizon") == ["precise", "published", "robust"]
+        assert composer.options("horizon") == ["firm", "precise", "published", "robust", "stiff"]

@@ -71,12 +71,17 @@ class BelievedWorld:
         sizes = (settings.nodes, settings.samples)
         function = _function(mpc.vehicle, model, estimator, mpc.backend, *sizes, targets)
         assert mpc.disturbance is not None
-        self._enter = BufferedFunction(function, {"theta": mpc.parameters}, {"disturbance": mpc.disturbance})
+        into = {"disturbance": mpc.disturbance}
+        in_place = mpc.reference[0].shape[1] == N_STATE  # no thrusts among the states
+        into |= dict(zip(("X_in", "U_in"), mpc.reference, strict=True)) if in_place else {}
+        self._enter = BufferedFunction(function, {"theta": mpc.parameters}, into)
         self._given = given = self._enter.arguments
         left = self._enter.results
         given["times"][...], given["period"][...] = node_times, settings.control_period
         self._x, self._X_ref, self._U_ref, self._memory = (given[name] for name in ("x", "X_ref", "U_ref", "memory"))
-        self._x_in, self._X_in, self._U_in = (left[name] for name in ("x_in", "X_in", "U_in"))
+        self._x_in, self._X_in, self._U_in = left["x_in"], left["X_in"], left["U_in"]
+        if in_place:
+            self._X_in, self._U_in = mpc.reference
         self._next, self._found, self._change = left["memory_next"], left["found"], left["change"]
         self._since = (settings.dead_time + settings.node_times)[:, None]
         self._coefficient = mpc.vehicle.thrust_coefficient

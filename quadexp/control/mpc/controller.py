@@ -111,15 +111,16 @@ class PredictiveController:
             x, acting = x[:N_STATE], x[N_STATE:]
         if world is None:
             thrust, record = self._answer(x, window)
+            record = StepRecord(time.perf_counter() - began, *record[1:])
         else:
-            thrust, record = self.mpc.command(x, self._within_reach(x, states), inputs)
+            thrust, record = self.mpc.command(x, self._within_reach(x, states), inputs, began=began)
         if self.lead is not None:
             thrust = self.lead.command(thrust, acting)
         if predictor is not None:
             predictor.record(thrust)  # in a believed world: what is delivered of the command
         if world is not None:
             thrust = world.leave(thrust)
-        return thrust, StepRecord(time.perf_counter() - began, *record[1:])
+        return thrust, record
 
     def _answer(self, x: np.ndarray, window: Window) -> tuple[np.ndarray, StepRecord]:
         """x: predicted state when the command begins to act; window: the reference from then on."""

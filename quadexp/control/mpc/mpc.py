@@ -151,6 +151,11 @@ class ModelPredictiveController:
         given["u_min"][...], given["u_max"][...] = scale * vehicle.thrust_min, scale * vehicle.thrust_max
 
     @property
+    def reference(self) -> tuple[np.ndarray, np.ndarray]:
+        """The arrays of the reference, states (s N + 1, m) and inputs (s N, n); `command` takes them as they are."""
+        return self._X_ref, self._U_ref
+
+    @property
     def functions(self) -> tuple[BufferedFunction, Solver]:
         """The control step and the solver of the bounded subproblem, with the arrays that `command` works on."""
         return self._step, self._active_set.solver
@@ -177,22 +182,29 @@ class ModelPredictiveController:
         self._cold, self.prepared = True, False
 
     def _set_reference(self, state_reference: np.ndarray, input_reference: np.ndarray) -> None:
-        self._X_ref_body[...] = state_reference
-        self._U_ref[...] = input_reference
+        if state_reference is not self._X_ref:  # else it is in place already
+            self._X_ref_body[...] = state_reference
+            self._U_ref[...] = input_reference
         if not math.isfinite(self._X_ref_flat.dot(self._X_ref_flat) + self._U_ref_flat.dot(self._U_ref_flat)):
             raise QuadexpError("the reference is not finite")
 
     def command(
-        self, x0: np.ndarray, state_reference: np.ndarray, input_reference: np.ndarray
+        self,
+        x0: np.ndarray,
+        state_reference: np.ndarray,
+        input_reference: np.ndarray,
+        *,
+        began: float | None = None,
     ) -> tuple[np.ndarray, StepRecord]:
         """Rotor thrusts (n,) (N) for the measured state, and the record of the step.
 
         x0: (13,), unit quaternion; with settings.motor_lag (13 + n,), the rotors' thrusts (N) behind it.
         state_reference: (s N + 1, 13) at `node_times` from now; input_reference: (s N, n) (N); s as in MPCSettings.
+        began: from when on its time counts (time.perf_counter), where something was done for it before.
         Raises QuadexpError for a measurement or a reference that is not finite. A step that fails returns the last
         solution's first input with status FAILED; the caller decides what to do.
         """
-        began = time.perf_counter()
+        began = time.perf_counter() if began is None else began
         if not math.isfinite(sum(x0.tolist())):
             raise QuadexpError("the measured state is not finite")
         self._x0[...] = x0

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -196,6 +199,22 @@ def test_a_flight_begins_without_a_belief(vehicle, rng):
     controller.believe(Belief(np.ones(3), np.full(3, 0.1), np.ones(3), 0.9))
     controller.step(Measurement(0.02, x, None, None), window)
     assert first_thrust() == pytest.approx(before, abs=1e-9)
+
+
+def test_a_belief_compiles_nothing_again(vehicle, rng):
+    """Beliefs of every kind after the first are numbers in arrays."""
+    controller = controller_of(vehicle, make_residual("linear_drag", vehicle), backend="auto", dead_time=0.02)
+    x, window = a_window(controller, rng)
+    controller.reset(x, window)
+    controller.believe(Belief(np.zeros(3), np.zeros(3), np.zeros(3)))
+    controller.step(Measurement(0.0, x, None, None), window)
+    before = {*Path(os.environ["QUADEXP_CACHE"]).rglob("*.so")}
+    thrusts = []
+    for _ in range(3):
+        controller.believe(Belief(*(rng.normal(size=3) * [[2], [0.05], [3]]), 1 + 0.1 * rng.normal()))
+        thrusts.append(controller.step(Measurement(0.02, x, None, None), window)[0])
+    assert {*Path(os.environ["QUADEXP_CACHE"]).rglob("*.so")} == before
+    assert np.abs(np.diff(thrusts, axis=0)).min() > 0
 
 
 def test_a_model_without_a_disturbance_says_so(vehicle, rng):
