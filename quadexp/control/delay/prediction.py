@@ -15,6 +15,7 @@ time at which its command begins to act: phi goes on over the dead time, under t
 from __future__ import annotations
 
 import math
+import time
 from typing import Any
 
 import casadi as ca
@@ -27,13 +28,13 @@ from quadexp.config.delays import PredictionConfig
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.delay.sent_commands import SETTLED, SentCommands
 from quadexp.control.mpc.mpc import StepRecord
-from quadexp.control.wrapped import WrappedController, innermost
+from quadexp.control.wrapped import WrappedController, innermost, layers
 from quadexp.physics.integrator import rk4_step_with_input
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
-STEP = 0.01  # s, of the integration
+STEP = 0.02  # s, of the integration
 
 
 class Prediction(WrappedController):
@@ -50,6 +51,7 @@ class Prediction(WrappedController):
         self.delay, self.dead_time, self.lag = delay, dead_time, lag
         largest, memory = reach or (delay, dead_time + SETTLED * lag)
         model = getattr(innermost(inner), "mpc", None)
+        self._observer: Any = next((one for one in layers(inner) if hasattr(one, "belief")), None)
         residual = no_residual(self.vehicle) if model is None else model.residual
         self.ahead = dead_time if model is None else 0.0  # an MPC predicts the dead time itself
         self.node_times = inner.node_times + self.ahead
@@ -70,14 +72,16 @@ class Prediction(WrappedController):
         """See Controller.reset."""
         self._since, self._shown = 0, -1.0
         self.commands.reset(np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max))
-        super().reset(x, self._later(window))
+        super().reset(x, self._later(window) if self.ahead else window)
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
-        state = self.now(measurement.state)
-        thrust, record = super().step(measurement._replace(state=state), self._later(window))
+        began = time.perf_counter()
+        t, x, force, speed = measurement
+        now = Measurement(t, self.now(x), force, speed)
+        thrust, record = self.inner.step(now, self._later(window) if self.ahead else window)
         self.commands.record(thrust)
-        return thrust, record
+        return thrust, StepRecord(time.perf_counter() - began, *record[1:])
 
     def tune(self, delay: float, dead_time: float, lag: float) -> None:
         """Go on with others."""
@@ -94,8 +98,8 @@ class Prediction(WrappedController):
             self._divide(late)
         arguments["x"][:] = x
         np.matmul(self._weights, self.commands.values, out=arguments["thrusts"])
-        belief = believed(self.inner)
-        if belief is not None:
+        if self._observer is not None:
+            belief = self._observer.belief
             arguments["wind"][:], arguments["scale"][0] = belief.wind, belief.thrust_scale - 1
             arguments["push"][:3] = belief.force / self.vehicle.mass
             arguments["push"][3:] = self._inverse_inertia @ belief.torque
@@ -104,8 +108,6 @@ class Prediction(WrappedController):
 
     def _later(self, window: Window) -> Window:
         """The reference when a command of now begins to act; states and inputs are asked for then."""
-        if not self.ahead:
-            return window
         powers = [self.ahead**i / math.factorial(i) for i in range(len(window.position))]
         position, yaw = (
             np.stack([sum(p * row for p, row in zip(powers, one[i:], strict=False)) for i in range(len(one))])
@@ -119,15 +121,6 @@ class Prediction(WrappedController):
         ends, starts = (np.minimum(one, late + self.ahead) - self.ahead for one in (before, before + STEP))
         self._weights = self.commands.weights(-np.stack([starts, ends], axis=1), self.dead_time, self.lag)
         self._arguments["dt"][:], self._shown = starts - ends, late
-
-
-def believed(controller: Any) -> Any:
-    """What an observer inside believes (control.belief), None where there is none."""
-    while isinstance(controller, WrappedController):
-        if hasattr(controller, "belief"):
-            return controller.belief
-        controller = controller.inner
-    return None
 
 
 def around(controller: Controller, config: PredictionConfig) -> Controller:

@@ -16,6 +16,7 @@ from quadexp.control.delay.prediction import Prediction
 from quadexp.control.delay.sent_commands import SentCommands
 from quadexp.control.mpc import mpc as landed
 from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.wrapped import WrappedController
 from quadexp.physics.rigid_body import corrected_function
@@ -73,7 +74,7 @@ class Told(WrappedController):
 
     def step(self, measurement, window):
         self.states.append(measurement.state)
-        return next(self.commands), None
+        return next(self.commands), StepRecord(0.0, 0, 0, 0, 0.0)
 
 
 def made(vehicle, residual, **settings):
@@ -152,7 +153,7 @@ class Plain:
 
     def step(self, measurement, window):
         self.told.append((measurement.state, window))
-        return next(self.commands), None
+        return next(self.commands), StepRecord(0.0, 0, 0, 0, 0.0)
 
 
 @pytest.mark.parametrize("age", [0.0, 0.015])
