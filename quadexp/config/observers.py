@@ -82,12 +82,16 @@ class WindObserverKeys(ObserverKeys):
     noise: Annotated[
         Triple,
         Setting(
-            "standard deviation of the accelerometer's readings from the model, body axes; a large one on z where"
-            " thrust comes late and the delay is not known",
+            "standard deviation of the accelerometer's readings from the model, body axes; a large one on z, where"
+            " thrust that comes late or is scaled would be taken for wind",
             "(0, 1000]",
             "m/s^2",
         ),
-    ] = (0.1, 0.1, 0.3)
+    ] = (0.1, 0.1, 3.0)
+    force_bandwidth: Annotated[
+        float,
+        Setting("bandwidth of the force that the wind leaves unexplained; 0: none", "[0, 1000]", "rad/s"),
+    ] = 25.0
     wind_walk: Annotated[
         float, Setting("how fast the wind changes: standard deviation that it gains in a second", "[0, 100]", "m/s")
     ] = 1.5
@@ -101,10 +105,10 @@ class WindObserverKeys(ObserverKeys):
             "how fast the thrust scale changes: standard deviation that it gains in a second; 0: it is not estimated",
             "[0, 1]",
         ),
-    ] = 0.0
+    ] = 0.005
     scale_initial: Annotated[
         float, Setting("standard deviation of the thrust scale when a flight begins", "[0, 1]")
-    ] = 0.1
+    ] = 0.05
     least_bandwidth: Annotated[
         float,
         Setting(

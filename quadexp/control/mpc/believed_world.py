@@ -31,6 +31,7 @@ from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 N_BELIEF = 10  # force, torque, wind, thrust scale
+ROUNDING = 1e-15  # of a limit: a delivered thrust at it gives a command within the rotor's, however it is rounded
 MOVED = 0.5  # m/s: with a smaller change of the wind the last solution is a good guess as it is
 
 
@@ -71,7 +72,8 @@ class BelievedWorld:
         sizes = (settings.nodes, settings.samples)
         function = _function(mpc.vehicle, model, estimator, mpc.backend, *sizes, targets)
         assert mpc.disturbance is not None
-        into = {"disturbance": mpc.disturbance}
+        step, _ = mpc.functions
+        into = {"disturbance": mpc.disturbance, "low": step.arguments["u_min"], "high": step.arguments["u_max"]}
         in_place = mpc.reference[0].shape[1] == N_STATE  # no thrusts among the states
         into |= dict(zip(("X_in", "U_in"), mpc.reference, strict=True)) if in_place else {}
         self._enter = BufferedFunction(function, {"theta": mpc.parameters}, into)
@@ -101,7 +103,8 @@ class BelievedWorld:
         self._mpc.set_disturbance(np.zeros(6))
         self._memory[...] = self._found[...] = 0.0
         self._found[-1] = 1.0
-        self._rescale(1.0)
+        self._mpc.set_thrust_scale(1.0)
+        self._scale = 1.0
         if self._estimator is None or begin is None:
             return
         given, thrust = self._enter.arguments, self._mpc.prediction[1][0]
@@ -145,18 +148,15 @@ class BelievedWorld:
         self._enter()
         self._mpc.prepared = False  # the disturbance is another
         self._memory[...] = self._next
-        scale, change = self._found.item(9), self._change.item(3)
-        if scale != self._scale:
-            self._rescale(scale)
-        if change > MOVED:
+        self._scale = self._found.item(9)
+        if self._change.item(3) > MOVED:
             self._move(self._change[:3])
         return self._x_in, self._X_in, self._U_in
 
     def leave(self, thrust: np.ndarray) -> np.ndarray:
         """The command, (n,) (N), that delivers a planned thrust."""
         if self._scale != 1.0:
-            vehicle = self._mpc.vehicle
-            thrust = np.clip(thrust / self._scale, vehicle.thrust_min, vehicle.thrust_max)
+            thrust = thrust / self._scale
         if self._estimator is not None:
             self._enter.arguments["sent"][...] = thrust
         return thrust
@@ -166,11 +166,6 @@ class BelievedWorld:
         X = self._mpc.prediction[0]
         X[:, VELOCITY] -= change
         X[:, POSITION] -= change * (self._since - self._mpc.settings.control_period)
-
-    def _rescale(self, scale: float) -> None:
-        if scale != self._scale:
-            self._mpc.set_thrust_scale(scale)
-            self._scale = scale
 
 
 class Layout:
@@ -224,7 +219,8 @@ def enter_function(
     memory, see Layout; belief (10,), or with an estimator: reading (3,), measured (n,), thrusts by rotor speeds (N),
     known (2,), whether these two are, sent (n,), the last command (N), settings, delays (see Delays); theta (p,), where
     the model or the estimator has parameters.
-    Outputs: x_in, X_in, U_in: the same in the plan's frame; disturbance (6,); found (10,), the belief; change (4,): of
+    Outputs: x_in, X_in, U_in: the same in the plan's frame; disturbance (6,); low, high (n,), limits of delivered
+    thrusts (N); found (10,), the belief; change (4,): of
     the wind, and its size (m/s); memory_next.
     """
     n, rows, layout = vehicle.n_rotors, samples * nodes + 1, Layout(vehicle, nodes, estimator)
@@ -245,7 +241,7 @@ def enter_function(
     found = a.get("belief")
     if estimator is not None:
         found, left = _estimated(a, kept, estimator, n)
-    force, torque, wind, _ = ca.vertsplit(found, [0, 3, 6, 9, 10])
+    force, torque, wind, scale = ca.vertsplit(found, [0, 3, 6, 9, 10])
     spin = ca.mtimes(ca.inv(ca.DM(vehicle.inertia_matrix)), torque)
     disturbance = ca.vertcat(force / vehicle.mass, spin)
     origin = kept["origin"] + a["period"] * kept["wind"]
@@ -269,6 +265,8 @@ def enter_function(
     x_in = ca.vertcat(x[POSITION] - origin, x[ATTITUDE], x[VELOCITY] - wind, x[RATE])
     memory = {"origin": origin, "wind": wind, "air": air} | left
     results = {"x_in": x_in, "X_in": X_in, "U_in": U_in, "disturbance": disturbance, "found": found}
+    low, high = (1 + ROUNDING) * vehicle.thrust_min, (1 - ROUNDING) * vehicle.thrust_max
+    results |= {"low": scale * low * ca.DM.ones(n), "high": scale * high * ca.DM.ones(n)}
     results |= {"change": ca.vertcat(change, ca.norm_2(change))}
     results |= {"memory_next": ca.vertcat(*(memory[name] for name in layout.slices))}
     return ca.Function("believed_world", [*a.values()], [*results.values()], [*a], [*results])

@@ -6,8 +6,9 @@
     K = P- H' S^-1,   [w, k] += K (f - f^),   P = (1 - K H) P-
 
 da/dv is the model's own Jacobian, so what is called wind is whatever air velocity makes the model explain the reading.
-k, the error of the thrust scale, is estimated where observer.scale_walk is not 0. P of the wind is not let beyond its
-initial value where a hovering vehicle feels no drag.
+k, the error of the thrust scale, is estimated where observer.scale_walk is not 0. What both leave of the reading goes
+through a low pass of observer.force_bandwidth into a force of the world, as by the disturbance observer; the filter
+knows nothing of it. P of the wind is not let beyond its initial value where a hovering vehicle feels no drag.
 
 Around an airspeed with a drag slope c = |da/dv| the filter is, on one axis, a low pass of bandwidth b = c q / r, q the
 walk (m/s in a root of a second) and r the noise (m/s^2 in a root of a hertz: sigma sqrt(T)). A vehicle with little drag
@@ -42,6 +43,8 @@ from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 N_AIR = 4  # wind (3,), thrust scale - 1
+N_FORCE = 3  # over the mass
+N_WIND_SETTINGS = 8
 CAUTIOUS_NOISE = 3.0  # m/s^2, of the z axis where the time of the thrusts is not known
 TYPICAL_AIRSPEED = 5.0  # m/s, at which the drag slope is taken
 
@@ -65,7 +68,7 @@ def with_wind_observer(controller: Controller, config: WindObserverConfig) -> Ob
 
     def begin(x: np.ndarray) -> np.ndarray:
         P = np.diag([config.wind_initial**2] * 3 + [config.scale_initial**2 if config.scale_walk else 0.0])
-        return np.concatenate([np.zeros(N_AIR), P.ravel(), x[RATE], np.zeros(3)])
+        return np.concatenate([np.zeros(N_AIR), P.ravel(), np.zeros(N_FORCE), x[RATE], np.zeros(3)])
 
     def begin_without_scale(x: np.ndarray) -> np.ndarray:
         s = begin(x)
@@ -73,15 +76,17 @@ def with_wind_observer(controller: Controller, config: WindObserverConfig) -> Ob
         return s
 
     noise = (*config.noise[:2], max(config.noise[2], CAUTIOUS_NOISE))
-    cautious = wind_settings(replace(config, noise=noise, scale_walk=0.0, torque_bandwidth=0.0), period)
+    slow = replace(config, noise=noise, scale_walk=0.0, force_bandwidth=0.0, torque_bandwidth=0.0)
+    cautious = wind_settings(slow, period)
     update = Update(function, wind_settings(config, period), begin, (cautious, begin_without_scale))
     return Observer(inner, update, config)
 
 
 def wind_settings(config: WindObserverKeys, period: float) -> np.ndarray:
-    """The numbers that the update takes: variances of a step's walks and of readings, limits; those of the torque."""
+    """The numbers that the update takes: variances of a step's walks and of readings, limits, gain of the force; those
+    of the torque."""
     walks = [config.wind_walk**2 * period, config.scale_walk**2 * period]
-    limits = [config.wind_initial**2, config.wind_limit]
+    limits = [config.wind_initial**2, config.wind_limit, 1 - float(np.exp(-config.force_bandwidth * period))]
     noise = [sigma**2 for sigma in config.noise]
     return np.array(walks + noise + limits + torque_settings(config.torque_bandwidth, config.torque_limit, period))
 
@@ -103,14 +108,14 @@ def wind_bandwidth(
 
 
 def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: str) -> ca.Function:
-    """The update of control.observers.observer; s = [wind (3,), k, P (4, 4), w^ (3,), J^-1 tau^ (3,)]."""
+    """The update of control.observers.observer; s = [wind (3,), k, P (4, 4), F / m (3,), w^ (3,), J^-1 tau^ (3,)]."""
     model = callable_air(residual, backend)
-    first = N_AIR + N_AIR**2
-    a = arguments(vehicle, first + N_TORQUE_STATE, model.size1_in(1), 7 + N_TORQUE_SETTINGS)
+    first = N_AIR + N_AIR**2 + N_FORCE
+    a = arguments(vehicle, first + N_TORQUE_STATE, model.size1_in(1), N_WIND_SETTINGS + N_TORQUE_SETTINGS)
     x, s, settings = a["x"], a["s"], a["settings"]
     R, thrust = rotation_matrix(x[ATTITUDE]), ca.sum1(a["thrust"]) / vehicle.mass
-    air, P = s[:N_AIR], ca.reshape(s[N_AIR:first], N_AIR, N_AIR)
-    wind_walk, scale_walk, *noise, largest, limit = ca.vertsplit(settings[:7])
+    air, P, force = s[:N_AIR], ca.reshape(s[N_AIR : first - N_FORCE], N_AIR, N_AIR), s[first - N_FORCE : first]
+    wind_walk, scale_walk, *noise, largest, limit, gain = ca.vertsplit(settings[:N_WIND_SETTINGS])
 
     scale = 1 + air[3]
     z = ca.vertcat(ca.mtimes(R.T, x[VELOCITY] - air[:3]), x[RATE], scale * a["thrust"])
@@ -123,7 +128,9 @@ def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: 
     error = a["reading"] - y[:3] - ca.vertcat(0, 0, scale * thrust)
     S = ca.mtimes([H, P, H.T]) + ca.diag(ca.vertcat(*noise))
     K = ca.mtimes([P, H.T, _inverse(S)])
-    air = air + ca.mtimes(K, error)
+    change = ca.mtimes(K, error)
+    air = air + change
+    force = force + gain * (ca.mtimes(R, error - ca.mtimes(H, change)) - force)
     left = ca.DM.eye(N_AIR) - ca.mtimes(K, H)
     P = ca.mtimes([left, P, left.T]) + ca.mtimes([K, ca.diag(ca.vertcat(*noise)), K.T])  # Joseph's form
     shrink = ca.fmin(1, ca.sqrt(3 * largest / ca.trace(P[:3, :3])))
@@ -132,9 +139,10 @@ def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: 
     size = ca.sqrt(ca.sumsqr(air[:3]) + 1e-30)
     air = ca.vertcat(air[:3] * ca.fmin(1, limit / size), ca.fmin(ca.fmax(air[3], -0.5), 1.0))
 
-    rates, torque = torque_update(s[first:], x[RATE], (1 + air[3]) * a["mean"], y[3:], settings[7:], vehicle, period)
-    belief = ca.vertcat(ca.MX.zeros(3), torque, air[:3], 1 + air[3])
-    results = [ca.vertcat(air, ca.vec(P), rates), belief]
+    mean, of_torque = (1 + air[3]) * a["mean"], settings[N_WIND_SETTINGS:]
+    rates, torque = torque_update(s[first:], x[RATE], mean, y[3:], of_torque, vehicle, period)
+    belief = ca.vertcat(vehicle.mass * force, torque, air[:3], 1 + air[3])
+    results = [ca.vertcat(air, ca.vec(P), force, rates), belief]
     return ca.Function("wind_observer", [*a.values()], results, [*a], ["s_next", "belief"])
 
 
