@@ -37,6 +37,19 @@ def world_note(margins: Mapping[str, Any] | None) -> str:
     )
 
 
+def delays_note(columns: Mapping[str, Any]) -> str:
+    """What delay=identified found in a flight, and how the controller flew until then; "" of other flights."""
+    if "delay_known" not in columns:
+        return ""
+    soft = "the published grid with soft weights"
+    known = [float(t) for t, found in zip(columns["t"], columns["delay_known"], strict=True) if found]
+    if not known:
+        return f"the delays were not all found in this flight: {soft} flew"
+    names = {"delay_time": "state", "delay_dead_time": "commands", "delay_lag": "motors"}
+    found = ", ".join(f"{word} {_milliseconds(float(columns[name][-1]))}" for name, word in names.items())
+    return f"delays found in flight: {found}; {soft} flew until t={known[0]:.2f} s"
+
+
 def _predicted(margins: Mapping[str, Any]) -> float:
     """What is predicted of delays (s), of commands and of the state; flights of earlier versions have no age."""
     return float(margins["dead_time"] + margins.get("age", 0.0))

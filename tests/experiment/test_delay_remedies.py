@@ -76,3 +76,26 @@ def test_the_name_of_the_remedy_stands_in_the_row():
     assert controller_name(compose(["delay=strapdown"])) == "nominal_mpc+strapdown"
     with pytest.raises(UsageError, match=r"delay.time=0.7: must be in \[0, 0.5\] s"):
         compose(["delay=strapdown", "delay.time=0.7"])
+
+
+def mean_error(*overrides) -> float:
+    """Mean distance over two seeds and two paths at 8 m/s in world=everything, mm; no flight is lost."""
+    errors = []
+    for path in ("circle", "lemniscate"):
+        for seed in (11, 12):
+            given = ["controller=perfect_mpc", f"trajectory={path}", "trajectory.speed=8", f"seed={seed}"]
+            given += ["world=everything", "sensor.accelerometer_noise=[0.05,0.05,0.05]", *overrides]
+            flight = fly_one(compose(given))
+            assert flight.metadata["outcome"] == "ok"
+            away = [flight.columns[f"p_{axis}"] - flight.columns[f"ref_p_{axis}"] for axis in "xyz"]
+            errors.append(1e3 * float(np.linalg.norm(away, axis=0).mean()))
+    return float(np.mean(errors))
+
+
+@pytest.mark.slow
+def test_everything_at_once():
+    """Delays known, believed half as long, and unknown, as docs/delays.md has them, on seeds of which nobody knew."""
+    half = ["controller.dead_time=0.005", "controller.motor_lag=0.015", "delay.time=0.005"]
+    assert mean_error("remedies=all") < 17
+    assert mean_error("remedies=all", *half) < 30
+    assert mean_error("remedies=unknown_delays") < 50

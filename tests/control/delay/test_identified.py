@@ -15,6 +15,7 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle
 from quadexp.experiment.build_world import build_world
 from quadexp.experiment.evaluate import fly_one
+from quadexp.report.margin_line import delays_note
 from tests.air.models import make_residual
 
 INTERPRETED = ["controller=nominal_mpc", "controller.backend=interpreted"]
@@ -38,6 +39,10 @@ def test_delays_are_found_and_made_good_in_flight():
         return float(np.linalg.norm(error, axis=0)[after:].mean())
 
     assert away(flight, first + 50) < 0.6 * away(none, first + 50)
+    assert f"the published grid with soft weights flew until t={0.02 * first:.2f} s" in delays_note(flight.columns)
+    assert not delays_note(none.columns) and "not all found" in delays_note(
+        {name: column[:100] for name, column in flight.columns.items()}
+    )
     assert late["dead_time"] == 0.03 and late["world_stable"]  # the loop that takes off is the soft one
 
 
