@@ -3,7 +3,7 @@
     python -m benchmarks.remedies [--rounds 20] [--json]
 
 Each contestant is the whole step of a controller as called from Python, on what it was asked in a flight on the circle,
-in wind and with the dead time that it knows; a round is one pass of each over its own record, so that a slow moment of
+in wind and with the delays that it knows; a round is one pass of each over its own record, so that a slow moment of
 the machine meets all. Printed are the medians over the rounds of the median step, and their ratios to the first row, in
 one run.
 """
@@ -26,6 +26,8 @@ from quadexp.config.compose import compose
 from quadexp.config.learned import AdaptKeys
 from quadexp.config.observers import DisturbanceObserverConfig, WindObserverConfig
 from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.delay.prediction import Prediction
+from quadexp.control.delay.strapdown import Strapdown
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.online_mpc import AdaptingController
@@ -71,13 +73,24 @@ def contestants(vehicle: Vehicle) -> dict[str, Controller]:
         f"{CASE}, observer=wind": with_wind_observer(mpc(), wind),
         f"{CASE}, observer=wind without targets, dead time predicted": with_wind_observer(mpc(dead_time=0.02), still),
         f"{CASE}, observer=wind, dead time predicted": with_wind_observer(mpc(dead_time=0.02), wind),
+        f"{CASE}, delay=strapdown (20 ms)": Strapdown(mpc(disturbed=False), 0.02),
+        f"{CASE}, delay=prediction (20 ms)": Prediction(mpc(disturbed=False), 0.02, 0.0, 0.0),
+        f"{CASE}, motor=lead": mpc(disturbed=False, motor_lead=0.03),
+        f"{CASE}, motor=states": mpc(disturbed=False, motor_lag=0.03),
+        f"{CASE}, observer=wind without targets, delay=strapdown": Strapdown(with_wind_observer(mpc(), still), 0.02),
+        f"{CASE}, observer=wind without targets, delay=prediction": Prediction(
+            with_wind_observer(mpc(), still), 0.02, 0.0, 0.0
+        ),
     }
 
 
 def flown(vehicle: Vehicle, controller: Controller) -> Log:
     """What a controller is asked on the circle in a gusty wind."""
-    late = controller.node_times[0]
+    late, age = controller.node_times[0], getattr(controller, "delay", 0.0)
     link = [f"link.latency={late}", "link=latency"] if late else []
+    if age:
+        gyro = "fresh" if isinstance(controller, Strapdown) else "late"
+        link += ["estimator=late", f"estimator.delay={age}", f"estimator.gyro={gyro}"]
     world = build_world(compose(["world=only_wind", *link]), vehicle)
     reference, rng = SampledReference(Circle(speed=8.0), controller), np.random.default_rng(0)
     x, reading = reference.along()[0][0], None

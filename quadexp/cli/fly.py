@@ -37,7 +37,7 @@ def simulate(
     from quadexp.experiment.build import unused_model
     from quadexp.experiment.evaluate import fly_one
     from quadexp.log.store import check_output, write_flight
-    from quadexp.report.margin_line import world_note
+    from quadexp.report.margin_line import delays_note, world_note
     from quadexp.report.summary import flight_lines
 
     config = compose(overrides or [], conf)
@@ -52,6 +52,8 @@ def simulate(
     if flight.metadata["reference_note"]:
         say(f"note: {flight.metadata['reference_note']}")
     if note := world_note(flight.metadata["margins"]):
+        say(f"note: {note}")
+    if note := delays_note(flight.columns):
         say(f"note: {note}")
     print_lines(flight_lines(flight.metadata))
     print(path)

@@ -21,7 +21,9 @@ def identify(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Where to write.")] = Path("data/estimates"),
     method: Annotated[
         str | None,
-        typer.Option("--method", metavar="rls|regression", help="rls where rotor speeds and geometry are known."),
+        typer.Option(
+            "--method", metavar="rls|regression|delays", help="rls where rotor speeds and geometry are known."
+        ),
     ] = None,
     vehicle: Annotated[
         str | None,
@@ -102,15 +104,26 @@ def identify(
 
     --method rls: recursive least squares, flight by flight, for flights with rotor speeds of a vehicle whose rotors are
     known; gives time series of C_d0, C_la and C_D, one file a flight. --method regression: all other flights together;
-    gives a vehicle model, a folder that collect, validate and evaluate read.
+    gives a vehicle model, a folder that collect, validate and evaluate read. --method delays: age of the estimate, dead
+    time of the commands and lag of the motors, with the settings to give; writes nothing.
 
     \b
     quadexp identify flights/a.parquet flights/b.parquet --out models/crazyflie
     quadexp identify runs/a.parquet --out data/estimates        # simulated with vehicle=lei_li plant=blade_element
+    quadexp identify --method delays runs/a.parquet
     """
     from quadexp.experiment.identify import choose_method, configured_vehicle, identify_files
 
     named = None if vehicle is None else configured_vehicle(vehicle, conf)
+    if method == "delays":
+        from quadexp.experiment.identify_delays import identify_delays
+
+        delays = identify_delays(flights, named, conf)
+        if json:
+            emit({"method": "delays", "flights": delays["flights"]})
+        else:
+            print("\n".join(delays["lines"]))
+        return
     choice = choose_method(flights, method, named)
     if choice.method == "rls":
         found = identify_files(flights, out, vehicle=vehicle, conf=conf, force=force, paper=paper)

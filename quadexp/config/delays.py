@@ -32,8 +32,32 @@ class PredictionConfig(DelayKeys, RemedyConfig):
     remedy = "quadexp.control.delay.prediction:around"
 
     dead_time: Annotated[
-        float | None, Setting("dead time of commands; null: what the controller predicts itself", "[0, 0.5]", "s")
+        float | None,
+        Setting(
+            "dead time of commands; null: what the controller predicts itself; one that is no MPC is told the state and"
+            " the reference after it",
+            "[0, 0.5]",
+            "s",
+        ),
     ] = None
     motor_lag: Annotated[
         float | None, Setting("time constant of the rotors; null: what the controller knows itself", "[0, 0.5]", "s")
     ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentifiedDelayConfig(RemedyConfig):
+    """Delays that are found in flight; see quadexp/control/delay/identified.py."""
+
+    prefix = "delay."
+    remedy = "quadexp.control.delay.identified:around"
+
+    after: Annotated[
+        float,
+        Setting(
+            "time of the flight in which delays are looked for at first; then each time half as long again",
+            "[2, 60]",
+            "s",
+        ),
+    ] = 3.0
+    assumed: Annotated[float, Setting("dead time that is predicted until they are known", "[0, 0.1]", "s")] = 0.03

@@ -25,7 +25,7 @@ from quadexp.config.custom import (
     CustomResidualMPCConfig,
     CustomTrajectoryConfig,
 )
-from quadexp.config.delays import PredictionConfig, StrapdownConfig
+from quadexp.config.delays import IdentifiedDelayConfig, PredictionConfig, StrapdownConfig
 from quadexp.config.dfbc import DFBCConfig
 from quadexp.config.engine import DaskConfig, EngineConfig, SlurmConfig
 from quadexp.config.flight import (
@@ -208,7 +208,12 @@ SCHEMAS: dict[str, dict[str, type]] = {
     },
     "adaptive": {"none": RemedyConfig, "l1": L1Config},
     "inner": {"none": RemedyConfig, "indi": INDIConfig},
-    "delay": {"none": RemedyConfig, "strapdown": StrapdownConfig, "prediction": PredictionConfig},
+    "delay": {
+        "none": RemedyConfig,
+        "strapdown": StrapdownConfig,
+        "prediction": PredictionConfig,
+        "identified": IdentifiedDelayConfig,
+    },
     "collect": {"flights": CollectConfig},
     "gp": {"sparse": GPConfig},
     "drag": {"linear": DragConfig},

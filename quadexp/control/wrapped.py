@@ -49,6 +49,15 @@ class WrappedController:
         return self.inner.log()
 
 
+def layers(controller: Any) -> list[WrappedController]:
+    """The remedies around a controller, the outermost first."""
+    found = []
+    while isinstance(controller, WrappedController):
+        found.append(controller)
+        controller = controller.inner
+    return found
+
+
 def innermost(controller: Any) -> Any:
     """The controller inside all remedies; the controller itself where there is none."""
     while isinstance(controller, WrappedController):

@@ -36,7 +36,7 @@ from quadexp.log.store import (
 from quadexp.physics.vehicle import FORMER_NAMES, Vehicle
 from quadexp.provenance import provenance, versions
 
-METHODS = ("rls", "regression")
+METHODS = ("rls", "regression", "delays")
 
 
 class Choice(NamedTuple):

@@ -13,6 +13,7 @@ from typing import Any
 from quadexp.config.schema import Config
 from quadexp.errors import UsageError
 from quadexp.experiment.build import ModelFile, build_controller
+from quadexp.experiment.loop_margins import unmodelled
 from quadexp.physics.vehicle import Vehicle
 
 RATES, SHARES = (100.0, 200.0), (1.0, 0.5)  # control rates that are tried (Hz), and shares of the horizon
@@ -20,7 +21,7 @@ DIGITS = 3  # decimals of what is proposed
 
 
 def instability(
-    config: Config, margins: Mapping[str, float] | None, vehicle: Vehicle, plant: Any, model: ModelFile | None
+    config: Config, margins: Mapping[str, Any] | None, vehicle: Vehicle, plant: Any, model: ModelFile | None
 ) -> str:
     """Why the loop of a flight is not stable at hover, in one line with what helps; "" where it is, where that is not
     known (margins None, see loop_margins), where the world is not to blame, and where the configuration allows it."""
@@ -29,20 +30,23 @@ def instability(
     controller: Any = config.controller
     if controller.allow_unstable:
         return ""
-    world = {"motor_lag": round(margins["world_lag"], DIGITS), "dead_time": round(margins["world_latency"], DIGITS)}
-    unknown = {name: value for name, value in world.items() if value != margins[name]}
+    late = max(margins["world_latency"] - margins["age"], 0.0)
+    lag = "motor_lead" if controller.motor_lead else "motor_lag"
+    world = {lag: round(margins["world_lag"], DIGITS), "dead_time": round(late, DIGITS)}
+    known = {lag: margins["motor_lag"], "dead_time": margins["dead_time"]}
+    unknown = {name: value for name, value in world.items() if value != known[name]}
 
     def stable(changes: Mapping[str, float]) -> bool:
         from quadexp.control.mpc.margins import STABLE, HoverLoop
+        from quadexp.control.wrapped import innermost
 
         try:
             other = replace(config, controller=replace(controller, backend="interpreted", **changes))
-            loop = build_controller(other, vehicle, plant, model)
+            loop = innermost(build_controller(other, vehicle, plant, model))
         except UsageError:  # of settings that contradict each other
             return False
-        delay = margins["world_latency"] - loop.settings.dead_time
-        lag = max(margins["world_lag"] - loop.settings.known_lag, 0.0)
-        return bool(HoverLoop(loop).radius(delay=delay, lag=lag) <= STABLE)
+        beyond = unmodelled(loop, margins["age"], margins["world_latency"], margins["world_lag"])
+        return bool(HoverLoop(loop).radius(**beyond) <= STABLE)
 
     grids = [
         {"rate": max(rate, controller.rate), "horizon": round(share * controller.horizon, DIGITS)}
@@ -54,18 +58,18 @@ def instability(
         told = f"{_keys(unknown)} at this rate and horizon"
     faster = next((_keys(grid) for grid in grids if stable(grid)), "")
     found = ", or ".join(filter(None, (told, faster))) or "nothing that was tried"
-    late = {
+    causing = {
         "motors that lag by": margins["world_lag"],
         "commands and measurements that are late by": margins["world_latency"],
     }
-    causes = " and ".join(f"{words} {_ms(value)}" for words, value in late.items() if value)
-    predicts = {"lag": margins["motor_lag"], "delay": margins["dead_time"]}
-    known = " and ".join(f"{_ms(value)} of {name}" for name, value in predicts.items() if value)
+    causes = " and ".join(f"{words} {_ms(value)}" for words, value in causing.items() if value)
+    predicts = {"lag": margins["motor_lag"], "delay": margins["dead_time"] + margins["age"]}
+    told_of = " and ".join(f"{_ms(value)} of {name}" for name, value in predicts.items() if value)
     return (
         f"{controller.name} on {config.plant.name}: {causes or 'no delay'}; at {controller.rate:g} Hz with a horizon of"
         f" {controller.horizon:g} s this loop stands {_ms(margins['lag'])} of lag or {_ms(margins['delay'])} of delay"
-        f"{f' beyond the {known} that it predicts' if known else ''}, and is not stable at hover; what makes it stable:"
-        f" {found}; to fly it all the same: controller.allow_unstable=true"
+        f"{f' beyond the {told_of} that it predicts' if told_of else ''}, and is not stable at hover; what makes it"
+        f" stable: {found}; to fly it all the same: controller.allow_unstable=true"
     )
 
 

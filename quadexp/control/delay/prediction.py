@@ -7,11 +7,15 @@ the dead time and lag of the commands (sent_commands.py). Where an observer is i
 believes in: v' = F_air(v - w, s T) + F / m .., see control.belief. The prediction starts from the newest measurement
 at every instant (not Smith's form, whose model drifts). It needs no gyroscope and no accelerometer, but a model: an
 error a of its acceleration leaves a tau^2 / 2 in the position.
+
+An MPC predicts the dead time of its commands itself. Any other controller is told the state, and the reference, of the
+time at which its command begins to act: phi goes on over the dead time, under the commands that have been sent.
 """
 
 from __future__ import annotations
 
 import math
+import time
 from typing import Any
 
 import casadi as ca
@@ -24,85 +28,99 @@ from quadexp.config.delays import PredictionConfig
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.delay.sent_commands import SETTLED, SentCommands
 from quadexp.control.mpc.mpc import StepRecord
-from quadexp.control.wrapped import WrappedController, innermost
+from quadexp.control.wrapped import WrappedController, innermost, layers
 from quadexp.physics.integrator import rk4_step_with_input
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
-STEP = 0.01  # s, of the integration
+STEP = 0.02  # s, of the integration
 
 
 class Prediction(WrappedController):
     """A controller that is told the state of now instead of that of `delay` (s) ago, predicted by a model.
 
-    dead_time, lag: of commands (s). The model is that of the MPC inside; without one, the rigid body alone.
+    dead_time, lag: of commands (s). reach: largest delay, and how long commands may act (s), where `tune` changes them
+    in flight. The model is that of the MPC inside; without one, the rigid body alone.
     """
 
-    def __init__(self, inner: Controller, delay: float, dead_time: float, lag: float) -> None:
+    def __init__(
+        self, inner: Controller, delay: float, dead_time: float, lag: float, reach: tuple[float, float] | None = None
+    ) -> None:
         super().__init__(inner)
         self.delay, self.dead_time, self.lag = delay, dead_time, lag
+        largest, memory = reach or (delay, dead_time + SETTLED * lag)
         model = getattr(innermost(inner), "mpc", None)
+        self._observer: Any = next((one for one in layers(inner) if hasattr(one, "belief")), None)
         residual = no_residual(self.vehicle) if model is None else model.residual
-        parts = math.ceil(delay / STEP - 1e-9)
-        self.commands = SentCommands(
-            self.vehicle.n_rotors, self.control_period, delay + dead_time + SETTLED * lag + self.control_period
-        )
+        self.ahead = dead_time if model is None else 0.0  # an MPC predicts the dead time itself
+        self.node_times = inner.node_times + self.ahead
+        parts = math.ceil((largest + self.ahead) / STEP - 1e-9)
+        self.commands = SentCommands(self.vehicle.n_rotors, self.control_period, largest + memory + self.control_period)
         self._predict: BufferedFunction | None = None
         if parts:
             shared = {} if model is None else {"theta": model.parameters}
-            function = _function(self.vehicle, residual, parts, inner.backend)
+            function = prediction_on(self.vehicle, residual, parts, inner.backend)
             self._predict = BufferedFunction(function, shared)
             self._arguments = self._predict.arguments
             if model is None:
                 self._arguments["theta"][...] = residual.theta
-        self._since = 0
+        self._since, self._shown = 0, -1.0
+        self._inverse_inertia = np.linalg.inv(self.vehicle.inertia_matrix)
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         self._since, self._shown = 0, -1.0
         self.commands.reset(np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max))
-        super().reset(x, window)
+        super().reset(x, self._later(window) if self.ahead else window)
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
-        thrust, record = super().step(measurement._replace(state=self.now(measurement.state)), window)
+        began = time.perf_counter()
+        t, x, force, speed = measurement
+        now = Measurement(t, self.now(x), force, speed)
+        thrust, record = self.inner.step(now, self._later(window) if self.ahead else window)
         self.commands.record(thrust)
-        return thrust, record
+        return thrust, StepRecord(time.perf_counter() - began, *record[1:])
+
+    def tune(self, delay: float, dead_time: float, lag: float) -> None:
+        """Go on with others."""
+        self.delay, self.dead_time, self.lag, self._shown = delay, dead_time, lag, -1.0
 
     def now(self, x: np.ndarray) -> np.ndarray:
         """The state of this instant, (13,), of the measured one; to be called once an instant."""
         late = min(self.delay, self._since * self.control_period)
         self._since += 1
-        if self._predict is None or not late:
+        if self._predict is None or not late + self.ahead:
             return x
         arguments = self._arguments
         if late != self._shown:
             self._divide(late)
         arguments["x"][:] = x
         np.matmul(self._weights, self.commands.values, out=arguments["thrusts"])
-        belief = believed(self.inner)
-        if belief is not None:
+        if self._observer is not None:
+            belief = self._observer.belief
             arguments["wind"][:], arguments["scale"][0] = belief.wind, belief.thrust_scale - 1
-            arguments["force"][:], arguments["torque"][:] = belief.force, belief.torque
+            arguments["push"][:3] = belief.force / self.vehicle.mass
+            arguments["push"][3:] = self._inverse_inertia @ belief.torque
         self._predict()
         return self._predict.results["now"].copy()
 
+    def _later(self, window: Window) -> Window:
+        """The reference when a command of now begins to act; states and inputs are asked for then."""
+        powers = [self.ahead**i / math.factorial(i) for i in range(len(window.position))]
+        position, yaw = (
+            np.stack([sum(p * row for p, row in zip(powers, one[i:], strict=False)) for i in range(len(one))])
+            for one in (window.position, window.yaw)
+        )
+        return window._replace(position=position, yaw=yaw)
+
     def _divide(self, late: float) -> None:
         """Parts of the time, and the weights of commands in each."""
-        ends = np.minimum(np.arange(len(self._arguments["dt"]) - 1, -1, -1) * STEP, late)
-        starts = np.minimum(ends + STEP, late)
+        before = np.arange(len(self._arguments["dt"]) - 1, -1, -1) * STEP  # from the end of the prediction
+        ends, starts = (np.minimum(one, late + self.ahead) - self.ahead for one in (before, before + STEP))
         self._weights = self.commands.weights(-np.stack([starts, ends], axis=1), self.dead_time, self.lag)
         self._arguments["dt"][:], self._shown = starts - ends, late
-
-
-def believed(controller: Any) -> Any:
-    """What an observer inside believes (control.belief), None where there is none."""
-    while isinstance(controller, WrappedController):
-        if hasattr(controller, "belief"):
-            return controller.belief
-        controller = controller.inner
-    return None
 
 
 def around(controller: Controller, config: PredictionConfig) -> Controller:
@@ -117,7 +135,7 @@ def around(controller: Controller, config: PredictionConfig) -> Controller:
 _built: dict[tuple[Any, ...], ca.Function] = {}
 
 
-def _function(vehicle: Vehicle, residual: Residual, parts: int, backend: str) -> ca.Function:
+def prediction_on(vehicle: Vehicle, residual: Residual, parts: int, backend: str) -> ca.Function:
     """`prediction` on a back end; built once per process and structure."""
     key = (vehicle.fingerprint, residual.function.serialize(), parts, backend)
     if key not in _built:
@@ -129,16 +147,15 @@ def prediction(vehicle: Vehicle, residual: Residual, parts: int) -> ca.Function:
     """The model's state after held thrusts, in a believed world.
 
     Inputs: x (13,); thrusts (n, parts) (N), the first to act first; dt (parts,), for how long each acts (s); theta of
-    the residual; wind (3,), world (m/s); force (3,), world (N); torque (3,), body (N m); scale of the thrusts less 1.
+    the residual; wind (3,), world (m/s); push (6,): acceleration, world (m/s^2), and angular acceleration, body
+    (rad/s^2), beyond the model; scale of the thrusts less 1.
     """
     n = vehicle.n_rotors
     model = corrected_function(vehicle, residual)
     x, dt = ca.MX.sym("x", N_STATE), ca.MX.sym("dt", parts)
     thrusts, theta = ca.MX.sym("thrusts", n, parts), ca.MX.sym("theta", residual.function.size1_in(1))
-    wind, force, torque, scale = (ca.MX.sym(name, size) for name, size in WORLD.items())
-    pushed = ca.vertcat(
-        wind, ca.MX(4, 1), force / vehicle.mass, ca.mtimes(ca.inv(ca.DM(vehicle.inertia_matrix)), torque)
-    )
+    wind, push, scale = (ca.MX.sym(name, size) for name, size in WORLD.items())
+    pushed = ca.vertcat(wind, ca.MX(4, 1), push)
 
     def slope(s: ca.MX, held: ca.MX) -> ca.MX:
         return model(s, held, theta) + pushed
@@ -149,8 +166,8 @@ def prediction(vehicle: Vehicle, residual: Residual, parts: int) -> ca.Function:
     q = state[ATTITUDE]
     now = ca.vertcat(state[: ATTITUDE.start], q / ca.norm_2(q), state[VELOCITY] + wind, state[VELOCITY.stop :])
     arguments = {"x": x, "thrusts": thrusts, "dt": dt, "theta": theta}
-    arguments |= dict(zip(WORLD, (wind, force, torque, scale), strict=True))
+    arguments |= dict(zip(WORLD, (wind, push, scale), strict=True))
     return ca.Function("delay_prediction", [*arguments.values()], [now], [*arguments], ["now"])
 
 
-WORLD = {"wind": 3, "force": 3, "torque": 3, "scale": 1}  # of a belief, and the size of each
+WORLD = {"wind": 3, "push": 6, "scale": 1}  # of a belief, and the size of each

@@ -17,6 +17,7 @@ the part of it that is younger than tau.
 from __future__ import annotations
 
 import math
+import time
 from typing import Any
 
 import casadi as ca
@@ -34,10 +35,10 @@ from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 class Strapdown(WrappedController):
     """A controller that is told position, velocity and attitude of now instead of those of `delay` (s) ago."""
 
-    def __init__(self, inner: Controller, delay: float) -> None:
+    def __init__(self, inner: Controller, delay: float, largest: float | None = None) -> None:
         super().__init__(inner)
-        self.delay = delay
-        self._periods = math.ceil(delay / self.control_period - 1e-9)
+        self.delay = delay  # may change in flight, up to `largest`
+        self._periods = math.ceil((largest or delay) / self.control_period - 1e-9)
         self._since = 0
         if self._periods:
             function = _function(self._periods, self.vehicle.gravity, self.control_period, inner.backend)
@@ -53,7 +54,10 @@ class Strapdown(WrappedController):
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
-        return super().step(measurement._replace(state=self.now(measurement)), window)
+        began = time.perf_counter()
+        t, _, force, speed = measurement
+        thrust, record = self.inner.step(Measurement(t, self.now(measurement), force, speed), window)
+        return thrust, StepRecord(time.perf_counter() - began, *record[1:])
 
     def now(self, measurement: Measurement) -> np.ndarray:
         """The state at this instant, (13,), of a measurement whose rate and specific force are of now; to be called

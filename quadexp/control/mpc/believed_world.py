@@ -50,7 +50,8 @@ class BelievedWorld:
 
     mpc: made with disturbed=True. node_times: of the reference, from the measurement on, (k,) (s). targets: whether
     they are made anew. air: the model that references are made with; None: without.
-    estimator: finds the belief in `enter`; without one, set `belief` before.
+    estimator: finds the belief in `enter`; without one, set `belief` before. thrust: what the rotors deliver, (n,) (N),
+    where somebody else knows it; set it before each `enter`.
     """
 
     def __init__(
@@ -63,6 +64,7 @@ class BelievedWorld:
         estimator: Estimator | None = None,
     ) -> None:
         self._mpc, settings, self._estimator, self._scale = mpc, mpc.settings, estimator, 1.0
+        self.thrust: np.ndarray | None = None
         model = None
         if air is not None and targets:
             model = air.to_compile if mpc.backend == "compiled" and air.to_compile is not None else air.function
@@ -90,6 +92,11 @@ class BelievedWorld:
             self._layout = Layout(mpc.vehicle, settings.nodes, estimator)
         self.reset(None)
 
+    def retime(self, node_times: np.ndarray) -> None:
+        """Use other times of the reference, (k,) (s) from the measurement on, from the next step on."""
+        settings = self._mpc.settings
+        self._given["times"][...], self._since = node_times, (settings.dead_time + settings.node_times)[:, None]
+
     def reset(self, begin: np.ndarray | None) -> None:
         """Begin a flight in the world of the model, after the MPC did. begin: first state of the estimator."""
         self.belief = no_belief()
@@ -105,6 +112,11 @@ class BelievedWorld:
         parts = self._layout.slices
         self._memory[parts["commands"]] = np.tile(thrust, self._estimator.delays.pending)
         self._memory[parts["thrust"]], self._memory[parts["estimate"]] = thrust, begin
+
+    def estimate_by(self, settings: np.ndarray, state: np.ndarray) -> None:
+        """Other settings of the estimator's update, and its state, from the next step on."""
+        self._given["settings"].ravel()[:] = settings
+        self._memory[self._layout.slices["estimate"]] = state
 
     @property
     def found(self) -> Belief:
@@ -131,6 +143,8 @@ class BelievedWorld:
                 known[1] = speed is not None
                 if speed is not None:
                     given["measured"][...] = self._coefficient * speed**2
+            if self.thrust is not None and (speed is None or self._coefficient is None):
+                known[1], given["measured"][...] = 1.0, self.thrust
         self._enter()
         self._mpc.prepared = False  # the disturbance is another
         self._memory[...] = self._next

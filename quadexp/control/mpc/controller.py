@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from quadexp.control.mpc.believed_world import BelievedWorld, Estimator
 from quadexp.control.mpc.dead_time import DeadTimePredictor
 from quadexp.control.mpc.motor_lead import MotorLead
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
+from quadexp.control.mpc.settings import MPCSettings
 from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.state import N_STATE, POSITION
 
@@ -30,7 +32,7 @@ class PredictiveController:
         self.vehicle, self.settings, self.backend = mpc.vehicle, mpc.settings, mpc.backend
         self.control_period = mpc.settings.control_period
         self.node_times = mpc.settings.dead_time + mpc.node_times  # the first is when a command sent now begins to act
-        self.predictor = DeadTimePredictor(mpc) if mpc.settings.dead_time or mpc.settings.known_lag else None
+        self.predictor: Any = DeadTimePredictor(mpc) if mpc.settings.dead_time or mpc.settings.known_lag else None
         self.lead = MotorLead(mpc.vehicle, mpc.settings) if mpc.settings.motor_lead else None
         self._prepared: Window | None = None
         self.name, self.source = mpc.residual.name, mpc.residual.source
@@ -66,6 +68,17 @@ class PredictiveController:
             self.believed = BelievedWorld(self.mpc, self.node_times, targets=self.targets, air=self.residual)
         self.believed.belief = belief
 
+    def use(self, settings: MPCSettings, predictor: Any, lead: MotorLead | None) -> None:
+        """Go on with other settings, see ModelPredictiveController.use, and what they know of dead time and lag.
+
+        predictor: as DeadTimePredictor, for settings.dead_time and settings.motor_lead; None: there is neither.
+        """
+        self.mpc.use(settings)
+        self.settings, self.predictor, self.lead, self._prepared = settings, predictor, lead, None
+        self.node_times = settings.dead_time + self.mpc.node_times
+        if self.believed is not None:
+            self.believed.retime(self.node_times)
+
     def observed_by(self, estimator: Estimator) -> BelievedWorld:
         """Plan every step in the world that an estimator finds, which is a part of the step from now on."""
         self.believed = BelievedWorld(
@@ -94,14 +107,15 @@ class PredictiveController:
             x, states, inputs = world.enter(measurement, window)
         if predictor is not None:
             x = predictor.predict(x)
-        body = x if self.lead is None else x[:N_STATE]
+        if self.lead is not None:
+            x, acting = x[:N_STATE], x[N_STATE:]
         if world is None:
-            thrust, record = self._answer(body, window)
+            thrust, record = self._answer(x, window)
             record = StepRecord(time.perf_counter() - began, *record[1:])
         else:
-            thrust, record = self.mpc.command(body, self._within_reach(body, states), inputs, began=began)
+            thrust, record = self.mpc.command(x, self._within_reach(x, states), inputs, began=began)
         if self.lead is not None:
-            thrust = self.lead.command(thrust, x[N_STATE:])
+            thrust = self.lead.command(thrust, acting)
         if predictor is not None:
             predictor.record(thrust)  # in a believed world: what is delivered of the command
         if world is not None:

@@ -22,7 +22,6 @@ import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise
-from quadexp.control.delivered import advanced
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.prediction import node_function
 from quadexp.physics.rigid_body import N_DISTURBANCE
@@ -46,6 +45,8 @@ class DeadTimePredictor:
         pending = math.ceil(dead_time / self._period - 1e-9)
         self.commands, self.thrust = np.zeros((pending, n)), np.zeros(n)
         self._first = dead_time - (pending - 1) * self._period  # s, for which the oldest command still acts
+        held = [self._first, self._period - self._first] if pending else [self._period]
+        self._decays = [math.exp(-duration / self._lag) for duration in held] if self._lag else []
         self._predict: BufferedFunction | None = None
         if pending:
             form = {"lag": bool(self._lag), "disturbed": mpc.disturbance is not None}
@@ -79,12 +80,15 @@ class DeadTimePredictor:
             self.commands[:-1] = self.commands[1:]
             self.commands[-1:] = command
             return
-        acting = np.vstack([self.commands, command])
-        if self._lag:
-            durations = [self._first, self._period - self._first] if len(self.commands) else [self._period]
-            for u, duration in zip(acting, durations, strict=False):
-                self.thrust[...] = advanced(self.thrust, u, duration, self._lag)
-        self.commands[...] = acting[1:]
+        thrust, pending = self.thrust, len(self.commands)
+        for i, decay in enumerate(self._decays):  # as physics.motor.decayed
+            u = self.commands[i] if i < pending else command
+            thrust -= u
+            thrust *= decay
+            thrust += u
+        if pending:
+            self.commands[:-1] = self.commands[1:]
+            self.commands[-1] = command
 
 
 _built: dict[tuple[Any, ...], ca.Function] = {}

@@ -26,4 +26,8 @@ class MotorLead:
 
     def command(self, planned: np.ndarray, thrust: np.ndarray) -> np.ndarray:
         """planned, thrust: (n,) (N), planned and now -> the command, (n,) (N)."""
-        return np.clip(thrust + self._gain * (planned - thrust), self._low, self._high)
+        wanted: np.ndarray = planned - thrust
+        wanted *= self._gain
+        wanted += thrust
+        np.maximum(wanted, self._low, out=wanted)
+        return np.minimum(wanted, self._high, out=wanted)

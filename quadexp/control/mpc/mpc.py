@@ -17,7 +17,7 @@ from quadexp.control.mpc.phases import Phases
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.mpc.step import step_function
 from quadexp.control.mpc.subproblem import TOLERANCE, bounded_function
-from quadexp.errors import QuadexpError
+from quadexp.errors import QuadexpError, UsageError
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.physics.vehicle import Vehicle
 
@@ -67,15 +67,8 @@ class ModelPredictiveController:
         arguments = self._step.arguments
         self._active_set = make_active_set(bounded, self._step)
 
-        share = settings.node_share[:, None]
-        arguments["Q"][:, :N_STATE] = share * settings.state_weight()  # thrusts that are states weigh nothing
-        arguments["Q_end"][:N_STATE] = settings.terminal_weight * settings.state_weight()
-        arguments["R"][...] = share * settings.thrust_weight(vehicle)
+        self._weigh(settings)
         arguments["u_min"][...], arguments["u_max"][...] = vehicle.thrust_min, vehicle.thrust_max
-        arguments["dt"][...] = settings.node_periods
-        self._shift = settings.control_period / settings.node_periods  # share of each node between two steps
-        if settings.input_hold == "deviation":
-            arguments["first_share"][...] = self._shift[0]
         if settings.motor_lag:
             arguments["tau"][...] = settings.motor_lag
         self._x0, self._X_ref, self._U_ref = (arguments[name] for name in ("x0", "X_ref", "U_ref"))
@@ -86,14 +79,43 @@ class ModelPredictiveController:
         self._checks, self._thrust = self._step.results["checks"], self._U[0]
         self._attitude, self._attitude_ref = self._x0[ATTITUDE], self._X_ref[0, ATTITUDE]
         self._attitude_predicted = self._X[0, ATTITUDE]
-        # An input error du means a gradient of at least R du, and rounding errors of the gradient grow with R.
-        error = STATIONARY * (vehicle.thrust_max - vehicle.thrust_min)
-        self._stationary = max(CONVERGED, error * float(arguments["R"].min()))
         self._first_solve: FirstSolve | None = None  # few flights need it
         self._phases: Phases | None = None  # made by the first `prepare`
         self.prepared, self.prepare_time, self._cold = False, 0.0, True
         self.set_parameters(residual.theta)
+
+    def _weigh(self, settings: MPCSettings) -> None:
+        """Enter weights and node times."""
+        arguments, vehicle = self._step.arguments, self.vehicle
+        share = settings.node_share[:, None]
+        arguments["Q"][:, :N_STATE] = share * settings.state_weight()  # thrusts that are states weigh nothing
+        arguments["Q_end"][:N_STATE] = settings.terminal_weight * settings.state_weight()
+        arguments["R"][...] = share * settings.thrust_weight(vehicle)
+        arguments["dt"][...] = settings.node_periods
+        self._shift = settings.control_period / settings.node_periods  # share of each node between two steps
+        if settings.input_hold == "deviation":
+            arguments["first_share"][...] = self._shift[0]
+        # An input error du means a gradient of at least R du, and rounding errors of the gradient grow with R.
+        error = STATIONARY * (vehicle.thrust_max - vehicle.thrust_min)
+        self._stationary = max(CONVERGED, error * float(arguments["R"].min()))
         self.node_times = settings.reference_times  # s from now, for sampling references
+
+    def use(self, settings: MPCSettings) -> None:
+        """Go on with other weights and node times; nothing is compiled again, and the last solution is kept.
+
+        settings: of the same nodes, input_hold, attitude_error, rate and motor_lag; UsageError otherwise.
+        """
+        fixed = ("nodes", "input_hold", "attitude_error", "rate", "motor_lag")
+        if any(getattr(settings, name) != getattr(self.settings, name) for name in fixed):
+            raise UsageError(f"settings in flight: {', '.join(fixed)} must remain as they are")
+        before, now = self.settings.node_times, settings.node_times
+        self._X[...] = np.stack([np.interp(now, before, column) for column in self._X.T], axis=1)
+        self._X[:, ATTITUDE] /= np.maximum(np.linalg.norm(self._X[:, ATTITUDE], axis=1), 1e-12)[:, None]
+        held = np.clip(np.searchsorted(before, now[:-1] + 1e-9) - 1, 0, settings.nodes - 1)
+        self._U[...] = self._U[held]
+        self._active_set.reset()
+        self.settings, self.prepared = settings, False
+        self._weigh(settings)
 
     @property
     def parameters(self) -> np.ndarray:

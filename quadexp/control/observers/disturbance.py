@@ -18,6 +18,7 @@ with both poles of the error at z = exp(-b T). The torque: control.observers.tor
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -41,6 +42,7 @@ from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
+CAUTIOUS_BANDWIDTH = 3.0  # rad/s, where the time of the thrusts is not known
 N_FORCE_STATE = 7  # a^, v^, P
 
 
@@ -56,7 +58,9 @@ def with_disturbance_observer(controller: Controller, config: DisturbanceObserve
     def begin(x: np.ndarray) -> np.ndarray:
         return np.concatenate([np.zeros(3), x[VELOCITY], [config.force_initial**2], x[RATE], np.zeros(3)])
 
-    return Observer(inner, Update(function, settings, begin), config)
+    slow = replace(config, force_bandwidth=min(config.force_bandwidth, CAUTIOUS_BANDWIDTH), torque_bandwidth=0.0)
+    cautious = disturbance_settings(slow, inner.control_period)
+    return Observer(inner, Update(function, settings, begin, (cautious, begin)), config)
 
 
 def disturbance_settings(config: DisturbanceObserverKeys, period: float) -> np.ndarray:

@@ -18,6 +18,8 @@ what can be done.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 
@@ -43,6 +45,7 @@ from quadexp.physics.vehicle import Vehicle
 N_AIR = 4  # wind (3,), thrust scale - 1
 N_FORCE = 3  # over the mass
 N_WIND_SETTINGS = 8
+CAUTIOUS_NOISE = 3.0  # m/s^2, of the z axis where the time of the thrusts is not known
 TYPICAL_AIRSPEED = 5.0  # m/s, at which the drag slope is taken
 
 
@@ -67,7 +70,16 @@ def with_wind_observer(controller: Controller, config: WindObserverConfig) -> Ob
         P = np.diag([config.wind_initial**2] * 3 + [config.scale_initial**2 if config.scale_walk else 0.0])
         return np.concatenate([np.zeros(N_AIR), P.ravel(), np.zeros(N_FORCE), x[RATE], np.zeros(3)])
 
-    return Observer(inner, Update(function, wind_settings(config, period), begin), config)
+    def begin_without_scale(x: np.ndarray) -> np.ndarray:
+        s = begin(x)
+        s[N_AIR + N_AIR**2 - 1] = 0.0
+        return s
+
+    noise = (*config.noise[:2], max(config.noise[2], CAUTIOUS_NOISE))
+    slow = replace(config, noise=noise, scale_walk=0.0, force_bandwidth=0.0, torque_bandwidth=0.0)
+    cautious = wind_settings(slow, period)
+    update = Update(function, wind_settings(config, period), begin, (cautious, begin_without_scale))
+    return Observer(inner, update, config)
 
 
 def wind_settings(config: WindObserverKeys, period: float) -> np.ndarray:

@@ -2,33 +2,27 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
 
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
 from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.air.none import no_residual
 from quadexp.control.base import Measurement, Window
+from quadexp.control.belief import Belief
 from quadexp.control.delay.prediction import Prediction
 from quadexp.control.delay.sent_commands import SentCommands
 from quadexp.control.mpc import mpc as landed
 from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.wrapped import WrappedController
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
 
 PERIOD = 0.02
-
-
-class Belief(NamedTuple):
-    """What an observer tells, see Belief of quadexp.control.belief."""
-
-    force: np.ndarray
-    torque: np.ndarray
-    wind: np.ndarray
-    thrust_scale: float = 1.0
 
 
 PUSHED = Belief(np.array([0.5, -1, 0.3]), np.array([0.02, 0, 0.01]), np.array([3.0, -2, 1]), 0.9)
@@ -80,7 +74,7 @@ class Told(WrappedController):
 
     def step(self, measurement, window):
         self.states.append(measurement.state)
-        return next(self.commands), None
+        return next(self.commands), StepRecord(0.0, 0, 0, 0, 0.0)
 
 
 def made(vehicle, residual, **settings):
@@ -142,3 +136,51 @@ def test_dead_time_and_lag_of_the_mpc_inside_are_known(vehicle):
     given = around(inner, PredictionConfig(name="p", time=0.02, dead_time=0.0, motor_lag=0.01))
     assert (own.delay, own.dead_time, own.lag) == (0.02, 0.013, 0.03)
     assert (given.dead_time, given.lag) == (0.0, 0.01)
+
+
+class Plain:
+    """A controller that is no MPC: keeps what it is told, sends what it is given."""
+
+    control_period, node_times, reference_period, backend = PERIOD, np.array([0.0, 0.1]), 0.0, "interpreted"
+    name = source = "plain"
+    residual = None
+
+    def __init__(self, vehicle, commands):
+        self.vehicle, self.commands, self.told = vehicle, iter(commands), []
+
+    def reset(self, x, window):
+        pass
+
+    def step(self, measurement, window):
+        self.told.append((measurement.state, window))
+        return next(self.commands), StepRecord(0.0, 0, 0, 0, 0.0)
+
+
+@pytest.mark.parametrize("age", [0.0, 0.015])
+def test_another_controller_is_told_when_its_command_will_act(vehicle, age):
+    """State and reference of now + dead time, by the rigid body under the commands already sent."""
+    dead_time, n = 0.035, vehicle.n_rotors
+    commands = vehicle.hover_thrust * (1 + 0.1 * np.random.default_rng(2).standard_normal((10, n)))
+    plain = Plain(vehicle, commands)
+    wrapped = Prediction(plain, age, dead_time, 0.0)
+    model = corrected_function(vehicle, no_residual(vehicle))
+    sent = np.vstack([np.tile(vehicle.hover_thrust, (40, n)), commands])
+
+    def slope(t, x):
+        return model(x, thrust_at(t - 10 * PERIOD, sent, dead_time, 0.0), []).full().ravel()
+
+    x = np.concatenate([np.zeros(3), [1, 0, 0, 0], [1, 2, 0.5], [0.2, -0.1, 0.3]])
+    grid = np.arange(260) * 1e-3
+    states = solve_ivp(slope, (0, grid[-1]), x, t_eval=grid, rtol=1e-7, atol=1e-9, max_step=2e-3).y.T
+    jets = np.random.default_rng(3).normal(size=(5, 3))
+    window = Window(np.zeros((2, 13)), np.full((1, n), vehicle.hover_thrust), jets, np.array([0.1, 0.2, 0.3]))
+    wrapped.reset(x, window)
+    for k in range(10):
+        wrapped.step(Measurement(k * PERIOD, states[max(20 * k - round(1e3 * age), 0)], None, None), window)
+    for k, (told, reference) in enumerate(plain.told):
+        assert np.abs(told - states[20 * k + 35])[:10].max() < 2e-3 and np.abs(told - states[20 * k])[:3].max() > 1e-2
+        expected = sum(jets[i] * dead_time**i / math.factorial(i) for i in range(5))
+        assert np.allclose(reference.position[0], expected, atol=1e-12)
+        assert np.allclose(reference.position[4], jets[4])
+        assert reference.yaw[0] == pytest.approx(0.1 + 0.2 * dead_time + 0.15 * dead_time**2)
+    assert np.allclose(wrapped.node_times, [dead_time, 0.1 + dead_time])

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.control.base import Measurement
 from quadexp.control.delay.strapdown import Strapdown, propagation
+from quadexp.control.mpc.mpc import StepRecord
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 
 PERIOD, GRAVITY = 0.02, 9.81
@@ -29,7 +30,7 @@ class Told:
 
     def step(self, measurement, window):
         self.states.append(measurement.state)
-        return None, None
+        return None, StepRecord(0.0, 0, 0, 0, 0.0)
 
     def log(self):
         return {}

@@ -1,0 +1,227 @@
+"""Delays that nobody knows: found in the first seconds of the flight, under a soft controller, and then made good.
+
+    at first    the published grid with soft weights (`soft`), which stands some 50 ms that nobody told it; dead time
+                `assumed`, the middle of what it stands
+    at times    delay.after, then each time half as long again, until all are known to FINE_ENOUGH: timing.find_delays
+                on what was told and sent so far
+    then        the state is brought to now (by gyroscope and accelerometer where the rates are fresh, by the model
+                otherwise), the dead time predicted and the motors' lag inverted; and the grid and weights are those of
+                the controller's own settings
+
+What stays unknown is not made good, and the soft controller flies on: a short first node with 50 ms that nobody told
+it of loses the vehicle. Columns: delay_known (0, 1), delay_time, delay_dead_time, delay_lag (s), what is made good.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from quadexp.compile.backend import BufferedFunction
+from quadexp.config.delays import IdentifiedDelayConfig
+from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.delay.prediction import STEP, Prediction, prediction_on
+from quadexp.control.delay.sent_commands import SETTLED, SentCommands
+from quadexp.control.delay.strapdown import Strapdown
+from quadexp.control.delay.timing import LEAST, Delays, Stream, find_delays
+from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.mpc.dead_time import DeadTimePredictor
+from quadexp.control.mpc.motor_lead import MotorLead
+from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
+from quadexp.control.mpc.settings import MPCSettings
+from quadexp.control.wrapped import WrappedController, innermost, layers
+from quadexp.errors import UsageError
+
+LARGEST = 0.08  # s, of an age and of a dead time that are made good
+LARGEST_LAG = 0.1  # s
+SOFT_WEIGHT = 10.0  # of the squared position error, as published
+FINE_ENOUGH = 0.001  # s, standard error of the age and of the dead time from which on nothing is looked for again
+GRID = 4  # samples of the reference in a control period, so that it may be asked for later ones
+COLUMNS = ("delay_known", "delay_time", "delay_dead_time", "delay_lag")
+
+
+class Identified(WrappedController):
+    """A controller that finds out what makes its measurements and commands late."""
+
+    def __init__(self, inner: Controller, config: IdentifiedDelayConfig) -> None:
+        super().__init__(inner)
+        self._core: Any = innermost(inner)
+        self._own, self._config = self._core.settings, config
+        self._soft = soft(self._own, config.assumed)
+        self._core.use(self._soft, None, None)
+        self._assumed = DeadTimePredictor(self._core.mpc) if config.assumed else None
+        self._core.use(self._soft, self._assumed, None)
+        memory = LARGEST + SETTLED * LARGEST_LAG
+        self._prediction = Prediction(inner, 0.0, 0.0, 0.0, (LARGEST, memory))
+        self._strapdown = Strapdown(inner, 0.0, LARGEST)
+        self._ahead = CommandsAhead(self._core.mpc)
+        self._observers = [one for one in layers(inner) if hasattr(one, "be_cautious")]
+        longest = LARGEST + max(self._own.horizon, self._soft.horizon)
+        self._spacing = self.control_period / GRID
+        self.node_times = self._spacing * np.arange(math.ceil(longest / self._spacing) + 2)
+        self._aim()
+
+    def forget(self) -> None:
+        """See Controller.forget: nothing is known of the delays."""
+        self._core.use(self._soft, self._assumed, None)
+        self.inner.forget()
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset: nothing is known."""
+        self._core.use(self._soft, self._assumed, None)
+        self.found: Delays | None = None
+        self._next, self._records = round(self._config.after / self.control_period), list[tuple[Any, ...]]()
+        self._strapdown.delay, self._made_good = 0.0, (0.0, 0.0, 0.0, 0.0)
+        self._aim()
+        inside = self._inside(window)
+        for one in (self._prediction, self._strapdown):
+            one.reset(x, inside)
+        self._prediction.tune(0.0, 0.0, 0.0)
+        self._be_cautious(True, None)
+
+    def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
+        """See Controller.step."""
+        began = time.perf_counter()
+        if len(self._records) == self._next:
+            self._look(measurement.state)
+        self._tell_thrusts()
+        now = self._prediction.now(measurement.state)
+        fresh = self._strapdown.now(measurement)
+        state = fresh if self._strapdown.delay else now
+        thrust, record = self.inner.step(measurement._replace(state=state), self._inside(window))
+        self._prediction.commands.record(thrust)
+        force = np.full(3, np.nan) if measurement.specific_force is None else measurement.specific_force
+        self._records.append((measurement.t, measurement.state, force, thrust))
+        return thrust, record._replace(solve_time=time.perf_counter() - began)
+
+    def log(self) -> dict[str, float]:
+        """See Controller.log."""
+        return {**self.inner.log(), **dict(zip(COLUMNS, self._made_good, strict=True))}
+
+    def _inside(self, window: Window) -> Window:
+        """The reference at the times that the inner controller asks for now."""
+        return window._replace(state=window.state[self._rows], input=window.input[self._rows[:-1]])
+
+    def _aim(self) -> None:
+        self._rows = np.round(self._core.node_times / self._spacing).astype(int)
+
+    def _tell_thrusts(self) -> None:
+        """What the rotors deliver now, for an observer in the MPC's step."""
+        if self._core.believed is not None:
+            self._core.believed.thrust = self._delivered @ self._prediction.commands.values
+
+    def _be_cautious(self, cautious: bool, x: np.ndarray | None) -> None:
+        """Observers inside: whether they rely on the time of the thrusts."""
+        for one in self._observers:
+            one.be_cautious(cautious, x)
+        dead_time, lag = (self._config.assumed, 0.0) if cautious else (self._prediction.dead_time, self._prediction.lag)
+        self._delivered = self._prediction.commands.weights(np.zeros((1, 2)), dead_time, lag)[0]
+
+    def _look(self, x: np.ndarray) -> None:
+        """Find the delays in what was told and sent so far, and make good what is known."""
+        records = self._records[1:]
+        self._next += self._next // 2
+        if len(records) < LEAST:
+            return
+        t, states, forces, commands = (np.array(one, float) for one in zip(*records, strict=True))
+        found = self.found = find_delays(Stream(t, states, forces, commands), self.vehicle)
+        if found.age_known:
+            self._make_young(found)
+        if found.commands_known:
+            self._make_early(found)
+            self._be_cautious(False, x)
+        known = found.age_known and found.commands_known
+        if known and max(found.age_error, found.dead_time_error) < FINE_ENOUGH:
+            self._next = -1
+        self._made_good = (float(known), self._prediction.delay or self._strapdown.delay, *self._made_good[2:])
+
+    def _make_young(self, found: Delays) -> None:
+        age = min(found.age, LARGEST)
+        self._strapdown.delay = age if found.gyro_fresh else 0.0
+        self._prediction.tune(0.0 if found.gyro_fresh else age, self._prediction.dead_time, self._prediction.lag)
+
+    def _make_early(self, found: Delays) -> None:
+        dead_time = min(round(found.dead_time / self._spacing) * self._spacing, LARGEST)
+        lag = min(found.lag, LARGEST_LAG)
+        settings = replace(self._own if found.age_known else self._soft, dead_time=dead_time, motor_lead=lag)
+        self._prediction.tune(self._prediction.delay, found.dead_time, lag)
+        self._ahead.tune(dead_time, lag, self._prediction.commands.values * self._scale())
+        self._core.use(settings, self._ahead, MotorLead(self.vehicle, settings) if lag else None)
+        self._made_good = (self._made_good[0], self._made_good[1], dead_time, lag)
+        self._aim()
+
+    def _scale(self) -> float:
+        """What the rotors are believed to give of a command."""
+        world = self._core.believed
+        return 1.0 if world is None else float(world.belief.thrust_scale)
+
+
+class CommandsAhead:
+    """A DeadTimePredictor whose dead time and lag may change in flight; thrusts in N delivered."""
+
+    def __init__(self, mpc: ModelPredictiveController) -> None:
+        self._mpc, n = mpc, mpc.vehicle.n_rotors
+        parts = math.ceil(LARGEST / STEP - 1e-9)
+        function = prediction_on(mpc.vehicle, mpc.residual, parts, mpc.backend)
+        self._predict = BufferedFunction(function, {"theta": mpc.parameters})
+        self._sent = SentCommands(n, mpc.settings.control_period, LARGEST + SETTLED * LARGEST_LAG)
+        self._parts, self._lag = parts, 0.0
+
+    def tune(self, dead_time: float, lag: float, commands: np.ndarray) -> None:
+        """Dead time and lag (s) from now on, and the commands before, (k, n) (N), the oldest first."""
+        self._lag = lag
+        self._sent.values[...] = commands[-len(self._sent.values) :]
+        starts = np.minimum(np.arange(self._parts) * STEP, dead_time)
+        ends = np.minimum(starts + STEP, dead_time)
+        self._predict.arguments["dt"][:] = ends - starts
+        self._weights = self._sent.weights(np.stack([starts, ends], axis=1), dead_time, lag)
+        self._last = self._sent.weights(np.array([[dead_time, dead_time]]), dead_time, lag)[0]
+
+    def reset(self, thrust: np.ndarray) -> None:
+        """See DeadTimePredictor.reset."""
+        self._sent.reset(thrust)
+
+    def predict(self, x: np.ndarray) -> np.ndarray:
+        """See DeadTimePredictor.predict."""
+        given = self._predict.arguments
+        given["x"][:] = x
+        np.matmul(self._weights, self._sent.values, out=given["thrusts"])
+        if self._mpc.disturbance is not None:
+            given["push"][:] = self._mpc.disturbance
+        self._predict()
+        now = self._predict.results["now"].copy()
+        return np.concatenate([now, self._last @ self._sent.values]) if self._lag else now
+
+    def record(self, command: np.ndarray) -> None:
+        """See DeadTimePredictor.record."""
+        self._sent.record(command)
+
+
+def soft(settings: MPCSettings, dead_time: float) -> MPCSettings:
+    """The published grid and weights, for a controller that does not know its delays; nodes remain as many."""
+    x, y, z = (min(weight, SOFT_WEIGHT) for weight in settings.position_weight)
+    horizon = settings.nodes * max(0.1, settings.control_period)
+    return replace(settings, first_node=0.0, horizon=horizon, position_weight=(x, y, z), dead_time=dead_time)
+
+
+def around(controller: Controller, config: IdentifiedDelayConfig) -> Controller:
+    """The controller with delays that are found in flight. Raises UsageError where it is no MPC of this program, or is
+    told of delays itself."""
+    core = innermost(controller)
+    if type(core) is not PredictiveController:
+        raise UsageError(
+            f"delay={config.name}: {controller.name} is no MPC whose grid can follow what is found; find the delays"
+            " with `quadexp identify --method delays FLIGHT` and give them: delay=prediction or delay=strapdown"
+        )
+    if controller.control_period != core.control_period:
+        raise UsageError(f"delay={config.name}: not around an inner loop with a rate of its own; give delay.time")
+    if core.settings.dead_time or core.settings.known_lag:
+        raise UsageError(
+            f"delay={config.name}: finds dead time and lag itself; controller.dead_time, controller.motor_lag and"
+            " controller.motor_lead must be 0"
+        )
+    return Identified(controller, config)

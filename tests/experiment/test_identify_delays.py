@@ -1,0 +1,76 @@
+"""Delays found in flights: of worlds whose delays are stated, and where a flight cannot tell."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from quadexp.cli.app import app
+from quadexp.config.compose import compose
+from quadexp.control.delay.timing import find_delays
+from quadexp.errors import DataError
+from quadexp.experiment.build import build_vehicle
+from quadexp.experiment.evaluate import fly_one
+from quadexp.experiment.identify_delays import overrides, told
+from quadexp.log.schema import Flight
+from quadexp.log.store import write_flight
+
+NOISY = ["controller=nominal_mpc", "world=everything", "trajectory=lemniscate", "trajectory.speed=6", "seed=3"]
+
+
+def found(overrides_given):
+    config = compose(overrides_given)
+    return find_delays(told(fly_one(config), "a flight"), build_vehicle(config.vehicle))
+
+
+@pytest.mark.parametrize(
+    ("age", "latency", "lag", "gyro"),
+    [(0.01, 0.01, 0.03, "late"), (0.03, 0.005, 0.05, "fresh"), (0.004, 0.025, 0.02, "late")],
+)
+def test_delays_of_a_noisy_flight_are_those_of_its_world(age, latency, lag, gyro):
+    """With wind, noise, sag and a thrust that is off besides."""
+    world = [f"estimator.delay={age}", f"estimator.gyro={gyro}", f"link.latency={latency}"]
+    world += [f"actuator.time_constant_up={lag}", f"actuator.time_constant_down={lag}"]
+    delays = found([*NOISY, *world, "controller.allow_unstable=true"])
+    assert delays.age_known and delays.commands_known
+    assert delays.age == pytest.approx(age, abs=2e-3)
+    assert delays.gyro == pytest.approx(age if gyro == "fresh" else 0.0, abs=2e-3)
+    assert delays.dead_time + delays.lag == pytest.approx(latency + lag, abs=5e-3)
+    assert delays.lag == pytest.approx(lag, abs=0.35 * lag)
+    settings = overrides(delays)
+    assert f"delay={'strapdown' if gyro == 'fresh' else 'prediction'}" in settings
+
+
+def test_a_flight_without_delays_asks_for_nothing():
+    assert not overrides(found(["controller=nominal_mpc", "trajectory.speed=6", "seed=2"]))
+
+
+def test_a_quiet_flight_does_not_tell():
+    """Nothing changes at hover, so no time can be found in it: that is said, and no number is given."""
+    delays = found(["controller=nominal_mpc", "trajectory=hover", "world=only_late_estimate"])
+    assert not delays.age_known and not delays.commands_known and not overrides(delays)
+
+
+def test_uneven_samples_are_refused():
+    t = np.array([0.0, 0.02, 0.05])
+    with pytest.raises(DataError, match="evenly spaced"):
+        told(Flight({"t": t}, {}), "a flight")
+
+
+def test_too_few_samples_are_refused():
+    flight = fly_one(compose(["controller=nominal_mpc", "trajectory=hover", "trajectory.duration=1"]))
+    with pytest.raises(DataError, match=r"delays cannot be found in 51 samples, 100 are needed"):
+        find_delays(told(flight, "short"), build_vehicle(compose([]).vehicle))
+
+
+def test_the_command_prints_what_to_set(tmp_path):
+    path = tmp_path / "a.parquet"
+    write_flight(path, fly_one(compose(NOISY)))
+    said = CliRunner().invoke(app, ["identify", "--method", "delays", str(path)])
+    assert said.exit_code == 0 and "age of position, velocity and attitude: " in said.output
+    assert "delay=prediction delay.time=0.0" in said.output and "controller.motor_lag=0.0" in said.output
+    record = json.loads(CliRunner().invoke(app, ["identify", "--method", "delays", str(path), "--json"]).stdout)
+    assert record["flights"][0]["age"] == pytest.approx(0.01, abs=2e-3)
