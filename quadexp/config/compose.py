@@ -497,7 +497,7 @@ def _check_key(content: Any, key: str, having: Callable[[str], dict[str, list[st
                 of = " or ".join(f"{name} of {' or '.join(options)}" for name, options in others.items())
                 asked = "it is a key" if key in others else "did you mean"
                 what = of.removeprefix(f"{key} ") if key in others else f"{of}?"
-                raise UsageError(f"{key}: no such key here; {asked} {what}")
+                raise UsageError(f"{key}: no such key; {asked} {what}")
             raise UsageError(f"{key}: no such key{suggestion(key, everywhere, here)}")
         content = content[part]
 
