@@ -20,8 +20,6 @@ def loop_margins(controller: Any, config: PlantConfig, plant: Any = None) -> dic
     whose bandwidth is outside this linear loop.
     plant: what is flown; a World knows the delays of its link, actuators and estimator.
     """
-    from quadexp.control.delay.prediction import Prediction
-    from quadexp.control.delay.strapdown import Strapdown
     from quadexp.control.mpc.controller import PredictiveController
     from quadexp.control.wrapped import innermost, layers
 
@@ -37,7 +35,7 @@ def loop_margins(controller: Any, config: PlantConfig, plant: Any = None) -> dic
 
         controller.forget()  # as it is when a flight begins
         around = layers(controller)
-        age = sum(one.delay for one in around if isinstance(one, Prediction | Strapdown))
+        age = sum(float(getattr(one, "delay", 0.0)) for one in around if one.in_margins)
         settings = core.settings
         made[latency, lag] = {
             **margins(core)._asdict(),
@@ -47,7 +45,7 @@ def loop_margins(controller: Any, config: PlantConfig, plant: Any = None) -> dic
             "world_latency": latency,
             "world_lag": lag,
             "world_stable": HoverLoop(core).radius(**unmodelled(core, age, latency, lag)) <= STABLE,
-            "without": [type(one).__name__.lower() for one in around if not isinstance(one, Prediction | Strapdown)],
+            "without": [type(one).__name__.lower() for one in around if not one.in_margins],
         }
     return made[latency, lag]
 
