@@ -37,7 +37,9 @@ def test_published_data():
     assert printed["sun_late_50", "sun_dfbc+indi"].survivors == pytest.approx(0.386, abs=1e-3)
 
 
-@pytest.mark.parametrize(("experiment", "feasible", "others"), [("sun", True, 20 * 4), ("sun_infeasible", False, 2)])
+@pytest.mark.parametrize(
+    ("experiment", "feasible", "others"), [("sun", True, 20 * 4), ("sun_infeasible", False, 2), ("sun_ours", True, 20)]
+)
 def test_an_experiment_flies_the_ellipses_of_table_iii(experiment, feasible, others):
     with session() as composer:
         cells = composer.expand([f"experiment={experiment}"], check=False)
