@@ -152,3 +152,10 @@ def test_indi_removes_a_shift_of_the_centre_of_mass(outer):
         assert found.metadata["outcome"] == "ok"
         errors.append(found.metadata["row"]["rmse"])
     assert errors[1] < errors[0] / 2
+
+
+def test_an_observer_knows_what_dfbc_knows_of_the_air():
+    """In the ideal case there is next to nothing left to estimate; the drag alone would be 2.8 N."""
+    found = flight("controller=sun_dfbc", "observer=disturbance", "world=sun_baseline", "trajectory.duration=3")
+    force = np.stack([found[f"observer_force_{axis}"] for axis in "xyz"], axis=1)
+    assert np.linalg.norm(force[len(force) // 2 :], axis=1).max() < 0.3
