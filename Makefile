@@ -8,7 +8,7 @@ QUADEXP := $(BIN)/quadexp
 # One BLAS thread per process: the sweep fills the cores by itself.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: all setup quick test lint docs coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-ladder reproduce-sun reproduce-quick test-slow bench clean
+.PHONY: all setup quick test lint docs coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-ladder reproduce-sun reproduce-quick tuned leaderboard test-slow bench clean
 
 all: quick
 
@@ -79,6 +79,26 @@ reproduce-sun: $(STAMP)
 	$(QUADEXP) evaluate --sweep experiment=sun --out results/sun --refly
 	$(QUADEXP) evaluate --sweep experiment=sun_infeasible --out results/sun_infeasible --refly
 	$(QUADEXP) evaluate --sweep experiment=sun_ours --out results/sun_ours --refly
+
+# Settings tuned with the same budget for every controller, on the same cells; what is found becomes options of conf/.
+TUNED := nominal_mpc linear_drag_mpc gp_mpc
+TUNE_ON := world=clean,only_wind,everything trajectory=circle,lemniscate trajectory.speed=8
+FLIGHTS ?= 360
+tuned: $(STAMP)
+	$(QUADEXP) collect --out data/tuned.parquet --force
+	$(QUADEXP) fit-gp data/tuned.parquet --out models/tuned --no-figures --force
+	mkdir -p docs/tuned
+	for name in $(TUNED); do \
+		$(QUADEXP) tune controller=$$name model=models/tuned $(TUNE_ON) --flights $(FLIGHTS) --delay-margin 0.05 --out tuned/$$name && \
+		cp tuned/$$name/controller/*.yaml conf/controller/ && \
+		cp tuned/$$name/history.parquet docs/tuned/$${name}_tuned.parquet || exit 1; \
+	done
+
+# The leaderboard of docs/leaderboard.md: an hour with SIZE=standard (two cores), a night with SIZE=full.
+SIZE ?= standard
+leaderboard: $(STAMP)
+	$(QUADEXP) bench --size $(SIZE) --out results/leaderboard_$(SIZE) --markdown docs/leaderboard.md
+	cp results/leaderboard_$(SIZE)/leaderboard.parquet docs/leaderboard.parquet
 
 # The same claims on fewer flights, as tests that fail where a promised figure is missed.
 reproduce-quick: $(STAMP)

@@ -2,9 +2,10 @@
 
     python -m benchmarks.remedies [--rounds 20] [--json]
 
-Each contestant is the whole step of a controller as called from Python, on what it was asked in a flight on the circle in
-wind; a round is one pass of each over its own record, so that a slow moment of the machine meets all. Printed are the
-medians over the rounds of the median step, and their ratios to the first row, in one run.
+Each contestant is the whole step of a controller as called from Python, on what it was asked in a flight on the circle,
+in wind and with the dead time that it knows; a round is one pass of each over its own record, so that a slow moment of
+the machine meets all. Printed are the medians over the rounds of the median step, and their ratios to the first row, in
+one run.
 """
 
 from __future__ import annotations
@@ -20,11 +21,14 @@ import numpy as np
 
 from benchmarks.machine import cores, machine, pin
 from benchmarks.step import make_residual
+from quadexp.air.adapting import adapting_terms
 from quadexp.config.compose import compose
+from quadexp.config.learned import AdaptKeys
 from quadexp.config.observers import DisturbanceObserverConfig, WindObserverConfig
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.online_mpc import AdaptingController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.observers.disturbance import with_disturbance_observer
 from quadexp.control.observers.wind import with_wind_observer
@@ -54,6 +58,14 @@ def contestants(vehicle: Vehicle) -> dict[str, Controller]:
     return {
         f"{CASE}": mpc(disturbed=False),
         f"{CASE}, dead time predicted": mpc(disturbed=False, dead_time=0.02),
+        f"{CASE} and terms that adapt": AdaptingController(
+            vehicle,
+            [make_residual(CASE, vehicle)[0]],
+            adapting_terms(vehicle, AdaptKeys().deviation),
+            MPCSettings(first_node=0.02, horizon=0.6),
+            AdaptKeys(),
+            backend="compiled",
+        ),
         f"{CASE}, observer=disturbance": with_disturbance_observer(mpc(), disturbance),
         f"{CASE}, observer=wind without targets": with_wind_observer(mpc(), still),
         f"{CASE}, observer=wind": with_wind_observer(mpc(), wind),
@@ -63,7 +75,9 @@ def contestants(vehicle: Vehicle) -> dict[str, Controller]:
 
 def flown(vehicle: Vehicle, controller: Controller) -> Log:
     """What a controller is asked on the circle in a gusty wind."""
-    world = build_world(compose(["world=only_wind"]), vehicle)
+    late = controller.node_times[0]
+    link = [f"link.latency={late}", "link=latency"] if late else []
+    world = build_world(compose(["world=only_wind", *link]), vehicle)
     reference, rng = SampledReference(Circle(speed=8.0), controller), np.random.default_rng(0)
     x, reading = reference.along()[0][0], None
     noise = world.begin(x, controller.control_period, float(reference.t[-1]) + 1.0, rng)

@@ -63,7 +63,7 @@ def suggestion(found: str, known: Sequence[str], listed: Sequence[str] | None = 
         more = ", ..." if len(near) > MOST_NAMED else ""
         return f"; did you mean {' or '.join(near[:MOST_NAMED])}{more}?"
     names = sorted((set(known) if listed is None else set(listed)) - {"sweep"})
-    return f"; there are: {', '.join(names[:16])}{', ...' if len(names) > 16 else ''}" if names else ""
+    return f"; there are: {', '.join(names[:12])}{', ...' if len(names) > 12 else ''}" if names else ""
 
 
 def ending_in(found: str, known: Sequence[str]) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from types import TracebackType
 from typing import Any
 
@@ -10,11 +11,16 @@ from quadexp.messages import CleanStream, raw
 
 
 class Progress:
-    """with Progress("flights") as progress: progress(done, total)"""
+    """with Progress("flights") as progress: progress(done, total)
 
-    def __init__(self, label: str) -> None:
+    below: makes what is shown below the bar on a terminal, anew twice a second.
+    """
+
+    def __init__(self, label: str, below: Callable[[], Any] | None = None) -> None:
         self.label = label
+        self._below = below
         self._bar: Any = None
+        self._shown: Any = None
         self._task: Any = None
         self._said = 0
 
@@ -27,13 +33,22 @@ class Progress:
             columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
             terminal = Console(file=raw(sys.stderr), stderr=True)
             self._bar = Bar(*columns, console=terminal, transient=True)
-            self._bar.start()
+            self._shown = self._bar if self._below is None else self._live(terminal)
+            self._shown.start()
             sys.stdout, sys.stderr = CleanStream(sys.stdout), CleanStream(sys.stderr)  # the bar's, until it stops
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         if self._bar is not None:
-            self._bar.stop()
+            self._shown.stop()
+
+    def _live(self, terminal: Any) -> Any:
+        from rich.console import Group
+        from rich.live import Live
+
+        below, bar = self._below, self._bar
+        assert below is not None
+        return Live(get_renderable=lambda: Group(below(), bar), console=terminal, transient=True, refresh_per_second=2)
 
     def __call__(self, done: float, total: float) -> None:
         """Show that `done` of `total` is finished; the first call tells where the work began."""

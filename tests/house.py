@@ -31,6 +31,7 @@ FLOORS = (
     ("experiment", "papers"),
     ("sweeps",),
     ("tune",),
+    ("bench",),
     ("api",),
     ("cli",),
     ("__main__",),

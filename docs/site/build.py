@@ -1,7 +1,9 @@
 """Build the documentation site from the Markdown of the repository, without a network: `make docs`.
 
 The pages are copied to build/pages with the layout of the repository, so that their links hold, together with every
-file that they link to; MkDocs makes build/site from them. A link or an anchor that leads nowhere ends the build.
+file that they link to; MkDocs makes build/site from them. The navigation is that of mkdocs.yml, without pages that do
+not exist; a page of docs/ that it does not name stands under `More`. A link or an anchor that leads nowhere ends the
+build.
 """
 
 from __future__ import annotations
@@ -16,6 +18,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "build" / "pages"
 SOURCES = ("*.md", "docs/*.md", "docs/site/*.md", "docs/figures/*", "benchmarks/*.md", "examples/notebooks/*.ipynb")
+LANDING = ROOT / "docs" / "site" / "landing.md"  # index.html of the site; README.md is the page `about`
+NAV_PAGE = re.compile(r"^\s+- (?:.*: )?(\S+\.(?:md|ipynb))$")
 LINK = re.compile(r"\]\(([^)#\s]+)")
 FOLDERS = {"examples/notebooks)": "examples/notebooks/compare_controllers.ipynb)"}  # a folder has no page
 
@@ -36,15 +40,49 @@ def stage() -> None:
             text = path.read_text(encoding="utf-8")
             for folder, page in FOLDERS.items():
                 text = text.replace(folder, page)
-            copy.write_text(text, encoding="utf-8")
+            copy = PAGES / "about.md" if path == ROOT / "README.md" else copy
+            copy.write_text(_with_about(path, text), encoding="utf-8")
         else:
             shutil.copyfile(path, copy)
+
+    landing = LANDING.read_text(encoding="utf-8").replace("](../../", "](").replace("](../", "](docs/")
+    landing = landing.replace('src="../', 'src="docs/').replace("](README.md", "](about.md")
+    (PAGES / "index.md").write_text(landing, encoding="utf-8")
+
+
+def _with_about(path: Path, text: str) -> str:
+    """A page's text with links to README.md, which is the page `about` of the site."""
+
+    def lead(match: re.Match[str]) -> str:
+        here = (path.parent / match[1]).resolve() == ROOT / "README.md"
+        return f"]({match[1].removesuffix('README.md')}about.md" if here else match[0]
+
+    return LINK.sub(lead, text)
+
+
+def configuration() -> Path:
+    """MkDocs's configuration with the pages that there are: of mkdocs.yml those that exist, and every other page of
+    docs/ under `More`."""
+    lines, named = [], set()
+    for line in (ROOT / "docs" / "site" / "mkdocs.yml").read_text(encoding="utf-8").splitlines():
+        page = NAV_PAGE.match(line)
+        if page is None or (PAGES / page[1]).is_file():
+            lines.append(line)
+            named |= {page[1]} if page else set()
+    more = sorted(f"docs/{path.name}" for path in (PAGES / "docs").glob("*.md") if f"docs/{path.name}" not in named)
+    lines += ["  - More:", *(f"      - {page}" for page in more)] if more else []
+    text = "\n".join(lines) + "\n"
+    for above in ("docs_dir: ../../build/", "site_dir: ../../build/"):
+        text = text.replace(above, above.split(" ")[0] + " ")
+    made = ROOT / "build" / "mkdocs.yml"
+    made.write_text(text.replace("paths: [../..]", "paths: [..]"), encoding="utf-8")
+    return made
 
 
 def main() -> int:
     """Stage and build; MkDocs's exit code."""
     stage()
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-f", str(ROOT / "docs/site/mkdocs.yml")]
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-f", str(configuration())]
     quiet = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
     code = subprocess.run(command, env=quiet, check=False).returncode
     if code == 0:

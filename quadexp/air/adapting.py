@@ -27,14 +27,15 @@ import numpy as np
 from quadexp.air.base import OUTPUTS, Residual, feature_names
 from quadexp.air.gaussian_process import PosteriorMean
 from quadexp.air.linear_drag import N_PARAMETERS
-from quadexp.air.neural import Network
+from quadexp.air.network import Network
 from quadexp.air.terms import TermStructure, columns_function, term_residual
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
 
 TYPICAL_SPEED = 8.0  # m/s
 JITTER = 1e-8  # added to K, as in the fit
-TERMS = (("linear", "quadratic", "offset"), ("linear", "quadratic", "offset"), ("linear", "quadratic", "offset", "thrust"))
+DRAG_TERMS = ("linear", "quadratic", "offset")
+TERMS = (DRAG_TERMS, DRAG_TERMS, (*DRAG_TERMS, "thrust"))
 
 
 @dataclass(frozen=True)
@@ -135,12 +136,20 @@ def _some(blocks: list[Block]) -> tuple[Block, ...]:
 
 
 def regressors(adapting: Adapting, rotors: int) -> ca.Function:
-    """(z, theta) -> y (6,) and, for each block, phi R of its component, (1, h): the regressors of b."""
+    """(z, theta) -> y (6,) and, for each block, dy_i/da of its component, (1, h): the regressors of its weights."""
     z, theta = ca.MX.sym("z", len(feature_names(rotors))), ca.MX.sym("theta", len(adapting.residual.theta))
-    y, _ = adapting.residual.function(z, theta)
-    y = ca.densify(y)
-    rows = [
-        ca.mtimes(ca.densify(ca.jacobian(y[block.axis], theta)[:, block.at.tolist()]), ca.DM(block.root))
-        for block in adapting.blocks
-    ]
+    with_weights, weights = ca.MX(theta), [ca.MX.sym("a", len(block.at)) for block in adapting.blocks]
+    for block, own in zip(adapting.blocks, weights, strict=True):
+        with_weights[block.at.tolist()] = own
+    y = ca.densify(_inlined(adapting.residual.function, z, with_weights))
+    rows = [ca.jacobian(y[block.axis], own) for block, own in zip(adapting.blocks, weights, strict=True)]
+    given = [theta[block.at.tolist()] for block in adapting.blocks]
+    y, *rows = ca.graph_substitute([y, *map(ca.densify, rows)], weights, given)
     return ca.Function("regressors", [z, theta], [y, *rows])
+
+
+def _inlined(function: ca.Function, z: ca.MX, theta: ca.MX) -> ca.MX:
+    """y of a residual's function, without a call: derivatives then follow only what they depend on."""
+    if function.is_a("SXFunction"):
+        return function(z, theta)[0]
+    return function.call([z, theta], True, False)[0]

@@ -17,13 +17,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from quadexp.air.base import OUTPUTS, Residual, feature_names
 from quadexp.air.gaussian_process import COLLECTIVE_THRUST
+from quadexp.air.network import Network
 from quadexp.compile.backend import handwritten
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
@@ -33,20 +33,6 @@ LAYER, BACKWARD = (Path(__file__).with_name(name) for name in ("neural_layer.c",
 
 Layer = Callable[[Expression, Expression, Expression], tuple[Expression, Expression]]  # W, b, x -> s, s'
 Backward = Callable[[Expression, Expression, Expression], Expression]  # G, s', W -> G diag(s') W
-
-
-class Network(NamedTuple):
-    """features, outputs: names. weights: W_1 .. W_L, W_o, (rows, columns) each. biases: b_1 .. b_L, b_o; SI units."""
-
-    features: tuple[str, ...]
-    outputs: tuple[str, ...]
-    weights: tuple[np.ndarray, ...]
-    biases: tuple[np.ndarray, ...]
-
-    @property
-    def sizes(self) -> tuple[int, ...]:
-        """Numbers of features, of the units of every hidden layer, and of outputs."""
-        return (len(self.features), *(len(b) for b in self.biases))
 
 
 def neural_residual(vehicle: Vehicle, network: Network, source: str = "") -> Residual:

@@ -22,23 +22,26 @@ here: with c = 0 it is bayes. V = c sigma'sigma + b~' P^-1 b~ falls along the mo
 discretisation printed in its supplement, (17) to (19), does not do this: it has the opposite sign before P phi' sigma
 and no dt, and r dt where a noise of density r dt gives r per sample.
 
-A component that is learned from its own samples has its own b and P, so the update is of O(h^2) for each.
+A component has its own b and P, so an update is of O(h^2) for each.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
-from quadexp.air.adapting import Adapting, regressors
+from quadexp.air.adapting import Adapting, Block, regressors
 from quadexp.air.base import Residual
+from quadexp.compile.backend import handwritten
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
+BLOCK = Path(__file__).with_name("adapt_block.c")
 LAWS = ("bayes", "rls", "composite")
 
 
@@ -50,8 +53,15 @@ class Law:
     fitc: bool = False
 
 
-def update_function(vehicle: Vehicle, adapting: Adapting, known: Residual | None = None, law: Law | None = None) -> ca.Function:
-    """One update, for all components.
+def update_function(
+    vehicle: Vehicle,
+    adapting: Adapting,
+    known: Residual | None = None,
+    law: Law | None = None,
+    *,
+    compiled: bool = False,
+) -> ca.Function:
+    """One update, for all components. compiled: the form to compile, which cannot be interpreted.
 
     known: residual that is summed with the adapting one and does not adapt.
     Inputs: x (13,) state, world; f (3,) accelerometer, body (m/s^2); u (n,) delivered rotor thrusts (N); path (6,)
@@ -72,28 +82,15 @@ def update_function(vehicle: Vehicle, adapting: Adapting, known: Residual | None
     sample = f - ca.vertcat(0, 0, ca.sum1(u) / vehicle.mass) - y[:3]
     if known is not None:
         sample -= ca.densify(known.function(z, known_theta)[0])[:3]
-    sigma = ca.mtimes(
-        rotation_matrix(x[ATTITUDE]).T, x[VELOCITY] - path[3:] + rate * (x[POSITION] - path[:3])
-    )
+    sigma = ca.mtimes(rotation_matrix(x[ATTITUDE]).T, x[VELOCITY] - path[3:] + rate * (x[POSITION] - path[:3]))
 
-    sizes = [part for block in adapting.blocks for part in (len(block.at), len(block.at) ** 2)]
-    parts = ca.vertsplit(belief, np.cumsum([0, *sizes]).tolist())
+    parts = ca.vertsplit(belief, np.cumsum([0, *(_size(block) for block in adapting.blocks)]).tolist())
     theta, innovation, new = ca.MX(prior), [ca.MX(0)] * 3, []
-    for block, row, b, flat in zip(adapting.blocks, rows, parts[::2], parts[1::2], strict=True):
-        h, phi = len(block.at), row.T
-        P = ca.reshape(flat, h, h)
-        if law.name == "rls":
-            P = P * ca.fmin(1 / decay, ca.fmax(1, h / ca.trace(P)))
-        else:
-            b, P = decay * b, decay**2 * P + (1 - decay**2) * ca.DM.eye(h)
-        noise = variance
-        if law.fitc and block.signal_variance:
-            noise += ca.fmax(block.signal_variance - ca.dot(phi, phi), 0)
-        b, P, innovation[block.axis] = _updated(b, P, phi, sample[block.axis], noise)
-        if law.name == "composite":
-            b += tracking * sigma[block.axis] * ca.mtimes(P, phi)
-        new += [b, ca.vec(P)]
-        theta[block.at.tolist()] = ca.DM(block.mean) + ca.mtimes(ca.DM(block.root), b)
+    for block, row, own in zip(adapting.blocks, rows, parts, strict=True):
+        at = own, row.T, sample[block.axis], variance, decay, tracking * sigma[block.axis]
+        found, weights, innovation[block.axis] = (_compiled_block if compiled else _block)(block, law, *at)
+        new.append(found)
+        theta[block.at.tolist()] = weights
     return ca.Function(
         "adapt",
         [x, f, u, path, belief, known_theta, variance, decay, tracking, rate],
@@ -103,17 +100,60 @@ def update_function(vehicle: Vehicle, adapting: Adapting, known: Residual | None
     )
 
 
-def _updated(
-    b: Expression, P: Expression, phi: Expression, sample: Expression, noise: Expression
+def _block(
+    block: Block,
+    law: Law,
+    belief: Expression,
+    row: Expression,
+    sample: Expression,
+    noise: Expression,
+    decay: Expression,
+    push: Expression,
 ) -> tuple[Expression, Expression, Expression]:
-    """b, P after a sample, and its innovation. Only one triangle of P is used, so it is exactly symmetric."""
+    """The update of one component: its new belief, its weights and its innovation.
+
+    row: regressors of the weights. noise: r. push: dt c sigma. Only one triangle of P is used, so it is symmetric.
+    """
+    h, root = len(block.at), ca.DM(block.root)
+    b, P, phi = belief[:h], ca.reshape(belief[h:], h, h), ca.mtimes(root.T, row)
+    if law.name == "rls":
+        P = P * ca.fmin(1 / decay, ca.fmax(1, h / ca.trace(P)))
+    else:
+        b, P = decay * b, decay**2 * P + (1 - decay**2) * ca.DM.eye(h)
+    if law.fitc:
+        noise += ca.fmax(block.signal_variance - ca.dot(phi, phi), 0)
     error = sample - ca.dot(phi, b)
     spread = ca.mtimes(P, phi)
     s = ca.dot(phi, spread) + noise
     gain = spread / s
     crossed = ca.mtimes(gain, spread.T)
-    P = P - crossed - crossed.T + s * ca.mtimes(gain, gain.T)
-    return b + gain * error, ca.tril2symm(ca.tril(P)), error
+    P = ca.tril2symm(ca.tril(P - crossed - crossed.T + s * ca.mtimes(gain, gain.T)))
+    b = b + gain * error
+    if law.name == "composite":
+        b += push * ca.mtimes(P, phi)
+    return ca.vertcat(b, ca.vec(P)), ca.DM(block.mean) + ca.mtimes(root, b), error
+
+
+def _compiled_block(block: Block, law: Law, *arguments: Expression) -> tuple[Expression, ...]:
+    """As _block, by adapt_block.c."""
+    h, dense = len(block.at), ca.Sparsity.dense
+    chosen = {"RLS": law.name == "rls", "FITC": law.fitc, "COMPOSITE": law.name == "composite"}
+    one, many, all_of_it = dense(1), dense(h), dense(_size(block))
+    kernel = handwritten(
+        "_".join(["adapt", str(h), *(name.lower() for name, on in chosen.items() if on)]),
+        BLOCK,
+        {"SIZE": h} | {name: int(on) for name, on in chosen.items()},
+        {"belief": all_of_it, "row": many, "sample": one, "variance": one, "decay": one, "push": one}
+        | {"root": dense(h, h), "mean": many, "signal": one},
+        {"next": all_of_it, "weights": many, "innovation": one},
+    )
+    found: list[Expression] = kernel(*arguments, ca.DM(block.root), ca.DM(block.mean), block.signal_variance)
+    return tuple(found)
+
+
+def _size(block: Block) -> int:
+    """Numbers of a block's belief."""
+    return len(block.at) * (len(block.at) + 1)
 
 
 def prior_belief(adapting: Adapting) -> np.ndarray:

@@ -33,7 +33,8 @@ class Checkpoint:
         """Mean and standard deviation of the residual at every row of `data`, which has the features as columns.
 
         Columns a_x .. (body, m/s^2), tau_x .. (body, N m), as far as the model has them, and a_x_std ..; of linear
-        drag and networks the means alone. Raises DataError where a feature is missing, UsageError for an identified vehicle.
+        drag and networks the means alone. Raises DataError where a feature is missing, UsageError for an identified
+        vehicle.
         """
         from quadexp.learn.dataset import ResidualDataset
         from quadexp.learn.linear_drag import LinearDrag

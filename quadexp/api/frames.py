@@ -182,13 +182,13 @@ class Results(Frame):
         """
         from quadexp.report.axes.save import figure_of
         from quadexp.report.axes.view import view
-        from quadexp.report.drawing import ONLY_SPEED
+        from quadexp.report.drawing import is_over_speed
         from quadexp.report.figures import error_against_speed
         from quadexp.report.metrics import SHOWN
 
         options = {"confidence": self._options()["confidence"]}
         frame = self._sweep_frame()
-        if not (x or by or facet or kind) and metric in (None, *SHOWN) and set(frame.swept) <= ONLY_SPEED:
+        if not (x or by or facet or kind) and metric in (None, *SHOWN) and is_over_speed(frame):
             figure = error_against_speed(self.rows(), self._metric(metric), **options)
             if figure is None:
                 raise UsageError("no flight that ended well has a speed to draw its error against")

@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from quadexp import __version__
+from quadexp.cli.bench import bench
 from quadexp.cli.check import check
 from quadexp.cli.files import animate, compare_two, export, report, show
 from quadexp.cli.fit import fit_drag, fit_gp, fit_nn
@@ -66,6 +67,7 @@ def root(
     quadexp evaluate    controllers compared                -> results/*
     quadexp tune        settings of a controller by flights -> tuned/*
     quadexp plot        results over any key                -> plot.png
+    quadexp bench       controllers ranked by one protocol  -> results/bench*
     quadexp report      results as one page                 -> report.html
     quadexp new         a part of your own                  -> my_parts/
     """
@@ -91,6 +93,7 @@ COMMANDS = {
     "export": export,
     "animate": animate,
     "tune": tune,
+    "bench": bench,
     "new": new,
 }
 for name, command in COMMANDS.items():

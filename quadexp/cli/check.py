@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from quadexp.cli.options import Conf, Json
-from quadexp.cli.terminal import console, emit, guarded
+from quadexp.cli.options import Conf, Format, Json
+from quadexp.cli.terminal import console, emit, format_of, guarded, print_rendered
 from quadexp.errors import DataError, QuadexpError, UsageError
 
 COLOURS = {"blocking": "bold red", "warning": "yellow", "info": "dim"}
@@ -25,6 +25,7 @@ def check(
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Warnings block as well.")] = False,
     conf: Conf = None,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Check units, frames, signs, clock, sensors and commands of flights, and whether one is there twice.
@@ -37,6 +38,7 @@ def check(
     """
     from quadexp.log.check import check_flights
 
+    form = format_of(format, json)
     loaded = _load(flights)
     known = {str(path): _vehicle(flight, vehicle, conf) for path, flight in loaded.items()}
     found = check_flights({str(path): flight for path, flight in loaded.items()}, known)
@@ -44,7 +46,7 @@ def check(
     stops = ("blocking", "warning") if strict else ("blocking",)
     blocked = [path for path, findings in found.items() if any(one.severity in stops for one in findings)]
     drawn = _draw(figures, loaded, found) if figures is not None else {}
-    if json:
+    if form == "json":
         records = [
             {
                 "path": path,
@@ -58,6 +60,13 @@ def check(
             for path, flight in loaded.items()
         ]
         emit({"flights": records, "blocked": len(blocked), "strict": strict})
+    elif form != "text":
+        from quadexp.report.tables import Table
+
+        names = ("severity", "name", "where", "measured", "allowed", "advice")
+        pairs = [(path, one) for path, own in found.items() for one in own]
+        rows = [[path, *(str(getattr(one, name) or "") for name in names)] for path, one in pairs]
+        print_rendered([Table(("flight", *names), rows, left=frozenset(range(7)))], form, "check")
     else:
         _print(loaded, found, drawn)
     if blocked:

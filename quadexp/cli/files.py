@@ -10,13 +10,14 @@ from typing import Annotated
 
 import typer
 
-from quadexp.cli.options import Force, Json, OptionalOut, Out
-from quadexp.cli.terminal import emit, guarded, print_lines
+from quadexp.cli.options import Force, Format, Json, OptionalOut, Out
+from quadexp.cli.terminal import emit, format_of, guarded, print_lines, print_rendered
 
 
 @guarded
 def show(
     path: Annotated[Path, typer.Argument(help="A flight, data set, checkpoint folder, or results.")],
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Show what a file holds: its kind, configuration, units, seed, versions, size.
@@ -27,9 +28,12 @@ def show(
     """
     from quadexp.report.summary import summarise
 
+    form = format_of(format, json)
     summary = summarise(path)
-    if json:
-        emit({key: value for key, value in summary.items() if key != "lines"})
+    if form == "json":
+        emit({key: value for key, value in summary.items() if key not in ("lines", "tables")})
+    elif form != "text":
+        print_rendered(summary.get("tables", []), form, f"show {path}")
     else:
         print_lines(summary["lines"])
 
@@ -38,21 +42,42 @@ def show(
 def compare_two(
     first: Annotated[Path, typer.Argument(help="A flight, results folder, or checkpoint folder.")],
     others: Annotated[list[Path], typer.Argument(help="Others of the same kind, each compared with the first.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="PATH", help="Draw them too: a png, pdf or svg.")
+    ] = None,
+    force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Show how flights, results or checkpoints differ: configuration, outcome, figures.
 
     \b
-    quadexp compare runs/a.parquet runs/b.parquet runs/c.parquet
+    quadexp compare runs/a.parquet runs/b.parquet runs/c.parquet --out compare.png
     quadexp compare results/table1 results/table1_again
     """
-    from quadexp.report.compare import compare
+    from quadexp.report.compare import compare, compare_tables
 
+    form = format_of(format, json)
+    path = None
+    if out is not None:
+        from quadexp.report.axes.save import check_path
+
+        path = check_path(out, force, ("png", "pdf", "svg"))
     report = compare(first, *others)
-    if json:
-        emit({key: value for key, value in report.items() if key != "lines"})
+    if path is not None:
+        from quadexp.report.axes.save import save_figure
+        from quadexp.report.compare_picture import picture
+
+        save_figure(picture(report["kind"], [first, *others]), path)
+    if form == "json":
+        picked = {key: value for key, value in report.items() if key != "lines"}
+        emit(picked | ({"picture": path} if path else {}))
+    elif form != "text":
+        print_rendered(compare_tables(first, *others), form, "compare")
     else:
         print_lines(report["lines"])
+        if path:
+            print(path)
 
 
 @guarded
@@ -87,21 +112,34 @@ def report(
 
 @guarded
 def export(
-    flight: Annotated[Path, typer.Argument(help="A flight of `quadexp simulate`, or of a sweep.")],
-    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help="csv, tum, px4csv, mcap or rerun.")],
+    flight: Annotated[Path, typer.Argument(help="A flight of `quadexp simulate` or of a sweep, or a results folder.")],
+    to: Annotated[
+        str, typer.Option("--to", metavar="FORMAT", help="csv, tum, px4csv, mcap, rerun; of results mlflow or wandb.")
+    ],
+    target: Annotated[Path | None, typer.Argument(metavar="[OUT]", help="Where to write, as --out.")] = None,
     out: OptionalOut = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write a flight for other programs; mcap and rerun need the extra [viz].
+    """Write a flight for other programs; mcap and rerun need the extra [viz]. Write results for a tracker, without a
+    network: mlflow and wandb need the extra of their name.
 
     \b
     quadexp export runs/a.parquet --to rerun --out a.rrd
     quadexp export runs/a.parquet --to px4csv --out a_px4
+    quadexp export results/table1 --to mlflow mlruns
     """
+    from quadexp.errors import UsageError
     from quadexp.log.exporters import export_flight
 
-    files = export_flight(flight, to, out, force=force)
+    if target is not None and out is not None:
+        raise UsageError("export: give the place to write to once, as OUT or as --out")
+    if flight.is_dir() or flight.name == "results.parquet":
+        from quadexp.report.exports import export_results
+
+        files = export_results(flight, to, out or target, force=force)
+    else:
+        files = export_flight(flight, to, out or target, force=force)
     if json:
         emit({"format": to, "files": files})
         return

@@ -7,9 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from quadexp.cli.options import Conf, Force, Json, Out, Overrides
-from quadexp.cli.terminal import emit, guarded, print_lines
-
+from quadexp.cli.options import Conf, Force, Format, Json, Out, Overrides
+from quadexp.cli.terminal import emit, format_of, guarded, print_lines, print_rendered
 
 After = Annotated[
     Path | None,
@@ -26,6 +25,7 @@ def fit_gp(
     after: After = None,
     conf: Conf = None,
     force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Fit Gaussian processes to a data set and write the checkpoint.
@@ -34,7 +34,7 @@ def fit_gp(
     quadexp fit-gp data/residuals.parquet --out models/gp
     quadexp fit-gp data/residuals.parquet gp=per_axis gp.inducing=40 --out models/gp40
     """
-    _fit("gp", dataset, overrides, out, conf, force, json, figures=figures, after=after)
+    _fit("gp", dataset, overrides, out, conf, force, format_of(format, json), figures=figures, after=after)
 
 
 @guarded
@@ -44,6 +44,7 @@ def fit_drag(
     out: Out = Path("models/drag"),
     conf: Conf = None,
     force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Fit linear rotor drag to a data set and write the checkpoint.
@@ -51,7 +52,7 @@ def fit_drag(
     \b
     quadexp fit-drag data/residuals.parquet --out models/drag
     """
-    _fit("drag", dataset, overrides, out, conf, force, json)
+    _fit("drag", dataset, overrides, out, conf, force, format_of(format, json))
 
 
 @guarded
@@ -62,6 +63,7 @@ def fit_nn(
     after: After = None,
     conf: Conf = None,
     force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Fit a neural network to a data set and write the checkpoint.
@@ -70,7 +72,7 @@ def fit_nn(
     quadexp fit-nn data/residuals.parquet --out models/nn
     quadexp fit-nn data/residuals.parquet nn.hidden=[24,24] nn.spectral=8 --out models/nn24
     """
-    _fit("nn", dataset, overrides, out, conf, force, json, after=after)
+    _fit("nn", dataset, overrides, out, conf, force, format_of(format, json), after=after)
 
 
 def _fit(
@@ -80,7 +82,7 @@ def _fit(
     out: Path,
     conf: Path | None,
     force: bool,
-    json: bool,
+    form: str,
     **options: Any,
 ) -> None:
     from quadexp.config.compose import compose
@@ -92,8 +94,12 @@ def _fit(
     path = check_output(out, force=force, folder=True)
     with Progress("fit") as progress:
         report = fit_checkpoint(kind, config, dataset, path, force=force, progress=progress, **options)
-    if json:
+    if form == "json":
         emit(report)
         return
+    if form != "text":
+        from quadexp.report.tables import records_table
+
+        return print_rendered([records_table(report["rows"])], form, kind)
     print_lines(report["lines"])
     print(path)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from quadexp.cli.options import Conf, Force, Json, OptionalOut, Out, Overrides
-from quadexp.cli.terminal import emit, guarded, print_lines, print_table, say
+from quadexp.cli.options import Conf, Force, Format, Json, OptionalOut, Out, Overrides
+from quadexp.cli.terminal import emit, format_of, guarded, print_lines, print_table, say
 from quadexp.errors import QuadexpError
 
 FIGURES = 5  # of a usual sweep
@@ -109,7 +111,9 @@ def collect(
 @guarded
 def evaluate(
     overrides: Overrides = None,
-    sweep: Annotated[bool, typer.Option("--sweep", help="Fly every combination of the values given.")] = False,
+    sweep: Annotated[
+        bool, typer.Option("--sweep", "--multirun", "-m", help="Fly every combination of the values given.")
+    ] = False,
     out: OptionalOut = None,
     figures: Annotated[
         bool | None, typer.Option("--figures/--no-figures", help="Draw figures (default: only for a sweep).")
@@ -120,6 +124,13 @@ def evaluate(
     ] = False,
     keep_old: Annotated[bool, typer.Option("--keep-old", help="Keep them in the table, beside new ones.")] = False,
     force: Force = False,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Show the sweep while it runs: a table here, and a page on this machine.")
+    ] = False,
+    port: Annotated[
+        int | None, typer.Option("--port", min=0, max=65535, help="Port of the page of --watch; 0: any that is free.")
+    ] = None,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Fly one cell, or every cell of a sweep, and write the table of results.
@@ -131,6 +142,7 @@ def evaluate(
     quadexp evaluate --sweep trajectory=circle,lemniscate trajectory.speed=4,8,12 \\
         controller=nominal_mpc,linear_drag_mpc,gp_mpc,perfect_mpc seed='range(3)' --out results/table1
     quadexp evaluate --sweep experiment=torrente_table1
+    quadexp evaluate --sweep experiment=torrente_table1 --watch
     """
     from quadexp.config.compose import Cell, session
     from quadexp.errors import UsageError
@@ -138,6 +150,9 @@ def evaluate(
 
     if refly and keep_old:
         raise UsageError("--refly and --keep-old: give one of them")
+    if (watch or port is not None) and not (watch and sweep):
+        raise UsageError("--watch is for a sweep, and --port for --watch: add --sweep --watch")
+    form = format_of(format, json)
     given = list(overrides or [])
     with session(conf) as composer:
         cells = composer.expand(given, check=False) if sweep else [Cell(composer.compose(given), tuple(given))]
@@ -158,11 +173,15 @@ def evaluate(
     from quadexp.sweeps.sweep import run_sweep
 
     settings = first.evaluate
+    watching = _watching(out, settings.metric, port) if watch else None
     with (
+        watching or contextlib.nullcontext(),
         Workers(settings.workers, settings.memory or None, preload, calls=FIGURES if figures else 1) as processes,
         SweepFigures(out, processes if sweep else None, settings.metric, settings.confidence) as drawn,
-        Progress("flights") as progress,
+        Progress("flights", _table_so_far(watching)) as progress,
     ):
+        if watching:
+            say(f"watch it at {watching.url}")
         result = run_sweep(
             cells,
             out,
@@ -173,7 +192,8 @@ def evaluate(
             force=force,
             old="refly" if refly else "keep" if keep_old else "ask",
             isolate=sweep,
-            progress=progress,
+            progress=progress if watching is None else _both(watching.progress, progress),
+            landed=watching.landed if watching else lambda row: None,
             flown=drawn.begin if figures else lambda rows: None,
         )
         files = dict(result.files) | drawn.end()
@@ -192,7 +212,7 @@ def evaluate(
             from quadexp.papers.lei_li import report as lei_li
 
             files |= lei_li.draw(settings.figures, result.rows, out)
-    if json:
+    if form == "json":
         emit(
             {
                 "out": out,
@@ -204,6 +224,14 @@ def evaluate(
                 "statistics": result.statistics.record(first.evaluate.metric),
             }
         )
+    elif form == "csv":
+        from quadexp.report.statistics_file import statistics_csv
+
+        sys.stdout.write(statistics_csv(result.statistics.of(settings.metric)))
+    elif form != "text":
+        from quadexp.report.tables import to_latex, to_markdown
+
+        sys.stdout.write({"markdown": to_markdown, "latex": to_latex}[form](result.table))
     else:
         if first.evaluate.figures == "ladder":  # a column for every controller in every world has no room
             from quadexp.report.ladder import ladder_table
@@ -231,15 +259,30 @@ def evaluate(
         raise typer.Exit(1)
 
 
-def _worlds(cells: Sequence[Any]) -> list[Any]:
-    """The configurations of all cells; UsageError where one contradicts itself."""
-    from quadexp.errors import UsageError
+def _watching(out: Path, metric: str, port: int | None) -> Any:
+    from quadexp.sweeps.watch import Watch
 
-    found = list(cells)
-    for cell in found:
-        if cell.invalid:
-            raise UsageError(cell.invalid)
-    return [cell.config for cell in found]
+    return Watch(out, metric, port or 0)
+
+
+def _table_so_far(watching: Any) -> Callable[[], Any] | None:
+    if watching is None:
+        return None
+
+    def made() -> Any:
+        from quadexp.report.live import live_table
+
+        return live_table(watching.shot())
+
+    return made
+
+
+def _both(first: Callable[[float, float], None], second: Callable[[float, float], None]) -> Any:
+    def call(done: float, total: float) -> None:
+        first(done, total)
+        second(done, total)
+
+    return call
 
 
 def _low_paths(cells: Sequence[Any]) -> list[str]:
@@ -254,6 +297,17 @@ def _low_paths(cells: Sequence[Any]) -> list[str]:
     found = (below_ground(c, build_trajectory(c.trajectory, build_vehicle(c.vehicle))) for c in nodes.values())
     named = {line: None for line in found if line}
     return [*named][:3]
+
+
+def _worlds(cells: Sequence[Any]) -> list[Any]:
+    """The configurations of all cells; UsageError where one contradicts itself."""
+    from quadexp.errors import UsageError
+
+    found = list(cells)
+    for cell in found:
+        if cell.invalid:
+            raise UsageError(cell.invalid)
+    return [cell.config for cell in found]
 
 
 def _preload(cells: Sequence[Any], figures: bool) -> list[str]:

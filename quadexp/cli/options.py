@@ -18,4 +18,7 @@ Out = Annotated[Path, _OUT]
 OptionalOut = Annotated[Path | None, _OUT]
 Conf = Annotated[Path | None, typer.Option("--conf", metavar="DIR", help="A configuration folder of your own.")]
 Force = Annotated[bool, typer.Option("--force", "-f", help="Replace existing output.")]
+Format = Annotated[
+    str | None, typer.Option("--format", metavar="FORMAT", help="Print json, csv, markdown or latex instead of text.")
+]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output.")]

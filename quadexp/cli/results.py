@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from quadexp.cli.options import Json
-from quadexp.cli.terminal import console, emit, guarded, say
+from quadexp.cli.options import Force, Format, Json
+from quadexp.cli.terminal import console, emit, format_of, guarded, say
 
 COLUMNS = ("trajectory", "speed", "plant", "controller", "model", "variant", "seed", "outcome", "mean_error", "rmse")
 FAILED_COLUMNS = ("trajectory", "speed", "plant", "controller", "model", "variant", "seed", "outcome", "cause")
@@ -21,21 +22,37 @@ def results(
         list[str] | None,
         typer.Argument(metavar="KEY=VALUE", help="Only these rows, such as controller='gp_*' or seed=0,1"),
     ] = None,
+    where: Annotated[
+        str | None,
+        typer.Option("--where", metavar="CONDITION", help="Only these rows: 'speed > 6'; see above."),
+    ] = None,
     sort: Annotated[
-        str | None, typer.Option("--sort", metavar="KEY", help="Sort by this column; -KEY for descending order.")
+        str | None, typer.Option("--sort", metavar="KEYS", help="Sort by these columns; -KEY for descending order.")
+    ] = None,
+    columns: Annotated[
+        str | None, typer.Option("--columns", metavar="KEYS", help="Show these columns or keys, commas between.")
     ] = None,
     limit: Annotated[int | None, typer.Option("--limit", "-n", min=1, help="Show at most this many rows.")] = None,
     failures: Annotated[
         bool, typer.Option("--failures", help="Show only flights that did not end well, with the cause.")
     ] = False,
+    html: Annotated[
+        Path | None, typer.Option("--html", metavar="FILE", help="Write a sortable table as a page that opens offline.")
+    ] = None,
+    opened: Annotated[bool, typer.Option("--open", help="Open that page in the browser.")] = False,
     prune: Annotated[bool, typer.Option("--prune", help="Remove cells (see above).")] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Really remove them.")] = False,
     verify: Annotated[
         bool, typer.Option("--verify", help="Read every file and list those that were changed since they were written.")
     ] = False,
+    force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """List, filter, sort and prune the flights of a sweep.
+
+    A column is one of the table or any key of the configuration (controller.nodes). --where knows == != < <= > >=, and,
+    or, not, in [A, B], like 'gp_*', is null, and brackets; numbers are in SI units, or with a unit: mean_error < 5mm.
 
     --verify compares every flight and table with its hashes, rows with their flights, and texts with their rows; exit
     code 1 if something is wrong. The next run of the sweep flies such cells again and writes such tables again.
@@ -44,7 +61,9 @@ def results(
     only lists them.
 
     \b
-    quadexp results results/table1 --sort -mean_error --limit 10
+    quadexp results results/table1 --where "controller == gp_mpc and speed > 6" --sort mean_error --limit 10
+    quadexp results results/table1 --columns controller,controller.nodes,seed,mean_error --format csv
+    quadexp results results/table1 --html table.html --open
     quadexp results results/table1 controller=gp_mpc trajectory.speed=8 --json
     quadexp results results/table1 --failures
     quadexp results results/table1 sources=78f30eeaa2be
@@ -52,42 +71,76 @@ def results(
     quadexp results results/table1 --verify
     """
     from quadexp.errors import UsageError
+    from quadexp.report.flights_table import csv_of, flights_table
     from quadexp.report.flown_by import flown_by, flown_by_lines
-    from quadexp.sweeps.results import list_results
     from quadexp.sweeps.results import prune as prune_results
+    from quadexp.sweeps.results import select
 
+    form = format_of(format, json)
     if verify:
-        if filters or prune:
+        if filters or prune or where:
             raise UsageError("--verify looks at the whole folder: give it alone")
-        return _verify(folder, json)
-    chosen = [text.replace("trajectory.speed=", "speed=", 1) for text in filters or []]
+        return _verify(folder, form == "json")
     if prune:
-        done = prune_results(folder, chosen, remove=yes)
-        if json:
-            emit({"keys": done.keys, "bytes": done.size, "removed": done.removed})
-        else:
-            state = "removed" if done.removed else "would be removed (--yes removes them)"
-            print(f"{len(done.keys)} cells, {done.size / 1e6:.1f} MB, {state}")
+        if where:
+            raise UsageError("--prune: name the cells by KEY=VALUE, not by --where")
+        asked = [text.replace("trajectory.speed=", "speed=", 1) for text in filters or []]
+        return _prune(prune_results(folder, asked, remove=yes), form == "json")
+    frame = select(folder, filters or [], where=where, sort=sort, failures=failures)
+    total = frame.rows
+    frame = frame.taken(range(min(len(total), limit or len(total))))
+    several = len(flown_by(total)) > 1
+    names = [name.strip() for name in columns.split(",") if name.strip()] if columns else []
+    usual = (*(FAILED_COLUMNS if failures else COLUMNS), *(("sources",) if several else ()))
+    table = flights_table(frame, names or usual, all_of_them=bool(names))
+    if html or opened:
+        _page(frame, names or [*usual, "key"], html or Path(f"{folder.name}.html"), folder.name, force, opened)
         return
-    rows = list_results(folder, chosen, sort=sort, failures=failures)
-    shown = rows[:limit]
-    if json:
-        emit({"count": len(rows), "rows": shown})
+    if form == "json":
+        chosen = [dict(zip(names, values, strict=True)) for values in zip(*map(frame.column, names), strict=True)]
+        emit({"count": len(total), "rows": chosen if names else frame.rows})
         return
-    found = flown_by(rows)
-    _print(shown, (*(FAILED_COLUMNS if failures else COLUMNS), *(("sources",) if len(found) > 1 else ())))
+    if form == "csv":
+        shown = names or [name for name in usual if name in table.names]
+        sys.stdout.write(csv_of(frame, shown))
+        return
+    if form != "text":
+        sys.stdout.write(table.table.rendered(form))
+        return
+    console().print(table.table.rich())
     counts: dict[str, int] = {}
-    for row in rows:
+    for row in total:
         counts[row["outcome"]] = counts.get(row["outcome"], 0) + 1
-    unwanted = sum(not row["wanted"] for row in rows)
+    unwanted = sum(not row["wanted"] for row in total)
     say(
-        f"{len(rows)} cells"
+        f"{len(total)} cells"
         + "".join(f", {count} {outcome}" for outcome, count in sorted(counts.items()))
         + (f"; {unwanted} not of the last sweep (--prune)" if unwanted else "")
     )
-    if len(found) > 1:
-        for line in flown_by_lines(rows):
+    if several:
+        for line in flown_by_lines(total):
             say(line)
+
+
+def _prune(done: Any, json: bool) -> None:
+    if json:
+        emit({"keys": done.keys, "bytes": done.size, "removed": done.removed})
+    else:
+        state = "removed" if done.removed else "would be removed (--yes removes them)"
+        print(f"{len(done.keys)} cells, {done.size / 1e6:.1f} MB, {state}")
+
+
+def _page(frame: Any, names: list[str], path: Path, title: str, force: bool, opened: bool) -> None:
+    from quadexp.log.store import check_output, write_text
+    from quadexp.report.flights_table import page_of
+
+    write_text(check_output(path, force=force), page_of(frame, names, title))
+    print(path)
+    if opened:
+        import webbrowser
+
+        if not webbrowser.open(path.resolve().as_uri()):
+            say("note: no browser was found; open the file by hand")
 
 
 def _verify(folder: Path, json: bool) -> None:
@@ -110,27 +163,3 @@ def _verify(folder: Path, json: bool) -> None:
         print(f"{found.files} files, {len(found.wrong)} wrong")
     if found.wrong:
         raise QuadexpError(f"{folder}: {len(found.wrong)} files do not hold what was written there")
-
-
-def _print(rows: list[dict[str, Any]], columns: tuple[str, ...]) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
-    from quadexp.report.metrics import SHOWN
-
-    used = [name for name in columns if any(row[name] not in ("", None) for row in rows)]
-    table = Table()
-    for name in used:
-        unit = f" ({SHOWN[name][1]})" if name in SHOWN else " (m/s)" if name == "speed" else ""
-        table.add_column(name + unit, overflow="fold", justify="right" if name in (*SHOWN, "speed", "seed") else "left")
-    for row in rows:
-        cells = []
-        for name in used:
-            value = row[name]
-            if name in SHOWN:
-                value = "" if value is None or value != value else f"{SHOWN[name][0] * value:.4g}"
-            elif isinstance(value, float):
-                value = f"{value:g}"
-            cells.append("" if value is None else escape(str(value)))
-        table.add_row(*cells)
-    console().print(table)

@@ -13,15 +13,19 @@ import shutil
 import signal
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import typer
 
-from quadexp.errors import QuadexpError
+from quadexp.errors import QuadexpError, UsageError
 from quadexp.messages import CleanStream, clean, raw
 
+if TYPE_CHECKING:
+    from quadexp.report.tables import Table
+
+FORMATS = ("text", "json", "csv", "markdown", "latex")
 PLAIN = {"\u00a0": " ", "\u202f": " ", "\u2013": "-", "\u2212": "-", "\u00b5": "u", "\u00b1": "+-", "\u00b7": "."}
 NO_MEMORY = re.compile("can't allocate memory|Cannot allocate memory|bad_alloc")  # messages of libraries
 LONGEST = 900  # letters of a message: a value may be of any length
@@ -217,6 +221,22 @@ class _Clean:
 
         for piece in console.render(self.renderable, options):
             yield piece if piece.control else Segment(clean(piece.text), piece.style)
+
+
+def format_of(form: str | None, json: bool) -> str:
+    """What --format and --json ask for: text, json, csv, markdown or latex; UsageError for anything else."""
+    if form is not None and form not in FORMATS:
+        raise UsageError(f"--format {form}: must be one of {', '.join(FORMATS)}")
+    if json and form not in (None, "json"):
+        raise UsageError(f"--json and --format {form}: give one of them")
+    return "json" if json else form or "text"
+
+
+def print_rendered(tables: Sequence[Table], form: str, what: str) -> None:
+    """Print tables as csv, markdown or latex, a blank line between them; UsageError where there is none."""
+    if not tables:
+        raise UsageError(f"{what}: there is no table to print as {form}; --format json has everything")
+    sys.stdout.write("\n".join(table.rendered(form) for table in tables))
 
 
 def print_table(table: Any) -> None:

@@ -9,6 +9,7 @@ import typer
 
 from quadexp.cli.options import Conf, Force, Json, OptionalOut, Overrides
 from quadexp.cli.terminal import emit, guarded
+from quadexp.config.completion import complete
 
 
 @guarded
@@ -16,7 +17,12 @@ def tune(
     overrides: Overrides = None,
     vary: Annotated[
         list[str] | None,
-        typer.Option("--vary", metavar="KEY=LOW..HIGH", help="A setting to tune; `:log` after it for a log scale."),
+        typer.Option(
+            "--vary",
+            metavar="KEY=LOW..HIGH",
+            help="A setting to tune; `:log` after it for a log scale; repeatable.",
+            autocompletion=complete,
+        ),
     ] = None,
     flights: Annotated[int, typer.Option("--flights", min=1, help="Budget: flights of all trials.")] = 200,
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="Seeds of a trial, unless seed=... is given.")] = 2,

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from quadexp.cli.options import Conf, Force, Json
-from quadexp.cli.terminal import emit, guarded, print_lines
+from quadexp.cli.options import Conf, Force, Format, Json
+from quadexp.cli.terminal import emit, format_of, guarded, print_lines, print_rendered
 from quadexp.errors import UsageError
 
 
@@ -36,6 +36,7 @@ def validate(
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures (with --out).")] = True,
     conf: Conf = None,
     force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Compare what models predict with what flights did: sample by sample, and open loop from many start points.
@@ -50,6 +51,7 @@ def validate(
     from quadexp.experiment.vehicle_of import config_for
     from quadexp.progress import Progress
 
+    form = format_of(format, json)
     overrides = [text for text in arguments if "=" in text]
     paths = [Path(text) for text in arguments if "=" not in text]
     tested = [*(flights or []), *(path for path in paths if path.suffix == ".parquet")]
@@ -66,9 +68,13 @@ def validate(
             models, tested, config, horizons=seconds, leave_one_out=leave_one_out, out=out, figures=figures,
             force=force, progress=progress,
         )  # fmt: skip
-    if json:
+    if form == "json":
         emit({key: value for key, value in report.items() if key != "lines"})
         return
+    if form != "text":
+        from quadexp.report.tables import records_table
+
+        return print_rendered([records_table(report["rows"])], form, "validate")
     print_lines(report["lines"])
     if out:
         print(out)

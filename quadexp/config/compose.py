@@ -36,6 +36,17 @@ PATHS = {
     "model", "plant.model", "trajectory.path", "wind.path", "collect.identified", "engine.shared", "engine.python",
     "engine.remote_python", "engine.tls_ca", "engine.tls_cert", "engine.tls_key",
 }  # fmt: skip
+HYDRA = {  # how a key of Hydra itself begins -> what does that here
+    "hydra.sweep.": "--out names the folder of a sweep",
+    "hydra.run.": "--out names where a flight is written",
+    "hydra.job.": "--out names what is written",
+    "hydra/launcher": "engine=local, dask or slurm says where a sweep is flown",
+    "hydra.launcher": "engine=local, dask or slurm says where a sweep is flown, evaluate.workers on how many processes",
+    "hydra/sweeper": "evaluate --sweep flies every combination",
+    "hydra.sweeper": "evaluate --sweep flies every combination",
+    "hydra.searchpath": "--conf names a folder of configuration",
+    "hydra": "Hydra composes the configuration, and nothing else",
+}
 KEPT = 50_000  # parsed overrides, and made nodes, that are remembered at most
 
 
@@ -337,7 +348,8 @@ class Composer:
         given = None if key in PATHS and not re.match("[A-Za-z]", value) else plain_override(text)
         given = given or self._read(text)
         if given.key.split("/")[0].split(".")[0] in ("hydra", "schema", "sweep"):
-            raise UsageError(f"{text!r}: not a key of this program")
+            hint = next((f"; {said}" for begin, said in HYDRA.items() if given.key.startswith(begin)), "")
+            raise UsageError(f"{text!r}: not a key of this program{hint}")
         if given.sweep is not None:
             if not sweep:
                 raise UsageError(f"{text!r}: several values for one key; use `quadexp evaluate --sweep` for that")
@@ -380,7 +392,7 @@ class Composer:
         if not override.is_sweep_override():
             return Given(name, override.value(), f"{name}={override.get_value_element_as_str()}")
         if not override.is_discrete_sweep():
-            raise UsageError(f"{text!r}: not a list of values; use commas, range, choice or glob")
+            raise UsageError(f"{text!r}: not a list of values; use commas, range, choice or glob for a sweep")
         return Given(name, None, text, tuple(override.sweep_string_iterator()))
 
     def _check_option(self, given: Given) -> None:

@@ -37,7 +37,7 @@ class GeometricKeys(Settings):
             "desired body rate and its derivative: exact: of the desired attitude, as Lee et al. have it; reference:"
             " those of the reference, without what feedback adds; none: zero"
         ),
-    ] = "exact"
+    ] = "reference"
     priority: Annotated[
         Literal["tilt", "equal"],
         Setting("where rotors reach their limits: tilt before thrust before yaw, or each rotor clipped by itself"),

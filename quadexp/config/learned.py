@@ -40,15 +40,16 @@ class AdaptKeys(Settings):
         ),
     ] = "bayes"
     memory: Annotated[
-        float, Setting("time constant of forgetting; for rls of the forgetting factor exp(-dt / memory)", "(0, 1e9]", "s")
-    ] = 2.0
+        float,
+        Setting("time constant of forgetting; for rls of the forgetting factor exp(-dt / memory)", "(0, 1e9]", "s"),
+    ] = 10.0
     noise: Annotated[
         float, Setting("standard deviation of a sample of the residual acceleration", "(0, 100]", "m/s^2")
-    ] = 0.3
+    ] = 0.1
     deviation: Annotated[
         float,
         Setting("prior standard deviation of the acceleration that the weights can add, roughly", "(0, 100]", "m/s^2"),
-    ] = 1.0
+    ] = 0.8
     fit_prior: Annotated[
         bool, Setting("of a Gaussian process: take the signal variance of its fit in place of deviation")
     ] = False
@@ -66,7 +67,7 @@ class AdaptKeys(Settings):
     ] = 1  # fmt: skip
     tracking: Annotated[
         float, Setting("of law=composite: weight of the tracking error in the adaptation", "[0, 1e6]", "s^2 m^-2")
-    ] = 0.01
+    ] = 10.0
     tracking_rate: Annotated[
         float, Setting("of law=composite: Lambda of the tracking error (v - v_r) + Lambda (p - p_r)", "[0, 100]", "1/s")
     ] = 1.0
@@ -90,7 +91,9 @@ class OnlineMPCConfig(PredictiveConfig):
         super().__post_init__()
         _check_parts("controller.residual", self.residual, FEATURES)
         if "terms" in self.residual[:-1]:
-            raise UsageError("controller.residual: terms have no fitted values, so they can only be the last, adapting one")
+            raise UsageError(
+                "controller.residual: terms have no fitted values, so they can only be the last, adapting one"
+            )
 
 
 def _check_parts(key: str, parts: tuple[str, ...], allowed: tuple[str, ...]) -> None:

@@ -93,9 +93,7 @@ class GPFeatures(Settings):
 
 def _check_feature(key: str, feature: str) -> None:
     if not _FEATURE.fullmatch(feature):
-        raise UsageError(
-            f"{key}: unknown feature {feature!r}; allowed are v_x v_y v_z w_x w_y w_z thrust u_0 u_1 ..."
-        )
+        raise UsageError(f"{key}: unknown feature {feature!r}; allowed are v_x v_y v_z w_x w_y w_z thrust u_0 u_1 ...")
 
 
 @dataclass(frozen=True, kw_only=True)

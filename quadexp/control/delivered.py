@@ -8,12 +8,56 @@ and the thrust follows it with a first-order lag (physics.motor).
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 
 from quadexp.control.base import Measurement
 from quadexp.physics.motor import decayed
 from quadexp.physics.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Delays:
+    """What is known of the commands' way to thrust: control period, dead time, lag of the rotors (s)."""
+
+    period: float
+    dead_time: float = 0.0
+    lag: float = 0.0
+
+    @property
+    def pending(self) -> int:
+        """Commands that have been sent and have not acted for their whole period."""
+        return max(math.ceil(self.dead_time / self.period - 1e-9), 0)
+
+    @property
+    def durations(self) -> tuple[float, float]:
+        """For how long the oldest pending command, and the next one, act in a control period (s)."""
+        first = self.dead_time - (self.pending - 1) * self.period
+        return (first, self.period - first) if self.pending else (self.period, 0.0)
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """For `delivered_by_commands`: the durations' shares of the period, the decays over them, the lag in periods,
+        and whether there is a lag."""
+        decays = [math.exp(-d / self.lag) if self.lag else float(not d) for d in self.durations]
+        shares = [d / self.period for d in self.durations]
+        return np.array([*shares, *decays, self.lag / self.period, float(self.lag > 0)])
+
+
+def delivered_by_commands(commands: ca.MX, thrust: ca.MX, sent: ca.MX, numbers: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
+    """One control period: pending commands (n, K) and thrust (n,) after it, and the mean thrust over it (N).
+
+    commands, thrust: before it. sent: the command that was sent at its beginning, (n,) (N). numbers: of Delays.
+    """
+    acting = ca.horzcat(commands, sent)
+    first, mean = thrust, 0
+    for i in range(min(acting.size2(), 2)):
+        u = acting[:, i]
+        after = decayed(thrust, u, numbers[2 + i])
+        mean, thrust = mean + numbers[i] * u, after
+    return acting[:, 1:], thrust, mean + numbers[4] * (first - thrust)
 
 
 class DeliveredThrust:
@@ -25,11 +69,9 @@ class DeliveredThrust:
     """
 
     def __init__(self, vehicle: Vehicle, control_period: float, dead_time: float = 0.0, lag: float = 0.0) -> None:
-        self._coefficient, self._lag = vehicle.thrust_coefficient, lag
-        pending = max(math.ceil(dead_time / control_period - 1e-9), 0)
-        first = dead_time - (pending - 1) * control_period  # s, for which the oldest command still acts
-        self._durations = [first, control_period - first] if pending else [control_period]
-        self._commands = np.zeros((pending, vehicle.n_rotors))
+        delays = Delays(control_period, dead_time, lag)
+        self._coefficient, self._lag, self._durations = vehicle.thrust_coefficient, lag, delays.durations
+        self._commands = np.zeros((delays.pending, vehicle.n_rotors))
         self.thrust, self.mean = np.zeros((2, vehicle.n_rotors))
 
     def reset(self, thrust: np.ndarray) -> None:

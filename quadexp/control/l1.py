@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -32,9 +32,12 @@ from quadexp.compile.backend import BufferedFunction, realise_together, resolve
 from quadexp.config.adaptive import L1Keys
 from quadexp.config.settings import part
 from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.belief import Belief
 from quadexp.control.laws.desaturation import prioritised
-from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import StepRecord
+from quadexp.control.mpc.online_mpc import AdaptingController
+from quadexp.control.mpc.rls_mpc import IdentifyingController
+from quadexp.control.observers.observer import air_of, known_delay, parameters_of
 from quadexp.control.wrapped import WrappedController
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
@@ -47,28 +50,17 @@ ERROR, DISTURBANCE, FILTERED = slice(0, 6), slice(6, 12), slice(12, 18)  # of th
 LOGGED = ("l1_force_x", "l1_force_y", "l1_force_z", "l1_torque_x", "l1_torque_y", "l1_torque_z")
 
 
-class LateralForce(NamedTuple):
-    """What a controller is told of the unmatched part, with the fields of control.belief's Belief."""
-
-    force: np.ndarray
-    torque: np.ndarray
-    wind: np.ndarray
-    thrust_scale: float = 1.0
-
-
 class L1Controller(WrappedController):
-    """L1 around a controller. residual: the controller's model of the air, None for none."""
+    """L1 around a controller, with its model of the air. lag, dead_time: of its commands (s)."""
 
-    def __init__(
-        self, inner: Controller, keys: L1Keys, residual: Residual | None, lag: float, dead_time: float
-    ) -> None:
+    def __init__(self, inner: Controller, keys: L1Keys, lag: float = 0.0, dead_time: float = 0.0) -> None:
         super().__init__(inner)
-        self.keys, vehicle, period = keys, self.vehicle, self.control_period
-        known = None if residual is None or residual.is_zero else residual
+        self.keys, vehicle, period, air = keys, self.vehicle, self.control_period, air_of(inner)
+        known = None if air.is_zero else air
         functions = l1_functions(vehicle, keys, period, known, lag, compiled=resolve(self.backend) == "compiled")
-        self._estimate, self._add = map(BufferedFunction, realise_together(functions, self.backend))
-        if known is not None:
-            self._estimate.arguments["theta"].ravel()[:] = known.theta
+        estimate, add = realise_together(functions, self.backend)
+        shared = {} if known is None else {"theta": parameters_of(inner)}
+        self._estimate, self._add = BufferedFunction(estimate, shared), BufferedFunction(add)
         steps = math.ceil(dead_time / period - 1e-9)
         self._old = steps - dead_time / period  # share of a period in which the older of two commands acts
         self._sent = np.zeros((steps + 1, vehicle.n_rotors))  # commands, the latest last
@@ -83,9 +75,9 @@ class L1Controller(WrappedController):
             else (np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust))
         )
         self._sent[...] = start
-        for array in (*self._estimate.arguments.values(), *self._estimate.results.values()):
-            if array is not self._estimate.arguments.get("theta"):
-                array[...] = 0.0
+        own = [array for name, array in self._estimate.arguments.items() if name != "theta"]
+        for array in (*own, *self._estimate.results.values()):
+            array[...] = 0.0
         self._estimate.results["rotors_next"][...] = start
         self._begun = False
 
@@ -102,7 +94,7 @@ class L1Controller(WrappedController):
         self._begun = True
         if self.keys.unmatched:
             zero = np.zeros(3)
-            self.inner.believe(LateralForce(found["lateral"], zero, zero))  # type: ignore[attr-defined]
+            self.inner.believe(Belief(found["lateral"], zero, zero))  # type: ignore[attr-defined]
         took = time.perf_counter() - began
         command, record = self.inner.step(measurement, window)
         began = time.perf_counter()
@@ -128,23 +120,23 @@ class L1Controller(WrappedController):
 def l1(controller: Any, config: Any) -> L1Controller:
     """L1 around a controller.
 
-    Raises UsageError around another remedy, where the controller cannot be told what `unmatched` asks for, or knows
-    nothing of its own model.
+    Raises UsageError around an observer, around a controller that learns its model in flight, and where the controller
+    cannot be told what `unmatched` asks for.
     """
     if isinstance(controller, WrappedController):
         raise UsageError(
             "adaptive=l1: an observer estimates the same disturbance, and both would compensate it: choose"
             " observer=none or adaptive=none"
         )
+    if isinstance(controller, (IdentifyingController, AdaptingController)):
+        raise UsageError(
+            f"adaptive=l1: {controller.name} explains the same error by what it learns in flight, from commands without"
+            " what L1 adds. Take one of them"
+        )
     if config.unmatched and not hasattr(controller, "believe"):
         raise UsageError("adaptive.unmatched=true: this controller cannot be told of a force; adaptive.unmatched=false")
-    lag, dead_time, residual = 0.0, 0.0, controller.residual
-    if isinstance(controller, PredictiveController):
-        settings, residual = controller.settings, controller.mpc.residual
-        lag, dead_time = settings.motor_lag, settings.dead_time
-    lag = lag if config.motor_lag is None else config.motor_lag
-    dead_time = dead_time if config.dead_time is None else config.dead_time
-    return L1Controller(controller, part(L1Keys, config), residual, lag, dead_time)
+    delays = [known_delay(getattr(config, name), controller, name) for name in ("motor_lag", "dead_time")]
+    return L1Controller(controller, part(L1Keys, config), *delays)
 
 
 def l1_functions(

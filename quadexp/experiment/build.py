@@ -278,7 +278,7 @@ def residual_from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
 def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
     from quadexp.air.gaussian_process import gaussian_process_residual
     from quadexp.air.linear_drag import linear_drag_residual
-    from quadexp.air.neural import Network, neural_residual
+    from quadexp.air.neural import neural_residual
     from quadexp.learn.model import GPModel
     from quadexp.learn.neural import NeuralModel
 
@@ -290,8 +290,7 @@ def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
     if kind == "neural":
         if not isinstance(checkpoint, NeuralModel):
             raise UsageError(f"{model.path}: holds no network, {MAKERS[kind]} makes one")
-        network = Network(checkpoint.features, checkpoint.outputs, checkpoint.weights, checkpoint.biases)
-        return replace(neural_residual(vehicle, network, model.path), ranges=checkpoint.feature_range)
+        return replace(neural_residual(vehicle, checkpoint.network, model.path), ranges=checkpoint.feature_range)
     if not isinstance(checkpoint, GPModel):
         raise UsageError(f"{model.path}: holds no Gaussian process, {MAKERS[kind]} makes one")
     residual = gaussian_process_residual(
@@ -331,10 +330,15 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
             return build_lei_li.feedback_controller(cast(FeedbackConfig, controller), settings, vehicle, plant)
         if controller.kind == "rls_mpc":
             return build_lei_li.identifying_mpc(cast(RLSMPCConfig, controller), settings, vehicle)
-        if controller.kind == "online_mpc":
+        if isinstance(controller, OnlineMPCConfig):
             from quadexp.experiment.build_learned import online_mpc
 
-            return online_mpc(cast(OnlineMPCConfig, controller), settings, vehicle, model)
+            *others, last = controller.residual
+            known, files = residual_parts(others, vehicle, model), model.files if model else ()
+            own = None
+            if last in MAKERS:
+                own = residual_from_file(last, vehicle, files[-1]), load_checkpoint(vehicle, files[-1])
+            return online_mpc(controller, settings, vehicle, known, own)
         from quadexp.control.mpc.controller import PredictiveController
         from quadexp.control.mpc.mpc import ModelPredictiveController
 

@@ -22,7 +22,7 @@ def without(data: ResidualDataset, model: Any, label: str) -> ResidualDataset:
     Raises UsageError for an identified vehicle, and for recorded flights, whose thrust scale is fitted with the model.
     """
     if has_thrust_scale(data):
-        raise UsageError("--after: of simulated flights only; the thrust scale of recorded ones is fitted with the drag")
+        raise UsageError("--after: only of simulated flights; recorded ones have a thrust scale that is fitted too")
     found: Mapping[str, np.ndarray]
     if isinstance(model, GPModel):
         found = {output: one.mean for output, one in predict(model, data).items()}
@@ -31,6 +31,6 @@ def without(data: ResidualDataset, model: Any, label: str) -> ResidualDataset:
     elif isinstance(model, NeuralModel):
         found = model.predict(data)
     else:
-        raise UsageError(f"{label}: an identified vehicle cannot be subtracted; give a checkpoint of fit-drag, -gp, -nn")
+        raise UsageError(f"{label}: an identified vehicle; --after needs a checkpoint of fit-drag, fit-gp or fit-nn")
     columns = dict(data.columns) | {output: data.matrix([output])[:, 0] - mean for output, mean in found.items()}
     return ResidualDataset(columns, dict(data.metadata) | {"after": label})

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from quadexp.air.network import Network, evaluated
 from quadexp.config.learning import NNKeys
+from quadexp.config.settings import record
 from quadexp.errors import UsageError
 from quadexp.learn.dataset import ResidualDataset
 from quadexp.learn.linear_drag import LinearDrag
@@ -33,12 +35,12 @@ class NNSettings(NNKeys):
             raise UsageError("nn.hidden=[]: at least one hidden layer is needed")
 
     def as_dict(self) -> dict[str, Any]:
-        return asdict(self)
+        return record(self)
 
 
 @dataclass(frozen=True)
 class NeuralModel:
-    """A network with weights in physical units; has the fields of quadexp.air.neural.Network.
+    """A network with weights in physical units.
 
     weights: W_1 .. W_L, W_o. biases: b_1 .. b_L, b_o. residual_std: root mean square error on the rows of the fit, per
     output. lipschitz: product of the layers' spectral norms, in units of the standard deviations of features and
@@ -60,18 +62,18 @@ class NeuralModel:
     versions: dict[str, str] = field(default_factory=dict)
 
     @property
+    def network(self) -> Network:
+        """The network alone."""
+        return Network(self.features, self.outputs, self.weights, self.biases)
+
+    @property
     def sizes(self) -> tuple[int, ...]:
         """Numbers of features, of the units of every hidden layer, and of outputs."""
-        return (len(self.features), *(len(b) for b in self.biases))
+        return self.network.sizes
 
     def predict(self, dataset: ResidualDataset) -> Mapping[str, np.ndarray]:
         """Output -> prediction at the rows of a dataset, (k,). Raises DataError if it lacks a feature."""
-        x = dataset.matrix(self.features)
-        for w, b in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            t = x @ w.T + b
-            x = t / np.sqrt(1 + t * t)
-        y = x @ self.weights[-1].T + self.biases[-1]
-        return dict(zip(self.outputs, y.T, strict=True))
+        return dict(zip(self.outputs, evaluated(self.network, dataset.matrix(self.features)).T, strict=True))
 
     def shapes_fit(self) -> bool:
         """Whether the weights and biases belong to these features and outputs."""

@@ -166,6 +166,11 @@ FLIGHT_COLUMNS |= {
     "floored": Column("1", "", "rotors commanded at the least speed"),
     "limited": Column("1", "", "rotors commanded at the largest thrust"),
 }
+# What a controller logs whose model adapts in flight.
+FLIGHT_COLUMNS |= {
+    f"innovation_{i}": Column("m/s^2", "body", "residual acceleration less its prediction by the weights before it")
+    for i in _AXES
+}
 ESTIMATE_COLUMNS: dict[str, Column] = {
     "t": Column("s", "", "time since the start of the flight"),
     **{name: column._replace(description=f"{column.description}, in use") for name, column in _COEFFICIENTS.items()},
@@ -196,6 +201,7 @@ _BY_KIND = {
     "estimates": ESTIMATE_COLUMNS,
     "statistics": STATISTIC_COLUMNS,
     "tuning": TUNING_COLUMNS,
+    "leaderboard": RESULT_COLUMNS,
 }
 _INPUT = re.compile(r"(ref_)?u_\d+")
 _INDUCED_VELOCITY = re.compile(r"induced_velocity_\d+")

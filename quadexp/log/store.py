@@ -215,12 +215,17 @@ def needed(kind: str | None) -> str:
     return f"{NAMES.get(kind, kind)} is needed here (made by `quadexp {COMMANDS[kind]}`)"
 
 
+def example_in(folder: Path) -> str:
+    """A file of a folder that could be given instead of it, as the end of a message."""
+    flight = next(folder.glob("cells/*/*.parquet"), None) or next(folder.glob("*.parquet"), None)
+    listed = f" (`quadexp results {folder}` lists them)" if (folder / "cells").is_dir() else ""
+    return f"; give one of its files, such as {flight}{listed}" if flight else ""
+
+
 def _check_kind_of_file(path: Path, kind: str | None) -> None:
     """Raise WrongFileError for a folder, with what to give instead, and for a file that is no Parquet file."""
     if path.is_dir():
-        flight = next(path.glob("cells/*/*.parquet"), None) or next(path.glob("*.parquet"), None)
-        listed = f" (`quadexp results {path}` lists them)" if (path / "cells").is_dir() else ""
-        hint = f"; give one of its files, such as {flight}{listed}" if flight and kind in ("flight", None) else ""
+        hint = example_in(path) if kind in ("flight", None) else ""
         raise WrongFileError(f"{path}: is a folder, {needed(kind)}{hint}")
     try:
         with open(path, "rb") as file:

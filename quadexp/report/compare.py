@@ -19,11 +19,12 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.learn.checkpoint import load_report
 from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_metadata, read_table
 from quadexp.physics.state import POSITION
+from quadexp.report.compare_many import beside
+from quadexp.report.compare_parts import FIGURES, checkpoint_record, flat, matched, parameters, record_of
 from quadexp.report.inference import holm
 from quadexp.report.metrics import METRICS, SHOWN
 from quadexp.report.pairing import common, condition_of, contestant_labels, contestant_of
@@ -35,21 +36,10 @@ from quadexp.report.text import count, number, p_value, relative, speed_text
 ABSENT = "-"
 MOST_LINES = 16  # settings shown; --json has all
 MOST_CONFIGURATIONS = 40  # cells whose configurations are read on either side
+MOST_DETAILED = 4  # others that are compared with the first one by one, in the lines
 MOST_CONDITIONS = 6  # lines of conditions, the largest changes first
 MEASURED = ("solve_time",)  # columns that two runs of one flight may differ in
 EXACT = [name for name in METRICS if not name.startswith("solve_time")]  # the same for the same flight
-FIGURES = {  # of a flight, with the factor and unit in which they are printed
-    "mean_error": (1e3, "mm"),
-    "rmse": (1e3, "mm"),
-    "max_error": (1e3, "mm"),
-    "attitude_rmse": (180 / math.pi, "deg"),
-    "saturated_share": (100.0, "%"),
-    "peak_speed": (1.0, "m/s"),
-    "duration": (1.0, "s"),
-    "solve_time_median": (1e6, "us"),
-    "solve_time_p99": (1e6, "us"),
-}
-
 Row = Mapping[str, Any]
 Key = tuple[Any, ...]  # condition, contestant, seed
 
@@ -57,7 +47,7 @@ Key = tuple[Any, ...]  # condition, contestant, seed
 def compare(first: str | Path, *others: str | Path) -> dict[str, Any]:
     """What differs; `lines` is for people, the rest for programs (SI units).
 
-    With several others: {"kind", "comparisons": one per other, "lines"}.
+    With several others: {"kind", "together": all side by side, "comparisons": one per other, "lines"}.
     Raises UsageError if something is not there, not of the same kind, or of a kind that cannot be compared.
     """
     paths = [Path(path) for path in (first, *others)]
@@ -74,12 +64,21 @@ def compare(first: str | Path, *others: str | Path) -> dict[str, Any]:
         made.append({"kind": kinds[0], "a": str(first), "b": str(other), **found})
     if len(made) == 1:
         return made[0]
-    lines = [line for one in made for line in ("", *one["lines"])][1:]
+    found = beside(kinds[0], paths)
+    together = [line for table in found["tables"] for line in ("", *table.lines())][1:]
+    each = [line for one in made for line in ("", *one["lines"])] if len(made) <= MOST_DETAILED else []
     return {
         "kind": kinds[0],
+        "together": {k: v for k, v in found.items() if k != "tables"},
         "comparisons": [{k: v for k, v in one.items() if k != "lines"} for one in made],
-        "lines": lines,
+        "lines": [*together, *each],
     }
+
+
+def compare_tables(first: str | Path, *others: str | Path) -> list[Table]:
+    """All side by side, as tables; raises as `compare`, which comes before."""
+    paths = [Path(path) for path in (first, *others)]
+    return list(beside(kind_of(paths[0]), paths)["tables"])
 
 
 def kind_of(path: Path) -> str:
@@ -98,13 +97,6 @@ def kind_of(path: Path) -> str:
 # -- settings and figures --
 
 
-def flat(value: Any, prefix: str = "") -> dict[str, Any]:
-    """Nested mappings as dotted keys."""
-    if not isinstance(value, Mapping):
-        return {prefix[:-1]: value}
-    return {key: item for name, inner in value.items() for key, item in flat(inner, f"{prefix}{name}.").items()}
-
-
 def differing(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, list[Any]]:
     """Dotted key -> [value in a, value in b], for those that differ; "-" for a missing key."""
     left, right = flat(a), flat(b)
@@ -117,21 +109,6 @@ def change(a: Any, b: Any) -> dict[str, float]:
     a, b = (math.nan if value is None else float(value) for value in (a, b))
     ratio = 100 * (b - a) / a if a else (0.0 if a == b else math.nan)
     return {"a": a, "b": b, "difference": b - a, "relative": ratio}
-
-
-def record_of(metadata: Mapping[str, Any]) -> dict[str, Any]:
-    """What decides a flight: its configuration, the content of its checkpoint, and the versions that flew it."""
-    git = (metadata.get("provenance") or {}).get("git") or {}
-    return {
-        **(metadata.get("config") or {}),
-        "model_sha256": (metadata.get("model_sha256") or "")[:12],
-        "versions": {
-            **(metadata.get("versions") or {}),
-            "sources": metadata.get("sources") or "",
-            "commit": (git.get("commit") or "")[:10],
-        },
-        "backend": metadata.get("backend", ""),
-    }
 
 
 def setting_lines(settings: Mapping[str, list[Any]]) -> list[str]:
@@ -209,36 +186,14 @@ def _paths(a: Flight, b: Flight) -> dict[str, Any]:
 def compare_checkpoints(a: Path, b: Path) -> dict[str, Any]:
     """Two checkpoints: their data and settings, their parameters, and their held-out errors."""
     found = [summarise(path) for path in (a, b)]
-    names = ("kind", "vehicle", "dataset", "settings", "versions")
-    features = [{n: {"features": output["features"]} for n, output in one["outputs"].items()} for one in found]
-    records = ({**{n: one[n] for n in names}, "outputs": own} for one, own in zip(found, features, strict=True))
-    settings = differing(*records)
-    left, right = (_parameters(path, one) for path, one in zip((a, b), found, strict=True))
+    settings = differing(*map(checkpoint_record, found))
+    left, right = (parameters(path, one) for path, one in zip((a, b), found, strict=True))
     metrics = {name: change(left[name], right[name]) for name in left if name in right}
     lines = [f"a  {a}: {found[0]['kind']}", f"b  {b}: {found[1]['kind']}", "", *setting_lines(settings), ""]
     lines += figure_lines((name, one, 1.0) for name, one in metrics.items())
     only = {side: [n for n in mine if n not in its] for side, mine, its in (("a", left, right), ("b", right, left))}
     lines += [f"only in {side}: {', '.join(missing)}" for side, missing in only.items() if missing]
     return {"configuration": settings, "metrics": metrics, "only": only, "lines": lines}
-
-
-def _parameters(path: Path, summary: Mapping[str, Any]) -> dict[str, float]:
-    """The numbers of a checkpoint by name; held-out errors from its report, if there is one."""
-    values: dict[str, float] = {}
-    units = {"a": "m/s^2", "t": "N m"}
-    try:
-        for row in load_report(path.parent if path.name == MODEL_FILE else path).get("rows", []):
-            if row.get("predictor") != "zero":
-                name = f"held-out RMSE of {row['output']} by {row['predictor']} ({units[row['output'][0]]})"
-                values[name] = float(row["rmse"])
-    except (QuadexpError, ValueError, TypeError, KeyError, AttributeError):  # the model does not need its report
-        values.clear()
-    values |= {f"drag_{axis} (1/s)": value for axis, value in zip("xyz", summary["drag"], strict=True)}
-    for output, one in summary["outputs"].items():
-        values[f"{output} signal"], values[f"{output} noise"] = one["signal_std"], one["noise_std"]
-        scales = zip(one["features"], one["lengthscale"], strict=True)
-        values |= {f"{output} length of {feature}": scale for feature, scale in scales}
-    return values
 
 
 # -- results --
@@ -248,7 +203,7 @@ def compare_results(a: Path, b: Path) -> dict[str, Any]:
     """Two results folders; see the module. The metric is a's."""
     tables = [read_table(path / RESULTS_FILE, "results") for path in (a, b)]
     metric, confidence = tables[0][1].get("metric", "mean_error"), tables[0][1].get("confidence", 0.95)
-    left, right = _matched(*(from_columns(columns) for columns, _ in tables))
+    left, right = matched(*(from_columns(columns) for columns, _ in tables))
     both = {key: (row, right[key]) for key, row in left.items() if key in right}
     only = {"a": _missing(left, right), "b": _missing(right, left)}
     result: dict[str, Any] = {"metric": metric, "pairs": len(both), "only": only}
@@ -280,21 +235,6 @@ def compare_results(a: Path, b: Path) -> dict[str, Any]:
         "conditions": conditions,
         "lines": lines,
     }
-
-
-def _matched(*tables: Sequence[Row]) -> list[dict[Key, Row]]:
-    """Rows by condition, contestant and seed; with the checkpoint only where it distinguishes contestants."""
-    contestants = ((side, who) for side, rows in enumerate(tables) for who in set(map(contestant_of, rows)))
-    models = Counter((side, controller, variant) for side, (controller, _, variant) in contestants)
-    several = {who[1:] for who, n in models.items() if n > 1}
-    made: list[dict[Key, Row]] = []
-    for rows in tables:
-        made.append({})
-        for row in rows:
-            controller, model, variant = contestant_of(row)
-            contestant = controller, model if (controller, variant) in several else "", variant
-            made[-1][condition_of(row), contestant, row["seed"]] = row
-    return made
 
 
 def _missing(mine: Mapping[Key, Row], its: Mapping[Key, Row]) -> dict[str, int]:

@@ -30,7 +30,7 @@ from quadexp.report.text import speed_text
 
 FOLDER = "figures"
 FORMATS = ("svg", "png")
-# Swept keys whose figure is the error against the speed, a panel a trajectory and a line a controller on its plant.
+# Swept keys that the figure of the error against the speed shows.
 ONLY_SPEED = {"trajectory.speed", "trajectory", "controller", "model", "plant", "vehicle", "seed"}
 DRAWN = ".drawn"  # file beside the figures: name of each -> digest of what it was drawn from
 
@@ -59,6 +59,13 @@ def drawings(rows: Sequence[Mapping[str, Any]], out: str | Path, metric: str, co
     return [*found, _drawing("solve_time", "times", (rows,), of_rows)]
 
 
+def is_over_speed(frame: SweepFrame) -> bool:
+    """Whether the figure of a sweep is the error against the speed, a panel a trajectory and a line a controller on its
+    plant: nothing else was swept, nor several plants or vehicles at one speed."""
+    swept = set(frame.swept)
+    return swept <= ONLY_SPEED and ("trajectory.speed" in swept or not swept & {"plant", "vehicle", "world"})
+
+
 def _over_what_was_swept(
     rows: Sequence[Mapping[str, Any]], out: str, metric: str, confidence: float
 ) -> list[tuple[str, str, tuple[Any, ...]]]:
@@ -66,7 +73,7 @@ def _over_what_was_swept(
     that quadexp/report/axes chooses."""
     begin = f"{metric.removesuffix('_error')}_error"
     frame = SweepFrame(rows, out)
-    if set(frame.swept) <= ONLY_SPEED:
+    if is_over_speed(frame):
         return [(f"{begin}_against_speed", "error", (rows, metric, confidence))]
     try:
         views = automatic(frame, metric, confidence)

@@ -9,8 +9,9 @@ colour-blind readers (tests/report/test_palette.py).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+import zlib
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass, replace
 from itertools import cycle
 from typing import Any
 
@@ -75,6 +76,13 @@ LOOKS: dict[str, tuple[str, str, Any]] = {  # controller or model of the air -> 
     "quadratic drag": ("green", "X", "--"),
     "blade element": ("vermillion", "D", "-."),
 }
+MORE_LOOKS: dict[str, tuple[str, str, Any]] = {  # which share a hue with one above that they seldom stand beside
+    "geometric": ("green", "<", "-"),
+    "pid": ("brown", ">", "--"),
+    "dfbc": ("sky", "p", "-"),
+    "neural_mpc": ("pink", "h", "-"),
+}
+SELDOM = ("green", "sky", "pink", "brown", "vermillion")  # hues that controllers without a look of their own get first
 KNOWN = {name: (HUES[hue][0], marker, dash) for name, (hue, marker, dash) in LOOKS.items()}  # with the colour on paper
 BLUE, ORANGE, GREY = KNOWN["gp_mpc"][0], KNOWN["linear drag"][0], "#777777"
 COUNTS = LinearSegmentedColormap.from_list("counts", ["#E4E7EC", "#9AA4B5", "#4A5468"])  # of data behind curves
@@ -123,9 +131,11 @@ def shaded(hue: str, shade: int = 0, *, dark: bool = False) -> str:
 
 
 def looks(labels: Sequence[str]) -> dict[str, Look]:
-    """Label -> look. The first word of a label is the controller, which decides hue and marker.
+    """Label -> look. The first word of a label is the controller, which decides hue and marker, whoever else is there;
+    one with remedies (gp_mpc+wind) has the hue of the controller, and a shade and a hollow marker of the remedies.
 
-    The plain variant of a controller is the one on the plant ("@plant") of most labels.
+    A controller without a look of its own gets one by its name; only where that is taken by another label, the next
+    one that is free. The plain variant of a controller is the one on the plant ("@plant") of most labels.
     """
     labels = list(dict.fromkeys(labels))
     plants = [next((word for word in label.split(" ") if word.startswith("@")), "") for label in labels]
@@ -133,19 +143,67 @@ def looks(labels: Sequence[str]) -> dict[str, Look]:
     variants: dict[str, list[str]] = {}
     for label in sorted(labels, key=lambda label: -usual[label]):
         variants.setdefault(name_of(label), []).append(label)
-    spare = _spare({LOOKS[name][:2] for name, own in variants.items() if name in LOOKS and len(own) <= MOST_VARIANTS})
+    fixed = {name: known for name in variants if (known := LOOKS.get(name) or MORE_LOOKS.get(name))}
+    taken = {fixed[name][:2] for name, own in variants.items() if name in fixed and len(own) <= MOST_VARIANTS}
+    spare = _spare(taken)
     found: dict[str, Look] = {}
-    for name, own in variants.items():
+    for name, own in sorted(
+        variants.items(), key=lambda one: ("+" in one[0], one[0] not in LOOKS, one[0] not in fixed)
+    ):
         if len(own) > MOST_VARIANTS:
             for i, label in enumerate(own):
                 hue, marker = next(spare)
                 found[label] = Look(hue, marker, DASHES[i // len(HUES) % len(DASHES)])
             continue
-        hue, marker, dash = LOOKS[name] if name in LOOKS else (*next(spare), "-")
+        controller, plus, remedies = name.partition("+")
+        if name not in fixed:
+            family = LOOKS.get(controller) or MORE_LOOKS.get(controller)
+            plain = found.get(controller)
+            pair = (plain.hue, plain.marker) if plain else family[:2] if family else _by_name(controller, taken)
+            fixed[name] = (*pair, "-")
+            taken.add(pair)
+        hue, marker, dash = fixed[name]
         others = [other for other in DASHES if other != dash]
         for i, label in enumerate(own):
-            found[label] = Look(hue, marker, dash if i == 0 else others[i - 1], i, i == 0)
+            look = Look(hue, marker, dash if i == 0 else others[i - 1], i, i == 0)
+            found[label] = _with_remedies(look, f"{remedies} {i}", found.values()) if plus else _apart(look, found)
     return {label: found[label] for label in labels}
+
+
+def _number(text: str) -> int:
+    """A number of a text, the same in every process."""
+    return zlib.crc32(text.encode())
+
+
+def _by_name(name: str, taken: Set[tuple[str, str]]) -> tuple[str, str]:
+    """Hue and marker of a controller without a look of its own: by its name, as far as nobody else has them."""
+    at = _number(name)
+    turned = [SELDOM[(at + i) % len(SELDOM)] for i in range(len(SELDOM))]
+    hues = [*turned, *(hue for hue in HUES if hue not in turned)]
+    own = [marker for marker in MARKERS if marker not in "os^v"]  # which the usual controllers have
+    markers = [own[(at // len(SELDOM) + i) % len(own)] for i in range(len(own))]
+    worn_hues, worn_markers = ({pair[i] for pair in taken} for i in (0, 1))
+    hue = next((hue for hue in hues if hue not in worn_hues), hues[0])
+    free = [m for m in markers if m not in worn_markers] or [m for m in markers if (hue, m) not in taken]
+    return hue, (free or markers)[0]
+
+
+def _with_remedies(look: Look, remedies: str, others: Collection[Look]) -> Look:
+    """The look of a controller with remedies: a shade, marker and dash of these, as far as nobody else has them."""
+    at, worn = _number(remedies), {(one.hue, one.shade, one.marker, one.filled) for one in others}
+    for i in range(len(MARKERS) * (MOST_VARIANTS - 1)):
+        shade = 1 + (at + i) % (MOST_VARIANTS - 1)
+        marker = MARKERS[(at // 7 + i // (MOST_VARIANTS - 1)) % len(MARKERS)]
+        if (look.hue, shade, marker, False) not in worn:
+            return replace(look, marker=marker, dash=DASHES[1 + at % (len(DASHES) - 1)], shade=shade, filled=False)
+    return look
+
+
+def _apart(look: Look, found: Mapping[str, Look]) -> Look:
+    """A look in a shade that no other label of the same hue has; the first one of a hue is unchanged."""
+    worn = {one.shade for one in found.values() if one.hue == look.hue}
+    free = [shade for shade in range(MOST_VARIANTS) if shade not in worn]
+    return replace(look, shade=free[0]) if look.shade in worn and free else look
 
 
 def name_of(label: str) -> str:

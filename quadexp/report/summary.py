@@ -122,6 +122,7 @@ def _table(path: Path) -> dict[str, Any]:
     if kind == "flight" and "row" in record:
         summary["metrics"] = {name: record["row"].get(name) for name in METRICS}
         summary["outcome"] = record.get("outcome")
+        summary["tables"] = [_metric_table(summary["metrics"])]
         not_flown = [f"outcome     {record.get('outcome')}: {record.get('cause')}"]
         summary["world"] = {"name": record.get("world"), "parts": world_options(record)}
         lines += flight_lines(record, always=True) if count else not_flown
@@ -131,13 +132,13 @@ def _table(path: Path) -> dict[str, Any]:
         lines += _recorded_lines(record, columns)
     elif kind == "residuals":
         summary["flights"] = record.get("flights", [])
-        lines += _residual_lines(record, columns)
+        lines += _residual_lines(record, columns, summary)
     elif kind == "results":
         from quadexp.report.tables import from_columns
 
         rows = from_columns(columns)
         summary |= {"versions": versions_of(rows), "flown_by": flown_by(rows)}
-        lines += _result_lines(record, rows, path.parent)
+        lines += _result_lines(record, rows, path.parent, summary)
     lines += _config_lines(record.get("config"))
     if kind == "results":  # the versions of the flights are in the rows; those of the record are of the table
         created = summary["provenance"].get("created")
@@ -147,6 +148,15 @@ def _table(path: Path) -> dict[str, Any]:
     if not summary["hashed"]:
         lines.append("hash        none of the columns: written by an earlier version, an edit would not be noticed")
     return summary | {"lines": lines}
+
+
+def _metric_table(metrics: Mapping[str, Any]) -> Any:
+    from quadexp.report.tables import records_table
+
+    found = [
+        {"figure": name, "value": value, "unit": describe(name, "results").unit} for name, value in metrics.items()
+    ]
+    return records_table(found)
 
 
 def _recorded_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> list[str]:
@@ -160,23 +170,31 @@ def _recorded_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]
     return lines + [f"finding     {finding['message']}" for finding in record.get("findings", [])]
 
 
-def _residual_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> list[str]:
+def _residual_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], summary: dict[str, Any]) -> list[str]:
+    from quadexp.report.tables import records_table
+
     vehicle, flights = record.get("vehicle", {}), record.get("flights", [])
     lines = [
         f"vehicle     {vehicle.get('name')} ({vehicle.get('fingerprint')}), frame {record.get('frame')}",
         f"flights     {len(flights)}, {float(np.sum(columns['dt'])):.0f} s",
     ]
     check_finite(columns, [name for name in columns if columns[name].dtype.kind == "f"], "data set")
+    found = []
     for name in ("v_x", "v_y", "v_z", "a_x", "a_y", "a_z"):
-        values = columns[name]
+        values, unit = columns[name], describe(name, "residuals").unit
+        numbers = {kind: float(getattr(values, kind)()) for kind in ("mean", "std", "min", "max")}
+        found.append({"column": name, **numbers, "unit": unit})
         lines.append(
-            f"{name:<12}mean {values.mean():8.3f}  std {values.std():7.3f}"
-            f"  min {values.min():8.3f}  max {values.max():8.3f} {describe(name, 'residuals').unit}"
+            f"{name:<12}mean {numbers['mean']:8.3f}  std {numbers['std']:7.3f}"
+            f"  min {numbers['min']:8.3f}  max {numbers['max']:8.3f} {unit}"
         )
+    summary["tables"] = [records_table(found)]
     return lines
 
 
-def _result_lines(record: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], folder: Path) -> list[str]:
+def _result_lines(
+    record: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], folder: Path, summary: dict[str, Any]
+) -> list[str]:
     from quadexp.report.statistics_file import comparison_texts, results_statistics
     from quadexp.report.tables import to_markdown
 
@@ -186,7 +204,9 @@ def _result_lines(record: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], 
     if rows:
         options = {name: record[name] for name in ("baseline", "confidence") if name in record}
         statistics, metric = results_statistics(folder, rows, **options), record.get("metric", "mean_error")
-        lines += ["", *to_markdown(comparison_texts(statistics, metric)[0]).splitlines(), ""]
+        table = comparison_texts(statistics, metric)[0]
+        summary["tables"] = [table.table()]
+        lines += ["", *to_markdown(table).splitlines(), ""]
     return lines
 
 
@@ -211,7 +231,9 @@ def _checkpoint(path: Path) -> dict[str, Any]:
         "settings": dict(getattr(model, "settings", {})),
         "versions": dict(getattr(model, "versions", {}) or record.get("versions", {})),
         "drag": list(map(float, model.linear_drag.drag)),
-        "outputs": {} if isinstance(model, NeuralModel) else {
+        "outputs": {}
+        if isinstance(model, NeuralModel)
+        else {
             o.output: {
                 "features": list(o.features),
                 "inducing": len(o.alpha),
@@ -254,6 +276,14 @@ def _checkpoint(path: Path) -> dict[str, Any]:
     else:
         lines.append(f"drag        {model.linear_drag}")
     lines += range_lines(model.feature_range)
+    from quadexp.report.held_out import held_out_rows, held_out_table
+
+    summary["held_out"] = held_out_rows(path)
+    if (scores := held_out_table(summary["held_out"])) is not None:
+        lines += scores.lines()
+        summary["tables"] = [scores]
+    else:
+        lines.append("held out    unknown: no scores stand beside this checkpoint")
     settings = {k: v for k, v in summary["settings"].items() if k != "features"}
     if settings:
         lines.append("settings    " + ", ".join(f"{k} {v}" for k, v in settings.items()))

@@ -4,9 +4,9 @@ Cells are texts. In a cell, `**x**` marks the best value and a final `*` a signi
 translates these two marks.
 
 The error table has trajectory and speed down and controllers across; a key of the controller that was swept is a column
-of its own, with its values down. The first row counts the flights that ended well; cells are means over the common
-flights of a trajectory and speed (pairing.py), or say "invalid" where settings contradict each other. The comparison
-table has one row per contestant and condition, against the baseline.
+of its own, with its values down, and so are many plants or worlds. The first row counts the flights that ended well;
+cells are means over the common flights of a trajectory and speed (pairing.py), or say "invalid" where settings
+contradict each other. The comparison table has one row per contestant and condition, against the baseline.
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ TEXT_COLUMNS = (
     "program", "sources", "libraries", "key",
 )  # fmt: skip
 INTEGER_COLUMNS = ("seed", "unconverged_count")
+MOST_ACROSS = 6  # columns of an error table; with more, several plants are told apart by rows
 TITLES = {"rmse": "RMSE", "mean_error": "mean error", "max_error": "largest error"}
 NAN = math.nan
 
@@ -112,6 +113,15 @@ class Table:
             lines += [r"\addlinespace"] if self.over and before and before[0] != row[0] else []
             lines.append(_latex_row(row))
         return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
+
+    def csv(self) -> str:
+        """CSV of the texts, without the marks of the best and of significance."""
+        rows = ([re.sub(r"\*$", "", _BEST.sub(r"\1", cell)) for cell in row] for row in self.rows)
+        return csv_text(self.columns, rows)
+
+    def rendered(self, form: str) -> str:
+        """As csv, markdown or latex."""
+        return {"csv": self.csv, "markdown": self.markdown, "latex": self.latex}[form]()
 
     def rich(self, *, stacked: bool = False) -> Any:
         """A rich Table for the terminal. stacked: intervals below their values, for a narrow terminal."""
@@ -315,16 +325,20 @@ def table_of(
     metric = statistics[0].metric
     rows = [*map(row_of, statistics), *invalid]
     keys = swept_settings(rows)
+    labels = column_labels([without_settings(row, keys) for row in rows])
+    if len(set(labels)) > MOST_ACROSS and len({row["plant"] for row in rows}) > 1:
+        keys = ["plant", *keys]
+        labels = column_labels([{**without_settings(row, keys), "plant": ""} for row in rows])
     order: dict[Line, tuple[str, float]] = {}
     entries: dict[tuple[Line, str], Entry] = {}
     wrong: set[tuple[Line, str]] = set()
     flown: dict[str, Flights] = {}
     courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in rows)
-    labels = column_labels([without_settings(row, keys) for row in rows])
     for s, row, label in zip([*statistics, *(None for _ in invalid)], rows, labels, strict=True):
         *_, speed, setting = condition_of(row)
         course = courses[row["trajectory"], setting]
-        line = (course, speed_text(speed, ""), *(settings_of(row).get(key, "") for key in keys))
+        own = settings_of(row) | {"plant": row["plant"]}
+        line = (course, speed_text(speed, ""), *(own.get(key, "") for key in keys))
         order.setdefault(line, (course, -1.0 if speed is None else speed))
         flown[label] = flown.get(label, Flights(0, 0)).plus(s.flown if s else Flights(0, 0))
         if s is None:
@@ -404,6 +418,22 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
     )
     title = f"{TITLES[metric]} against {', '.join(baselines)}"
     return Table(heading, rows, title, left=frozenset({0, 2, len(heading) - 1}), notes=(note,))
+
+
+def records_table(records: Sequence[Mapping[str, Any]], title: str = "") -> Table:
+    """A table of records, a row each: numbers in full precision, nothing for what is missing."""
+    names = list(dict.fromkeys(name for record in records for name in record))
+    rows = [[_exact(record.get(name)) for name in names] for record in records]
+    left = {i for i, name in enumerate(names) if any(isinstance(record.get(name), str) for record in records)}
+    return Table(names, rows, title, left=frozenset(left))
+
+
+def _exact(value: Any) -> str:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(float(value)) if isinstance(value, float) else str(value)
 
 
 def csv_text(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:

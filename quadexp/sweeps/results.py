@@ -18,6 +18,8 @@ from quadexp.experiment.identity import digest
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_metadata
 from quadexp.messages import suggestion
+from quadexp.report.axes.frame import SweepFrame
+from quadexp.report.axes.where import chosen
 from quadexp.report.tables import ROW_COLUMNS
 from quadexp.sweeps.keys import condition
 from quadexp.sweeps.sweep_table import RESULTS, Row, open_results, read_rows, table_row, write_results
@@ -58,6 +60,40 @@ def list_results(
         there.sort(key=lambda row: row[name], reverse=sort.startswith("-"))
         rows = there + [row for row in rows if _is_missing(row[name])]
     return rows
+
+
+def select(
+    out: str | Path,
+    filters: Sequence[str] = (),
+    *,
+    where: str | None = None,
+    sort: str | None = None,
+    failures: bool = False,
+) -> SweepFrame:
+    """As `list_results`, with any key of the configuration as a column. where: see report/axes/where.py. sort: columns
+    with commas between, "-" before one for descending order; what comes first decides first.
+    """
+    store = open_results(out)
+    path = store.root / RESULTS
+    frame = SweepFrame(list(_all_rows(store)), store.root, read_rows(path)[1] if path.exists() else {})
+    for text in filters:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise UsageError(f"{text!r}: expected KEY=VALUE, such as controller=gp_mpc")
+        column = frame.column(name)
+        frame = frame.where([any(_matches(found, allowed) for allowed in value.split(",")) for found in column])
+    if failures:
+        frame = frame.where([row["outcome"] in FAILURES for row in frame.rows])
+    if where:
+        frame = frame.where(chosen(frame, where))
+    order = list(range(len(frame.rows)))
+    for key in reversed((sort or "").split(",") if sort else []):
+        column, down = frame.column(key.strip().removeprefix("-")), key.strip().startswith("-")
+        there = [i for i in order if column[i] is not None]
+        texts = not all(isinstance(column[i], (int, float)) for i in there)
+        there.sort(key=lambda i: str(column[i]) if texts else column[i], reverse=down)
+        order = there + [i for i in order if column[i] is None]
+    return frame.taken(order)
 
 
 def prune(out: str | Path, filters: Sequence[str] = (), *, remove: bool = False) -> Pruned:

@@ -77,6 +77,7 @@ def run_sweep(
     isolate: bool = True,
     progress: Callable[[int, int], None] = lambda done, total: None,
     flown: Callable[[Sequence[Row]], None] = lambda rows: None,
+    landed: Callable[[Row], None] = lambda row: None,
     function: CellFunction = evaluate_cell,
 ) -> SweepResult:
     """Fly the cells that are not done, and write the table of all.
@@ -86,7 +87,7 @@ def run_sweep(
     seconds. force: fly everything again, and replace another sweep's table. old: of cells that are there and were flown
     by other sources than those that run: "refly", "keep", or refuse to go on. isolate: False flies in this process.
     progress: called with the numbers of cells done and of all. flown: called with the rows once all cells are flown,
-    before the tables are made. function: flies one cell.
+    before the tables are made. landed: called with every row as it is there. function: flies one cell.
 
     A cell whose settings contradict each other is not flown: the outcome of its row is "invalid", `cause` says why.
 
@@ -115,10 +116,13 @@ def run_sweep(
         for job in (job for job in jobs.values() if job.invalid):
             rows[job.key] = _row_of(job, failed_row(job.cell.config, None, job.invalid, INVALID))
         todo = [job for job in jobs.values() if job.key not in rows]
+        for row in rows.values():
+            landed(row)
         progress(len(rows), len(jobs))
         try:
             for key, row in _fly(todo, store, engine or LocalEngine(workers, timeout), function, isolate):
                 rows[key] = _row_of(jobs[key], row)
+                landed(rows[key])
                 progress(len(rows), len(jobs))
         except KeyboardInterrupt:
             raise SweepInterrupted(
@@ -159,18 +163,22 @@ def fly_cells(
     *,
     function: CellFunction = evaluate_cell,
     isolate: bool = True,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Row]:
     """Rows of some cells in their order, flown where they are not in the store; no table is written.
 
-    Cells of other sources are flown again. The caller holds the lock of the store. Raises as `run_sweep` does.
+    progress: called with the numbers of cells done and of all. Cells of other sources are flown again. The caller
+    holds the lock of the store. Raises as `run_sweep` does.
     """
     jobs = plan_cells(cells)
     check_jobs(jobs.values())
     rows, _ = _recall(store, jobs)
     _settle_old(store, rows, "refly")
     todo = [job for job in jobs.values() if job.key not in rows]
+    progress(len(rows), len(jobs))
     for key, row in _fly(todo, store, engine or LocalEngine(), function, isolate):
         rows[key] = _row_of(jobs[key], row)
+        progress(len(rows), len(jobs))
     return [rows[key] for key in jobs]
 
 

@@ -131,6 +131,11 @@ def _write_history(out: Path, request: Request, search: Search, trials: Sequence
     return write_table(out / HISTORY, columns, record, "tuning")
 
 
+def fingerprint(trials: Sequence[Sequence[float]]) -> str:
+    """Hash of the numbers and the value of every trial, 20 hex digits: what a history holds, and an option names."""
+    return hashlib.sha256(np.array(trials, float).tobytes()).hexdigest()[:20]
+
+
 def _about(
     request: Request,
     search: Search,
@@ -139,9 +144,8 @@ def _about(
 ) -> dict[str, Any]:
     """The provenance of an option. Nothing in it depends on time or machine."""
     first, last = trials[0].worth, trials[best].worth
-    numbers = np.array([[*trial.numbers, trial.worth.value] for trial in trials])
     return {
-        "cells": list(request.given),
+        "cells": [text for text in request.given if not text.startswith(("engine", "evaluate."))],
         "space": [axis.text() for axis in request.axes],
         "budget": f"{len(trials) * search.flights} flights: {len(trials)} trials of {search.flights}",
         "flights": len(trials) * search.flights,
@@ -154,5 +158,5 @@ def _about(
         "tuned": f"{last.error:.6g} m, {last.lost} lost, trial {best}",
         "program": f"quadexp {quadexp.__version__}, sources {sources()}",
         "libraries": libraries(),
-        "trials": hashlib.sha256(numbers.tobytes()).hexdigest()[:20],
+        "trials": fingerprint([[*trial.numbers, trial.worth.value] for trial in trials]),
     }

@@ -19,7 +19,7 @@ import numpy as np
 
 from quadexp.config.cells import Cell
 from quadexp.config.compose import Composer
-from quadexp.config.schema import Config
+from quadexp.config.schema import PRESETS, Config
 from quadexp.errors import QuadexpError, UsageError, WriteError
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import check_feasible, evaluate_cell
@@ -85,7 +85,7 @@ def cells_of(composer: Composer, given: Sequence[str]) -> list[Cell]:
     cells = composer.expand(given, check=False)
     for grid in cells.grids:
         several = [texts[0].partition("=")[0] for texts in grid if len(texts) > 1]
-        if wrong := [key for key in several if key.partition(".")[0] in (*TUNED, "horizon", "remedies")]:
+        if wrong := [key for key in several if key.partition(".")[0] in (*TUNED, *PRESETS, "remedies")]:
             raise UsageError(f"{wrong[0]}: has several values; one controller is tuned at a time")
     made = list(cells)
     nodes = {canonical([repr(getattr(cell.config, group)) for group in TUNED]) for cell in made}

@@ -97,7 +97,8 @@ def read_axes(texts: Sequence[str], config: Config, extra: Path | None = None) -
 def default_space(config: Config, extra: Path | None = None) -> list[str]:
     """The axes of the files tune/NAME.yaml, by name or kind of the controller, and by name of each remedy."""
     found: list[str] = []
-    for group, node in {"controller": config.controller, **remedies(config)}.items():
+    nodes: dict[str, Any] = {"controller": config.controller, **remedies(config)}
+    for group, node in nodes.items():
         names = list(dict.fromkeys([node.name, getattr(node, "kind", node.name)]))
         space = _space_file(names, extra)
         if space is None and group == "controller":

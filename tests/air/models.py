@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -10,7 +11,10 @@ from quadexp.air.base import Residual
 from quadexp.air.blade_element import blade_element_residual
 from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
 from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.air.network import Network
+from quadexp.air.neural import neural_residual
 from quadexp.air.none import no_residual
+from quadexp.air.sum import sum_residual
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
@@ -19,6 +23,7 @@ from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant
 
 RESIDUALS = (
     "none", "linear_drag", "gp_per_axis", "gp_thrust", "gp_with_mean", "plant", "blade_element", "blade_element_plant",
+    "neural", "sum",
 )  # fmt: skip
 BLADE = BladeCoefficients(lift_slope=3.32, profile_drag=0.22, body_drag=(0.01, 0.01, 0.02))
 
@@ -27,6 +32,15 @@ def with_rotors(vehicle: Vehicle) -> Vehicle:
     """The vehicle, equipped with the rotors of Lei & Li 2017."""
     rotor = RotorGeometry(0.12, 0.025, np.pi / 12, 1.205, np.pi * 0.225**2)
     return replace(vehicle, rotor=rotor, thrust_coefficient=static_coefficients(rotor, BLADE).thrust)
+
+
+def network(seed: int = 6) -> Network:
+    """A small network of thrust and velocity."""
+    rng, sizes = np.random.default_rng(seed), (5, 7, 6, 3)
+    weights = [rng.normal(size=(rows, columns)) / columns for columns, rows in pairwise(sizes)]
+    biases = [rng.normal(size=rows) for rows in sizes[1:]]
+    weights[-1][2], biases[-1][2] = 0.1 * weights[-1][2], 0.1 * biases[-1][2]  # N m
+    return Network(("v_x", "v_y", "v_z", "w_y", "thrust"), ("a_x", "a_z", "tau_y"), tuple(weights), tuple(biases))
 
 
 def make_residual(name: str, vehicle: Vehicle) -> Residual:
@@ -42,6 +56,10 @@ def make_residual(name: str, vehicle: Vehicle) -> Residual:
     if name == "blade_element_plant":
         effects = BladeElementEffects(rotor_local_velocity=True, payload=0.2)
         return BladeElementPlant(with_rotors(vehicle), BLADE, effects, backend="interpreted").residual()
+    if name == "neural":
+        return neural_residual(vehicle, network())
+    if name == "sum":
+        return sum_residual([make_residual(part, vehicle) for part in ("linear_drag", "neural", "gp_with_mean")])
     rng = np.random.default_rng(5)
     features = {"a_x": ("v_x",), "a_y": ("v_y",), "a_z": ("v_z",)}
     if name == "gp_thrust":

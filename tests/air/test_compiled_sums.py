@@ -1,4 +1,4 @@
-"""The form of a Gaussian process that gets compiled: the numbers of the interpreted one."""
+"""The form of a Gaussian process or a network that gets compiled: the numbers of the interpreted one."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import pytest
 from quadexp.compile.backend import compiler, realise
 from tests.air.models import make_residual
 
+FORMS = ["gp_per_axis", "gp_thrust", "gp_with_mean", "neural", "sum"]
 
-@pytest.mark.parametrize("name", ["gp_per_axis", "gp_thrust", "gp_with_mean"])
+
+@pytest.mark.parametrize("name", FORMS)
 def test_it_takes_and_gives_the_same(vehicle, name):
     """Shapes and structural zeros, with or without a compiler."""
     residual = make_residual(name, vehicle)
@@ -19,7 +21,7 @@ def test_it_takes_and_gives_the_same(vehicle, name):
 
 
 @pytest.mark.skipif(compiler() is None, reason="no C compiler")
-@pytest.mark.parametrize("name", ["gp_per_axis", "gp_thrust", "gp_with_mean"])
+@pytest.mark.parametrize("name", FORMS)
 def test_hand_written_sums_are_the_matrix_ones(vehicle, name, rng):
     residual = make_residual(name, vehicle)
     compiled = realise(residual.to_compile, "compiled")

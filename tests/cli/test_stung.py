@@ -72,7 +72,8 @@ def test_a_file_of_another_kind_is_one_line_and_exit_code_2(made, words):
 
 def test_a_folder_of_results_names_its_flights(made):
     code, _, err = run("export", "results", "--to", "csv")
-    assert code == 2 and err.startswith("error: results: is a folder, a flight is needed here")
+    assert code == 2 and err.startswith("error: --to csv: no such format for results")
+    assert run("animate", "results")[2].startswith("error: results: is a folder, a flight is needed here")
     named = err.split("such as ")[1].split(" (")[0]
     assert "`quadexp results results` lists them" in err
     assert run("export", named, "--to", "csv", "--out", "named.csv")[0] == 0

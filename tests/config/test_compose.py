@@ -163,7 +163,8 @@ class TestExpand:
         cells = list(expand(["trajectory=circle,hover", "trajectory.speed=4", "seed=0,1"]))
         assert [cell.config.trajectory.name for cell in cells] == ["circle", "circle", "hover", "hover"]
         assert [cell.config.seed for cell in cells] == [0, 1, 0, 1]
-        assert [cell.invalid.partition(";")[0] for cell in cells] == [""] * 2 + ["trajectory.speed: no such key"] * 2
+        first = [cell.invalid.partition(";")[0] for cell in cells]
+        assert first == [""] * 2 + ["trajectory.speed: no such key here"] * 2
         made = list(
             expand(["horizon=published,precise", "controller=nominal_mpc,rls_feedback", "controller.nodes=10,20"])
         )
@@ -203,7 +204,7 @@ MISTAKES = {
     "seed=0.5": "^seed=0.5: must be a whole number$",
     "controller.nodes=1": r"controller.nodes=1: must be in \[2, 200\] nodes",
     "controller.attitude_weight=[1,2]": "must be a list of 4 numbers",
-    "controller.residual=magic": "must be one of none, linear_drag, gaussian_process, plant",
+    "controller.residual=magic": "must be one of none, linear_drag, gaussian_process, neural, plant",
     "plant.motor_loss=2": r"plant.motor_loss=2.0: must be in \[0, 1\)",
     "gp.features.a_x=[speed]": "unknown feature 'speed'; allowed are v_x",
     "gp.features.a_q=[v_x]": r"gp.features.a_q: no such key; did you mean gp.features.a_",

@@ -1,4 +1,4 @@
-"""Overrides that are no overrides: each is one line of this program, with none of the words of the libraries beneath."""
+"""Overrides that are no overrides: each is one line, with none of the words of the libraries beneath."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_any_text_is_an_override_or_one_plain_line(seed):
         "mass=1": "mass: no such key; did you mean vehicle.mass or truth.mass?",
         "sped=8": "sped: no such key; did you mean trajectory.speed?",
         "velocity=[1,0,0]": "did you mean wind.velocity of wind=constant",
-        "trajectory.duration=3": "it is a key of trajectory=hover",
+        "trajectory.duration=3": "it is a key of trajectory=",
         "evaluate=3": "evaluate=3: holds keys; set one of them, such as evaluate.metric=",
         "seed=${nope}": "seed: refers to a name that does not exist; a reference is ${KEY}",
         "seed=${seed}": "seed: refers to what cannot be read",

@@ -73,4 +73,4 @@ def test_a_preset_of_ones_own(tmp_path):
 
 def test_options_are_listed():
     with session() as composer:
-        assert composer.options("horizon") == ["precise", "published", "robust"]
+        assert composer.options("horizon") == ["firm", "precise", "published", "robust", "stiff"]

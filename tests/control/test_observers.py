@@ -11,10 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.air.base import Residual
 from quadexp.config.observers import DisturbanceObserverConfig, WindObserverConfig
-from quadexp.control.base import Measurement
+from quadexp.control.base import Measurement, Window
+from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.controller import PredictiveController
-from quadexp.control.mpc.mpc import ModelPredictiveController
+from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
 from quadexp.control.mpc.settings import MPCSettings
+from quadexp.control.observers import disturbance as disturbance_module
+from quadexp.control.observers import observer as observer_module
+from quadexp.control.observers import wind as wind_module
 from quadexp.control.observers.disturbance import with_disturbance_observer
 from quadexp.control.observers.observer import COLUMNS
 from quadexp.control.observers.wind import with_wind_observer
@@ -190,17 +194,48 @@ def test_wind_and_thrust_scale_are_told_apart(vehicle, rng):
 
 
 # ---------------------------------------------------------------------------------------------- filters as designed
+class Told:
+    """A controller that sends what it is given, and can be told: what an observer does under any controller."""
+
+    reference_period, backend, name, source = 0.0, "interpreted", "told", ""
+    control_period, node_times = PERIOD, np.zeros(1)
+
+    def __init__(self, vehicle, residual, thrust):
+        self.vehicle, self.residual, self.thrust = vehicle, residual, thrust
+        self.settings = None
+
+    def forget(self):
+        pass
+
+    def reset(self, x, window):
+        pass
+
+    def believe(self, belief):
+        self.belief = belief
+
+    def step(self, measurement, window):
+        return self.thrust, StepRecord(0.0, Status.RICCATI, 0, 0, 0.0)
+
+    def log(self):
+        return {}
+
+
+def a_hover(vehicle) -> Window:
+    x = np.concatenate([np.zeros(3), [1.0], np.zeros(9)])[None]
+    return Window(x, np.full((1, vehicle.n_rotors), vehicle.hover_thrust), np.zeros((5, 3)), np.zeros(3))
+
+
 def still(vehicle, observed, reading, steps, rates=None):
     """The beliefs of an observer of a hovering vehicle that reads what it is given, (steps, 3) or rates (steps, 3)."""
-    controller = observed(mpc_of(vehicle, make_residual("none", vehicle), backend="interpreted"))
-    reference = SampledReference(Hover(duration=0.1), controller)
-    x, thrust = reference.at(0)[0].copy(), np.full(vehicle.n_rotors, vehicle.hover_thrust)
-    controller.reset(x, reference.window(0))
+    told = Told(vehicle, make_residual("none", vehicle), np.full(vehicle.n_rotors, vehicle.hover_thrust))
+    controller = observed(told)
+    x = np.concatenate([np.zeros(3), [1.0], np.zeros(9)])
+    controller.reset(x, a_hover(vehicle))
     found = []
     for k in range(steps):
         x[10:] = 0 if rates is None else rates[k]
-        controller._observe(Measurement(0.0, x, reading[k], None), thrust)
-        found.append(np.concatenate(controller.belief[:3]))
+        controller.step(Measurement(0.0, x, reading[k], None), a_hover(vehicle))
+        found.append(np.concatenate(told.belief[:3]))
     return np.array(found)
 
 
@@ -254,13 +289,16 @@ def test_the_wind_filter_is_an_extended_kalman_filter(vehicle, rng):
     """Against the textbook's equations in numpy, with the model's derivative by differences."""
     residual = make_residual("gp_with_mean", vehicle)
     settings = {"scale_walk": 0.05, "wind_walk": 0.8, "noise": (0.2, 0.3, 0.5), "wind_initial": 3.0}
-    controller = wind(mpc_of(vehicle, residual, backend="interpreted"), **settings)
-    reference = SampledReference(Hover(duration=0.1), controller)
-    controller.reset(reference.at(0)[0], reference.window(0))
+    told = Told(vehicle, residual, np.zeros(4))
+    controller = wind(told, **settings)
+    controller.reset(a_hover(vehicle).state[0], a_hover(vehicle))
+    told.thrust = rng.uniform(2, 4, 4)
+    controller.step(Measurement(0.0, random_state(rng), None, None), a_hover(vehicle))  # nothing is measured yet
     s, P = np.zeros(4), np.diag([9.0, 9.0, 9.0, 0.1**2])
     N = np.diag(np.square(settings["noise"]))
     for _ in range(6):
-        x, thrust = random_state(rng, speed=3.0, rate=0.5), rng.uniform(2, 4, 4)
+        x, thrust = random_state(rng, speed=3.0, rate=0.5), told.thrust
+        told.thrust = rng.uniform(2, 4, 4)
         reading = np.array([0.3, -0.2, thrust.sum()]) + rng.normal(size=3)
         R = Rotation.from_quat(x[3:7], scalar_first=True).as_matrix()
 
@@ -275,9 +313,43 @@ def test_the_wind_filter_is_an_extended_kalman_filter(vehicle, rng):
         if np.trace(P[:3, :3]) > 27:
             by = np.diag([*[np.sqrt(27 / np.trace(P[:3, :3]))] * 3, 1])
             P = by @ P @ by
-        controller._observe(Measurement(0.0, x, reading, None), thrust)
-        found = np.array([*controller.belief.wind, controller.belief.thrust_scale - 1])
+        controller.step(Measurement(0.0, x, reading, None), a_hover(vehicle))
+        found = np.array([*told.belief.wind, told.belief.thrust_scale - 1])
         assert found == pytest.approx(s, abs=1e-5)
+
+
+@pytest.mark.parametrize("observed", [disturbance, wind])
+@pytest.mark.parametrize("lag", [0.0, 0.03])
+@pytest.mark.parametrize("measured", [False, True])
+def test_as_a_part_of_the_step_or_before_it(vehicle, monkeypatch, observed, lag, measured):
+    """The update within the MPC's own function, and by itself with DeliveredThrust in Python: the same flight."""
+    known = replace(vehicle, thrust_coefficient=2e-5)
+    residual, flights = make_residual("gp_with_mean", known), []
+    settings = {"dead_time": 0.03, "motor_lag": lag}
+    for within in (True, False):
+        if not within:
+            monkeypatch.setattr(observer_module, "PredictiveController", type("NoMPC", (), {}))
+            monkeypatch.setattr(observer_module, "air_of", lambda controller: residual)
+            monkeypatch.setattr(observer_module, "parameters_of", lambda controller: residual.theta)
+            monkeypatch.setattr(wind_module, "air_of", lambda controller: residual)
+            monkeypatch.setattr(wind_module, "parameters_of", lambda controller: residual.theta)
+            monkeypatch.setattr(disturbance_module, "air_of", lambda controller: residual)
+        mpc = mpc_of(known, residual, backend="interpreted", **settings)
+        mpc.targets = True
+        controller = observed(mpc)
+        reference = SampledReference(Circle(speed=5.0, acceleration=2.5), controller)
+        rng, found = np.random.default_rng(1), []
+        controller.reset(reference.at(0)[0], reference.window(0))
+        for k in range(12):
+            x = reference.at(k)[0] + 0.01 * rng.normal(size=13)
+            x[3:7] /= np.linalg.norm(x[3:7])
+            reading = [0, 0, 9.81] + 0.3 * rng.normal(size=3) if k else None
+            speed = rng.uniform(300, 400, 4) if k and measured else None
+            u, _ = controller.step(Measurement(k * PERIOD, x, reading, speed), reference.window(k))
+            found.append([*u, *controller.log().values()])
+        flights.append(found)
+    assert np.abs(np.array(flights[0])[-1, 4:7]).max() > 0 or observed is wind
+    assert np.array(flights[0]) == pytest.approx(np.array(flights[1]), abs=1e-6)
 
 
 # ------------------------------------------------------------------------------------------------ limits and refusals

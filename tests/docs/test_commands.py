@@ -18,12 +18,19 @@ from quadexp.cli.app import app
 from quadexp.config.compose import session
 from tests.docs.commands import ROOT, commands, inline, steps
 
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "benchmarks").glob("*.md")])
+PAGES = sorted(
+    [
+        *ROOT.glob("*.md"),
+        *(ROOT / "docs").glob("*.md"),
+        *(ROOT / "docs/site").glob("*.md"),
+        *(ROOT / "benchmarks").glob("*.md"),
+    ]
+)
 OVERRIDE = re.compile(r"[\w./@]+=.*", re.DOTALL)
 LOOSE = ("step", "a_x", "a_y", "a_z", "...")  # times, errors that a few held-out rows decide, and what stands for more
 NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?!\w)")
 FACTOR = 1.5  # that a number may differ by: a new key makes `collect` draw other paths, and so what is learned
-FORCED = ("simulate", "collect", "fit-gp", "report", "export", "import")
+FORCED = ("simulate", "collect", "fit-gp", "report", "export", "import", "plot", "compare")
 
 
 def name(page: Path) -> str:
@@ -39,7 +46,8 @@ def read_as_it_stands(words: list[str]) -> None:
     overrides = [text for text in context.params.get("overrides") or [] if OVERRIDE.fullmatch(text)]
     conf = context.params.get("conf")
     with session(ROOT / conf if conf else None) as composer:
-        if context.params.get("sweep") and any("," in text or "range(" in text for text in overrides):
+        sweeps = context.params.get("sweep") or words[0] == "tune"  # whose trials are sweeps
+        if sweeps and any("," in text or "range(" in text for text in overrides):
             assert len(composer.expand(overrides)) >= 1
         elif overrides:
             composer.compose(overrides)
@@ -81,7 +89,7 @@ def test_what_a_command_prints_is_found_below_it():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", ["README.md", "docs/guide.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/guide.md", "docs/plots.md"])
 def test_they_run_in_their_order_and_print_what_is_said(page, tmp_path, monkeypatch):
     """In an empty folder, beside what a checkout has; the README's own are run after `make`'s collect and fit."""
     for folder in ("examples", "conf"):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib.util
+import io
 import re
 import subprocess
 import sys
@@ -9,19 +12,55 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("mkdocs", reason="the extra `docs` is not installed")
-
 ROOT = Path(__file__).resolve().parents[2]
 LOADED = re.compile(r"<(?:script|link|img|iframe)[^>]*(?:src|href)=\"?https?://(?!squidfunk)[^\" >]+")
 
 
+def site_builder():
+    spec = importlib.util.spec_from_file_location("site_build", ROOT / "docs/site/build.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_navigation_has_the_pages_that_there_are(tmp_path, monkeypatch):
+    """Of mkdocs.yml those that exist, and every other page of docs/; each once."""
+    build = site_builder()
+    monkeypatch.setattr(build, "ROOT", tmp_path)
+    monkeypatch.setattr(build, "PAGES", tmp_path / "build" / "pages")
+    (tmp_path / "docs/site").mkdir(parents=True)
+    (tmp_path / "docs/site/mkdocs.yml").write_bytes((ROOT / "docs/site/mkdocs.yml").read_bytes())
+    for page in ("index.md", "about.md", "docs/guide.md", "docs/observers.md", "docs/quite_new.md"):
+        (build.PAGES / page).parent.mkdir(parents=True, exist_ok=True)
+        (build.PAGES / page).touch()
+    nav = build.configuration().read_text(encoding="utf-8").partition("\nnav:\n")[2]
+    assert re.findall(r"\S+\.md", nav) == [
+        "index.md", "about.md", "docs/guide.md", "docs/observers.md", "docs/quite_new.md"
+    ]  # fmt: skip
+    assert nav.index("More:") < nav.index("quite_new") and "docs/delays.md" not in nav
+
+
+@pytest.mark.slow  # compiles two controllers
+def test_the_ten_lines_of_python_on_the_first_page_run(tmp_path, monkeypatch):
+    text = (ROOT / "docs/site/landing.md").read_text(encoding="utf-8").partition("## Ten lines of Python")[2]
+    code = "\n".join(line[4:] for line in text.partition("## ")[0].splitlines() if line.startswith("    "))
+    assert sum(bool(line) for line in code.splitlines()) <= 10
+    monkeypatch.chdir(tmp_path)
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        exec(code, {})
+    first, second = (line.split() for line in out.getvalue().splitlines())
+    assert first[0] == second[0] == "ok" and float(second[1]) < 0.5 * float(first[1])
+
+
 @pytest.mark.slow
 def test_every_link_leads_somewhere_and_nothing_is_loaded_from_elsewhere():
+    pytest.importorskip("mkdocs", reason="the extra `docs` is not installed")
     done = subprocess.run([sys.executable, ROOT / "docs/site/build.py"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
     site = ROOT / "build" / "site"
     for page in (
         "index.html",
+        "about.html",
         "docs/guide.html",
         "docs/site/gallery.html",
         "examples/notebooks/compare_controllers.html",

@@ -255,6 +255,94 @@ def test_the_error_shown_is_that_of_the_flight(opened):
     assert errors["nominal MPC"] / errors["GP MPC"] == pytest.approx(20, rel=0.02)
 
 
+def slide(browser, name, value):
+    browser.execute_script(
+        "const s = document.querySelector(`[data-replay=${arguments[0]}]`); s.value = arguments[1];"
+        "s.dispatchEvent(new Event('input'))",
+        name,
+        value,
+    )
+    time.sleep(0.1)
+
+
+def test_sliders_go_over_the_seeds_and_speeds_of_a_course_at_the_same_moment(opened):
+    title = "const s = document.querySelector('[data-replay=case]'); return s.selectedOptions[0].text"
+    before, moment = opened.execute_script(title), clock(opened)
+    assert "at 8 m/s, seed 0" in before
+    slide(opened, "seeds", 3)
+    assert opened.execute_script(title) == before.replace("seed 0", "seed 3")
+    assert opened.execute_script("return document.querySelector('[data-replay=at-seed]').textContent") == "3"
+    slide(opened, "speeds", 0)
+    assert opened.execute_script(title) == before.replace("8 m/s, seed 0", "4 m/s, seed 3")
+    assert clock(opened) == pytest.approx(moment, abs=0.05)
+
+
+def test_two_flights_side_by_side(opened):
+    """Left and right half each hold the colours of their own flight only."""
+    opened.execute_script("document.querySelector('[data-replay=beside]').click()")
+    choose = (
+        "for (const [n, v] of [['left', arguments[0]], ['right', arguments[1]]]) {"
+        " const s = document.querySelector(`[data-replay=${n}]`); s.value = v; s.dispatchEvent(new Event('change')); }"
+    )
+    names = opened.execute_script("return [...document.querySelector('[data-replay=left]').options].map(o => o.text)")
+    nominal, gp = names.index("nominal MPC"), names.index("GP MPC")
+    seen = {}
+    for order in ((gp, nominal), (nominal, gp)):
+        opened.execute_script(choose, *order)
+        time.sleep(0.15)
+        stream = io.BytesIO(base64.b64decode(picture(opened).partition(",")[2]))
+        pixels = np.asarray(Image.open(stream).convert("RGBA"), int)
+        blue = (pixels[..., 3] > 200) & (pixels[..., 2] - pixels[..., 0] > 100)  # GP MPC is the blue one
+        seen[order] = [int(half.sum()) for half in np.array_split(blue, 2, axis=1)]
+        hint = opened.execute_script("return document.querySelector('[data-replay=hint]').textContent")
+        left, right = (float(part.split()[1]) for part in hint.split(", ")[-2:])
+        assert (left < right) == (order[0] == gp)
+    assert seen[gp, nominal][0] > 100 > 10 > seen[gp, nominal][1]
+    assert seen[nominal, gp][1] > 100 > 10 > seen[nominal, gp][0]
+    opened.execute_script("document.querySelector('[data-replay=beside]').click()")
+    assert opened.execute_script("return document.querySelector('[data-replay=pair]').offsetHeight") == 0
+
+
+@pytest.mark.parametrize("width", [390, 768, 1280])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_three_widths_in_light_and_dark(browser, page, width, scheme):
+    show(browser, page, width=width, color_scheme=scheme)
+    browser.execute_script("document.querySelector('[data-replay=beside]').click()")
+    right = "Math.max(...[...document.querySelectorAll('.transport *, .overlay *')].filter(e => e.offsetWidth)"
+    box = f"return {right}.map(e => e.getBoundingClientRect().right))"
+    assert browser.execute_script(box) <= width
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    ground, ink = browser.execute_script(
+        "const s = getComputedStyle(document.querySelector('[data-sure]')), b = getComputedStyle(document.body);"
+        "return [b.backgroundColor, s.color].map(c => c.match(/[0-9]+/g).slice(0, 3).map(Number))"
+    )
+    assert (sum(ground) > sum(ink)) == (scheme == "light") and abs(sum(ground) - sum(ink)) > 300
+
+
+def test_in_print_no_heading_is_torn_from_what_it_is_about(browser, page):
+    """The rules that keep it, of every heading, and a sheet that a printer takes: light, without what acts."""
+    show(browser, page, color_scheme="dark")
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    torn = browser.execute_script(
+        "return [...document.querySelectorAll('h1, h2, h3, .lead, caption')]"
+        ".filter(e => getComputedStyle(e).breakAfter !== 'avoid').map(e => e.outerHTML)"
+    )
+    split = browser.execute_script(
+        "return [...document.querySelectorAll('figure, tr, .player, h2, h3')]"
+        ".filter(e => getComputedStyle(e).breakInside !== 'avoid').length"
+    )
+    acting = browser.execute_script(
+        "return [...document.querySelectorAll('main button:not(.pilot)')].filter(e => e.offsetHeight).length"
+    )
+    ground = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    assert torn == [] and split == 0 and acting == 0 and ground == "rgb(255, 255, 255)"
+    made = base64.b64decode(
+        browser.execute_cdp_cmd("Page.printToPDF", {"paperWidth": 8.27, "paperHeight": 11.69})["data"]
+    )
+    assert made.startswith(b"%PDF") and 3 <= made.count(b"/Type /Page\n") + made.count(b"/Type /Page ") <= 15
+
+
 def test_a_worst_flight_opens_in_the_replay(opened):
     opened.execute_script("document.querySelector('[data-open-case]').click()")
     time.sleep(0.2)

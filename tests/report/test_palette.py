@@ -7,8 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from quadexp.report.page.build import SHAPE_PATHS
-from quadexp.report.page.palette import PAGE, SHAPES, STANDINS, TOKENS
+from quadexp.report.page.palette import PAGE, SHAPE_PATHS, SHAPES, STANDINS, TOKENS
 from quadexp.report.style import HUES, LOOKS, MARKERS, MOST_VARIANTS, shaded
 
 # Linear sRGB as seen without one kind of cone: Machado, Oliveira, Fernandes 2009 (IEEE TVCG 15(6)), severity 1.

@@ -5,17 +5,22 @@ from __future__ import annotations
 import base64
 import json
 import re
+import shutil
 
 import numpy as np
 import pytest
 
+from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
-from quadexp.log.store import write_flight
+from quadexp.log.store import read_table, write_flight, write_table
 from quadexp.report.page import make_report
 from quadexp.report.page.power import binned, powered
 from quadexp.report.page.replay import choose_cases, ordered_cases, pack_replay
+from quadexp.report.page.sections import worlds
 from quadexp.report.page.source import read_comparison
 from quadexp.report.summary import summarise
+from quadexp.report.tables import from_columns, to_columns
+from quadexp.report.text import number
 from tests.log.flights import straight_flight
 from tests.report.results import make_results, weather
 from tests.report.test_html import Page
@@ -48,7 +53,7 @@ def test_the_packed_flights_are_the_columns(results):
     comparison = read_comparison(results)
     cases = choose_cases(comparison, [])
     packed, kept = pack_replay(comparison, cases)
-    assert kept == cases and len(cases) == 4
+    assert kept == cases and len({condition for condition, _ in cases}) == 4 and len(cases) == 24  # every seed of each
     for case, (condition, seed) in zip(packed, kept, strict=True):
         for track in case["tracks"]:
             row = next(
@@ -128,6 +133,44 @@ def test_a_page_of_clean_flights_has_none_of_it(text, tmp_path):
     )
     sections = [re.findall(r'<section id="(\w+)"', one) for one in (page, text)]
     assert "power" in sections[1] and sections[0] == [name for name in sections[1] if name != "power"]
+
+
+def test_worlds_stand_beside_each_other_success_first(tmp_path):
+    """Two worlds of the same flights, one with wind and a wrong estimate: the numbers are those of each by itself."""
+
+    def off(flight):
+        wind = {f"wind_{i}": np.full(len(flight), 4.0 * (i == "x")) for i in "xyz"}
+        return wind | {f"est_p_{i}": flight[f"p_{i}"] + 0.03 * (i == "z") for i in "xyz"}
+
+    roots = [
+        make_results(tmp_path / "clean", controllers=WHO, lost=False),
+        make_results(tmp_path / "race", controllers=WHO, lost=False, world="race", beside=off),
+    ]
+    tables = [read_table(root / "results.parquet", "results") for root in roots]
+    rows = [from_columns(columns) for columns, _ in tables]
+    for one in rows[1]:  # the flights of both lie in one folder
+        old = CellStore(roots[1]).path(one["key"])
+        one["key"] = f"{'f' * 8}{one['key'][8:]}"
+        new = CellStore(roots[0]).path(one["key"])
+        new.parent.mkdir(exist_ok=True, parents=True)
+        shutil.copy(old, new)
+    rows[1][0]["outcome"] = "lost"
+    write_table(roots[0] / "results.parquet", to_columns(rows[0] + rows[1]), tables[0][1] | {"grids": []}, "results")
+    shutil.rmtree(roots[1])
+    comparison = read_comparison(roots[0])
+    made = worlds(comparison)
+    clean, race = made["lines"]
+    assert (clean["name"], race["name"]) == ("simplified, torrente", "simplified/race, torrente")
+    assert (clean["wind"], clean["estimate"]) == ("", "")
+    assert race["wind"] == "wind 4.0 m/s, most 4.0 m/s" and race["estimate"] == "told 30.0 mm off (rms)"
+    lost = rows[1][0]["controller"]
+    for label, cell in zip(made["columns"], race["cells"], strict=True):
+        assert cell["ended"] == ("23 of 24" if label == lost else "24 of 24") and cell["complete"] == (label != lost)
+    for label, cell in zip(made["columns"], clean["cells"], strict=True):
+        assert cell["text"] == number(1e3 * comparison.geometric_mean(label))
+    page = text_of(roots[0])
+    section = re.search(r'<section id="worlds".*?</section>', page, re.DOTALL)[0]
+    assert section.count("<tr>") == 3 and "23 of 24 ended well" in section and Page(page).open == []
 
 
 def test_figures_for_paper(results, tmp_path):

@@ -80,6 +80,37 @@ def test_columns_tell_apart_whatever_differs():
     assert not table.entries[table.rows[0], "nominal_mpc @ideal"].best
 
 
+def test_many_worlds_are_rows():
+    names = ("nominal_mpc", "gp_mpc", "perfect_mpc")
+    rows = [
+        row(name, plant=plant, seed=s)
+        for plant in ("simplified", "simplified/wind", "ideal")
+        for name in names
+        for s in (0, 1)
+    ]
+    table = error_table(rows)
+    assert table.columns == names and table.keys == ("plant",) and len(table.entries) == 9
+    assert table.rows == tuple(("circle", "8", plant) for plant in ("simplified", "simplified/wind", "ideal"))
+    assert table.table().columns[:3] == ["trajectory", "m/s", "plant"]
+    latex = to_latex(table)
+    assert r" & & & \multicolumn{3}{c}{mean error (mm)}" in latex and r"\cmidrule(l){4-6}" in latex
+
+
+def test_a_swept_key_of_the_controller_has_a_column_with_its_values_down():
+    rows = [
+        row(name, variant=f"controller.nodes={nodes} plant.payload={payload}", error=0.001 * nodes, seed=s)
+        for name in ("nominal_mpc", "gp_mpc")
+        for nodes in (5, 10)
+        for payload in (0, 1)
+        for s in (0, 1)
+    ]
+    table = error_table(rows)
+    assert table.columns == ("nominal_mpc", "gp_mpc") and table.keys == ("controller.nodes",)
+    assert table.rows == tuple((f"circle payload={p}", "8", n) for p in "01" for n in ("5", "10"))
+    means = {(line[2], column): entry.mean for (line, column), entry in table.entries.items()}
+    assert means == {(n, c): pytest.approx(float(n)) for n in ("5", "10") for c in table.columns}
+
+
 def test_the_comparison_names_its_lines_as_the_error_table_does():
     settings = ("horizon=published", "horizon=robust")
     who = {"nominal_mpc": 0.2, "perfect_mpc": 0.001}

@@ -9,7 +9,7 @@ import pytest
 
 from quadexp.log.store import write_table
 from quadexp.report.inference import log_ratio
-from quadexp.report.page.answer import answer
+from quadexp.report.page.answer import _odds, answer
 from quadexp.report.page.sections import scoreboard, tables
 from quadexp.report.page.source import read_comparison
 from quadexp.report.statistics import compute_statistics
@@ -154,3 +154,33 @@ def test_the_same_flights_twice_are_not_distinguishable():
     (verdict,) = verdicts(rows)
     assert not verdict.best and verdict.alike and verdict.ratio[:3] == [1.0, 1.0, 1.0]
     assert "not distinguishable from" in to_markdown(error_table(rows)) and "**" not in to_markdown(error_table(rows))
+
+
+def test_how_sure_is_said_in_words_that_follow_the_test(tmp_path):
+    """Equal controllers are "not sure" in most of many draws, a real difference is sure, two pairs say nothing."""
+    rng, doubted = np.random.default_rng(3), 0
+    for i in range(10):
+        comparison = results(tmp_path / str(i), sweep(rng, ["nominal_mpc", "gp_mpc"], conditions=2, seeds=6))
+        said, p = answer(comparison).sure, comparison.to_base[1]
+        assert ("not sure" in said) == (p >= 0.05)
+        doubted += "not sure" in said
+    assert doubted >= 8
+    factors = {"gp_mpc": 0.1}
+    sweeps = sweep(np.random.default_rng(5), ["nominal_mpc", "gp_mpc"], conditions=4, seeds=8, factors=factors)
+    said = answer(results(tmp_path / "real", sweeps)).sure
+    assert said.startswith("How sure: very.") and "32 pairs" in said and "With other seeds" in said
+    few = sweep(np.random.default_rng(5), ["nominal_mpc", "gp_mpc"], conditions=1, seeds=2, factors=factors)
+    assert "not at all yet. 2 pairs" in answer(results(tmp_path / "few", few)).sure
+
+
+def test_odds():
+    found = [_odds(p) for p in (0.3, 0.05, 0.0005, 0.00042, 1e-9, 0.0)]
+    never = "less than once in a million times"
+    assert found == [
+        "in 30 of 100 times",
+        "once in 20 times",
+        "once in 2 000 times",
+        "once in 2 300 times",
+        never,
+        never,
+    ]

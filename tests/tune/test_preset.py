@@ -11,9 +11,10 @@ from quadexp.config.settings import record
 from quadexp.errors import UsageError
 from quadexp.log.store import read_metadata, read_table
 from quadexp.tune.preset import check_name, provenance_of, read_provenance, write_presets
-from quadexp.tune.result import tune
+from quadexp.tune.result import fingerprint, tune
 from quadexp.tune.search import FIRST_SEED, Request, with_seeds
 from quadexp.tune.space import read_axes
+from tests.docs.commands import ROOT
 from tests.tune.parts import HOVER, WeightCell
 
 GIVEN = with_seeds([*HOVER, "controller=perfect_mpc", "horizon=precise", "controller.rate=100"])
@@ -79,3 +80,28 @@ def test_settings_below_settings(tmp_path):
 def test_an_option_is_not_written_over_itself():
     with pytest.raises(UsageError, match="give another name"):
         check_name("gp_mpc", "gp_mpc")
+
+
+SHIPPED = sorted(path.stem for path in (ROOT / "conf" / "controller").glob("*_tuned.yaml"))
+
+
+@pytest.mark.parametrize("option", SHIPPED)
+def test_shipped_tunings_come_from_the_history_beside_them(option):
+    about = provenance_of(option)
+    columns, meta = read_table(ROOT / "docs" / "tuned" / f"{option}.parquet", "tuning")
+    names = [text.partition("=")[0] for text in meta["request"]["space"]]
+    trials = [[float(columns[name][i]) for name in (*names, "value")] for i in range(len(columns["trial"]))]
+    assert about and about["trials"] == fingerprint(trials) and about["space"] == meta["request"]["space"]
+    best = min(range(len(trials)), key=lambda i: trials[i][-1])
+    assert about["tuned"].endswith(f"trial {best}")
+    values = record(compose([f"controller={option}"]).controller)
+    for name, value in zip(names, trials[best], strict=False):
+        own = values[name.removeprefix("controller.")]
+        assert (own[-1] if isinstance(own, list) else own) == value
+
+
+def test_shipped_tunings_had_the_same_budget_and_cells():
+    """But for the controller, and for what of the budget did not pay a whole trial."""
+    abouts = [provenance_of(option) for option in SHIPPED]
+    cells = {tuple(text for text in about["cells"] if not text.startswith("controller=")) for about in abouts}
+    assert len(cells) == 1 and len({about["flights"] for about in abouts}) == 1

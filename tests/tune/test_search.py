@@ -6,6 +6,7 @@ import pytest
 
 from quadexp.config.compose import session
 from quadexp.errors import UsageError
+from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.log.store import read_table
 from quadexp.sweeps.sweep import SweepInterrupted
 from quadexp.tune.result import tune
@@ -109,3 +110,22 @@ def test_a_controller_of_the_users_own_is_tuned_to_what_is_known_to_be_best(tmp_
         assert share == pytest.approx(1.2, abs=0.03)
         off = sum(abs(1.0 / 1.2 - 1) * 9.81 * (0.02 * k) ** 2 / 2 for k in range(26)) / 26
         assert found.trials[0].worth.error == pytest.approx(off, rel=1e-6)
+
+
+def test_a_least_delay_margin_is_kept(tmp_path):
+    """Real flights: the published weights stand 67 ms, a position weight of 831 less than 60."""
+    given = [*HOVER, "plant=ideal"]
+    trials = search(tmp_path / "t", 3, evaluate_cell, given=given, least_margin=0.06)
+    assert trials[0].worth.margin == pytest.approx(0.067, abs=0.001)
+    assert min(trial.worth.margin for trial in trials) < 0.06 <= trials[best_of(trials)].worth.margin
+    short = [trial.worth.value for trial in trials if trial.worth.margin < 0.06]
+    assert min(short) > max(trial.worth.value for trial in trials if trial.worth.margin >= 0.06)
+
+
+def test_a_margin_is_asked_of_an_mpc_only(tmp_path):
+    with session(open_loop(tmp_path / "mine")) as composer:
+        given = ["controller=open_loop", "plant=ideal", *HOVER, "seed=7"]
+        axes = read_axes(["controller.options.share=0.8..2"], composer.compose(given))
+        request = Request(tuple(given), tuple(axes), least_margin=0.05)
+        with pytest.raises(UsageError, match="none is known of open_loop, which is no MPC"):
+            tune(composer, request, tmp_path / "t", 4, isolate=False)

@@ -103,3 +103,18 @@ def test_a_space_of_the_users_own_comes_first(tmp_path):
     (tmp_path / "tune" / "nominal_mpc.yaml").write_text(yaml.safe_dump({"horizon": "0.5..2", "nodes": None}))
     axes = read_axes([], compose([]), Path(tmp_path))
     assert [axis.text() for axis in axes] == ["controller.horizon=0.5..2", "controller.nodes=5..20"]
+
+
+REMEDY_OPTIONS = [
+    (group, path.stem)
+    for group in ("observer", "adaptive", "inner", "delay")
+    for path in sorted((conf_folder() / group).glob("*.yaml"))
+    if path.stem in SPACES
+]
+
+
+@pytest.mark.parametrize(("group", "option"), REMEDY_OPTIONS)
+def test_default_spaces_of_remedies_join_that_of_the_controller(group, option):
+    axes = read_axes([], compose(["controller=nominal_mpc", f"{group}={option}"]))
+    own = [axis for axis in axes if axis.key.startswith(f"{group}.")]
+    assert own and len(axes) > len(own) and all(axis.low < axis.start < axis.high for axis in axes)

@@ -9,7 +9,9 @@ Velocity to acceleration, PID, and from there to tilt and collective thrust f (p
     a_c = a_r + K_v (v_c - v) + I - K_d v'_f,    z_d = (a_x, a_y, g)/|.|,    f = z_d (a_z + g)/(z_d . e_z)          (2)
 
 f is cut to the largest thrust, the vertical first but for a margin of the horizontal. The integral I: vertical not
-while saturated; horizontal by back-calculation, I' = K_i (v_c - v - 2/K_v (a_c - f)) where f is shorter.
+while saturated; horizontal by back-calculation, I' = K_i (v_c - v - 2/K_v (a_c - a_s)), a_s what the limits leave of
+a_c. (PX4 compares a_c with f g/hover thrust, and relies on its estimate of the hover thrust: without one, a constant
+vertical force would look like a saturation and leave a horizontal offset.)
 
 Attitude to rate, P on a quaternion: first the shortest rotation of z to z_d, then a share of the remaining yaw:
 
@@ -85,13 +87,13 @@ def cascade_function(vehicle: Vehicle, keys: CascadeKeys) -> ca.Function:
     error = v_c - v
     a_c = path[:, 2] + ca.DM(keys.velocity_proportional) * error + integral
     a_c -= ca.DM(keys.velocity_derivative) * acceleration
-    f, wanted = wanted_thrust(a_c, vehicle, keys)
+    f, uncut, produced = wanted_thrust(a_c, vehicle, keys)
     top = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
     stuck = ca.logic_or(
-        ca.logic_and(wanted[2] <= keys.thrust_least * g, error[2] <= 0), ca.logic_and(wanted[2] >= top, error[2] >= 0)
+        ca.logic_and(uncut[2] <= keys.thrust_least * g, error[2] <= 0), ca.logic_and(uncut[2] >= top, error[2] >= 0)
     )
-    short = ca.if_else(ca.sumsqr(a_c[:2]) > ca.sumsqr(f[:2]), a_c[:2] - f[:2], 0)
-    back = ca.vertcat(error[:2] - 2 / max(keys.velocity_proportional[0], 1e-6) * short, ca.if_else(stuck, 0, error[2]))
+    short = 2 / max(keys.velocity_proportional[0], 1e-6) * (a_c[:2] - produced)
+    back = ca.vertcat(error[:2] - short, ca.if_else(stuck, 0, error[2]))
     integral = integral + period * ca.DM(keys.velocity_integral) * back
     integral = ca.vertcat(integral[:2], ca.fmin(ca.fmax(integral[2], -g), g))
 
@@ -146,8 +148,9 @@ def wanted_velocity(towards: Expression, reference: Expression, limit: tuple[flo
     return ca.vertcat(horizontal, vertical)
 
 
-def wanted_thrust(a: Expression, vehicle: Vehicle, keys: CascadeKeys) -> tuple[Expression, Expression]:
-    """f of (2) within the thrust that there is, and before that, (3,) each, world, per mass (m/s^2)."""
+def wanted_thrust(a: Expression, vehicle: Vehicle, keys: CascadeKeys) -> tuple[Expression, Expression, Expression]:
+    """f of (2) within the thrust that there is, and before that, (3,) each, world, per mass (m/s^2); and what the
+    limits of tilt and thrust leave of the wanted horizontal acceleration, (2,) (m/s^2)."""
     g, top = vehicle.gravity, vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
     vertical = g if keys.decoupled else ca.fmax(a[2] + g, 1e-3)
     size, widest = ca.norm_2(a[:2]), math.tan(keys.tilt_limit) * vertical
@@ -159,7 +162,8 @@ def wanted_thrust(a: Expression, vehicle: Vehicle, keys: CascadeKeys) -> tuple[E
     most = ca.sqrt(top**2 - ca.fmin(sideways, keys.horizontal_margin * top) ** 2)
     up = ca.fmin(f[2], most)
     room = ca.sqrt(ca.fmax(top**2 - up**2, 0))
-    return ca.vertcat(f[:2] * ca.fmin(1, room / ca.fmax(sideways, 1e-12)), up), f
+    left = ca.fmin(1, room / ca.fmax(sideways, 1e-12))
+    return ca.vertcat(left * f[:2], up), f, left * level
 
 
 def wanted_rate(R: Expression, R_d: Expression, keys: CascadeKeys) -> Expression:

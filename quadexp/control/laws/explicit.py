@@ -17,11 +17,12 @@ import numpy as np
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, resolve
 from quadexp.control.base import Measurement, Window
+from quadexp.control.belief import no_belief
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.physics.vehicle import Vehicle
 
-NO_BELIEF = np.concatenate([np.zeros(9), [1.0]])  # force, torque, wind, thrust scale
+NO_BELIEF = np.hstack([*no_belief()])  # force, torque, wind, thrust scale
 
 
 class ExplicitController:

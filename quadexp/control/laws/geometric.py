@@ -32,7 +32,6 @@ World ENU, body FLU, SI.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -40,6 +39,7 @@ import numpy as np
 from quadexp.air.base import N_OUTPUTS, Residual
 from quadexp.compile.backend import realise, resolve
 from quadexp.config.laws import GeometricKeys
+from quadexp.control.belief import Belief
 from quadexp.control.laws.attitude import attitude_distance, attitude_error, moving_attitude
 from quadexp.control.laws.desaturation import clipped, held, prioritised
 from quadexp.control.laws.explicit import ExplicitController
@@ -64,11 +64,10 @@ class GeometricController(ExplicitController):
         super().__init__(vehicle, function, keys.rate, residual=known, logged=LOGGED, backend=backend)
         self.keys = keys
 
-    def believe(self, belief: Any) -> None:
-        """Take a disturbance into account from the next step on: a Belief, see control.belief."""
+    def believe(self, belief: Belief) -> None:
+        """Take this for what acts beside the model, from the next step on."""
         believed = self._law.arguments["belief"]
-        believed[FORCE], believed[TORQUE], believed[WIND] = belief.force, belief.torque, belief.wind
-        believed[SCALE] = belief.thrust_scale
+        believed[FORCE], believed[TORQUE], believed[WIND], believed[SCALE] = belief
 
 
 class _Air:

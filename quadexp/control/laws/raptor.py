@@ -11,8 +11,7 @@ axis, and shown in the frame that is turned by the heading; a_last starts at 0. 
 velocity, and no vehicle: it finds out in flight what it flies, from what its actions do.
 
 It was trained on rotors in an X whose front right one pushes the vehicle clockwise (reaction torque -z). Other layouts
-are turned (a plus) or mirrored (the other sense of rotation): a mirrored quadrotor under the mirrored policy is the
-same one.
+are turned about z: a plus by 45 degrees, an X whose rotors turn the other way by 90.
 World ENU, body FLU, SI.
 """
 
@@ -20,7 +19,6 @@ from __future__ import annotations
 
 import importlib
 from functools import lru_cache
-from itertools import product
 from typing import Any
 
 import casadi as ca
@@ -76,22 +74,21 @@ def policy() -> Any:
     return made
 
 
-def layout(vehicle: Vehicle) -> tuple[list[int], float, bool]:
-    """Which rotor is front right, back right, back left, front left of the policy's body, how far that is turned about
-    z_body from the vehicle's (rad), and whether it is mirrored in its x-z plane.
+def layout(vehicle: Vehicle) -> tuple[list[int], float]:
+    """Which rotor is front right, back right, back left, front left of the policy's body, and how far that is turned
+    about z_body from the vehicle's (rad).
 
     Raises UsageError for rotors that are no X, however turned.
     """
     if vehicle.n_rotors == 4:
         x, y, _ = np.array(vehicle.rotor_position, float).T
         angle, spin = np.arctan2(y, x), np.sign(vehicle.rotor_spin)
-        for mirrored, turn in product((False, True), np.radians([0.0, 45.0, -45.0, 90.0, -90.0])):
-            seen = (-1 if mirrored else 1) * (angle - turn)
-            apart = np.abs((seen[None] - PLACES[:, None] + np.pi) % (2 * np.pi) - np.pi)
+        for turn in np.radians([0.0, 45.0, -45.0, 90.0]):
+            apart = np.abs((angle[None] - turn - PLACES[:, None] + np.pi) % (2 * np.pi) - np.pi)
             order = apart.argmin(axis=1)
             fits = apart.min(axis=1).max() < NEAR and sorted(order) == [0, 1, 2, 3]
-            if fits and (spin[order] == (-1 if mirrored else 1) * SPINS).all():
-                return order.tolist(), float(turn), mirrored
+            if fits and (spin[order] == SPINS).all():
+                return order.tolist(), float(turn)
     raise UsageError(
         f"vehicle={vehicle.name}: controller=raptor flies four rotors in an X or a plus that turn alternately"
     )
@@ -100,17 +97,15 @@ def layout(vehicle: Vehicle) -> tuple[list[int], float, bool]:
 def raptor_function(vehicle: Vehicle, keys: RaptorKeys, made: Any) -> ca.Function:
     """The policy with the inputs and outputs of explicit.py; memory: hidden state and last action, (20,)."""
     x, state, memory = ca.SX.sym("x", N_STATE), ca.SX.sym("state", N_STATE), ca.SX.sym("memory", HIDDEN + ACTIONS)
-    order, turn, mirrored = layout(vehicle)
-    mirror = ca.diag(ca.DM([1, -1 if mirrored else 1, 1]))
-    turned = ca.mtimes(about_z(ca.DM(turn)), mirror)  # policy's body to the vehicle's
+    order, turn = layout(vehicle)
+    turned = about_z(ca.DM(turn))  # policy's body to the vehicle's
     level = ca.mtimes(about_z(heading_of(rotation_matrix(state[ATTITUDE]))), turned)  # policy's world to ours
     R = ca.mtimes([level.T, rotation_matrix(x[ATTITUDE]), turned])
     position, velocity = (
         ca.fmin(ca.fmax(ca.mtimes(level.T, x[part] - state[part]), -limit), limit)
         for part, limit in ((POSITION, keys.position_limit), (VELOCITY, keys.velocity_limit))
     )
-    rate = (-1 if mirrored else 1) * ca.mtimes(turned.T, x[RATE])
-    observation = ca.vertcat(position, ca.vec(R.T), velocity, rate, memory[HIDDEN:])
+    observation = ca.vertcat(position, ca.vec(R.T), velocity, ca.mtimes(turned.T, x[RATE]), memory[HIDDEN:])
     action, hidden = evaluated(made, observation, memory[:HIDDEN])
     speed = ca.fmin(ca.fmax((action + 1) / 2, 0), 1)
     places = np.argsort(order).tolist()  # of the vehicle's rotors among the policy's

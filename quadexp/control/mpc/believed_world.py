@@ -1,17 +1,20 @@
-"""Planning in the world that an observer believes in (control.belief).
+"""Planning in the world that an observer believes in (control.belief): what a control step does before the plan.
 
+    estimate      an observer's update (control.observers), where the controller has one; otherwise the belief is given
     disturbance   F / m and J^-1 tau are parameters of the prediction model
-    wind          the plan is made in the frame that moves with the air from now on: v - w, p*(t) - w t. In a constant
-                  wind the equations of motion there are those of still air, so that nothing changes in the model.
+    wind          the plan is made in a frame that moves with the air: v - w, p - o, and p*(t) - o - w t over the
+                  horizon, with o' = w. In a constant wind the equations of motion there are those of still air, so that
+                  nothing changes in the model. Where the wind is believed to be another, the last solution is moved.
     thrust scale  the inputs of the plan are the thrusts that are delivered, s u, within s times the limits
     targets       attitudes and thrusts of the reference are made anew (control.mpc.targets), where that is asked for
 
-The last solution is kept in the air's frame: when the wind is believed to be another, or a control period has passed,
-it is moved into the new one. All of it is one function a control step.
+All of it is one function a control step. What it remembers until the next one is one array.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
 import casadi as ca
@@ -19,12 +22,26 @@ import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise
-from quadexp.control.base import Window
-from quadexp.control.belief import no_belief
+from quadexp.control.base import Measurement, Window
+from quadexp.control.belief import Belief, no_belief
+from quadexp.control.delivered import Delays, delivered_by_commands
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.targets import held_targets
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
+
+N_BELIEF = 10  # force, torque, wind, thrust scale
+MOVED = 0.5  # m/s: with a smaller change of the wind the last solution is a good guess as it is
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """An observer for a BelievedWorld: its update with settings (control.observers.observer), and what it is told of
+    the commands' delays."""
+
+    update: ca.Function
+    settings: np.ndarray
+    delays: Delays
 
 
 class BelievedWorld:
@@ -32,115 +49,228 @@ class BelievedWorld:
 
     mpc: made with disturbed=True. node_times: of the reference, from the measurement on, (k,) (s). targets: whether
     they are made anew. air: the model that references are made with; None: without.
-    belief: the one to enter with; set it before each step.
+    estimator: finds the belief in `enter`; without one, set `belief` before.
     """
 
     def __init__(
-        self, mpc: ModelPredictiveController, node_times: np.ndarray, *, targets: bool, air: Residual | None
+        self,
+        mpc: ModelPredictiveController,
+        node_times: np.ndarray,
+        *,
+        targets: bool,
+        air: Residual | None,
+        estimator: Estimator | None = None,
     ) -> None:
-        self._mpc, settings = mpc, mpc.settings
-        sizes = (settings.nodes, settings.samples, mpc.prediction[0].shape[1])
-        function = _function(mpc.vehicle, air, mpc.backend, *sizes, targets)
-        self._enter = BufferedFunction(function, {"X": mpc.prediction[0], "theta": mpc.parameters})
-        given = self._enter.arguments
+        self._mpc, settings, self._estimator, self._scale = mpc, mpc.settings, estimator, 1.0
+        model = None
+        if air is not None and targets:
+            model = air.to_compile if mpc.backend == "compiled" and air.to_compile is not None else air.function
+        mpc.set_disturbance(np.zeros(6))  # refuses a model without one
+        sizes = (settings.nodes, settings.samples)
+        function = _function(mpc.vehicle, model, estimator, mpc.backend, *sizes, targets)
+        assert mpc.disturbance is not None
+        self._enter = BufferedFunction(function, {"theta": mpc.parameters}, {"disturbance": mpc.disturbance})
+        self._given = given = self._enter.arguments
+        left = self._enter.results
         given["times"][...], given["period"][...] = node_times, settings.control_period
-        self._belief, self._wind, self._air = given["belief"], given["last_wind"], given["air"]
-        self._scale = 1.0
-        self.reset()
+        self._x, self._X_ref, self._U_ref, self._memory = (given[name] for name in ("x", "X_ref", "U_ref", "memory"))
+        self._x_in, self._X_in, self._U_in = (left[name] for name in ("x_in", "X_in", "U_in"))
+        self._next, self._found, self._change = left["memory_next"], left["found"], left["change"]
+        self._since = (settings.dead_time + settings.node_times)[:, None]
+        self._coefficient = mpc.vehicle.thrust_coefficient
+        if estimator is not None:
+            given["settings"].ravel()[:], given["delays"][...] = estimator.settings, estimator.delays.numbers
+            self._layout = Layout(mpc.vehicle, settings.nodes, estimator)
+        self.reset(None)
 
-    def reset(self) -> None:
-        """Begin a flight in the world of the model."""
+    def reset(self, begin: np.ndarray | None) -> None:
+        """Begin a flight in the world of the model, after the MPC did. begin: first state of the estimator."""
         self.belief = no_belief()
-        self._wind[...] = self._air[...] = 0.0
         self._mpc.set_disturbance(np.zeros(6))
+        self._memory[...] = self._found[...] = 0.0
+        self._found[-1] = 1.0
         self._rescale(1.0)
+        if self._estimator is None or begin is None:
+            return
+        given, thrust = self._enter.arguments, self._mpc.prediction[1][0]
+        given["known"][...], given["sent"][...], given["measured"][...] = 0.0, thrust, 0.0
+        parts = self._layout.slices
+        self._memory[parts["commands"]] = np.tile(thrust, self._estimator.delays.pending)
+        self._memory[parts["thrust"]], self._memory[parts["estimate"]] = thrust, begin
 
-    def enter(self, x: np.ndarray, window: Window) -> tuple[np.ndarray, Window]:
-        """State (13,) and window in the plan's frame; the MPC is told of the rest."""
-        given, left, told = self._enter.arguments, self._enter.results, self._belief
-        told[:3], told[3:6], told[6:], scale = self.belief
-        given["x"][...], given["X_ref"][...], given["U_ref"][...] = x, window.state, window.input
+    @property
+    def found(self) -> Belief:
+        """What the estimator believes since the last step."""
+        b = self._found
+        return Belief(b[0:3], b[3:6], b[6:9], float(b[9]))
+
+    def enter(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """State (13,) and the window's states and inputs in the plan's frame; the MPC is told of the rest.
+
+        The arrays are overwritten by the next call.
+        """
+        given = self._given
+        self._x[...], self._X_ref[...], self._U_ref[...] = measurement.state, window.state, window.input
+        if self._estimator is None:
+            told = given["belief"]
+            told[:3], told[3:6], told[6:9], told[9] = self.belief
+        else:
+            reading, speed, known = measurement.specific_force, measurement.rotor_speed, given["known"]
+            known[0] = reading is not None
+            if reading is not None:
+                given["reading"][...] = reading
+            if self._coefficient is not None:
+                known[1] = speed is not None
+                if speed is not None:
+                    given["measured"][...] = self._coefficient * speed**2
         self._enter()
-        self._mpc.set_disturbance(left["disturbance"])
-        self._mpc.prediction[0][...] = left["X_moved"]
-        self._wind[...], self._air[...] = told[6:], left["air_next"]
-        self._rescale(scale)
-        return left["x_in"].copy(), window._replace(state=left["X_in"], input=left["U_in"])
+        self._mpc.prepared = False  # the disturbance is another
+        self._memory[...] = self._next
+        scale, change = self._found.item(9), self._change.item(3)
+        if scale != self._scale:
+            self._rescale(scale)
+        if change > MOVED:
+            self._move(self._change[:3])
+        return self._x_in, self._X_in, self._U_in
+
+    def leave(self, thrust: np.ndarray) -> np.ndarray:
+        """The command, (n,) (N), that delivers a planned thrust."""
+        if self._scale != 1.0:
+            vehicle = self._mpc.vehicle
+            thrust = np.clip(thrust / self._scale, vehicle.thrust_min, vehicle.thrust_max)
+        if self._estimator is not None:
+            self._enter.arguments["sent"][...] = thrust
+        return thrust
+
+    def _move(self, change: np.ndarray) -> None:
+        """Bring the last solution into a frame that is the faster by `change` (m/s) from now on."""
+        X = self._mpc.prediction[0]
+        X[:, VELOCITY] -= change
+        X[:, POSITION] -= change * (self._since - self._mpc.settings.control_period)
 
     def _rescale(self, scale: float) -> None:
         if scale != self._scale:
             self._mpc.set_thrust_scale(scale)
             self._scale = scale
 
-    def commanded(self, thrust: np.ndarray) -> np.ndarray:
-        """The command, (n,) (N), that delivers a planned thrust."""
-        if self._scale == 1.0:
-            return thrust
-        vehicle = self._mpc.vehicle
-        return np.clip(thrust / self._scale, vehicle.thrust_min, vehicle.thrust_max)
+
+class Layout:
+    """Places in the memory, by name: the frame's origin, the wind, `air` of control.mpc.targets at the nodes; with an
+    estimator what commands gave, and its state."""
+
+    def __init__(self, vehicle: Vehicle, nodes: int, estimator: Estimator | None) -> None:
+        n = vehicle.n_rotors
+        sizes = {"origin": 3, "wind": 3, "air": 6 * (nodes + 1)}
+        if estimator is not None:
+            sizes |= {"commands": n * estimator.delays.pending, "thrust": n, "before": n + 1}
+            sizes |= {"estimate": estimator.update.size1_in("s")}
+        ends = [*accumulate(sizes.values())]
+        self.size = ends[-1]
+        self.slices = {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
 
 _built: dict[tuple[Any, ...], ca.Function] = {}
 
 
 def _function(
-    vehicle: Vehicle, air: Residual | None, backend: str, nodes: int, samples: int, states: int, targets: bool
+    vehicle: Vehicle,
+    model: ca.Function | None,
+    estimator: Estimator | None,
+    backend: str,
+    nodes: int,
+    samples: int,
+    targets: bool,
 ) -> ca.Function:
     """`enter_function` on a resolved back end; built once per process and structure."""
-    model = None
-    if air is not None and targets:
-        model = air.to_compile if backend == "compiled" and air.to_compile is not None else air.function
-    key = (vehicle.fingerprint, model and model.serialize(), backend, nodes, samples, states, targets)
+    observed = estimator and (estimator.update.serialize(), estimator.delays.pending)
+    key = (vehicle.fingerprint, model and model.serialize(), observed, backend, nodes, samples, targets)
     if key not in _built:
-        function = enter_function(vehicle, model, nodes, samples, states, targets=targets)
+        function = enter_function(vehicle, model, estimator, nodes, samples, targets=targets)
         _built[key] = realise(function, backend)
     return _built[key]
 
 
 def enter_function(
-    vehicle: Vehicle, model: ca.Function | None, nodes: int, samples: int, states: int, *, targets: bool
+    vehicle: Vehicle,
+    model: ca.Function | None,
+    estimator: Estimator | None,
+    nodes: int,
+    samples: int,
+    *,
+    targets: bool,
 ) -> ca.Function:
     """What `BelievedWorld.enter` computes, for N = nodes with s = samples of the reference in each.
 
-    Inputs: x (13,); X_ref (13, s N + 1), U_ref (n, s N); belief (9,): force, torque, wind; last_wind (3,);
-    X (m, N + 1), m = states, the last solution; times (s N + 1,) of the reference from now, period (s); air (3, N + 1),
-    left by the last call; theta (p,), where the references contain a model of the air and targets are made anew.
-    Outputs: x_in, X_in, U_in, X_moved: the same in the plan's frame; disturbance (6,); air_next.
+    Inputs: x (13,); X_ref (13, s N + 1), U_ref (n, s N); times (s N + 1,) of the reference from now, period (s);
+    memory, see Layout; belief (10,), or with an estimator: reading (3,), measured (n,), thrusts by rotor speeds (N),
+    known (2,), whether these two are, sent (n,), the last command (N), settings, delays (see Delays); theta (p,), where
+    the model or the estimator has parameters.
+    Outputs: x_in, X_in, U_in: the same in the plan's frame; disturbance (6,); found (10,), the belief; change (4,): of
+    the wind, and its size (m/s); memory_next.
     """
-    n, rows = vehicle.n_rotors, samples * nodes + 1
-    shapes = {"x": (N_STATE, 1), "X_ref": (N_STATE, rows), "U_ref": (n, rows - 1), "belief": (9, 1)}
-    shapes |= {"last_wind": (3, 1), "X": (states, nodes + 1), "times": (rows, 1), "period": (1, 1)}
-    shapes |= {"air": (3, nodes + 1)} | ({"theta": (model.size1_in(1), 1)} if model is not None else {})
+    n, rows, layout = vehicle.n_rotors, samples * nodes + 1, Layout(vehicle, nodes, estimator)
+    shapes = {"x": (N_STATE, 1), "X_ref": (N_STATE, rows), "U_ref": (n, rows - 1), "times": (rows, 1)}
+    shapes |= {"period": (1, 1), "memory": (layout.size, 1)}
+    parameters = model.size1_in(1) if model is not None else 0
+    if estimator is None:
+        shapes |= {"belief": (N_BELIEF, 1)}
+    else:
+        update = estimator.update
+        parameters = update.size1_in("theta")
+        shapes |= {"reading": (3, 1), "measured": (n, 1), "known": (2, 1), "sent": (n, 1)}
+        shapes |= {"settings": update.size_in("settings"), "delays": (len(estimator.delays.numbers), 1)}
+    shapes |= {"theta": (parameters, 1)} if estimator is not None or model is not None else {}
     a = {name: ca.MX.sym(name, *shape) for name, shape in shapes.items()}
-    force, torque, wind = ca.vertsplit(a["belief"], 3)
+    kept = {name: a["memory"][place] for name, place in layout.slices.items()}
+    left: dict[str, Any] = {}
+    found = a.get("belief")
+    if estimator is not None:
+        found, left = _estimated(a, kept, estimator, n)
+    force, torque, wind, _ = ca.vertsplit(found, [0, 3, 6, 9, 10])
     spin = ca.mtimes(ca.inv(ca.DM(vehicle.inertia_matrix)), torque)
     disturbance = ca.vertcat(force / vehicle.mass, spin)
-    times, X_ref, U_in, air = a["times"], a["X_ref"], a["U_ref"], a["air"]
+    origin = kept["origin"] + a["period"] * kept["wind"]
+
+    times, X_ref, U_in, air = a["times"], a["X_ref"], a["U_ref"], kept["air"]
     attitude, rate = X_ref[ATTITUDE, :], X_ref[RATE, :]
     if targets:
         at, inputs = range(0, rows, samples), ca.horzsplit(a["U_ref"])
+        states, ticks = [X_ref[:, i] for i in at], [times[i] for i in at]
         known = [inputs[min(i, rows - 2)] for i in at]
-        model_of = (model, a.get("theta"), disturbance, wind, vehicle)
-        states_at, ticks = [X_ref[:, i] for i in at], [times[i] for i in at]
-        moved, changes, forces = held_targets(states_at, known, ca.horzsplit(air), ticks, *model_of)
-        air = ca.horzcat(*forces)
-        if samples == 1:
-            U_in = U_in + ca.horzcat(*changes[:-1])
-        else:  # between nodes the changes go from one to the next
-            steps = [(c, d - c) for c, d in zip(changes, changes[1:], strict=False)]
-            U_in = U_in + ca.horzcat(*(c + d * (i / samples) for c, d in steps for i in range(samples)))
+        believed = (model, a.get("theta"), disturbance, wind, vehicle)
+        moved, changes, forces = held_targets(states, known, ca.vertsplit(air, 6), ticks, *believed)
+        air = ca.vertcat(*forces)
+        steps = [(c, d - c) for c, d in zip(changes, changes[1:], strict=False)]  # between nodes: from one to the next
+        U_in = U_in + ca.horzcat(*(c + d * (i / samples) for c, d in steps for i in range(samples)))
         within = [moved[i // samples] for i in range(rows)]  # between nodes nothing weighs states
         attitude, rate = ca.horzcat(*(m[:4] for m in within)), ca.horzcat(*(m[4:] for m in within))
-    X_in = ca.vertcat(
-        X_ref[POSITION, :] - ca.mtimes(wind, times.T), attitude, X_ref[VELOCITY, :] - ca.repmat(wind, 1, rows), rate
-    )
-    x, X = a["x"], a["X"]
-    x_in = ca.vertcat(x[:7], x[VELOCITY] - wind, x[RATE])
-    # The last solution's frame met the world one control period ago, the new one does so now.
-    change, since = wind - a["last_wind"], times[::samples]
-    position = X[POSITION, :] + ca.repmat(a["period"] * wind, 1, nodes + 1) - ca.mtimes(change, since.T)
-    velocity = X[VELOCITY, :] - ca.repmat(change, 1, nodes + 1)
-    X_moved = ca.vertcat(position, X[ATTITUDE, :], velocity, X[VELOCITY.stop :, :])
-    results = {"x_in": x_in, "X_in": X_in, "U_in": U_in, "X_moved": X_moved}
-    results |= {"disturbance": disturbance, "air_next": air}
+    position = X_ref[POSITION, :] - ca.repmat(origin, 1, rows) - ca.mtimes(wind, times.T)
+    X_in = ca.vertcat(position, attitude, X_ref[VELOCITY, :] - ca.repmat(wind, 1, rows), rate)
+    x, change = a["x"], wind - kept["wind"]
+    x_in = ca.vertcat(x[POSITION] - origin, x[ATTITUDE], x[VELOCITY] - wind, x[RATE])
+    memory = {"origin": origin, "wind": wind, "air": air} | left
+    results = {"x_in": x_in, "X_in": X_in, "U_in": U_in, "disturbance": disturbance, "found": found}
+    results |= {"change": ca.vertcat(change, ca.norm_2(change))}
+    results |= {"memory_next": ca.vertcat(*(memory[name] for name in layout.slices))}
     return ca.Function("believed_world", [*a.values()], [*results.values()], [*a], [*results])
+
+
+def _estimated(
+    a: dict[str, ca.MX], kept: dict[str, ca.MX], estimator: Estimator, n: int
+) -> tuple[ca.MX, dict[str, ca.MX]]:
+    """The belief (10,) by an estimator, and what is to be remembered of commands and estimates."""
+    read, turning = a["known"][0], a["known"][1]
+    commands, thrust, mean = delivered_by_commands(
+        ca.reshape(kept["commands"], n, estimator.delays.pending), kept["thrust"], a["sent"], a["delays"]
+    )
+    before, had = kept["before"][:n], kept["before"][n]
+    lags = a["delays"][-1]
+    now = turning * a["measured"] + (1 - turning) * thrust
+    share = turning * had * lags / 2  # of the thrusts a period ago
+    mean = turning * (share * before + (1 - share) * a["measured"]) + (1 - turning) * mean
+    given = [kept["estimate"], a["x"], a["reading"], now, mean, a["theta"], a["settings"]]
+    estimate, belief = estimator.update(*given)
+    nothing = ca.DM([0.0] * (N_BELIEF - 1) + [1.0])
+    left = {"commands": ca.vec(commands), "thrust": thrust, "before": ca.vertcat(a["measured"], turning)}
+    left |= {"estimate": kept["estimate"] + read * (estimate - kept["estimate"])}
+    return nothing + read * (belief - nothing), left

@@ -10,10 +10,11 @@ import numpy as np
 from quadexp.air.base import Residual
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.belief import Belief
-from quadexp.control.mpc.believed_world import BelievedWorld
+from quadexp.control.mpc.believed_world import BelievedWorld, Estimator
 from quadexp.control.mpc.dead_time import DeadTimePredictor
 from quadexp.control.mpc.motor_lead import MotorLead
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
+from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.state import N_STATE, POSITION
 
 
@@ -46,13 +47,15 @@ class PredictiveController:
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         if self.believed is not None:
-            self.believed.reset()
+            self.mpc.set_disturbance(np.zeros(N_DISTURBANCE))
         if self.predictor is not None:
             self.predictor.reset(np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max))
             x = self.predictor.predict(x)
         if self.lead is not None:
             x = x[:N_STATE]
         self.mpc.reset(x, self._within_reach(x, window.state), window.input)
+        if self.believed is not None:
+            self.believed.reset(None)
 
     def believe(self, belief: Belief) -> None:
         """Plan the next step, and all after it until told otherwise, in the world of a belief.
@@ -62,6 +65,13 @@ class PredictiveController:
         if self.believed is None:
             self.believed = BelievedWorld(self.mpc, self.node_times, targets=self.targets, air=self.residual)
         self.believed.belief = belief
+
+    def observed_by(self, estimator: Estimator) -> BelievedWorld:
+        """Plan every step in the world that an estimator finds, which is a part of the step from now on."""
+        self.believed = BelievedWorld(
+            self.mpc, self.node_times, targets=self.targets, air=self.residual, estimator=estimator
+        )
+        return self.believed
 
     def prepare(self, window: Window) -> None:
         """Do what the next step can do before its measurement; `step` with this window, the same object, is faster.
@@ -81,19 +91,21 @@ class PredictiveController:
             return self._answer(x, window)
         began = time.perf_counter()
         if world is not None:
-            x, window = world.enter(x, window)
+            x, states, inputs = world.enter(measurement, window)
         if predictor is not None:
             x = predictor.predict(x)
-        if self.lead is None:
-            thrust, record = self._answer(x, window)
+        body = x if self.lead is None else x[:N_STATE]
+        if world is None:
+            thrust, record = self._answer(body, window)
         else:
-            planned, record = self._answer(x[:N_STATE], window)
-            thrust = self.lead.command(planned, x[N_STATE:])
+            thrust, record = self.mpc.command(body, self._within_reach(body, states), inputs)
+        if self.lead is not None:
+            thrust = self.lead.command(thrust, x[N_STATE:])
         if predictor is not None:
             predictor.record(thrust)  # in a believed world: what is delivered of the command
         if world is not None:
-            thrust = world.commanded(thrust)
-        return thrust, record._replace(solve_time=time.perf_counter() - began)
+            thrust = world.leave(thrust)
+        return thrust, StepRecord(time.perf_counter() - began, *record[1:])
 
     def _answer(self, x: np.ndarray, window: Window) -> tuple[np.ndarray, StepRecord]:
         """x: predicted state when the command begins to act; window: the reference from then on."""

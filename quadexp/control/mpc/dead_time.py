@@ -53,6 +53,7 @@ class DeadTimePredictor:
             shared = {"theta": mpc.parameters}
             shared |= {} if mpc.disturbance is None else {"disturbance": mpc.disturbance}
             self._predict = BufferedFunction(function, shared)
+            self._x, self._x_next = self._predict.arguments["x"], self._predict.results["x_next"]
             self.commands = self._predict.arguments["U"].reshape(pending, n)  # a view: what is sent is read there
             durations = self._predict.arguments["dt"]
             durations[...], durations[0] = self._period, self._first
@@ -68,12 +69,16 @@ class DeadTimePredictor:
         full = np.concatenate([x, self.thrust]) if self._lag else x
         if self._predict is None:
             return full
-        self._predict.arguments["x"][...] = full
+        self._x[...] = full
         self._predict()
-        return self._predict.results["x_next"].copy()
+        return self._x_next.copy()
 
     def record(self, command: np.ndarray) -> None:
         """Add the command, (n,) (N), that was sent at this control instant, and go on by one control period."""
+        if not self._lag:
+            self.commands[:-1] = self.commands[1:]
+            self.commands[-1:] = command
+            return
         acting = np.vstack([self.commands, command])
         if self._lag:
             durations = [self._first, self._period - self._first] if len(self.commands) else [self._period]

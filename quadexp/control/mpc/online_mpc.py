@@ -50,7 +50,9 @@ class AdaptingController(PredictiveController):
         super().__init__(ModelPredictiveController(vehicle, model, settings, backend=backend))
         self.adapting, self.adapt, self.reference_period = adapting, adapt, reference_period
         fixed = sum_residual(known) if known else None
-        function = update_function(vehicle, adapting, fixed, Law(adapt.law, adapt.fitc))
+        function = update_function(
+            vehicle, adapting, fixed, Law(adapt.law, adapt.fitc), compiled=self.backend == "compiled"
+        )
         self._update = BufferedFunction(realise(function, self.backend))
         given, found = self._update.arguments, self._update.results
         period = self.control_period * adapt.every

@@ -1,16 +1,18 @@
 """Targets that hold the path in the world that is believed: attitudes, rates and thrusts of a reference made anew.
 
 A reference holds its path in still air without disturbance. At a node with attitude R, thrusts u of sum T and the air
-that the reference was made with, a_0 = a_air(R'v, w, u), the path asks for the specific force f = R (T e_z / m + a_0).
+that the reference was made with, a_0 = a_air(R'v, w, u), the path asks for the specific force R (T e_z / m + a_0).
 Under a force F, a torque tau and a wind W the same path needs R_1, u_1 with
 
-    R_1 (T_1 e_z / m + a_1) + F / m = f,          a_1 = a_air(R_1'(v - W), w, u_1)
-    G u_1 = [T_1, G_tau u + tau_0 - tau_1 - tau]      tau_0, tau_1: of the air, likewise
+    R_1 T_1 e_z / m = R T e_z / m - F / m - d,        d = R_1 a_1 - R a_0,    a_1 = a_air(R_1'(v - W), w, u_1)
+    G u_1 = [T_1, G_tau u + tau_0 - tau_1 - tau]                              tau_0, tau_1: of the air, likewise
 
-R_1 turns R by the shortest way that brings its z axis onto f - F / m - R_1 a_1. The force of the air on the right-hand
-side is that of the last control step, which converges from step to step; where nothing moves the targets are exact. The
-rates get the turn's derivative along the horizon, by differences. With weights on attitude and thrust an MPC only
-reaches zero error with such targets (Muske and Badgwell 2002, Maeder, Borrelli and Morari 2009).
+R_1 turns R by the shortest way that brings its z axis onto the right-hand side. The d in it is that of the last control
+step, which converges from step to step; where nothing moves the targets are exact. d is found at every second node, and
+linear in time between. The rates get the turn's derivative along the horizon, by differences. Where next to no specific
+force is asked for, its direction is none to follow, and the attitude remains that of the reference. With weights on
+attitude and thrust an MPC only reaches zero error with such targets (Muske and Badgwell 2002, Maeder, Borrelli and
+Morari 2009).
 """
 
 from __future__ import annotations
@@ -25,6 +27,8 @@ from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 SMALL = 1e-9  # m/s^2: of a specific force that has no direction
+LEAST = 0.5  # of gravity: below, the specific force decides the attitude the less the smaller it is
+TURNING = 0.25  # of the vehicle's largest rate: limit of what the turn adds to a rate
 
 
 def held_targets(
@@ -38,58 +42,56 @@ def held_targets(
     wind: Expression,
     vehicle: Vehicle,
 ) -> tuple[list[Expression], list[Expression], list[Expression]]:
-    """Attitudes (4,), rates (3,) and changes of the thrusts (n,) (N) at the nodes, and the force of the air there.
+    """Attitudes with rates (7,) and changes of the thrusts (n,) (N) at the nodes, and `air` for the next step.
 
-    states: (13,) of the reference at the nodes. inputs: (n,) (N). air: R_1 a_1 of the last step, (3,), world (m/s^2).
-    times: of the nodes (s). model: of the air, with which the reference was made; None: made without, and there is
-    none. disturbance: (6,), see physics.rigid_body. wind: (3,) (m/s).
+    states: (13,) of the reference at the nodes. inputs: (n,) (N). air: d, (3,), world (m/s^2), then tau_1 - tau_0,
+    (3,), body (N m), of the last step. times: of the nodes (s). model: of the air, with which the reference was made;
+    None: made without, and there is none. disturbance: (6,), see physics.rigid_body. wind: (3,) (m/s).
     """
-    allocate = np.linalg.pinv(vehicle.allocation)
+    allocate, inertia = ca.DM(np.linalg.pinv(vehicle.allocation)), ca.DM(vehicle.inertia_matrix)
 
-    def demanded(x: Expression, u: Expression, y: Expression) -> Expression:
-        lift = ca.vertcat(0, 0, ca.sum1(u) / vehicle.mass)
-        return ca.mtimes(rotation_matrix(x[ATTITUDE]), lift + y[:3])
-
-    def turned(x: Expression, force: Expression) -> list[Expression]:
-        axis = rotation_matrix(x[ATTITUDE])[:, 2]
+    def turned(x: Expression, u: Expression, air: Expression, disturbance: Expression) -> list[Expression]:
+        axis, thrust = rotation_matrix(x[ATTITUDE])[:, 2], ca.sum1(u)
+        force = axis * (thrust / vehicle.mass) - disturbance[:3] - air[:3]
         size = ca.sqrt(ca.sumsqr(force) + SMALL**2)
-        towards = force / size
+        sure = ca.fmin(1, size / (LEAST * vehicle.gravity))
+        towards = sure * force / size + (1 - sure) * axis
+        towards = towards / ca.sqrt(ca.sumsqr(towards) + SMALL**2)
         turn = ca.vertcat(1 + ca.dot(axis, towards), ca.cross(axis, towards))
         turn = turn / ca.norm_2(turn)
-        return [product(turn, x[ATTITUDE]), size, 2 * turn[1:]]
+        torque = ca.mtimes(inertia, disturbance[3:]) + air[3:]
+        change = ca.mtimes(allocate, ca.vertcat(vehicle.mass * size - thrust, -torque))
+        return [product(turn, x[ATTITUDE]), 2 * turn[1:], change]
 
-    def features(x: Expression, q: Expression, u: Expression, wind: Expression) -> Expression:
-        return ca.vertcat(ca.mtimes(rotation_matrix(q).T, x[VELOCITY] - wind), x[RATE], u)
+    def features(x: Expression, q: Expression, u: Expression, wind: Expression) -> list[Expression]:
+        still = ca.vertcat(ca.mtimes(rotation_matrix(x[ATTITUDE]).T, x[VELOCITY]), x[RATE])
+        blown = ca.vertcat(ca.mtimes(rotation_matrix(q).T, x[VELOCITY] - wind), x[RATE], u)
+        return [still, blown]
 
-    def still(x: Expression, u: Expression) -> Expression:
-        return features(x, x[ATTITUDE], u, ca.DM.zeros(3))
+    def difference(x: Expression, q: Expression, y0: Expression, y1: Expression) -> Expression:
+        force = ca.mtimes(rotation_matrix(q), y1[:3]) - ca.mtimes(rotation_matrix(x[ATTITUDE]), y0[:3])
+        return ca.vertcat(force, y1[3:] - y0[3:])
 
-    def change(u: Expression, size: Expression, torque: Expression) -> Expression:
-        return ca.mtimes(ca.DM(allocate), ca.vertcat(vehicle.mass * size - ca.sum1(u), -torque))
-
-    inertia = ca.DM(vehicle.inertia_matrix)
-    unknown = ca.mtimes(inertia, disturbance[3:])
-    attitudes, turns, changes, forces = [], [], [], []
-    for x, u, last in zip(states, inputs, air, strict=True):
-        zero = ca.MX.zeros(6)
-        y0 = zero if model is None else ca.densify(model(as_scalars(still)(x, u), theta)[0])
-        force = as_scalars(demanded)(x, u, y0) - disturbance[:3]
-        q, size, turn = as_scalars(turned)(x, force - last)
-        now, torque = last, unknown
-        if model is not None:
-            thrusts = u + as_scalars(change)(u, size, unknown)
-            y1 = ca.densify(model(as_scalars(features)(x, q, thrusts, wind), theta)[0])
-            now, torque = ca.mtimes(rotation_matrix(q), y1[:3]), unknown + y1[3:] - y0[3:]
-            q, size, turn = as_scalars(turned)(x, force - now)
-        attitudes.append(q)
-        turns.append(turn)
-        changes.append(as_scalars(change)(u, size, torque))
-        forces.append(now)
-    rates = []
-    for x, q, slope in zip(states, attitudes, _slopes(turns, times), strict=True):
-        rates.append(x[RATE] + ca.mtimes(rotation_matrix(q).T, slope))
-    moved = [ca.vertcat(q, w) for q, w in zip(attitudes, rates, strict=True)]
-    return moved, changes, forces
+    last = len(states) - 1
+    if model is not None:
+        exact = {}
+        for k in sorted({*range(0, last, 2), last}):
+            x, u = states[k], inputs[k]
+            q, _, change = as_scalars(turned)(x, u, air[k], disturbance)
+            still, blown = as_scalars(features)(x, q, u + change, wind)
+            y0, y1 = (ca.densify(model(z, theta)[0]) for z in (ca.vertcat(still, u), blown))
+            exact[k] = as_scalars(difference)(x, q, y0, y1)
+        air = []
+        for k in range(last + 1):
+            before, after = max(i for i in exact if i <= k), min(i for i in exact if i >= k)
+            share = 0 if k in exact else (times[k] - times[before]) / (times[after] - times[before])
+            air.append(exact[before] + share * (exact[after] - exact[before]))
+    found = [as_scalars(turned)(x, u, d, disturbance) for x, u, d in zip(states, inputs, air, strict=True)]
+    moved, limit = [], TURNING * vehicle.rate_max
+    for x, (q, _, _), slope in zip(states, found, _slopes([turn for _, turn, _ in found], times), strict=True):
+        turning = ca.mtimes(rotation_matrix(q).T, slope)
+        moved.append(ca.vertcat(q, x[RATE] + ca.fmin(ca.fmax(turning, -limit), limit)))
+    return moved, [change for _, _, change in found], air
 
 
 def _slopes(values: list[Expression], times: list[Expression]) -> list[Expression]:

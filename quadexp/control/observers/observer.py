@@ -22,10 +22,12 @@ from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.config.observers import ObserverKeys
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.belief import Belief, no_belief
-from quadexp.control.delivered import DeliveredThrust
+from quadexp.control.delivered import Delays, DeliveredThrust
 from quadexp.control.dfbc.controller import DFBC
+from quadexp.control.mpc.believed_world import Estimator
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import StepRecord
+from quadexp.control.mpc.online_mpc import AdaptingController
 from quadexp.control.mpc.rls_mpc import IdentifyingController
 from quadexp.control.wrapped import WrappedController, innermost
 from quadexp.errors import UsageError
@@ -53,51 +55,64 @@ class Update(NamedTuple):
 
 class Observer(WrappedController):
     """A controller that is told what an observer estimates; columns observer_.. of a flight: SI, forces and wind in the
-    world, torques in body axes."""
+    world, torques in body axes.
+
+    Under an MPC the update is a part of its step (control.mpc.believed_world); any other controller is told before each
+    of its steps.
+    """
 
     def __init__(self, inner: Controller, update: Update, config: ObserverKeys) -> None:
         super().__init__(inner)
-        self._believer: Any = inner
-        core = innermost(inner)
-        dead_time, lag = (
-            known_delay(config.dead_time, core, "dead_time"),
-            known_delay(config.motor_lag, core, "motor_lag"),
-        )
-        self.delivered = DeliveredThrust(inner.vehicle, inner.control_period, dead_time, lag)
-        self._update = BufferedFunction(realise(update.function, inner.backend), {"theta": parameters_of(core)})
+        names = ("dead_time", "motor_lag")
+        known = [known_delay(getattr(config, name), inner, name) for name in names]
+        self._begin, self._world, self._belief = update.begin, None, no_belief()
+        if isinstance(inner, PredictiveController):
+            inner.targets = config.targets
+            delays = Delays(inner.control_period, *known)
+            self._world = inner.observed_by(Estimator(update.function, update.settings, delays))
+            return
+        self._told: Any = inner
+        self._delivered = DeliveredThrust(inner.vehicle, inner.control_period, *known)
+        self._update = BufferedFunction(realise(update.function, inner.backend), {"theta": parameters_of(inner)})
         self._given, self._result = self._update.arguments, self._update.results
         self._given["settings"].ravel()[:] = update.settings
-        self._begin = update.begin
-        if isinstance(core, PredictiveController):
-            core.targets = config.targets
-        self.belief = no_belief()
+
+    @property
+    def belief(self) -> Belief:
+        """What is believed since the last step."""
+        return self._belief if self._world is None else self._world.found
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset: nothing is believed of the world yet."""
-        self.delivered.reset(np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max))
-        self._given["s"].ravel()[:] = self._begin(x)
-        self.belief = no_belief()
         self.inner.reset(x, window)
+        if self._world is not None:
+            self._world.reset(self._begin(x))
+            return
+        self._delivered.reset(np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max))
+        self._given["s"].ravel()[:] = self._begin(x)
+        self._belief = no_belief()
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
+        if self._world is not None:
+            return self.inner.step(measurement, window)
         began = time.perf_counter()
-        thrust = self.delivered.now(measurement)
+        thrust = self._delivered.now(measurement)
         if measurement.specific_force is not None:
             self._observe(measurement, thrust)
-        self._believer.believe(self.belief)
+        self._told.believe(self._belief)
         command, record = self.inner.step(measurement, window)
-        self.delivered.record(command)
+        self._delivered.record(command)
         return command, record._replace(solve_time=time.perf_counter() - began)
 
     def _observe(self, measurement: Measurement, thrust: np.ndarray) -> None:
         given = self._given
         given["x"][...], given["reading"][...] = measurement.state, measurement.specific_force
-        given["thrust"][...], given["mean"][...] = thrust, self.delivered.mean
+        given["thrust"][...], given["mean"][...] = thrust, self._delivered.mean
         self._update()
         given["s"][...] = self._result["s_next"]
         b = self._result["belief"]
-        self.belief = Belief(b[0:3], b[3:6], b[6:9], float(b[9]))
+        self._belief = Belief(b[0:3], b[3:6], b[6:9], float(b[9]))
 
     def log(self) -> dict[str, float]:
         """See Controller.log: the estimates, beside the columns of the controller."""
@@ -111,9 +126,9 @@ def believer(controller: Controller, name: str) -> Any:
 
     Raises UsageError where it cannot, or where it identifies its own model from the same accelerometer.
     """
-    if isinstance(innermost(controller), IdentifyingController):
+    if isinstance(innermost(controller), (IdentifyingController, AdaptingController)):
         raise UsageError(
-            f"observer={name}: {controller.name} explains the accelerometer by the coefficients that it identifies; an"
+            f"observer={name}: {controller.name} explains the accelerometer by what it learns in flight; an"
             " observer would explain the same readings a second time. Take one of them"
         )
     if not hasattr(controller, "believe"):

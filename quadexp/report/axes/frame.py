@@ -1,6 +1,7 @@
 """The flights of a sweep with the value of any key of the configuration beside each, whether it was swept or not.
 
-The value is that of the configuration stored with the flight. A cell without a flight (invalid, failed) has no file:
+The value is that of the configuration stored with the flight; `model.inducing` and the like are settings of the fit of
+its checkpoint, as long as that is where the flight found it. A cell without a flight (invalid, failed) has no file:
 the overrides that asked for it are in the record of the results.
 """
 
@@ -41,6 +42,7 @@ class SweepFrame:
         self._store = CellStore(root)
         self._configs: dict[str, dict[str, Any]] = {}
         self._columns: dict[str, list[Any]] = {}
+        self._checkpoints: dict[str, dict[str, Any]] = {}
         self._lacking: dict[str, list[str]] = dict(self.record.get("without_flight", {}))
 
     @classmethod
@@ -58,7 +60,11 @@ class SweepFrame:
 
     def where(self, kept: Sequence[bool]) -> SweepFrame:
         """The frame of some of its rows."""
-        found = SweepFrame([row for row, keep in zip(self.rows, kept, strict=True) if keep], self.root, self.record)
+        return self.taken([i for i, keep in enumerate(kept) if keep])
+
+    def taken(self, order: Sequence[int]) -> SweepFrame:
+        """The frame of the rows at these places, in this order."""
+        found = SweepFrame([self.rows[i] for i in order], self.root, self.record)
         found._configs = self._configs
         return found
 
@@ -70,8 +76,8 @@ class SweepFrame:
         name = ALIASES.get(name, name)
         if name not in self._columns:
             made = [self._value(row, name) for row in self.rows]
-            if all(value is None for value in made) and name not in (*ROW_COLUMNS, *GROUPS, "wanted"):
-                raise UsageError(f"{name}: no such key or column{suggestion(name, self.names)}")
+            if all(value is None for value in made) and name not in (*ROW_COLUMNS, *GROUPS, *ASKED, "wanted"):
+                raise UsageError(f"{name}: no such column{suggestion(name, self.names)}")
             self._columns[name] = made
         return self._columns[name]
 
@@ -89,6 +95,7 @@ class SweepFrame:
         found: dict[str, None] = dict.fromkeys((*ROW_COLUMNS, *GROUPS))
         for row in self.rows[:: max(1, len(self.rows) // 20)]:
             found.update(dict.fromkeys(_flat(self._config(row))))
+            found.update(dict.fromkeys(f"model.{key}" for key in self._of_checkpoint(row["model"])))
         return list(found)
 
     @cached_property
@@ -135,6 +142,8 @@ class SweepFrame:
             return row[name]
         if name == "remedies":
             return "+".join(self._remedies(row, REMEDIES)) or "none"
+        if name.startswith("model."):
+            return self._of_checkpoint(row["model"]).get(name.removeprefix("model."))
         varied = dict(setting_pairs(row["variant"] or ""))
         if name in varied:
             return read_value(varied[name])
@@ -147,6 +156,21 @@ class SweepFrame:
         if found is None and name in (*WORLD, *REMEDIES):
             return "none"  # what does nothing is left out of the record of a flight
         return _named(found)
+
+    def _of_checkpoint(self, path: str | None) -> dict[str, Any]:
+        """Settings of the fit, and the data, of a checkpoint that is still where the flight found it."""
+        if not path:
+            return {}
+        if path not in self._checkpoints:
+            found: dict[str, Any] = {}
+            try:
+                payload = json.loads((Path(path) / "model.json").read_text(encoding="utf-8"))["payload"]
+                for part in ("settings", "dataset"):
+                    found |= {key: _named(value) for key, value in dict(payload.get(part) or {}).items()}
+            except (OSError, ValueError, KeyError, TypeError, AttributeError):
+                pass
+            self._checkpoints[path] = found
+        return self._checkpoints[path]
 
     def _remedies(self, row: Row, groups: Iterable[str]) -> list[str]:
         chosen = [self._value(row, group) for group in groups]
@@ -211,9 +235,11 @@ def is_metric(name: str) -> bool:
 
 
 def of_controller(key: str) -> bool:
-    """Whether a key belongs to who flies, not to what is flown: flights that differ in it have the same noise."""
+    """Whether a key belongs to who flies, not to what is flown: flights that differ in it have the same noise.
+
+    "results" is the folder that a flight of several results comes from (compare_picture.py)."""
     group = key.partition(".")[0]
-    return group in ("controller", "model", "remedies", *REMEDIES) or PRESETS.get(group) == "controller"
+    return group in ("controller", "model", "remedies", *REMEDIES, "results") or PRESETS.get(group) == "controller"
 
 
 def unit_of(key: str) -> str:

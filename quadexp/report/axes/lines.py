@@ -55,7 +55,8 @@ def line_figure(view: View) -> Figure:
         grid[0, 0].set_yscale("log")
         grid[0, 0].set_ylim(bottom=0.8 * view.factor * min(ends))
     elif all(point.mean >= 0 for point in view.places.values() if point.is_shown):
-        grid[0, 0].set_ylim(bottom=0)
+        largest = max(max(point.mean, max(0, point.high)) for point in view.places.values() if point.is_shown)
+        grid[0, 0].set_ylim(0, 1.08 * view.factor * largest or 1.0)
     _make_room(grid[0, 0], view, len(lines), log)
     if log:
         plain_log(grid[0, 0].yaxis, minor=True)
@@ -70,14 +71,13 @@ def line_figure(view: View) -> Figure:
 
 def label_of(view: View, line: Place) -> str:
     """The text of a line in the legend, beginning with its controller, which decides its colour."""
-    return " ".join(
-        str(value)
-        if key == "controller"
-        else f"{key.rpartition('.')[2]}={value}"
-        if key != "model"
-        else view.title((key,), (value,))
-        for key, value in zip(view.by, line, strict=True)
-    )
+    parts = []
+    for key, value in zip(view.by, line, strict=True):
+        if key == "model":
+            parts.append(view.title((key,), (value,)) or ("" if "controller" in view.by else "no checkpoint"))
+        else:
+            parts.append(str(value) if key == "controller" else f"{key.rpartition('.')[2]}={value}")
+    return " ".join(filter(None, parts))
 
 
 def _draw_line(
@@ -139,6 +139,14 @@ def is_log(view: View) -> bool:
 def _mark_gone(grid: Any, panels: Sequence[Place], view: View, lines: Sequence[Place]) -> None:
     """A cross above the lines where no flight of a place ended well, or its settings are invalid."""
     found = looks([label_of(view, line) for line in lines])
+    start = len(view.facet)
+    for line in lines:
+        own = [point for place, point in view.places.items() if place[start : start + len(line)] == line]
+        if not any(point.is_shown for point in own):
+            what = "invalid" if all(point.invalid for point in own) else "no flight ended well"
+            label = f"{label_of(view, line)} ({what})".strip()
+            colour = found[label_of(view, line)].colour
+            grid[0].plot([], [], marker="x", markersize=5, linestyle="none", color=colour, label=label)
     for panel, facet in zip(grid, panels, strict=False):
         for k, line in enumerate(lines):
             colour = found[label_of(view, line)].colour

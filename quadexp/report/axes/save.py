@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,10 +39,10 @@ def records(view: View) -> list[dict[str, Any]]:
     return made
 
 
-def check_path(path: Path, force: bool) -> Path:
+def check_path(path: Path, force: bool, suffixes: Sequence[str] = SUFFIXES) -> Path:
     """The path of a figure; UsageError for a suffix of none of the formats, or a file that is there."""
-    if path.suffix.lower().lstrip(".") not in SUFFIXES:
-        raise UsageError(f"--out {path}: a figure is a file .{', .'.join(SUFFIXES)}")
+    if path.suffix.lower().lstrip(".") not in suffixes:
+        raise UsageError(f"--out {path}: a figure is a file .{', .'.join(suffixes)}")
     return check_output(path, force=force)
 
 

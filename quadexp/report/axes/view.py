@@ -145,7 +145,9 @@ class View:
 
     def title(self, keys: Sequence[str], values: Place) -> str:
         return ", ".join(
-            str(value) if key in ("trajectory", *WHO) else f"{key.rpartition('.')[2]} {value_text(key, value)}"
+            value_text(key, value)
+            if key in ("trajectory", *WHO)
+            else f"{key.rpartition('.')[2]} {value_text(key, value)}"
             for key, value in zip(keys, values, strict=True)
         )
 
@@ -168,7 +170,8 @@ def view(
         _check_key(frame, key)
         if given.count(key) > 1:
             raise UsageError(f"{key}: stands twice among --x, --by and --facet")
-    free = [key for key in frame.swept if key not in (*given, "seed")]
+    told = {"model"} if any(key.startswith("model.") for key in given) else set()
+    free = [key for key in frame.swept if key not in (*given, "seed", *told)]
     x = ALIASES.get(x, x) if x else _longest(frame, [k for k in free if k not in (*WHO, "trajectory")] or free)
     free = [key for key in free if key != x]
     own_by = [ALIASES.get(key, key) for key in by or ()]
@@ -220,7 +223,8 @@ def automatic(frame: SweepFrame, y: str = "mean_error", confidence: float = 0.95
 def _made(frame: SweepFrame, what: tuple[Kind, str, Sequence[str], Sequence[str]], y: str, confidence: float) -> View:
     kind, x, by, facet = what
     keys = [*by] if kind == "parallel" else [*facet, *by, x]
-    others = [key for key in frame.swept if key not in (*keys, "seed")]
+    told = {"model"} if any(key.startswith("model.") for key in keys) else set()  # which tells the checkpoints apart
+    others = [key for key in frame.swept if key not in (*keys, "seed", *told)]
     if kind != "parallel" and (mixed := [key for key in WHO if key in others]):
         facet, others = [*facet, *mixed], [key for key in others if key not in mixed]
         keys = [*facet, *by, x]

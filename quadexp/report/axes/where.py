@@ -32,7 +32,7 @@ WORDS = ("and", "or", "not", "in", "like", "is", "null")
 DEEPEST = 50  # brackets and `not` inside each other
 _TOKEN = re.compile(
     r"""\s*(?:(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s?(?P<unit>mm|cm|us|ms|deg|m|s|%)?(?![\w.])
-    |(?P<word>[^\W\d][\w.+/:*?-]*)|(?P<text>'[^']*'|"[^"]*")|(?P<sign>==|!=|<>|<=|>=|&&|\|\||[=<>()\[\],]))""",
+    |(?P<word>(?:[^\W\d]|[*?])[\w.+/:*?-]*)|(?P<text>'[^']*'|"[^"]*")|(?P<sign>==|!=|<>|<=|>=|&&|\|\||[=<>()\[\],]))""",
     re.VERBOSE,
 )
 

@@ -18,17 +18,20 @@ QUESTION = (
 )
 MOST_COUNTS = 6  # of "k of n" in the headline
 MOST_NAMES = 4  # of controllers with the same count
+VERY_SURE = 0.001  # probability that chance alone makes such a difference
 ALONE = "How closely does it track, and does it run in real time?"
 
 
 @dataclass(frozen=True)
 class Answer:
-    """question; flown, gain, in_time: parts of the answer; note: the data behind it."""
+    """question; flown, gain, in_time: parts of the answer; sure: how far it can be trusted, in plain words; note: the
+    data behind it."""
 
     question: str
     flown: str
     gain: str
     in_time: str
+    sure: str
     note: str
 
     @property
@@ -41,7 +44,7 @@ def answer(comparison: Comparison) -> Answer:
     """The answer for any results: with or without a baseline, a winner, or a flight that ended well."""
     question = QUESTION if len(comparison.order) > 1 else ALONE
     gain = _capital(_gain(comparison))
-    parts = (_flown(comparison), gain, _in_time(comparison), _note(comparison))
+    parts = (_flown(comparison), gain, _in_time(comparison), _sure(comparison), _note(comparison))
     return Answer(question, *map(typeset, parts))
 
 
@@ -186,6 +189,46 @@ def _in_time(comparison: Comparison) -> str:
     if median <= period:
         return f"It runs in real time in the median only: {step}, but {duration(tail)} at the 99th percentile, {due}."
     return f"It does not run in real time: {step}, {due}."
+
+
+def _sure(comparison: Comparison) -> str:
+    """How far the gain can be trusted: what chance alone would do, and what other seeds would show."""
+    base, lead = comparison.reference, comparison.lead
+    if lead is None or base is None or lead == base or base not in comparison.compared:
+        flights = comparison.common.flights
+        return f"How sure: {count(flights, 'flight')} each; nothing is compared with a baseline." if flights else ""
+    one, (ratio, p) = comparison.overall[lead], comparison.to_base
+    if not math.isfinite(p):
+        return (
+            f"How sure: not at all yet. {count(one.pairs, 'pair')} of flights cannot tell chance from a difference:"
+            " fly more seeds."
+        )
+    pairs = f"in {count(one.pairs, 'pair')} of flights with the same noise"
+    if p >= 1 - comparison.confidence:
+        return (
+            f"How sure: not sure. If {spoken(lead)} and {spoken(base)} were equally good, chance alone would make a"
+            f" difference like this one {_odds(p)} ({pairs})."
+        )
+    seeds = ""
+    if math.isfinite(ratio.low):
+        low, high = sorted((100 * abs(1 - ratio.low), 100 * abs(1 - ratio.high)))
+        ends = percent(low)[0], percent(high)[0]
+        where = f"lie between {ends[0]} and {ends[1]}" if ends[0] != ends[1] else f"again be {ends[0]}"
+        seeds = f" With other seeds the difference would {where}, {comparison.confidence:.0%} of the time."
+    return (
+        f"How sure: {'very' if p < VERY_SURE else 'fairly'}. If {spoken(lead)} and {spoken(base)} were equally good,"
+        f" chance alone would make a difference like this one {_odds(p)} ({pairs}).{seeds}"
+    )
+
+
+def _odds(p: float) -> str:
+    """A probability in words: "once in 2 000 times", "in 30 of 100 times"."""
+    if p >= 0.095:
+        return f"in {round(100 * p)} of 100 times"
+    if p < 1e-6:
+        return "less than once in a million times"
+    size = 10 ** max(0, math.floor(math.log10(1 / p)) - 1)
+    return f"once in {int(1 / p / size) * size:,} times".replace(",", " ")
 
 
 def _note(comparison: Comparison) -> str:

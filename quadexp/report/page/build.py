@@ -25,7 +25,7 @@ from quadexp.report.page.panels import courses
 from quadexp.report.page.power import MAX_FLIGHTS
 from quadexp.report.page.provenance import origin, portable
 from quadexp.report.page.replay import BUDGET, MAX_TRACKS, Case, choose_cases, pack_replay
-from quadexp.report.page.sections import scoreboard, tables, worst, worst_rows
+from quadexp.report.page.sections import scoreboard, tables, worlds, worst, worst_rows
 from quadexp.report.page.source import TABLED, Comparison, read_comparison, spoken
 from quadexp.report.pairing import condition_of
 from quadexp.report.statistics_file import statistics_csv
@@ -36,20 +36,6 @@ from quadexp.report.text import duration, percent, typeset
 LIMIT = 2_000_000  # bytes of the page
 DATA_LIMIT = 250_000  # bytes of a CSV inside it
 CARRIED = ("statistics.csv", "results.csv")
-SHAPE_PATHS = {
-    "circle": "M-4.4 0A4.4 4.4 0 1 1 4.4 0A4.4 4.4 0 1 1 -4.4 0Z",
-    "square": "M-4-4H4V4H-4Z",
-    "diamond": "M0-5L5 0L0 5L-5 0Z",
-    "triangle": "M0-4.8L4.8 4H-4.8Z",
-    "wedge": "M0 4.8L4.8-4H-4.8Z",
-    "plus": "M-1.8-5H1.8V-1.8H5V1.8H1.8V5H-1.8V1.8H-5V-1.8H-1.8Z",
-    "cross": "M-5-2.6L-2.6-5L0-2.4L2.6-5L5-2.6L2.4 0L5 2.6L2.6 5L0 2.4L-2.6 5L-5 2.6L-2.4 0Z",
-    "hexagon": "M-4.3-2.5L0-5L4.3-2.5V2.5L0 5L-4.3 2.5Z",
-    "left": "M-4.8 0L4-4.8V4.8Z",
-    "right": "M4.8 0L-4-4.8V4.8Z",
-    "pentagon": "M0-5L4.8-1.5L2.9 4H-2.9L-4.8-1.5Z",
-    "star": "M0-5L1.4-1.6L5-1.5L2.1.7L3.1 4.4L0 2.3L-3.1 4.4L-2.1.7L-5-1.5L-1.4-1.6Z",
-}
 LEARNED = {name: f"{LOOKS[key][0]}-0" for name, key in (("gp", "gp_mpc"), ("drag", "linear drag"), ("data", "nominal"))}
 TEMPLATES = files("quadexp.report.page") / "templates"
 
@@ -125,9 +111,10 @@ def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[st
         "metric_title": TITLES.get(comparison.metric, comparison.metric),
         "baseline": comparison.reference,
         "board": scoreboard(comparison),
+        "worlds": worlds(comparison),
         "alpha": 1 - comparison.confidence,
         "looks": comparison.look,
-        "shapes": {marker: SHAPE_PATHS[name] for marker, name in palette.SHAPES.items()},
+        "shapes": {marker: palette.SHAPE_PATHS[name] for marker, name in palette.SHAPES.items()},
         "learned": LEARNED,
         "row_notes": comparison.notes,
         "spoken": spoken,
@@ -135,7 +122,7 @@ def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[st
         "css_dark": dark,
         "style": _safe(_template("style.css")),
         "page_script": _template("page.js"),
-        "replay_script": _template("replay.js").replace("@@SHAPES@@", json.dumps(SHAPE_PATHS)),
+        "replay_script": _template("replay.js").replace("@@SHAPES@@", json.dumps(palette.SHAPE_PATHS)),
         "speed_panels": drawn.speed,
         "speed_labels": drawn.speed_labels,
         "pareto": drawn.pareto,
@@ -161,7 +148,7 @@ def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[st
             content,
             reduced=extent != EXTENTS[0],
             left_out=left_out,
-            sections=_sections(drawn, bool(packed)),
+            sections=_sections(drawn, bool(packed), len(comparison.worlds) > 1),
             tables=numbers,
             replay=bool(packed),
             winds=any("wind" in track for case in packed for track in case["tracks"]),
@@ -211,10 +198,11 @@ def _safe(text: str) -> Any:
     return Markup(text)
 
 
-def _sections(drawn: PageFigures, replay: bool) -> list[tuple[str, str]]:
+def _sections(drawn: PageFigures, replay: bool, several_worlds: bool) -> list[tuple[str, str]]:
     wanted = [
         ("replay", "Replay", replay),
         ("tables", "Numbers", True),
+        ("worlds", "Worlds", several_worlds),
         ("speed", "Speed", bool(drawn.speed)),
         ("time", "Time", bool(drawn.pareto)),
         ("power", "Power", bool(drawn.power)),

@@ -41,6 +41,21 @@ SHAPES = {  # marker -> name of its shape on the page
     "*": "star", "h": "hexagon", "<": "left", ">": "right", "p": "pentagon",
 }  # fmt: skip
 
+SHAPE_PATHS = {
+    "circle": "M-4.4 0A4.4 4.4 0 1 1 4.4 0A4.4 4.4 0 1 1 -4.4 0Z",
+    "square": "M-4-4H4V4H-4Z",
+    "diamond": "M0-5L5 0L0 5L-5 0Z",
+    "triangle": "M0-4.8L4.8 4H-4.8Z",
+    "wedge": "M0 4.8L4.8-4H-4.8Z",
+    "plus": "M-1.8-5H1.8V-1.8H5V1.8H1.8V5H-1.8V1.8H-5V-1.8H-1.8Z",
+    "cross": "M-5-2.6L-2.6-5L0-2.4L2.6-5L5-2.6L2.4 0L5 2.6L2.6 5L0 2.4L-2.6 5L-5 2.6L-2.4 0Z",
+    "hexagon": "M-4.3-2.5L0-5L4.3-2.5V2.5L0 5L-4.3 2.5Z",
+    "left": "M-4.8 0L4-4.8V4.8Z",
+    "right": "M4.8 0L-4-4.8V4.8Z",
+    "pentagon": "M0-5L4.8-1.5L2.9 4H-2.9L-4.8-1.5Z",
+    "star": "M0-5L1.4-1.6L5-1.5L2.1.7L3.1 4.4L0 2.3L-3.1 4.4L-2.1.7L-5-1.5L-1.4-1.6Z",
+}
+
 
 @dataclass(frozen=True)
 class Palette:

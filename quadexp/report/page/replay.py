@@ -28,6 +28,7 @@ from quadexp.report.pairing import condition_of
 BUDGET = 900_000  # characters of packed tracks
 MAX_TRACKS = 12
 MAX_CASES = 24
+MAX_FLOWN = 60  # with other seeds of these
 MAX_SAMPLES = 1500
 LEAST_STEP = 0.02  # s
 INT16 = 32767
@@ -41,10 +42,14 @@ def case_of(row: Mapping[str, Any]) -> Case:
 
 
 def choose_cases(comparison: Comparison, worst: Sequence[Mapping[str, Any]]) -> list[Case]:
-    """The fastest condition with the largest error first, the cases of the worst flights, then all other conditions."""
+    """The fastest condition with the largest error first, the cases of the worst flights, then all other conditions,
+    then other seeds."""
     cases = ordered_cases(comparison)
     cases[1:1] = [case_of(row) for row in worst[:3]]
-    return list(dict.fromkeys(cases))[:MAX_CASES]
+    flown = dict.fromkeys(case_of(row) for row in comparison.rows if row["outcome"] == "ok")
+    place = {condition: i for i, (condition, _) in enumerate(reversed(cases))}
+    others = sorted(flown, key=lambda case: (case[1], -place[case[0]]))  # the other seeds, of the first cases first
+    return list(dict.fromkeys([*cases[:MAX_CASES], *others]))[:MAX_FLOWN]
 
 
 def ordered_cases(comparison: Comparison) -> list[Case]:
@@ -121,6 +126,9 @@ def _pack(comparison: Comparison, case: Case, rows: Sequence[Mapping[str, Any]])
     tracks = [_track(comparison, label, flight, t, config) for label, flight in flights]
     return {
         "title": case_title(comparison, case),
+        "course": course_title(comparison, (*case[0][:3], case[0][4])),
+        "speed": case[0][3],
+        "seed": case[1],
         "step": step,
         "samples": len(t),
         "rotors": config.get("rotor_position") or SOME_ROTORS,

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from quadexp.log.schema import Flight
 from quadexp.report.metrics import position_error
 from quadexp.report.notes import table_notes
 from quadexp.report.page.panels import Course, course_of, course_title
@@ -19,6 +21,7 @@ from quadexp.report.tables import TITLES, Entry
 from quadexp.report.text import duration, number, percent, probability, shown, speed_text, with_interval
 
 WORST = 9
+MOST_WORLDS = 30
 WIDE = 6  # columns; with more, a table is printed across the sheet
 EACH = 2  # flights of one contestant among the worst, of those that ended well
 SPARK = 160, 36  # of an error trace, px
@@ -59,6 +62,44 @@ def scoreboard(comparison: Comparison) -> list[dict[str, Any]]:
             }
         )
     return board
+
+
+def worlds(comparison: Comparison) -> dict[str, Any] | None:
+    """Success and error of every contestant in each plant, vehicle and world; None where there is only one."""
+    if len(comparison.worlds) < 2:
+        return None
+    factor, unit = shown(comparison.metric)
+    lines, columns = [], list(comparison.look)
+    for world in comparison.worlds[:MOST_WORLDS]:
+        rows = [row for row in comparison.rows if (row["plant"], row["vehicle"]) == world]
+        there = replace(comparison, rows=rows)
+        labels = {comparison.labels[contestant]: label for contestant, label in there.labels.items()}
+        cells = []
+        for column in columns:
+            label = labels.get(column)
+            flights = there.success(label) if label else Flights(0, 0)
+            mean = factor * there.geometric_mean(label) if label else math.nan
+            ended = flights.text() if flights.trials else ""
+            text = number(mean) if math.isfinite(mean) else ""
+            cells.append({"ended": ended, "complete": flights.ended == flights.trials, "text": text})
+        sample = next((f for row in rows if row["outcome"] == "ok" and (f := comparison.flight(row)) is not None), None)
+        about = {"wind": "", "estimate": ""} if sample is None else _surroundings(sample)
+        lines.append({"name": f"{world[0]}, {world[1]}", "cells": cells, **about})
+    left = len(comparison.worlds) - len(lines)
+    return {"columns": columns, "lines": lines, "unit": unit, "left": left, "wide": len(columns) > WIDE}
+
+
+def _surroundings(flight: Flight) -> dict[str, str]:
+    """Mean and largest wind of a flight, and how far its estimated position is off, in words."""
+    found = {"wind": "", "estimate": ""}
+    if flight.wind is not None and flight.wind.any():
+        speed = np.linalg.norm(flight.wind, axis=1)
+        found["wind"] = f"wind {speed.mean():.1f} m/s, most {speed.max():.1f} m/s"
+    if "est_p_x" in flight.columns:
+        off = flight.stack([f"est_p_{i}" for i in "xyz"]) - flight.stack([f"p_{i}" for i in "xyz"])
+        if off.any():
+            found["estimate"] = f"told {number(1e3 * float(np.sqrt((off**2).sum(axis=1).mean())))} mm off (rms)"
+    return found
 
 
 def _role(comparison: Comparison, label: str) -> str:

@@ -50,6 +50,10 @@ NAMES = {
     "rls_feedback": "RLS feedback",
     "static_feedback": "static feedback",
     "oracle_feedback": "oracle feedback",
+    "geometric": "geometric control",
+    "pid": "PID",
+    "dfbc": "DFBC",
+    "neural_mpc": "neural MPC",
 }
 KNOWS = {
     "nominal_mpc": "nothing of the air",
@@ -67,8 +71,9 @@ BASELINES = ("nominal_mpc", "static_feedback")  # in this order, unless told
 def spoken(label: str) -> str:
     """A label in a sentence: "gp_mpc nodes=20" is "GP MPC nodes=20"."""
     controller, _, rest = label.partition(" ")
+    controller, *remedies = controller.split("+")
     name = NAMES.get(controller, controller.replace("_mpc", " MPC").replace("_", " "))
-    return f"{name} {rest}".strip()
+    return f"{' + '.join([name, *remedies])} {rest}".strip()
 
 
 @dataclass(frozen=True)

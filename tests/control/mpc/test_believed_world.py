@@ -97,7 +97,7 @@ def test_the_dead_time_is_predicted_in_the_believed_world(vehicle, rng, lag):
     x, window = a_window(controller, rng)
     controller.reset(x, window)
     controller.believe(belief)
-    inside, _ = controller.believed.enter(x, window)
+    inside, *_ = controller.believed.enter(Measurement(0.0, x, None, None), window)
     thrust, u = np.full(4, 3.0), rng.uniform(1, 4, 4)
     controller.predictor.reset(thrust)
     controller.predictor.commands[...] = u
@@ -152,7 +152,7 @@ def test_a_wind_is_a_frame_that_moves(vehicle, rng):
 
 
 def test_a_wind_that_changes_moves_the_plan_with_it(vehicle, rng):
-    """In the world the last plan stays where it was, but for the wind's share of positions over the horizon."""
+    """In the world the last plan stays where it was: the frame's origin went with the first wind for a period."""
     controller = controller_of(vehicle, make_residual("none", vehicle), dead_time=0.01)
     x, window = a_window(controller, rng)
     controller.reset(x, window)
@@ -162,10 +162,10 @@ def test_a_wind_that_changes_moves_the_plan_with_it(vehicle, rng):
     controller.step(Measurement(0.0, x, None, None), window)
     X = controller.mpc.prediction[0].copy()
     controller.believe(Belief(np.zeros(3), np.zeros(3), second))
-    controller.believed.enter(x, window)
+    controller.believed.enter(Measurement(0.0, x, None, None), window)
     moved = controller.mpc.prediction[0]
     assert moved[:, 7:10] + second == pytest.approx(X[:, 7:10] + first)
-    assert moved[:, :3] + second * (times - 0.02) == pytest.approx(X[:, :3] + first * times)
+    assert moved[:, :3] + 0.02 * first + second * (times - 0.02) == pytest.approx(X[:, :3] + first * times)
 
 
 def test_a_thrust_scale_asks_for_more_of_the_rotors(vehicle, rng):

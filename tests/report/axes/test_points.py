@@ -15,6 +15,8 @@ from quadexp.report.axes.frame import SweepFrame, read_value, unit_of
 from quadexp.report.axes.points import points
 from quadexp.report.axes.save import records
 from quadexp.report.axes.view import Axis, automatic, view
+from quadexp.report.draw import draw
+from quadexp.report.drawing import drawings
 from quadexp.report.statistics import compute_statistics
 from tests.report.axes.sweeps import noise, swept
 
@@ -190,6 +192,25 @@ class TestChoice:
         assert made.kind == expected[0]
         assert expected[1] == (len(made.along) if made.kind == "parallel" else made.x.key)
 
+    @pytest.mark.parametrize(
+        ("overrides", "names"),
+        [
+            (["trajectory.speed=4,8"], ["mean_error_against_speed"]),
+            (["plant=simplified,ideal", "trajectory.speed=4,8"], ["mean_error_against_speed"]),
+            (["plant=simplified,ideal"], ["mean_error_against_plant"]),
+            (["controller.nodes=5,10", "trajectory.speed=4,6,8"], ["mean_error_against_speed"]),
+            (["controller.nodes=5,10,20"], ["mean_error_against_nodes"]),
+            (["vehicle.mass=1,2", "controller.nodes=5,10", "plant.payload=0,0.1"], ["mean_error_over_all_keys"]),
+        ],
+    )
+    def test_the_figures_of_a_sweep(self, tmp_path, overrides, names):
+        out = swept(tmp_path / "r", overrides, lambda config: 0.01)
+        made = drawings(SweepFrame.read(out).rows, out, "mean_error", 0.95)
+        assert [one.name for one in made if one.kind in ("error", "axes")] == names
+        for one in made:
+            if one.kind in ("error", "axes"):
+                assert draw(one.kind, one.inputs, tmp_path / "figures" / f"{one.name}.svg")
+
     def test_without_the_grids_the_rows_tell_what_was_swept(self, nodes):
         frame = SweepFrame.read(nodes)
         assert SweepFrame(frame.rows, nodes).swept == ["controller.nodes", "controller.horizon", "controller", "seed"]
@@ -228,7 +249,8 @@ def test_units_are_those_of_the_configuration():
 
 @pytest.mark.parametrize(
     ("text", "value"),
-    [("3", 3), ("3.0", 3.0), ("1e-3", 1e-3), ("true", True), ("null", None), ("[1, 2]", "[1,2]"), ("'a b'", "a b"), ("x", "x")],
+    [("3", 3), ("3.0", 3.0), ("1e-3", 1e-3), ("true", True), ("null", None), ("[1, 2]", "[1,2]"),
+     ("'a b'", "a b"), ("x", "x")],
 )  # fmt: skip
 def test_values_of_overrides(text, value):
     assert read_value(text) == value and type(read_value(text)) is type(value)

@@ -5,7 +5,9 @@ const cases = JSON.parse(document.getElementById("replay-data").textContent);
 const part = name => root.querySelector(`[data-replay="${name}"]`);
 const scene = part("scene"), trace = part("trace"), pilots = part("pilots"), scrub = part("scrub");
 const playButton = part("play"), clock = part("time"), hint = part("hint");
-const rate = part("rate"), gain = part("gain"), chooser = part("case");
+const rate = part("rate"), gain = part("gain"), chooser = part("case"), pair = part("pair"), left = part("left"), right = part("right");
+const both = part("beside"), beside = () => both.getAttribute("aria-pressed") === "true" && flown.tracks.length > 1;
+const speeds = part("speeds"), seeds = part("seeds");
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 const TRAIL = 2.5, MARGIN = { left: 46, right: 8, top: 8, bottom: 18 };
 
@@ -190,16 +192,31 @@ function ghost(g, track, at) { // where the controller was told that it is
     stroke(g, ring, c, width);
   }
 }
-function drawScene() {
+function drawScene() { // one picture, or two beside each other with the same camera, clipped at the middle
   const [g, w, h] = surface(scene);
   if (!w) return;
+  if (!beside()) return drawView(g, w, h, flown.tracks.filter(t => t.shown));
+  const half = w / 2, seen = [+left.value, +right.value].map(i => flown.tracks[i]);
+  seen.forEach((track, n) => {
+    g.save();
+    g.beginPath(); g.rect(n * half, 0, half, h); g.clip();
+    g.translate(n * half, 0);
+    drawView(g, half, h, [track]);
+    g.font = "600 14px system-ui,sans-serif"; g.textAlign = "center"; g.fillStyle = colourOf(track);
+    g.fillText(track.name, half / 2, h - 58);
+    g.restore();
+  });
+  stroke(g, [[half, 0], [half, h]], colours.rule, 2);
+  const [a, b] = seen.map(t => lerp(t.size, 1, Math.min(time / flown.step, t.samples - 1), t.samples)[0]);
+  hint.textContent += `, left ${millimetres(a)} mm, right ${millimetres(b)} mm`;
+}
+function drawView(g, w, h, seen) {
   const at = time / flown.step;
   camera.centre = camera.view === "chase" ? lerp(flown.path, 3, at, flown.samples) : [0, 1, 2].map(a => (flown.low[a] + flown.high[a]) / 2);
   aim(w, h);
   const [cell, floor] = ground(g), reference = [];
   for (let i = 0; i < flown.samples; i++) reference.push(eye(flown.path[3 * i], flown.path[3 * i + 1], flown.path[3 * i + 2]));
   stroke(g, reference, colours.muted, 1.2, 0.9, [5, 4]);
-  const seen = flown.tracks.filter(t => t.shown);
   for (const track of seen) {
     const end = Math.min(at, track.samples - 1), whole = [], recent = [];
     const step = Math.max(1, Math.floor(track.samples / 700));
@@ -325,8 +342,46 @@ function open(index) {
     button.onclick = () => { track.shown = !track.shown; button.setAttribute("aria-pressed", String(track.shown)); draw(); };
     return button;
   }));
+  for (const [select, first] of [[left, 0], [right, Math.min(1, flown.tracks.length - 1)]]) {
+    select.replaceChildren(...flown.tracks.map((t, n) => new Option(t.name, n)));
+    select.value = first;
+  }
+  both.hidden = flown.tracks.length < 2;
+  pair.hidden = !beside();
+  slide(index);
   seek(0.42 * flown.duration);
 }
+// ---- sliders over the speeds of a course, and over the seeds of a speed --------------------------------------------
+const sorted = values => [...new Set(values)].sort((a, b) => a - b);
+function slide(index) {
+  const own = cases[index], course = cases.filter(c => c.course === own.course);
+  const set = (slider, name, values, value, unit) => {
+    slider.parentElement.hidden = values.length < 2;
+    slider.max = values.length - 1; slider.value = values.indexOf(value);
+    slider.setAttribute("aria-valuetext", `${value}${unit}`);
+    part(name).textContent = `${value}${unit}`;
+  };
+  set(speeds, "at-speed", sorted(course.map(c => c.speed)), own.speed, " m/s");
+  set(seeds, "at-seed", sorted(course.filter(c => c.speed === own.speed).map(c => c.seed)), own.seed, "");
+}
+function moved(slider) { // the flight that has what the slider says, and of the rest as much as there is
+  const own = cases[+chooser.value], course = cases.filter(c => c.course === own.course), at = time / flown.duration;
+  const bySeed = slider === seeds, pool = bySeed ? course.filter(c => c.speed === own.speed) : course;
+  const value = sorted(pool.map(c => bySeed ? c.seed : c.speed))[+slider.value];
+  const found = pool.filter(c => (bySeed ? c.seed : c.speed) === value);
+  const next = found.find(c => c.seed === own.seed) || found[0];
+  const kept = [left.value, right.value];
+  open(cases.indexOf(next));
+  if (kept.every(v => +v < flown.tracks.length)) [left.value, right.value] = kept;
+  seek(at * flown.duration);
+}
+speeds.oninput = () => moved(speeds);
+seeds.oninput = () => moved(seeds);
+both.onclick = () => {
+  both.setAttribute("aria-pressed", String(both.getAttribute("aria-pressed") !== "true"));
+  pair.hidden = !beside(); camera.fit = 0; draw();
+};
+left.onchange = right.onchange = draw;
 cases.forEach((c, i) => chooser.append(new Option(c.title, i)));
 chooser.onchange = () => open(+chooser.value);
 playButton.onclick = () => play(!playing);

@@ -1,0 +1,166 @@
+"""The rows of a leaderboard as a Parquet file, and as tables for the terminal, Markdown and the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.bench.protocol import SHORT
+from quadexp.bench.ranking import Row, Standing, standings
+from quadexp.errors import UsageError
+from quadexp.log.store import read_table, read_text, write_table, write_text
+from quadexp.provenance import provenance
+from quadexp.report.metrics import SHOWN
+from quadexp.report.tables import Table, from_columns, to_columns
+from quadexp.report.text import count, duration, listed, number
+
+FILE = "leaderboard.parquet"
+TEXTS = ("entry", "settings", "family", "task", "world", "size", "protocol_sha256")
+NUMBERS = ("protocol", "bound")
+BEGIN, END = "<!-- bench: begin (written by the command; edit nothing up to the end) -->", "<!-- bench: end -->"
+RULE = (
+    "Place: by flights lost, the fewest first, then by mean rank over all cells (task, world, seed), where lost flights"
+    " share the last ranks; in brackets the 95 % interval over the seeds. =: not told apart from the one above."
+    " x least: geometric mean of the error over the least of each cell. Bounds are told the plant's equations and take"
+    " no rank."
+)
+
+
+def write_board(path: Path, rows: Sequence[Row], record: Mapping[str, Any]) -> Path:
+    """Write the rows of all entries."""
+    columns = to_columns(rows)
+    columns |= {name: np.array([str(row[name]) for row in rows], dtype=object) for name in TEXTS}
+    columns |= {name: np.array([int(row[name]) for row in rows]) for name in NUMBERS}
+    return write_table(path, columns, {**record, "provenance": provenance()}, "leaderboard")
+
+
+def read_board(path: Path) -> list[Row]:
+    """The rows of a leaderboard; raises UsageError or DataError where it is none."""
+    columns, _ = read_table(path, "leaderboard", required=("key", "outcome", *TEXTS, *NUMBERS))
+    return [dict(row) for row in from_columns(columns)]
+
+
+def joined(rows: Sequence[Row], more: Sequence[Row], where: str) -> list[Row]:
+    """Rows of two leaderboards; of an entry that is in both, those of the first.
+
+    Raises UsageError where they are of different protocols or sizes, or not of the same cells.
+    """
+    if rows:
+        check_alike(more, str(rows[0]["protocol_sha256"]), str(rows[0]["size"]), where)
+    entries = {row["entry"] for row in rows}
+    found = [*rows, *(row for row in more if row["entry"] not in entries)]
+    check_cells(found, where)
+    return found
+
+
+def check_alike(rows: Sequence[Row], sha256: str, size: str, where: str) -> None:
+    """Raise UsageError where some rows are not of this protocol and size."""
+    for name, what, mine in (("protocol_sha256", "protocol", sha256), ("size", "size", size)):
+        other = {str(row[name])[:SHORT] for row in rows} - {mine[:SHORT]}
+        if other:
+            raise UsageError(
+                f"{where}: is of {what} {', '.join(sorted(other))}, not {mine[:SHORT]}: results of different {what}s"
+                " are not ranked together"
+            )
+
+
+def check_cells(rows: Sequence[Row], where: str) -> None:
+    """Raise UsageError where the entries of a family have not flown the same cells."""
+    cells: dict[tuple[str, str], set[tuple[str, str, int]]] = {}
+    for row in rows:
+        cells.setdefault((row["family"], row["entry"]), set()).add((row["task"], row["world"], int(row["seed"])))
+    first: dict[str, tuple[str, set[tuple[str, str, int]]]] = {}
+    for (family, entry), own in cells.items():
+        other, theirs = first.setdefault(family, (entry, own))
+        if own != theirs:
+            raise UsageError(f"{where}: {entry} and {other} have not flown the same cells of {family}")
+
+
+def families_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Rows by family, in their order."""
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        found.setdefault(str(row["family"]), []).append(row)
+    return found
+
+
+def board_table(rows: Sequence[Row], *, metric: str, baseline: str, title: str = "") -> Table:
+    """The standings of one family."""
+    found = standings(rows, metric=metric, baseline=baseline)
+    heads = ["place", "entry", "settings", "ended well", "mean rank", "x least", f"error / {baseline}", "step"]
+    notes = [f"{listed([one.entry for one in found if one.bound])}: bound, not ranked"] if found[-1].bound else []
+    return Table(heads, [_line(one) for one in found], title, left=frozenset({1, 2}), notes=notes)
+
+
+def _line(one: Standing) -> list[str]:
+    place = "bound" if one.bound else f"{'= ' if one.level else ''}{one.place}"
+    rank = "-" if one.bound else f"{one.rank:.2f}{_limits(one.rank_low, one.rank_high)}"
+    ratio = (
+        "-" if math.isnan(one.ratio.value) else f"{one.ratio.value:.3g}{_limits(one.ratio.low, one.ratio.high, '.3g')}"
+    )
+    ended = f"{one.flights - one.lost} of {one.flights}"
+    step = duration(one.step).replace("µ", "u")
+    return [place, one.entry, one.settings, ended, rank, number(one.least), ratio, step]
+
+
+def _limits(low: float, high: float, form: str = ".2f") -> str:
+    return "" if math.isnan(low) else f" [{low:{form}}, {high:{form}}]"
+
+
+def error_table(rows: Sequence[Row], *, metric: str, by: Sequence[str] = ("world",), title: str = "") -> Table:
+    """Geometric mean error of every entry, a line for each world (or task and world); lost flights beside it.
+
+    The least of a line among ranked entries that lost no more than any other of them is bold.
+    """
+    factor, unit = SHOWN[metric]
+    entries = list(dict.fromkeys(str(row["entry"]) for row in rows))
+    bounds = {str(row["entry"]) for row in rows if row["bound"]}
+    lines: dict[tuple[str, ...], dict[str, list[Row]]] = {}
+    for row in rows:
+        lines.setdefault(tuple(str(row[name]) for name in by), {}).setdefault(str(row["entry"]), []).append(row)
+    texts = []
+    for at, own in lines.items():
+        cells = {entry: _mean(own[entry], metric) for entry in entries}
+        ranked = {entry: cell for entry, cell in cells.items() if entry not in bounds and math.isfinite(cell[0])}
+        best = min(ranked, key=lambda entry: (ranked[entry][1], ranked[entry][0]), default=None)
+        made = []
+        for entry, (error, lost) in cells.items():
+            text = number(factor * error)
+            text = f"**{text}**" if entry == best else text
+            made.append(f"{text} ({lost} lost)" if lost else text)
+        texts.append([*at, *made])
+    return Table([*by, *entries], texts, title or f"geometric mean error ({unit})", left=frozenset(range(len(by))))
+
+
+def _mean(rows: Sequence[Row], metric: str) -> tuple[float, int]:
+    """Geometric mean over the flights that ended well (m), and how many did not."""
+    errors = [float(row[metric]) for row in rows if row["outcome"] == "ok" and float(row[metric]) > 0]
+    mean = math.exp(float(np.mean(np.log(errors)))) if errors else math.nan
+    return mean, sum(row["outcome"] != "ok" for row in rows)
+
+
+def markdown(rows: Sequence[Row], *, metric: str, baseline: str, what: Mapping[str, str]) -> str:
+    """The board of every family, and its errors by world, in Markdown. what: a sentence for each family."""
+    first = rows[0]
+    about = f"Protocol v{first['protocol']} ({str(first['protocol_sha256'])[:SHORT]}), size {first['size']}"
+    parts = [f"{about}, {count(len(rows), 'flight')}. {RULE}"]
+    for name, own in families_of(rows).items():
+        parts.append(f"### {name}\n\n{what.get(name, '').strip()}")
+        parts.append(board_table(own, metric=metric, baseline=baseline).markdown().strip())
+        parts.append(error_table(own, metric=metric).markdown().strip())
+    return "\n\n".join(parts) + "\n"
+
+
+def update_markdown(path: Path, text: str) -> Path:
+    """Put a leaderboard between its marks in a Markdown file; raises UsageError where the file has no marks."""
+    old = read_text(path)
+    if old is None:
+        return write_text(path, f"# Leaderboard\n\n{BEGIN}\n\n{text}\n{END}\n")
+    if BEGIN not in old or END not in old:
+        raise UsageError(f"{path}: has no marks to write between: {BEGIN} and {END}")
+    before, rest = old.split(BEGIN, 1)
+    return write_text(path, f"{before}{BEGIN}\n\n{text}\n{END}{rest.split(END, 1)[1]}")

@@ -1,0 +1,184 @@
+"""From a request to a leaderboard: models, flights, rows, tables, page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from quadexp.bench.board import (
+    FILE,
+    board_table,
+    check_alike,
+    check_cells,
+    families_of,
+    joined,
+    markdown,
+    read_board,
+    update_markdown,
+    write_board,
+)
+from quadexp.bench.entries import Entry, configs_of, field, read_entries, why_not
+from quadexp.bench.models import make_model
+from quadexp.bench.page import write_page
+from quadexp.bench.protocol import Protocol, check_lock, read_protocol, size_of
+from quadexp.bench.ranking import Row
+from quadexp.config.cells import Cell
+from quadexp.config.compose import Composer
+from quadexp.errors import UsageError
+from quadexp.experiment.evaluate import evaluate_cell
+from quadexp.log.cell_store import CellStore
+from quadexp.report.tables import Table
+from quadexp.sweeps.engine import CellFunction, Engine
+from quadexp.sweeps.plan import plan_cells
+from quadexp.sweeps.sweep import SweepInterrupted, fly_cells
+
+PAGE, MODELS = "leaderboard.html", "models"
+
+
+@dataclass(frozen=True)
+class Leaderboard:
+    """rows: of all entries. tables: of each family. files: name -> path. notes: what a reader should know."""
+
+    protocol: Protocol
+    rows: Sequence[Row]
+    tables: Mapping[str, Table]
+    files: Mapping[str, Path]
+    notes: Sequence[str]
+
+    @property
+    def failed(self) -> list[Row]:
+        return [row for row in self.rows if row["outcome"] == "failed"]
+
+
+def run_bench(
+    composer: Composer,
+    out: Path,
+    *,
+    size: str,
+    controllers: Sequence[str] = (),
+    only: bool = False,
+    add: Sequence[Path] = (),
+    version: int = 1,
+    extra: Path | None = None,
+    page: Path | None = None,
+    target: Path | None = None,
+    engine: Engine | None = None,
+    function: CellFunction = evaluate_cell,
+    isolate: bool = True,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    say: Callable[[str], None] = lambda text: None,
+) -> Leaderboard:
+    """Fly what is missing of the protocol, and write the leaderboard.
+
+    controllers: entries beside the field; only: without the field. add: other leaderboards whose rows take part.
+    extra: the --conf folder. page: where to write it. target: a Markdown file to write the tables into.
+    Raises UsageError before anything is flown; also where results of different protocols meet.
+    """
+    protocol = read_protocol(version)
+    size_of(protocol, size)
+    check_lock(protocol, composer)
+    added = [(path, read_board(path)) for path in add]
+    for path, rows in added:
+        check_alike(rows, protocol.sha256, size, str(path))
+    mine = read_entries(controllers, composer, protocol, extra)
+    entries = [*read_entries([] if only else field(), composer, protocol, extra), *mine]
+    entries = list({entry.name: entry for entry in entries}.values())
+    if not entries and not added:
+        raise UsageError("--only: nobody takes part; give --controller NAME, or --add FILE")
+    store = CellStore(out)
+    store.open()
+    with store.emptied(), store.lock():
+        store.clean()
+        try:
+            cells, notes = _cells(entries, protocol, size, composer, out / MODELS, say)
+            _check_takes_part(mine, cells, notes)
+            rows = _fly(cells, store, engine, function, isolate, progress)
+        except KeyboardInterrupt:
+            raise SweepInterrupted("what is flown is kept; run the same command to continue") from None
+        finally:
+            store.clean()
+        rows = [{**row, "protocol": protocol.version, "protocol_sha256": protocol.sha256, "size": size} for row in rows]
+        for path, more in added:
+            rows = joined(rows, more, str(path)) if rows else list(more)
+        check_cells(rows, str(out))
+        return _write(rows, protocol, out, page, target, notes)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """A flight that is asked for, and what its row says beside what came out."""
+
+    cell: Cell
+    key: str
+    about: Mapping[str, Any]
+
+
+def _cells(
+    entries: Sequence[Entry],
+    protocol: Protocol,
+    size: str,
+    composer: Composer,
+    models: Path,
+    say: Callable[[str], None],
+) -> tuple[list[_Asked], list[str]]:
+    """All flights, and why an entry has no part in a family."""
+    found: list[_Asked] = []
+    notes: list[str] = []
+    for family in protocol.families.values():
+        if not family.chosen(size)[0] or not entries:
+            continue
+        needed = any(entry.models for entry in entries)
+        model = make_model(protocol, family, composer, models, say) if needed else None
+        for entry in entries:
+            flights = configs_of(entry, family, protocol, size, composer, model)
+            if why := why_not(flights[0][3]):
+                notes.append(f"{entry.name} has no part in {family.name}: {why}")
+                continue
+            for task, world, texts, config in flights:
+                cell = Cell(config, texts)
+                about: dict[str, Any] = {"family": family.name, "task": task, "world": world, "entry": entry.name}
+                about |= {"settings": entry.settings, "bound": int(entry.bound)}
+                found.append(_Asked(cell, next(iter(plan_cells([cell]))), about))
+    return found, notes
+
+
+def _check_takes_part(entries: Sequence[Entry], asked: Sequence[_Asked], notes: Sequence[str]) -> None:
+    """Raise UsageError where an entry that was asked for by name flies nowhere."""
+    flying = {one.about["entry"] for one in asked}
+    for entry in entries:
+        if entry.name not in flying:
+            raise UsageError(next(note for note in notes if note.startswith(f"{entry.name} has no part")))
+
+
+def _fly(
+    asked: Sequence[_Asked],
+    store: CellStore,
+    engine: Engine | None,
+    function: CellFunction,
+    isolate: bool,
+    progress: Callable[[int, int], None],
+) -> list[Row]:
+    if not asked:
+        return []
+    cells = {one.key: one.cell for one in asked}  # two entries may be the same flight
+    flown = fly_cells(list(cells.values()), store, engine, function=function, isolate=isolate, progress=progress)
+    rows = {row["key"]: row for row in flown}
+    return [{**rows[one.key], **one.about} for one in asked]
+
+
+def _write(
+    rows: Sequence[Row], protocol: Protocol, out: Path, page: Path | None, target: Path | None, notes: Sequence[str]
+) -> Leaderboard:
+    options: dict[str, Any] = {"metric": protocol.metric, "baseline": protocol.baseline}
+    what = {family.name: family.what for family in protocol.families.values()}
+    tables = {name: board_table(own, title=name, **options) for name, own in families_of(rows).items()}
+    record = {"protocol": protocol.version, "protocol_sha256": protocol.sha256, "notes": list(notes)}
+    files = {
+        "leaderboard": write_board(out / FILE, rows, record),
+        "page": write_page(page or out / PAGE, rows, protocol, notes),
+    }
+    if target is not None:
+        files["markdown"] = update_markdown(target, markdown(rows, what=what, **options))
+    return Leaderboard(protocol, rows, tables, files, notes)

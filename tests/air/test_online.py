@@ -1,0 +1,329 @@
+"""Weights that adapt in flight: against least squares, the Riccati equation, the Lyapunov argument, and 1e5 samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from quadexp.air.adapting import adapting_drag, adapting_network, adapting_process, adapting_terms, from_zero
+from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
+from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.air.neural import neural_residual
+from quadexp.air.online import Law, prior_belief, split_belief, update_function
+from quadexp.compile.backend import BufferedFunction, compiler, realise
+from tests.air.models import make_residual, network
+
+POINTS, LENGTH = np.linspace(-12, 12, 9), 4.0  # m/s, of the Gaussian processes
+STILL = np.array([0, 0, 0, 1.0, 0, 0, 0, 0, 0, 0, 0, 0, 0])
+
+
+class Learner:
+    """update_function with numbers: one sample a call."""
+
+    def __init__(self, vehicle, adapting, law=None, known=None, *, decay=1.0, variance=0.01, tracking=0.0, rate=0.0):
+        compiled = compiler() is not None
+        function = update_function(vehicle, adapting, known, law, compiled=compiled)
+        self.f = BufferedFunction(realise(function, "compiled" if compiled else "interpreted"))
+        self.vehicle, self.adapting, given = vehicle, adapting, self.f.arguments
+        given["belief"][...] = prior_belief(adapting)
+        given["decay"][...], given["variance"][...], given["tracking"][...] = decay, variance, tracking
+        given["tracking_rate"][...] = rate
+        if known is not None:
+            given["known_theta"][...] = known.theta
+
+    def sample(self, velocity, thrust, acceleration, error=(0, 0, 0)):
+        """The residual acceleration at a body velocity and thrusts, level; error: velocity less the reference's."""
+        given = self.f.arguments
+        given["x"][...] = STILL
+        given["x"][7:10], given["u"][...] = velocity, thrust
+        given["f"][...] = np.asarray(acceleration) + [0, 0, np.sum(thrust) / self.vehicle.mass]
+        given["path"][...] = np.concatenate([np.zeros(3), np.asarray(velocity) - error])
+        self.f()
+        given["belief"][...] = self.f.results["new_belief"]
+
+    @property
+    def blocks(self):
+        return split_belief(self.adapting, self.f.arguments["belief"])
+
+    @property
+    def theta(self):
+        return self.f.results["theta"]
+
+
+def samples(rng, count):
+    """Velocities (k, 3), thrusts (k, 4) and measured accelerations (k, 3)."""
+    v, u = rng.normal(0, 5, (count, 3)), rng.uniform(1, 5, (count, 4))
+    y = -0.3 * v - 0.05 * v * np.abs(v) + [0.1, -0.2, 0.3] + 0.1 * rng.normal(size=(count, 3))
+    return v, u, y
+
+
+def designs(adapting, v, u):
+    """phi R of every sample, by differences of the residual in its weights: (k, h) per block."""
+    z = np.hstack([v, np.zeros_like(v), u])
+    found = []
+    for block in adapting.blocks:
+        columns = []
+        for at in block.at:
+            theta = adapting.residual.theta.copy()
+            theta[at] += 1.0
+            other = type(adapting.residual)("", adapting.residual.function, theta)
+            columns.append((other(z) - adapting.residual(z))[:, block.axis])
+        found.append(np.stack(columns, axis=1) @ block.root)
+    return found
+
+
+def families(vehicle):
+    rng = np.random.default_rng(1)
+    outputs = [
+        GPOutput(f"a_{axis}", (f"v_{axis}",), POINTS[:, None], rng.normal(size=9), np.array([LENGTH])) for axis in "xyz"
+    ]
+    return {
+        "linear_drag": adapting_drag(vehicle, linear_drag_residual(vehicle, (0.2, 0.1, 0.0)), 1.0),
+        "terms": adapting_terms(vehicle, 1.0),
+        "neural": adapting_network(neural_residual(vehicle, network()), network(), 1.0),
+        "gaussian_process": adapting_process(gaussian_process_residual(vehicle, outputs), outputs, 2.0),
+    }
+
+
+FAMILIES = ("linear_drag", "terms", "neural", "gaussian_process")
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("law", ["bayes", "rls"])
+def test_without_forgetting_it_is_least_squares_on_all_samples(vehicle, rng, family, law):
+    """Ridge regression towards the prior, formed as one system: b = (I + X'X / r)^-1 X' (y - c) / r."""
+    adapting = families(vehicle)[family]
+    learner = Learner(vehicle, adapting, Law(law), variance=0.04)
+    v, u, y = samples(rng, 300)
+    for sample in zip(v, u, y, strict=True):
+        learner.sample(*sample)
+    base = adapting.residual(np.hstack([v, np.zeros_like(v), u]))
+    for block, X, (b, P) in zip(adapting.blocks, designs(adapting, v, u), learner.blocks, strict=True):
+        information = np.eye(X.shape[1]) + X.T @ X / 0.04
+        expected = np.linalg.solve(information, X.T @ (y - base[:, :3])[:, block.axis] / 0.04)
+        assert np.allclose(P, np.linalg.inv(information), atol=1e-10)
+        assert np.allclose(X @ b, X @ expected, atol=1e-7)
+        assert np.allclose(learner.theta[block.at], block.mean + block.root @ b, rtol=1e-12, atol=1e-12)
+
+
+def test_a_wide_prior_gives_plain_least_squares(vehicle, rng):
+    adapting = adapting_terms(vehicle, 1e4)
+    learner = Learner(vehicle, adapting, Law("rls"), variance=0.01)
+    v, u, y = samples(rng, 400)
+    for sample in zip(v, u, y, strict=True):
+        learner.sample(*sample)
+    for block, X in zip(adapting.blocks, designs(adapting, v, u), strict=True):
+        plain = np.linalg.lstsq(X @ np.linalg.inv(block.root), y[:, block.axis], rcond=None)[0]
+        assert np.allclose(learner.theta[block.at], plain, rtol=1e-5, atol=1e-6)
+
+
+def test_what_is_known_is_not_learned_again(vehicle, rng):
+    """Samples that a known residual explains leave the weights at zero."""
+    known = linear_drag_residual(vehicle, (0.5, 0.4, 0.1), (0.1, 0, 0), -0.01)
+    learner = Learner(vehicle, adapting_terms(vehicle, 1.0), known=known)
+    v, u, _ = samples(rng, 50)
+    for one, thrust in zip(v, u, strict=True):
+        learner.sample(one, thrust, known(np.concatenate([one, np.zeros(3), thrust]))[0, :3])
+    assert np.abs(learner.theta).max() < 1e-10
+
+
+@pytest.mark.parametrize("law", ["bayes", "rls"])
+def test_the_covariance_stays_bounded_without_excitation(vehicle, law):
+    """Hovering for 20,000 samples with a memory of 50: only the offset is excited; plain forgetting overflows."""
+    learner = Learner(vehicle, adapting_terms(vehicle, 1.0), Law(law), decay=np.exp(-1 / 50))
+    thrust = np.full(4, vehicle.hover_thrust)
+    for _ in range(20_000 if compiler() else 2000):
+        learner.sample(np.zeros(3), thrust, [0.2, 0.0, -0.1])
+    for b, P in learner.blocks:
+        assert np.trace(P) <= len(b) * (1 + 1e-9)
+        assert np.linalg.eigvalsh(P).min() > 0
+        assert np.isfinite(b).all()
+    assert learner.theta[2] == pytest.approx(0.2, abs=0.01)  # the offset of x
+    assert learner.theta[0] == pytest.approx(0.0, abs=1e-9)  # its drag, of which nothing was seen
+
+
+def test_bayes_returns_to_the_prior_without_data(vehicle, rng):
+    """Samples of infinite noise: b falls by exp(-t / memory) and P returns to I."""
+    learner = Learner(vehicle, adapting_terms(vehicle, 1.0), decay=1.0)
+    for sample in zip(*samples(rng, 100), strict=True):
+        learner.sample(*sample)
+    before = [b.copy() for b, _ in learner.blocks]
+    learner.f.arguments["decay"][...], learner.f.arguments["variance"][...] = np.exp(-0.02), 1e30
+    for _ in range(100):
+        learner.sample(np.ones(3), np.ones(4), np.zeros(3))
+    for start, (b, P) in zip(before, learner.blocks, strict=True):
+        assert np.allclose(b, np.exp(-2) * start, rtol=1e-9)
+        assert np.allclose(np.diag(P), 1 - np.exp(-4) * (1 - np.diag(P)[0]), atol=0.2) and np.all(np.diag(P) < 1)
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler")
+@pytest.mark.parametrize("forgetting", [0.0, 1e-3])
+def test_the_covariance_of_a_gaussian_process_after_1e5_samples(vehicle, forgetting):
+    """Exactly symmetric and positive definite; without forgetting that of all samples at once."""
+    adapting = families(vehicle)["gaussian_process"]
+    learner = Learner(vehicle, adapting, decay=np.exp(-forgetting), variance=1e-2)
+    rng, sums = np.random.default_rng(3), None
+    for _ in range(10):
+        v, u, y = samples(rng, 10_000)
+        for sample in zip(v, u, y, strict=True):
+            learner.sample(*sample)
+        parts = []
+        for block in adapting.blocks:  # every output's feature is its own velocity
+            X = np.exp(-0.5 * ((v[:, block.axis, None] - POINTS) / LENGTH) ** 2) @ block.root
+            parts.append(X.T @ X)
+        sums = parts if sums is None else [a + b for a, b in zip(sums, parts, strict=True)]
+    for (_, P), information in zip(learner.blocks, sums, strict=True):
+        assert np.array_equal(P, P.T)
+        assert np.linalg.eigvalsh(P).min() > 0
+        if not forgetting:
+            expected = np.linalg.inv(np.eye(len(P)) + information / 1e-2)
+            assert np.abs(P - expected).max() < 1e-8
+
+
+def test_fitc_counts_what_the_inducing_points_do_not_know(vehicle, rng):
+    """Far from all points a sample says nothing of them: its noise is the whole signal variance."""
+    adapting = families(vehicle)["gaussian_process"]
+    plain, fitc = (Learner(vehicle, adapting, Law("bayes", on), variance=1e-4) for on in (False, True))
+    z = np.array([6.0, -4.0, 3.0]), np.full(4, 3.0)
+    for learner in (plain, fitc):
+        learner.sample(*z, [1.0, -1.0, 0.5])
+    for block, X, (b, _), (c, _) in zip(
+        adapting.blocks, designs(adapting, z[0][None], z[1][None]), plain.blocks, fitc.blocks, strict=True
+    ):
+        phi = X[0]
+        unknown = block.signal_variance - phi @ phi
+        assert unknown > 0
+        shrink = (phi @ phi + 1e-4) / (phi @ phi + 1e-4 + unknown)
+        assert np.allclose(c, shrink * b, rtol=1e-8)
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler")
+@pytest.mark.parametrize(
+    "law", [Law("composite"), Law("rls"), Law("bayes", fitc=True)], ids=["composite", "rls", "fitc"]
+)
+def test_the_c_code_is_the_interpreted_update(vehicle, rng, law):
+    """On a belief in the middle of a flight, with all features."""
+    for family, adapting in families(vehicle).items():
+        forms = [update_function(vehicle, adapting, None, law, compiled=compiled) for compiled in (False, True)]
+        here, there = forms[0], realise(forms[1], "compiled")
+        belief = prior_belief(adapting)
+        for _ in range(6):
+            x = STILL + np.r_[np.zeros(7), 5 * rng.normal(size=6)]
+            inputs = [x, rng.normal(size=3), rng.uniform(1, 5, 4), rng.normal(size=6), belief, [], 0.1, 0.99, 0.02, 1.5]
+            found = [np.array(one) for one in here(*inputs)]
+            for one, other in zip(found, there(*inputs), strict=True):
+                assert np.allclose(one, np.array(other), rtol=1e-10, atol=1e-11), family
+            belief = found[0].ravel()
+
+
+# ---------------------------------------------------------------------------------------------- Neural-Fly's law
+class Printed:
+    """The law as the supplement of O'Connell et al. 2022 prints it, (17)-(19), with the opposite sign of the last term
+    and no dt there, and R dt as the noise of a sample; `slips` says which of the three it makes."""
+
+    def __init__(self, h, dt, density, slips, weight):
+        self.b, self.P, self.dt, self.weight = np.zeros(h), np.eye(h), dt, weight
+        self.noise = density * dt if "noise" in slips else density / dt
+        sign = -1 if "sign" in slips else 1
+        self.step = sign * (1 if "step" in slips else dt)
+
+    def sample(self, phi, y, s):
+        gain = self.P @ phi / (phi @ self.P @ phi + self.noise)
+        self.P = self.P - np.outer(gain, phi @ self.P)
+        self.b = self.b - gain * (phi @ self.b - y) + self.step * self.weight * self.P @ phi * s
+
+
+def motion(t):
+    """An exciting velocity, (3,) (m/s)."""
+    return np.array([6 * np.sin(1.3 * t), 4 * np.cos(0.9 * t) + 2, 3 * np.sin(2.1 * t + 1)])
+
+
+def exact_tracking(s, error, gain, dt):
+    """s' = -K s - error over dt, exact for a held error."""
+    fall = np.exp(-gain * dt)
+    return fall * s - (1 - fall) / gain * error
+
+
+K, DT, WEIGHT, STEPS = 3.0, 2e-3, 0.5, 1500
+
+
+def lyapunov(learner_step, b_of, P_of, truth, phi_of):
+    """V = c s's + sum b~' P^-1 b~ along the exact motion under a law, (k,)."""
+    s, values = np.array([0.8, -0.5, 0.6]), []
+    for k in range(STEPS):
+        phi = phi_of(k * DT)
+        wrong = np.array([p @ (b - a) for p, b, a in zip(phi, b_of(), truth, strict=True)])
+        s = exact_tracking(s, wrong, K, DT)
+        learner_step(k * DT, s)
+        values.append(
+            WEIGHT * s @ s
+            + sum((b - a) @ np.linalg.solve(P, b - a) for b, P, a in zip(b_of(), P_of(), truth, strict=True))
+        )
+    return np.array(values)
+
+
+def test_the_composite_law_makes_the_lyapunov_function_fall(vehicle):
+    """V' = -2 c s'K s - b~' phi' phi b~ / r < 0; the printed form, and each of its slips, lets V rise or P be wrong."""
+    adapting = adapting_terms(vehicle, 1.0)
+    thrust, density = np.full(4, vehicle.hover_thrust), 300.0  # a poor accelerometer: tracking decides
+    rng = np.random.default_rng(2)
+    truth = [rng.normal(size=len(block.at)) for block in adapting.blocks]
+
+    every = designs(adapting, np.stack([motion(k * DT) for k in range(STEPS)]), np.tile(thrust, (STEPS, 1)))
+
+    def phi_of(t):
+        return [X[round(t / DT)] for X in every]
+
+    def force(t):
+        return np.array([p @ a for p, a in zip(phi_of(t), truth, strict=True)])
+
+    learner = Learner(vehicle, adapting, Law("composite"), variance=density / DT, tracking=DT * WEIGHT)
+    values = lyapunov(
+        lambda t, s: learner.sample(motion(t), thrust, force(t), s),
+        lambda: [b.copy() for b, _ in learner.blocks],
+        lambda: [P.copy() for _, P in learner.blocks],
+        truth,
+        phi_of,
+    )
+    assert np.all(np.diff(values) <= 1e-9 * values[:-1])
+    assert values[-1] < 0.95 * values[0]
+
+    def printed(slips):
+        laws = [Printed(len(a), DT, density, slips, WEIGHT) for a in truth]
+
+        def step(t, s):
+            for law, phi, y, one in zip(laws, phi_of(t), force(t), s, strict=True):
+                law.sample(phi, y, one)
+
+        return lyapunov(step, lambda: [law.b for law in laws], lambda: [law.P for law in laws], truth, phi_of)
+
+    right = printed(())
+    assert np.allclose(right, values, rtol=1e-6)  # a second writing of the same law
+    for slips in (("sign", "step", "noise"), ("sign", "step"), ("sign",), ("step",)):
+        rises = np.diff(printed(slips)) / printed(slips)[:-1]
+        assert rises.max() > 1e-4, slips
+
+
+def test_noise_of_a_sample_is_the_density_over_the_time(vehicle):
+    """P follows P' = -2 lambda P + 2 lambda I - P phi' phi P / R, whatever the rate of the samples."""
+    adapting, rate, density, seconds = adapting_terms(vehicle, 1.0), 0.5, 0.05, 2.0
+    thrust = np.full(4, vehicle.hover_thrust)
+
+    def slope(t, flat):
+        P, phi = flat.reshape(3, 3), designs(adapting, motion(t)[None], thrust[None])[0][0]
+        return (-2 * rate * (P - np.eye(3)) - np.outer(P @ phi, P @ phi) / density).ravel()
+
+    expected = solve_ivp(slope, (0, seconds), np.eye(3).ravel(), rtol=1e-8, atol=1e-10).y[:, -1].reshape(3, 3)
+    for dt in (4e-3, 1e-3):
+        learner = Learner(vehicle, adapting, Law("composite"), variance=density / dt, decay=np.exp(-rate * dt))
+        for k in range(round(seconds / dt)):
+            learner.sample(motion((k + 0.5) * dt), thrust, np.zeros(3))
+        assert np.abs(learner.blocks[0][1] - expected).max() < 6 * dt
+
+
+def test_from_zero_forgets_what_was_fitted(vehicle):
+    adapting = from_zero(families(vehicle)["linear_drag"])
+    z = np.random.default_rng(0).normal(size=(5, 10))
+    assert not adapting.residual(z).any()
+    assert make_residual("linear_drag", vehicle)(z).any()

@@ -1,0 +1,89 @@
+"""The rule of the leaderboard on rows whose standing is known."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from quadexp.bench.ranking import cell_ranks, standings
+from tests.bench.rows import board, row
+
+
+def of(found):
+    return {one.entry: one for one in found}
+
+
+def test_ranks_of_a_cell():
+    cell = {
+        "a": row("a", 0.2), "b": row("b", 0.1), "c": row("c", 0.1), "d": row("d", 0.3),
+        "e": row("e", 0.01, outcome="lost"), "f": row("f", math.nan, outcome="infeasible"),
+    }  # fmt: skip
+    ranks = cell_ranks(cell, list(cell), "mean_error")
+    assert ranks == {"b": 1.5, "c": 1.5, "a": 3.0, "d": 4.0, "e": 5.5, "f": 5.5}
+    assert sum(ranks.values()) == 21  # 1 + ... + 6, however they are shared
+
+
+def test_places_by_mean_rank():
+    """a is ahead on the circle, b on the step, by more: ranks do not see by how much, c is last everywhere."""
+    rows = board(
+        {
+            "c": lambda task, seed: 1.0,
+            "a": lambda task, seed: 0.1 if task == "circle" else 0.2 + (0.2 if seed == 2 else 0.0),
+            "b": lambda task, seed: 0.11 if task == "circle" else 0.3,
+        }
+    )
+    found = standings(rows, baseline="c")
+    assert [(one.entry, one.place, one.level) for one in found] == [("a", 1, False), ("b", 2, True), ("c", 3, False)]
+    a, b, c = found
+    assert a.rank == pytest.approx((1 + 1 + 1.5) / 3) and b.rank == pytest.approx((2 + 2 + 1.5) / 3)
+    assert c.rank == c.rank_low == c.rank_high == 3.0
+    assert a.rank_low <= a.rank <= a.rank_high
+
+
+def test_a_lost_flight_comes_before_every_rank():
+    rows = board(
+        {
+            "good": lambda task, seed: 0.1 if (task, seed) != ("step", 2) else None,
+            "poor": lambda task, seed: 0.5,
+        }
+    )
+    found = standings(rows)
+    assert [one.entry for one in found] == ["poor", "good"] and of(found)["good"].rank < of(found)["poor"].rank
+    assert of(found)["good"].lost == 1 and not of(found)["good"].level
+
+
+def test_ratios():
+    """To the least of each cell, and to the baseline, as geometric means over the cells."""
+    rows = board(
+        {
+            "base": lambda task, seed: 0.4,
+            "half": lambda task, seed: 0.2 * (1.1 if seed == 1 else 1.0),
+            "mixed": lambda task, seed: 0.1 if task == "circle" else 0.8,
+        }
+    )
+    found = of(standings(rows, baseline="base"))
+    assert found["half"].ratio.value == pytest.approx(0.5 * 1.1 ** (1 / 3))
+    assert found["half"].ratio.low < found["half"].ratio.value < found["half"].ratio.high
+    assert found["mixed"].ratio.value == pytest.approx((0.25 * 2.0) ** 0.5)
+    assert math.isnan(found["base"].ratio.value)
+    least = [0.1, 0.1, 0.1, 0.2, 0.22, 0.2]
+    assert found["base"].least == pytest.approx(math.prod(0.4 / x for x in least) ** (1 / 6))
+
+
+def test_bounds_take_no_rank_and_change_none():
+    errors = {"a": lambda task, seed: 0.2, "b": lambda task, seed: 0.3}
+    plain = standings(board(errors))
+    with_bound = standings([*board(errors), *board({"perfect_mpc": lambda task, seed: 0.1}, bound=1)])
+    assert with_bound[:2] == plain
+    assert with_bound[2].bound and with_bound[2].least == pytest.approx(0.5) and math.isnan(with_bound[2].rank)
+
+
+def test_one_seed_cannot_tell_entries_apart():
+    first, second = standings(board({"a": lambda t, s: 0.1, "b": lambda t, s: 0.2}, seeds=[0]))
+    assert second.level and math.isnan(first.rank_low)
+
+
+def test_who_lost_everything():
+    found = of(standings(board({"a": lambda t, s: 0.1, "b": lambda t, s: None}), baseline="a"))
+    assert found["b"].lost == 6 and math.isnan(found["b"].least) and math.isnan(found["b"].ratio.value)

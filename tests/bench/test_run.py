@@ -1,0 +1,138 @@
+"""A leaderboard of real flights, short ones: who takes part, and that nothing is flown twice."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from quadexp.bench import run as bench
+from quadexp.bench.board import read_board
+from quadexp.bench.models import make_model
+from quadexp.config.compose import session
+from quadexp.errors import UsageError
+from quadexp.experiment.evaluate import evaluate_cell
+from quadexp.tune.preset import write_presets
+from tests.bench.rows import SMALL, small
+from tests.tune.parts import open_loop
+
+
+def small_protocol(monkeypatch):
+    monkeypatch.setattr(bench, "read_protocol", lambda version: small())
+    monkeypatch.setattr(bench, "check_lock", lambda protocol, composer: None)
+
+
+@pytest.fixture
+def protocol(monkeypatch):
+    """The small protocol in place of the real one."""
+    small_protocol(monkeypatch)
+
+
+class Counted:
+    """evaluate_cell, counted."""
+
+    def __init__(self):
+        self.flown = 0
+
+    def __call__(self, *arguments):
+        self.flown += 1
+        return evaluate_cell(*arguments)
+
+
+def run(out, controllers, conf=None, **options):
+    function = Counted()
+    with session(conf) as composer:
+        chosen = {"size": "quick", "only": True, "extra": conf, "isolate": False, **options}
+        made = bench.run_bench(composer, out, controllers=controllers, function=function, **chosen)
+    return made, function.flown
+
+
+ASKED = ["nominal_mpc", "nominal_mpc controller.position_weight=[50,50,50]", "linear_drag_mpc", "open_loop"]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Folder, configuration folder, leaderboard and flights of four entries."""
+    folder = tmp_path_factory.mktemp("bench")
+    mine = open_loop(folder / "mine")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        small_protocol(monkeypatch)
+        return folder / "b", mine, *run(folder / "b", ASKED, mine)
+
+
+def test_entries_by_name_with_settings_and_from_a_folder_of_the_users_own(protocol, made):
+    out, mine, made, flown = made
+    asked = ASKED
+    assert flown == 4 * 2 * 2  # entries x worlds x seeds
+    rows = read_board(out / "leaderboard.parquet")
+    assert {row["entry"] for row in rows} == set(asked) and all(row["outcome"] == "ok" for row in rows)
+    assert {row["settings"] for row in rows if "weight" in row["entry"]} == {"set by hand"}
+    assert {row["model"] for row in rows if row["entry"] == "linear_drag_mpc"} == {str(out / "models/small")}
+    pushed = {row["entry"]: row["mean_error"] for row in rows if row["world"] == "pushed" and row["seed"] == 0}
+    assert max(pushed, key=pushed.get) == "open_loop"  # nothing holds it against a force
+    assert made.tables["small"].rows[-1][1] == "open_loop" and (out / "leaderboard.html").is_file()
+
+    _, again = run(out, [*asked, "perfect_mpc"], mine)
+    assert again == 4  # only the new one
+    both, none = run(out, asked[:1], mine, add=[out / "leaderboard.parquet"])
+    assert none == 0 and len({row["entry"] for row in both.rows}) == 5
+
+
+def test_the_model_is_made_once(made):
+    said = []
+    with session() as composer:
+        make_model(small(), small().families["small"], composer, made[0] / "models", said.append)
+    assert said == []
+
+
+@pytest.mark.slow
+def test_another_protocol_makes_its_own_model(made, tmp_path):
+    said = []
+    other = small(SMALL.replace("inducing=3", "inducing=4"))
+    shutil.copytree(made[0] / "models", tmp_path / "m")
+    with session() as composer:
+        make_model(other, other.families["small"], composer, tmp_path / "m", said.append)
+    assert said == ["small: data and models, in still air"]
+
+
+def test_protocols_are_not_mixed(protocol, monkeypatch, tmp_path):
+    run(tmp_path / "a", ["nominal_mpc"])
+    monkeypatch.setattr(bench, "read_protocol", lambda version: small(SMALL.replace("[1,0,0]", "[2,0,0]")))
+    with pytest.raises(UsageError, match="results of different protocols are not ranked together"):
+        run(tmp_path / "b", ["perfect_mpc"], add=[tmp_path / "a" / "leaderboard.parquet"])
+    assert not (tmp_path / "b").exists()
+
+
+@pytest.mark.parametrize(
+    ("controller", "message"),
+    [
+        ("gpmpc", "no such controller; did you mean gp_mpc"),
+        (
+            "nominal_mpc trajectory.speed=3",
+            "trajectory.speed=3: may set controller, .* only; the rest is the protocol's",
+        ),
+        ("rls_feedback", "has no part in small: .*needs vehicle.rotor"),
+        ("", "is empty"),
+    ],
+)
+def test_who_cannot_take_part_is_said_before_anything_is_flown(protocol, tmp_path, controller, message):
+    with pytest.raises(UsageError, match=message):
+        run(tmp_path / "b", [controller])
+
+
+def test_settings_that_were_tuned_on_its_own_seeds_are_refused(protocol, tmp_path):
+    with session() as composer:
+        config = composer.compose(["controller.nodes=12"])
+        for name, seeds in (("honest", [1_000_000]), ("peeking", [7, 2])):
+            about = {"flights": 40, "seeds": seeds}
+            write_presets(tmp_path / "t", composer, {"controller": "nominal_mpc"}, config, about, name)
+    made, _ = run(tmp_path / "b", ["honest"], tmp_path / "t")
+    assert {row["settings"] for row in made.rows} == {"tuned, 40 flights"}
+    with pytest.raises(UsageError, match="controller=peeking: was tuned on seed 2, which the protocol flies"):
+        run(tmp_path / "b", ["peeking"], tmp_path / "t")
+
+
+def test_an_entry_of_the_field_that_cannot_fly_somewhere_is_a_note(protocol, monkeypatch, tmp_path):
+    monkeypatch.setattr(bench, "field", lambda: ["rls_feedback", "nominal_mpc"])
+    made, flown = run(tmp_path / "b", [], only=False)
+    assert flown == 4 and len(made.notes) == 1 and made.notes[0].startswith("rls_feedback has no part in small: ")

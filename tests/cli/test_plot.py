@@ -1,0 +1,240 @@
+"""`quadexp plot`, `results`, `compare` of many, `--format`, `export` of results, as a user meets them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from quadexp.report.compare_many import results_means
+from quadexp.report.held_out import held_out_rows, held_out_table
+from tests.cli.command import run
+from tests.report.axes.sweeps import noise, swept
+
+ASKED = ["controller=nominal_mpc,perfect_mpc", "controller.nodes=5,10", "trajectory.speed=4,8", "seed=range(3)"]
+
+
+def error(config):
+    scale = {"nominal_mpc": 0.1, "perfect_mpc": 0.001}[config.controller.name] * config.trajectory.speed
+    return scale / config.controller.nodes * (1 + 0.1 * noise(config.seed, config.controller.nodes))
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plot")
+    swept(folder / "r", ASKED, error)
+    swept(folder / "heavy", [*ASKED, "vehicle.mass=1.5"], lambda config: 1.5 * error(config))
+    swept(folder / "lossy", ASKED, lambda config: None if config.seed == 2 else 2 * error(config))
+    return folder
+
+
+@pytest.fixture
+def results(here, flown):
+    for name in ("r", "heavy", "lossy"):
+        shutil.copytree(flown / name, here / name)
+    return here
+
+
+def rows(text):
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+class TestPlot:
+    def test_the_issues_own_command(self, results):
+        asked = ("--x", "trajectory.speed", "--y", "mean_error", "--by", "controller.nodes", "--out", "a.png")
+        code, out, err = run("plot", "r", *asked)
+        assert (code, out) == (0, "a.png\n") and not err and Path("a.png").read_bytes().startswith(b"\x89PNG")
+        record = json.loads(run("plot", "r", *asked, "--force", "--json")[1])
+        assert (record["x"], record["by"], record["facet"]) == (
+            "trajectory.speed",
+            ["controller.nodes"],
+            ["controller"],
+        )
+        table = pd.read_parquet("r/results.parquet")
+        nodes = table["variant"].str.partition("=")[2].astype(int)
+        means = table.groupby([table["controller"], nodes, table["speed"]])["mean_error"].mean()
+        for point in record["points"]:
+            at = point["controller"], point["controller.nodes"], point["trajectory.speed"]
+            assert point["mean_error"] == pytest.approx(means[at], rel=1e-12)
+
+    def test_where_takes_only_these_flights(self, results):
+        code, out, _ = run("plot", "r", "--where", "controller == perfect_mpc and seed < 2", "--out", "a.svg", "--json")
+        assert code == 0 and {point["seeds"] for point in json.loads(out)["points"]} == {2}
+
+    @pytest.mark.parametrize(
+        ("words", "said"),
+        [
+            (("--out", "a.jpg"), "a figure is a file .png, .pdf, .svg, .html"),
+            (("--x", "controller.node"), "controller.node: no such key; did you mean controller.nodes?"),
+            (("--kind", "pie"), "--kind pie: must be one of lines, heat, parallel"),
+            (("--where", "speed > 100"), "--where 'speed > 100': no flight fulfils it"),
+            (("--kind", "heat", "--x", "seed", "--by", "a,b"), "a: no such key"),
+        ],
+    )
+    def test_a_mistake_is_one_line_and_writes_nothing(self, results, words, said):
+        code, out, err = run("plot", "r", *words)
+        assert (code, out) == (2, "") and said in err and err.count("\n") == 1
+        assert not Path("plot.png").exists()
+
+    def test_of_no_results(self, here):
+        code, _, err = run("plot", "nowhere")
+        assert code == 2 and "nowhere: holds no results" in err
+
+
+class TestResults:
+    def test_filters_sorts_and_chooses_columns(self, results):
+        condition = "controller == nominal_mpc and speed > 6 and controller.nodes in [5]"
+        names = "controller,controller.nodes,trajectory.speed,seed,mean_error"
+        out = run("results", "r", "--where", condition, "--sort", "-mean_error", "--columns", names, "--format", "csv")[
+            1
+        ]
+        table = pd.read_parquet("r/results.parquet")
+        kept = table[
+            (table["controller"] == "nominal_mpc") & (table["speed"] > 6) & table["variant"].str.endswith("=5")
+        ]
+        kept = kept.sort_values("mean_error", ascending=False)
+        assert [float(row["mean_error"]) for row in rows(out)] == kept["mean_error"].tolist()
+        assert [int(row["seed"]) for row in rows(out)] == kept["seed"].tolist()
+        assert {row["controller.nodes"] for row in rows(out)} == {"5"}
+
+    def test_several_keys_to_sort_by(self, results):
+        out = run("results", "r", "--sort", "seed,-controller.nodes,speed", "--columns", "seed,controller.nodes,speed",
+                  "--format", "csv")[1]  # fmt: skip
+        found = [(int(r["seed"]), -int(r["controller.nodes"]), float(r["speed"])) for r in rows(out)]
+        assert found == sorted(found) and len(found) == 24
+
+    def test_any_key_filters(self, results):
+        assert len(rows(run("results", "r", "controller.nodes=10", "vehicle.mass=1.0", "--format", "csv")[1])) == 12
+
+    def test_formats(self, results):
+        asked = ("results", "r", "seed=0", "--columns", "controller,mean_error", "--limit", "2")
+        assert json.loads(run(*asked, "--format", "json")[1]) == json.loads(run(*asked, "--json")[1])
+        assert run(*asked, "--format", "markdown")[1].splitlines()[0] == "| controller | mean_error (mm) |"
+        assert r"controller & mean\_error (mm) \\" in run(*asked, "--format", "latex")[1]
+        code, _, err = run(*asked, "--format", "xml")
+        assert code == 2 and "--format xml: must be one of text, json, csv, markdown, latex" in err
+        assert run(*asked, "--format", "csv", "--json")[0] == 2
+
+    def test_a_page_that_sorts(self, results):
+        code, out, _ = run("results", "r", "--html", "t.html")
+        assert (code, out) == (0, "t.html\n") and Path("t.html").read_text().count("<tr>") == 25
+        assert run("results", "r", "--html", "t.html")[0] == 2
+
+
+class TestCompare:
+    def test_three_results_with_a_picture(self, results):
+        code, out, _ = run("compare", "r", "heavy", "lossy", "--out", "c.png")
+        assert code == 0 and out.endswith("c.png\n") and Path("c.png").stat().st_size > 10_000
+        assert out.splitlines()[0].split() == ["mean", "error", "(mm)", "r", "heavy", "lossy", "flights"]
+        metric, found = results_means([Path("r"), Path("heavy"), Path("lossy")])
+        tables = [pd.read_parquet(f"{name}/results.parquet") for name in ("r", "heavy", "lossy")]
+        for label, (means, flights) in found.items():
+            own = [t[(t["controller"] + t["variant"].str.replace("controller.", " ") == label)] for t in tables]
+            expected = [t[t["seed"] < 2][metric].mean() for t in own]  # seed 2 is lost in one of them
+            assert means == pytest.approx(expected, rel=1e-12) and flights == 4
+        assert len(found) == 4
+
+    def test_the_picture_of_results_has_a_line_a_folder_and_a_panel_a_controller(self, results):
+        from quadexp.report.compare_picture import results_figure
+
+        figure = results_figure([Path("r"), Path("heavy"), Path("lossy")])
+        panels = [panel for panel in figure.axes if panel.axison]
+        assert [panel.get_title() for panel in panels] == ["nominal_mpc", "perfect_mpc"]
+        lines = {c.get_label(): c.lines[0].get_ydata() for c in panels[0].containers}
+        assert set(lines) == {"results=r", "results=heavy", "results=lossy"}
+        assert np.asarray(lines["results=heavy"]) == pytest.approx(1.5 * np.asarray(lines["results=r"]))
+        assert np.asarray(lines["results=lossy"]) == pytest.approx(2 * np.asarray(lines["results=r"]))
+
+    def test_flights_in_every_format(self, results):
+        flights = [str(path) for path in sorted(Path("r/cells").glob("*/*.parquet"))[:3]]
+        code, out, _ = run("compare", *flights, "--out", "f.svg", "--format", "csv")
+        assert code == 0 and out.startswith("setting,") and Path("f.svg").is_file()
+        record = json.loads(run("compare", *flights, "--json")[1])
+        assert len(record["together"]["metrics"]["mean_error"]) == 3
+        many = [str(path) for path in sorted(Path("r/cells").glob("*/*.parquet"))[:9]]
+        assert run("compare", *many)[0] == 0
+        code, _, err = run("compare", *flights, "--out", "f.html")
+        assert code == 2 and "a figure is a file .png, .pdf, .svg" in err
+
+
+class TestShow:
+    def test_held_out_scores_of_a_checkpoint(self, tmp_path):
+        made = [("a_x", "gp", 0.5), ("a_x", "zero", 2.0), ("t_x", "gp", 0.001)]
+        report = {"rows": [dict(zip(("output", "predictor", "rmse"), one, strict=True)) for one in made]}
+        (tmp_path / "report.json").write_text(json.dumps(report))
+        table = held_out_table(held_out_rows(tmp_path))
+        assert table.columns == ["RMSE on held-out flights", "gp", "zero"]
+        assert table.rows == [["a_x (m/s^2)", "0.500", "2.00"], ["t_x (N m)", "0.00100", "-"]]
+        (tmp_path / "report.json").write_text("{'damaged")
+        assert held_out_rows(tmp_path) == [] and held_out_table([]) is None
+
+    def test_formats(self, results):
+        code, out, _ = run("show", "r", "--format", "csv")
+        assert code == 0 and out.startswith("trajectory,m/s,nodes,nominal_mpc,perfect_mpc")
+        flight = next(Path("r/cells").glob("*/*.parquet"))
+        found = {row["figure"]: row for row in rows(run("show", flight, "--format", "csv")[1])}
+        row = pd.read_parquet("r/results.parquet").set_index("key").loc[flight.stem]
+        assert float(found["mean_error"]["value"]) == row["mean_error"] and found["mean_error"]["unit"] == "m"
+
+
+class TestExport:
+    def test_mlflow_reads_back_what_was_flown(self, results):
+        pytest.importorskip("mlflow")
+        code, out, err = run("export", "r", "--to", "mlflow", "runs")
+        assert (code, out) == (0, "runs\n"), err
+        from mlflow.tracking import MlflowClient
+
+        client = MlflowClient(tracking_uri=Path("runs").resolve().as_uri())
+        (experiment,) = client.search_experiments(filter_string="name = 'r'")
+        found = client.search_runs([experiment.experiment_id], max_results=100)
+        table = pd.read_parquet("r/results.parquet").set_index("key")
+        assert len(found) == len(table) == 24
+        for one in found:
+            row = table.loc[one.data.tags["key"]]
+            assert one.data.metrics["mean_error"] == row["mean_error"]
+            assert one.data.params["controller"] == row["controller"] and one.data.params["seed"] == str(row["seed"])
+            assert one.data.params["controller.nodes"] == row["variant"].partition("=")[2]
+            assert one.info.status == "FINISHED"
+
+    @pytest.mark.slow
+    def test_wandb_writes_a_run_a_flight_and_sends_nothing(self, results):
+        pytest.importorskip("wandb")
+        run("results", "r", "seed=1,2", "--prune", "--yes")
+        code, _, err = run("export", "r", "--to", "wandb", "--out", "w")
+        assert code == 0, err
+        assert len(list(Path("w/wandb").glob("offline-run-*/run-*.wandb"))) == 8
+
+    def test_what_goes_wrong_is_one_line(self, results, monkeypatch):
+        code, _, err = run("export", "r", "--to", "csv")
+        assert code == 2 and "--to csv: no such format for results; there are mlflow, wandb" in err
+        monkeypatch.setitem(__import__("sys").modules, "mlflow", None)
+        code, _, err = run("export", "r", "--to", "mlflow", "x")
+        assert code == 2 and "pip install 'quadexp[mlflow]'" in err and not Path("x").exists()
+
+
+class TestHydra:
+    @pytest.mark.parametrize(
+        ("given", "said"),
+        [
+            ("hydra.sweep.dir=x", "'hydra.sweep.dir=x': not a key of this program; --out names the folder of a sweep"),
+            ("hydra/launcher=joblib", "engine=local, dask or slurm says where a sweep is flown"),
+            ("hydra.launcher.n_jobs=4", "evaluate.workers on how many processes"),
+            ("hydra/sweeper=optuna", "evaluate --sweep flies every combination"),
+            ("trajectory.speed=interval(4,8)", "not a list of values; use commas, range, choice or glob"),
+        ],
+    )
+    def test_keys_of_its_own_are_answered(self, here, given, said):
+        code, out, err = run("evaluate", "-m", given)
+        assert (code, out) == (2, "") and said in err and err.count("\n") == 1
+
+    def test_multirun_is_the_sweep(self, here):
+        asked = ("trajectory=hover", "trajectory.duration=0.4", "controller.backend=interpreted", "seed=range(2)")
+        code, out, _ = run("evaluate", "-m", *asked, "--no-figures", "--out", "r", "--format", "csv")
+        assert code == 0 and [row["seeds"] for row in rows(out)] == ["2"]
+        assert run("evaluate", "--multirun", *asked, "--no-figures", "--out", "r")[0] == 0

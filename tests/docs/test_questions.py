@@ -1,0 +1,76 @@
+"""docs/questions.md: twenty questions, each answered by one command that draws the picture that is named."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.docs.commands import ROOT, Step, steps
+from tests.docs.test_commands import alike, run
+
+PAGE = ROOT / "docs" / "questions.md"
+QUICK = (1,)  # questions of the default tests; the others are slow
+
+
+class Question(NamedTuple):
+    number: int
+    title: str
+    command: Step
+    picture: str
+
+
+def questions() -> tuple[list[Step], list[Question]]:
+    """The commands that come first, and the questions."""
+    parts = re.split(
+        r"^## (\d+)\. (.*)$", PAGE.read_text(encoding="utf-8").partition("\n## Your own")[0], flags=re.MULTILINE
+    )
+    every, found = iter(steps(PAGE)), []
+    first = [next(every) for _ in re.findall(r"^    quadexp", parts[0], re.MULTILINE)]
+    for number, title, text in zip(parts[1::3], parts[2::3], parts[3::3], strict=True):
+        pictures = re.findall(r"^Picture: `([^`]+)`$", text, re.MULTILINE)
+        assert len(pictures) == text.count("    quadexp ") == 1, f"{title}: one command, one picture"
+        found.append(Question(int(number), title, next(every), pictures[0]))
+    return first, found
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("questions")
+
+
+def needed(words: list[str], before: list[Step]) -> list[Step]:
+    """The commands before whose output a command reads, those that these read first."""
+    made = {step.words[step.words.index("--out") + 1]: step for step in before}
+    read = [made[name] for word in words if (name := word.partition("=")[2] or word) in made]
+    return [one for step in read for one in [*needed(step.words[: step.words.index("--out")], before), step]]
+
+
+def test_there_are_twenty_and_each_is_one_command():
+    _, found = questions()
+    assert [one.number for one in found] == list(range(1, 21))
+    assert len({shlex.join(one.command.words) for one in found}) == 20
+    assert all(one.title.endswith("?") and one.command.program == "quadexp" for one in found)
+
+
+@pytest.mark.parametrize(
+    "number", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in range(1, 21)]
+)
+def test_the_command_prints_what_is_said_and_draws_the_picture(number, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    first, found = questions()
+    question = found[number - 1]
+    before = [*first, *(one.command for one in found[: number - 1])]
+    for step in needed(question.command.words[: question.command.words.index("--out")], before):
+        if not Path(step.words[step.words.index("--out") + 1]).exists():
+            run(step.program, step.words)
+    printed = run("quadexp", question.command.words)
+    for line in question.command.said:
+        assert any(alike(line, text) for text in printed.splitlines()), (line, printed)
+    pixels = np.asarray(Image.open(question.picture).convert("L"))
+    assert min(pixels.shape) > 100 and len(np.unique(pixels)) > 10, "the picture is empty"

@@ -1,0 +1,156 @@
+"""Figures with any axes: every panel, cell and line with its number, and marks where flights are missing."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+
+from quadexp.errors import UsageError
+from quadexp.report.axes.frame import SweepFrame
+from quadexp.report.axes.heat import heat_figure
+from quadexp.report.axes.lines import line_figure
+from quadexp.report.axes.parallel import height, parallel_figure
+from quadexp.report.axes.save import check_path, figure_of, page_of, save_view
+from quadexp.report.axes.view import Axis, automatic, view
+from quadexp.report.style import KNOWN
+from tests.report.axes.sweeps import noise, swept
+
+
+@pytest.fixture(scope="module")
+def frame(tmp_path_factory):
+    """Nodes and horizons of three controllers, one of which knows neither; nominal_mpc with 5 nodes and 2 s is lost."""
+
+    def error(config):
+        nodes, horizon, name = config.controller.nodes, config.controller.horizon, config.controller.name
+        if (name, nodes, horizon) == ("nominal_mpc", 5, 2.0):
+            return None
+        return (0.1 if name == "nominal_mpc" else 0.001) * horizon / nodes * (1 + 0.1 * noise(config.seed, nodes))
+
+    asked = [
+        "controller=nominal_mpc,perfect_mpc,rls_feedback",
+        "controller.nodes=5,10,20",
+        "controller.horizon=0.5,1,2",
+    ]
+    return SweepFrame.read(swept(tmp_path_factory.mktemp("r") / "r", [*asked, "seed=0,1"], error))
+
+
+def texts(panel):
+    return [text.get_text() for text in panel.texts]
+
+
+def test_small_multiples_have_every_panel_and_every_line(frame):
+    made = automatic(frame)[0]
+    figure = line_figure(made)
+    panels = [panel for panel in figure.axes if panel.axison]
+    assert [panel.get_title() for panel in panels] == ["horizon 0.5", "horizon 1", "horizon 2"]
+    for panel, horizon in zip(panels, (0.5, 1, 2), strict=True):
+        drawn = {c.get_label(): c.lines[0] for c in panel.containers}
+        expected = {"nominal_mpc", "perfect_mpc"}
+        assert set(drawn) == expected and panel.get_xscale() == "log"
+        for name, line in drawn.items():
+            assert to_hex(line.get_color()) == KNOWN[name][0].lower()
+            for nodes, mean in zip(*line.get_data(), strict=True):
+                assert mean == pytest.approx(1e3 * made.places[horizon, name, nodes].mean, rel=1e-12)
+        assert texts(panel).count("invalid") == 3
+        assert texts(panel).count("0/2") == (1 if horizon == 2 else 0)
+        assert len(drawn["nominal_mpc"].get_xdata()) == (2 if horizon == 2 else 3)
+    assert "2 of 36 flights did not end well" in figure.get_suptitle()
+    (legend,) = figure.legends
+    named = {text.get_text() for text in legend.get_texts()}
+    assert named == {"nominal_mpc", "perfect_mpc", "rls_feedback (invalid)"}
+
+
+def test_cells_of_a_heat_map_are_where_their_values_are(frame):
+    made = view(frame, x="controller.nodes", by=["controller.horizon"], kind="heat")
+    figure = heat_figure(made)
+    panels = [panel for panel in figure.axes if panel.get_title()]
+    assert [panel.get_title() for panel in panels] == ["nominal_mpc", "perfect_mpc", "rls_feedback"]
+    for panel in panels[:2]:
+        (image,) = panel.images
+        shown = image.get_array()
+        assert [text.get_text() for text in panel.get_xticklabels()] == ["5", "10", "20"]
+        assert [text.get_text() for text in panel.get_yticklabels()] == ["0.5", "1", "2"]
+        for j, horizon in enumerate((0.5, 1, 2)):
+            for i, nodes in enumerate((5, 10, 20)):
+                point = made.places[panel.get_title(), horizon, nodes]
+                written = next(text for text in panel.texts if text.get_position() == (i, j)).get_text()
+                if point.is_shown:
+                    assert shown[j, i] == pytest.approx(1e3 * point.mean, rel=1e-12)
+                    assert float(written) == pytest.approx(1e3 * point.mean, rel=0.01)
+                else:
+                    assert np.ma.is_masked(shown[j, i]) and written == "0/2\nflown"
+        assert image.origin == "lower"
+    assert texts(panels[2]) == ["invalid"] * 9 and len(panels[2].patches) == 9
+
+
+def test_parallel_coordinates_have_a_line_a_combination(frame):
+    made = view(frame, kind="parallel")
+    assert [axis.key for axis in made.along] == ["controller", "controller.nodes", "controller.horizon"]
+    panel = parallel_figure(made).axes[0]
+    lines = [line for line in panel.lines if len(line.get_xdata()) == 4]
+    assert len(lines) == 27 == len(made.places)
+    best = min((point.mean, place) for place, point in made.places.items() if point.is_shown)[1]
+    heights = [height(axis, value) for axis, value in zip(made.along, best, strict=True)]
+    assert any(np.allclose(line.get_ydata(), [*heights, 0.0]) for line in lines), "the least error ends lowest"
+    assert sum(line.get_ydata()[-1] < 0 for line in lines) == 10  # one lost, nine invalid
+    assert any("10 without a flight that ended well" in text for text in texts(panel))
+
+
+def test_heights_follow_the_scale_of_an_axis():
+    assert height(Axis.of("a", (1, 10, 100)), 10) == pytest.approx(0.5)
+    assert height(Axis.of("a", (0, 1, 4)), 1) == pytest.approx(0.25)
+    assert height(Axis.of("a", ("x", "y", "z")), "y") == 0.5 == height(Axis.of("a", (3,)), 3)
+
+
+def test_panels_beyond_the_room_are_said(tmp_path):
+    masses = [f"{1 + 0.01 * i:.2f}" for i in range(40)]
+    asked = [f"vehicle.mass={','.join(masses)}", "controller.nodes=5,10,20"]
+    read = SweepFrame.read(swept(tmp_path / "r", asked, lambda config: 0.01))
+    figure = line_figure(view(read, x="controller.nodes", by=[], facet=["vehicle.mass"]))
+    assert sum(panel.axison for panel in figure.axes) == 36
+    said = " ".join(figure.get_suptitle().split())
+    assert "no room for 4 panels: mass 1.36, mass 1.37, mass 1.38, mass 1.39" in said
+
+
+def test_groups_stand_side_by_side_without_lines(tmp_path):
+    asked = ["wind=none,constant", "controller=nominal_mpc,perfect_mpc", "seed=0,1"]
+    made = automatic(SweepFrame.read(swept(tmp_path / "r", asked, lambda config: 0.01 + 0.001 * config.seed)))[0]
+    panel = line_figure(made).axes[0]
+    assert [text.get_text() for text in panel.get_xticklabels()] == ["none", "constant"]
+    first, second = (container.lines[0] for container in panel.containers)
+    assert (
+        first.get_linestyle() == "None"
+        and first.get_xdata()[0] < 0 < second.get_xdata()[0] < 0.5 < first.get_xdata()[1]
+    )
+
+
+@pytest.mark.parametrize("form", ["png", "pdf", "svg", "html"])
+@pytest.mark.parametrize("kind", ["lines", "heat", "parallel"])
+def test_every_format_and_twice_the_same(frame, tmp_path, form, kind):
+    made = view(frame, x="controller.nodes", by=["controller.horizon"], kind=kind)
+    first = save_view(made, check_path(tmp_path / f"a.{form}", False)).read_bytes()
+    begin = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml", "html": b"<!doctype"}[form]
+    assert first.startswith(begin) and save_view(made, tmp_path / f"b.{form}").read_bytes() == first
+    with pytest.raises(UsageError, match="exists already"):
+        check_path(tmp_path / f"a.{form}", False)
+
+
+def test_a_page_holds_the_numbers_and_needs_no_network(frame):
+    page = page_of(view(frame, x="controller.nodes", by=["controller.horizon"]), "a <b>")
+    assert "a &lt;b&gt;" in page and page.count("<tr>") == 1 + 27
+    assert not re.search(r"(?:src|href)=[\"']?(?:https?:)?//", page) and "@import" not in page
+
+
+def test_a_wrong_suffix_is_one_line(tmp_path):
+    with pytest.raises(UsageError, match="a figure is a file .png, .pdf, .svg, .html"):
+        check_path(tmp_path / "a.jpg", False)
+
+
+def test_nothing_that_ended_well_is_one_line_and_success_is_drawn(tmp_path):
+    read = SweepFrame.read(swept(tmp_path / "r", ["controller.nodes=5,10"], lambda config: None))
+    with pytest.raises(UsageError, match="none of the 2 flights ended well"):
+        view(read, x="controller.nodes")
+    assert figure_of(view(read, x="controller.nodes", y="success")).axes

@@ -1,0 +1,78 @@
+"""Conditions on flights: each is compared with a Python expression; none is ever run as code."""
+
+from __future__ import annotations
+
+import pytest
+
+from quadexp.errors import UsageError
+from quadexp.report.axes.frame import SweepFrame
+from quadexp.report.axes.where import chosen
+
+NAMES = ("nominal_mpc", "gp_mpc", "perfect_mpc")
+
+
+@pytest.fixture(scope="module")
+def frame(tmp_path_factory):
+    """Twelve rows without files: names, speeds (one missing), an error, a swept key."""
+    rows = []
+    for i in range(12):
+        row = {"controller": NAMES[i % 3], "trajectory": "circle", "speed": None if i == 11 else 4.0 * (1 + i // 4)}
+        row |= {
+            "plant": "simplified",
+            "vehicle": "torrente",
+            "model": "",
+            "seed": i // 6,
+            "outcome": "ok" if i else "lost",
+        }
+        row |= {"mean_error": 0.001 * i, "variant": f"controller.nodes={5 * (1 + i % 2)}", "key": str(i), "cause": ""}
+        rows.append(row)
+    return SweepFrame(rows, tmp_path_factory.mktemp("none"))
+
+
+@pytest.mark.parametrize(
+    ("condition", "holds"),
+    [
+        ("controller == gp_mpc and speed > 6", lambda r: r["controller"] == "gp_mpc" and (r["speed"] or 0) > 6),
+        ("controller = 'gp_mpc' && speed >= 8", lambda r: r["controller"] == "gp_mpc" and (r["speed"] or 0) >= 8),
+        ("4 < speed <= 8", lambda r: r["speed"] == 8),
+        ("speed in [4, 12]", lambda r: r["speed"] in (4, 12)),
+        ("trajectory.speed not in (4, 12)", lambda r: r["speed"] == 8),
+        ("not (controller like '*_mpc' and not controller like gp*)", lambda r: r["controller"] == "gp_mpc"),
+        ("controller not like *t_mpc", lambda r: r["controller"] != "perfect_mpc"),
+        ("speed is null or seed == 0", lambda r: r["speed"] is None or r["seed"] == 0),
+        ("speed is not null and mean_error > 5mm", lambda r: r["speed"] is not None and r["mean_error"] > 0.005),
+        ("mean_error == 5 mm OR mean_error = 7e-3", lambda r: round(1e3 * r["mean_error"]) in (5, 7)),
+        ("controller.nodes == 10", lambda r: r["variant"].endswith("=10")),
+        ("outcome != ok", lambda r: r["outcome"] != "ok"),
+        ("seed == 0 or seed == 1 and speed == 8", lambda r: r["seed"] == 0 or (r["seed"] == 1 and r["speed"] == 8)),
+        ("speed != 4", lambda r: r["speed"] is not None and r["speed"] != 4),
+        ("speed < -1", lambda r: False),
+        ("gp_mpc == controller", lambda r: r["controller"] == "gp_mpc"),
+    ],
+)
+def test_conditions(frame, condition, holds):
+    assert chosen(frame, condition) == [holds(row) for row in frame.rows]
+
+
+@pytest.mark.parametrize(
+    ("condition", "said"),
+    [
+        ("sped > 6", "--where: sped: no such key or column; did you mean speed"),
+        ("controler == gp_mpc", "--where: controler: no such key or column; did you mean controller"),
+        ("speed > sped", "--where: sped: no such key"),
+        ("speed >", "expected a key or a value, found the end"),
+        ("speed", "expected a comparison"),
+        ("(speed > 4", r"expected `\)`, found the end"),
+        ("speed > 4 controller", "expected `and`, `or` or the end, found 'controller'"),
+        ("speed in 4", "expected a list such as"),
+        ("", "expected a key or a value"),
+        ("__import__('os').system('true')", "cannot be read"),
+        ("speed.__class__ == 1", "no such key"),
+        ("(" * 200 + "speed > 4" + ")" * 200, "brackets inside each other"),
+        ("speed > 4; import os", "cannot be read"),
+    ],
+)
+def test_what_cannot_be_read_is_one_line(frame, condition, said):
+    with pytest.raises(UsageError, match=said) as caught:
+        chosen(frame, condition)
+    assert "\n" not in str(caught.value) and caught.value.exit_code == 2
