@@ -74,10 +74,11 @@ reproduce-ladder: $(STAMP)
 	done
 	$(QUADEXP) evaluate --sweep experiment=reality_ladder --out results/reality_ladder --refly
 
-# Tables IV and V of Sun et al. 2022, then their infeasible set: 6,216 flights.
+# Tables IV and V of Sun et al. 2022, their infeasible set, and the same conditions with remedies: 7,736 flights.
 reproduce-sun: $(STAMP)
 	$(QUADEXP) evaluate --sweep experiment=sun --out results/sun --refly
 	$(QUADEXP) evaluate --sweep experiment=sun_infeasible --out results/sun_infeasible --refly
+	$(QUADEXP) evaluate --sweep experiment=sun_ours --out results/sun_ours --refly
 
 # Settings tuned with the same budget for every controller, on the same cells; what is found becomes options of conf/.
 TUNED := nominal_mpc linear_drag_mpc gp_mpc

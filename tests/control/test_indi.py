@@ -144,6 +144,15 @@ def test_the_controller_steps_at_its_own_rate(vehicle):
     assert held.steps == 3 and loop.control_period == pytest.approx(1 / 300)
 
 
+def test_a_controller_that_asks_for_no_reference_begins_in_hover(vehicle):
+    hover = np.full(4, vehicle.hover_thrust)
+    loop = INDI(Held(vehicle, hover), INDIKeys(), backend="interpreted")
+    whole = window(vehicle, hover)
+    loop.reset(whole.state[0], whole._replace(input=np.empty((0, 4))))
+    u, _ = loop.step(Measurement(0.0, whole.state[0], None, None), whole)
+    assert u == pytest.approx(hover, rel=1e-9)
+
+
 def test_rates_that_do_not_divide_are_refused(vehicle):
     with pytest.raises(
         UsageError, match=r"inner.rate=250: must be a whole multiple of the controller's rate of 100 Hz"

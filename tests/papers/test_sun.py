@@ -37,7 +37,9 @@ def test_published_data():
     assert printed["sun_late_50", "sun_dfbc+indi"].survivors == pytest.approx(0.386, abs=1e-3)
 
 
-@pytest.mark.parametrize(("experiment", "feasible", "others"), [("sun", True, 20 * 4), ("sun_infeasible", False, 2)])
+@pytest.mark.parametrize(
+    ("experiment", "feasible", "others"), [("sun", True, 20 * 4), ("sun_infeasible", False, 2), ("sun_ours", True, 20)]
+)
 def test_an_experiment_flies_the_ellipses_of_table_iii(experiment, feasible, others):
     with session() as composer:
         cells = composer.expand([f"experiment={experiment}"], check=False)
@@ -57,6 +59,7 @@ def row(world, controller, outcome, rmse, heading=0.1):
         "outcome": outcome,
         "rmse": rmse,
         "heading_rmse": heading,
+        "speed": 10.0,
     }
 
 
@@ -74,6 +77,21 @@ def test_a_lost_flight_counts_five_metres():
     close = Condition.of([row("", "", "ok", printed.position * 1.1)])
     assert reproduced(close, printed) == "yes"
     assert reproduced(Condition.of([row("", "", "ok", printed.survivors)]), printed) == "crashes"
+
+
+def test_what_no_rotor_can_give_is_told_apart():
+    """Horizontal with a = 40 m/s^2: 30.9 N, of 34 N; 40.2 N with 30 % more mass, which the weak rotors lack too."""
+    hard = next(e for e in ellipses() if (e.plane, e.acceleration, e.ratio) == ("horizontal", 40.0, 1.0))
+    assert hard.thrust(0.75) == pytest.approx(30.9, abs=0.05) and hard.thrust(0.975) == pytest.approx(40.1, abs=0.1)
+    loop = next(e for e in ellipses() if (e.plane, e.acceleration, e.ratio) == ("vertical", 30.0, 1.0))
+    assert loop.thrust(0.75) == pytest.approx(0.75 * 39.81, abs=0.01)
+    for world, possible in (("sun_mass_30", 1), ("sun_ct_minus_30", 1), ("sun_baseline", 2)):
+        rows = [row(world, "sun_nmpc", "ok", error) for error in (0.3, 4.0)]
+        for one, acceleration in zip(rows, (20, 40), strict=True):
+            one |= {"speed": 10.0, "variant": f"trajectory.plane=horizontal trajectory.acceleration={acceleration}"}
+        found = Condition.of(rows)
+        assert found.possible == possible
+        assert found.possible_position == pytest.approx(0.3 if possible == 1 else 2.15)
 
 
 def test_the_tables_have_every_condition_and_controller():
@@ -134,3 +152,10 @@ def test_indi_removes_a_shift_of_the_centre_of_mass(outer):
         assert found.metadata["outcome"] == "ok"
         errors.append(found.metadata["row"]["rmse"])
     assert errors[1] < errors[0] / 2
+
+
+def test_an_observer_knows_what_dfbc_knows_of_the_air():
+    """In the ideal case there is next to nothing left to estimate; the drag alone would be 2.8 N."""
+    found = flight("controller=sun_dfbc", "observer=disturbance", "world=sun_baseline", "trajectory.duration=3")
+    force = np.stack([found[f"observer_force_{axis}"] for axis in "xyz"], axis=1)
+    assert np.linalg.norm(force[len(force) // 2 :], axis=1).max() < 0.3

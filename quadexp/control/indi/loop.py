@@ -33,7 +33,9 @@ class INDI(MultiRate):
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset. The filters start as if rates and thrusts of the start had always been there."""
         super().reset(x, window)
-        thrust = np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max)
+        thrust = np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust)
+        if len(window.input):  # the controller looks at a reference
+            thrust = np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max)
         self._delivered.reset(thrust)
         arguments, values = self._law.arguments, np.concatenate([x[RATE], np.sqrt(thrust)])
         arguments["before"][:], arguments["memory"][:] = values, settled_memory(self._keys, values)

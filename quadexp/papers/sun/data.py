@@ -11,6 +11,10 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
+from quadexp.physics.vehicle import GRAVITY
+
 FLIGHTS = 75  # behind the published tables: every crash rate is a multiple of 1/75
 CRASHED = (5.0, 90.0)  # m and deg, for which a crashed flight counts
 
@@ -24,6 +28,14 @@ class Ellipse:
     acceleration: float
     ratio: float
     feasible: bool
+
+    def thrust(self, mass: float) -> float:
+        """Largest collective thrust that it takes of a mass (kg) without drag (N)."""
+        angle = np.linspace(0, 2 * np.pi, 721)
+        along, across = self.acceleration * np.sin(angle), self.acceleration / self.ratio * np.cos(angle)
+        if self.plane == "horizontal":
+            return float(mass * np.sqrt(along**2 + across**2 + GRAVITY**2).max())
+        return float(mass * np.sqrt(along**2 + (across - GRAVITY) ** 2).max())
 
 
 @dataclass(frozen=True)

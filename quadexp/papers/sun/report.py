@@ -16,11 +16,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from quadexp.log.store import write_text
-from quadexp.papers.sun.data import CRASHED, Published, published
+from quadexp.papers.sun.data import CRASHED, Ellipse, Published, published
 from quadexp.report.figures import save
 from quadexp.report.style import looks, plain_log, styled
 from quadexp.report.tables import Table
 
+MASS, THRUST = 0.75, 4 * 8.5  # kg, N, of the vehicle
+DEFAULTS = {"acceleration": 20.0, "ratio": 1.0}  # of an ellipse, where a sweep does not vary it
 OFF = 2.0  # m of RMSE; a flight that is further off is not flown, although it stays inside the box
 CLOSE = 0.2  # share by which a mean may differ and count as reproduced
 TITLES = {
@@ -45,6 +47,7 @@ TITLES = {
     "sun_late_30": "30 ms",
     "sun_late_50": "50 ms",
 }
+WEAKER = {"sun_mass_30": (1.3, 1.0), "sun_ct_minus_30": (1.0, 0.7)}  # world -> factors on mass and on thrust
 PUBLISHED = ("sun_nmpc", "sun_dfbc", "sun_nmpc+indi", "sun_dfbc+indi")
 
 Row = Mapping[str, Any]
@@ -56,6 +59,8 @@ class Condition:
 
     flights, lost, off: numbers of flights, of crashed ones, of others with more than OFF m. position, heading: mean and
     standard deviation (m, deg). survivors, survivors_heading: means of the flights that did not crash (m, deg).
+    possible: flights whose ellipse the rotors can fly in this world; how many of them crashed, and the mean position
+    error of the others (m).
     """
 
     flights: int
@@ -65,6 +70,9 @@ class Condition:
     heading: tuple[float, float]
     survivors: float
     survivors_heading: float
+    possible: int
+    possible_lost: int
+    possible_position: float
 
     @classmethod
     def of(cls, rows: Iterable[Row]) -> Condition:
@@ -77,7 +85,32 @@ class Condition:
         means = [(float(values.mean()), float(values.std())) for values in counted]
         flown = ~lost
         kept = [float(values[flown].mean()) if flown.any() else float("nan") for values in (position, heading)]
-        return cls(len(rows), int(lost.sum()), int((position[flown] > OFF).sum()), means[0], means[1], *kept)
+        could = np.array([_possible(row) for row in rows], bool)
+        rest = position[flown & could]
+        return cls(
+            len(rows),
+            int(lost.sum()),
+            int((position[flown] > OFF).sum()),
+            means[0],
+            means[1],
+            kept[0],
+            kept[1],
+            int(could.sum()),
+            int((lost & could).sum()),
+            float(rest.mean()) if len(rest) else float("nan"),
+        )
+
+
+def _possible(row: Row) -> bool:
+    """Whether the rotors give the thrust that the row's ellipse takes, in its world."""
+    mass, thrust = WEAKER.get(row["plant"].partition("/")[2], (1.0, 1.0))
+    if mass == thrust:
+        return True
+    given = dict(part.split("=", 1) for part in row.get("variant", "").split() if "=" in part)
+    number = {name: float(given.get(f"trajectory.{name}", default)) for name, default in DEFAULTS.items()}
+    plane = given.get("trajectory.plane", "horizontal")
+    ellipse = Ellipse(plane, float(row["speed"]), number["acceleration"], number["ratio"], feasible=True)
+    return ellipse.thrust(mass * MASS) <= thrust * THRUST
 
 
 def conditions(rows: Iterable[Row]) -> dict[str, dict[str, Condition]]:
@@ -133,6 +166,7 @@ def _beside(name: str, worlds: Mapping[str, Condition]) -> str:
             str(ours.lost),
             str(ours.off),
             _number(ours.survivors, 3),
+            _of_possible(ours),
         ]
         if theirs is None:
             lines.append([*line, "", "", "", "", ""])
@@ -147,7 +181,7 @@ def _beside(name: str, worlds: Mapping[str, Condition]) -> str:
         ]
         lines.append(line + other)
     heads = (
-        "condition", "position (m)", "heading (deg)", "lost", "> 2 m", "survivors (m)",
+        "condition", "position (m)", "heading (deg)", "lost", "> 2 m", "survivors (m)", "possible (m)",
         "printed position (m)", "printed heading (deg)", "printed lost", "printed survivors (m)", "reproduced",
     )  # fmt: skip
     flights = max(one.flights for one in worlds.values())
@@ -170,6 +204,13 @@ def _short(one: Condition | None) -> str:
         return ""
     text = _number(one.survivors, 3)
     return f"{text} ({one.lost}+{one.off})" if one.lost or one.off else text
+
+
+def _of_possible(one: Condition) -> str:
+    """Error of the flights that are possible and did not crash, and how many are and did; "" where all are possible."""
+    if one.possible == one.flights:
+        return ""
+    return f"{_number(one.possible_position, 3)} ({one.possible}, {one.possible_lost} lost)"
 
 
 def _with_sd(values: tuple[float, float], digits: int) -> str:
