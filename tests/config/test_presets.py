@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from quadexp.config.compose import compose, expand, session
+from quadexp.config.schema import conf_folder
 from quadexp.config.settings import record
 from quadexp.errors import UsageError
 from tests.config.test_compose import hydra_composes
@@ -44,6 +45,19 @@ def test_a_bundle_of_remedies_chooses_the_horizon_too(name, observer):
     config = compose([f"remedies={name}", "controller=gp_mpc", "horizon=firm", "observer.torque_bandwidth=7"])
     assert config.controller.position_weight == (50.0, 50.0, 50.0) and config.observer.torque_bandwidth == 7
     assert record(compose([f"remedies={name}"])) == hydra_composes([f"remedies={name}"])
+
+
+BUNDLES = [path.stem for path in sorted((conf_folder() / "remedies").glob("*.yaml"))]
+
+
+@pytest.mark.parametrize("name", BUNDLES)
+@pytest.mark.parametrize(
+    "others", [[], ["controller=gp_mpc"], ["controller=gp_mpc", "observer=wind"], ["horizon=firm"], ["world=everything"]]
+)
+def test_a_bundle_of_remedies_is_the_same_in_a_sweep(name, others):
+    choices = [*others, f"remedies={name}"]
+    (cell,) = expand(choices)
+    assert record(cell.config) == record(compose(choices)) | {"sweep": None}
 
 
 @pytest.mark.parametrize("others", [[], ["experiment=quick"], ["experiment=torrente_table1"], ["vehicle=crazyflie"]])
