@@ -232,21 +232,34 @@ class Composer:
 
     def _check_presets(self, content: Mapping[Any, Any], chosen: Sequence[Given]) -> None:
         """UsageError where a preset sets a key that the option of its group does not have."""
-        import yaml
-
-        options = {one.key: one.value for one in chosen}
-        for group, target in PRESETS.items():
-            if group not in options:
-                continue
-            file = next(
-                path for folder in self._folders if (path := folder / group / f"{options[group]}.yaml").is_file()
-            )
+        options = {one.key: str(one.value) for one in chosen}
+        asked = {group: f"{group}={options[group]}" for group in PRESETS if group in options}
+        presets = {group: options[group] for group in asked}
+        for bundle in options.keys() & BUNDLES.keys():
+            for group, option in self._chosen_by(bundle, options[bundle]).items():
+                if group in PRESETS and group not in presets:
+                    asked[group], presets[group] = f"{bundle}={options[bundle]}", option
+        for group, option in presets.items():
+            target = PRESETS[group]
             kind = str(content[target].get(SCHEMA)).rpartition("/")[2]
             known = declared(SCHEMAS[target][kind]) if kind in SCHEMAS[target] else {}
-            for key in yaml.safe_load(file.read_text(encoding="utf-8")) or {}:
-                if known and key not in known:
-                    option = f"{target}={options[target]}" if target in options else f"the {target}"
-                    raise UsageError(f"{group}={options[group]}: sets {target}.{key}, which {option} does not have")
+            for key in self._file(group, option):
+                if known and key != "defaults" and key not in known:
+                    given = f"{target}={options[target]}" if target in options else f"the {target}"
+                    raise UsageError(f"{asked[group]}: sets {target}.{key}, which {given} does not have")
+
+    def _file(self, group: str, option: str) -> Mapping[str, Any]:
+        """What the file of an option says."""
+        import yaml
+
+        file = next(path for folder in self._folders if (path := folder / group / f"{option}.yaml").is_file())
+        return yaml.safe_load(file.read_text(encoding="utf-8")) or {}
+
+    def _chosen_by(self, bundle: str, option: str) -> dict[str, str]:
+        """Group -> option that an option of a bundle chooses."""
+        chosen = [one for one in self._file(bundle, option).get("defaults", ()) if isinstance(one, Mapping)]
+        pairs = [pair for one in chosen for pair in one.items()]
+        return {str(key).removeprefix("override /"): str(value) for key, value in pairs}
 
     def _whole(self, chosen: Sequence[Given]) -> dict[str, Node]:
         """The whole configuration with some options chosen."""

@@ -52,7 +52,8 @@ BUNDLES = [path.stem for path in sorted((conf_folder() / "remedies").glob("*.yam
 
 @pytest.mark.parametrize("name", BUNDLES)
 @pytest.mark.parametrize(
-    "others", [[], ["controller=gp_mpc"], ["controller=gp_mpc", "observer=wind"], ["horizon=firm"], ["world=everything"]]
+    "others",
+    [[], ["controller=gp_mpc"], ["controller=gp_mpc", "observer=wind"], ["horizon=firm"], ["world=everything"]],
 )
 def test_a_bundle_of_remedies_is_the_same_in_a_sweep(name, others):
     choices = [*others, f"remedies={name}"]
@@ -79,6 +80,8 @@ def test_what_has_no_horizon_takes_none():
             UsageError, match=r"^horizon=precise: sets controller\.\w+, which controller=rls_feedback does"
         ):
             compose([*others, "controller=rls_feedback", "horizon=precise"])
+    with pytest.raises(UsageError, match=r"^remedies=wind: sets controller\.\w+, which controller=pid does not have$"):
+        compose(["controller=pid", "remedies=wind"])
     with pytest.raises(UsageError, match=r"horizon=precize: no such horizon; did you mean precise"):
         compose(["horizon=precize"])
 
