@@ -10,9 +10,7 @@ Under a force F, a torque tau and a wind W the same path needs R_1, u_1 with
 R_1 turns R by the shortest way that brings its z axis onto the right-hand side. The d in it is that of the last control
 step, which converges from step to step; where nothing moves the targets are exact. d is found at every second node, and
 linear in time between. The rates get the turn's derivative along the horizon, by differences. Where next to no specific
-force is asked for, its direction is none to follow, and the attitude remains that of the reference. So it does, the more
-the larger the disturbance is against the reference's specific force: over free fall a drag that is believed to last would
-turn the vehicle upside down, from where an MPC finds no way back. With weights on
+force is asked for, its direction is none to follow, and the attitude remains that of the reference. With weights on
 attitude and thrust an MPC only reaches zero error with such targets (Muske and Badgwell 2002, Maeder, Borrelli and
 Morari 2009).
 """
@@ -56,8 +54,7 @@ def held_targets(
         axis, thrust = rotation_matrix(x[ATTITUDE])[:, 2], ca.sum1(u)
         force = axis * (thrust / vehicle.mass) - disturbance[:3] - air[:3]
         size = ca.sqrt(ca.sumsqr(force) + SMALL**2)
-        given, pushed = (thrust / vehicle.mass) ** 2, ca.sumsqr(disturbance[:3] + air[:3])
-        sure = ca.fmin(ca.fmin(1, size / (LEAST * vehicle.gravity)), given / (pushed + SMALL**2))
+        sure = ca.fmin(1, size / (LEAST * vehicle.gravity))
         towards = sure * force / size + (1 - sure) * axis
         towards = towards / ca.sqrt(ca.sumsqr(towards) + SMALL**2)
         turn = ca.vertcat(1 + ca.dot(axis, towards), ca.cross(axis, towards))

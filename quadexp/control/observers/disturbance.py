@@ -54,7 +54,9 @@ def with_disturbance_observer(controller: Controller, config: DisturbanceObserve
     """The controller with a disturbance observer; raises UsageError where it cannot be told of a disturbance."""
     inner = believer(controller, config.name)
     if config.source == "velocity" and config.scale_walk > 0:
-        raise UsageError("observer.scale_walk: a thrust scale is found from the accelerometer, not with source=velocity")
+        raise UsageError(
+            "observer.scale_walk: a thrust scale is found from the accelerometer, not with source=velocity"
+        )
     core = innermost(inner)
     function = disturbance_function(
         inner.vehicle,

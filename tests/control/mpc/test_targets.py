@@ -1,4 +1,4 @@
-"""Targets under a believed disturbance: exact where the path asks for more than it, the reference's over free fall."""
+"""Targets under a believed disturbance hold the path: their thrust is what it asks for less the disturbance."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def targets(vehicle, rotation, specific, push):
     return Rotation.from_quat(np.roll(found, -1)).as_matrix()[:, 2], (u + change).sum() / vehicle.mass
 
 
-def test_they_hold_the_path_where_it_asks_for_more_than_the_disturbance(vehicle, rng):
+def test_they_hold_the_path(vehicle, rng):
     for _ in range(5):
         rotation, specific = Rotation.random(random_state=rng.integers(1000)), rng.uniform(10, 30)
         push = rng.normal(size=3)
@@ -32,12 +32,3 @@ def test_they_hold_the_path_where_it_asks_for_more_than_the_disturbance(vehicle,
         wanted = rotation.as_matrix()[:, 2] * specific - push
         axis, thrust = targets(vehicle, rotation, specific, push)
         assert axis * thrust == pytest.approx(wanted, abs=1e-6)
-
-
-@pytest.mark.parametrize("specific", [0.0, 0.5, 1.0, 2.0])
-def test_over_free_fall_they_do_not_turn_upside_down(vehicle, specific):
-    """A force of 6 m/s^2 along the reference's axis asks for thrust the other way round."""
-    rotation = Rotation.from_euler("y", 30, degrees=True)
-    along = rotation.as_matrix()[:, 2]
-    axis, _ = targets(vehicle, rotation, specific, 6.0 * along + [0.01, 0, 0])
-    assert np.degrees(np.arccos(np.clip(axis @ along, -1, 1))) < 20
