@@ -58,7 +58,7 @@ class INDI(MultiRate):
 def with_indi(controller: Controller, config: INDIConfig) -> INDI:
     """The controller inside an INDI loop.
 
-    Raises UsageError where the rates do not fit, or an observer inside finds the torque that the loop removes by itself.
+    Raises UsageError where the rates do not fit, or an observer inside finds the torque that the loop removes too.
     """
     part_of: Controller = controller
     while isinstance(part_of, WrappedController):

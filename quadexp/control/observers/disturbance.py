@@ -85,8 +85,8 @@ def with_disturbance_observer(controller: Controller, config: DisturbanceObserve
 
 
 def disturbance_settings(config: DisturbanceObserverKeys, period: float) -> np.ndarray:
-    """The numbers that the update takes: [q, r, gain on v^, gain on a^ from v, limit, variance that the scale gains in a
-    step] and those of the torque."""
+    """The numbers that the update takes: [q, r, gain on v^, gain on a^ from v, limit, variance that the scale gains
+    in a step] and those of the torque."""
     z, r = float(np.exp(-config.force_bandwidth * period)), config.force_noise**2
     K = 1 - z
     force = [r * K**2 / (1 - K), r, 1 - z * z, (1 - z) ** 2 / period, config.force_limit]
