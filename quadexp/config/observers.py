@@ -66,6 +66,17 @@ class DisturbanceObserverKeys(ObserverKeys):
         float, Setting("standard deviation of the force over the mass when a flight begins", "[0, 1000]", "m/s^2")
     ] = 3.0
     force_limit: Annotated[float, Setting("largest estimated force over the mass", "(0, 1000]", "m/s^2")] = 15.0
+    scale_walk: Annotated[
+        float,
+        Setting(
+            "how fast the thrust scale changes, which is estimated beside the force: standard deviation that it gains"
+            " in a second; 0: it is not estimated",
+            "[0, 1]",
+        ),
+    ] = 0.0
+    scale_initial: Annotated[
+        float, Setting("standard deviation of the thrust scale when a flight begins", "[0, 1]")
+    ] = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)

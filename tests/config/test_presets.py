@@ -61,6 +61,13 @@ def test_a_bundle_of_remedies_is_the_same_in_a_sweep(name, others):
     assert record(cell.config) == record(compose(choices)) | {"sweep": None}
 
 
+def test_a_bundle_of_remedies_may_choose_the_inner_loop():
+    config = compose(["remedies=unknown_vehicle", "controller=nominal_mpc", "delay=strapdown"])
+    assert (config.observer.name, config.inner.name, config.delay.name) == ("disturbance", "indi", "strapdown")
+    assert config.observer.torque_bandwidth == 0  # INDI removes torques
+    assert record(compose(["remedies=unknown_vehicle"])) == hydra_composes(["remedies=unknown_vehicle"])
+
+
 @pytest.mark.parametrize("others", [[], ["experiment=quick"], ["experiment=torrente_table1"], ["vehicle=crazyflie"]])
 @pytest.mark.parametrize("horizon", ["published", "precise", "robust", "stiff"])
 def test_composed_as_hydra_itself_does(others, horizon):

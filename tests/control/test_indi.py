@@ -9,12 +9,14 @@ import pytest
 from scipy.signal import butter
 
 from quadexp.compile.backend import BufferedFunction
+from quadexp.config.compose import compose
 from quadexp.config.inner import INDIKeys
 from quadexp.control.base import Measurement, Window
 from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.indi.law import indi_function, settled_memory
 from quadexp.control.indi.loop import INDI
 from quadexp.errors import UsageError
+from quadexp.experiment.build import build_controller, build_plant, build_vehicle
 from quadexp.physics.state import N_STATE, RATE
 
 TAU = 0.03  # s, lag of the thrusts
@@ -160,6 +162,23 @@ def test_rates_that_do_not_divide_are_refused(vehicle):
         INDI(Held(vehicle, np.zeros(4)), INDIKeys(rate=250.0))
     with pytest.raises(UsageError, match="inner.cutoff=200: must be below half"):
         INDI(Held(vehicle, np.zeros(4)), INDIKeys(cutoff=200.0), backend="interpreted")
+
+
+@pytest.mark.parametrize("bandwidth", [0.0, 15.0])
+def test_a_torque_is_not_taken_away_twice(bandwidth):
+    """An observer's torque and INDI's answer to it are the same: refused by name."""
+    given = ["controller=sun_mpc", "vehicle=sun", "plant=sun", "observer=disturbance", "inner=indi"]
+    config = compose([*given, f"observer.torque_bandwidth={bandwidth}"])
+    vehicle = build_vehicle(config.vehicle)
+
+    def build():
+        return build_controller(config, vehicle, build_plant(vehicle, config.plant), None)
+
+    if bandwidth:
+        with pytest.raises(UsageError, match=r"set observer.torque_bandwidth=0"):
+            build()
+    else:
+        assert isinstance(build(), INDI)
 
 
 def test_commands_through_the_right_lag_are_as_good_as_rotor_speeds(vehicle):

@@ -21,6 +21,7 @@ from quadexp.control.observers import observer as observer_module
 from quadexp.control.observers import wind as wind_module
 from quadexp.control.observers.disturbance import with_disturbance_observer
 from quadexp.control.observers.observer import COLUMNS
+from quadexp.control.observers.scaled_force import scaled_force_update
 from quadexp.control.observers.wind import with_wind_observer
 from quadexp.errors import UsageError
 from quadexp.experiment.rollout import SampledReference
@@ -199,6 +200,36 @@ def test_wind_and_thrust_scale_are_told_apart(vehicle, rng):
     assert errors.mean() < 0.03
 
 
+@pytest.mark.parametrize("share", [0.7, 1.0, 1.3])
+def test_force_and_thrust_scale_are_told_apart(vehicle, share):
+    """A thrust that is delivered in part turns with the body, a force does not: on a path both are found at once."""
+    residual, force = make_residual("none", vehicle), np.array([0.8, -0.5, 0.3])
+    observed = disturbance(mpc_of(vehicle, residual), scale_walk=0.01)
+    reference = SampledReference(Circle(speed=6.0, acceleration=3.0, radius=3.0), observed)
+    _, beliefs = flown(Truth(vehicle, residual, force=force, scale=share), observed, reference, 300)
+    assert beliefs[200:, 9] == pytest.approx(share, abs=0.01)
+    assert beliefs[200:, :3].mean(axis=0) == pytest.approx(force, abs=0.1)
+
+
+def test_another_mass_turns_with_the_body(vehicle):
+    """30 % less mass on a circle: the force alone lags behind the turning thrust, the scale is that of the thrust."""
+    residual, light = make_residual("none", vehicle), replace(vehicle, mass=0.7 * vehicle.mass)
+    errors, scales = [], []
+    for walk in (0.0, 0.01):
+        observed = disturbance(mpc_of(vehicle, residual), scale_walk=walk)
+        reference = SampledReference(Circle(speed=6.0, acceleration=3.0, radius=3.0), observed)
+        states, beliefs = flown(Truth(light, residual), observed, reference, 300)
+        errors.append(np.linalg.norm(states[150:, :3] - reference.along()[0][150:300, :3], axis=1).mean())
+        scales.append(beliefs[-1, 9])
+    assert scales == pytest.approx([1.0, 1 / 0.7], abs=0.02)
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_a_thrust_scale_needs_the_accelerometer(vehicle):
+    with pytest.raises(UsageError, match="scale_walk"):
+        disturbance(mpc_of(vehicle, make_residual("none", vehicle)), source="velocity", scale_walk=0.01)
+
+
 # ---------------------------------------------------------------------------------------------- filters as designed
 class Told:
     """A controller that sends what it is given, and can be told: what an observer does under any controller."""
@@ -328,6 +359,22 @@ def test_the_wind_filter_is_an_extended_kalman_filter(vehicle, rng):
         controller.step(Measurement(0.0, x, reading, None), a_hover(vehicle))
         found = np.array([*told.belief.wind, told.belief.thrust_scale - 1])
         assert found == pytest.approx(s, abs=1e-5)
+
+
+def test_the_filter_of_force_and_scale_is_a_kalman_filter(rng):
+    """Against the textbook's information form, in numpy: P^-1 = P-^-1 + H' H / r."""
+    s, y, h, walks, r = ca.SX.sym("s", 20), ca.SX.sym("y", 3), ca.SX.sym("h", 3), ca.SX.sym("w", 2), 0.3
+    update = ca.Function("f", [s, y, h, walks], [*scaled_force_update(s, y, h, walks[0], walks[1], r)])
+    x, P, q = np.zeros(4), np.diag([4.0, 4.0, 4.0, 0.09]), np.array([0.2, 0.01])
+    state = np.concatenate([x, P.ravel()])
+    for _ in range(30):
+        turned, reading = 10 * rng.normal(size=3), rng.normal(size=3)
+        H = np.column_stack([np.eye(3), turned])
+        P = np.linalg.inv(np.linalg.inv(P + np.diag([*q[[0, 0, 0]], q[1]])) + H.T @ H / r)
+        x = x + P @ H.T @ (reading - H @ x) / r
+        found, variance = update(state, reading, turned, q)
+        state = np.concatenate([np.array(found).ravel(), np.array(variance).ravel()])
+        assert state == pytest.approx(np.concatenate([x, P.ravel()]), abs=1e-9)
 
 
 @pytest.mark.parametrize("observed", [disturbance, wind])

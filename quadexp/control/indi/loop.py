@@ -14,6 +14,8 @@ from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.indi.law import indi_function, settled_memory
 from quadexp.control.multirate import MultiRate
+from quadexp.control.wrapped import WrappedController
+from quadexp.errors import UsageError
 from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
 
@@ -54,7 +56,18 @@ class INDI(MultiRate):
 
 
 def with_indi(controller: Controller, config: INDIConfig) -> INDI:
-    """The controller inside an INDI loop. Raises UsageError where the rates do not fit."""
+    """The controller inside an INDI loop.
+
+    Raises UsageError where the rates do not fit, or an observer inside finds the torque that the loop removes too.
+    """
+    part_of: Controller = controller
+    while isinstance(part_of, WrappedController):
+        if getattr(part_of, "finds_torque", False):
+            raise UsageError(
+                f"inner={config.name}: it removes an unknown torque, which the observer inside finds too and the"
+                " controller would take away a second time; set observer.torque_bandwidth=0"
+            )
+        part_of = part_of.inner
     return INDI(controller, part(INDIKeys, config), backend=config.backend)
 
 

@@ -19,6 +19,7 @@ with both poles of the error at z = exp(-b T). The torque: control.observers.tor
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -35,8 +36,10 @@ from quadexp.control.observers.observer import (
     believer,
     callable_air,
 )
+from quadexp.control.observers.scaled_force import N_SCALED, N_SCALED_STATE, scaled_force_update
 from quadexp.control.observers.torque import N_TORQUE_SETTINGS, N_TORQUE_STATE, torque_settings, torque_update
 from quadexp.control.wrapped import innermost
+from quadexp.errors import UsageError
 from quadexp.physics.rigid_body import body_features
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
@@ -44,47 +47,74 @@ from quadexp.physics.vehicle import Vehicle
 
 CAUTIOUS_BANDWIDTH = 3.0  # rad/s, where the time of the thrusts is not known
 N_FORCE_STATE = 7  # a^, v^, P
+N_FORCE_SETTINGS = 6
 
 
 def with_disturbance_observer(controller: Controller, config: DisturbanceObserverConfig) -> Observer:
     """The controller with a disturbance observer; raises UsageError where it cannot be told of a disturbance."""
     inner = believer(controller, config.name)
+    if config.source == "velocity" and config.scale_walk > 0:
+        raise UsageError(
+            "observer.scale_walk: a thrust scale is found from the accelerometer, not with source=velocity"
+        )
     core = innermost(inner)
     function = disturbance_function(
-        inner.vehicle, air_of(core), inner.control_period, inner.backend, velocity=config.source == "velocity"
+        inner.vehicle,
+        air_of(core),
+        inner.control_period,
+        inner.backend,
+        velocity=config.source == "velocity",
+        scaled=config.scale_walk > 0,
     )
     settings = disturbance_settings(config, inner.control_period)
 
-    def begin(x: np.ndarray) -> np.ndarray:
+    def begin(x: np.ndarray, scale_initial: float = config.scale_initial) -> np.ndarray:
+        if config.scale_walk > 0:
+            P = np.diag([config.force_initial**2] * 3 + [scale_initial**2])
+            return np.concatenate([np.zeros(N_SCALED), P.ravel(), x[RATE], np.zeros(3)])
         return np.concatenate([np.zeros(3), x[VELOCITY], [config.force_initial**2], x[RATE], np.zeros(3)])
 
-    slow = replace(config, force_bandwidth=min(config.force_bandwidth, CAUTIOUS_BANDWIDTH), torque_bandwidth=0.0)
+    slow = replace(
+        config,
+        scale_walk=0.0,
+        force_bandwidth=min(config.force_bandwidth, CAUTIOUS_BANDWIDTH),
+        torque_bandwidth=0.0,
+    )
     cautious = disturbance_settings(slow, inner.control_period)
-    return Observer(inner, Update(function, settings, begin, (cautious, begin)), config)
+    return Observer(inner, Update(function, settings, begin, (cautious, partial(begin, scale_initial=0.0))), config)
 
 
 def disturbance_settings(config: DisturbanceObserverKeys, period: float) -> np.ndarray:
-    """The numbers that the update takes: [q, r, gain on v^, gain on a^ from v, limit] and those of the torque."""
+    """The numbers that the update takes: [q, r, gain on v^, gain on a^ from v, limit, variance that the scale gains
+    in a step] and those of the torque."""
     z, r = float(np.exp(-config.force_bandwidth * period)), config.force_noise**2
     K = 1 - z
     force = [r * K**2 / (1 - K), r, 1 - z * z, (1 - z) ** 2 / period, config.force_limit]
+    force.append(config.scale_walk**2 * period)
     return np.array(force + torque_settings(config.torque_bandwidth, config.torque_limit, period))
 
 
 def disturbance_function(
-    vehicle: Vehicle, residual: Residual, period: float, backend: str, *, velocity: bool = False
+    vehicle: Vehicle, residual: Residual, period: float, backend: str, *, velocity: bool = False, scaled: bool = False
 ) -> ca.Function:
-    """The update of control.observers.observer; s = [a^ (3,), v^ (3,), P, w^ (3,), J^-1 tau^ (3,)]."""
+    """The update of control.observers.observer; s = [a^ (3,), v^ (3,), P, w^ (3,), J^-1 tau^ (3,)]; with a thrust
+    scale, see control.observers.scaled_force, [a^, k, P (4, 4), w^, J^-1 tau^]."""
     model = callable_air(residual, backend)
-    a = arguments(vehicle, N_FORCE_STATE + N_TORQUE_STATE, model.size1_in(1), 5 + N_TORQUE_SETTINGS)
+    first = N_SCALED_STATE if scaled else N_FORCE_STATE
+    a = arguments(vehicle, first + N_TORQUE_STATE, model.size1_in(1), N_FORCE_SETTINGS + N_TORQUE_SETTINGS)
     x, s, settings = a["x"], a["s"], a["settings"]
     R, thrust = rotation_matrix(x[ATTITUDE]), ca.sum1(a["thrust"]) / vehicle.mass
-    y, _ = model(body_features(x, a["thrust"]), a["theta"])
+    y, slope = model(body_features(x, a["thrust"]), a["theta"])
     y = ca.densify(y)
-    force, estimate, P = s[:3], s[3:6], s[6]
-    q, r, for_v, for_a, limit = ca.vertsplit(settings[:5])
+    force, estimate, P, scale = s[:3], s[3:6], s[6], ca.MX(1)
+    q, r, for_v, for_a, limit, scale_walk = ca.vertsplit(settings[:N_FORCE_SETTINGS])
     known: Any = ca.vertcat(0, 0, thrust) + y[:3]
-    if velocity:
+    if scaled:
+        by_scale = ca.vertcat(0, 0, thrust) + ca.mtimes(ca.densify(slope)[:3, 6:], a["thrust"])
+        left, turned = ca.mtimes(R, a["reading"] - known), ca.mtimes(R, by_scale)
+        found, P = scaled_force_update(s[:first], left, turned, q, scale_walk, r)
+        force, scale = found[:3], 1 + found[3]
+    elif velocity:
         mean = ca.vertcat(0, 0, ca.sum1(a["mean"]) / vehicle.mass) + y[:3]
         predicted = estimate + period * (ca.mtimes(R, mean) + ca.vertcat(0, 0, -vehicle.gravity) + force)
         error = x[VELOCITY] - predicted
@@ -95,7 +125,10 @@ def disturbance_function(
         force, P = force + gain * (ca.mtimes(R, a["reading"] - known) - force), (1 - gain) * P
     size = ca.sqrt(ca.sumsqr(force) + 1e-30)
     force = force * ca.fmin(1, limit / size)
-    rates, torque = torque_update(s[N_FORCE_STATE:], x[RATE], a["mean"], y[3:], settings[5:], vehicle, period)
-    belief = ca.vertcat(vehicle.mass * force, torque, ca.MX.zeros(3), 1)
-    results = [ca.vertcat(force, estimate, P, rates), belief]
+    rates, torque = torque_update(
+        s[first:], x[RATE], scale * a["mean"], y[3:], settings[N_FORCE_SETTINGS:], vehicle, period
+    )
+    belief = ca.vertcat(vehicle.mass * force, torque, ca.MX.zeros(3), scale)
+    state = ca.vertcat(force, scale - 1, P) if scaled else ca.vertcat(force, estimate, P)
+    results = [ca.vertcat(state, rates), belief]
     return ca.Function("disturbance_observer", [*a.values()], results, [*a], ["s_next", "belief"])

@@ -64,6 +64,7 @@ class Observer(WrappedController):
 
     def __init__(self, inner: Controller, update: Update, config: ObserverKeys) -> None:
         super().__init__(inner)
+        self.finds_torque = config.torque_bandwidth > 0
         told = {"dead_time": config.dead_time, "known_lag": config.motor_lag}
         known = [known_delay(given, inner, name) for name, given in told.items()]
         self._begin, self._world, self._belief = update.begin, None, no_belief()

@@ -35,6 +35,7 @@ from quadexp.control.observers.observer import (
     callable_air,
     parameters_of,
 )
+from quadexp.control.observers.scaled_force import inverse
 from quadexp.control.observers.torque import N_TORQUE_SETTINGS, N_TORQUE_STATE, torque_settings, torque_update
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
@@ -127,7 +128,7 @@ def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: 
     P = P + ca.diag(ca.vertcat(wind_walk, wind_walk, wind_walk, scale_walk))
     error = a["reading"] - y[:3] - ca.vertcat(0, 0, scale * thrust)
     S = ca.mtimes([H, P, H.T]) + ca.diag(ca.vertcat(*noise))
-    K = ca.mtimes([P, H.T, _inverse(S)])
+    K = ca.mtimes([P, H.T, inverse(S)])
     change = ca.mtimes(K, error)
     air = air + change
     force = force + gain * (ca.mtimes(R, error - ca.mtimes(H, change)) - force)
@@ -144,10 +145,3 @@ def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: 
     belief = ca.vertcat(vehicle.mass * force, torque, air[:3], 1 + air[3])
     results = [ca.vertcat(air, ca.vec(P), force, rates), belief]
     return ca.Function("wind_observer", [*a.values()], results, [*a], ["s_next", "belief"])
-
-
-def _inverse(S: ca.MX) -> ca.MX:
-    """Of a 3 by 3 matrix, by cofactors."""
-    rows = [S[i, :].T for i in range(3)]
-    cofactors = ca.horzcat(*(ca.cross(rows[(i + 1) % 3], rows[(i + 2) % 3]) for i in range(3)))
-    return cofactors / ca.dot(rows[0], cofactors[:, 0])

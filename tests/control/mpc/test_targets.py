@@ -1,0 +1,34 @@
+"""Targets under a believed disturbance hold the path: their thrust is what it asks for less the disturbance."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quadexp.control.mpc.targets import held_targets
+
+
+def targets(vehicle, rotation, specific, push):
+    """Axis of the thrust at the first of three equal nodes, and the sum of its thrusts over the mass."""
+    q = np.roll(rotation.as_quat(), 1)
+    x = np.concatenate([np.zeros(3), q, np.zeros(6)])
+    u = np.full(vehicle.n_rotors, specific * vehicle.mass / vehicle.n_rotors)
+    three, times = [ca.MX(ca.DM(x))] * 3, [ca.MX(0.1 * k) for k in range(3)]
+    disturbance = ca.MX(ca.DM([*push, 0, 0, 0]))
+    moved, changes, _ = held_targets(
+        three, [ca.MX(ca.DM(u))] * 3, [ca.MX.zeros(6)] * 3, times, None, ca.MX(), disturbance, ca.MX.zeros(3), vehicle
+    )
+    found, change = (np.array(v).ravel() for v in ca.Function("f", [], [moved[0][:4], changes[0]])().values())
+    return Rotation.from_quat(np.roll(found, -1)).as_matrix()[:, 2], (u + change).sum() / vehicle.mass
+
+
+def test_they_hold_the_path(vehicle, rng):
+    for _ in range(5):
+        rotation, specific = Rotation.random(random_state=rng.integers(1000)), rng.uniform(10, 30)
+        push = rng.normal(size=3)
+        push *= 0.5 * specific / np.linalg.norm(push)
+        wanted = rotation.as_matrix()[:, 2] * specific - push
+        axis, thrust = targets(vehicle, rotation, specific, push)
+        assert axis * thrust == pytest.approx(wanted, abs=1e-6)
