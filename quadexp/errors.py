@@ -25,6 +25,10 @@ class ForbiddenValueError(UsageError):
     """A value that its key does not allow, whatever the other settings are: a wrong type, or out of range."""
 
 
+class ModuleError(UsageError):
+    """A module of the user's cannot be imported where it is needed: it is another one there, or missing."""
+
+
 class DataError(QuadexpError):
     """A file was found but cannot be used: damaged, incomplete, from another schema, or not finite."""
 

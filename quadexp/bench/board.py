@@ -15,7 +15,8 @@ from quadexp.errors import UsageError
 from quadexp.log.store import read_table, read_text, write_table, write_text
 from quadexp.provenance import provenance
 from quadexp.report.metrics import SHOWN
-from quadexp.report.tables import Table, from_columns, to_columns
+from quadexp.report.result_rows import from_columns, to_columns
+from quadexp.report.table import Table
 from quadexp.report.text import count, duration, listed, number
 
 FILE = "leaderboard.parquet"

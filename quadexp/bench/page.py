@@ -16,7 +16,7 @@ from quadexp.bench.ranking import Row
 from quadexp.log.store import write_text
 from quadexp.report.flown_by import flown_by_lines
 from quadexp.report.page import palette
-from quadexp.report.tables import Table
+from quadexp.report.table import Table
 from quadexp.report.text import count, typeset
 
 STYLE = files("quadexp.report.page") / "templates"

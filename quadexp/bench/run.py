@@ -29,7 +29,7 @@ from quadexp.config.compose import Composer
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.log.cell_store import CellStore
-from quadexp.report.tables import Table
+from quadexp.report.table import Table
 from quadexp.sweeps.engine import CellFunction, Engine
 from quadexp.sweeps.plan import plan_cells
 from quadexp.sweeps.sweep import SweepInterrupted, fly_cells

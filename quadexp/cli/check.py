@@ -61,7 +61,7 @@ def check(
         ]
         emit({"flights": records, "blocked": len(blocked), "strict": strict})
     elif form != "text":
-        from quadexp.report.tables import Table
+        from quadexp.report.table import Table
 
         names = ("severity", "name", "where", "measured", "allowed", "advice")
         pairs = [(path, one) for path, own in found.items() for one in own]

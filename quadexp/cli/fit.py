@@ -98,7 +98,7 @@ def _fit(
         emit(report)
         return
     if form != "text":
-        from quadexp.report.tables import records_table
+        from quadexp.report.table import records_table
 
         return print_rendered([records_table(report["rows"])], form, kind)
     print_lines(report["lines"])

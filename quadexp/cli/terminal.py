@@ -23,7 +23,7 @@ from quadexp.errors import QuadexpError, UsageError
 from quadexp.messages import CleanStream, clean, raw
 
 if TYPE_CHECKING:
-    from quadexp.report.tables import Table
+    from quadexp.report.table import Table
 
 FORMATS = ("text", "json", "csv", "markdown", "latex")
 PLAIN = {"\u00a0": " ", "\u202f": " ", "\u2013": "-", "\u2212": "-", "\u00b5": "u", "\u00b1": "+-", "\u00b7": "."}

@@ -72,7 +72,7 @@ def validate(
         emit({key: value for key, value in report.items() if key != "lines"})
         return
     if form != "text":
-        from quadexp.report.tables import records_table
+        from quadexp.report.table import records_table
 
         return print_rendered([records_table(report["rows"])], form, "validate")
     print_lines(report["lines"])

@@ -23,7 +23,7 @@ from quadexp.config.completion import folders, groups
 from quadexp.config.kept import KeptCompositions
 from quadexp.config.override import Given, plain_override, quoted
 from quadexp.config.plugins import import_from
-from quadexp.config.schema import PRESETS, SCHEMA, SCHEMAS, WORLD, Config, world_name
+from quadexp.config.schema import BUNDLES, PRESETS, SCHEMA, SCHEMAS, WORLD, Config, world_name
 from quadexp.config.settings import declared, made, plain
 from quadexp.errors import UsageError
 from quadexp.messages import MOST_NAMED, ending_in, one_line, suggestion
@@ -259,14 +259,11 @@ class Composer:
         """The same, from what the experiment and every option are by themselves, where that is the same."""
         if key in self._together:
             return self._together[key]
-        # A preset sets values of another group's node, and a bundle chooses options of its parts: those are composed
-        # together, with the experiment.
-        joined = {
-            "experiment",
-            "world",
-            "remedies",
-            *(g for pair in PRESETS.items() if pair[0] in (one.key for one in chosen) for g in pair),
-        }
+        # A preset sets values of another group's node, and a bundle chooses options of its parts, presets among them,
+        # and may set values of theirs: those are composed together, with the experiment.
+        keys = {one.key for one in chosen}
+        joined = {"experiment", *BUNDLES, *(g for bundle in keys.intersection(BUNDLES) for g in BUNDLES[bundle])}
+        joined |= {g for pair in PRESETS.items() if pair[0] in keys or "remedies" in keys for g in pair}
         together = [one for one in chosen if one.key in joined]
         options = {one.key: one for one in chosen if one.key not in joined}
         settled = self._spoken_for([one for one in together if one.key == "experiment"])

@@ -239,6 +239,9 @@ WORLD = (
 # Groups of remedies around a controller, the one nearest to it first; see quadexp/control/wrapped.py.
 REMEDIES = ("observer", "adaptive", "inner", "delay")
 
+# Groups whose options choose those of several others, and set values of theirs.
+BUNDLES = {"world": WORLD, "remedies": REMEDIES}
+
 # Groups of presets, and the group whose values their options set (`# @package controller`).
 PRESETS = {"horizon": "controller", "motor": "controller"}
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from quadexp.config.plugins import lies_outside
 from quadexp.config.schema import Config
-from quadexp.errors import QuadexpError, UsageError
+from quadexp.errors import ModuleError, QuadexpError, UsageError
 from quadexp.physics.vehicle import Vehicle
 
 # What of a seam is looked for, so that something else is refused before the flight and not in it.
@@ -91,11 +91,11 @@ def _import(key: str, name: str) -> Callable[..., Any]:
         raise UsageError(f"{key}={name}: expected MODULE.NAME, such as my_package.helix.Helix")
     outside = lies_outside(module_name)
     if outside:
-        raise UsageError(f"{key}={name}: {outside}")
+        raise ModuleError(f"{key}={name}: {outside}")
     try:
         module = importlib.import_module(module_name)
     except ImportError as error:
-        raise UsageError(f"{key}={name}: {error}") from None
+        raise ModuleError(f"{key}={name}: {error}") from None
     except Exception as error:
         raise UsageError(f"{key}={name}: importing {module_name} raised {type(error).__name__}: {error}") from error
     target = getattr(module, attribute, None)

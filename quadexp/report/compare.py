@@ -28,9 +28,11 @@ from quadexp.report.compare_parts import FIGURES, checkpoint_record, flat, match
 from quadexp.report.inference import holm
 from quadexp.report.metrics import METRICS, SHOWN
 from quadexp.report.pairing import common, condition_of, contestant_labels, contestant_of
+from quadexp.report.result_rows import from_columns
 from quadexp.report.statistics import overall
 from quadexp.report.summary import MODEL_FILE, RESULTS_FILE, summarise
-from quadexp.report.tables import TITLES, Table, from_columns
+from quadexp.report.table import Table
+from quadexp.report.tables import TITLES
 from quadexp.report.text import count, number, p_value, relative, speed_text
 
 ABSENT = "-"

@@ -14,8 +14,10 @@ from quadexp.log.store import read_flight, read_table
 from quadexp.report.compare_parts import FIGURES, checkpoint_record, flat, matched, parameters, record_of
 from quadexp.report.metrics import SHOWN
 from quadexp.report.pairing import common, contestant_labels
+from quadexp.report.result_rows import from_columns
 from quadexp.report.summary import RESULTS_FILE, summarise
-from quadexp.report.tables import TITLES, Table, from_columns
+from quadexp.report.table import Table
+from quadexp.report.tables import TITLES
 from quadexp.report.text import number
 
 ABSENT = "-"

@@ -17,9 +17,9 @@ from quadexp.report.axes.lines import line_figure
 from quadexp.report.axes.view import view
 from quadexp.report.compare_many import names_of
 from quadexp.report.metrics import position_error
+from quadexp.report.result_rows import ROW_COLUMNS, from_columns
 from quadexp.report.style import looks, plain_log, styled
 from quadexp.report.summary import MODEL_FILE, RESULTS_FILE
-from quadexp.report.tables import ROW_COLUMNS, from_columns
 
 SOURCE = "results"  # key of the folder that a flight of several results comes from
 

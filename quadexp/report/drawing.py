@@ -25,7 +25,8 @@ from quadexp.provenance import source_hash
 from quadexp.report.axes.frame import SweepFrame
 from quadexp.report.axes.view import automatic
 from quadexp.report.pairing import condition_of, is_flown
-from quadexp.report.tables import column_labels, course_labels, to_columns
+from quadexp.report.result_rows import to_columns
+from quadexp.report.tables import column_labels, course_labels
 from quadexp.report.text import speed_text
 
 FOLDER = "figures"

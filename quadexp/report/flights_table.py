@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from quadexp.report.axes.frame import SweepFrame, is_metric, is_number, unit_of
 from quadexp.report.axes.view import unit_and_factor
 from quadexp.report.sortable import Column, sortable_page
-from quadexp.report.tables import Table, csv_text
+from quadexp.report.table import Table, csv_text
 
 
 class FlightsTable(NamedTuple):

@@ -7,7 +7,7 @@ from typing import Any
 
 from quadexp.errors import QuadexpError
 from quadexp.learn.checkpoint import load_report
-from quadexp.report.tables import Table
+from quadexp.report.table import Table
 from quadexp.report.text import number
 
 UNITS = {"a": "m/s^2", "t": "N m"}  # by the first letter of an output

@@ -9,7 +9,7 @@ from quadexp.learn.regression import FLIGHT_CLUSTERS
 from quadexp.learn.terms import TermModel
 from quadexp.learn.torque import torque_lines
 from quadexp.learn.vehicle_model import VehicleModel
-from quadexp.report.tables import Table
+from quadexp.report.table import Table
 
 NORMS = ("x", "y", "z", "norm")
 

@@ -16,7 +16,7 @@ from quadexp.log.store import write_text
 from quadexp.report.figures import save
 from quadexp.report.statistics import Statistic, compute_statistics
 from quadexp.report.style import entries, looks, plain_log, styled
-from quadexp.report.tables import Table
+from quadexp.report.table import Table
 from quadexp.report.text import speed_text
 
 ACROSS = 2  # panels of the figure side by side

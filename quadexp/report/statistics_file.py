@@ -31,7 +31,8 @@ from quadexp.report.statistics import (
     compute_statistics,
     overall,
 )
-from quadexp.report.tables import ErrorTable, comparison_table, csv_text, table_of, to_latex, to_markdown
+from quadexp.report.table import csv_text
+from quadexp.report.tables import ErrorTable, comparison_table, table_of, to_latex, to_markdown
 from quadexp.report.winner import Verdict, verdicts
 
 FILE = "statistics.parquet"

@@ -134,7 +134,7 @@ def _table(path: Path) -> dict[str, Any]:
         summary["flights"] = record.get("flights", [])
         lines += _residual_lines(record, columns, summary)
     elif kind == "results":
-        from quadexp.report.tables import from_columns
+        from quadexp.report.result_rows import from_columns
 
         rows = from_columns(columns)
         summary |= {"versions": versions_of(rows), "flown_by": flown_by(rows)}
@@ -151,7 +151,7 @@ def _table(path: Path) -> dict[str, Any]:
 
 
 def _metric_table(metrics: Mapping[str, Any]) -> Any:
-    from quadexp.report.tables import records_table
+    from quadexp.report.table import records_table
 
     found = [
         {"figure": name, "value": value, "unit": describe(name, "results").unit} for name, value in metrics.items()
@@ -171,7 +171,7 @@ def _recorded_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]
 
 
 def _residual_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], summary: dict[str, Any]) -> list[str]:
-    from quadexp.report.tables import records_table
+    from quadexp.report.table import records_table
 
     vehicle, flights = record.get("vehicle", {}), record.get("flights", [])
     lines = [

@@ -1,7 +1,4 @@
-"""Tables: one model with renderers for text, Markdown, LaTeX, the terminal (rich) and HTML; and the tables of a sweep.
-
-Cells are texts. In a cell, `**x**` marks the best value and a final `*` a significant difference; every renderer
-translates these two marks.
+"""The tables of a sweep.
 
 The error table has trajectory and speed down and controllers across; a key of the controller that was swept is a column
 of its own, with its values down, and so are many plants or worlds. The first row counts the flights that ended well;
@@ -11,18 +8,12 @@ contradict each other. The comparison table has one row per contestant and condi
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from quadexp.messages import clean
 from quadexp.report.metrics import SHOWN
 from quadexp.report.notes import notes as row_notes
 from quadexp.report.notes import table_notes
@@ -36,137 +27,13 @@ from quadexp.report.pairing import (
     variant_parts,
 )  # fmt: skip
 from quadexp.report.statistics import BASELINE, CONFIDENCE, Overall, Statistic, compute_statistics, overall
+from quadexp.report.table import Table
 from quadexp.report.text import p_value, speed_text, with_interval
 from quadexp.report.winner import Verdict, verdicts
 
-# Columns of a result row, in the order they are written.
-ROW_COLUMNS = (
-    "plant", "vehicle", "trajectory", "speed", "controller", "model", "variant", "seed", "rmse", "mean_error",
-    "max_error", "attitude_rmse", "heading_rmse", "solve_time_median", "solve_time_p99", "solve_time_max",
-    "saturated_share", "peak_speed", "duration", "unconverged_count", "reference_residual", "outside_data", "outcome",
-    "backend", "cause", "program", "sources", "libraries", "key",
-)  # fmt: skip
-TEXT_COLUMNS = (
-    "plant", "vehicle", "trajectory", "controller", "model", "variant", "outcome", "backend", "cause",
-    "program", "sources", "libraries", "key",
-)  # fmt: skip
-INTEGER_COLUMNS = ("seed", "unconverged_count")
 MOST_ACROSS = 6  # columns of an error table; with more, several plants are told apart by rows
 TITLES = {"rmse": "RMSE", "mean_error": "mean error", "max_error": "largest error"}
 NAN = math.nan
-
-_LATEX = str.maketrans({c: f"\\{c}" for c in "&%$#_{}"} | {"\\": r"\textbackslash{}", "<": "$<$"})
-_BEST = re.compile(r"\*\*(.+?)\*\*")
-
-
-@dataclass(frozen=True)
-class Table:
-    """columns: headings, with units in parentheses. rows: texts. left: indices of left-aligned columns. head: number
-    of rows that belong to the heading. over: a heading above all columns but the first `beside`. notes: lines below.
-    groups: index of a column -> text above the columns that begin there, in plain text."""
-
-    columns: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    title: str = ""
-    left: Set[int] = frozenset({0})
-    head: int = 0
-    over: str = ""
-    beside: int = 2
-    notes: Sequence[str] = ()
-    groups: Mapping[int, str] = field(default_factory=dict)
-
-    def lines(self) -> list[str]:
-        """Plain text, columns aligned."""
-        widths = [max(map(len, column)) for column in zip(self.columns, *self.rows, strict=True)]
-        lines = [self.title] if self.title else []
-        above = ""
-        for (i, text), end in zip(self.groups.items(), [*list(self.groups)[1:], len(widths)], strict=False):
-            widths[i] += max(0, len(text) - sum(widths[i:end]) - 2 * (end - i - 1))
-            above = above.ljust(sum(widths[:i]) + 2 * i) + text
-        lines += [above] if above else []
-        for row in (self.columns, *self.rows):
-            cells = (
-                c.ljust(w) if i in self.left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))
-            )
-            lines.append("  ".join(cells).rstrip())
-        return lines + list(self.notes)
-
-    def markdown(self, *, bullets: bool = False) -> str:
-        """Markdown. bullets: notes as a list."""
-        rule = ["---" if i in self.left else "---:" for i in range(len(self.columns))]
-        lines = [self.title, ""] if self.title else []
-        lines += ["| " + " | ".join(row) + " |" for row in (self.columns, rule, *self.rows)]
-        notes = [f"- {note}".replace("* ", "&ast; ") if bullets else note for note in self.notes]  # "* " begins a list
-        return "\n".join([*lines, *(["", *notes] if notes or bullets else [])]) + "\n"
-
-    def latex(self) -> str:
-        """A LaTeX tabular with booktabs rules; with `over`, rows of different first cells are set apart."""
-        columns = "".join("l" if i in self.left else "r" for i in range(len(self.columns)))
-        lines = [rf"% {'' if self.over else f'{self.title}; '}needs \usepackage{{booktabs}}"]
-        lines += [*(f"% {note}" for note in self.notes), rf"\begin{{tabular}}{{{columns}}}", r"\toprule"]
-        if self.over:
-            span = rf"\multicolumn{{{len(columns) - self.beside}}}{{c}}{{{escape(self.over)}}}"
-            lines.append(rf"{' &' * self.beside} {span} \\ \cmidrule(l){{{self.beside + 1}-{len(columns)}}}")
-        lines += [_latex_row(self.columns), r"\midrule", *map(_latex_row, self.rows[: self.head])]
-        lines += [r"\midrule"] if self.head else []
-        for before, row in zip([None, *self.rows[self.head :]], self.rows[self.head :], strict=False):
-            lines += [r"\addlinespace"] if self.over and before and before[0] != row[0] else []
-            lines.append(_latex_row(row))
-        return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
-
-    def csv(self) -> str:
-        """CSV of the texts, without the marks of the best and of significance."""
-        rows = ([re.sub(r"\*$", "", _BEST.sub(r"\1", cell)) for cell in row] for row in self.rows)
-        return csv_text(self.columns, rows)
-
-    def rendered(self, form: str) -> str:
-        """As csv, markdown or latex."""
-        return {"csv": self.csv, "markdown": self.markdown, "latex": self.latex}[form]()
-
-    def rich(self, *, stacked: bool = False) -> Any:
-        """A rich Table for the terminal. stacked: intervals below their values, for a narrow terminal."""
-        from rich import markup, table
-
-        shown = table.Table(title=self.title, title_justify="left")
-        for i, heading in enumerate(self.columns):
-            shown.add_column(markup.escape(heading), justify="left" if i in self.left else "right", overflow="fold")
-        for k, row in enumerate(self.rows):
-            cells = [_BEST.sub(r"[bold]\1[/bold]", markup.escape(cell)) for cell in row]
-            shown.add_row(
-                *(re.sub(r" \[(?=[-\d])", "\n[", c) if stacked else c for c in cells), end_section=k + 1 == self.head
-            )
-        return shown
-
-    def html(self) -> str:
-        """An HTML table without style; also what a notebook shows."""
-        from html import escape
-
-        def plain(text: str) -> str:
-            return escape(clean(text))
-
-        def line(cells: Sequence[str], tag: str) -> str:
-            texts = (_BEST.sub(r"<b>\1</b>", plain(cell)) for cell in cells)
-            sides = ("left" if i in self.left else "right" for i in range(len(cells)))
-            cells = [f'<{tag} style="text-align:{s}">{t}</{tag}>' for s, t in zip(sides, texts, strict=True)]
-            return f"<tr>{''.join(cells)}</tr>"
-
-        rows = "".join(line(row, "td") for row in self.rows)
-        notes = "".join(f"<p>{plain(note)}</p>" for note in self.notes)
-        caption = f"<caption>{plain(self.title)}</caption>"
-        return f"<table>{caption}<thead>{line(self.columns, 'th')}</thead><tbody>{rows}</tbody></table>{notes}"
-
-    _repr_html_ = html
-
-
-def _latex_row(cells: Sequence[str]) -> str:
-    texts = (_BEST.sub(r"\\textbf{\1}", escape(cell)).replace("*", "$^*$") for cell in cells)
-    return " & ".join(texts) + r" \\"
-
-
-def escape(text: str) -> str:
-    """Text for LaTeX."""
-    return text.translate(_LATEX)
-
 
 Line = tuple[str, ...]  # of an error table: trajectory with what else varies, speed, values of swept keys
 
@@ -418,56 +285,3 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
     )
     title = f"{TITLES[metric]} against {', '.join(baselines)}"
     return Table(heading, rows, title, left=frozenset({0, 2, len(heading) - 1}), notes=(note,))
-
-
-def records_table(records: Sequence[Mapping[str, Any]], title: str = "") -> Table:
-    """A table of records, a row each: numbers in full precision, nothing for what is missing."""
-    names = list(dict.fromkeys(name for record in records for name in record))
-    rows = [[_exact(record.get(name)) for name in names] for record in records]
-    left = {i for i, name in enumerate(names) if any(isinstance(record.get(name), str) for record in records)}
-    return Table(names, rows, title, left=frozenset(left))
-
-
-def _exact(value: Any) -> str:
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return ""
-    if isinstance(value, bool):
-        return str(value).lower()
-    return repr(float(value)) if isinstance(value, float) else str(value)
-
-
-def csv_text(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """CSV with the shortest digits that give every number back; empty for None and NaN."""
-
-    def text(value: Any) -> str:
-        if value is None or (isinstance(value, float) and math.isnan(value)):
-            return ""
-        return repr(value) if isinstance(value, float) else str(value)
-
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows(map(text, row) for row in rows)
-    return stream.getvalue()
-
-
-def to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Result rows as CSV, numbers in full precision."""
-    return csv_text(ROW_COLUMNS, ([row.get(name) for name in ROW_COLUMNS] for row in rows))
-
-
-def to_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Result rows as columns of fixed types, for Parquet."""
-    columns: dict[str, Any] = {}
-    for name in ROW_COLUMNS:
-        kind: Any = object if name in TEXT_COLUMNS else np.int64 if name in INTEGER_COLUMNS else float
-        empty = {object: "", np.int64: 0, float: NAN}[kind]
-        values = [empty if (value := row.get(name)) is None else value for row in rows]
-        columns[name] = np.array([str(v) for v in values] if kind is object else values, dtype=kind)
-    return columns
-
-
-def from_columns(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Result rows from the columns of a results file."""
-    lists = [column.tolist() for column in columns.values()]
-    return [dict(zip(columns, values, strict=True)) for values in zip(*lists, strict=True)]

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from quadexp.report.tables import Table
+from quadexp.report.table import Table
 
 # Ways to predict the rotation in an open-loop prediction: name -> (short title, description).
 MODES = {

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 from pebble import ProcessPool
 
 from quadexp.config.schema import Config
-from quadexp.errors import UsageError, WriteError, stops_all
+from quadexp.errors import ModuleError, UsageError, WriteError, stops_all
 from quadexp.experiment.build import ModelFile
 from quadexp.sweeps.child import GONE, cause, start_pool, stop_pool
 from quadexp.sweeps.server import PRELOAD, without_main
@@ -38,7 +38,7 @@ class CellFailed:
     @classmethod
     def of(cls, error: Exception, timeout: float | None) -> CellFailed:
         """Of what a call raised."""
-        wrong = isinstance(error, UsageError) and not isinstance(error, WriteError)
+        wrong = isinstance(error, UsageError) and not isinstance(error, ModuleError | WriteError)
         return cls(cause(error, timeout), stops_all(error), wrong)
 
 

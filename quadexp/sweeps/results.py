@@ -20,7 +20,7 @@ from quadexp.log.store import read_metadata
 from quadexp.messages import suggestion
 from quadexp.report.axes.frame import SweepFrame
 from quadexp.report.axes.where import chosen
-from quadexp.report.tables import ROW_COLUMNS
+from quadexp.report.result_rows import ROW_COLUMNS
 from quadexp.sweeps.keys import condition
 from quadexp.sweeps.sweep_table import RESULTS, Row, open_results, read_rows, table_row, write_results
 

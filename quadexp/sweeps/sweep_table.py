@@ -19,6 +19,7 @@ import numpy as np
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import has_content_hash, read_table, read_text, write_table, write_text
+from quadexp.report.result_rows import INTEGER_COLUMNS, ROW_COLUMNS, TEXT_COLUMNS, from_columns, to_columns, to_csv
 from quadexp.report.statistics_file import (
     Statistics,
     comparison_texts,
@@ -26,15 +27,7 @@ from quadexp.report.statistics_file import (
     statistics_csv,
     write_comparison,
 )
-from quadexp.report.tables import (
-    INTEGER_COLUMNS,
-    ROW_COLUMNS,
-    TEXT_COLUMNS,
-    ErrorTable,
-    from_columns,
-    to_columns,
-    to_csv,
-)
+from quadexp.report.tables import ErrorTable
 
 RESULTS = "results.parquet"
 OPTIONAL = ("speed", "reference_residual", "outside_data")  # numbers that not every flight has: None where missing

@@ -14,8 +14,8 @@ from typing import Any
 from quadexp.errors import QuadexpError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import has_content_hash, read_table
+from quadexp.report.result_rows import ROW_COLUMNS
 from quadexp.report.statistics_file import FILE
-from quadexp.report.tables import ROW_COLUMNS
 from quadexp.sweeps.sweep_table import RESULTS, Row, altered_texts, open_results, read_rows, table_row
 
 TEXTS = ("results.csv", "statistics.csv", "table.md", "table.tex", "comparison.tex")

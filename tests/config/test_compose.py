@@ -164,7 +164,7 @@ class TestExpand:
         assert [cell.config.trajectory.name for cell in cells] == ["circle", "circle", "hover", "hover"]
         assert [cell.config.seed for cell in cells] == [0, 1, 0, 1]
         first = [cell.invalid.partition(";")[0] for cell in cells]
-        assert first == [""] * 2 + ["trajectory.speed: no such key here"] * 2
+        assert first == [""] * 2 + ["trajectory.speed: no such key"] * 2
         made = list(
             expand(["horizon=published,precise", "controller=nominal_mpc,rls_feedback", "controller.nodes=10,20"])
         )
@@ -186,7 +186,7 @@ MISTAKES = {
     "trajectory.sped=3": r"trajectory.sped: no such key; did you mean trajectory.speed\?",
     "controler=gp_mpc": r"controler: no such key; did you mean controller\?",
     "controller=gpmpc": r"controller=gpmpc: no such controller; did you mean gp_mpc\?",
-    "controller=zzz": "no such controller; there are: .*nominal_mpc, .*perfect_mpc",
+    "controller=zzz": "no such controller; there are: .*gp_mpc, .*nominal_mpc",
     "experiment=nope": "no such experiment; there are: adaptation, families",
     "zzzz=3": "zzzz: no such key; there are:",
     "+controller=gp_mpc": "keys can be set .* not added or deleted",

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from quadexp.config.compose import compose, expand, session
+from quadexp.config.schema import conf_folder
 from quadexp.config.settings import record
 from quadexp.errors import UsageError
 from tests.config.test_compose import hydra_composes
@@ -51,6 +52,25 @@ def test_a_bundle_of_remedies_may_choose_the_inner_loop():
     assert (config.observer.name, config.inner.name, config.delay.name) == ("disturbance", "indi", "strapdown")
     assert config.observer.torque_bandwidth == 0  # INDI removes torques
     assert record(compose(["remedies=unknown_vehicle"])) == hydra_composes(["remedies=unknown_vehicle"])
+
+
+BUNDLES = [path.stem for path in sorted((conf_folder() / "remedies").glob("*.yaml"))]
+
+
+@pytest.mark.parametrize("name", BUNDLES)
+@pytest.mark.parametrize(
+    "others",
+    [[], ["controller=gp_mpc"], ["controller=gp_mpc", "observer=wind"], ["horizon=firm"], ["world=everything"]],
+)
+def test_a_bundle_of_remedies_is_the_same_in_a_sweep(name, others):
+    choices = [*others, f"remedies={name}"]
+    if name == "unknown_vehicle" and "observer=wind" in others:  # its settings are those of observer=disturbance
+        for way in (compose, expand):
+            with pytest.raises(UsageError, match=r"observer\.force_limit: no such key"):
+                way(choices)
+        return
+    (cell,) = expand(choices)
+    assert record(cell.config) == record(compose(choices)) | {"sweep": None}
 
 
 @pytest.mark.parametrize("others", [[], ["experiment=quick"], ["experiment=torrente_table1"], ["vehicle=crazyflie"]])

@@ -12,7 +12,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight, write_table
 from quadexp.report.metrics import flight_metrics
-from quadexp.report.tables import to_columns
+from quadexp.report.result_rows import to_columns
 from tests.log.flights import straight_flight
 
 ROTORS = [[0.17, -0.17, 0.0], [-0.17, -0.17, 0.0], [-0.17, 0.17, 0.0], [0.17, 0.17, 0.0]]

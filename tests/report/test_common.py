@@ -17,8 +17,9 @@ from quadexp.report.page.answer import answer
 from quadexp.report.page.sections import scoreboard, tables
 from quadexp.report.page.source import read_comparison
 from quadexp.report.pairing import Flights, common, flew_least
+from quadexp.report.result_rows import to_columns
 from quadexp.report.statistics import compute_statistics, overall
-from quadexp.report.tables import error_table, to_columns, to_latex, to_markdown
+from quadexp.report.tables import error_table, to_latex, to_markdown
 from quadexp.report.winner import verdicts
 from quadexp.sweeps.figures import SweepFigures
 from quadexp.sweeps.sweep import run_sweep

@@ -16,7 +16,7 @@ from quadexp.learn.checkpoint import save_model
 from quadexp.learn.linear_drag import LinearDrag
 from quadexp.log.store import write_flight, write_table
 from quadexp.report.compare import change, compare, differing
-from quadexp.report.tables import to_columns
+from quadexp.report.result_rows import to_columns
 from quadexp.sweeps.sweep import run_sweep
 from tests.log.flights import straight_flight
 from tests.report.test_tables import row

@@ -16,8 +16,9 @@ from quadexp.report.page import make_report
 from quadexp.report.page.panels import pareto_front
 from quadexp.report.page.provenance import sweep_command
 from quadexp.report.page.source import read_comparison
+from quadexp.report.result_rows import from_columns
 from quadexp.report.statistics_file import results_statistics
-from quadexp.report.tables import from_columns, table_of
+from quadexp.report.tables import table_of
 from quadexp.report.text import probability
 from tests.report.results import ERRORS, make_results, many_results
 

@@ -14,7 +14,7 @@ from PIL import Image
 
 from quadexp.log.store import write_table
 from quadexp.report.page import make_report
-from quadexp.report.tables import to_columns
+from quadexp.report.result_rows import to_columns
 from tests.report.results import make_results, weather
 from tests.report.test_tables import row
 

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_table, write_table
 from quadexp.report.metrics import METRICS, attitude_error, flight_metrics, position_error, saturated_share
-from quadexp.report.tables import ROW_COLUMNS, error_table, from_columns, to_columns, to_csv
+from quadexp.report.result_rows import ROW_COLUMNS, from_columns, to_columns, to_csv
+from quadexp.report.tables import error_table
 from tests.log.flights import straight_flight
 from tests.report.test_tables import row
 

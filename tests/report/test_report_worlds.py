@@ -18,8 +18,8 @@ from quadexp.report.page.power import binned, powered
 from quadexp.report.page.replay import choose_cases, ordered_cases, pack_replay
 from quadexp.report.page.sections import worlds
 from quadexp.report.page.source import read_comparison
+from quadexp.report.result_rows import from_columns, to_columns
 from quadexp.report.summary import summarise
-from quadexp.report.tables import from_columns, to_columns
 from quadexp.report.text import number
 from tests.log.flights import straight_flight
 from tests.report.results import make_results, weather

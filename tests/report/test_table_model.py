@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from quadexp.report.tables import Table
+from quadexp.report.table import Table
 
 ROWS = [["flown", "", "2 of 2"], ["circle", "4", "**1.2** [1.1, 1.3]*"], ["a_b & c", "8", "10.0 <x> (1 solver_failed)"]]
 TABLE = Table(["trajectory", "m/s", "gp_mpc"], ROWS, "mean error (mm)", head=1, notes=["* differs", "second"])

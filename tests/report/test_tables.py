@@ -10,20 +10,10 @@ import numpy as np
 import pytest
 
 from quadexp.log.store import read_table, write_table
+from quadexp.report.result_rows import ROW_COLUMNS, from_columns, to_columns, to_csv
 from quadexp.report.statistics import compute_statistics
-from quadexp.report.tables import (
-    ROW_COLUMNS,
-    comparison_table,
-    error_table,
-    escape,
-    from_columns,
-    table_of,
-    to_columns,
-    to_csv,
-    to_latex,
-    to_markdown,
-    to_rich,
-)
+from quadexp.report.table import escape
+from quadexp.report.tables import comparison_table, error_table, table_of, to_latex, to_markdown, to_rich
 from quadexp.report.text import significant, with_interval
 
 

@@ -12,8 +12,9 @@ from quadexp.report.inference import log_ratio
 from quadexp.report.page.answer import _odds, answer
 from quadexp.report.page.sections import scoreboard, tables
 from quadexp.report.page.source import read_comparison
+from quadexp.report.result_rows import to_columns
 from quadexp.report.statistics import compute_statistics
-from quadexp.report.tables import error_table, to_columns, to_markdown
+from quadexp.report.tables import error_table, to_markdown
 from quadexp.report.winner import verdicts
 from tests.report.test_tables import row
 

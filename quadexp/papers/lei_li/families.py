@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from quadexp.report.statistics import Statistic, compute_statistics
 from quadexp.report.style import entries, looks, plain_log, styled
-from quadexp.report.tables import Table
+from quadexp.report.table import Table
 from quadexp.report.text import speed_text
 
 ORDER = (

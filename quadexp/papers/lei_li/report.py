@@ -20,7 +20,7 @@ from quadexp.papers.lei_li.families import families_figure, families_table
 from quadexp.physics.rotor import THETA
 from quadexp.report.figures import save
 from quadexp.report.metrics import position_error
-from quadexp.report.tables import Table
+from quadexp.report.table import Table
 from quadexp.report.text import speed_text
 
 EXPECTED = {  # time average of ||e_xi|| over 60 s, m, by trajectory, speed and controller

@@ -19,7 +19,7 @@ from quadexp.log.store import write_text
 from quadexp.papers.sun.data import CRASHED, Ellipse, Published, published
 from quadexp.report.figures import save
 from quadexp.report.style import looks, plain_log, styled
-from quadexp.report.tables import Table
+from quadexp.report.table import Table
 
 MASS, THRUST = 0.75, 4 * 8.5  # kg, N, of the vehicle
 DEFAULTS = {"acceleration": 20.0, "ratio": 1.0}  # of an ellipse, where a sweep does not vary it

@@ -21,7 +21,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_metadata, read_table
 from quadexp.messages import suggestion
 from quadexp.report.pairing import setting_pairs
-from quadexp.report.tables import ROW_COLUMNS, TEXT_COLUMNS, from_columns
+from quadexp.report.result_rows import ROW_COLUMNS, TEXT_COLUMNS, from_columns
 
 RESULTS = "results.parquet"
 ALIASES = {"speed": "trajectory.speed"}

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from quadexp.report.axes.frame import SweepFrame, is_metric, is_number
-from quadexp.report.tables import ROW_COLUMNS
+from quadexp.report.result_rows import ROW_COLUMNS
 
 TAGS = ("outcome", "cause", "backend", "program", "sources", "libraries", "key")
 

@@ -28,9 +28,10 @@ from quadexp.report.page.replay import BUDGET, MAX_TRACKS, Case, choose_cases, p
 from quadexp.report.page.sections import scoreboard, tables, worlds, worst, worst_rows
 from quadexp.report.page.source import TABLED, Comparison, read_comparison, spoken
 from quadexp.report.pairing import condition_of
+from quadexp.report.result_rows import to_csv
 from quadexp.report.statistics_file import statistics_csv
 from quadexp.report.style import LOOKS
-from quadexp.report.tables import TITLES, to_csv
+from quadexp.report.tables import TITLES
 from quadexp.report.text import duration, percent, typeset
 
 LIMIT = 2_000_000  # bytes of the page

@@ -31,10 +31,11 @@ from quadexp.report.pairing import (
     is_bound,
     is_invalid,
 )  # fmt: skip
+from quadexp.report.result_rows import from_columns
 from quadexp.report.statistics import CONFIDENCE, Overall, Statistic, overall
 from quadexp.report.statistics_file import results_statistics
 from quadexp.report.style import Look, looks
-from quadexp.report.tables import course_labels, from_columns
+from quadexp.report.tables import course_labels
 from quadexp.report.winner import Ranking, rank, ratio_of
 
 RESULTS = "results.parquet"
