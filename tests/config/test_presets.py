@@ -47,6 +47,13 @@ def test_a_bundle_of_remedies_chooses_the_horizon_too(name, observer):
     assert record(compose([f"remedies={name}"])) == hydra_composes([f"remedies={name}"])
 
 
+def test_a_bundle_of_remedies_may_choose_the_inner_loop():
+    config = compose(["remedies=unknown_vehicle", "controller=nominal_mpc", "delay=strapdown"])
+    assert (config.observer.name, config.inner.name, config.delay.name) == ("disturbance", "indi", "strapdown")
+    assert config.observer.torque_bandwidth == 0  # INDI removes torques
+    assert record(compose(["remedies=unknown_vehicle"])) == hydra_composes(["remedies=unknown_vehicle"])
+
+
 BUNDLES = [path.stem for path in sorted((conf_folder() / "remedies").glob("*.yaml"))]
 
 
@@ -57,15 +64,13 @@ BUNDLES = [path.stem for path in sorted((conf_folder() / "remedies").glob("*.yam
 )
 def test_a_bundle_of_remedies_is_the_same_in_a_sweep(name, others):
     choices = [*others, f"remedies={name}"]
+    if name == "unknown_vehicle" and "observer=wind" in others:  # its settings are those of observer=disturbance
+        for way in (compose, expand):
+            with pytest.raises(UsageError, match=r"observer\.force_limit: no such key"):
+                way(choices)
+        return
     (cell,) = expand(choices)
     assert record(cell.config) == record(compose(choices)) | {"sweep": None}
-
-
-def test_a_bundle_of_remedies_may_choose_the_inner_loop():
-    config = compose(["remedies=unknown_vehicle", "controller=nominal_mpc", "delay=strapdown"])
-    assert (config.observer.name, config.inner.name, config.delay.name) == ("disturbance", "indi", "strapdown")
-    assert config.observer.torque_bandwidth == 0  # INDI removes torques
-    assert record(compose(["remedies=unknown_vehicle"])) == hydra_composes(["remedies=unknown_vehicle"])
 
 
 @pytest.mark.parametrize("others", [[], ["experiment=quick"], ["experiment=torrente_table1"], ["vehicle=crazyflie"]])
@@ -87,8 +92,6 @@ def test_what_has_no_horizon_takes_none():
             UsageError, match=r"^horizon=precise: sets controller\.\w+, which controller=rls_feedback does"
         ):
             compose([*others, "controller=rls_feedback", "horizon=precise"])
-    with pytest.raises(UsageError, match=r"^remedies=wind: sets controller\.\w+, which controller=pid does not have$"):
-        compose(["controller=pid", "remedies=wind"])
     with pytest.raises(UsageError, match=r"horizon=precize: no such horizon; did you mean precise"):
         compose(["horizon=precize"])
 
