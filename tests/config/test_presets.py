@@ -92,6 +92,8 @@ def test_what_has_no_horizon_takes_none():
             UsageError, match=r"^horizon=precise: sets controller\.\w+, which controller=rls_feedback does"
         ):
             compose([*others, "controller=rls_feedback", "horizon=precise"])
+    with pytest.raises(UsageError, match=r"^remedies=wind: sets controller\.\w+, which controller=pid does not have$"):
+        compose(["controller=pid", "remedies=wind"])
     with pytest.raises(UsageError, match=r"horizon=precize: no such horizon; did you mean precise"):
         compose(["horizon=precize"])
 
