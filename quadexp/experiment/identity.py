@@ -43,11 +43,12 @@ def flight_entropy(config: Config) -> int:
     """Seed of the noise of one flight: from trajectory, plant, vehicle and seed, NOT from controller or model.
 
     Flights of different controllers have the same noise, so comparisons are paired. Keys that do not affect the noise
-    (names, paths of files, back end, permission of infeasible references, end of a flight) are excluded. So are the
-    parts of the world: each has a stream of its own, which is the same whatever the others do.
+    (names, paths of files, back end, permission of infeasible references, end of a flight, lift) are excluded: one that
+    comes later to a plant or a trajectory must be among them, or flights get other noise than before. So are the parts
+    of the world: each has a stream of its own, which is the same whatever the others do.
     """
     nodes = flight_record(config)
-    aside = {"name", "backend", "allow_infeasible", "lost_distance", "lost_box", "path"}
+    aside = {"name", "backend", "allow_infeasible", "lost_distance", "lost_box", "lift", "path"}
     parts = [
         {FORMER_NAMES.get(k, k): v for k, v in nodes[group].items() if k not in aside and v is not None}
         for group in ("vehicle", "plant", "trajectory")

@@ -14,6 +14,7 @@ from quadexp.config.compose import compose, expand
 from quadexp.errors import UsageError
 from quadexp.experiment.collect import Setpoints, collect_flights, setpoints
 from quadexp.experiment.evaluate import InfeasibleError, fly_one, generator
+from quadexp.experiment.identity import flight_entropy
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight
 from quadexp.physics.state import STATE_COLUMNS
@@ -155,3 +156,19 @@ class TestCollect:
     def test_a_speed_that_cannot_be_had(self):
         with pytest.raises(Exception, match=r"none of 50 random paths .* lower collect.speed_max"):
             collect_flights(compose(["collect.speed_min=30", "collect.speed_max=40", *INTERPRETED]))
+
+
+# As they were when the tables of README.md were flown.
+ENTROPIES = {
+    "trajectory.speed=8": 0x16D2F1FBD632B8FDBF87,
+    "trajectory=lemniscate trajectory.speed=8": 0xFF4D67B00FDF2C5095CE,
+    "vehicle=lei_li plant=blade_element sensor=lei_li trajectory=rectangle": 0x2BF4F892954397F48679,
+    "trajectory=random": 0xB58D91EEE1D695E82E5A,
+    "vehicle=hummingbird plant=rotorpy": 0x86E49082761C92B69AEB,
+    "vehicle=cf2x_L250 plant=drone_models": 0xC0263D8BD3B3AEFC6C57,
+}
+
+
+@pytest.mark.parametrize("overrides", ENTROPIES)
+def test_a_key_that_comes_later_changes_no_noise(overrides):
+    assert flight_entropy(compose(overrides.split())) == ENTROPIES[overrides]

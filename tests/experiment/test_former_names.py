@@ -30,7 +30,7 @@ def test_the_noise_is_that_of_earlier_flights():
     record = flight_record(config)
     parts = []
     for group in ("vehicle", "plant", "trajectory"):
-        aside = ("name", "backend", "allow_infeasible", "lost_distance", "path")
+        aside = ("name", "backend", "allow_infeasible", "lost_distance", "lift", "path")  # lift came later
         parts.append({k: v for k, v in with_former_name(record[group]).items() if k not in aside and v is not None})
     assert flight_entropy(config) == int(digest(["noise", *parts, 3]), 16)
 
