@@ -15,6 +15,7 @@ import gc
 import json
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -125,7 +126,7 @@ def measure(rounds: int) -> dict[str, float]:
     works: dict[str, Callable[[], float]] = {}
     for name, controller in contestants(vehicle).items():
         log = flown(vehicle, controller)
-        works[name] = lambda controller=controller, log=log: median_step(controller, log)  # type: ignore[misc]
+        works[name] = partial(median_step, controller, log)
     every = cores()
     pin(0, {min(every)})
     seconds: dict[str, list[float]] = {name: [] for name in works}

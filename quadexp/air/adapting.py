@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -111,15 +112,22 @@ def adapting_network(residual: Residual, network: Network, deviation: float) -> 
     return Adapting(residual, _some(blocks))
 
 
-def adapting_process(residual: Residual, outputs: Sequence[PosteriorMean], deviation: float | None) -> Adapting:
-    """Gaussian processes. deviation: s, m/s^2; None: that of each fit, which needs `signal_variance`."""
+class ProcessMean(PosteriorMean, Protocol):
+    """A posterior mean that knows the variance of its prior."""
+
+    @property
+    def signal_variance(self) -> float: ...
+
+
+def adapting_process(residual: Residual, outputs: Sequence[ProcessMean], deviation: float | None) -> Adapting:
+    """Gaussian processes. deviation: s, m/s^2; None: that of each fit."""
     sizes = [len(one.alpha) for one in outputs]
     ends = len(residual.theta) - sum(sizes) + np.cumsum([0, *sizes])
     blocks = []
     for one, first, end in zip(outputs, ends[:-1], ends[1:], strict=True):
         if OUTPUTS.index(one.output) >= 3:
             continue
-        s = float(np.sqrt(one.signal_variance)) if deviation is None else deviation  # type: ignore[attr-defined]
+        s = float(np.sqrt(one.signal_variance)) if deviation is None else deviation
         scaled = np.asarray(one.inducing, float).reshape(end - first, -1) / np.asarray(one.lengthscale, float)
         distance = ((scaled[:, None] - scaled[None]) ** 2).sum(axis=2)
         lower = np.linalg.cholesky(np.exp(-0.5 * distance) + JITTER * np.eye(end - first))

@@ -55,6 +55,7 @@ class L1Controller(WrappedController):
 
     def __init__(self, inner: Controller, keys: L1Keys, lag: float = 0.0, dead_time: float = 0.0) -> None:
         super().__init__(inner)
+        self._told: Any = inner  # has `believe` where keys.unmatched asks for it
         self.keys, vehicle, period, air = keys, self.vehicle, self.control_period, air_of(inner)
         known = None if air.is_zero else air
         functions = l1_functions(vehicle, keys, period, known, lag, compiled=resolve(self.backend) == "compiled")
@@ -94,7 +95,7 @@ class L1Controller(WrappedController):
         self._begun = True
         if self.keys.unmatched:
             zero = np.zeros(3)
-            self.inner.believe(Belief(found["lateral"], zero, zero))  # type: ignore[attr-defined]
+            self._told.believe(Belief(found["lateral"], zero, zero))
         took = time.perf_counter() - began
         command, record = self.inner.step(measurement, window)
         began = time.perf_counter()

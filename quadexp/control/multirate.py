@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from quadexp.errors import UsageError
 WHOLE = 1e-6  # how far a ratio of rates may be from a whole number
 
 
-class MultiRate(WrappedController):
+class MultiRate(WrappedController, ABC):
     """A Controller at `rate` (Hz) whose inner one steps at its own; a subclass says what becomes of its thrusts.
 
     Raises UsageError where the rate is no whole multiple of the controller's.
@@ -46,6 +47,6 @@ class MultiRate(WrappedController):
         thrust = self.shaped(measurement, self._wanted)
         return thrust, self._record._replace(solve_time=time.perf_counter() - began)
 
+    @abstractmethod
     def shaped(self, measurement: Measurement, wanted: np.ndarray) -> np.ndarray:
         """Rotor thrusts (n,) (N) to command, of those that the controller wants."""
-        raise NotImplementedError

@@ -102,8 +102,8 @@ def checkpoints_figure(paths: Sequence[Path]) -> Figure:
     panels = figure.subplots(1, len(made), squeeze=False)[0]
     labels = list(dict.fromkeys(label for by_label in made.values() for label in by_label))
     drawn_as = {"gp": "gp_mpc", "linear": "linear_drag_mpc"}  # a predictor looks as the controller that uses it
-    worn = [" ".join([drawn_as.get(label.split(" ")[0], label.split(" ")[0]), label]) for label in labels]
-    found = dict(zip(labels, looks(worn).values(), strict=True))
+    names = [" ".join([drawn_as.get(label.split(" ")[0], label.split(" ")[0]), label]) for label in labels]
+    found = dict(zip(labels, looks(names).values(), strict=True))
     for panel, (unit, by_label) in zip(panels, made.items(), strict=True):
         outputs = list(dict.fromkeys(output for values in by_label.values() for output in values))
         for k, (label, values) in enumerate(by_label.items()):

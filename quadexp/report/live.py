@@ -94,7 +94,7 @@ class Live:
         ordered = sorted(found, key=lambda line: (line[0], line[1], line[2] if line[2] is not None else -1.0))
         return {(world, course, speed_text(speed, "")): found[world, course, speed] for world, course, speed in ordered}
 
-    def worn(self) -> dict[str, Look]:
+    def look_of(self) -> dict[str, Look]:
         return looks(sorted(self._labels().values()))
 
     def _labels(self) -> dict[Any, str]:
@@ -198,10 +198,10 @@ def _mark(look: Look, at: tuple[float, float] | None = None) -> str:
 
 def _counts(live: Live) -> str:
     """Success first: flights that ended well, of those that are there."""
-    worn, rows = live.worn(), []
+    look_of, rows = live.look_of(), []
     for label, (well, flown) in live.ended().items():
         lost = f' <span class="lost">{flown - well} lost</span>' if well < flown else ""
-        name = f"{_mark(worn[label])}{html.escape(spoken(label))}"
+        name = f"{_mark(look_of[label])}{html.escape(spoken(label))}"
         rows.append(
             f'<tr data-label="{html.escape(label)}"><th scope="row">{name}</th><td>{well} of {flown}{lost}</td></tr>'
         )
@@ -210,8 +210,8 @@ def _counts(live: Live) -> str:
 
 def _table(live: Live) -> str:
     _, unit = shown(live.metric)
-    worn, ended, lines = live.worn(), live.ended(), live.lines()
-    heads = "".join(f'<th scope="col">{_mark(worn[x])}{html.escape(spoken(x))}</th>' for x in ended)
+    look_of, ended, lines = live.look_of(), live.ended(), live.lines()
+    heads = "".join(f'<th scope="col">{_mark(look_of[x])}{html.escape(spoken(x))}</th>' for x in ended)
     body = []
     for (world, course, speed), cells in [*lines.items()][:MOST_LINES]:
         where = html.escape(f"{course} ({world})" if world else course)
@@ -228,7 +228,7 @@ def _table(live: Live) -> str:
 
 def _panels(live: Live) -> str:
     """The error over the speed, a panel for each course and world; a logarithmic scale that all share."""
-    worn = live.worn()
+    look_of = live.look_of()
     courses: dict[str, list[tuple[str, dict[str, Cell]]]] = {}
     for (world, course, speed), cells in live.lines().items():
         courses.setdefault(f"{course} ({world})" if world else course, []).append((speed, cells))
@@ -239,7 +239,7 @@ def _panels(live: Live) -> str:
     low, high = math.floor(math.log10(min(means))), math.ceil(math.log10(max(means)))
     scale = (low, high if high > low else low + 1)
     figures = [
-        f"<figure><figcaption>{html.escape(course)}</figcaption>{_panel(course, group, scale, worn, live)}</figure>"
+        f"<figure><figcaption>{html.escape(course)}</figcaption>{_panel(course, group, scale, look_of, live)}</figure>"
         for course, group in [*courses.items()][:MOST_PANELS]
     ]
     more = len(courses) - MOST_PANELS
@@ -248,7 +248,11 @@ def _panels(live: Live) -> str:
 
 
 def _panel(
-    course: str, group: Sequence[tuple[str, dict[str, Cell]]], scale: tuple[int, int], worn: dict[str, Look], live: Live
+    course: str,
+    group: Sequence[tuple[str, dict[str, Cell]]],
+    scale: tuple[int, int],
+    look_of: dict[str, Look],
+    live: Live,
 ) -> str:
     _, unit = shown(live.metric)
     low, high = scale
@@ -273,7 +277,7 @@ def _panel(
         if group[0][0]
     ]
     parts.append(f'<text x="{LEFT}" y="{HEIGHT - 1}">m/s; {unit}, logarithmic</text>')
-    for label, look in worn.items():
+    for label, look in look_of.items():
         points = [
             (x(speed), y(cells[label].mean))
             for speed, (_, cells) in zip(speeds, group, strict=True)
@@ -282,5 +286,5 @@ def _panel(
         line = " ".join(f"{a:.1f},{b:.1f}" for a, b in points)
         parts.append(f'<polyline points="{line}" fill="none" stroke="var(--series-{look.token})" stroke-width="1.6"/>')
         parts += [_mark(look, point) for point in points]
-    label = f"Error against speed on {course}, {len(group)} speeds, {len(worn)} controllers"
+    label = f"Error against speed on {course}, {len(group)} speeds, {len(look_of)} controllers"
     return f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{html.escape(label)}">{"".join(parts)}</svg>'

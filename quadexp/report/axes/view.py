@@ -22,6 +22,7 @@ from quadexp.report.text import METHODS, count, listed
 from quadexp.report.text import shown as unit_shown
 
 Kind = Literal["lines", "heat", "parallel"]
+What = tuple[Kind, str, Sequence[str], Sequence[str]]  # kind, x, by, facet
 WHO = ("controller", "model")
 MOST_LINES = 12  # in a panel, before a key makes panels instead
 Y_TITLES = {
@@ -213,14 +214,14 @@ def automatic(frame: SweepFrame, y: str = "mean_error", confidence: float = 0.95
     if not rest:
         return [_made(frame, ("lines", x, who, course), y, confidence)]
     few = not who and len(frame.values(rest[0])) <= MOST_LINES
-    lines = ("lines", x, rest if few else who, course if few else [*course, *rest])
-    found = [_made(frame, lines, y, confidence)]  # type: ignore[arg-type]
+    lines: What = ("lines", x, rest if few else who, course if few else [*course, *rest])
+    found = [_made(frame, lines, y, confidence)]
     if all(len(frame.values(key)) > 2 for key in axes):
         found.append(_made(frame, ("heat", x, rest, [*who, *course]), y, confidence))
     return found
 
 
-def _made(frame: SweepFrame, what: tuple[Kind, str, Sequence[str], Sequence[str]], y: str, confidence: float) -> View:
+def _made(frame: SweepFrame, what: What, y: str, confidence: float) -> View:
     kind, x, by, facet = what
     keys = [*by] if kind == "parallel" else [*facet, *by, x]
     told = {"model"} if any(key.startswith("model.") for key in keys) else set()  # which tells the checkpoints apart

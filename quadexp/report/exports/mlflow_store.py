@@ -7,6 +7,7 @@ tags say how the flight ended and what flew it.
 from __future__ import annotations
 
 import os
+from importlib.util import find_spec
 from pathlib import Path
 
 from quadexp.log.extras import missing_package
@@ -24,10 +25,8 @@ QUIET = {
 def check_installed() -> None:
     """UsageError where the package is missing."""
     os.environ.update(QUIET)  # before it is imported: nothing is sent
-    try:
-        import mlflow  # noqa: F401
-    except ImportError:
-        raise missing_package("--to mlflow", "mlflow-skinny", "mlflow") from None
+    if find_spec("mlflow") is None:
+        raise missing_package("--to mlflow", "mlflow-skinny", "mlflow")
 
 
 def write(frame: SweepFrame, folder: Path, name: str) -> dict[str, Path]:

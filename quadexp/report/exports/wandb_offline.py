@@ -7,6 +7,7 @@ units and how the flight ended.
 from __future__ import annotations
 
 import os
+from importlib.util import find_spec
 from pathlib import Path
 
 from quadexp.log.extras import missing_package
@@ -18,10 +19,8 @@ def check_installed() -> None:
     """UsageError where the package is missing."""
     os.environ["WANDB_MODE"] = "offline"  # before it is imported: nothing is sent
     os.environ.update({"WANDB_SILENT": "true", "WANDB_ERROR_REPORTING": "false", "WANDB_CONSOLE": "off"})
-    try:
-        import wandb  # noqa: F401
-    except ImportError:
-        raise missing_package("--to wandb", "wandb", "wandb") from None
+    if find_spec("wandb") is None:
+        raise missing_package("--to wandb", "wandb", "wandb")
 
 
 def write(frame: SweepFrame, folder: Path, name: str) -> dict[str, Path]:
