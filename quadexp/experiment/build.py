@@ -320,12 +320,10 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
     def make() -> Any:
         if controller.kind == "custom":
             return build_custom.custom_controller(vehicle, controller)
-        if controller.kind == "dfbc":
-            return _dfbc(config, vehicle, build_residual(config, vehicle, plant, model))
         settings = controller_settings(controller)
-        if controller.kind in build_laws.MAKERS:
+        if controller.kind in build_laws.LAWS:
             residual = build_residual(config, vehicle, plant, model) if hasattr(controller, "residual") else None
-            return build_laws.MAKERS[controller.kind](vehicle, controller, residual)
+            return build_laws.law(vehicle, controller, residual)
         if controller.kind == "feedback":
             return build_lei_li.feedback_controller(cast(FeedbackConfig, controller), settings, vehicle, plant)
         if controller.kind == "rls_mpc":
@@ -354,14 +352,6 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
     return keep([*record, around], lambda: with_remedies(make(), config))
 
 
-def _dfbc(config: Config, vehicle: Vehicle, model: Any) -> Any:
-    from quadexp.config.dfbc import DFBCConfig, DFBCKeys
-    from quadexp.control.dfbc.controller import DFBC
-
-    controller = cast(DFBCConfig, config.controller)
-    return DFBC(vehicle, part(DFBCKeys, controller), model, backend=controller.backend)
-
-
 def knows_plant(config: ControllerConfig) -> bool:
     """Whether the controller is told the plant's own equations or coefficients."""
     if config.kind == "feedback":
@@ -372,7 +362,7 @@ def knows_plant(config: ControllerConfig) -> bool:
 def controller_settings(config: ControllerConfig) -> Any:
     """The controller's settings, None for a law in closed form and the user's own class; raises UsageError where they
     contradict each other."""
-    if config.kind in ("custom", "dfbc") or config.kind in build_laws.MAKERS:
+    if config.kind == "custom" or config.kind in build_laws.LAWS:
         return None
     if config.kind == "feedback":
         from quadexp.control.feedback.settings import FeedbackSettings
