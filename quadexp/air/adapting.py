@@ -84,14 +84,14 @@ def adapting_drag(vehicle: Vehicle, residual: Residual, deviation: float) -> Ada
     return Adapting(residual, tuple(blocks))
 
 
-def adapting_terms(vehicle: Vehicle, deviation: float, terms: tuple[tuple[str, ...], ...] = TERMS) -> Adapting:
-    """Terms with coefficients zero. deviation: s, m/s^2. terms: names per axis, of quadexp.air.terms.TERMS."""
-    structure = TermStructure(terms, vehicle.mass)
+def adapting_terms(vehicle: Vehicle, deviation: float) -> Adapting:
+    """TERMS with coefficients zero. deviation: s, m/s^2."""
+    structure = TermStructure(TERMS, vehicle.mass)
     residual = term_residual(vehicle, structure, np.zeros(structure.n_parameters), "adapted in flight")
     speed = np.full(3, TYPICAL_SPEED)
     hover = np.full(vehicle.n_rotors, vehicle.gravity / vehicle.n_rotors)
-    size = np.abs(np.array(columns_function(terms, vehicle.n_rotors)(speed, hover))).ravel()
-    ends, blocks = np.cumsum([0, *map(len, terms)]), []
+    size = np.abs(np.array(columns_function(TERMS, vehicle.n_rotors)(speed, hover))).ravel()
+    ends, blocks = np.cumsum([0, *map(len, TERMS)]), []
     for axis, (first, end) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
         at = np.arange(first, end)
         if len(at):

@@ -36,16 +36,15 @@ def blade_element_residual(
     source: str = "",
     *,
     iterations: int = ITERATIONS,
-    rotor_speed_min: float = IDLE_SPEED,
 ) -> Residual:
     """Residual with theta = (C_d0, C_la, C_Dx, C_Dy, C_Dz) as runtime parameters, (5,).
 
     vehicle: with rotor and thrust_coefficient. coefficients: initial values. source: for the record.
-    iterations: Newton steps for V_I. rotor_speed_min: idle speed (rad/s).
+    iterations: Newton steps for V_I.
     Raises UsageError where the vehicle has no rotor geometry.
     """
     z, theta = ca.SX.sym("z", len(feature_names(vehicle.n_rotors))), ca.SX.sym("theta", len(THETA))
-    y, dy_dz = blade_element_correction(vehicle, z, theta, iterations=iterations, rotor_speed_min=rotor_speed_min)
+    y, dy_dz = blade_element_correction(vehicle, z, theta, iterations=iterations)
     return residual_from_correction("blade_element", z, theta, y, dy_dz, coefficients.parameters(), source)
 
 

@@ -10,6 +10,7 @@ import typer
 from quadexp.cli.options import Conf, Force, Format, Json, Out, Overrides
 from quadexp.cli.terminal import emit, format_of, guarded, print_lines, print_rendered
 
+DataSet = Annotated[Path, typer.Argument(help="Data set of `quadexp collect`.")]
 After = Annotated[
     Path | None,
     typer.Option("--after", help="Checkpoint that explains a part; the rest is fitted, for a sum of the two."),
@@ -18,7 +19,7 @@ After = Annotated[
 
 @guarded
 def fit_gp(
-    dataset: Annotated[Path, typer.Argument(help="Data set of `quadexp collect`.")],
+    dataset: DataSet,
     overrides: Overrides = None,
     out: Out = Path("models/gp"),
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the fit.")] = True,
@@ -39,7 +40,7 @@ def fit_gp(
 
 @guarded
 def fit_drag(
-    dataset: Annotated[Path, typer.Argument(help="Data set of `quadexp collect`.")],
+    dataset: DataSet,
     overrides: Overrides = None,
     out: Out = Path("models/drag"),
     conf: Conf = None,
@@ -57,7 +58,7 @@ def fit_drag(
 
 @guarded
 def fit_nn(
-    dataset: Annotated[Path, typer.Argument(help="Data set of `quadexp collect`.")],
+    dataset: DataSet,
     overrides: Overrides = None,
     out: Out = Path("models/nn"),
     after: After = None,

@@ -12,7 +12,15 @@ from quadexp.cli.terminal import emit, guarded, print_lines, say
 from quadexp.errors import UsageError
 
 CURVES = {"auto": None, "s": (1,), "s2": (2,), "s+s2": (1, 2)}
-REGRESSION = "Regression"
+KINDS = "linear,quadratic,blade_element"
+SIGNAL = "Thrust signal: rotor_speed, motor_command, thrust_acceleration or u; default: the first in all."
+CURVE = "Terms of the thrust curve on motor commands; auto: chosen on flights left out, with the voltage."
+VOLTAGE = "Voltage the curve is stated at; 0: the voltage is not used."
+
+
+def _regression(name: str, metavar: str | None, help: str) -> Any:
+    """An option of --method regression."""
+    return typer.Option(name, metavar=metavar, help=help, rich_help_panel="Regression")
 
 
 @guarded
@@ -30,72 +38,22 @@ def identify(
         typer.Option("--vehicle", metavar="NAME", help="Of the configuration, instead of the flight's own."),
     ] = None,
     paper: Annotated[bool, typer.Option("--paper", help="rls: P_0 = 50 and unit noise, as Lei & Li.")] = False,
-    drag: Annotated[
-        str,
-        typer.Option(
-            "--drag",
-            metavar="MODELS",
-            help="Drag models to fit, of linear,quadratic,blade_element.",
-            rich_help_panel=REGRESSION,
-        ),
-    ] = "linear,quadratic,blade_element",
-    signal: Annotated[
-        str | None,
-        typer.Option(
-            "--signal",
-            metavar="COLUMNS",
-            rich_help_panel=REGRESSION,
-            help="Thrust signal: rotor_speed, motor_command, thrust_acceleration or u; default: the first in all.",
-        ),
-    ] = None,
-    curve: Annotated[
-        str,
-        typer.Option(
-            "--thrust-curve",
-            metavar="s+s2|s|s2|auto",
-            rich_help_panel=REGRESSION,
-            help="Terms of the thrust curve on motor commands; auto: chosen on flights left out, with the voltage.",
-        ),
-    ] = "auto",
-    voltage: Annotated[
-        float | None,
-        typer.Option(
-            "--reference-voltage",
-            metavar="V",
-            help="Voltage the curve is stated at; 0: the voltage is not used.",
-            rich_help_panel=REGRESSION,
-        ),
-    ] = None,
+    drag: Annotated[str, _regression("--drag", "MODELS", f"Drag models to fit, of {KINDS}.")] = KINDS,
+    signal: Annotated[str | None, _regression("--signal", "COLUMNS", SIGNAL)] = None,
+    curve: Annotated[str, _regression("--thrust-curve", "s+s2|s|s2|auto", CURVE)] = "auto",
+    voltage: Annotated[float | None, _regression("--reference-voltage", "V", VOLTAGE)] = None,
     exponent: Annotated[
-        str,
-        typer.Option(
-            "--voltage-exponent",
-            metavar="G|fit",
-            help="Exponent of the voltage; fit: estimated.",
-            rich_help_panel=REGRESSION,
-        ),
+        str, _regression("--voltage-exponent", "G|fit", "Exponent of the voltage; fit: estimated.")
     ] = "1",
     intercept: Annotated[
-        bool | None,
-        typer.Option(
-            "--thrust-intercept/--no-thrust-intercept", rich_help_panel=REGRESSION, help="Fit an offset along z."
-        ),
+        bool | None, _regression("--thrust-intercept/--no-thrust-intercept", None, "Fit an offset along z.")
     ] = None,
-    per_rotor: Annotated[
-        bool, typer.Option("--per-rotor", help="A thrust curve for each rotor.", rich_help_panel=REGRESSION)
-    ] = False,
+    per_rotor: Annotated[bool, _regression("--per-rotor", None, "A thrust curve for each rotor.")] = False,
     radius: Annotated[
-        float | None,
-        typer.Option(
-            "--rotor-radius", metavar="M", help="Rotor radius for the induced velocity.", rich_help_panel=REGRESSION
-        ),
+        float | None, _regression("--rotor-radius", "M", "Rotor radius for the induced velocity.")
     ] = None,
-    loss: Annotated[
-        str, typer.Option("--loss", metavar="squares|huber", rich_help_panel=REGRESSION, help="Loss that is minimised.")
-    ] = "squares",
-    figures: Annotated[
-        bool, typer.Option("--figures/--no-figures", help="Draw figures.", rich_help_panel=REGRESSION)
-    ] = True,
+    loss: Annotated[str, _regression("--loss", "squares|huber", "Loss that is minimised.")] = "squares",
+    figures: Annotated[bool, _regression("--figures/--no-figures", None, "Draw figures.")] = True,
     conf: Conf = None,
     force: Force = False,
     json: Json = False,

@@ -84,8 +84,7 @@ def results(
     if prune:
         if where:
             raise UsageError("--prune: name the cells by KEY=VALUE, not by --where")
-        asked = [text.replace("trajectory.speed=", "speed=", 1) for text in filters or []]
-        return _prune(prune_results(folder, asked, remove=yes), form == "json")
+        return _prune(prune_results(folder, filters or [], remove=yes), form == "json")
     frame = select(folder, filters or [], where=where, sort=sort, failures=failures)
     total = frame.rows
     frame = frame.taken(range(min(len(total), limit or len(total))))

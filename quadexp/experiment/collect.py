@@ -49,9 +49,8 @@ DRAWS = 50  # attempts to draw a path that can be flown
 OF_RECORDED = ("target", "identified")  # keys of `collect` for recorded flights only
 OF_TIMING = ("vehicle", "plant", "truth", "link", "actuator", "health", "sensor", "estimator")  # decide lag and delays
 LOST_DISTANCE = 1e3  # m; large, because a jump of the set-point must not end the flight
-OVERTIME = (
-    0.05  # share of collect.duration by which the last path may end later; of a longer one the beginning is flown
-)
+# Share of collect.duration by which the last path may end later; of a longer one the beginning is flown.
+OVERTIME = 0.05
 SHORTEST = 1.0  # s of a flight at least: fewer samples show neither lag nor drag
 GOLDEN = 0.6180339887498949  # step of an even spread over an interval for any number of points
 

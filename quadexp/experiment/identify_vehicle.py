@@ -45,20 +45,19 @@ def identify_vehicle(
     vehicle: Vehicle | None = None,
     settings: FitSettings | None = None,
     *,
-    choose_curve: bool = True,
     samples: Samples | None = None,
 ) -> VehicleIdentification:
     """Fit, and compare models on held-out flights.
 
-    names: one per flight, all different. choose_curve: select the thrust curve on motor commands by held-out flights
-    where settings.powers is None. samples: of these flights, if gathered already; their columns are not needed then.
+    names: one per flight, all different. samples: of these flights, if gathered already; their columns are not needed
+    then. Where settings.powers is None the thrust curve on motor commands is selected by held-out flights.
     Raises DataError, UsageError.
     """
     settings = settings or FitSettings()
     samples = samples or gather(flights, choose_signal(flights, settings.signal), names)
     momentum = momentum_of(vehicle, settings.mass, settings.radius)
     curves = compare_curves(samples, settings) if settings.powers is None else []
-    if curves and choose_curve:
+    if curves:
         settings = chosen_curve(curves, settings)
     ladder = selection(samples, settings, momentum)
     best = best_level(ladder)

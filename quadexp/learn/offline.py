@@ -94,7 +94,6 @@ class Identification:
 def identify_flight(
     flight: Flight,
     vehicle: Vehicle,
-    initial: BladeCoefficients = FIRST_VALUES,
     settings: RLSSettings | None = None,
     *,
     name: str | None = None,
@@ -120,7 +119,7 @@ def identify_flight(
             raise DataError(f"{name}: {column} is not finite at row {bad[0] + 1}")
     velocity = flight.air_velocity[1:]
 
-    estimator = BladeElementRLS(vehicle, initial, settings or OFFLINE)
+    estimator = BladeElementRLS(vehicle, FIRST_VALUES, settings or OFFLINE)
     theta, raw, standard_error = np.empty((3, len(state), len(THETA)))
     error = np.full((len(state), 3), np.nan)
     for k in range(len(state)):
@@ -135,7 +134,7 @@ def identify_flight(
     fit, note = None, ""
     try:
         fit = fit_blade_element(
-            vehicle, velocity[turning], speed[turning], force[turning], initial,
+            vehicle, velocity[turning], speed[turning], force[turning], FIRST_VALUES,
             stretch=np.concatenate([[0], np.cumsum(stretch[1:] != stretch[:-1])])[turning],
             printed_coefficients=estimator.settings.printed_coefficients,
         )  # fmt: skip

@@ -55,6 +55,7 @@ class Track:
         beyond = predictor.beyond(one.samples.velocity, self.rate, self.rotors)
         thrust = one.samples.force[:, 2] - beyond[:, 2]
         self.scale = tracked_scale(self.rotors.sum(axis=1), thrust, self.dt)
+        self.gravity = gravity
         self.bias = accelerometer_bias(self.time, self.velocity, self.matrix, one.samples.force, gravity)
         self.torque = predictor.torque
 
@@ -80,10 +81,10 @@ def accelerometer_bias(
 
 
 def attitude_rollout(
-    predictor: Predictor, track: Track, starts: np.ndarray, steps: int, *, tracked: bool, gravity: float = GRAVITY
+    predictor: Predictor, track: Track, starts: np.ndarray, steps: int, *, tracked: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Position and velocity, each (steps + 1, starts, 3), world, with the measured attitude."""
-    down = np.array([0.0, 0.0, -gravity])
+    down = np.array([0.0, 0.0, -track.gravity])
     scale = track.scale[starts] if tracked else np.ones(len(starts))
 
     def acceleration(k: np.ndarray, v: np.ndarray) -> np.ndarray:

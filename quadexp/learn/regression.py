@@ -79,7 +79,6 @@ def regress(
     *,
     what: str,
     loss: str = "squares",
-    condition_limit: float = CONDITION_LIMIT,
     intervals: bool = True,
 ) -> Regression:
     """Fit target (n,) by design (n, p).
@@ -97,7 +96,7 @@ def regress(
         )
     length = np.linalg.norm(design, axis=0)
     x = _unit_columns(design, length, names, what)
-    condition = _condition(x, names, what, condition_limit)
+    condition = _condition(x, names, what)
     coefficients, limit = solve(x, target, loss)
     residual = target - x @ coefficients
     inside = x if np.isinf(limit) else x * (np.abs(residual) <= limit)[:, None]
@@ -122,14 +121,14 @@ def _unit_columns(design: np.ndarray, length: np.ndarray, names: Sequence[str], 
     return design / length
 
 
-def _condition(x: np.ndarray, names: Sequence[str], what: str, limit: float) -> float:
+def _condition(x: np.ndarray, names: Sequence[str], what: str) -> float:
     _, values, vectors = np.linalg.svd(np.linalg.qr(x, mode="r"))
     condition = float(values[0] / max(values[-1], 1e-300))
-    if condition > limit:
+    if condition > CONDITION_LIMIT:
         mixed = [name for name, share in zip(names, vectors[-1], strict=True) if abs(share) > 0.2]
         raise DataError(
             f"{what}: {', '.join(mixed)} cannot be told apart in these flights (condition number {condition:.3g},"
-            f" {limit:g} is allowed): add flights with more motion, or leave one of them out"
+            f" {CONDITION_LIMIT:g} is allowed): add flights with more motion, or leave one of them out"
         )
     return condition
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
-from quadexp.learn.regression import CONDITION_LIMIT, Regression, half_width, regress
+from quadexp.learn.regression import Regression, half_width, regress
 from quadexp.learn.samples import Samples, rotor_columns
 from quadexp.log.schema import Flight
 
@@ -159,16 +159,14 @@ def fit_thrust_samples(
     intercept: bool | None = None,
     per_rotor: bool = False,
     drag: bool = True,
-    rotors: int | None = None,
     loss: str = "squares",
-    condition_limit: float = CONDITION_LIMIT,
     intervals: bool = True,
 ) -> tuple[ThrustCurve, Regression]:
     """Fit the curve to the specific force along body z; returns it with its regression.
 
     samples: from `gather`. reference_voltage: V; 0: the voltage is not used; None: `default_voltage`. voltage_exponent:
     g, None to fit it. powers, intercept: None for the module's defaults. per_rotor: one curve per rotor. drag: fit d_z
-    too. rotors: number of rotors that share thrust_acceleration (4). loss, condition_limit: see `regress`.
+    too. loss: see `regress`.
     intervals: False computes errors for independent samples only, and none for g.
     The regression's columns are those of `thrust_design`, then d_z.
     Raises DataError where a voltage is missing or the data do not determine the curve, UsageError for a curve per rotor
@@ -193,10 +191,10 @@ def fit_thrust_samples(
                 design, names = np.column_stack([design, column]), [*names, name]
         return regress(
             design, samples.force[:, 2], names, samples.segment, samples.flight,
-            what=f"thrust curve on {kind}", loss=loss, condition_limit=condition_limit, intervals=intervals,
+            what=f"thrust curve on {kind}", loss=loss, intervals=intervals,
         )  # fmt: skip
 
-    n = samples.signal.shape[1] if kind != "thrust_acceleration" else (rotors or 4)
+    n = samples.signal.shape[1] if kind != "thrust_acceleration" else 4  # which share it
     q = len(powers) * (n if per_rotor else 1)
     g = 1.0 if voltage_exponent is None else float(voltage_exponent)
     g_error = 0.0

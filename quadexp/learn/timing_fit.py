@@ -84,7 +84,6 @@ def fit_timing(
     tables: Sequence[Mapping[str, np.ndarray]],
     *,
     noise: Mapping[str, float] | None = None,
-    use_measured: bool = True,
 ) -> TimingFit:
     """Timing of flights of one vehicle. tables: `transitions` of each under the commands as thrusts.
 
@@ -94,7 +93,7 @@ def fit_timing(
     rows = _some([one for one in rows if len(one.k)])
     score = _Score(rows, vehicle, noise or {})
     before = score.rms(Timing())
-    measured = [measured_thrust(one.flight, vehicle) for one in rows] if use_measured else [None]
+    measured = [measured_thrust(one.flight, vehicle) for one in rows]
     if rows and all(thrust is not None for thrust in measured):
         found = _by_rotor_speed(rows, measured, vehicle, score)
     else:

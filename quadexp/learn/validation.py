@@ -176,9 +176,9 @@ def _limits(values: np.ndarray) -> list[float]:
     return np.percentile(values, [tail, 100 - tail]).tolist()
 
 
-def speed_bands(speed: np.ndarray, count: int = BANDS) -> np.ndarray:
-    """Edges of bands of equal width from standstill to the largest speed, rounded to 0.1 m/s, (count + 1,)."""
-    return np.round(np.linspace(0.0, float(speed.max()) + 0.05, count + 1), 1)
+def speed_bands(speed: np.ndarray) -> np.ndarray:
+    """Edges of bands of equal width from standstill to the largest speed, rounded to 0.1 m/s, (BANDS + 1,)."""
+    return np.round(np.linspace(0.0, float(speed.max()) + 0.05, BANDS + 1), 1)
 
 
 def band_rows(results: Sequence[Residuals]) -> list[Row]:

@@ -30,6 +30,9 @@ from quadexp.reference.fixed_point import Settings, consistent_air
 from quadexp.reference.motion import Air, Constant, Motion, flat_motion
 from quadexp.reference.time_grid import TimeGrid
 
+# On the last change of the residual's outputs, m/s^2 and N m: the error is some tenths of it; and of each of the two
+# iterations of fixed_point.py, which also end when they stall.
+TOLERANCE, ITERATIONS = 1e-9, 100
 COARSE_TOLERANCE = 1e-5  # m/s^2, N m: accuracy of the interpolation between coarse nodes
 COARSE_ITERATIONS = 30
 BISECTIONS = 5  # of the share of the residual: its resolution and least value is 1/32
@@ -57,21 +60,17 @@ def flat_reference(
     vehicle: Vehicle,
     residual: Residual | None = None,
     *,
-    tolerance: float = 1e-9,
-    max_iterations: int = 100,
     backend: str = "interpreted",
 ) -> Reference:
     """Reference states and inputs of a trajectory, with the largest possible share of a residual model.
 
     t: (k,), s; outside 0 .. trajectory.duration the end is held, at rest.
-    tolerance: on the last change of the residual's outputs, m/s^2 and N m; the error is some tenths of it.
-    max_iterations: for each of the two iterations of fixed_point.py, which also end when they stall.
     backend: of the residual's evaluation, "compiled" or "interpreted" (see compile/backend.py).
     Raises UsageError where the trajectory requires free fall.
     """
     t = np.atleast_1d(np.asarray(t, float))
     demand = Demand.of(trajectory, t, vehicle.gravity)
-    path, share = _Path(trajectory, demand, vehicle, Settings(tolerance, max_iterations)), math.nan
+    path, share = _Path(trajectory, demand, vehicle, Settings(TOLERANCE, ITERATIONS)), math.nan
     if residual is not None and not residual.is_zero:
         motion, share = path.with_largest_share(AirModel(residual, backend))
     else:
@@ -165,12 +164,8 @@ class _Path:
 
     def _coarsely(self, model: AirModel, guess: np.ndarray | None) -> np.ndarray | None:
         """The residual's outputs on the coarse grid, (6, n); None where no solution is found."""
-        rough, settings = self.grid.coarse(), self.settings
-        loose = replace(
-            settings,
-            tolerance=max(settings.tolerance, COARSE_TOLERANCE),
-            max_iterations=min(settings.max_iterations, COARSE_ITERATIONS),
-        )
+        rough = self.grid.coarse()
+        loose = replace(self.settings, tolerance=COARSE_TOLERANCE, max_iterations=COARSE_ITERATIONS)
         try:
             demand = Demand.of(self.trajectory, rough.times, self.vehicle.gravity)
             return consistent_air(demand, self.vehicle, model, rough, loose, start=guess)[0].outputs

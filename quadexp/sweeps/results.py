@@ -6,8 +6,7 @@ flown by one that has not ended, are read from their own files; where there is a
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -17,10 +16,8 @@ from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identity import digest
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_metadata
-from quadexp.messages import suggestion
 from quadexp.report.axes.frame import SweepFrame
 from quadexp.report.axes.where import chosen
-from quadexp.report.result_rows import ROW_COLUMNS
 from quadexp.sweeps.keys import condition
 from quadexp.sweeps.sweep_table import RESULTS, Row, open_results, read_rows, table_row, write_results
 
@@ -39,29 +36,6 @@ class Pruned:
     removed: bool
 
 
-def list_results(
-    out: str | Path, filters: Sequence[str] = (), *, sort: str | None = None, failures: bool = False
-) -> list[Row]:
-    """Rows of all cells of a folder, each with `wanted`.
-
-    filters: KEY=VALUE, all of which must hold; VALUE may be a comma list, and of text a pattern such as `gp_*`.
-    sort: a column, "-" before it for descending order; missing values come last. failures: only what did not end well.
-    Raises UsageError for a folder without results or an unknown column.
-    """
-    wanted = [_filter(text) for text in filters]
-    name = (sort or "").removeprefix("-")
-    if sort:
-        _check_column(name)
-    rows = [row for row in _all_rows(open_results(out)) if all(holds(row) for holds in wanted)]
-    if failures:
-        rows = [row for row in rows if row["outcome"] in FAILURES]
-    if sort:
-        there = [row for row in rows if not _is_missing(row[name])]
-        there.sort(key=lambda row: row[name], reverse=sort.startswith("-"))
-        rows = there + [row for row in rows if _is_missing(row[name])]
-    return rows
-
-
 def select(
     out: str | Path,
     filters: Sequence[str] = (),
@@ -70,8 +44,12 @@ def select(
     sort: str | None = None,
     failures: bool = False,
 ) -> SweepFrame:
-    """As `list_results`, with any key of the configuration as a column. where: see report/axes/where.py. sort: columns
-    with commas between, "-" before one for descending order; what comes first decides first.
+    """The cells of a folder, with any key of the configuration as a column, and `wanted`.
+
+    filters: KEY=VALUE, all of which must hold; VALUE may be a comma list, and of text a pattern such as `gp_*`. where:
+    see report/axes/where.py. sort: columns with commas between, "-" before one for descending order; what comes first
+    decides first, and missing values come last. failures: only what did not end well.
+    Raises UsageError for a folder without results or an unknown column.
     """
     store = open_results(out)
     path = store.root / RESULTS
@@ -105,7 +83,7 @@ def prune(out: str | Path, filters: Sequence[str] = (), *, remove: bool = False)
     if not filters and not (store.root / RESULTS).exists():
         raise UsageError(f"{store.root}: no {RESULTS} says which cells are wanted: name the others by KEY=VALUE")
     there = store.done()
-    keys = [row["key"] for row in list_results(out, filters or [f"{WANTED}=false"]) if row["key"] in there]
+    keys = [row["key"] for row in select(out, filters or [f"{WANTED}=false"]).rows if row["key"] in there]
     size = sum(store.path(key).stat().st_size for key in keys)
     if remove and keys:
         with store.lock():
@@ -127,36 +105,18 @@ def _all_rows(store: CellStore) -> Iterator[Row]:
             yield {**table_row({"key": key, "outcome": "damaged", "cause": str(error)}), WANTED: False}
 
 
-def _filter(text: str) -> Callable[[Row], bool]:
-    name, equals, value = text.partition("=")
-    if not equals:
-        raise UsageError(f"{text!r}: expected KEY=VALUE, such as controller=gp_mpc")
-    _check_column(name)
-    return lambda row: any(_matches(row[name], allowed) for allowed in value.split(","))
-
-
 def _matches(found: Any, allowed: str) -> bool:
     """Whether a value of a row is the one allowed: a text by its pattern, a number by its value."""
     if isinstance(found, bool):
         return str(found).lower() == allowed.lower()
     if isinstance(found, str):
         return fnmatchcase(found, allowed)
-    if _is_missing(found):
+    if found is None:
         return allowed in ("", "null")
     try:
         return float(allowed) == found
     except ValueError:
         return False
-
-
-def _is_missing(value: Any) -> bool:
-    return value is None or (isinstance(value, float) and math.isnan(value))
-
-
-def _check_column(name: str) -> None:
-    known = (*ROW_COLUMNS, WANTED)
-    if name not in known:
-        raise UsageError(f"{name}: no such column{suggestion(name, known)}")
 
 
 def _condition(store: CellStore, key: str) -> str:

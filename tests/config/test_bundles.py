@@ -5,11 +5,14 @@ from __future__ import annotations
 import pytest
 import yaml
 
-from quadexp.config.compose import compose, expand
+from quadexp.config.compose import compose, expand, session
 from quadexp.config.schema import WORLD, conf_folder, world_parts
 from quadexp.config.settings import record
 from tests.config.test_compose import hydra_composes
 
+# No part, all of them, a few, one; values of a part, of the vehicle, and of what is told late.
+OF_EVERY_SHAPE = ("clean", "everything", "race", "only_wind", "sun_force_15", "sun_com_10", "sun_late_50")
+QUICK = ["experiment=quick", "controller=gp_mpc"]
 BUNDLES = sorted(path.stem for path in (conf_folder() / "world").glob("*.yaml"))
 
 
@@ -23,27 +26,32 @@ def test_they_only_choose_options():
         assert set(content) <= {"defaults"} | values and set(chosen) <= {f"override /{group}" for group in WORLD}
 
 
-@pytest.mark.parametrize("name", BUNDLES)
 @pytest.mark.parametrize(
-    "more", [[], ["wind=constant", "wind.velocity=[1,2,3]"], ["experiment=quick", "controller=gp_mpc"]]
+    ("name", "more"),
+    [(name, []) for name in BUNDLES]
+    + [(name, more) for name in OF_EVERY_SHAPE for more in (["wind=constant", "wind.velocity=[1,2,3]"], QUICK)],
 )
 def test_composed_as_hydra_itself_does(name, more):
     choices = [*more, f"world={name}"]
-    expected, found = hydra_composes(choices), record(compose(choices))
-    assert {**found, "world": ""} == {**expected, "world": ""}
-    if "experiment=quick" not in more:
-        (cell,) = expand(choices)
-        assert record(cell.config) == found | {"sweep": None}
+    with session() as composer:
+        expected, found = hydra_composes(choices), record(composer.compose(choices))
+        assert {**found, "world": ""} == {**expected, "world": ""}
+        if more != QUICK:
+            (cell,) = composer.expand(choices)
+            assert record(cell.config) == found | {"sweep": None}
 
 
-@pytest.mark.parametrize("name", [name for name in BUNDLES if name != "clean"])
-def test_their_names(name):
-    config = compose([f"world={name}"])
-    assert config.world == name and world_parts(config)
-    part = next(iter(world_parts(config)))
-    assert compose([f"world={name}", "seed=3", "controller=gp_mpc"]).world == name
-    gusty = "wind=gust" if part != "wind" else "wind=constant"
-    assert compose([f"world={name}", gusty]).world == f"{name},{gusty}"
+def test_their_names():
+    with session() as composer:
+        for name in BUNDLES:
+            config = composer.compose([f"world={name}"])
+            assert config.world == name and bool(world_parts(config)) == (name != "clean")
+            assert composer.compose([f"world={name}", "seed=3"]).world == name
+        for name in OF_EVERY_SHAPE[1:]:
+            assert composer.compose([f"world={name}", "seed=3", "controller=gp_mpc"]).world == name
+            part = next(iter(world_parts(composer.compose([f"world={name}"]))))
+            gusty = "wind=gust" if part != "wind" else "wind=constant"
+            assert composer.compose([f"world={name}", gusty]).world == f"{name},{gusty}"
 
 
 def test_the_clean_world_is_the_default():

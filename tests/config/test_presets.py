@@ -57,10 +57,10 @@ def test_a_bundle_of_remedies_may_choose_the_inner_loop():
 BUNDLES = [path.stem for path in sorted((conf_folder() / "remedies").glob("*.yaml"))]
 
 
-@pytest.mark.parametrize("name", BUNDLES)
 @pytest.mark.parametrize(
-    "others",
-    [[], ["controller=gp_mpc"], ["controller=gp_mpc", "observer=wind"], ["horizon=firm"], ["world=everything"]],
+    ("name", "others"),
+    [(name, others) for name in BUNDLES for others in ([], ["controller=gp_mpc", "observer=wind"])]
+    + [("offset_free", others) for others in (["controller=gp_mpc"], ["horizon=firm"], ["world=everything"])],
 )
 def test_a_bundle_of_remedies_is_the_same_in_a_sweep(name, others):
     choices = [*others, f"remedies={name}"]
@@ -73,8 +73,11 @@ def test_a_bundle_of_remedies_is_the_same_in_a_sweep(name, others):
     assert record(cell.config) == record(compose(choices)) | {"sweep": None}
 
 
-@pytest.mark.parametrize("others", [[], ["experiment=quick"], ["experiment=torrente_table1"], ["vehicle=crazyflie"]])
-@pytest.mark.parametrize("horizon", ["published", "precise", "robust", "stiff"])
+@pytest.mark.parametrize(
+    ("others", "horizon"),
+    [([], horizon) for horizon in ("published", "precise", "robust", "stiff")]
+    + [([one], "precise") for one in ("experiment=quick", "experiment=torrente_table1", "vehicle=crazyflie")],
+)
 def test_composed_as_hydra_itself_does(others, horizon):
     """Putting nodes together option by option is a shortcut: what comes out is Hydra's own composition."""
     choices = [*others, "controller=gp_mpc", f"horizon={horizon}"]

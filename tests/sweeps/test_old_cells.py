@@ -13,7 +13,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, read_metadata, write_flight
 from quadexp.report.flown_by import differing_libraries, flown_by, versions_of
 from quadexp.report.summary import summarise
-from quadexp.sweeps.results import list_results
+from quadexp.sweeps.results import select
 from quadexp.sweeps.sweep import SweepInterrupted
 from tests.cli.command import run
 from tests.sweeps.quick import SWEEP, contents, fly
@@ -33,7 +33,7 @@ def rewrite(folder, key, **changes):
 @pytest.fixture
 def mixed(folder):
     """Two cells of other sources, one of before there was a hash."""
-    keys = [row["key"] for row in list_results(folder)]
+    keys = [row["key"] for row in select(folder).rows]
     rewrite(folder, keys[0], sources="0123456789ab", program="0.0.9")
     rewrite(folder, keys[1], sources="0123456789ab", program="0.0.9")
     rewrite(folder, keys[3], sources=None, program=None, libraries=None)
@@ -76,9 +76,9 @@ def test_keep_old_keeps_them_and_says_so_everywhere(mixed):
     after = contents(mixed)
     assert all(after[name] == content for name, content in kept.items() if name.parts[0] == "cells")
     assert "flights of 3 programs stand side by side: 3 by quadexp 0.1.0" in (mixed / "table.md").read_text()
-    table = {row["key"]: row["sources"] for row in list_results(mixed)}
+    table = {row["key"]: row["sources"] for row in select(mixed).rows}
     assert sorted(table.values()) == ["", "0123456789ab", "0123456789ab", *[provenance.sources()] * 3]
-    assert len(list_results(mixed, ["sources=0123456789ab"])) == 2 and len(list_results(mixed, ["sources="])) == 1
+    assert len(select(mixed, ["sources=0123456789ab"]).rows) == 2 and len(select(mixed, ["sources="]).rows) == 1
     with pytest.raises(UsageError, match="3 of its cells"):
         fly(mixed, [*SWEEP[:2], "seed=0,1,2"])
 
@@ -124,12 +124,12 @@ def test_a_table_of_before_there_were_these_columns_is_still_read(folder):
     write_table(folder / "results.parquet", columns, record, "results")
     assert table.num_columns == len(columns) + 3
     assert "an earlier version that did not say: 4 cells" in "\n".join(summarise(folder)["lines"])
-    assert {row["sources"] for row in list_results(folder)} == {""}
+    assert {row["sources"] for row in select(folder).rows} == {""}
 
 
 class TestLibraries:
     def test_other_versions_are_said_in_one_line_and_do_not_stop_anything(self, folder):
-        keys = [row["key"] for row in list_results(folder)]
+        keys = [row["key"] for row in select(folder).rows]
         other = provenance.libraries().replace("casadi ", "casadi 1").replace("numpy ", "numpy 0")
         rewrite(folder, keys[0], libraries=other)
         here = provenance.versions()
@@ -163,7 +163,7 @@ class TestCommand:
         out = tmp_path / "r"
         given = (*self.COMMAND, "seed=0,1", *self.MORE, "--out", out)
         assert run(*given)[0] == 0
-        key = list_results(out)[0]["key"]
+        key = select(out).rows[0]["key"]
         rewrite(out, key, sources="0123456789ab")
         code, _, err = run(*given)
         assert code == 2 and "1 of its cells were flown by other sources" in err

@@ -16,7 +16,7 @@ from quadexp.experiment.identity import FLIGHT_GROUPS
 from quadexp.log.store import read_table, write_table
 from quadexp.sweeps import keys as cell_keys
 from quadexp.sweeps.plan import plan_cells
-from quadexp.sweeps.results import list_results
+from quadexp.sweeps.results import select
 from tests.sweeps.test_sweep import fly, key_of
 
 OPTIONS = [
@@ -191,7 +191,7 @@ class TestInterrupted:
 
         with pytest.raises(Exception, match="of 10 done"):
             fly(grid, tmp_path / "r", progress=stop)
-        assert sum(row["wanted"] for row in list_results(tmp_path / "r")) in (9, 10)  # one may have been under way
+        assert sum(row["wanted"] for row in select(tmp_path / "r").rows) in (9, 10)  # one may have been under way
 
     def test_rows_are_taken_from_the_flights_and_not_from_the_table(self, tmp_path):
         """Which may be of a flight that has been flown again since, or edited."""

@@ -11,7 +11,7 @@ from quadexp.config.compose import expand
 from quadexp.errors import UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.sweeps.engine import LocalEngine
-from quadexp.sweeps.results import list_results, prune
+from quadexp.sweeps.results import prune, select
 from quadexp.sweeps.sweep import run_sweep
 from tests.cli.command import run
 from tests.sweeps import cells
@@ -33,7 +33,7 @@ def flown(once, tmp_path):
 
 class TestList:
     def test_everything_in_the_order_of_the_sweep(self, flown):
-        rows = list_results(flown)
+        rows = select(flown).rows
         assert [(r["speed"], r["controller"], r["seed"]) for r in rows][2:4] == [
             (4.0, "nominal_mpc", 2),
             (4.0, "perfect_mpc", 0),
@@ -45,44 +45,44 @@ class TestList:
         [(["seed=1"], 4), (["seed=0,2", "speed=8"], 4), (["controller=perf*"], 6), (["controller=x"], 0)],
     )
     def test_filters_must_all_hold(self, flown, filters, count):
-        assert len(list_results(flown, filters)) == count
+        assert len(select(flown, filters).rows) == count
 
     def test_sorted(self, flown):
-        errors = [row["mean_error"] for row in list_results(flown, sort="-mean_error")]
+        errors = [row["mean_error"] for row in select(flown, sort="-mean_error").rows]
         assert errors == sorted(errors, reverse=True)
-        assert [row["seed"] for row in list_results(flown, sort="seed")][:5] == [0, 0, 0, 0, 1]
+        assert [row["seed"] for row in select(flown, sort="seed").rows][:5] == [0, 0, 0, 0, 1]
 
     @pytest.mark.parametrize("wrong", [{"filters": ["sped=4"]}, {"sort": "sped"}])
     def test_a_column_that_is_none(self, flown, wrong):
         with pytest.raises(UsageError, match="sped: no such column; did you mean speed"):
-            list_results(flown, **wrong)
+            select(flown, **wrong)
 
     def test_failures_with_their_causes(self, tmp_path):
         grid = expand(["seed=0,2,6"])
         run_sweep(grid, tmp_path / "r", function=cells.poisoned_cell, engine=LocalEngine(1))
-        (row,) = list_results(tmp_path / "r", failures=True)
+        (row,) = select(tmp_path / "r", failures=True).rows
         assert (row["seed"], row["outcome"], row["cause"]) == (2, "failed", "ValueError: this seed does not work")
 
     def test_cells_of_an_earlier_sweep_are_listed_as_not_wanted(self, flown):
         fly(expand(["seed=9"]), flown, force=True)
-        rows = list_results(flown)
+        rows = select(flown).rows
         assert len(rows) == 13 and sum(row["wanted"] for row in rows) == 1
-        assert len(list_results(flown, ["wanted=true"])) == 1
+        assert len(select(flown, ["wanted=true"]).rows) == 1
 
     def test_a_sweep_that_is_not_finished(self, flown):
         (flown / "results.parquet").unlink()
-        assert len(list_results(flown)) == 12
+        assert len(select(flown).rows) == 12
 
     def test_a_damaged_cell_is_listed(self, flown):
-        key = list_results(flown)[0]["key"]
+        key = select(flown).rows[0]["key"]
         CellStore(flown).path(key).write_bytes(b"no")
         (flown / "results.parquet").unlink()
-        (row,) = list_results(flown, failures=True)
+        (row,) = select(flown, failures=True).rows
         assert row["key"] == key and "not a Parquet file" in row["cause"]
 
     def test_a_folder_of_other_things(self, tmp_path):
         with pytest.raises(UsageError, match="holds no results"):
-            list_results(tmp_path)
+            select(tmp_path)
 
 
 class TestPrune:
@@ -92,12 +92,12 @@ class TestPrune:
         assert len(said.keys) == 12 and said.size > 0 and not said.removed
         assert len(CellStore(flown).done()) == 13, "nothing goes without being told"
         assert prune(flown, remove=True).removed
-        assert len(CellStore(flown).done()) == 1 == len(list_results(flown))
+        assert len(CellStore(flown).done()) == 1 == len(select(flown).rows)
         assert fly(expand(["seed=9"]), flown).flown == 0
 
     def test_what_is_named_goes_from_the_table_too(self, flown):
         assert len(prune(flown, ["controller=perfect_mpc"], remove=True).keys) == 6
-        assert {row["controller"] for row in list_results(flown)} == {"nominal_mpc"}
+        assert {row["controller"] for row in select(flown).rows} == {"nominal_mpc"}
         smaller = expand(["trajectory.speed=4,8", "controller=nominal_mpc", "seed=range(3)"])
         assert fly(smaller, flown).flown == 0, "the smaller sweep is not another one"
         assert fly(expand(GRID), flown).flown == 6

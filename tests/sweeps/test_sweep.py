@@ -22,7 +22,7 @@ from quadexp.sweeps import keys as cell_keys
 from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.keys import cell_key
 from quadexp.sweeps.plan import flying_order, plan_cells
-from quadexp.sweeps.results import list_results
+from quadexp.sweeps.results import select
 from quadexp.sweeps.sweep import SweepInterrupted, run_sweep
 from quadexp.sweeps.verify import verify_results
 from tests.processes import processes
@@ -204,7 +204,7 @@ class TestSweep:
         assert "7 of 8 combinations are invalid and were not flown" in (tmp_path / "r" / "table.md").read_text()
         again = run_sweep(expand(asked), tmp_path / "r", function=cells.contradicting_cell, workers=1)
         assert [row["outcome"] for row in again.rows] == [row["outcome"] for row in result.rows] and again.flown == 1
-        assert [row["outcome"] for row in list_results(tmp_path / "r", failures=True)] == ["invalid"] * 7
+        assert [row["outcome"] for row in select(tmp_path / "r", failures=True).rows] == ["invalid"] * 7
         assert not verify_results(tmp_path / "r").wrong
 
     def test_an_invalid_cell_takes_no_part_in_statistics_and_is_marked_in_the_table(self, tmp_path):

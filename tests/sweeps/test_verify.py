@@ -13,7 +13,7 @@ import pytest
 from quadexp.errors import DataError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, read_table, write_flight, write_table
-from quadexp.sweeps.results import list_results
+from quadexp.sweeps.results import select
 from quadexp.sweeps.verify import verify_results
 from tests.cli.command import run
 from tests.sweeps.quick import contents, fly
@@ -29,7 +29,7 @@ def edit(path, column, row, value):
 
 
 def cell(folder, at=0):
-    return CellStore(folder).path(list_results(folder)[at]["key"])
+    return CellStore(folder).path(select(folder).rows[at]["key"])
 
 
 def untimed(folder):

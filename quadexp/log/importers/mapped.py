@@ -18,10 +18,10 @@ from quadexp.log.signal import Stream
 from quadexp.physics.vehicle import GRAVITY
 
 
-def read_mapped(table: Table, mapping: Mapping, rows: int | None = None) -> RawLog:
+def read_mapped(table: Table, mapping: Mapping) -> RawLog:
     """Read a table by a mapping. Raises DataError naming the column that is missing or is not a number."""
     notes: list[str] = []
-    columns = table.read(mapping.columns, notes, rows)
+    columns = table.read(mapping.columns, notes)
     log = RawLog(mapping.format, {}, mapping.name, mapping.layout, mapping.crop, notes)
     if not len(columns[mapping.clock.column]):
         raise DataError(f"{table.path}: holds no rows")

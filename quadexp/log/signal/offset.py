@@ -54,20 +54,19 @@ def estimate_offset(
     b: Stream | tuple[np.ndarray, np.ndarray],
     *,
     largest: float = 0.5,
-    rate: float | None = None,
     band: float = BAND,
     beside: Stream | tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Offset:
     """Offset of stream b behind stream a; both (k, m) with the same m, columns in the same order, units free.
 
-    largest: largest offset looked for (s). rate: of the common clock (Hz); default: the slower stream's, at most 100.
+    largest: largest offset looked for (s).
     band: of the low-pass (Hz). beside: signals, (k, r) on b's clock, that b follows too.
     Raises DataError where there is too little common data or nothing moves.
     """
     a, b = as_stream(a, "first stream"), as_stream(b, "second stream")
     if a.values.shape[1] != b.values.shape[1]:
         raise DataError(f"streams of {a.values.shape[1]} and {b.values.shape[1]} columns cannot be correlated")
-    rate = rate or min(1 / period(a.t), 1 / period(b.t), 100.0)
+    rate = min(1 / period(a.t), 1 / period(b.t), 100.0)  # Hz, of the common clock
     streams = {"a": a, "b": b} | ({} if beside is None else {"s": as_stream(beside, "third stream")})
     common = resample(streams, rate, quaternions=(), least=2 * largest)
     reach = int(np.ceil(largest * rate)) + 1

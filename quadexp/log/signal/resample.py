@@ -40,7 +40,6 @@ def resample(
     *,
     quaternions: Collection[str] = ("q",),
     held: Collection[str] = (),
-    gap_periods: float = GAP_PERIODS,
     gaps: Mapping[str, float] | None = None,
     least: float = 0.1,
 ) -> Resampled:
@@ -48,8 +47,8 @@ def resample(
 
     quaternions: streams of unit quaternions, (k, 4), any order of components: interpolated on the sphere with signs
     made continuous. held: streams whose value stays until the next one comes (commands, states).
-    gap_periods: a step longer than that many of a stream's own periods is a gap. gaps: that limit in seconds, by
-    stream, where it is known better. least: shortest segment kept (s).
+    A step longer than GAP_PERIODS of a stream's own periods is a gap; gaps: that limit in seconds, by stream,
+    where it is known better. least: shortest segment kept (s).
     Raises DataError where a stream is unusable or where they have no time in common.
     """
     if not streams:
@@ -57,7 +56,7 @@ def resample(
     if not (np.isfinite(rate) and rate > 0):
         raise DataError(f"rate={rate}: must be positive (Hz)")
     clean = {name: as_stream(stream, name) for name, stream in streams.items()}
-    limit = {name: gap_periods * max(period(s.t), 1 / rate) for name, s in clean.items()} | dict(gaps or {})
+    limit = {name: GAP_PERIODS * max(period(s.t), 1 / rate) for name, s in clean.items()} | dict(gaps or {})
     start = max(s.t[0] for s in clean.values())
     end = min(s.t[-1] for s in clean.values())
     slack = ON_CLOCK / rate
