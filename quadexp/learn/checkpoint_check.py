@@ -52,12 +52,8 @@ def _check(value: Any, hint: Any, where: str) -> None:
         _require(number and not isinstance(value, bool), where, value, f"a finite {hint.__name__} is needed")
     elif hint is str:
         _require(isinstance(value, str), where, value, "text is needed")
-    elif origin is tuple:
-        _require(isinstance(value, tuple), where, value, "a list is needed")
-        for i, item in enumerate(value):
-            _check(item, get_args(hint)[0], f"{where}[{i}]")
-    elif origin is list:
-        _require(isinstance(value, list), where, value, "a list is needed")
+    elif origin in (tuple, list):
+        _require(isinstance(value, origin), where, value, "a list is needed")
         for i, item in enumerate(value):
             _check(item, get_args(hint)[0], f"{where}[{i}]")
     elif origin is dict:

@@ -203,11 +203,14 @@ _BY_KIND = {
     "tuning": TUNING_COLUMNS,
     "leaderboard": RESULT_COLUMNS,
 }
-_INPUT = re.compile(r"(ref_)?u_\d+")
-_INDUCED_VELOCITY = re.compile(r"induced_velocity_\d+")
-_ROTOR_SPEED = re.compile(r"rotor_speed_\d+")
-_DELIVERED = re.compile(r"delivered_\d+")
-_MOTOR_COMMAND = re.compile(r"motor_command_\d+")
+_OF_ROTORS = {  # of columns with the number of a rotor behind
+    "u": Column("N", "body", "commanded static rotor thrust"),
+    "ref_u": Column("N", "body", "reference static rotor thrust"),
+    "rotor_speed": Column("rad/s", "", "rotor speed"),
+    "delivered": Column("N", "body", "static thrust that the rotor delivers"),
+    "motor_command": Column("1", "", "normalised command of the motor, 0 to 1"),
+    "induced_velocity": Column("m/s", "body", "induced velocity through the rotor, downwards"),
+}
 
 
 def describe(name: str, kind: str = "flight") -> Column:
@@ -215,17 +218,8 @@ def describe(name: str, kind: str = "flight") -> Column:
     known = _BY_KIND.get(kind, {}).get(name)
     if known is not None:
         return known
-    if match := _INPUT.fullmatch(name):
-        return Column("N", "body", f"{'reference' if match[1] else 'commanded'} static rotor thrust")
-    if _ROTOR_SPEED.fullmatch(name):
-        return Column("rad/s", "", "rotor speed")
-    if _DELIVERED.fullmatch(name):
-        return Column("N", "body", "static thrust that the rotor delivers")
-    if _MOTOR_COMMAND.fullmatch(name):
-        return Column("1", "", "normalised command of the motor, 0 to 1")
-    if _INDUCED_VELOCITY.fullmatch(name):
-        return Column("m/s", "body", "induced velocity through the rotor, downwards")
-    return Column("", "", "")
+    quantity, _, rotor = name.rpartition("_")
+    return _OF_ROTORS.get(quantity if rotor.isdecimal() else "", Column("", "", ""))
 
 
 def n_inputs(columns: Any) -> int:

@@ -31,7 +31,7 @@ from quadexp.physics.expression import Expression
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
-from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, SimulatedPlant, integrate
+from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, RotorSpeedPlant, integrate
 
 THRUST, TORQUE, UP, DOWN, DRAG, INERTIA = (
     slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 10), slice(10, 13), 13,
@@ -41,7 +41,7 @@ RPM = math.pi / 30  # rad/s
 OTHER_ROTOR = 0.1  # of the thrust per rotor speed squared in hover: more is another vehicle's
 
 
-class DroneModelsPlant(SimulatedPlant):
+class DroneModelsPlant(RotorSpeedPlant):
     """drone-models' first-principles model, with its motors, as a Plant.
 
     vehicle: with thrust_coefficient. keys: of rotors and drag. step: largest integration step (s); a control period is
@@ -59,7 +59,7 @@ class DroneModelsPlant(SimulatedPlant):
                 f"plant.thrust_curve={list(self.keys.thrust_curve)}: must rise with the speed from"
                 f" vehicle.thrust_min={vehicle.thrust_min:g} N on"
             )
-        hover = vehicle.hover_thrust / self._speed(vehicle.hover_thrust) ** 2
+        hover = vehicle.hover_thrust / self.hover_speed(vehicle) ** 2
         stated = vehicle.thrust_coefficient
         if stated is None or abs(hover / stated - 1) > OTHER_ROTOR:
             raise UsageError(
@@ -82,24 +82,14 @@ class DroneModelsPlant(SimulatedPlant):
         k_0, k_1, k_2 = self.keys.thrust_curve
         return RPM * (math.sqrt(k_1**2 - 4 * k_2 * (k_0 - thrust)) - k_1) / (2 * k_2)
 
-    def initial(self) -> np.ndarray:
-        """See SimulatedPlant: the speeds of hover."""
-        return np.full(self.vehicle.n_rotors, self._speed(self.vehicle.hover_thrust))
-
-    @property
-    def inner_columns(self) -> tuple[str, ...]:
-        """See SimulatedPlant."""
-        return tuple(f"rotor_speed_{rotor}" for rotor in range(self.vehicle.n_rotors))
-
-    @property
-    def rotor_speed(self) -> np.ndarray:
-        """(n,), rad/s."""
-        return self.inner
+    def hover_speed(self, vehicle: Vehicle) -> float:
+        """See RotorSpeedPlant."""
+        return self._speed(vehicle.hover_thrust)
 
     @property
     def loop_lag(self) -> float:  # type: ignore[override]  # a plain attribute in the base
         """See SimulatedPlant: in hover, of thrust after a small change of the command, up or down, the longer (s)."""
-        rpm = self._speed(self.vehicle.hover_thrust) / RPM
+        rpm = self.hover_speed(self.vehicle) / RPM
         return 1 / min(linear + 2 * square * rpm for linear, square in (self.keys.spin_up, self.keys.spin_down))
 
     def residual(self) -> Residual:

@@ -193,3 +193,25 @@ class SimulatedPlant:
     def same_period(self, function: BufferedFunction, equations: Equations) -> ca.Function:
         """The function of a control period as another one, with these equations."""
         return period(equations, function.function.size2_in("noise"))
+
+
+class RotorSpeedPlant(SimulatedPlant):
+    """A plant whose inner states are its rotors' speeds, (n,) (rad/s), which begin at those of hover."""
+
+    def hover_speed(self, vehicle: Vehicle) -> float:
+        """rad/s."""
+        raise NotImplementedError
+
+    def initial(self) -> np.ndarray:
+        """See SimulatedPlant."""
+        return np.full(self.vehicle.n_rotors, self.hover_speed(self.vehicle))
+
+    @property
+    def inner_columns(self) -> tuple[str, ...]:
+        """See SimulatedPlant."""
+        return tuple(f"rotor_speed_{rotor}" for rotor in range(self.vehicle.n_rotors))
+
+    @property
+    def rotor_speed(self) -> np.ndarray:
+        """(n,), rad/s."""
+        return self.inner

@@ -31,7 +31,7 @@ from quadexp.physics.motor import lagging_rk4_step
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.physics.vehicle import Vehicle
-from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, SimulatedPlant
+from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, RotorSpeedPlant
 
 PARASITIC, ROTOR_DRAG, INFLOW, LIFT, FLAPPING, LAG, SPEED_MIN, SPEED_MAX = slice(0, 3), 3, 4, 5, 6, 7, 8, 9
 AIR = slice(0, 7)
@@ -40,7 +40,7 @@ SLOWEST = 0.01  # share of rotor_speed_max, below which a controller believes th
 # no slope at u = 0
 
 
-class RotorPyPlant(SimulatedPlant):
+class RotorPyPlant(RotorSpeedPlant):
     """RotorPy's Multirotor as a Plant.
 
     vehicle: with thrust_coefficient. keys: of air and motors. step: largest integration step (s); a control period is
@@ -57,15 +57,15 @@ class RotorPyPlant(SimulatedPlant):
                 f"plant=rotorpy: vehicle={vehicle.name} has no vehicle.thrust_coefficient (thrust per rotor speed"
                 " squared); vehicle=hummingbird has"
             )
-        if not self.keys.rotor_speed_min < self._hover_speed(vehicle) < self.keys.rotor_speed_max:
+        if not self.keys.rotor_speed_min < self.hover_speed(vehicle) < self.keys.rotor_speed_max:
             raise UsageError(
-                f"plant.rotor_speed_max: vehicle={vehicle.name} hovers at {self._hover_speed(vehicle):.4g} rad/s,"
+                f"plant.rotor_speed_max: vehicle={vehicle.name} hovers at {self.hover_speed(vehicle):.4g} rad/s,"
                 f" outside ({self.keys.rotor_speed_min:g}, {self.keys.rotor_speed_max:g})"
             )
         super().__init__(vehicle, _equations(vehicle), self._values(), step=step, backend=backend)
 
-    @staticmethod
-    def _hover_speed(vehicle: Vehicle) -> float:
+    def hover_speed(self, vehicle: Vehicle) -> float:
+        """See RotorSpeedPlant."""
         return float(np.sqrt(vehicle.hover_thrust / vehicle.static_thrust_coefficient))
 
     def _values(self) -> np.ndarray:
@@ -75,20 +75,6 @@ class RotorPyPlant(SimulatedPlant):
             [keys.parasitic_drag, keys.rotor_drag, keys.inflow_drag, keys.translational_lift, keys.flapping]
         )
         return np.hstack([air * keys.aero, keys.motor_lag, keys.rotor_speed_min, keys.rotor_speed_max])
-
-    def initial(self) -> np.ndarray:
-        """See SimulatedPlant: the speeds of hover."""
-        return np.full(self.vehicle.n_rotors, self._hover_speed(self.vehicle))
-
-    @property
-    def inner_columns(self) -> tuple[str, ...]:
-        """See SimulatedPlant."""
-        return tuple(f"rotor_speed_{rotor}" for rotor in range(self.vehicle.n_rotors))
-
-    @property
-    def rotor_speed(self) -> np.ndarray:
-        """(n,), rad/s."""
-        return self.inner
 
     def residual(self) -> Residual:
         """See Plant.residual: all but the lag of the motors, which controller.motor_lag says."""
