@@ -81,8 +81,7 @@ def tune(
         emit(dict(found.record))
         return
     print("\n".join(found.lines))
-    options = " ".join(found.options)
-    if conf is None:
-        print(f"fly it: quadexp simulate --conf {out} {options}")
-    else:
-        print(f"copy the file to {conf}/controller to fly it: quadexp simulate --conf {conf} {options}")
+    where = out if conf is None else conf
+    if conf is not None:
+        print(f"copy the file to {conf}/{found.option.parent.name} to fly it:")
+    print(f"fly it: quadexp simulate --conf {where} {found.choice}")

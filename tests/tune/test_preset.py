@@ -7,10 +7,11 @@ import shutil
 import pytest
 
 from quadexp.config.compose import compose, session
+from quadexp.config.schema import REMEDIES
 from quadexp.config.settings import record
 from quadexp.errors import UsageError
 from quadexp.log.store import read_metadata, read_table
-from quadexp.tune.preset import check_name, provenance_of, read_provenance, write_presets
+from quadexp.tune.preset import check_name, options_of, provenance_of, read_provenance, write_preset
 from quadexp.tune.result import fingerprint, tune
 from quadexp.tune.search import FIRST_SEED, Request, with_seeds
 from quadexp.tune.space import read_axes
@@ -72,14 +73,37 @@ def test_settings_below_settings(tmp_path):
     with session() as composer:
         config = composer.compose(["controller=rls_mpc", "controller.rls.noise=0.5", "controller.nodes=15"])
         options = {"controller": "rls_mpc"}
-        ((option, path),) = write_presets(tmp_path, composer, options, config, {"flights": 7}, "mine").items()
+        option, path = write_preset(tmp_path, composer, options, config, {"flights": 7}, "mine")
     assert option == "controller=mine" and read_provenance(path.read_text()) == {"flights": 7}
     assert record(compose([option], tmp_path).controller) == record(config.controller) | {"name": "mine"}
 
 
+@pytest.mark.parametrize(
+    "given",
+    [
+        ["controller=gp_mpc", "observer=wind", "observer.wind_walk=3"],
+        ["controller=dfbc", "inner=indi", "controller.position_gain=[7,7,9]"],
+        ["controller=nominal_mpc", "remedies=offset_free", "observer.force_bandwidth=2", "adaptive=l1"],
+    ],
+)
+def test_a_controller_and_its_remedies_are_one_bundle(given, tmp_path):
+    """It flies what was found, in one composition and as a cell of a sweep, whatever was chosen before."""
+    with session() as composer:
+        config = composer.compose([*given, "controller.rate=150"])
+        choice, _ = write_preset(tmp_path, composer, options_of(composer, given, config), config, {"flights": 7})
+    assert choice.startswith(f"{given[0]} remedies={given[0].partition('=')[2]}_") and choice.endswith("_tuned")
+    groups = ("controller", *REMEDIES)
+    wanted = [record(getattr(config, group)) for group in groups]
+    own = compose(choice.split(), tmp_path)
+    assert [record(getattr(own, group)) for group in groups] == wanted
+    with session(tmp_path) as composer:
+        swept = composer.expand([*choice.split(), "world=clean,only_wind"])
+        assert [[record(getattr(cell.config, group)) for group in groups] for cell in swept] == [wanted] * 2
+
+
 def test_an_option_is_not_written_over_itself():
     with pytest.raises(UsageError, match="give another name"):
-        check_name("gp_mpc", "gp_mpc")
+        check_name({"controller": "gp_mpc"}, "gp_mpc")
 
 
 SHIPPED = sorted(path.stem for path in (ROOT / "conf" / "controller").glob("*_tuned.yaml"))
