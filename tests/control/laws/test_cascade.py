@@ -200,7 +200,7 @@ def circling(vehicle, radius, frequency):
     [
         ("torrente", 1.6, {}),  # of the circle at 8 m/s
         ("lei_li", 1.0, {}),
-        ("crazyflie", 2.5, {"velocity_proportional": (5.0, 5.0, 4.0), "attitude_proportional": (9.0, 9.0, 2.8)}),
+        ("crazyflie", 2.5, {"velocity_integral": (1.0, 1.0, 2.0), "attitude_proportional": (9.0, 9.0, 2.8)}),
     ],
 )
 def test_a_small_circle_is_followed_as_its_transfer_function_says(name, frequency, changes):
