@@ -36,7 +36,8 @@ GROUPS = ("vehicle", "plant", "sensor", "trajectory")
 @dataclass(frozen=True)
 class Family:
     """Tasks of one vehicle. given: overrides of all its flights. models: {collect: overrides, fit: overrides} of the
-    checkpoint that controllers may use, with network: overrides of a network that is fitted to the same rows. tasks, worlds: name -> overrides. sizes: name -> {seeds, tasks, worlds}."""
+    checkpoint that controllers may use, with network: overrides of a network that is fitted to the same rows. tasks,
+    worlds: name -> overrides. sizes: name -> {seeds, tasks, worlds}."""
 
     name: str
     what: str

@@ -74,7 +74,8 @@ def run_bench(
     """Fly what is missing of the protocol, and write the leaderboard.
 
     controllers: entries beside the field; only: without the field. add: other leaderboards whose rows take part.
-    seeds: only the first ones of the size; 0: all. extra: the --conf folder. page: where to write it. target: a Markdown file to write the tables into.
+    seeds: only the first ones of the size; 0: all. extra: the --conf folder. page: where to write it. target: a
+    Markdown file to write the tables into.
     Raises UsageError before anything is flown; also where results of different protocols meet.
     """
     protocol = read_protocol(version)
@@ -101,7 +102,9 @@ def run_bench(
             raise SweepInterrupted("what is flown is kept; run the same command to continue") from None
         finally:
             store.clean()
-        rows = [{**row, "protocol": protocol.version, "protocol_sha256": protocol.sha256, "size": called} for row in rows]
+        rows = [
+            {**row, "protocol": protocol.version, "protocol_sha256": protocol.sha256, "size": called} for row in rows
+        ]
         for path, more in added:
             rows = joined(rows, more, str(path)) if rows else list(more)
         check_cells(rows, str(out))
@@ -136,7 +139,9 @@ def _cells(
         network = make_network(family, composer, models, say) if any(entry.network for entry in entries) else None
         for entry in entries:
             if entry.network and network is None:
-                notes.append(f"{entry.name} has no part in {family.name}: protocol {protocol.name} has no rule for networks")
+                notes.append(
+                    f"{entry.name} has no part in {family.name}: protocol {protocol.name} has no rule for networks"
+                )
                 continue
             flights = configs_of(entry, family, protocol, size, composer, network if entry.network else model)
             if why := why_not(flights[0][3]):

@@ -49,7 +49,8 @@ def bench(
         list[Path] | None, typer.Option("--add", metavar="FILE", help="Rank rows of another leaderboard with these.")
     ] = None,
     seeds: Annotated[
-        int, typer.Option("--seeds", min=0, help="Only the first seeds of the size; 0: all. A later run may fly the rest.")
+        int,
+        typer.Option("--seeds", min=0, help="Only the first seeds of the size; 0: all. A later run flies more."),
     ] = 0,
     protocol: Annotated[
         int | None, typer.Option("--protocol", help="Version of the protocol; the latest by default.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -53,6 +52,7 @@ def tune(
     """
     from quadexp.progress import Progress
     from quadexp.tune.call import tune as search
+    from quadexp.tune.preset import hidden
 
     with Progress("flights") as progress:
         found = search(
@@ -74,6 +74,9 @@ def tune(
         return
     print("\n".join(found.lines))
     where = found.record["out"] if conf is None else conf
+    if hidden(found.option):
+        print(f"{found.choice.split()[-1]} is an option already, which comes first: give --name, and run this again")
+        return
     if conf is not None:
         print(f"copy the file to {conf}/{found.option.parent.name} to fly it:")
     print(f"fly it: quadexp simulate --conf {where} {found.choice}")

@@ -69,13 +69,20 @@ def write_preset(
         "  - _self_",
         "",
     ]
-    write_text(path, "\n".join([*head, *_content({group: own for group, own in changed.items() if own})]) + "\n")
+    write_text(
+        path, "\n".join([*head, *(line for group, own in changed.items() for line in _block(group, own))]) + "\n"
+    )
     return f"controller={controller} remedies={name}", path
 
 
 def default_name(options: Mapping[str, str]) -> str:
     """Of the option that a tuning writes."""
     return "_".join([options["controller"], *(options[group] for group in REMEDIES if group in options)]) + SUFFIX
+
+
+def hidden(option: Path) -> bool:
+    """Whether another option of this group and name comes first: one that ships, or of an installed package."""
+    return any((folder / option.parent.name / option.name).is_file() for folder in folders())
 
 
 def check_name(options: Mapping[str, str], name: str | None) -> None:
@@ -107,6 +114,10 @@ def _content(values: Mapping[str, Any]) -> list[str]:
     return [f"{key}: {_yaml(value)}" for key, value in values.items()]
 
 
+def _block(name: str, values: Mapping[str, Any]) -> list[str]:
+    return [f"{name}:", *(f"  {line}" for line in _content(values))] if values else []
+
+
 def _yaml(value: Any) -> str:
     import yaml
 
@@ -116,7 +127,7 @@ def _yaml(value: Any) -> str:
 
 def provenance_of(option: str, extra: Path | None = None, group: str = "controller") -> dict[str, Any] | None:
     """Where the settings of an option come from; None for one that was not written by `quadexp tune`."""
-    for folder in reversed(folders(extra)):
+    for folder in folders(extra):  # the first is the one that is composed
         path = folder / group / f"{option}.yaml"
         if path.is_file():
             return read_provenance(path.read_text(encoding="utf-8"))

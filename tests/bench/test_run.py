@@ -47,7 +47,13 @@ def run(out, controllers, conf=None, **options):
     return made, function.flown
 
 
-ASKED = ["neural_mpc", "nominal_mpc", "nominal_mpc controller.position_weight=[50,50,50]", "linear_drag_mpc", "open_loop"]
+ASKED = [
+    "neural_mpc",
+    "nominal_mpc",
+    "nominal_mpc controller.position_weight=[50,50,50]",
+    "linear_drag_mpc",
+    "open_loop",
+]
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +97,9 @@ def test_a_protocol_without_a_rule_for_networks_flies_none(monkeypatch, tmp_path
     without = small("\n".join(line for line in SMALL.splitlines() if "network" not in line))
     monkeypatch.setattr(bench, "read_protocol", lambda version: without)
     monkeypatch.setattr(bench, "check_lock", lambda protocol, composer: None)
-    with pytest.raises(UsageError, match=r"neural_mpc has no part in small: protocol v1 \(.*\) has no rule for networks"):
+    with pytest.raises(
+        UsageError, match=r"neural_mpc has no part in small: protocol v1 \(.*\) has no rule for networks"
+    ):
         run(tmp_path / "b", ["neural_mpc"])
 
 
