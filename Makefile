@@ -80,24 +80,34 @@ reproduce-sun: $(STAMP)
 	$(QUADEXP) evaluate --sweep experiment=sun_infeasible --out results/sun_infeasible --refly
 	$(QUADEXP) evaluate --sweep experiment=sun_ours --out results/sun_ours --refly
 
-# Settings tuned with the same budget for every controller, on the same cells; what is found becomes options of conf/.
-TUNED := nominal_mpc linear_drag_mpc gp_mpc
+# Settings tuned with the same budget for every controller, on the same cells (Lei & Li's, on their vehicle); what is
+# found becomes options of conf/. A controller, and what is around it behind commas.
+TUNED := nominal_mpc linear_drag_mpc gp_mpc online_mpc streaming_gp_mpc geometric pid dfbc rotorpy_se3 \
+	nominal_mpc,observer=disturbance nominal_mpc,adaptive=l1 gp_mpc,observer=wind dfbc,inner=indi \
+	static_feedback rls_feedback rls_mpc
 TUNE_ON := world=clean,only_wind,everything trajectory=circle,lemniscate trajectory.speed=8
+TUNE_LEI_LI := vehicle=lei_li plant=blade_element sensor=lei_li
 FLIGHTS ?= 360
 tuned: $(STAMP)
 	$(QUADEXP) collect --out data/tuned.parquet --force
 	$(QUADEXP) fit-gp data/tuned.parquet --out models/tuned --no-figures --force
 	mkdir -p docs/tuned
-	for name in $(TUNED); do \
-		$(QUADEXP) tune controller=$$name model=models/tuned $(TUNE_ON) --flights $(FLIGHTS) --delay-margin 0.05 --out tuned/$$name && \
-		cp tuned/$$name/controller/*.yaml conf/controller/ && \
-		cp tuned/$$name/history.parquet docs/tuned/$${name}_tuned.parquet || exit 1; \
+	for what in $(TUNED); do \
+		case $$what in *mpc*) margin="--delay-margin 0.05";; *) margin=;; esac; \
+		case $$what in *_feedback|rls_*) own="$(TUNE_LEI_LI)";; *) own=model=models/tuned;; esac; \
+		$(QUADEXP) tune controller=$$(echo $$what | tr , ' ') $$own $(TUNE_ON) --flights $(FLIGHTS) $$margin \
+			--out tuned/$$what || exit 1; \
+		for file in tuned/$$what/controller/*.yaml tuned/$$what/remedies/*.yaml; do \
+			[ ! -f $$file ] || { cp $$file conf/$$(basename $$(dirname $$file))/ && \
+				cp tuned/$$what/history.parquet docs/tuned/$$(basename $$file .yaml).parquet; } || exit 1; \
+		done; \
 	done
 
-# The leaderboard of docs/leaderboard.md: an hour with SIZE=standard (two cores), a night with SIZE=full.
+# The leaderboard of docs/leaderboard.md: hours with SIZE=standard (two cores), days with SIZE=full; SEEDS=2: the first two only.
 SIZE ?= standard
+SEEDS ?= 0
 leaderboard: $(STAMP)
-	$(QUADEXP) bench --size $(SIZE) --out results/leaderboard_$(SIZE) --markdown docs/leaderboard.md
+	$(QUADEXP) bench --size $(SIZE) --seeds $(SEEDS) --out results/leaderboard_$(SIZE) --markdown docs/leaderboard.md
 	cp results/leaderboard_$(SIZE)/leaderboard.parquet docs/leaderboard.parquet
 
 # The same claims on fewer flights, as tests that fail where a promised figure is missed.

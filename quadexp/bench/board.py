@@ -27,7 +27,7 @@ RULE = (
     "Place: by flights lost, the fewest first, then by mean rank over all cells (task, world, seed), where lost flights"
     " share the last ranks; in brackets the 95 % interval over the seeds. =: not told apart from the one above."
     " x least: geometric mean of the error over the least of each cell. Bounds are told the plant's equations and take"
-    " no rank."
+    " no rank. step: median over the instants of the fastest loop, on the machine that flew: no part of the rank."
 )
 
 
@@ -60,11 +60,11 @@ def joined(rows: Sequence[Row], more: Sequence[Row], where: str) -> list[Row]:
 
 def check_alike(rows: Sequence[Row], sha256: str, size: str, where: str) -> None:
     """Raise UsageError where some rows are not of this protocol and size."""
-    for name, what, mine in (("protocol_sha256", "protocol", sha256), ("size", "size", size)):
-        other = {str(row[name])[:SHORT] for row in rows} - {mine[:SHORT]}
+    for name, what, mine, most in (("protocol_sha256", "protocol", sha256, SHORT), ("size", "size", size, None)):
+        other = {str(row[name])[:most] for row in rows} - {mine[:most]}
         if other:
             raise UsageError(
-                f"{where}: is of {what} {', '.join(sorted(other))}, not {mine[:SHORT]}: results of different {what}s"
+                f"{where}: is of {what} {', '.join(sorted(other))}, not {mine[:most]}: results of different {what}s"
                 " are not ranked together"
             )
 

@@ -25,13 +25,15 @@ PUBLISHED = "published"
 @dataclass(frozen=True)
 class Entry:
     """name: of its rows. overrides: what makes it. bound: whether it is told the plant's equations. settings:
-    published, tuned with so many flights, or set by hand. models: whether it may need a checkpoint."""
+    published, tuned with so many flights, or set by hand. models: whether it may need a checkpoint. network: whether
+    that is a network."""
 
     name: str
     overrides: tuple[str, ...]
     bound: bool
     settings: str
     models: bool
+    network: bool
 
 
 def field() -> list[str]:
@@ -63,26 +65,29 @@ def _entry(text: str, composer: Composer, protocol: Protocol, extra: Path | None
             )
     config = composer.compose(given)
     name = " ".join(word.removeprefix("controller=") for word in given)
-    return Entry(
-        name, tuple(given), knows_plant(config.controller), _settings(given, protocol, extra), may_need_model(config)
-    )
+    settings, needed = _settings(given, protocol, extra), may_need_model(config)
+    return Entry(name, tuple(given), knows_plant(config.controller), settings, needed, needs_network(config))
 
 
 def _settings(given: Sequence[str], protocol: Protocol, extra: Path | None) -> str:
-    """Where its settings come from; raises UsageError where they were chosen on flights of the protocol."""
+    """Where its settings come from; raises UsageError where they were chosen on flights of the protocol.
+
+    A bundle that was not tuned counts as set by hand, as keys do: no publication has its values.
+    """
     last = max(int(one["seeds"]) for family in protocol.families.values() for one in family.sizes.values())
-    flights = 0
+    flights, by_hand = 0, False
     for word in given:
         group, _, option = word.partition("=")
-        about = provenance_of(option, extra, group) if group in ("controller", *REMEDIES) else None
+        about = provenance_of(option, extra, group) if group in ("controller", "remedies", *REMEDIES) else None
         if about is None:
+            by_hand |= group == "remedies"
             continue
         if common := {*about.get("seeds", [])} & {*protocol.seeds(last)}:
             raise UsageError(f"{word}: was tuned on seed {min(common)}, which the protocol flies: tune it on others")
         flights += int(about.get("flights", 0))
     own = [word for word in given if word.partition("=")[0].count(".")]
     parts = [f"tuned, {flights} flights"] if flights else []
-    return ", ".join([*parts, "set by hand"] if own else parts) or PUBLISHED
+    return ", ".join([*parts, "set by hand"] if own or by_hand else parts) or PUBLISHED
 
 
 def configs_of(
@@ -104,6 +109,11 @@ def may_need_model(config: Config) -> bool:
     """Whether a controller, or what is around it, may read a checkpoint."""
     none = getattr(config.controller, "residual", "none") in ("none", "plant", "blade_element")
     return not none or bool(remedies(config))
+
+
+def needs_network(config: Config) -> bool:
+    """Whether its controller flies with a network."""
+    return getattr(config.controller, "residual", "none") == "neural"
 
 
 def why_not(config: Config) -> str:

@@ -13,7 +13,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -25,8 +25,9 @@ from quadexp.config.schema import WORLD, Config
 from quadexp.config.settings import record
 from quadexp.errors import DataError, UsageError
 from quadexp.messages import suggestion
+from quadexp.report.text import count
 
-LATEST = 1
+LATEST = 2
 FOLDER = files("quadexp.bench") / "protocols"
 SHORT = 12  # hex digits of a hash
 GROUPS = ("vehicle", "plant", "sensor", "trajectory")
@@ -35,7 +36,8 @@ GROUPS = ("vehicle", "plant", "sensor", "trajectory")
 @dataclass(frozen=True)
 class Family:
     """Tasks of one vehicle. given: overrides of all its flights. models: {collect: overrides, fit: overrides} of the
-    checkpoint that controllers may use. tasks, worlds: name -> overrides. sizes: name -> {seeds, tasks, worlds}."""
+    checkpoint that controllers may use, with network: overrides of a network that is fitted to the same rows. tasks,
+    worlds: name -> overrides. sizes: name -> {seeds, tasks, worlds}."""
 
     name: str
     what: str
@@ -95,12 +97,27 @@ def _protocol(version: int, text: bytes, sha256: str) -> Protocol:
     return Protocol(version, sha256, content["metric"], content["baseline"], content["first_seed"], families)
 
 
-def size_of(protocol: Protocol, size: str) -> str:
-    """The size, if there is one of this name; else UsageError."""
+def check_size(protocol: Protocol, size: str) -> None:
+    """Raise UsageError where there is no size of this name."""
     sizes = protocol.sizes()
     if size not in sizes:
         raise UsageError(f"--size {size}: no such size{suggestion(size, sizes)}")
-    return size
+
+
+def with_fewer_seeds(protocol: Protocol, size: str, seeds: int) -> tuple[Protocol, str]:
+    """The protocol with the first seeds only of a size, and what such a size is called; 0: with all of them.
+
+    The flights are some of the whole size's, so that a later run with more seeds continues them.
+    """
+    most = max(int(family.sizes[size]["seeds"]) for family in protocol.families.values() if size in family.sizes)
+    if not 0 < seeds < most:
+        return protocol, size
+    families = {}
+    for name, family in protocol.families.items():
+        one = family.sizes.get(size)
+        fewer = {size: {**one, "seeds": min(int(one["seeds"]), seeds)}} if one else {}
+        families[name] = replace(family, sizes={**family.sizes, **fewer})
+    return replace(protocol, families=families), f"{size}, {count(seeds, 'seed')}"
 
 
 # -------------------------------------------------------------------------------------------------------------- lock
@@ -118,6 +135,7 @@ def resolved(protocol: Protocol, composer: Composer) -> dict[str, Any]:
             "worlds": {
                 name: _values(composed([*family.given, *first, *given]), WORLD) for name, given in family.worlds.items()
             },
+            **({"network": _values(composed(network), ("nn",))} if (network := family.models.get("network")) else {}),
             "data": _values(composed(family.models["collect"]), ("vehicle", "plant", "controller", "collect")),
             "fit": _values(composed(family.models["fit"]), ("gp", "drag")),
         }

@@ -20,9 +20,9 @@ from quadexp.bench.board import (
     write_board,
 )
 from quadexp.bench.entries import Entry, configs_of, field, read_entries, why_not
-from quadexp.bench.models import make_model
+from quadexp.bench.models import make_model, make_network
 from quadexp.bench.page import write_page
-from quadexp.bench.protocol import Protocol, check_lock, read_protocol, size_of
+from quadexp.bench.protocol import LATEST, Protocol, check_lock, check_size, read_protocol, with_fewer_seeds
 from quadexp.bench.ranking import Row
 from quadexp.config.cells import Cell
 from quadexp.config.compose import Composer
@@ -60,7 +60,8 @@ def run_bench(
     controllers: Sequence[str] = (),
     only: bool = False,
     add: Sequence[Path] = (),
-    version: int = 1,
+    seeds: int = 0,
+    version: int = LATEST,
     extra: Path | None = None,
     page: Path | None = None,
     target: Path | None = None,
@@ -73,15 +74,17 @@ def run_bench(
     """Fly what is missing of the protocol, and write the leaderboard.
 
     controllers: entries beside the field; only: without the field. add: other leaderboards whose rows take part.
-    extra: the --conf folder. page: where to write it. target: a Markdown file to write the tables into.
+    seeds: only the first ones of the size; 0: all. extra: the --conf folder. page: where to write it. target: a
+    Markdown file to write the tables into.
     Raises UsageError before anything is flown; also where results of different protocols meet.
     """
     protocol = read_protocol(version)
-    size_of(protocol, size)
+    check_size(protocol, size)
     check_lock(protocol, composer)
+    protocol, called = with_fewer_seeds(protocol, size, seeds)
     added = [(path, read_board(path)) for path in add]
     for path, rows in added:
-        check_alike(rows, protocol.sha256, size, str(path))
+        check_alike(rows, protocol.sha256, called, str(path))
     mine = read_entries(controllers, composer, protocol, extra)
     entries = [*read_entries([] if only else field(), composer, protocol, extra), *mine]
     entries = list({entry.name: entry for entry in entries}.values())
@@ -99,7 +102,9 @@ def run_bench(
             raise SweepInterrupted("what is flown is kept; run the same command to continue") from None
         finally:
             store.clean()
-        rows = [{**row, "protocol": protocol.version, "protocol_sha256": protocol.sha256, "size": size} for row in rows]
+        rows = [
+            {**row, "protocol": protocol.version, "protocol_sha256": protocol.sha256, "size": called} for row in rows
+        ]
         for path, more in added:
             rows = joined(rows, more, str(path)) if rows else list(more)
         check_cells(rows, str(out))
@@ -129,10 +134,16 @@ def _cells(
     for family in protocol.families.values():
         if not family.chosen(size)[0] or not entries:
             continue
-        needed = any(entry.models for entry in entries)
-        model = make_model(protocol, family, composer, models, say) if needed else None
+        needed = any(entry.models and not entry.network for entry in entries)
+        model = make_model(family, composer, models, say) if needed else None
+        network = make_network(family, composer, models, say) if any(entry.network for entry in entries) else None
         for entry in entries:
-            flights = configs_of(entry, family, protocol, size, composer, model)
+            if entry.network and network is None:
+                notes.append(
+                    f"{entry.name} has no part in {family.name}: protocol {protocol.name} has no rule for networks"
+                )
+                continue
+            flights = configs_of(entry, family, protocol, size, composer, network if entry.network else model)
             if why := why_not(flights[0][3]):
                 notes.append(f"{entry.name} has no part in {family.name}: {why}")
                 continue

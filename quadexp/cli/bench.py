@@ -48,7 +48,13 @@ def bench(
     add: Annotated[
         list[Path] | None, typer.Option("--add", metavar="FILE", help="Rank rows of another leaderboard with these.")
     ] = None,
-    protocol: Annotated[int, typer.Option("--protocol", help="Version of the protocol.")] = 1,
+    seeds: Annotated[
+        int,
+        typer.Option("--seeds", min=0, help="Only the first seeds of the size; 0: all. A later run flies more."),
+    ] = 0,
+    protocol: Annotated[
+        int | None, typer.Option("--protocol", help="Version of the protocol; the latest by default.")
+    ] = None,
     markdown: Annotated[
         Path | None, typer.Option("--markdown", metavar="FILE", help="Write the tables between the marks of this file.")
     ] = None,
@@ -68,41 +74,27 @@ def bench(
     quadexp bench --controller geometric --conf examples --out results/mine
     quadexp bench --size standard --only --controller my_controller --conf my_conf --add docs/leaderboard.parquet
     """
-    from quadexp.bench.run import run_bench
-    from quadexp.config.compose import session
-    from quadexp.errors import QuadexpError, UsageError
+    from quadexp.bench.call import bench as fly
+    from quadexp.bench.protocol import LATEST
+    from quadexp.errors import QuadexpError
     from quadexp.progress import Progress
-    from quadexp.sweeps.cluster.engines import open_engine
-    from quadexp.sweeps.engine import Workers
 
-    given = list(overrides or [])
-    for text in given:
-        if text.partition("=")[0].partition(".")[0] not in ("engine", "evaluate"):
-            raise UsageError(f"{text!r}: what is flown is the protocol's; only engine and evaluate can be set")
-    out = out or Path("results") / f"bench_{size}"
-    with session(conf) as composer:
-        config = composer.compose(given)
-        settings = config.evaluate
-        with (
-            Workers(settings.workers, settings.memory or None, calls=64) as processes,
-            open_engine(config, processes) as engine,
-            Progress("flights") as progress,
-        ):
-            made = run_bench(
-                composer,
-                out,
-                size=size,
-                controllers=controller or [],
-                only=only,
-                add=add or [],
-                version=protocol,
-                extra=conf,
-                page=page,
-                target=markdown,
-                engine=engine,
-                progress=progress,
-                say=say,
-            )
+    with Progress("flights") as progress:
+        made = fly(
+            overrides or [],
+            size=size,
+            controllers=controller or [],
+            only=only,
+            add=add or [],
+            seeds=seeds,
+            version=LATEST if protocol is None else protocol,
+            page=page,
+            target=markdown,
+            out=out,
+            conf=conf,
+            progress=progress,
+            say=say,
+        )
     for note in made.notes:
         say(f"note: {note}")
     if json:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -51,38 +50,33 @@ def tune(
     quadexp tune controller=nominal_mpc trajectory=circle --vary controller.position_weight=1..1000:log \\
         --vary controller.nodes=5..20 --delay-margin 0.04
     """
-    from quadexp.config.compose import session
     from quadexp.progress import Progress
-    from quadexp.sweeps.cluster.engines import open_engine
-    from quadexp.sweeps.engine import Workers
-    from quadexp.tune.result import clear, trials_of
-    from quadexp.tune.result import tune as search
-    from quadexp.tune.search import Request, cells_of, with_seeds
-    from quadexp.tune.space import read_axes
+    from quadexp.tune.call import tune as search
+    from quadexp.tune.preset import hidden
 
-    with session(conf) as composer:
-        given = with_seeds(overrides or [], seeds)
-        cells = cells_of(composer, given)
-        first = cells[0].config
-        trials_of(flights, len(cells))
-        axes = tuple(read_axes(vary or [], first, conf))
-        settings = first.evaluate
-        request = Request(tuple(given), axes, settings.metric, delay_margin, seed, batch)
-        out = out or Path("tuned") / first.controller.name
-        if force:
-            clear(out)
-        with (
-            Workers(settings.workers, settings.memory or None, calls=len(cells)) as processes,
-            open_engine(first, processes) as engine,
-            Progress("flights") as progress,
-        ):
-            found = search(composer, request, out, flights, name=name, engine=engine, progress=progress)
+    with Progress("flights") as progress:
+        found = search(
+            overrides or [],
+            vary=vary or [],
+            flights=flights,
+            seeds=seeds,
+            delay_margin=delay_margin,
+            seed=seed,
+            batch=batch,
+            name=name,
+            out=out,
+            conf=conf,
+            force=force,
+            progress=progress,
+        )
     if json:
         emit(dict(found.record))
         return
     print("\n".join(found.lines))
-    options = " ".join(found.options)
-    if conf is None:
-        print(f"fly it: quadexp simulate --conf {out} {options}")
-    else:
-        print(f"copy the file to {conf}/controller to fly it: quadexp simulate --conf {conf} {options}")
+    where = found.record["out"] if conf is None else conf
+    if hidden(found.option):
+        print(f"{found.choice.split()[-1]} is an option already, which comes first: give --name, and run this again")
+        return
+    if conf is not None:
+        print(f"copy the file to {conf}/{found.option.parent.name} to fly it:")
+    print(f"fly it: quadexp simulate --conf {where} {found.choice}")

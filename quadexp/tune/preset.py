@@ -1,7 +1,10 @@
-"""What was found, as options of the configuration: GROUP/NAME_tuned.yaml, with where it comes from as comments.
+"""What was found, as an option of the configuration, with where it comes from as comments.
 
-The option extends the one that was tuned and states what differs, so that `controller=gp_mpc_tuned` is chosen,
-swept and printed as any other option. An option without `_tuned` flies published settings.
+A controller by itself: controller/NAME_tuned.yaml extends the option that was tuned and states what differs, so that
+`controller=gp_mpc_tuned` is chosen, swept and printed as any other option. A controller with remedies around it: one
+bundle, remedies/NAME_REMEDY_tuned.yaml, chooses the remedies and sets what differs in them and in the controller, for
+`controller=gp_mpc remedies=gp_mpc_wind_tuned`: settings that were found together are flown together. An option without
+`_tuned` flies the settings that were there before.
 """
 
 from __future__ import annotations
@@ -32,35 +35,59 @@ def options_of(composer: Composer, given: Sequence[str], config: Config) -> dict
     return found
 
 
-def write_presets(
+def write_preset(
     out: Path,
     composer: Composer,
     options: Mapping[str, str],
     config: Config,
     about: Mapping[str, Any],
     name: str | None = None,
-) -> dict[str, Path]:
-    """Write an option for every group whose settings differ from its option's; returns group=NAME -> file.
+) -> tuple[str, Path]:
+    """Write what was found as one option; returns what chooses it, such as "controller=gp_mpc_tuned", and its file.
 
-    config: the settings that were found. about: the provenance. name: of the controller's option.
+    options: see options_of. config: with the settings that were found. about: the provenance. name: of the option.
     """
-    names = {
-        group: name if name and group == "controller" else f"{option}{SUFFIX}" for group, option in options.items()
+    controller, name = options["controller"], name or default_name(options)
+    changed = {
+        group: _changed(record(getattr(composer.compose([f"{group}={option}"]), group)), record(getattr(config, group)))
+        for group, option in options.items()
     }
-    written = {}
-    for group, option in options.items():
-        plain = record(getattr(composer.compose([f"{group}={option}"]), group))
-        tuned = record(getattr(config, group))
-        changed = _changed(plain, tuned)
-        if changed or group == "controller":
-            text = _text(f"{option}, tuned by `quadexp tune`", about, option, {"name": names[group], **changed})
-            written[f"{group}={names[group]}"] = write_text(out / group / f"{names[group]}.yaml", text)
-    return written
+    title = "tuned by `quadexp tune`; see docs/tuning.md. Written by that command."
+    if len(options) == 1:
+        path = out / "controller" / f"{name}.yaml"
+        head = [f"# {controller}, {title}", *_provenance(about), "defaults:", f"  - {controller}", "  - _self_", ""]
+        write_text(path, "\n".join([*head, *_content({"name": name, **changed["controller"]})]) + "\n")
+        return f"controller={name}", path
+    path = out / "remedies" / f"{name}.yaml"
+    around = {group: options.get(group, "none") for group in REMEDIES}
+    head = [
+        "# @package _global_",
+        f"# For controller={controller}, {title}",
+        *_provenance(about),
+        "defaults:",
+        *(f"  - override /{group}: {option}" for group, option in around.items()),
+        "  - _self_",
+        "",
+    ]
+    write_text(
+        path, "\n".join([*head, *(line for group, own in changed.items() for line in _block(group, own))]) + "\n"
+    )
+    return f"controller={controller} remedies={name}", path
 
 
-def check_name(option: str, name: str | None) -> None:
+def default_name(options: Mapping[str, str]) -> str:
+    """Of the option that a tuning writes."""
+    return "_".join([options["controller"], *(options[group] for group in REMEDIES if group in options)]) + SUFFIX
+
+
+def hidden(option: Path) -> bool:
+    """Whether another option of this group and name comes first: one that ships, or of an installed package."""
+    return any((folder / option.parent.name / option.name).is_file() for folder in folders())
+
+
+def check_name(options: Mapping[str, str], name: str | None) -> None:
     """Raise UsageError where the option to write would have the name of the one that it extends."""
-    if (name or f"{option}{SUFFIX}") == option:
+    if (name or default_name(options)) == options["controller"]:
         raise UsageError(f"--name {name}: is the option that is tuned: give another name")
 
 
@@ -74,17 +101,21 @@ def _changed(plain: Mapping[str, Any], tuned: Mapping[str, Any]) -> dict[str, An
     return found
 
 
-def _text(title: str, about: Mapping[str, Any], option: str, content: Mapping[str, Any]) -> str:
-    lines = [f"# {title}; see docs/tuning.md. Written by that command.", HEAD]
+def _provenance(about: Mapping[str, Any]) -> list[str]:
+    lines = [HEAD]
     for key, value in about.items():
-        shown = _yaml(value)
-        lines += [f"{_INDENT}{key}: {shown}"] if not isinstance(value, list) else [
+        lines += [f"{_INDENT}{key}: {_yaml(value)}"] if not isinstance(value, list) else [
             f"{_INDENT}{key}:", *(f"{_INDENT}  - {_yaml(item)}" for item in value)
         ]  # fmt: skip
-    lines += ["defaults:", f"  - {option}", "  - _self_", ""]
-    for key, value in content.items():
-        lines.append(f"{key}: {_yaml(value)}")
-    return "\n".join(lines) + "\n"
+    return lines
+
+
+def _content(values: Mapping[str, Any]) -> list[str]:
+    return [f"{key}: {_yaml(value)}" for key, value in values.items()]
+
+
+def _block(name: str, values: Mapping[str, Any]) -> list[str]:
+    return [f"{name}:", *(f"  {line}" for line in _content(values))] if values else []
 
 
 def _yaml(value: Any) -> str:
@@ -96,7 +127,7 @@ def _yaml(value: Any) -> str:
 
 def provenance_of(option: str, extra: Path | None = None, group: str = "controller") -> dict[str, Any] | None:
     """Where the settings of an option come from; None for one that was not written by `quadexp tune`."""
-    for folder in reversed(folders(extra)):
+    for folder in folders(extra):  # the first is the one that is composed
         path = folder / group / f"{option}.yaml"
         if path.is_file():
             return read_provenance(path.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""From a request to files: the options that were found, the history as Parquet, and its figure."""
+"""From a request to files: the option that was found, the history as Parquet, and its figure."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from quadexp.log.store import write_table
 from quadexp.provenance import libraries, provenance, sources
 from quadexp.report.metrics import SHOWN
 from quadexp.report.text import number
-from quadexp.tune.preset import check_name, options_of, write_presets
+from quadexp.tune.preset import check_name, options_of, write_preset
 from quadexp.tune.search import JOURNAL, Request, Search, Trial, best_of
 from quadexp.tune.space import overrides, settings_of
 
@@ -27,12 +27,13 @@ HISTORY = "history.parquet"
 
 @dataclass(frozen=True)
 class Tuned:
-    """trials: all, the first one as it was. best: place of the best. options: GROUP=NAME -> file. record: for --json.
-    lines: what is printed."""
+    """trials: all, the first one as it was. best: place of the best. choice: overrides that choose what was found.
+    option: its file. record: for --json. lines: what is printed."""
 
     trials: Sequence[Trial]
     best: int
-    options: Mapping[str, Path]
+    choice: str
+    option: Path
     record: Mapping[str, Any]
     lines: Sequence[str]
 
@@ -67,14 +68,14 @@ def tune(
     """
     search = Search(composer, request, out, **how)
     options = options_of(composer, request.given, search.config)
-    check_name(options["controller"], name)
+    check_name(options, name)
     trials = search.run(trials_of(flights, search.flights), progress)
     best = best_of(trials)
     history = _write_history(out, request, search, trials)
     cells = composer.expand([*request.given, *overrides(request.axes, trials[best].numbers)], check=False)
     config = cells.sound()[0].config
     about = _about(request, search, trials, best)
-    written = write_presets(out, composer, options, config, about, name)
+    choice, option = write_preset(out, composer, options, config, about, name)
     if figure:
         from quadexp.tune.figure import draw_history
 
@@ -87,12 +88,11 @@ def tune(
             strict=True,
         )
     }
-    record = {"out": out, **about, "options": dict(written), "settings": settings, "history": history}
+    record = {"out": out, **about, "choice": choice, "option": option, "settings": settings, "history": history}
     lines = _lines(request, search, trials, best)
     width = max(map(len, settings))
     lines += [f"  {key:<{width}}  {_short(old)} -> {_short(new)}" for key, (old, new) in settings.items()]
-    lines += [str(path) for path in written.values()]
-    return Tuned(trials, best, written, record, lines)
+    return Tuned(trials, best, choice, option, record, [*lines, str(option)])
 
 
 def _short(value: Any) -> str:

@@ -18,6 +18,7 @@ families:
     models:
       collect: [collect.duration=6, collect.flight_duration=3]
       fit: [gp.inducing=3, gp.max_iterations=1, gp.holdout=0, drag.holdout=0]
+      network: ["nn.hidden=[4]", nn.max_iterations=5, nn.holdout=0]
     tasks: {hover: [trajectory=hover, trajectory.duration=0.2], step: [trajectory=step, trajectory.duration=0.4]}
     worlds: {clean: [world=clean], pushed: [external=push, "external.force=[1,0,0]"]}
     sizes: {quick: {seeds: 2, tasks: [hover]}, standard: {seeds: 3}}

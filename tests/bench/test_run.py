@@ -8,11 +8,11 @@ import pytest
 
 from quadexp.bench import run as bench
 from quadexp.bench.board import read_board
-from quadexp.bench.models import make_model
+from quadexp.bench.models import make_model, make_network
 from quadexp.config.compose import session
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import evaluate_cell
-from quadexp.tune.preset import write_presets
+from quadexp.tune.preset import write_preset
 from tests.bench.rows import SMALL, small
 from tests.tune.parts import open_loop
 
@@ -47,12 +47,18 @@ def run(out, controllers, conf=None, **options):
     return made, function.flown
 
 
-ASKED = ["nominal_mpc", "nominal_mpc controller.position_weight=[50,50,50]", "linear_drag_mpc", "open_loop"]
+ASKED = [
+    "neural_mpc",
+    "nominal_mpc",
+    "nominal_mpc controller.position_weight=[50,50,50]",
+    "linear_drag_mpc",
+    "open_loop",
+]
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Folder, configuration folder, leaderboard and flights of four entries."""
+    """Folder, configuration folder, leaderboard and flights of five entries."""
     folder = tmp_path_factory.mktemp("bench")
     mine = open_loop(folder / "mine")
     with pytest.MonkeyPatch.context() as monkeypatch:
@@ -63,11 +69,12 @@ def made(tmp_path_factory):
 def test_entries_by_name_with_settings_and_from_a_folder_of_the_users_own(protocol, made):
     out, mine, made, flown = made
     asked = ASKED
-    assert flown == 4 * 2 * 2  # entries x worlds x seeds
+    assert flown == 5 * 2 * 2  # entries x worlds x seeds
     rows = read_board(out / "leaderboard.parquet")
     assert {row["entry"] for row in rows} == set(asked) and all(row["outcome"] == "ok" for row in rows)
     assert {row["settings"] for row in rows if "weight" in row["entry"]} == {"set by hand"}
     assert {row["model"] for row in rows if row["entry"] == "linear_drag_mpc"} == {str(out / "models/small")}
+    assert {row["model"] for row in rows if row["entry"] == "neural_mpc"} == {str(out / "models/small_network")}
     pushed = {row["entry"]: row["mean_error"] for row in rows if row["world"] == "pushed" and row["seed"] == 0}
     assert max(pushed, key=pushed.get) == "open_loop"  # nothing holds it against a force
     assert made.tables["small"].rows[-1][1] == "open_loop" and (out / "leaderboard.html").is_file()
@@ -75,14 +82,34 @@ def test_entries_by_name_with_settings_and_from_a_folder_of_the_users_own(protoc
     _, again = run(out, [*asked, "perfect_mpc"], mine)
     assert again == 4  # only the new one
     both, none = run(out, asked[:1], mine, add=[out / "leaderboard.parquet"])
-    assert none == 0 and len({row["entry"] for row in both.rows}) == 5
+    assert none == 0 and len({row["entry"] for row in both.rows}) == 6
 
 
 def test_the_model_is_made_once(made):
     said = []
     with session() as composer:
-        make_model(small(), small().families["small"], composer, made[0] / "models", said.append)
+        for make in (make_model, make_network):
+            make(small().families["small"], composer, made[0] / "models", said.append)
     assert said == []
+
+
+def test_a_protocol_without_a_rule_for_networks_flies_none(monkeypatch, tmp_path):
+    without = small("\n".join(line for line in SMALL.splitlines() if "network" not in line))
+    monkeypatch.setattr(bench, "read_protocol", lambda version: without)
+    monkeypatch.setattr(bench, "check_lock", lambda protocol, composer: None)
+    with pytest.raises(
+        UsageError, match=r"neural_mpc has no part in small: protocol v1 \(.*\) has no rule for networks"
+    ):
+        run(tmp_path / "b", ["neural_mpc"])
+
+
+def test_fewer_seeds_are_flown_first_and_the_rest_later(protocol, tmp_path):
+    made, flown = run(tmp_path / "b", ["nominal_mpc"], seeds=1)
+    assert flown == 2 and {(row["seed"], row["size"]) for row in made.rows} == {(0, "quick, 1 seed")}
+    with pytest.raises(UsageError, match="is of size quick, 1 seed, not quick: results of different sizes"):
+        run(tmp_path / "c", ["perfect_mpc"], add=[tmp_path / "b" / "leaderboard.parquet"])
+    made, flown = run(tmp_path / "b", ["nominal_mpc"])
+    assert flown == 2 and {(row["seed"], row["size"]) for row in made.rows} == {(0, "quick"), (1, "quick")}
 
 
 @pytest.mark.slow
@@ -91,8 +118,8 @@ def test_another_protocol_makes_its_own_model(made, tmp_path):
     other = small(SMALL.replace("inducing=3", "inducing=4"))
     shutil.copytree(made[0] / "models", tmp_path / "m")
     with session() as composer:
-        make_model(other, other.families["small"], composer, tmp_path / "m", said.append)
-    assert said == ["small: data and models, in still air"]
+        make_model(other.families["small"], composer, tmp_path / "m", said.append)
+    assert said == ["small: models of the air, from flights in still air"]
 
 
 def test_protocols_are_not_mixed(protocol, monkeypatch, tmp_path):
@@ -125,7 +152,7 @@ def test_settings_that_were_tuned_on_its_own_seeds_are_refused(protocol, tmp_pat
         config = composer.compose(["controller.nodes=12"])
         for name, seeds in (("honest", [1_000_000]), ("peeking", [7, 2])):
             about = {"flights": 40, "seeds": seeds}
-            write_presets(tmp_path / "t", composer, {"controller": "nominal_mpc"}, config, about, name)
+            write_preset(tmp_path / "t", composer, {"controller": "nominal_mpc"}, config, about, name)
     made, _ = run(tmp_path / "b", ["honest"], tmp_path / "t")
     assert {row["settings"] for row in made.rows} == {"tuned, 40 flights"}
     with pytest.raises(UsageError, match="controller=peeking: was tuned on seed 2, which the protocol flies"):

@@ -7,10 +7,19 @@ import shutil
 import pytest
 
 from quadexp.config.compose import compose, session
+from quadexp.config.schema import REMEDIES
 from quadexp.config.settings import record
 from quadexp.errors import UsageError
 from quadexp.log.store import read_metadata, read_table
-from quadexp.tune.preset import check_name, provenance_of, read_provenance, write_presets
+from quadexp.tune.preset import (
+    check_name,
+    default_name,
+    hidden,
+    options_of,
+    provenance_of,
+    read_provenance,
+    write_preset,
+)
 from quadexp.tune.result import fingerprint, tune
 from quadexp.tune.search import FIRST_SEED, Request, with_seeds
 from quadexp.tune.space import read_axes
@@ -72,36 +81,81 @@ def test_settings_below_settings(tmp_path):
     with session() as composer:
         config = composer.compose(["controller=rls_mpc", "controller.rls.noise=0.5", "controller.nodes=15"])
         options = {"controller": "rls_mpc"}
-        ((option, path),) = write_presets(tmp_path, composer, options, config, {"flights": 7}, "mine").items()
+        option, path = write_preset(tmp_path, composer, options, config, {"flights": 7}, "mine")
     assert option == "controller=mine" and read_provenance(path.read_text()) == {"flights": 7}
     assert record(compose([option], tmp_path).controller) == record(config.controller) | {"name": "mine"}
 
 
+@pytest.mark.parametrize(
+    "given",
+    [
+        ["controller=gp_mpc", "observer=wind", "observer.wind_walk=3"],
+        ["controller=dfbc", "inner=indi", "controller.position_gain=[7,7,9]"],
+        ["controller=nominal_mpc", "remedies=offset_free", "observer.force_bandwidth=2", "adaptive=l1"],
+    ],
+)
+def test_a_controller_and_its_remedies_are_one_bundle(given, tmp_path):
+    """It flies what was found, in one composition and as a cell of a sweep, whatever was chosen before."""
+    with session() as composer:
+        config = composer.compose([*given, "controller.rate=150"])
+        options = options_of(composer, given, config)
+        choice, path = write_preset(tmp_path, composer, options, config, {"flights": 7}, "mine")
+    assert choice == f"{given[0]} remedies=mine" and not hidden(path)
+    groups = ("controller", *REMEDIES)
+    wanted = [record(getattr(config, group)) for group in groups]
+    own = compose(choice.split(), tmp_path)
+    assert [record(getattr(own, group)) for group in groups] == wanted
+    with session(tmp_path) as composer:
+        swept = composer.expand([*choice.split(), "world=clean,only_wind"])
+        assert [[record(getattr(cell.config, group)) for group in groups] for cell in swept] == [wanted] * 2
+
+
+def test_what_is_called_as_a_shipped_option_is_hidden_by_it(tmp_path):
+    """Flown and read alike: the one that is composed is the one whose provenance counts."""
+    with session() as composer:
+        config = composer.compose(["controller.nodes=12"])
+        _, path = write_preset(tmp_path, composer, {"controller": "nominal_mpc"}, config, {"flights": 7})
+    assert hidden(path) and compose(["controller=nominal_mpc_tuned"], tmp_path).controller.nodes != 12
+    assert provenance_of("nominal_mpc_tuned", tmp_path) == provenance_of("nominal_mpc_tuned")
+
+
+def test_options_are_called_by_what_they_are_of():
+    around = {"controller": "dfbc", "inner": "indi", "observer": "wind"}
+    assert default_name({"controller": "dfbc"}) == "dfbc_tuned" and default_name(around) == "dfbc_wind_indi_tuned"
+
+
 def test_an_option_is_not_written_over_itself():
     with pytest.raises(UsageError, match="give another name"):
-        check_name("gp_mpc", "gp_mpc")
+        check_name({"controller": "gp_mpc"}, "gp_mpc")
 
 
-SHIPPED = sorted(path.stem for path in (ROOT / "conf" / "controller").glob("*_tuned.yaml"))
+SHIPPED = sorted((path.parent.name, path.stem) for path in (ROOT / "conf").glob("*/*_tuned.yaml"))
+PLACE = ("controller", "model", "vehicle", "plant", "sensor", *REMEDIES)  # Lei & Li's are tuned on their vehicle
 
 
-@pytest.mark.parametrize("option", SHIPPED)
-def test_shipped_tunings_come_from_the_history_beside_them(option):
-    about = provenance_of(option)
+@pytest.mark.parametrize(("group", "option"), SHIPPED)
+def test_shipped_tunings_come_from_the_history_beside_them(group, option):
+    about = provenance_of(option, group=group)
     columns, meta = read_table(ROOT / "docs" / "tuned" / f"{option}.parquet", "tuning")
     names = [text.partition("=")[0] for text in meta["request"]["space"]]
     trials = [[float(columns[name][i]) for name in (*names, "value")] for i in range(len(columns["trial"]))]
     assert about and about["trials"] == fingerprint(trials) and about["space"] == meta["request"]["space"]
     best = min(range(len(trials)), key=lambda i: trials[i][-1])
     assert about["tuned"].endswith(f"trial {best}")
-    values = record(compose([f"controller={option}"]).controller)
+    choice = [f"{group}={option}"] if group == "controller" else [about["cells"][0], f"{group}={option}"]
+    config = compose(choice)
     for name, value in zip(names, trials[best], strict=False):
-        own = values[name.removeprefix("controller.")]
-        assert (own[-1] if isinstance(own, list) else own) == value
+        own = config
+        parts = name.split(".")
+        for part in parts if parts[-1] not in ("xy", "z") else parts[:-1]:
+            own = own[part] if isinstance(own, dict) else getattr(own, part)
+        at = 0 if parts[-1] == "xy" else next((i for i, x in enumerate(own) if x), 0) if isinstance(own, tuple) else 0
+        at = 2 if parts[-1] == "z" else at
+        assert (own[at] if isinstance(own, tuple) else own) == value
 
 
 def test_shipped_tunings_had_the_same_budget_and_cells():
-    """But for the controller, and for what of the budget did not pay a whole trial."""
-    abouts = [provenance_of(option) for option in SHIPPED]
-    cells = {tuple(text for text in about["cells"] if not text.startswith("controller=")) for about in abouts}
+    """But for the controller and where it can fly, and for what of the budget did not pay a whole trial."""
+    abouts = [provenance_of(option, group=group) for group, option in SHIPPED]
+    cells = {tuple(text for text in about["cells"] if text.partition("=")[0] not in PLACE) for about in abouts}
     assert len(cells) == 1 and len({about["flights"] for about in abouts}) == 1

@@ -54,3 +54,14 @@ def open_engine(config: Config, processes: Workers | None = None) -> Iterator[En
     assert isinstance(engine, DaskEngine)
     with engine.open() as client:
         yield replace(engine, open=lambda: contextlib.nullcontext(client))
+
+
+@contextlib.contextmanager
+def opened(config: Config, calls: int) -> Iterator[Engine]:
+    """The engine with processes of its own on this machine, which end with the context. calls: flights at least."""
+    settings = config.evaluate
+    with (
+        Workers(settings.workers, settings.memory or None, calls=calls) as processes,
+        open_engine(config, processes) as engine,
+    ):
+        yield engine

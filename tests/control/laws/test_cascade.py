@@ -165,6 +165,57 @@ def test_the_reference_s_velocity_and_acceleration_are_fed_forward():
     assert errors[1] < errors[0] < 0.3
 
 
+def transfer(s, keys, feedforward=(1.0, 1.0)):
+    """p(s)/p_r(s) of the cascade in the horizontal at small angles, on a rigid body, in continuous time.
+
+    feedforward: shares of the reference's velocity and acceleration that are fed forward.
+    """
+
+    def low_pass(cutoff):
+        return 1 / (1 + s / (2 * np.pi * cutoff))
+
+    pi = keys.rate_proportional[0] + keys.rate_integral[0] / s
+    slowed = s**2 * (1 + keys.rate_derivative[0] * low_pass(keys.rate_cutoff))
+    attitude = pi * keys.attitude_proportional[0] / (slowed + pi * (s + keys.attitude_proportional[0]))
+    velocity = keys.velocity_proportional[0] + keys.velocity_integral[0] / s
+    towards = velocity * (keys.position_proportional[0] + s)
+    damping = keys.velocity_derivative[0] * low_pass(keys.velocity_cutoff) * s**2
+    forward = velocity * (keys.position_proportional[0] + feedforward[0] * s) + feedforward[1] * s**2
+    return attitude * forward / (s**2 + attitude * (towards + damping))
+
+
+def circling(vehicle, radius, frequency):
+    """The windows of a circle that is flown for ever, about the origin."""
+    held = hovering(vehicle)
+
+    def window(t):
+        turn = radius * np.exp(1j * frequency * t) * (1j * frequency) ** np.arange(5)
+        return held._replace(position=np.column_stack([turn.real, turn.imag, np.zeros(5)]))
+
+    return window
+
+
+@pytest.mark.parametrize(
+    ("name", "frequency", "changes"),
+    [
+        ("torrente", 1.6, {}),  # of the circle at 8 m/s
+        ("lei_li", 1.0, {}),
+        ("crazyflie", 2.5, {"velocity_integral": (1.0, 1.0, 2.0), "attitude_proportional": (9.0, 9.0, 2.8)}),
+    ],
+)
+def test_a_small_circle_is_followed_as_its_transfer_function_says(name, frequency, changes):
+    """Gains, units, filters, integrals and both feed-forwards; 3 % for a continuous in place of a sampled law."""
+    vehicle, keys, radius = vehicle_of(name), CascadeKeys(**changes), 0.02
+    controller = CascadeController(vehicle, keys, backend="interpreted")
+    states, _ = fly(Body(vehicle), controller, at_rest((radius, 0, 0)), 30.0, circling(vehicle, radius, frequency))
+    t = np.arange(len(states)) / keys.rate
+    found = ((states[:, 0] + 1j * states[:, 1]) * np.exp(-1j * frequency * t) / radius)[-1000:]
+    wanted = transfer(1j * frequency, keys)
+    assert np.abs(found - wanted).max() < 0.03 * abs(1 - wanted)
+    for wrong in (transfer(1j * frequency, keys, (0, 1)), transfer(1j * frequency, keys, (1, 0))):
+        assert abs(wrong - wanted) > 0.2 * abs(1 - wanted)  # a feed-forward that were not there would show
+
+
 def test_derivatives_are_those_of_the_last_flight_s_start_only():
     vehicle = vehicle_of("torrente")
     controller, window = cascade(vehicle), hovering(vehicle)
