@@ -116,7 +116,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/experiment/flight.c": ("tests/experiment/test_compiled_flight.py",),
     "quadexp/learn/rls_step.py": ("tests/learn/test_rls.py", "tests/properties/test_identification.py"),
 }
-COMPILED = ("*.c", "quadexp/control/mpc/riccati.py", "quadexp/reference/traced.py")
+COMPILED = ("*.c", "quadexp/air/online.py", "quadexp/control/mpc/riccati.py", "quadexp/reference/traced.py")
 
 
 def runs_compiled(file: str) -> bool:
