@@ -23,8 +23,8 @@ class Delays:
     """What is known of the commands' way to thrust: control period, dead time, lag of the rotors (s)."""
 
     period: float
-    dead_time: float = 0.0
-    lag: float = 0.0
+    dead_time: float
+    lag: float
 
     @property
     def pending(self) -> int:

@@ -131,13 +131,13 @@ def l1(controller: Any, config: Any) -> L1Controller:
         )
     if isinstance(controller, (IdentifyingController, AdaptingController)):
         raise UsageError(
-            f"adaptive=l1: {controller.name} explains the same error by what it learns in flight, from commands without"
+            "adaptive=l1: this controller explains the same error by what it learns in flight, from commands without"
             " what L1 adds. Take one of them"
         )
     if config.unmatched and not hasattr(controller, "believe"):
         raise UsageError("adaptive.unmatched=true: this controller cannot be told of a force; adaptive.unmatched=false")
-    delays = [known_delay(getattr(config, name), controller, name) for name in ("motor_lag", "dead_time")]
-    return L1Controller(controller, part(L1Keys, config), *delays)
+    lag = known_delay(config.motor_lag, controller, "known_lag")
+    return L1Controller(controller, part(L1Keys, config), lag, known_delay(config.dead_time, controller, "dead_time"))
 
 
 def l1_functions(

@@ -6,6 +6,7 @@ import importlib
 from typing import Any
 
 from quadexp.config.schema import Config, remedies
+from quadexp.errors import UsageError
 
 
 def with_remedies(controller: Any, config: Config) -> Any:
@@ -15,5 +16,8 @@ def with_remedies(controller: Any, config: Config) -> Any:
     """
     for part in remedies(config).values():
         module, _, name = part.remedy.partition(":")
-        controller = getattr(importlib.import_module(module), name)(controller, part)
+        try:
+            controller = getattr(importlib.import_module(module), name)(controller, part)
+        except UsageError as error:
+            raise UsageError(f"controller={config.controller.name}: {error}") from None
     return controller

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 from quadexp.air.adapting import adapting_drag, adapting_network, adapting_process, adapting_terms, from_zero
 from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
@@ -303,6 +304,23 @@ def test_the_composite_law_makes_the_lyapunov_function_fall(vehicle):
     for slips in (("sign", "step", "noise"), ("sign", "step"), ("sign",), ("step",)):
         rises = np.diff(printed(slips)) / printed(slips)[:-1]
         assert rises.max() > 1e-4, slips
+
+
+def test_the_tracking_error_is_taken_in_body_axes(vehicle, rng):
+    """sigma = R' ((v - v_r) + Lambda (p - p_r)), and readings that say nothing: b = dt c sigma_i phi_i."""
+    adapting, turn, rate = adapting_terms(vehicle, 1.0), Rotation.from_euler("zyx", [1.2, -0.6, 0.9]), 2.5
+    learner = Learner(vehicle, adapting, Law("composite"), variance=1e30, tracking=0.1, rate=rate)
+    given, (p, v, path), thrust = learner.f.arguments, rng.normal(size=(3, 6)), np.full(4, 3.0)
+    p, v = p[:3], 5 * v[:3]
+    given["x"][...] = np.concatenate([p, turn.as_quat(scalar_first=True), v, np.zeros(3)])
+    given["u"][...], given["path"][...] = thrust, path
+    learner.f()
+    sigma = turn.inv().apply(v - path[3:] + rate * (p - path[:3]))
+    rows = designs(adapting, turn.inv().apply(v)[None], thrust[None])
+    for block, phi, (b, _) in zip(
+        adapting.blocks, rows, split_belief(adapting, learner.f.results["new_belief"]), strict=True
+    ):
+        assert b == pytest.approx(0.1 * sigma[block.axis] * phi[0], abs=1e-9)
 
 
 def test_noise_of_a_sample_is_the_density_over_the_time(vehicle):

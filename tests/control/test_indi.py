@@ -107,6 +107,20 @@ def test_a_torque_and_a_wrong_inertia_leave_no_steady_error(vehicle, inertia):
     assert abs(found[0] - 3.0) > 5 and found[-1] == pytest.approx(3.0, abs=1e-3)
 
 
+def test_the_gyroscopic_torque_is_none_to_be_removed(vehicle):
+    """Turning steadily about a skew axis: the rotors give what they gave, and J times the wanted acceleration."""
+    J, w, wanted = vehicle.inertia_matrix, np.array([6.0, -4.0, 3.0]), np.array([2.0, -3.0, 1.0])
+    delivered = vehicle.hover_thrust * np.array([1.1, 0.9, 1.05, 1.0])
+    values = np.r_[w, np.sqrt(delivered)]
+    asked = np.r_[vehicle.mass * vehicle.gravity, J @ wanted + np.cross(w, J @ w)]
+    law = indi_function(vehicle, INDIKeys())
+    u = np.linalg.pinv(vehicle.allocation) @ asked
+    found = np.array(law(u, w, delivered, settled_memory(INDIKeys(), values).T, values)[0]).ravel()
+    assert (vehicle.allocation @ (found - delivered))[1:] == pytest.approx(J @ wanted, abs=1e-9)
+    assert (vehicle.allocation @ found)[0] == pytest.approx(vehicle.mass * vehicle.gravity)
+    assert np.abs(np.cross(w, J @ w)).max() > 0.1 * np.abs(J @ wanted).max()
+
+
 def window(vehicle, thrust):
     state = np.zeros((2, N_STATE))
     state[:, 3] = 1
@@ -202,18 +216,20 @@ def test_commands_through_the_right_lag_are_as_good_as_rotor_speeds(vehicle):
 
 
 def test_the_spin_up_torque_is_part_of_the_answer(vehicle):
-    """(35): the static thrusts with the torque of the rotors' own acceleration give the wanted yaw torque."""
+    """(35): the static thrusts with the torque of the rotors' own acceleration give the wanted yaw torque, beyond what
+    the unequal rotors give already."""
     measured = replace(vehicle, thrust_coefficient=1e-5)
     keys = INDIKeys(rotor_inertia=5e-6)
-    hover = np.full(4, vehicle.hover_thrust)
-    values = np.r_[np.zeros(3), np.sqrt(hover)]
+    given = vehicle.hover_thrust * np.array([0.85, 1.1, 1.0, 1.2])
+    values = np.r_[np.zeros(3), np.sqrt(given)]
     yaw = 0.02
     wanted = np.linalg.pinv(vehicle.allocation) @ [vehicle.mass * vehicle.gravity, 0, 0, yaw]
     law = indi_function(measured, keys)
-    u = np.array(law(wanted, np.zeros(3), hover, settled_memory(keys, values).T, values)[0]).ravel()
-    speed, now = np.sqrt(u / 1e-5), np.sqrt(hover / 1e-5)
+    u = np.array(law(wanted, np.zeros(3), given, settled_memory(keys, values).T, values)[0]).ravel()
+    speed, now = np.sqrt(u / 1e-5), np.sqrt(given / 1e-5)
     spin_up = 5e-6 * np.array(vehicle.rotor_spin) @ (speed - now) / keys.spin_up_time
-    assert (vehicle.allocation @ u)[3] + spin_up == pytest.approx(yaw, rel=1e-6)
-    assert (vehicle.allocation @ u)[3] < 0.99 * yaw  # without it the rotors would be asked for more
+    more = (vehicle.allocation @ (u - given))[3]
+    assert more + spin_up == pytest.approx(yaw, rel=1e-6)
+    assert more < 0.99 * yaw  # without it the rotors would be asked for more
     with pytest.raises(UsageError, match="rotor_inertia"):
         indi_function(vehicle, keys)

@@ -262,8 +262,9 @@ def a_hover(vehicle) -> Window:
     return Window(x, np.full((1, vehicle.n_rotors), vehicle.hover_thrust), np.zeros((5, 3)), np.zeros(3))
 
 
-def still(vehicle, observed, reading, steps, rates=None):
-    """The beliefs of an observer of a hovering vehicle that reads what it is given, (steps, 3) or rates (steps, 3)."""
+def still(vehicle, observed, reading, steps, rates=None, velocities=None):
+    """The beliefs of an observer of a hovering vehicle that reads what it is given, (steps, 3), rates and velocities
+    (steps, 3) likewise."""
     told = Told(vehicle, make_residual("none", vehicle), np.full(vehicle.n_rotors, vehicle.hover_thrust))
     controller = observed(told)
     x = np.concatenate([np.zeros(3), [1.0], np.zeros(9)])
@@ -271,6 +272,7 @@ def still(vehicle, observed, reading, steps, rates=None):
     found = []
     for k in range(steps):
         x[10:] = 0 if rates is None else rates[k]
+        x[7:10] = 0 if velocities is None else velocities[k]
         controller.step(Measurement(0.0, x, reading[k], None), a_hover(vehicle))
         found.append(np.concatenate(told.belief[:3]))
     return np.array(found)
@@ -320,6 +322,50 @@ def test_the_torque_observer_has_its_poles_where_they_were_put(vehicle):
     principal = replace(vehicle, inertia=((0.03, 0, 0), (0, 0.03, 0), (0, 0, 0.03)))  # then w x J w is zero
     found = still(principal, observed, reading, steps, rates)[:, 3:6] / 0.03
     assert found == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_body_that_tumbles_by_itself_has_no_torque(vehicle):
+    """Euler's equations without a torque: what turns the rates is known to the model."""
+    body = replace(vehicle, inertia=((0.02, 0, 0), (0, 0.03, 0), (0, 0, 0.05)))
+    J, w, rates, h = body.inertia_matrix, np.array([4.0, -3.0, 2.0]), [], PERIOD / 20
+    gyroscopic = max(np.abs(np.cross(w, J @ w)))
+    for _ in range(60):
+        rates.append(w)
+        for _ in range(20):
+            middle = w - h / 2 * np.linalg.solve(J, np.cross(w, J @ w))
+            w = w - h * np.linalg.solve(J, np.cross(middle, J @ middle))
+    found = still(body, disturbance, np.tile([0, 0, 9.81], (60, 1)), 60, np.array(rates))[40:, 3:6]  # it began at rest
+    assert np.abs(found).max() < 0.05 * gyroscopic
+
+
+def test_the_force_by_the_velocity_has_its_poles_where_they_were_put(vehicle):
+    """As the torque by the rates."""
+    bandwidth, push, steps = 10.0, np.array([1.5, -1.0, 0.5]), 80
+    z, k = np.exp(-bandwidth * PERIOD), np.arange(1, steps + 1)[:, None]
+
+    def observed(controller):
+        return disturbance(controller, source="velocity", force_bandwidth=bandwidth)
+
+    reading = np.full((steps, 3), 7.0)  # is not used
+    found = still(vehicle, observed, reading, steps, velocities=push * k * PERIOD)[:, :3] / vehicle.mass
+    assert found == pytest.approx(push * (1 - z**k - k * (1 - z) * z**k), abs=1e-9)
+
+
+def test_what_noise_of_the_rates_makes_of_the_torque(vehicle, rng):
+    """The transfer function from rate to torque is that from torque to torque times J (1 - q^-1) / T, poles at z twice:
+    its variance under white noise is the sum of the squares of its impulse response."""
+    bandwidth, noise, steps = 10.0, 0.02, 20000
+    z, k = np.exp(-bandwidth * PERIOD), np.arange(400)
+    to_torque = np.append(0, (1 - z) ** 2 * (k + 1) * z**k)  # q (1 - z)^2 / (q - z)^2, a sample late
+    response = np.diff(to_torque) / PERIOD
+    principal = replace(vehicle, inertia=((0.03, 0, 0), (0, 0.03, 0), (0, 0, 0.03)))
+    rates = noise * rng.normal(size=(steps, 3))
+
+    def observed(controller):
+        return disturbance(controller, torque_bandwidth=bandwidth, torque_limit=1e6)
+
+    found = still(principal, observed, np.tile([0, 0, 9.81], (steps, 1)), steps, rates)[200:, 3:6] / 0.03
+    assert found.var() == pytest.approx(noise**2 * np.sum(response**2), rel=0.05)
 
 
 def test_the_wind_filter_is_an_extended_kalman_filter(vehicle, rng):

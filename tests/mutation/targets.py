@@ -25,6 +25,7 @@ STEP = (
     "tests/properties/test_closed_loop.py",
 )
 JACOBIANS = ("tests/physics/test_sensitivity.py", "tests/properties/test_jacobians.py")
+DELAYS = ("tests/control/delay", "tests/experiment/test_identify_delays.py", "tests/experiment/test_delay_remedies.py")
 RESIDUAL = ("tests/air", "tests/properties/test_jacobians.py", "tests/world/test_blade_element.py")
 
 TARGETS: dict[str, tuple[str, ...]] = {
@@ -56,7 +57,32 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/properties/test_symmetry.py",
         "tests/properties/test_blade_limits.py",
     ),
+    "quadexp/air/online.py": ("tests/air/test_online.py", "tests/learn/test_streaming.py"),
+    "quadexp/air/adapting.py": ("tests/air/test_online.py", "tests/learn/test_streaming.py"),
+    "quadexp/air/adapt_block.c": ("tests/air/test_online.py", "tests/learn/test_streaming.py"),
+    "quadexp/air/neural_*.c": ("tests/air", "tests/learn/test_neural.py"),
     "quadexp/air/*.py": (*RESIDUAL, "tests/physics/test_sensitivity.py"),
+    "quadexp/control/observers/*.py": ("tests/control/test_observers.py",),
+    "quadexp/control/delivered.py": ("tests/control/test_delivered.py", "tests/control/test_observers.py"),
+    "quadexp/control/mpc/believed_world.py": (
+        "tests/control/mpc/test_believed_world.py",
+        "tests/control/test_observers.py",
+    ),
+    "quadexp/control/mpc/targets.py": (
+        "tests/control/mpc/test_targets.py",
+        "tests/control/mpc/test_believed_world.py",
+        "tests/control/test_observers.py",
+    ),
+    "quadexp/control/mpc/motor_lead.py": ("tests/control/mpc/test_motor_lead.py",),
+    "quadexp/control/mpc/online_mpc.py": ("tests/control/mpc/test_online_mpc.py",),
+    "quadexp/control/delay/identified.py": DELAYS[::-1],
+    "quadexp/control/delay/*.py": DELAYS,
+    "quadexp/control/indi/*.py": ("tests/control/test_indi.py",),
+    "quadexp/control/multirate.py": ("tests/control/test_indi.py",),
+    "quadexp/control/l1.py": ("tests/control/test_l1.py",),
+    "quadexp/control/allocation.py": ("tests/control/test_allocation.py",),
+    "quadexp/control/dfbc/*.py": ("tests/control/test_dfbc.py",),
+    "quadexp/control/laws/[!r]*.py": ("tests/control/laws",),
     "quadexp/control/mpc/step.py": STEP,
     "quadexp/control/mpc/attitude_error.py": STEP,
     "quadexp/control/mpc/subproblem.py": STEP,
@@ -90,7 +116,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/experiment/flight.c": ("tests/experiment/test_compiled_flight.py",),
     "quadexp/learn/rls_step.py": ("tests/learn/test_rls.py", "tests/properties/test_identification.py"),
 }
-COMPILED = ("*.c", "quadexp/control/mpc/riccati.py", "quadexp/reference/traced.py")
+COMPILED = ("*.c", "quadexp/air/online.py", "quadexp/control/mpc/riccati.py", "quadexp/reference/traced.py")
 
 
 def runs_compiled(file: str) -> bool:

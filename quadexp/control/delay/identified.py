@@ -216,7 +216,7 @@ def around(controller: Controller, config: IdentifiedDelayConfig) -> Controller:
     core = innermost(controller)
     if type(core) is not PredictiveController:
         raise UsageError(
-            f"delay={config.name}: {controller.name} is no MPC whose grid can follow what is found; find the delays"
+            f"delay={config.name}: this controller is no MPC whose grid can follow what is found; find the delays"
             " with `quadexp identify --method delays FLIGHT` and give them: delay=prediction or delay=strapdown"
         )
     if controller.control_period != core.control_period:

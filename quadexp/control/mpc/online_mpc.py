@@ -65,7 +65,7 @@ class AdaptingController(PredictiveController):
         self._path, self.theta, self.innovation = given["path"], found["theta"], found["innovation"]
         self._all = model.theta.copy()
         self._weights = self._all[len(model.theta) - len(adapting.residual.theta) :]
-        self._delivered = DeliveredThrust(vehicle, self.control_period, settings.dead_time, settings.motor_lag)
+        self._delivered = DeliveredThrust(vehicle, self.control_period, settings.dead_time, settings.known_lag)
         self._known = model
         self.forget()
 

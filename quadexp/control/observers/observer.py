@@ -139,11 +139,11 @@ def believer(controller: Controller, name: str) -> Any:
     """
     if isinstance(innermost(controller), (IdentifyingController, AdaptingController)):
         raise UsageError(
-            f"observer={name}: {controller.name} explains the accelerometer by what it learns in flight; an"
+            f"observer={name}: this controller explains the accelerometer by what it learns in flight; an"
             " observer would explain the same readings a second time. Take one of them"
         )
     if not hasattr(controller, "believe"):
-        raise UsageError(f"observer={name}: {controller.name} cannot be told what an observer estimates; an MPC can")
+        raise UsageError(f"observer={name}: this controller cannot be told what an observer estimates; an MPC can")
     return controller
 
 

@@ -61,8 +61,8 @@ def with_wind_observer(controller: Controller, config: WindObserverConfig) -> Ob
     found = wind_bandwidth(inner.vehicle, residual, parameters_of(core), config, period)
     if found < config.least_bandwidth:
         raise UsageError(
-            f"observer={config.name}: {inner.name} on vehicle={inner.vehicle.name} knows too little drag to measure the"
-            f" wind (bandwidth {found:.2g} rad/s at {TYPICAL_AIRSPEED:g} m/s, observer.least_bandwidth is"
+            f"observer={config.name}: this controller knows too little drag of vehicle={inner.vehicle.name} to measure"
+            f" the wind (bandwidth {found:.2g} rad/s at {TYPICAL_AIRSPEED:g} m/s, observer.least_bandwidth is"
             f" {config.least_bandwidth:g}); take observer=disturbance"
         )
     function = wind_function(inner.vehicle, residual, period, inner.backend)

@@ -1,0 +1,83 @@
+"""Remedies as a configuration puts them together: every combination flies or is refused in one line."""
+
+from __future__ import annotations
+
+import random
+from functools import lru_cache
+from itertools import product
+
+import numpy as np
+import pytest
+
+from quadexp.config.compose import compose
+from quadexp.config.schema import controller_name
+from quadexp.errors import UsageError
+from quadexp.experiment.evaluate import fly_one
+
+WORLD = ["trajectory=hover", "trajectory.duration=0.3", "external=push", "external.force=[0.5,-0.3,-0.4]"]
+WORLD += ["external.torque=[0.01,-0.01,0.002]", "estimator=late", "estimator.gyro=fresh"]
+LEI_LI = ["vehicle=lei_li", "plant=blade_element"]
+FEW = ["controller.nodes=3", "controller.horizon=0.3", "controller.allow_unstable=true"]  # quick to build
+CONTROLLERS = {
+    "nominal_mpc": FEW,
+    "perfect_mpc": FEW,
+    "online_mpc": FEW,
+    "rls_mpc": [*LEI_LI, *FEW],
+    "dfbc": [],
+    "geometric": [],
+    "pid": [],
+    "rls_feedback": LEI_LI,
+}
+GROUPS = {
+    "observer": ("none", "disturbance", "wind"),
+    "adaptive": ("none", "l1"),
+    "inner": ("none", "indi"),
+    "delay": ("none", "strapdown", "prediction", "identified"),
+}
+
+
+def overrides(controller, parts):
+    given = [f"controller={controller}", "controller.backend=interpreted", *CONTROLLERS[controller], *WORLD]
+    given += [f"{group}={option}" for group, option in parts.items() if option != "none"]
+    given += ["delay.time=0.01"] if parts["delay"] in ("strapdown", "prediction") else []
+    both = parts["inner"] != "none" and parts["observer"] != "none"
+    return given + (["observer.torque_bandwidth=0"] if both else [])
+
+
+def commands(flight):
+    return np.stack([flight.columns[f"u_{i}"] for i in range(4)])
+
+
+def combinations(count):
+    every = [dict(zip(GROUPS, options, strict=True)) for options in product(*GROUPS.values())]
+    return random.Random(1).sample([(name, parts) for name in CONTROLLERS for parts in every], count)
+
+
+def flown_or_refused(controller, parts):
+    """The flight, or None where the combination is refused in one line that names an option or key of it."""
+    config = compose(overrides(controller, parts))
+    names = [controller, *(option for option in parts.values() if option != "none")]
+    assert controller_name(config) == "+".join(names)
+    try:
+        flight = fly_one(config)
+    except UsageError as error:
+        said = str(error)
+        assert "\n" not in said and said.startswith(f"controller={controller}: ")
+        assert any(f"{group}={option}" in said or f"{group}." in said for group, option in parts.items())
+        return None
+    assert flight.metadata["row"]["controller"] == "+".join(names)
+    assert flight.outcome == "ok" and all(np.isfinite(column[1:]).all() for column in flight.columns.values())
+    return flight
+
+
+@lru_cache(maxsize=None)
+def without_remedies(controller):
+    return commands(flown_or_refused(controller, dict.fromkeys(GROUPS, "none")))
+
+
+@pytest.mark.parametrize(("controller", "parts"), combinations(12), ids=lambda one: one if isinstance(one, str) else "")
+def test_a_combination_flies_and_does_something_or_is_refused(controller, parts):
+    flight = flown_or_refused(controller, parts)
+    if flight is not None and any(option != "none" for option in parts.values()):
+        found, bare = commands(flight), without_remedies(controller)
+        assert found.shape != bare.shape or np.abs(found - bare).max() > 1e-4  # an inner loop has a rate of its own
