@@ -8,12 +8,15 @@ and the thrust follows it with a first-order lag (physics.motor).
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
+from quadexp.compile.backend import BufferedFunction
 from quadexp.control.base import Measurement
+from quadexp.physics.expression import Expression
 from quadexp.physics.motor import decayed
 from quadexp.physics.vehicle import Vehicle
 
@@ -46,7 +49,9 @@ class Delays:
         return np.array([*shares, *decays, self.lag / self.period, float(self.lag > 0)])
 
 
-def delivered_by_commands(commands: ca.MX, thrust: ca.MX, sent: ca.MX, numbers: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
+def delivered_by_commands(
+    commands: Expression, thrust: Expression, sent: Expression, numbers: Expression
+) -> tuple[Expression, Expression, Expression]:
     """One control period: pending commands (n, K) and thrust (n,) after it, and the mean thrust over it (N).
 
     commands, thrust: before it. sent: the command that was sent at its beginning, (n,) (N). numbers: of Delays.
@@ -60,6 +65,17 @@ def delivered_by_commands(commands: ca.MX, thrust: ca.MX, sent: ca.MX, numbers: 
     return acting[:, 1:], thrust, mean + numbers[4] * (first - thrust)
 
 
+def commands_function(rotors: int, delays: Delays, shared: Mapping[str, np.ndarray] | None = None) -> BufferedFunction:
+    """`delivered_by_commands` as a function of commands, thrust and sent: commands_next, thrust_next, mean.
+
+    shared: see BufferedFunction. It is so small that compiling gains nothing."""
+    shapes = {"commands": (rotors, delays.pending), "thrust": (rotors, 1), "sent": (rotors, 1)}
+    a = {name: ca.SX.sym(name, *shape) for name, shape in shapes.items()}
+    results = delivered_by_commands(a["commands"], a["thrust"], a["sent"], ca.DM(delays.numbers))
+    names = ["commands_next", "thrust_next", "mean"]
+    return BufferedFunction(ca.Function("delivered", [*a.values()], [*results], [*a], names), shared)
+
+
 class DeliveredThrust:
     """Call `reset`, then at every control instant `now` and `record`, in this order.
 
@@ -69,10 +85,11 @@ class DeliveredThrust:
     """
 
     def __init__(self, vehicle: Vehicle, control_period: float, dead_time: float = 0.0, lag: float = 0.0) -> None:
-        delays = Delays(control_period, dead_time, lag)
-        self._coefficient, self._lag, self._durations = vehicle.thrust_coefficient, lag, delays.durations
-        self._commands = np.zeros((delays.pending, vehicle.n_rotors))
-        self.thrust, self.mean = np.zeros((2, vehicle.n_rotors))
+        self._coefficient, self._lag = vehicle.thrust_coefficient, lag
+        self._on = commands_function(vehicle.n_rotors, Delays(control_period, dead_time, lag))
+        given, self._next = self._on.arguments, self._on.results
+        self._commands, self.thrust, self._sent = given["commands"], given["thrust"], given["sent"]
+        self.mean = self._next["mean"]
 
     def reset(self, thrust: np.ndarray) -> None:
         """Start a flight: this command, (n,) (N), has been sent for a long time."""
@@ -90,18 +107,7 @@ class DeliveredThrust:
 
     def record(self, command: np.ndarray) -> None:
         """Add the command, (n,) (N), that was sent at this control instant, and go on by one control period."""
-        acting = np.vstack([self._commands, command])
-        self._commands[...] = acting[1:]
-        total = 0.0
-        for u, duration in zip(acting, self._durations, strict=False):
-            after = advanced(self.thrust, u, duration, self._lag)
-            total = total + duration * u + self._lag * (self.thrust - after)
-            self.thrust = after
-        self.mean[...] = total / sum(self._durations)
-
-
-def advanced(thrust: np.ndarray, command: np.ndarray, duration: float, lag: float) -> np.ndarray:
-    """Thrust (n,) (N) after a held command (n,) (N) has acted for a duration (s) with a lag (s); 0: at once."""
-    if not duration:
-        return thrust
-    return decayed(thrust, command, math.exp(-duration / lag) if lag else 0.0)
+        self._sent[...] = command
+        self._on()
+        self.thrust[...] = self._next["thrust_next"]
+        self._commands[...] = self._next["commands_next"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import Any, Protocol
 
 import numpy as np
@@ -191,9 +192,12 @@ def fly(
             if box is not None and not (box[0] <= x[POSITION]).all() & (x[POSITION] <= box[1]).all():
                 outcome, cause = "lost", f"{lost_box:g} m outside the box of the reference at t={t:.2f} s"
                 break
-            u, record = controller.step(Measurement(t, told, measured, speed), reference.window(k))
+            asked = Measurement(t, told, measured, speed), reference.window(k)
+            began = time.perf_counter()
+            u, record = controller.step(*asked)
+            took = time.perf_counter() - began
             row = (x, u, state_reference, input_reference, reading, inner.values(), told)
-            log.add(*row, record, controller.log())
+            log.add(*row, record, took, controller.log())
             if record.status == Status.FAILED:
                 outcome, cause = "solver_failed", f"the control step failed at t={t:.2f} s"
                 break
@@ -300,10 +304,12 @@ class _Log:
         inner: np.ndarray,
         told: np.ndarray,
         record: StepRecord,
+        took: float,
         extra: dict[str, float],
     ) -> None:
         k, self.rows = self.rows, self.rows + 1
         self.state[k], self.input[k], self.reading[k], self.record[k] = x, u, reading, record
+        self.record[k, 0] = took  # with all that is around the MPC
         self.state_reference[k], self.input_reference[k] = state_reference, input_reference
         self.inner[k] = inner
         if len(self.estimate):

@@ -166,11 +166,15 @@ class CommandsAhead:
     """A DeadTimePredictor whose dead time and lag may change in flight; thrusts in N delivered."""
 
     def __init__(self, mpc: ModelPredictiveController) -> None:
-        self._mpc, n = mpc, mpc.vehicle.n_rotors
+        n = mpc.vehicle.n_rotors
         parts = math.ceil(LARGEST / STEP - 1e-9)
-        function = prediction_on(mpc.vehicle, mpc.residual, parts, mpc.backend)
-        self._predict = BufferedFunction(function, {"theta": mpc.parameters})
         self._sent = SentCommands(n, mpc.settings.control_period, LARGEST + SETTLED * LARGEST_LAG)
+        function = prediction_on(mpc.vehicle, mpc.residual, parts, len(self._sent.values), mpc.backend)
+        shared = {"theta": mpc.parameters, "commands": self._sent.values}
+        shared |= {} if mpc.disturbance is None else {"push": mpc.disturbance}
+        self._predict = BufferedFunction(function, shared)
+        self._predict.arguments["scale"][0] = 1.0
+        self._x, self._now = self._predict.arguments["x"], self._predict.results["now"]
         self._parts, self._lag = parts, 0.0
 
     def tune(self, dead_time: float, lag: float, commands: np.ndarray) -> None:
@@ -180,7 +184,8 @@ class CommandsAhead:
         starts = np.minimum(np.arange(self._parts) * STEP, dead_time)
         ends = np.minimum(starts + STEP, dead_time)
         self._predict.arguments["dt"][:] = ends - starts
-        self._weights = self._sent.weights(np.stack([starts, ends], axis=1), dead_time, lag)
+        weights = self._sent.weights(np.stack([starts, ends], axis=1), dead_time, lag)
+        self._predict.arguments["weights"].reshape(weights.shape)[...] = weights
         self._last = self._sent.weights(np.array([[dead_time, dead_time]]), dead_time, lag)[0]
 
     def reset(self, thrust: np.ndarray) -> None:
@@ -189,14 +194,11 @@ class CommandsAhead:
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """See DeadTimePredictor.predict."""
-        given = self._predict.arguments
-        given["x"][:] = x
-        np.matmul(self._weights, self._sent.values, out=given["thrusts"])
-        if self._mpc.disturbance is not None:
-            given["push"][:] = self._mpc.disturbance
+        self._x[...] = x
         self._predict()
-        now = self._predict.results["now"].copy()
-        return np.concatenate([now, self._last @ self._sent.values]) if self._lag else now
+        if self._lag:
+            return np.concatenate([self._now, self._last @ self._sent.values])
+        return self._now.copy()
 
     def record(self, command: np.ndarray) -> None:
         """See DeadTimePredictor.record."""

@@ -15,7 +15,6 @@ time at which its command begins to act: phi goes on over the dead time, under t
 from __future__ import annotations
 
 import math
-import time
 from typing import Any
 
 import casadi as ca
@@ -61,10 +60,16 @@ class Prediction(WrappedController):
         self.commands = SentCommands(self.vehicle.n_rotors, self.control_period, largest + memory + self.control_period)
         self._predict: BufferedFunction | None = None
         if parts:
-            shared = {} if model is None else {"theta": model.parameters}
-            function = prediction_on(self.vehicle, residual, parts, inner.backend)
+            shared = {"commands": self.commands.values} | ({} if model is None else {"theta": model.parameters})
+            world = None if self._observer is None else getattr(innermost(inner), "believed", None)
+            if world is not None and model is not None:
+                shared |= {"push": model.disturbance, "wind": world.numbers[6:9], "scale": world.numbers[9:]}
+                self._observer = None  # nothing is to be told
+            function = prediction_on(self.vehicle, residual, parts, len(self.commands.values), inner.backend)
             self._predict = BufferedFunction(function, shared)
-            self._arguments = self._predict.arguments
+            self._arguments, self._now = self._predict.arguments, self._predict.results["now"]
+            self._x = self._arguments["x"]
+            self._arguments["scale"][0] = 1.0
             if model is None:
                 self._arguments["theta"][...] = residual.theta
         self._since, self._shown = 0, -1.0
@@ -78,12 +83,11 @@ class Prediction(WrappedController):
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
-        began = time.perf_counter()
         t, x, force, speed = measurement
         now = Measurement(t, self.now(x), force, speed)
         thrust, record = self.inner.step(now, self._later(window) if self.ahead else window)
         self.commands.record(thrust)
-        return thrust, StepRecord(time.perf_counter() - began, *record[1:])
+        return thrust, record
 
     def tune(self, delay: float, dead_time: float, lag: float) -> None:
         """Go on with others."""
@@ -95,18 +99,16 @@ class Prediction(WrappedController):
         self._since += 1
         if self._predict is None or not late + self.ahead:
             return x
-        arguments = self._arguments
         if late != self._shown:
             self._divide(late)
-        arguments["x"][:] = x
-        np.matmul(self._weights, self.commands.values, out=arguments["thrusts"])
+        self._x[...] = x
         if self._observer is not None:
-            belief = self._observer.belief
-            arguments["wind"][:], arguments["scale"][0] = belief.wind, belief.thrust_scale - 1
-            arguments["push"][:3] = belief.force / self.vehicle.mass
-            arguments["push"][3:] = self._inverse_inertia @ belief.torque
+            belief, told = self._observer.belief, self._arguments
+            told["wind"][:], told["scale"][0] = belief.wind, belief.thrust_scale
+            told["push"][:3] = belief.force / self.vehicle.mass
+            told["push"][3:] = self._inverse_inertia @ belief.torque
         self._predict()
-        return self._predict.results["now"].copy()
+        return self._now.copy()
 
     def _later(self, window: Window) -> Window:
         """The reference when a command of now begins to act; states and inputs are asked for then."""
@@ -121,7 +123,8 @@ class Prediction(WrappedController):
         """Parts of the time, and the weights of commands in each."""
         before = np.arange(len(self._arguments["dt"]) - 1, -1, -1) * STEP  # from the end of the prediction
         ends, starts = (np.minimum(one, late + self.ahead) - self.ahead for one in (before, before + STEP))
-        self._weights = self.commands.weights(-np.stack([starts, ends], axis=1), self.dead_time, self.lag)
+        weights = self.commands.weights(-np.stack([starts, ends], axis=1), self.dead_time, self.lag)
+        self._arguments["weights"].reshape(weights.shape)[...] = weights
         self._arguments["dt"][:], self._shown = starts - ends, late
 
 
@@ -137,39 +140,37 @@ def around(controller: Controller, config: PredictionConfig) -> Controller:
 _built: dict[tuple[Any, ...], ca.Function] = {}
 
 
-def prediction_on(vehicle: Vehicle, residual: Residual, parts: int, backend: str) -> ca.Function:
+def prediction_on(vehicle: Vehicle, residual: Residual, parts: int, commands: int, backend: str) -> ca.Function:
     """`prediction` on a back end; built once per process and structure."""
-    key = (vehicle.fingerprint, residual.function.serialize(), parts, backend)
+    key = (vehicle.fingerprint, residual.function.serialize(), parts, commands, backend)
     if key not in _built:
-        _built[key] = realise(prediction(vehicle, residual, parts), resolve(backend))
+        _built[key] = realise(prediction(vehicle, residual, parts, commands), resolve(backend))
     return _built[key]
 
 
-def prediction(vehicle: Vehicle, residual: Residual, parts: int) -> ca.Function:
-    """The model's state after held thrusts, in a believed world.
+def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) -> ca.Function:
+    """The model's state after the thrusts of the last commands, in a believed world.
 
-    Inputs: x (13,); thrusts (n, parts) (N), the first to act first; dt (parts,), for how long each acts (s); theta of
-    the residual; wind (3,), world (m/s); push (6,): acceleration, world (m/s^2), and angular acceleration, body
-    (rad/s^2), beyond the model; scale of the thrusts less 1.
+    Inputs: x (13,); commands (n, m) (N), the oldest first; weights (m, parts) on them of the thrusts in each part of
+    the time, the first to act first; dt (parts,), for how long each acts (s); theta of the residual; wind (3,), world
+    (m/s); push (6,): acceleration, world (m/s^2), and angular acceleration, body (rad/s^2), beyond the model; scale of
+    the thrusts.
     """
     n = vehicle.n_rotors
     model = corrected_function(vehicle, residual)
-    x, dt = ca.MX.sym("x", N_STATE), ca.MX.sym("dt", parts)
-    thrusts, theta = ca.MX.sym("thrusts", n, parts), ca.MX.sym("theta", residual.function.size1_in(1))
-    wind, push, scale = (ca.MX.sym(name, size) for name, size in WORLD.items())
-    pushed = ca.vertcat(wind, ca.MX(4, 1), push)
+    shapes = {"x": (N_STATE, 1), "commands": (n, commands), "weights": (commands, parts), "dt": (parts, 1)}
+    shapes |= {"theta": (residual.function.size1_in(1), 1), "wind": (3, 1), "push": (6, 1), "scale": (1, 1)}
+    arguments = {name: ca.MX.sym(name, *shape) for name, shape in shapes.items()}
+    x, dt, theta, wind = (arguments[name] for name in ("x", "dt", "theta", "wind"))
+    pushed = ca.vertcat(wind, ca.MX(4, 1), arguments["push"])
+    thrusts = arguments["scale"] * ca.mtimes(arguments["commands"], arguments["weights"])
 
     def slope(s: ca.MX, held: ca.MX) -> ca.MX:
         return model(s, held, theta) + pushed
 
     state = ca.vertcat(x[: VELOCITY.start], x[VELOCITY] - wind, x[VELOCITY.stop :])  # in the frame of the air
     for u, h in zip(ca.horzsplit(thrusts), ca.vertsplit(dt), strict=True):
-        state = rk4_step_with_input(slope, state, [(1 + scale) * u] * 3, h)
+        state = rk4_step_with_input(slope, state, [u] * 3, h)
     q = state[ATTITUDE]
     now = ca.vertcat(state[: ATTITUDE.start], q / ca.norm_2(q), state[VELOCITY] + wind, state[VELOCITY.stop :])
-    arguments = {"x": x, "thrusts": thrusts, "dt": dt, "theta": theta}
-    arguments |= dict(zip(WORLD, (wind, push, scale), strict=True))
     return ca.Function("delay_prediction", [*arguments.values()], [now], [*arguments], ["now"])
-
-
-WORLD = {"wind": 3, "push": 6, "scale": 1}  # of a belief, and the size of each

@@ -27,6 +27,8 @@ class SentCommands:
     def __init__(self, rotors: int, period: float, reach: float) -> None:
         self._period = period
         self.values = np.zeros((math.ceil(reach / period - 1e-9) + 1, rotors))
+        flat = self.values.reshape(-1)
+        self._older, self._newer, self._newest = flat[:-rotors], flat[rotors:], flat[-rotors:]
 
     def reset(self, thrust: np.ndarray) -> None:
         """Begin a flight: this command, (n,) (N), has been sent for a long time."""
@@ -34,8 +36,8 @@ class SentCommands:
 
     def record(self, command: np.ndarray) -> None:
         """Add the command, (n,) (N), of this control instant, and go on by one control period."""
-        self.values[:-1] = self.values[1:]
-        self.values[-1] = command
+        self._older[...] = self._newer
+        self._newest[...] = command
 
     def weights(self, spans: np.ndarray, dead_time: float, lag: float) -> np.ndarray:
         """Weights (s, m) on the commands of the mean thrusts over spans (s, 2) (s): beginning and end, 0 is now, before

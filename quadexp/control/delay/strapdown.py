@@ -17,7 +17,6 @@ the part of it that is younger than tau.
 from __future__ import annotations
 
 import math
-import time
 from typing import Any
 
 import casadi as ca
@@ -48,6 +47,10 @@ class Strapdown(WrappedController):
             arguments = self._propagate.arguments
             self._state, self._late = arguments["x"], arguments["late"]
             self._rates, self._forces = arguments["rates"], arguments["forces"]  # (K + 1, 3), the oldest first
+            flat = [one.reshape(-1) for one in (self._rates, self._forces)]
+            self._older, self._newer = [one[:-3] for one in flat], [one[3:] for one in flat]
+            self._rate, self._force = [one[-3:] for one in flat]
+            self._now = self._propagate.results["now"]
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
@@ -56,10 +59,8 @@ class Strapdown(WrappedController):
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
-        began = time.perf_counter()
         t, _, force, speed = measurement
-        thrust, record = self.inner.step(Measurement(t, self.now(measurement), force, speed), window)
-        return thrust, StepRecord(time.perf_counter() - began, *record[1:])
+        return self.inner.step(Measurement(t, self.now(measurement), force, speed), window)
 
     def now(self, measurement: Measurement) -> np.ndarray:
         """The state at this instant, (13,), of a measurement whose rate and specific force are of now; to be called
@@ -73,11 +74,12 @@ class Strapdown(WrappedController):
         if not self._since:
             self._forces[...] = force
         self._since += 1
-        self._rates[:-1], self._forces[:-1] = self._rates[1:], self._forces[1:]
-        self._rates[-1], self._forces[-1], self._state[:] = x[RATE], force, x
+        (older_rates, older_forces), (newer_rates, newer_forces) = self._older, self._newer
+        older_rates[...], older_forces[...] = newer_rates, newer_forces
+        self._rate[...], self._force[...], self._state[...] = x[RATE], force, x
         self._late[0] = min(self.delay, self._since * self.control_period)
         self._propagate()
-        return self._propagate.results["now"].copy()
+        return self._now.copy()
 
 
 def around(controller: Controller, config: StrapdownConfig) -> Controller:

@@ -124,6 +124,11 @@ class BelievedWorld:
         b = self._found
         return Belief(b[0:3], b[3:6], b[6:9], float(b[9]))
 
+    @property
+    def numbers(self) -> np.ndarray:
+        """What is believed, (10,), as `enter` left it: force, torque, wind, thrust scale; the same array always."""
+        return self._found
+
     def enter(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """State (13,) and the window's states and inputs in the plan's frame; the MPC is told of the rest.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from typing import Any
 
 import numpy as np
@@ -102,7 +101,6 @@ class PredictiveController:
         x, world, predictor = measurement.state, self.believed, self.predictor
         if world is None and predictor is None:
             return self._answer(x, window)
-        began = time.perf_counter()
         if world is not None:
             x, states, inputs = world.enter(measurement, window)
         if predictor is not None:
@@ -111,9 +109,8 @@ class PredictiveController:
             x, acting = x[:N_STATE], x[N_STATE:]
         if world is None:
             thrust, record = self._answer(x, window)
-            record = StepRecord(time.perf_counter() - began, *record[1:])
         else:
-            thrust, record = self.mpc.command(x, self._within_reach(x, states), inputs, began=began)
+            thrust, record = self.mpc.command(x, self._within_reach(x, states), inputs)
         if self.lead is not None:
             thrust = self.lead.command(thrust, acting)
         if predictor is not None:
@@ -143,8 +140,8 @@ class PredictiveController:
         return near
 
     def _too_far(self, x: np.ndarray, reference: np.ndarray) -> bool:
-        error = x[POSITION] - reference[0, POSITION]
-        return math.sqrt(error.dot(error)) > self.settings.distance_limit
+        at, to = x.item, reference.item
+        return math.dist((at(0), at(1), at(2)), (to(0), to(1), to(2))) > self.settings.distance_limit
 
     def log(self) -> dict[str, float]:
         """See Controller.log; everything is in the step record."""

@@ -14,7 +14,6 @@ not measured but computed from the commands by the same lag (physics.motor).
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import casadi as ca
@@ -22,6 +21,7 @@ import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise
+from quadexp.control.delivered import Delays, commands_function
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.prediction import node_function
 from quadexp.physics.rigid_body import N_DISTURBANCE
@@ -41,25 +41,31 @@ class DeadTimePredictor:
 
     def __init__(self, mpc: ModelPredictiveController) -> None:
         settings, n = mpc.settings, mpc.vehicle.n_rotors
-        self._period, self._lag, dead_time = settings.control_period, settings.known_lag, settings.dead_time
-        pending = math.ceil(dead_time / self._period - 1e-9)
-        self.commands, self.thrust = np.zeros((pending, n)), np.zeros(n)
-        self._first = dead_time - (pending - 1) * self._period  # s, for which the oldest command still acts
-        held = [self._first, self._period - self._first] if pending else [self._period]
-        self._decays = [math.exp(-duration / self._lag) for duration in held] if self._lag else []
+        self._lag = settings.known_lag
+        delays = Delays(settings.control_period, settings.dead_time, self._lag)
+        self._pending = pending = delays.pending
+        self._full = np.zeros(N_STATE + n * bool(self._lag))
         self._predict: BufferedFunction | None = None
+        commands = np.zeros((pending, n))
         if pending:
             form = {"lag": bool(self._lag), "disturbed": mpc.disturbance is not None}
             function = _function(mpc.vehicle, mpc.residual, pending, mpc.backend, **form)
             shared = {"theta": mpc.parameters}
             shared |= {} if mpc.disturbance is None else {"disturbance": mpc.disturbance}
-            self._predict = BufferedFunction(function, shared)
-            self._x, self._x_next = self._predict.arguments["x"], self._predict.results["x_next"]
-            self.commands = self._predict.arguments["U"].reshape(pending, n)  # a view: what is sent is read there
+            self._predict = BufferedFunction(function, shared | {"x": self._full})
+            self._x_next = self._predict.results["x_next"]
+            commands = self._predict.arguments["U"]
             durations = self._predict.arguments["dt"]
-            durations[...], durations[0] = self._period, self._first
+            durations[...], durations[0] = delays.period, delays.durations[0]
             if self._lag:
                 self._predict.arguments["tau"][...] = self._lag
+        # All of these are views of what `predict` reads.
+        self.commands = commands.reshape(pending, n)
+        self.thrust = self._full[N_STATE:] if self._lag else np.zeros(n)
+        self._x, sent = self._full[:N_STATE], commands.reshape(-1)
+        self._older, self._newer, self._newest = sent[:-n], sent[n:], sent[-n:]
+        if self._lag:
+            self._on = commands_function(n, delays, {"commands": commands, "thrust": self.thrust})
 
     def reset(self, thrust: np.ndarray) -> None:
         """Start a flight: this command, (n,) (N), has been sent for a long time."""
@@ -67,28 +73,21 @@ class DeadTimePredictor:
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """State after the dead time, (13,), with a known lag (13 + n,), from the measured state x now, (13,)."""
-        full = np.concatenate([x, self.thrust]) if self._lag else x
+        self._x[...] = x
         if self._predict is None:
-            return full
-        self._x[...] = full
+            return self._full.copy()
         self._predict()
         return self._x_next.copy()
 
     def record(self, command: np.ndarray) -> None:
         """Add the command, (n,) (N), that was sent at this control instant, and go on by one control period."""
-        if not self._lag:
-            self.commands[:-1] = self.commands[1:]
-            self.commands[-1:] = command
-            return
-        thrust, pending = self.thrust, len(self.commands)
-        for i, decay in enumerate(self._decays):  # as physics.motor.decayed
-            u = self.commands[i] if i < pending else command
-            thrust -= u
-            thrust *= decay
-            thrust += u
-        if pending:
-            self.commands[:-1] = self.commands[1:]
-            self.commands[-1] = command
+        if self._lag:
+            self._on.arguments["sent"][...] = command
+            self._on()
+            self.thrust[...] = self._on.results["thrust_next"]
+        if self._pending:
+            self._older[...] = self._newer
+            self._newest[...] = command
 
 
 _built: dict[tuple[Any, ...], ca.Function] = {}

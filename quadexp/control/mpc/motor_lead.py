@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import math
 
+import casadi as ca
 import numpy as np
 
+from quadexp.compile.backend import BufferedFunction
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.physics.vehicle import Vehicle
 
@@ -21,13 +23,15 @@ class MotorLead:
     """Inverts the lag settings.motor_lead (s) of a vehicle's rotors over a control period."""
 
     def __init__(self, vehicle: Vehicle, settings: MPCSettings) -> None:
-        self._low, self._high = vehicle.thrust_min, vehicle.thrust_max
-        self._gain = -1 / math.expm1(-settings.control_period / settings.motor_lead)
+        planned, now = (ca.SX.sym(name, vehicle.n_rotors) for name in ("planned", "now"))
+        gain = -1 / math.expm1(-settings.control_period / settings.motor_lead)
+        command = ca.fmin(ca.fmax(now + gain * (planned - now), vehicle.thrust_min), vehicle.thrust_max)
+        function = ca.Function("motor_lead", [planned, now], [command], ["planned", "now"], ["command"])
+        self._invert = BufferedFunction(function)
+        self._planned, self._now = self._invert.arguments["planned"], self._invert.arguments["now"]
 
     def command(self, planned: np.ndarray, thrust: np.ndarray) -> np.ndarray:
         """planned, thrust: (n,) (N), planned and now -> the command, (n,) (N)."""
-        wanted: np.ndarray = planned - thrust
-        wanted *= self._gain
-        wanted += thrust
-        np.maximum(wanted, self._low, out=wanted)
-        return np.minimum(wanted, self._high, out=wanted)
+        self._planned[...], self._now[...] = planned, thrust
+        self._invert()
+        return self._invert.results["command"].copy()

@@ -29,9 +29,10 @@ PLAIN_ITERATIONS = 20  # full SQP steps of the first control step, before a line
 class StepRecord(NamedTuple):
     """Result of one control step, except for the input.
 
-    solve_time: wall-clock time of the call (s). status: see Status. sweeps: exchanges of the active set. active: number
-    of inputs of the horizon at a bound. kkt: optimality residual at the shifted last solution (mixed units). converged:
-    whether the first step of a flight reached a stationary point; later steps make one iteration and are always True.
+    solve_time: wall-clock time of the MPC's call (s); a flight logs that of the whole step. status: see Status. sweeps:
+    exchanges of the active set. active: number of inputs of the horizon at a bound. kkt: optimality residual at the
+    shifted last solution (mixed units). converged: whether the first step of a flight reached a stationary point; later
+    steps make one iteration and are always True.
     """
 
     solve_time: float
@@ -189,22 +190,16 @@ class ModelPredictiveController:
             raise QuadexpError("the reference is not finite")
 
     def command(
-        self,
-        x0: np.ndarray,
-        state_reference: np.ndarray,
-        input_reference: np.ndarray,
-        *,
-        began: float | None = None,
+        self, x0: np.ndarray, state_reference: np.ndarray, input_reference: np.ndarray
     ) -> tuple[np.ndarray, StepRecord]:
         """Rotor thrusts (n,) (N) for the measured state, and the record of the step.
 
         x0: (13,), unit quaternion; with settings.motor_lag (13 + n,), the rotors' thrusts (N) behind it.
         state_reference: (s N + 1, 13) at `node_times` from now; input_reference: (s N, n) (N); s as in MPCSettings.
-        began: from when on its time counts (time.perf_counter), where something was done for it before.
         Raises QuadexpError for a measurement or a reference that is not finite. A step that fails returns the last
         solution's first input with status FAILED; the caller decides what to do.
         """
-        began = time.perf_counter() if began is None else began
+        began = time.perf_counter()
         if not math.isfinite(sum(x0.tolist())):
             raise QuadexpError("the measured state is not finite")
         self._x0[...] = x0
