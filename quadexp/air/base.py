@@ -32,6 +32,7 @@ class Residual:
     to_compile: the same function in a form suited for compilation; None: `function` itself.
     ranges: feature -> [least, largest] of the data that it was fitted to (quadexp.learn.support); None where unknown or
         not fitted.
+    unscaled: of a residual whose last parameter is a scale of the outputs, the residual without it (air.scaled).
     """
 
     name: str
@@ -40,6 +41,7 @@ class Residual:
     source: str = ""
     to_compile: ca.Function | None = None
     ranges: Mapping[str, Sequence[float]] | None = field(default=None, compare=False)
+    unscaled: Residual | None = None
 
     def __call__(self, features: np.ndarray) -> np.ndarray:
         """Residual at many points: features (k, 6 + n) -> outputs (k, 6) in the units of `OUTPUTS`."""

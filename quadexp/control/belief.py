@@ -1,8 +1,9 @@
 """What an observer believes of the world around the vehicle, beside the controller's model.
 
-    m v' = s T R e_z + F_air(v - w, ..) + m g + F,    J w' = .. + tau
+    m v' = s T R e_z + c F_air(v - w, ..) + m g + F,    J w' = .. + c tau_air + tau
 
-F, tau: disturbance; w: wind; s: thrust scale, what a rotor delivers of a commanded newton. A controller that can use it
+F, tau: disturbance; w: wind; s: thrust scale, what a rotor delivers of a commanded newton; c: air scale, what the air
+does of what the model says. A controller that can use it
 has a method `believe(belief)`, called before each `step`.
 """
 
@@ -14,13 +15,14 @@ import numpy as np
 
 
 class Belief(NamedTuple):
-    """force: (3,), world (N). torque: (3,), body (N m). wind: velocity of the air (3,), world (m/s). thrust_scale: 1 is
-    as the model."""
+    """force: (3,), world (N). torque: (3,), body (N m). wind: velocity of the air (3,), world (m/s). thrust_scale,
+    air_scale: 1 is as the model."""
 
     force: np.ndarray
     torque: np.ndarray
     wind: np.ndarray
     thrust_scale: float = 1.0
+    air_scale: float = 1.0
 
 
 def no_belief() -> Belief:

@@ -342,6 +342,10 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
 
         residual, backend = build_residual(config, vehicle, plant, model), cast(MPCConfig, controller).backend
         told_more = bool(BELIEVERS & {*around})
+        if around.get("observer", {}).get("air_walk"):
+            from quadexp.air.scaled import scaled_residual
+
+            residual = scaled_residual(residual)
         mpc = ModelPredictiveController(vehicle, residual, settings, backend=backend, disturbed=told_more)
         return PredictiveController(mpc)
 

@@ -29,6 +29,7 @@ from quadexp.control.delay.sent_commands import SETTLED, SentCommands
 from quadexp.errors import DataError
 from quadexp.physics.vehicle import Vehicle
 
+TINY = 1e-18  # of a square: exact data have no noise
 SPAN = 0.12  # s, over which velocity and attitude are compared with their integrals
 LARGEST_AGE, LARGEST_DEAD_TIME, LARGEST_LAG = 0.1, 0.1, 0.15  # s
 WORTH = 8.0  # log likelihood that one more constant must bring to be real
@@ -123,29 +124,39 @@ def _integral(t: np.ndarray, rate: np.ndarray, shift: float, beyond: Any = 0.0) 
 
 
 def _velocity_error(stream: Stream, tau: float, gravity: float, jumps: np.ndarray) -> np.ndarray:
-    """Change of the told velocity over SPAN less the integral of the accelerometer's readings, (m,) (m/s).
+    """Change of the told velocity over SPAN less the integral of the accelerometer's readings, (m, 3), body axes (m/s).
+
+    An age turns the specific force, which is along z_body, and so shows on x and y; the noise of the thrust is on z.
 
     jumps: what the mean of f_z over the period before each sample has beyond that of its two ends, (k,) (m/s^2)."""
     state = _later(stream.t, stream.state, tau)
     a = _turned(state[:, 3:7], stream.specific_force) - [0, 0, gravity]
     up = _turned(state[:, 3:7], np.tile([0.0, 0.0, 1.0], (len(jumps), 1)))
-    return _apart(stream.t, stream.state[:, 7:10], _integral(stream.t, a, tau, up * jumps[:, None]))
+    error = _apart(stream.t, stream.state[:, 7:10], _integral(stream.t, a, tau, up * jumps[:, None]))
+    span, late = _samples(stream.t)
+    middle = stream.state[late + span // 2 :, 3:7][: len(error)]
+    return _centred(_turned(middle * [1, -1, -1, -1], error))
 
 
 def _attitude_error(stream: Stream, tau: float) -> np.ndarray:
-    """Turn of the told attitude over SPAN less the integral of the told rates, (m,) (rad)."""
+    """Turn of the told attitude over SPAN less the integral of the told rates, (m, 3) (rad)."""
     q, w = stream.state[:, 3:7], stream.state[:, 10:13]
     world = _turned(_later(stream.t, q, tau), w)
     steps = np.vstack([np.zeros(3), np.cumsum(_between(q[:-1], q[1:]), axis=0)])
-    return _apart(stream.t, steps, _integral(stream.t, world, tau))
+    return _centred(_apart(stream.t, steps, _integral(stream.t, world, tau)))
 
 
 def _apart(t: np.ndarray, told: np.ndarray, integral: np.ndarray) -> np.ndarray:
     """Changes over SPAN of both, and their difference, where no end of the stream is met; the same samples always."""
-    period = t[1] - t[0]
-    span, late = max(round(SPAN / period), 2), int(np.ceil(LARGEST_AGE / period)) + 2
+    span, late = _samples(t)
     error = (told[span:] - told[:-span]) - (integral[span:] - integral[:-span])
-    return _centred(error[late : len(error) - late])
+    return np.asarray(error[late : len(error) - late])
+
+
+def _samples(t: np.ndarray) -> tuple[int, int]:
+    """Samples of SPAN, and of what is left out at both ends of a stream."""
+    period = t[1] - t[0]
+    return max(round(SPAN / period), 2), int(np.ceil(LARGEST_AGE / period)) + 2
 
 
 def _centred(error: np.ndarray) -> np.ndarray:
@@ -169,28 +180,28 @@ def _between(p: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def _least(error: Callable[[float], np.ndarray]) -> tuple[float, float]:
-    """Where the sum of squared errors, (m, 3), is least in 0 .. LARGEST_AGE (s), and its standard error (s): at least
-    half of what the two halves of the samples differ by."""
+    """Where errors, (m, 3), are likeliest in 0 .. LARGEST_AGE (s), each axis with a noise of its own, and the standard
+    error (s): at least half of what the two halves of the samples differ by."""
     found = _minimum(error, slice(None))
     count = len(error(found))
     halves = [_minimum(error, part) for part in (slice(count // 2), slice(count // 2, None))]
     low, high = max(found - 4e-3, 0.0), found + 4e-3
     at, slope = error(found), (error(high) - error(low)) / (high - low)
-    samples = at.size / OVERLAP
-    own = np.sqrt(np.mean(at**2) / max(samples * np.mean(slope**2), 1e-30))
+    told = count / OVERLAP * np.sum(np.mean(slope**2, axis=0) / (np.mean(at**2, axis=0) + TINY))
+    own = 1 / np.sqrt(max(told, 1e-30))
     return found, float(max(own, abs(halves[0] - halves[1]) / 2))
 
 
 def _minimum(error: Callable[[float], np.ndarray], part: slice) -> float:
-    def square(at: float) -> float:
-        return float(np.sum(np.square(error(at)[part])))
+    def unlikely(at: float) -> float:
+        return float(np.sum(np.log(np.mean(np.square(error(at)[part]), axis=0) + TINY)))
 
     grid = np.linspace(0.0, LARGEST_AGE, 26)
-    k = int(np.argmin([square(float(at)) for at in grid]))
+    k = int(np.argmin([unlikely(float(at)) for at in grid]))
     low, high = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
     for _ in range(12):  # golden section
         a, b = high - 0.618 * (high - low), low + 0.618 * (high - low)
-        low, high = (low, b) if square(float(a)) < square(float(b)) else (a, high)
+        low, high = (low, b) if unlikely(float(a)) < unlikely(float(b)) else (a, high)
     return float(low + high) / 2
 
 

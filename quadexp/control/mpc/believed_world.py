@@ -30,7 +30,7 @@ from quadexp.control.mpc.targets import held_targets
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
-N_BELIEF = 10  # force, torque, wind, thrust scale
+N_BELIEF = 11  # force, torque, wind, thrust scale, air scale
 ROUNDING = 1e-15  # of a limit: a delivered thrust at it gives a command within the rotor's, however it is rounded
 MOVED = 0.5  # m/s: with a smaller change of the wind the last solution is a good guess as it is
 
@@ -66,11 +66,13 @@ class BelievedWorld:
         self._mpc, settings, self._estimator, self._scale = mpc, mpc.settings, estimator, 1.0
         self.thrust: np.ndarray | None = None
         model = None
+        self._air_scale = mpc.parameters.ravel()[-1:] if mpc.residual.unscaled is not None else None
         if air is not None and targets:
+            air = air.unscaled or air
             model = air.to_compile if mpc.backend == "compiled" and air.to_compile is not None else air.function
         mpc.set_disturbance(np.zeros(6))  # refuses a model without one
         sizes = (settings.nodes, settings.samples)
-        function = _function(mpc.vehicle, model, estimator, mpc.backend, *sizes, targets)
+        function = _function(mpc.vehicle, model, estimator, mpc.backend, *sizes, targets, mpc.parameters.size)
         assert mpc.disturbance is not None
         step, _ = mpc.functions
         into = {"disturbance": mpc.disturbance, "low": step.arguments["u_min"], "high": step.arguments["u_max"]}
@@ -102,7 +104,9 @@ class BelievedWorld:
         self.belief = no_belief()
         self._mpc.set_disturbance(np.zeros(6))
         self._memory[...] = self._found[...] = 0.0
-        self._found[-1] = 1.0
+        self._found[-2:] = 1.0
+        if self._air_scale is not None:
+            self._air_scale[:] = 1.0
         self._mpc.set_thrust_scale(1.0)
         self._scale = 1.0
         if self._estimator is None or begin is None:
@@ -122,7 +126,7 @@ class BelievedWorld:
     def found(self) -> Belief:
         """What the estimator believes since the last step."""
         b = self._found
-        return Belief(b[0:3], b[3:6], b[6:9], float(b[9]))
+        return Belief(b[0:3], b[3:6], b[6:9], float(b[9]), float(b[10]))
 
     @property
     def numbers(self) -> np.ndarray:
@@ -138,7 +142,7 @@ class BelievedWorld:
         self._x[...], self._X_ref[...], self._U_ref[...] = measurement.state, window.state, window.input
         if self._estimator is None:
             told = given["belief"]
-            told[:3], told[3:6], told[6:9], told[9] = self.belief
+            told[:3], told[3:6], told[6:9], told[9], told[10] = self.belief
         else:
             reading, speed, known = measurement.specific_force, measurement.rotor_speed, given["known"]
             known[0] = reading is not None
@@ -154,6 +158,8 @@ class BelievedWorld:
         self._mpc.prepared = False  # the disturbance is another
         self._memory[...] = self._next
         self._scale = self._found.item(9)
+        if self._air_scale is not None:
+            self._air_scale[:] = self._found[10:]
         if self._change.item(3) > MOVED:
             self._move(self._change[:3])
         return self._x_in, self._X_in, self._U_in
@@ -199,12 +205,13 @@ def _function(
     nodes: int,
     samples: int,
     targets: bool,
+    parameters: int,
 ) -> ca.Function:
     """`enter_function` on a resolved back end; built once per process and structure."""
     observed = estimator and (estimator.update.serialize(), estimator.delays.pending)
-    key = (vehicle.fingerprint, model and model.serialize(), observed, backend, nodes, samples, targets)
+    key = (vehicle.fingerprint, model and model.serialize(), observed, backend, nodes, samples, targets, parameters)
     if key not in _built:
-        function = enter_function(vehicle, model, estimator, nodes, samples, targets=targets)
+        function = enter_function(vehicle, model, estimator, nodes, samples, targets=targets, parameters=parameters)
         _built[key] = realise(function, backend)
     return _built[key]
 
@@ -217,26 +224,25 @@ def enter_function(
     samples: int,
     *,
     targets: bool,
+    parameters: int,
 ) -> ca.Function:
     """What `BelievedWorld.enter` computes, for N = nodes with s = samples of the reference in each.
 
     Inputs: x (13,); X_ref (13, s N + 1), U_ref (n, s N); times (s N + 1,) of the reference from now, period (s);
-    memory, see Layout; belief (10,), or with an estimator: reading (3,), measured (n,), thrusts by rotor speeds (N),
+    memory, see Layout; belief (11,), or with an estimator: reading (3,), measured (n,), thrusts by rotor speeds (N),
     known (2,), whether these two are, sent (n,), the last command (N), settings, delays (see Delays); theta (p,), where
     the model or the estimator has parameters.
     Outputs: x_in, X_in, U_in: the same in the plan's frame; disturbance (6,); low, high (n,), limits of delivered
-    thrusts (N); found (10,), the belief; change (4,): of
+    thrusts (N); found (11,), the belief; change (4,): of
     the wind, and its size (m/s); memory_next.
     """
     n, rows, layout = vehicle.n_rotors, samples * nodes + 1, Layout(vehicle, nodes, estimator)
     shapes = {"x": (N_STATE, 1), "X_ref": (N_STATE, rows), "U_ref": (n, rows - 1), "times": (rows, 1)}
     shapes |= {"period": (1, 1), "memory": (layout.size, 1)}
-    parameters = model.size1_in(1) if model is not None else 0
     if estimator is None:
         shapes |= {"belief": (N_BELIEF, 1)}
     else:
         update = estimator.update
-        parameters = update.size1_in("theta")
         shapes |= {"reading": (3, 1), "measured": (n, 1), "known": (2, 1), "sent": (n, 1)}
         shapes |= {"settings": update.size_in("settings"), "delays": (len(estimator.delays.numbers), 1)}
     shapes |= {"theta": (parameters, 1)} if estimator is not None or model is not None else {}
@@ -246,7 +252,7 @@ def enter_function(
     found = a.get("belief")
     if estimator is not None:
         found, left = _estimated(a, kept, estimator, n)
-    force, torque, wind, scale = ca.vertsplit(found, [0, 3, 6, 9, 10])
+    force, torque, wind, scale, air_scale = ca.vertsplit(found, [0, 3, 6, 9, 10, 11])
     spin = ca.mtimes(ca.inv(ca.DM(vehicle.inertia_matrix)), torque)
     disturbance = ca.vertcat(force / vehicle.mass, spin)
     origin = kept["origin"] + a["period"] * kept["wind"]
@@ -257,7 +263,8 @@ def enter_function(
         at, inputs = range(0, rows, samples), ca.horzsplit(a["U_ref"])
         states, ticks = [X_ref[:, i] for i in at], [times[i] for i in at]
         known = [inputs[min(i, rows - 2)] for i in at]
-        believed = (model, a.get("theta"), disturbance, wind, vehicle)
+        theta = a["theta"][: model.size1_in(1)] if model is not None else None
+        believed = (model, theta, disturbance, wind, air_scale, vehicle)
         moved, changes, forces = held_targets(states, known, ca.vertsplit(air, 6), ticks, *believed)
         air = ca.vertcat(*forces)
         steps = [(c, d - c) for c, d in zip(changes, changes[1:], strict=False)]  # between nodes: from one to the next
@@ -280,7 +287,7 @@ def enter_function(
 def _estimated(
     a: dict[str, ca.MX], kept: dict[str, ca.MX], estimator: Estimator, n: int
 ) -> tuple[ca.MX, dict[str, ca.MX]]:
-    """The belief (10,) by an estimator, and what is to be remembered of commands and estimates."""
+    """The belief (11,) by an estimator, and what is to be remembered of commands and estimates."""
     read, turning = a["known"][0], a["known"][1]
     commands, thrust, mean = delivered_by_commands(
         ca.reshape(kept["commands"], n, estimator.delays.pending), kept["thrust"], a["sent"], a["delays"]
@@ -292,7 +299,7 @@ def _estimated(
     mean = turning * (share * before + (1 - share) * a["measured"]) + (1 - turning) * mean
     given = [kept["estimate"], a["x"], a["reading"], now, mean, a["theta"], a["settings"]]
     estimate, belief = estimator.update(*given)
-    nothing = ca.DM([0.0] * (N_BELIEF - 1) + [1.0])
+    nothing = ca.DM([0.0] * (N_BELIEF - 2) + [1.0, 1.0])
     left = {"commands": ca.vec(commands), "thrust": thrust, "before": ca.vertcat(a["measured"], turning)}
     left |= {"estimate": kept["estimate"] + read * (estimate - kept["estimate"])}
     return nothing + read * (belief - nothing), left

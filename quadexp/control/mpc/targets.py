@@ -40,6 +40,7 @@ def held_targets(
     theta: Expression,
     disturbance: Expression,
     wind: Expression,
+    air_scale: Expression,
     vehicle: Vehicle,
 ) -> tuple[list[Expression], list[Expression], list[Expression]]:
     """Attitudes with rates (7,) and changes of the thrusts (n,) (N) at the nodes, and `air` for the next step.
@@ -68,7 +69,8 @@ def held_targets(
         blown = ca.vertcat(ca.mtimes(rotation_matrix(q).T, x[VELOCITY] - wind), x[RATE], u)
         return [still, blown]
 
-    def difference(x: Expression, q: Expression, y0: Expression, y1: Expression) -> Expression:
+    def difference(x: Expression, q: Expression, y0: Expression, y1: Expression, scale: Expression) -> Expression:
+        y1 = scale * y1
         force = ca.mtimes(rotation_matrix(q), y1[:3]) - ca.mtimes(rotation_matrix(x[ATTITUDE]), y0[:3])
         return ca.vertcat(force, y1[3:] - y0[3:])
 
@@ -80,7 +82,7 @@ def held_targets(
             q, _, change = as_scalars(turned)(x, u, air[k], disturbance)
             still, blown = as_scalars(features)(x, q, u + change, wind)
             y0, y1 = (ca.densify(model(z, theta)[0]) for z in (ca.vertcat(still, u), blown))
-            exact[k] = as_scalars(difference)(x, q, y0, y1)
+            exact[k] = as_scalars(difference)(x, q, y0, y1, air_scale)
         air = []
         for k in range(last + 1):
             before, after = max(i for i in exact if i <= k), min(i for i in exact if i >= k)

@@ -28,6 +28,7 @@ import numpy as np
 from quadexp.air.base import Residual
 from quadexp.config.observers import DisturbanceObserverConfig, DisturbanceObserverKeys
 from quadexp.control.base import Controller
+from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.observers.observer import (
     Observer,
     Update,
@@ -47,7 +48,7 @@ from quadexp.physics.vehicle import Vehicle
 
 CAUTIOUS_BANDWIDTH = 3.0  # rad/s, where the time of the thrusts is not known
 N_FORCE_STATE = 7  # a^, v^, P
-N_FORCE_SETTINGS = 6
+N_FORCE_SETTINGS = 7
 
 
 def with_disturbance_observer(controller: Controller, config: DisturbanceObserverConfig) -> Observer:
@@ -64,24 +65,28 @@ def with_disturbance_observer(controller: Controller, config: DisturbanceObserve
         inner.control_period,
         inner.backend,
         velocity=config.source == "velocity",
-        scaled=config.scale_walk > 0,
+        scaled=config.scale_walk > 0 or config.air_walk > 0,
+        at_once=not isinstance(core, PredictiveController),
     )
     settings = disturbance_settings(config, inner.control_period)
 
-    def begin(x: np.ndarray, scale_initial: float = config.scale_initial) -> np.ndarray:
-        if config.scale_walk > 0:
-            P = np.diag([config.force_initial**2] * 3 + [scale_initial**2])
+    def begin(x: np.ndarray, *, scales: bool = True) -> np.ndarray:
+        if config.scale_walk > 0 or config.air_walk > 0:
+            known = config.scale_initial if config.scale_walk and scales else 0.0
+            air = config.air_initial if config.air_walk and scales else 0.0
+            P = np.diag([config.force_initial**2] * 3 + [known**2, air**2])
             return np.concatenate([np.zeros(N_SCALED), P.ravel(), x[RATE], np.zeros(3)])
         return np.concatenate([np.zeros(3), x[VELOCITY], [config.force_initial**2], x[RATE], np.zeros(3)])
 
     slow = replace(
         config,
         scale_walk=0.0,
+        air_walk=0.0,
         force_bandwidth=min(config.force_bandwidth, CAUTIOUS_BANDWIDTH),
         torque_bandwidth=0.0,
     )
     cautious = disturbance_settings(slow, inner.control_period)
-    return Observer(inner, Update(function, settings, begin, (cautious, partial(begin, scale_initial=0.0))), config)
+    return Observer(inner, Update(function, settings, begin, (cautious, partial(begin, scales=False))), config)
 
 
 def disturbance_settings(config: DisturbanceObserverKeys, period: float) -> np.ndarray:
@@ -90,30 +95,38 @@ def disturbance_settings(config: DisturbanceObserverKeys, period: float) -> np.n
     z, r = float(np.exp(-config.force_bandwidth * period)), config.force_noise**2
     K = 1 - z
     force = [r * K**2 / (1 - K), r, 1 - z * z, (1 - z) ** 2 / period, config.force_limit]
-    force.append(config.scale_walk**2 * period)
+    force += [config.scale_walk**2 * period, config.air_walk**2 * period]
     return np.array(force + torque_settings(config.torque_bandwidth, config.torque_limit, period))
 
 
 def disturbance_function(
-    vehicle: Vehicle, residual: Residual, period: float, backend: str, *, velocity: bool = False, scaled: bool = False
+    vehicle: Vehicle,
+    residual: Residual,
+    period: float,
+    backend: str,
+    *,
+    velocity: bool = False,
+    scaled: bool = False,
+    at_once: bool = False,
 ) -> ca.Function:
     """The update of control.observers.observer; s = [a^ (3,), v^ (3,), P, w^ (3,), J^-1 tau^ (3,)]; with a thrust
     scale, see control.observers.scaled_force, [a^, k, P (4, 4), w^, J^-1 tau^]."""
-    model = callable_air(residual, backend)
+    model = callable_air(residual.unscaled or residual, backend)
     first = N_SCALED_STATE if scaled else N_FORCE_STATE
-    a = arguments(vehicle, first + N_TORQUE_STATE, model.size1_in(1), N_FORCE_SETTINGS + N_TORQUE_SETTINGS)
+    a = arguments(vehicle, first + N_TORQUE_STATE, len(residual.theta), N_FORCE_SETTINGS + N_TORQUE_SETTINGS)
     x, s, settings = a["x"], a["s"], a["settings"]
     R, thrust = rotation_matrix(x[ATTITUDE]), ca.sum1(a["thrust"]) / vehicle.mass
-    y, slope = model(body_features(x, a["thrust"]), a["theta"])
+    y, slope = model(body_features(x, a["thrust"]), a["theta"][: model.size1_in(1)])
     y = ca.densify(y)
-    force, estimate, P, scale = s[:3], s[3:6], s[6], ca.MX(1)
-    q, r, for_v, for_a, limit, scale_walk = ca.vertsplit(settings[:N_FORCE_SETTINGS])
+    force, estimate, P, scale, air = s[:3], s[3:6], s[6], ca.MX(1), ca.MX(1)
+    q, r, for_v, for_a, limit, scale_walk, air_walk = ca.vertsplit(settings[:N_FORCE_SETTINGS])
     known: Any = ca.vertcat(0, 0, thrust) + y[:3]
     if scaled:
         by_scale = ca.vertcat(0, 0, thrust) + ca.mtimes(ca.densify(slope)[:3, 6:], a["thrust"])
         left, turned = ca.mtimes(R, a["reading"] - known), ca.mtimes(R, by_scale)
-        found, P = scaled_force_update(s[:first], left, turned, q, scale_walk, r)
-        force, scale = found[:3], 1 + found[3]
+        drag = ca.mtimes(R, y[:3])
+        found, P = scaled_force_update(s[:first], left, turned, drag, ca.vertcat(q, scale_walk, air_walk), r)
+        force, scale, air = found[:3], 1 + found[3], 1 + found[4]
     elif velocity:
         mean = ca.vertcat(0, 0, ca.sum1(a["mean"]) / vehicle.mass) + y[:3]
         predicted = estimate + period * (ca.mtimes(R, mean) + ca.vertcat(0, 0, -vehicle.gravity) + force)
@@ -126,9 +139,11 @@ def disturbance_function(
     size = ca.sqrt(ca.sumsqr(force) + 1e-30)
     force = force * ca.fmin(1, limit / size)
     rates, torque = torque_update(
-        s[first:], x[RATE], scale * a["mean"], y[3:], settings[N_FORCE_SETTINGS:], vehicle, period
+        s[first:], x[RATE], scale * a["mean"], air * y[3:], settings[N_FORCE_SETTINGS:], vehicle, period
     )
-    belief = ca.vertcat(vehicle.mass * force, torque, ca.MX.zeros(3), scale)
-    state = ca.vertcat(force, scale - 1, P) if scaled else ca.vertcat(force, estimate, P)
+    lumped = scaled and at_once  # into the force where the vehicle is now
+    told = force + (air - 1) * drag if lumped else force
+    belief = ca.vertcat(vehicle.mass * told, torque, ca.MX.zeros(3), scale, 1 if lumped else air)
+    state = ca.vertcat(force, scale - 1, air - 1, P) if scaled else ca.vertcat(force, estimate, P)
     results = [ca.vertcat(state, rates), belief]
     return ca.Function("disturbance_observer", [*a.values()], results, [*a], ["s_next", "belief"])

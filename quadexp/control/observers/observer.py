@@ -2,7 +2,7 @@
 
 The update is a function of the observer's state s and of what is known at a control instant,
 
-    (s, x, reading, thrust, mean, theta, settings) -> s_next, belief        belief = [F, tau, w, s_T], 10 numbers
+    (s, x, reading, thrust, mean, theta, settings) -> s_next, belief        belief = [F, tau, w, s_T, s_air], 11 numbers
 
 with the accelerometer's reading (3,), the delivered thrusts now and over the last control period, (n,) each, and the
 parameters of the controller's model of the air. It runs from the second instant on: before the first nothing was flown.
@@ -37,6 +37,7 @@ COLUMNS = (
     *(f"observer_torque_{axis}" for axis in "xyz"),
     *(f"observer_wind_{axis}" for axis in "xyz"),
     "observer_thrust_scale",
+    "observer_air_scale",
 )
 
 
@@ -121,12 +122,12 @@ class Observer(WrappedController):
         self._update()
         given["s"][...] = self._result["s_next"]
         b = self._result["belief"]
-        self._belief = Belief(b[0:3], b[3:6], b[6:9], float(b[9]))
+        self._belief = Belief(b[0:3], b[3:6], b[6:9], float(b[9]), float(b[10]))
 
     def log(self) -> dict[str, float]:
         """See Controller.log: the estimates, beside the columns of the controller."""
         belief = self.belief
-        values = [*belief.force, *belief.torque, *belief.wind, belief.thrust_scale]
+        values = [*belief.force, *belief.torque, *belief.wind, belief.thrust_scale, belief.air_scale]
         return {**self.inner.log(), **dict(zip(COLUMNS, map(float, values), strict=True))}
 
 

@@ -1,12 +1,16 @@
-"""A force and a thrust scale at once, from the same accelerometer: a Kalman filter of two random walks.
+"""A force, a thrust scale and an air scale at once, from the same accelerometer: a Kalman filter of random walks.
 
-    y = R (f - T e_z / m - a_air) = a + k h,     h = R (T e_z / m + da_air/du u)          f: accelerometer
+    y = R (f - T e_z / m - a_air) = a + k h + c g,     h = R (T e_z / m + da_air/du u),   g = R a_air     f: accelerometer
 
-    a' = noise,   k' = noise,   H = [I, h],   S = H P- H' + r I,   K = P- H' S^-1
+    a' = noise,  k' = noise,  c' = noise,   H = [I, h, g],   S = H P- H' + r I,   K = P- H' S^-1
 
 a, the force over the mass, stands in the world; k, the error of the thrust scale (of the mass, of the thrust
-coefficient), turns with the body: h tells them apart as soon as the vehicle turns or its thrust changes. At a constant
-h only their sum is known, and it is shared by how much each is thought to change (P).
+coefficient), turns with the body; c, the error of the air's scale (of drag, of the mass again), turns with the velocity: h
+and g tell them apart as soon as the vehicle turns or its thrust or speed changes. At constant h and g only their sum is
+known, and it is shared by how much each is thought to change (P).
+
+A force that sets in at once is no random walk, and is not to be learned as a scale: where the innovation nu is beyond
+what is expected, nu' S^-1 nu > SURPRISE^2, the scales follow it that much less. P is that of the gain in use.
 """
 
 from __future__ import annotations
@@ -15,28 +19,34 @@ import casadi as ca
 
 from quadexp.physics.expression import Expression
 
-N_SCALED = 4  # a, k
+N_SCALED = 5  # a, k, c
 N_SCALED_STATE = N_SCALED + N_SCALED**2
 SCALES = (-0.5, 1.0)  # limits of k
+AIR_SCALES = (-1.0, 4.0)  # of c
+SURPRISE = 4.0
 
 
 def scaled_force_update(
-    s: Expression, y: Expression, h: Expression, walk: Expression, scale_walk: Expression, noise: Expression
+    s: Expression, y: Expression, h: Expression, g: Expression, walks: Expression, noise: Expression
 ) -> tuple[Expression, Expression]:
-    """a (3,) (m/s^2) with k, (4,), and P, (16,).
+    """[a (m/s^2), k, c], (5,), and P, (25,).
 
-    s: [a, k, P] of the last step. y, h: (3,), world (m/s^2). walk, scale_walk: variances that a and k gain in a step.
+    s: [a, k, c, P] of the last step. y, h, g: (3,), world (m/s^2). walks: variances that a, k and c gain in a step, (3,).
     noise: variance r of a reading.
     """
     found, P = s[:N_SCALED], ca.reshape(s[N_SCALED:], N_SCALED, N_SCALED)
-    P = P + ca.diag(ca.vertcat(walk, walk, walk, scale_walk))
-    H = ca.horzcat(ca.DM.eye(3), h)
+    P = P + ca.diag(ca.vertcat(walks[0], walks[0], walks))
+    H = ca.horzcat(ca.DM.eye(3), h, g)
     S = ca.mtimes([H, P, H.T]) + noise * ca.DM.eye(3)
-    K = ca.mtimes([P, H.T, inverse(S)])
-    found = found + ca.mtimes(K, y - ca.mtimes(H, found))
+    inverted, error = inverse(S), y - ca.mtimes(H, found)
+    surprise = ca.mtimes([error.T, inverted, error])
+    trust = ca.fmin(1, SURPRISE / ca.sqrt(surprise + 1e-12))
+    K = ca.mtimes([ca.diag(ca.vertcat(1, 1, 1, trust, trust)), P, H.T, inverted])
+    found = found + ca.mtimes(K, error)
     left = ca.DM.eye(N_SCALED) - ca.mtimes(K, H)
     P = ca.mtimes([left, P, left.T]) + noise * ca.mtimes(K, K.T)  # Joseph's form
-    return ca.vertcat(found[:3], ca.fmin(ca.fmax(found[3], SCALES[0]), SCALES[1])), ca.vec(P)
+    scales = [ca.fmin(ca.fmax(found[3 + i], low), high) for i, (low, high) in enumerate((SCALES, AIR_SCALES))]
+    return ca.vertcat(found[:3], *scales), ca.vec(P)
 
 
 def inverse(S: ca.MX) -> ca.MX:

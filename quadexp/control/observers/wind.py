@@ -142,6 +142,6 @@ def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: 
 
     mean, of_torque = (1 + air[3]) * a["mean"], settings[N_WIND_SETTINGS:]
     rates, torque = torque_update(s[first:], x[RATE], mean, y[3:], of_torque, vehicle, period)
-    belief = ca.vertcat(vehicle.mass * force, torque, air[:3], 1 + air[3])
+    belief = ca.vertcat(vehicle.mass * force, torque, air[:3], 1 + air[3], 1)
     results = [ca.vertcat(air, ca.vec(P), force, rates), belief]
     return ca.Function("wind_observer", [*a.values()], results, [*a], ["s_next", "belief"])
