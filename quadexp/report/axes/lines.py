@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from quadexp.report.axes.points import Place, Point
+from quadexp.report.axes.points import SUCCESS, Place, Point
 from quadexp.report.axes.view import Axis, View
 from quadexp.report.style import PLAIN, Look, entries, looks, plain_log, styled
 
@@ -61,6 +61,8 @@ def line_figure(view: View) -> Figure:
     _make_room(grid[0, 0], view, len(lines), log)
     if log:
         plain_log(grid[0, 0].yaxis, minor=True)
+    elif view.y == SUCCESS:
+        grid[0, 0].set_yticks(range(0, 101, 20))
     for row in grid:
         row[0].set_ylabel(view.y_label)
     _mark_gone(grid.flat, panels, view, lines)
