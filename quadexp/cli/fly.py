@@ -197,7 +197,7 @@ def evaluate(
             isolate=sweep,
             progress=progress if watching is None else _both(watching.progress, progress),
             landed=watching.landed if watching else lambda row: None,
-            flown=drawn.begin if figures else lambda rows: None,
+            flown=drawn.begin if figures else lambda rows, record: None,
         )
         files = dict(result.files) | drawn.end()
     for note in filter(None, [unused_model(cell.config for cell in cells), *_low_paths(cells), *result.notes]):

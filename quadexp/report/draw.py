@@ -29,10 +29,12 @@ def draw(kind: str, inputs: tuple[Any, ...], path: Path) -> bool:
     return figure is not None
 
 
-def _swept(rows: Sequence[Mapping[str, Any]], out: str, metric: str, confidence: float, which: int) -> Figure:
+def _swept(
+    rows: Sequence[Mapping[str, Any]], out: str, metric: str, confidence: float, record: Mapping[str, Any], which: int
+) -> Figure:
     """One of the figures that were chosen by what was swept."""
     from quadexp.report.axes.frame import SweepFrame
     from quadexp.report.axes.save import figure_of
     from quadexp.report.axes.view import automatic
 
-    return figure_of(automatic(SweepFrame(rows, out), metric, confidence)[which])
+    return figure_of(automatic(SweepFrame(rows, out, record), metric, confidence)[which])

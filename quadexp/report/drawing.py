@@ -47,11 +47,17 @@ class Drawing:
     digest: str
 
 
-def drawings(rows: Sequence[Mapping[str, Any]], out: str | Path, metric: str, confidence: float) -> list[Drawing]:
-    """The figures of these rows, the one that takes longest first. out: folder of the results."""
+def drawings(
+    rows: Sequence[Mapping[str, Any]], out: str | Path, metric: str, confidence: float,
+    record: Mapping[str, Any] | None = None,
+) -> list[Drawing]:  # fmt: skip
+    """The figures of these rows, the one that takes longest first. out: folder of the results. record: of the results,
+    which says what was swept; without it the rows do, as far as they can."""
     rows, store = [dict(row) for row in rows], CellStore(out)
     of_rows = _digest_of_columns(to_columns(rows))
-    found = [_drawing(*one, [of_rows, *one[2][1:]]) for one in _over_what_was_swept(rows, str(out), metric, confidence)]
+    asked = {name: (record or {})[name] for name in ("grids", "without_flight") if name in (record or {})}
+    swept = _over_what_was_swept(rows, str(out), metric, confidence, asked)
+    found = [_drawing(*one, [of_rows, *one[2][1:]]) for one in swept]
     for trajectory, (chosen, missing) in fastest(rows).items():
         cells = {heading: str(store.path(row["key"])) for heading, row in chosen}
         title = ", ".join(filter(None, (trajectory, speed_text(chosen[0][1]["speed"]))))
@@ -62,25 +68,24 @@ def drawings(rows: Sequence[Mapping[str, Any]], out: str | Path, metric: str, co
 
 def is_over_speed(frame: SweepFrame) -> bool:
     """Whether the figure of a sweep is the error against the speed, a panel a trajectory and a line a controller on its
-    plant: nothing else was swept, nor several plants or vehicles at one speed."""
-    swept = set(frame.swept)
-    return swept <= ONLY_SPEED and ("trajectory.speed" in swept or not swept & {"plant", "vehicle", "world"})
+    plant: the speed was swept, and nothing else but these, plants and vehicles."""
+    return {"trajectory.speed"} <= set(frame.swept) <= ONLY_SPEED
 
 
 def _over_what_was_swept(
-    rows: Sequence[Mapping[str, Any]], out: str, metric: str, confidence: float
+    rows: Sequence[Mapping[str, Any]], out: str, metric: str, confidence: float, record: Mapping[str, Any]
 ) -> list[tuple[str, str, tuple[Any, ...]]]:
     """Name, kind and inputs of the figures of errors: over the speed where nothing else was swept, and otherwise those
     that quadexp/report/axes chooses."""
     begin = f"{metric.removesuffix('_error')}_error"
-    frame = SweepFrame(rows, out)
+    frame = SweepFrame(rows, out, record)
     if is_over_speed(frame):
         return [(f"{begin}_against_speed", "error", (rows, metric, confidence))]
     try:
         views = automatic(frame, metric, confidence)
     except UsageError:  # no flight ended well
         return []
-    return [(f"{begin}_{view.file_name}", "axes", (rows, out, metric, confidence, i)) for i, view in enumerate(views)]
+    return [(f"{begin}_{view.file_name}", "axes", (rows, out, metric, confidence, record, i)) for i, view in enumerate(views)]
 
 
 def _drawing(name: str, kind: str, inputs: tuple[Any, ...], decided_by: Any) -> Drawing:

@@ -37,10 +37,11 @@ class SweepFigures:
         if self._asked:
             self._folder.clean()
 
-    def begin(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Begin to draw the figures of the rows that are not there yet. The flights must be on disk."""
+    def begin(self, rows: Sequence[Mapping[str, Any]], record: Mapping[str, Any] | None = None) -> None:
+        """Begin to draw the figures of the rows that are not there yet. The flights must be on disk. record: of the
+        results, which says what was swept."""
         try:
-            self._asked = {one.name: one for one in drawings(rows, self._out, *self._options)}
+            self._asked = {one.name: one for one in drawings(rows, self._out, *self._options, record)}
             todo = [one for one in self._asked.values() if not self._folder.shows(one)]
             self._folder.begin(todo)
             for one in todo:

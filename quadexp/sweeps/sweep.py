@@ -76,7 +76,7 @@ def run_sweep(
     old: Old = "ask",
     isolate: bool = True,
     progress: Callable[[int, int], None] = lambda done, total: None,
-    flown: Callable[[Sequence[Row]], None] = lambda rows: None,
+    flown: Callable[[Sequence[Row], Mapping[str, Any]], None] = lambda rows, record: None,
     landed: Callable[[Row], None] = lambda row: None,
     function: CellFunction = evaluate_cell,
 ) -> SweepResult:
@@ -86,8 +86,8 @@ def run_sweep(
     engine: where to fly; None for `workers` processes of this machine (0: one a core), each cell for at most `timeout`
     seconds. force: fly everything again, and replace another sweep's table. old: of cells that are there and were flown
     by other sources than those that run: "refly", "keep", or refuse to go on. isolate: False flies in this process.
-    progress: called with the numbers of cells done and of all. flown: called with the rows once all cells are flown,
-    before the tables are made. landed: called with every row as it is there. function: flies one cell.
+    progress: called with the numbers of cells done and of all. flown: called with the rows and
+    the record of the results once all cells are flown, before the tables are made. landed: called with every row as it is there. function: flies one cell.
 
     A cell whose settings contradict each other is not flown: the outcome of its row is "invalid", `cause` says why.
 
@@ -137,7 +137,6 @@ def run_sweep(
         in_order = [rows[key] for key in jobs]
         if all(row["outcome"] == INVALID for row in in_order):
             raise UsageError(in_order[0]["cause"])
-        flown(in_order)
         record = {
             "metric": metric,
             "baseline": baseline,
@@ -152,6 +151,7 @@ def run_sweep(
             "flown_by": flown_by(in_order),
             "provenance": provenance(),
         }
+        flown(in_order, record)
         statistics, shown, files, altered = write_results(store.root, in_order, record)
     return SweepResult(store.root, in_order, len(todo), shown, statistics, files, [*notes, *altered])
 

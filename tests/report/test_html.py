@@ -23,7 +23,7 @@ from quadexp.report.text import probability
 from tests.report.results import ERRORS, make_results, many_results
 
 BARE = re.compile(r"[\s*()]")  # what is set differently on the page and in the terminal
-VOID = {"meta", "link", "input", "br", "path", "use", "circle", "polyline"}
+VOID = {"meta", "link", "input", "img", "br", "path", "use", "circle", "polyline"}
 
 
 class Page(HTMLParser):

@@ -28,6 +28,7 @@ ALIASES = {"speed": "trajectory.speed"}
 GROUPS = ("vehicle", "plant", "world", "trajectory", "controller", "model", "seed", *WORLD, "remedies", *REMEDIES)
 # Columns of the rows that tell what was flown, in the order in which a figure considers them.
 ASKED = ("vehicle", "plant", "trajectory", "trajectory.speed", "controller", "model", "seed")
+SAME = ("vehicle", "plant", "trajectory", "controller", "model", "variant", "sources")  # of flights that share settings
 SETTINGS_ASIDE = ("evaluate", "engine", "experiment", "collect", "gp", "drag")  # nodes that decide no flight
 
 Row = Mapping[str, Any]
@@ -40,7 +41,7 @@ class SweepFrame:
         self.rows = list(rows)
         self.root, self.record = Path(root), record or {}
         self._store = CellStore(root)
-        self._configs: dict[str, dict[str, Any]] = {}
+        self._configs: dict[tuple[Any, ...], dict[str, Any]] = {}
         self._columns: dict[str, list[Any]] = {}
         self._checkpoints: dict[str, dict[str, Any]] = {}
         self._lacking: dict[str, list[str]] = dict(self.record.get("without_flight", {}))
@@ -177,17 +178,20 @@ class SweepFrame:
         return [str(name) for name in chosen if name not in (None, "none")]
 
     def _config(self, row: Row) -> dict[str, Any]:
+        """The settings of a flight, as far as they do not depend on speed and seed, which are in its row: one file is
+        read for all flights that differ in these only."""
         key = row["key"]
-        if key not in self._configs:
+        if key in self._lacking:
+            pairs = (text.partition("=") for text in self._lacking[key])
+            return {name: read_value(value) for name, _, value in pairs}
+        group = tuple(row.get(name) for name in SAME)
+        if not self._configs.get(group):
             try:
-                if key in self._lacking:
-                    pairs = (text.partition("=") for text in self._lacking[key])
-                    self._configs[key] = {name: read_value(value) for name, _, value in pairs}
-                else:
-                    self._configs[key] = dict(read_metadata(self._store.path(key), "flight").get("config") or {})
+                found = dict(read_metadata(self._store.path(key), "flight").get("config") or {})
             except QuadexpError:  # a cell that has gone: what its row says has to do
-                self._configs[key] = {}
-        return self._configs[key]
+                found = {}
+            self._configs[group] = found
+        return self._configs[group]
 
 
 def _flat(value: Mapping[str, Any], prefix: str = "") -> Iterable[str]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -70,6 +71,13 @@ def table_of(view: View, facet: Place, down_axis: Axis) -> np.ndarray:
     return values
 
 
+def readable_on(colour: Sequence[float]) -> str:
+    """Black or white, whichever has more contrast on a colour (red, green, blue in [0, 1]), as WCAG defines it."""
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in colour[:3]]
+    luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+    return "#000000" if (luminance + 0.05) ** 2 > 1.05 * 0.05 else "#FFFFFF"
+
+
 def _draw(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Normalize) -> Any:
     values = table_of(view, facet, down_axis)
     panel.set_facecolor(EMPTY)
@@ -89,7 +97,7 @@ def _draw(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Normalize
                 continue
             text, colour = significant(values[j, i]) if point.is_shown else "", "#FFFFFF"
             if point.is_shown:
-                colour = "#FFFFFF" if norm(values[j, i]) > 0.5 else "#000000"
+                colour = readable_on(ERROR_COLOURS(norm(values[j, i])))
             if point.ended < point.trials:
                 text += f"\n{point.ended}/{point.trials}" if text else f"{point.ended}/{point.trials}\nflown"
             if not point.is_shown:

@@ -7,6 +7,7 @@ Values of a key that is no number stand side by side, without lines between them
 from __future__ import annotations
 
 import math
+import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,9 +15,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from quadexp.report.axes.points import Place, Point
+from quadexp.report.axes.points import SUCCESS, Place, Point
 from quadexp.report.axes.view import Axis, View
-from quadexp.report.style import PLAIN, entries, looks, plain_log, styled
+from quadexp.report.style import PLAIN, Look, entries, looks, plain_log, styled
 
 MAX_PANELS = 36
 MAX_ACROSS = 4
@@ -30,7 +31,7 @@ def line_figure(view: View) -> Figure:
     panels, left = view.panels[:MAX_PANELS], view.panels[MAX_PANELS:]
     lines = view.lines()
     labels = {line: label_of(view, line) for line in lines}
-    found = looks(list(labels.values()))
+    found = looks_of(view, lines)
     across = min(len(panels), MAX_ACROSS)
     down = math.ceil(len(panels) / across)
     width = max(5.6, 1.4 + 3.1 * across)
@@ -60,6 +61,8 @@ def line_figure(view: View) -> Figure:
     _make_room(grid[0, 0], view, len(lines), log)
     if log:
         plain_log(grid[0, 0].yaxis, minor=True)
+    elif view.y == SUCCESS:
+        grid[0, 0].set_yticks(range(0, 101, 20))
     for row in grid:
         row[0].set_ylabel(view.y_label)
     _mark_gone(grid.flat, panels, view, lines)
@@ -78,6 +81,14 @@ def label_of(view: View, line: Place) -> str:
         else:
             parts.append(str(value) if key == "controller" else f"{key.rpartition('.')[2]}={value}")
     return " ".join(filter(None, parts))
+
+
+def looks_of(view: View, lines: Sequence[Place]) -> dict[str, Look]:
+    """Label of a line -> its look; one that all flights share with a controller has the look of that."""
+    labels = [label_of(view, line) for line in lines]
+    if len(labels) == 1 and not labels[0] and "controller" in view.alone:
+        return {"": looks([view.alone["controller"]])[view.alone["controller"]]}
+    return looks(labels)
 
 
 def _draw_line(
@@ -108,7 +119,7 @@ def place_of(axis: Axis, value: Any, k: int = 0, n: int = 1) -> float:
 def set_scale(panel: Any, axis: Axis) -> None:
     """Scale, ticks and limits of x: a tick at every value as far as they have room."""
     if axis.kind == "group":
-        panel.set_xticks(range(len(axis.values)), [textwrap.fill(axis.text(v), 14) for v in axis.values])
+        panel.set_xticks(range(len(axis.values)), [_in_lines(axis.text(v), 14) for v in axis.values])
         panel.set_xlim(-0.6, len(axis.values) - 0.4)
         if sum(map(len, map(axis.text, axis.values))) > 34:
             panel.tick_params(axis="x", rotation=30)
@@ -130,6 +141,16 @@ def set_scale(panel: Any, axis: Axis) -> None:
         panel.margins(x=0.08)
 
 
+def _in_lines(text: str, width: int) -> str:
+    """A text in lines of about that many letters, broken behind /, + and commas, and never within a word."""
+    lines = [""]
+    for part in re.findall(r"[^/+,;]*[/+,;]?", text):
+        if lines[-1] and len(lines[-1]) + len(part) > width:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join(lines)
+
+
 def is_log(view: View) -> bool:
     """Whether the means are shown on a logarithmic axis: positive, and far apart."""
     means = [point.mean for point in view.places.values() if point.is_shown]
@@ -138,7 +159,7 @@ def is_log(view: View) -> bool:
 
 def _mark_gone(grid: Any, panels: Sequence[Place], view: View, lines: Sequence[Place]) -> None:
     """A cross above the lines where no flight of a place ended well, or its settings are invalid."""
-    found = looks([label_of(view, line) for line in lines])
+    found = looks_of(view, lines)
     start = len(view.facet)
     for line in lines:
         own = [point for place, point in view.places.items() if place[start : start + len(line)] == line]

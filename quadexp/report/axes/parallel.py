@@ -6,6 +6,7 @@ Combinations without a flight that ended well are dashed and grey, and end below
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,19 +21,24 @@ from quadexp.report.style import plain_log, styled
 from quadexp.report.text import significant
 
 MOST_TICKS = 12
+MOST_COMBINATIONS = 400  # that are drawn: with more, a line cannot be told from its neighbours
 
 
 @styled
 def parallel_figure(view: View) -> Figure:
     """The figure of a view of kind "parallel"."""
-    width = max(5.6, 1.6 * len(view.along) + 2.4)
-    figure = Figure(figsize=(width, 4.2 + 0.17 * len(notes_of(view, (), width))), layout="constrained")
-    panel = figure.subplots()
     means = [view.factor * point.mean for point in view.places.values() if point.is_shown]
     log = is_log(view)
     norm = LogNorm(min(means), max(means)) if log else Normalize(min(means), max(means) or 1.0)
     n = len(view.along)
     lines = sorted(view.places.items(), key=lambda one: -one[1].mean if one[1].is_shown else -math.inf)
+    if len(lines) > MOST_COMBINATIONS:  # the best and the worst, and as many between them as can be seen
+        every = np.linspace(0, len(lines) - 1, MOST_COMBINATIONS).round().astype(int)
+        said = f"{MOST_COMBINATIONS} of {len(lines)} combinations drawn, from the best to the worst"
+        view, lines = replace(view, notes=(*view.notes, said)), [lines[i] for i in every]
+    width = max(5.6, 1.6 * len(view.along) + 2.4)
+    figure = Figure(figsize=(width, 4.2 + 0.17 * len(notes_of(view, (), width))), layout="constrained")
+    panel = figure.subplots()
     for place, point in lines:
         heights = [height(axis, value) for axis, value in zip(view.along, place, strict=True)]
         if point.is_shown:

@@ -73,7 +73,8 @@ class Axis:
 @dataclass(frozen=True)
 class View:
     """A figure to be drawn. y: a column of numbers, or "success". by: keys of the lines (of a heat map its rows).
-    facet: keys of the panels. others: keys that vary and are averaged. notes: what a reader has to know."""
+    facet: keys of the panels. others: keys that vary and are averaged. notes: what a reader has to know. alone: who
+    flew and what, as far as all flights share it: values of the controller, its model, the trajectory and the speed."""
 
     kind: Kind
     y: str
@@ -85,6 +86,7 @@ class View:
     confidence: float = 0.95
     notes: tuple[str, ...] = ()
     places: dict[Place, Point] = field(default_factory=dict)
+    alone: dict[str, Any] = field(default_factory=dict)
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -132,7 +134,11 @@ class View:
 
     @property
     def caption(self) -> str:
-        """What the means and bars are, in a line."""
+        """Who flew, and what the means and bars are, in a line."""
+        return "; ".join(filter(None, (self.title(tuple(self.alone), tuple(self.alone.values())), self._bars)))
+
+    @property
+    def _bars(self) -> str:
         shown = [point for point in self.places.values() if point.is_shown]
         if self.y == SUCCESS:
             return f"share of flights; bars: its {100 * self.confidence:g} % interval (Wilson)"
@@ -148,6 +154,8 @@ class View:
         return ", ".join(
             value_text(key, value)
             if key in ("trajectory", *WHO)
+            else f"{value_text(key, value)} m/s"
+            if key == "trajectory.speed"
             else f"{key.rpartition('.')[2]} {value_text(key, value)}"
             for key, value in zip(keys, values, strict=True)
         )
@@ -237,8 +245,18 @@ def _made(frame: SweepFrame, what: What, y: str, confidence: float) -> View:
     by, facet = ((), ()) if kind == "parallel" else (by, facet)
     return View(
         kind, y, _axis(frame, x, keys), tuple(by), tuple(facet),
-        tuple(others), along, confidence, tuple(notes), found,
+        tuple(others), along, confidence, tuple(notes), found, _alone(frame, [*keys, *others]),
     )  # fmt: skip
+
+
+def _alone(frame: SweepFrame, shown: Sequence[str]) -> dict[str, Any]:
+    """What all flights share of who flew and what, without what a figure shows."""
+    found = {}
+    for key in ("controller", "trajectory", "trajectory.speed"):
+        values = frame.controllers(shown) if key == "controller" else frame.column(key)
+        if key not in shown and len(set(values)) == 1 and values[0] is not None:
+            found[key] = values[0]
+    return found
 
 
 def _parallel(frame: SweepFrame, keys: Sequence[str] | None) -> tuple[Kind, str, list[str], list[str]]:

@@ -20,8 +20,7 @@ from quadexp.errors import QuadexpError
 from quadexp.log.store import check_output, write_bytes, write_text
 from quadexp.report.page import palette
 from quadexp.report.page.answer import answer
-from quadexp.report.page.drawing import MAX_COURSES, PageFigures, draw_page, draw_paper
-from quadexp.report.page.panels import courses
+from quadexp.report.page.drawing import MAX_COURSES, PageFigures, draw_page, draw_paper, shown_courses
 from quadexp.report.page.power import MAX_FLIGHTS
 from quadexp.report.page.provenance import origin, portable
 from quadexp.report.page.replay import BUDGET, MAX_TRACKS, Case, choose_cases, pack_replay
@@ -78,7 +77,8 @@ def _write_paper(folder: Path, figures: Mapping[str, Figure]) -> dict[str, Path]
 
 @dataclass(frozen=True)
 class Extent:
-    """The amount of data on the page. replay: characters of packed flights. metrics, lines: of the tables."""
+    """The amount of data on the page. replay: characters of packed flights. metrics: of tables and of figures over
+    what was swept. lines: of the tables."""
 
     replay: int = BUDGET
     metrics: int = len(TABLED)
@@ -143,7 +143,9 @@ def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[st
         packed, kept = pack_replay(comparison, cases, extent.replay) if extent.replay else ([], [])
         numbers = [{**table, "lines": table["lines"][: extent.lines]} for table in every[: extent.metrics]]
         carried = downloads if extent.carries_data else []
-        left_out = _left_out(comparison, packed, kept, every, numbers, carried)
+        tabs = drawn.swept.tabs[: None if extent.metrics == len(TABLED) else extent.metrics]
+        left_out = _left_out(comparison, drawn, packed, kept, every, numbers, carried)
+        left_out += [f"figures of the {title}" for _, title, _ in drawn.swept.tabs[len(tabs) :]]
         left_out += [f"battery and rotors of {drawn.power_left} more worlds"] if drawn.power_left else []
         page = template.render(
             content,
@@ -151,6 +153,7 @@ def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[st
             left_out=left_out,
             sections=_sections(drawn, bool(packed), len(comparison.worlds) > 1),
             tables=numbers,
+            swept=tabs,
             replay=bool(packed),
             winds=any("wind" in track for case in packed for track in case["tracks"]),
             told=any("estimate" in track for case in packed for track in case["tracks"]),
@@ -167,6 +170,7 @@ def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[st
 
 def _left_out(
     comparison: Comparison,
+    drawn: PageFigures,
     packed: Sequence[Mapping[str, Any]],
     replayed: Sequence[Case],
     every: Sequence[Mapping[str, Any]],
@@ -180,7 +184,8 @@ def _left_out(
     all_lines, lines = len(every[0]["lines"]), len(numbers[0]["lines"])
     left += [f"{all_lines - lines} of {all_lines} lines of the tables"] if lines < all_lines else []
     left += [f"the table of the {table['title']}" for table in every[len(numbers) :]]
-    more = len(courses(comparison)) - MAX_COURSES
+    left += drawn.swept.left
+    more = len(shown_courses(comparison, drawn.swept)) - MAX_COURSES
     left += [f"error over speed on {more} more courses"] if more > 0 else []
     crowd = max((len(case["left_out"]) for case in packed), default=0)
     left += [f"in the replay, up to {crowd} controllers of a flight beyond the first {MAX_TRACKS}"] if crowd else []
@@ -204,6 +209,7 @@ def _sections(drawn: PageFigures, replay: bool, several_worlds: bool) -> list[tu
         ("replay", "Replay", replay),
         ("tables", "Numbers", True),
         ("worlds", "Worlds", several_worlds),
+        ("swept", "Swept", bool(drawn.swept.tabs)),
         ("speed", "Speed", bool(drawn.speed)),
         ("time", "Time", bool(drawn.pareto)),
         ("power", "Power", bool(drawn.power)),

@@ -16,6 +16,7 @@ from quadexp.log.schema import Flight, describe
 from quadexp.report.page.palette import PAGE, PAPER, STYLE, inline_svg
 from quadexp.report.page.panels import (
     Checkpoint,
+    Course,
     course_title,
     courses,
     estimate_panel,
@@ -31,6 +32,7 @@ from quadexp.report.page.panels import (
 )  # fmt: skip
 from quadexp.report.page.power import Powered, battery_panel, end_of_charge, powered, rotor_columns, rotor_panel
 from quadexp.report.page.source import Comparison, spoken
+from quadexp.report.page.swept import Swept, swept_figures, swept_paper
 from quadexp.report.text import number, percent
 
 SIZE = 3.9, 3.0  # inches, of a panel
@@ -43,9 +45,10 @@ Draw = Callable[..., None]  # (panel, palette=Palette)
 
 @dataclass
 class PageFigures:
-    """SVG of every part, and the data of the text beside it. speed: a panel per course. power, fits, estimates: for the
+    """SVG of every part, and the data of the text beside it. swept: over the keys swept. speed: a panel per course. power, fits, estimates: for the
     template. powered, checkpoints, estimated: their sources. power_left: worlds that power leaves out."""
 
+    swept: Swept = field(default_factory=Swept)
     speed: list[str] = field(default_factory=list)
     speed_labels: list[str] = field(default_factory=list)
     pareto: str = ""
@@ -62,9 +65,9 @@ class PageFigures:
 
 def draw_page(comparison: Comparison) -> PageFigures:
     """All figures of the page."""
-    made = PageFigures()
+    made = PageFigures(swept_figures(comparison))
     drawn: list[list[str]] = []
-    for i, course in enumerate(courses(comparison)[:MAX_COURSES]):
+    for i, course in enumerate(shown_courses(comparison, made.swept)[:MAX_COURSES]):
         draw = partial(speed_panel, comparison=comparison, course=course)
         made.speed.append(panel_svg(draw, f"speed{i}", f"Error over speed, {course_title(comparison, course)}"))
         drawn.append(labels_on(comparison, course))
@@ -81,6 +84,13 @@ def draw_page(comparison: Comparison) -> PageFigures:
     made.estimated = estimated(comparison)
     made.estimates = [_estimates(comparison, title, flights, i) for i, (title, flights) in enumerate(made.estimated)]
     return made
+
+
+def shown_courses(comparison: Comparison, swept: Swept) -> list[Course]:
+    """The courses whose error over the speed is drawn: none where one speed was flown, or where the figures over what
+    was swept have it."""
+    speeds = {row["speed"] for row in comparison.rows if row["speed"] is not None}
+    return [] if len(speeds) < 2 or swept.over_speed and not swept.left else courses(comparison)
 
 
 def panel_svg(draw: Draw, name: str, label: str, size: tuple[float, float] = SIZE) -> str:
@@ -190,7 +200,8 @@ def _estimate_draws(comparison: Comparison, flights: list[tuple[str, Flight]]) -
 def draw_paper(comparison: Comparison, drawn: PageFigures) -> dict[str, Figure]:
     """The same figures for a paper: name -> Figure with all its panels and a legend."""
     figures: dict[str, Figure] = {}
-    flown = courses(comparison)[:MAX_COURSES]
+    figures |= swept_paper(drawn.swept)
+    flown = shown_courses(comparison, drawn.swept)[:MAX_COURSES]
     if flown:
         draws: list[Draw] = [partial(speed_panel, comparison=comparison, course=course) for course in flown]
         figures["error_against_speed"] = _sheet(draws, _handles(comparison, drawn.speed_labels))

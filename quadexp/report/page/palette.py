@@ -131,11 +131,13 @@ _SIZE = re.compile(r'(<svg\b[^>]*?)\s(?:width|height)="[^"]*"')
 _PATH = re.compile(r'\bd="[^"]*"')
 _DECIMALS = re.compile(r"(\d+\.\d{2})\d+")
 _VARIABLES = {standin: f"var(--{name})" for name, standin in STANDINS.items()}
+_COLOUR = re.compile("#[0-9a-f]{6}")
 _STANDIN = re.compile("|".join(_VARIABLES), re.IGNORECASE)
 
 
-def inline_svg(figure: Figure, name: str, label: str) -> str:
-    """The figure as an <svg> element. name: unique on the page. label: its description for screen readers."""
+def inline_svg(figure: Figure, name: str, label: str, themed: Mapping[str, str] | None = None) -> str:
+    """The figure as an <svg> element. name: unique on the page. label: its description for screen readers. themed:
+    colours on paper -> CSS variable that takes their place, beside the stand-ins."""
     stream = io.StringIO()
     with matplotlib.rc_context({**STYLE, "svg.fonttype": "none"}):
         figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
@@ -144,6 +146,8 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
     for _ in range(2):
         text = _SIZE.sub(r"\1", text, count=1)
     text = _STANDIN.sub(lambda match: _VARIABLES[match[0].lower()], text)
+    if themed:
+        text = _COLOUR.sub(lambda match: f"var(--{themed[match[0]]})" if match[0] in themed else match[0], text)
     text = _PATH.sub(lambda match: _DECIMALS.sub(r"\1", match[0]), text)
     text = re.sub(r"\s*\n\s*", "\n", text)
     return text.replace("<svg ", f'<svg role="img" aria-label="{html.escape(label, quote=True)}" ', 1)

@@ -15,19 +15,22 @@ document.querySelector("[data-theme-switch]").onclick = () => {
 };
 system.addEventListener("change", changed);
 
-const tabs = [...document.querySelectorAll("[data-metric-switch]")];
-const choose = metric => {
-  for (const tab of tabs) tab.setAttribute("aria-pressed", String(tab.dataset.metricSwitch === metric));
-  for (const part of document.querySelectorAll("[data-metric]")) part.hidden = part.dataset.metric !== metric;
-};
-for (const tab of tabs) tab.onclick = () => choose(tab.dataset.metricSwitch);
-if (tabs.length) choose(tabs[0].dataset.metricSwitch);
+for (const group of document.querySelectorAll(".tabs")) { // each switches the parts of its own section
+  const section = group.closest("section"), tabs = [...group.querySelectorAll("[data-metric-switch]")];
+  const choose = metric => {
+    for (const tab of tabs) tab.setAttribute("aria-pressed", String(tab.dataset.metricSwitch === metric));
+    for (const part of section.querySelectorAll("[data-metric]")) part.hidden = part.dataset.metric !== metric;
+  };
+  for (const tab of tabs) tab.onclick = () => choose(tab.dataset.metricSwitch);
+  if (tabs.length) choose(tabs[0].dataset.metricSwitch);
+}
 
-const boxes = [...document.querySelectorAll(".scroll")];
+const boxes = [...document.querySelectorAll(".scroll, .sheet")];
 for (const box of boxes) {
   const hint = document.createElement("p");
   hint.className = "more-hint";
-  hint.textContent = "Wider than the window: scroll sideways for all columns \u2192";
+  const what = box.classList.contains("sheet") ? "the whole figure" : "all columns";
+  hint.textContent = `Wider than the window: scroll sideways for ${what} \u2192`;
   box.before(hint);
 }
 const measure = () => {
