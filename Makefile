@@ -26,8 +26,10 @@ quick: $(STAMP)
 	$(QUADEXP) fit-gp data/residuals.parquet --out models/gp --force
 	$(QUADEXP) evaluate --sweep experiment=quick --out results/quick --refly
 
+# One process more than there are cores: tests of sweeps and clusters wait much of their time.
+TEST_PROCESSES ?= $(shell echo $$(($$(nproc 2>/dev/null || echo 2) + 1)))
 test: $(STAMP)
-	$(BIN)/python -m pytest -n auto --dist worksteal -m 'not slow' tests examples
+	$(BIN)/python -m pytest -n $(TEST_PROCESSES) --dist worksteal -m 'not slow' tests examples
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

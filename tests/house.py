@@ -94,6 +94,7 @@ def floor(module: str) -> int:
     raise AssertionError(f"{module}: has no floor yet: add it to FLOORS in tests/house.py")
 
 
+@cache
 def rooms() -> dict[str, set[str]]:
     """Room -> rooms that it imports from."""
     found: dict[str, set[str]] = {}

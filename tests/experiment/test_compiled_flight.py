@@ -132,8 +132,12 @@ def draw(seed, vehicle):
     return plant, controller, path, options
 
 
+# Of 24 draws those with nearly all pairs of plant, residual, path, sensor, bounds and settings.
+FEW = (0, 1, 3, 4, 7, 12, 13, 15, 16, 17, 18, 20, 21, 23)
+
+
 @compiled
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", FEW)
 def test_any_flight(monkeypatch, vehicle, seed):
     plant, controller, path, options = draw(seed, vehicle)
     both(monkeypatch, plant, controller, path, **options)
@@ -143,7 +147,7 @@ def test_any_flight(monkeypatch, vehicle, seed):
 @pytest.mark.slow
 def test_any_flight_of_many(monkeypatch, vehicle):
     outcomes, active, in_c = set(), 0, 0
-    for seed in range(24, 174):
+    for seed in (*set(range(24)).difference(FEW), *range(24, 174)):
         plant, controller, path, options = draw(seed, vehicle)
         found = both(monkeypatch, plant, controller, path, **options)
         outcomes.add(found.flight.outcome)

@@ -82,8 +82,7 @@ class TestFlownByAll:
         fit_checkpoint("gp", config, folder / "residuals.parquet", folder / "gp", figures=False)
         return folder / "gp"
 
-    @pytest.mark.parametrize("extent", [20, 40])
-    @pytest.mark.parametrize("seed", [2, 3, 6])
+    @pytest.mark.parametrize(("extent", "seed"), [(20, 2), (40, 3), (20, 6)])
     def test_fast_random_paths(self, model, extent, seed):
         self.compare(model, extent, seed)
 
