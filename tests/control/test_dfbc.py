@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.air.none import no_residual
 from quadexp.config.dfbc import DFBCKeys
 from quadexp.control.base import Measurement, Window
 from quadexp.control.belief import Belief
 from quadexp.control.dfbc.controller import DFBC
 from quadexp.experiment.rollout import SampledReference, fly
-from quadexp.physics.state import POSITION
+from quadexp.physics.state import POSITION, RATE, VELOCITY
 from quadexp.reference.ellipse import Ellipse
 from quadexp.reference.flatness import flat_reference
 from quadexp.reference.hover import Hover
@@ -44,6 +47,47 @@ def test_on_a_reference_in_a_vertical_plane_it_commands_the_references_thrusts(v
     for x, u, path in zip(reference.state, reference.input, flat.position, strict=True):
         if (u > low).all() and (u < high).all():
             assert commanded(dfbc, x, path, np.zeros(3), u) == pytest.approx(u, abs=1e-6)
+
+
+def test_in_space_it_commands_the_references_thrust_and_tilt_torques(vehicle):
+    """A level ellipse, on which the vehicle turns about all axes; of the yaw it knows the heading's derivatives only."""
+    body = replace(vehicle, inertia=((0.02, 0, 0), (0, 0.03, 0), (0, 0, 0.05)))
+    trajectory = Ellipse(speed=8.0, acceleration=16.0, ratio=2.0, plane="horizontal")
+    t, compared = np.linspace(0.1, 3.1, 40), 0
+    reference, flat = flat_reference(trajectory, t, body), trajectory.flat_output(t)
+    dfbc = controller(body, least_thrust=1e-3)
+    for x, wanted, path, yaw in zip(reference.state, reference.input, flat.position, flat.yaw, strict=True):
+        u = commanded(dfbc, x, path, yaw, wanted)
+        both = np.r_[u, wanted]
+        if (both > body.thrust_min + 1e-6).all() and (both < body.thrust_max - 1e-6).all():
+            compared += 1
+            gyroscopic = np.abs(np.cross(x[RATE], body.inertia_matrix @ x[RATE])[:2]).max()
+            assert (body.allocation @ (u - wanted))[:3] == pytest.approx(np.zeros(3), abs=1e-3 * gyroscopic)
+    assert compared > 10
+
+
+def test_what_is_believed_is_taken_away(vehicle):
+    """Torque and thrust scale by the wrench; a wind as the velocity less the wind, where drag is known."""
+    residual = linear_drag_residual(vehicle, (0.4, 0.3, 0.1))
+    torque, wind, scale = np.array([0.03, -0.02, 0.01]), np.array([2.0, -1.0, 0.5]), 0.8
+    x, path = np.zeros(13), np.zeros((5, 3))
+    x[3:7], x[VELOCITY] = Rotation.from_rotvec([0.03, -0.05, 0.04]).as_quat(scalar_first=True), (1.0, 2.0, -0.5)
+    hover, dfbc = np.full(4, vehicle.hover_thrust), controller(vehicle, residual, velocity_gain=(0.0, 0.0, 0.0))
+    window, still = Window(np.tile(x, (2, 1)), hover[None], path, np.zeros(3)), np.zeros(3)
+
+    def wrench(velocity, belief):
+        dfbc.reset(x, window)
+        dfbc.believe(belief)
+        now = x.copy()
+        now[VELOCITY] = velocity
+        return vehicle.allocation @ dfbc.step(Measurement(0.0, now, None, None), window)[0]
+
+    plain = wrench(x[VELOCITY], Belief(still, still, still))
+    turned = wrench(x[VELOCITY], Belief(still, torque, still, scale))
+    assert scale * turned == pytest.approx(plain - np.r_[0, torque], abs=1e-9)
+    blown = wrench(x[VELOCITY], Belief(still, still, wind))
+    assert blown == pytest.approx(wrench(x[VELOCITY] - wind, Belief(still, still, still)), abs=1e-9)
+    assert np.abs(blown - plain).max() > 1e-2
 
 
 def test_the_printed_side_of_y_flips_upside_down(vehicle):

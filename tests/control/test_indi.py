@@ -225,11 +225,13 @@ def test_the_spin_up_torque_is_part_of_the_answer(vehicle):
     yaw = 0.02
     wanted = np.linalg.pinv(vehicle.allocation) @ [vehicle.mass * vehicle.gravity, 0, 0, yaw]
     law = indi_function(measured, keys)
-    u = np.array(law(wanted, np.zeros(3), given, settled_memory(keys, values).T, values)[0]).ravel()
+    before = values - np.r_[np.zeros(3), 1e-3 * np.sqrt(given) * [1, 2, -1, 3]]  # they have been spinning up or down
+    u = np.array(law(wanted, np.zeros(3), given, settled_memory(keys, values).T, before)[0]).ravel()
     speed, now = np.sqrt(u / 1e-5), np.sqrt(given / 1e-5)
+    measured = 5e-6 * np.array(vehicle.rotor_spin) @ (values - before)[3:] / np.sqrt(1e-5) * keys.rate
     spin_up = 5e-6 * np.array(vehicle.rotor_spin) @ (speed - now) / keys.spin_up_time
     more = (vehicle.allocation @ (u - given))[3]
-    assert more + spin_up == pytest.approx(yaw, rel=1e-6)
-    assert more < 0.99 * yaw  # without it the rotors would be asked for more
+    assert more + spin_up == pytest.approx(yaw + measured, rel=1e-6) and abs(measured) > 0.05 * yaw
+    assert abs(spin_up) > 0.01 * yaw  # without it the rotors would be asked for more
     with pytest.raises(UsageError, match="rotor_inertia"):
         indi_function(vehicle, keys)

@@ -467,6 +467,21 @@ def test_estimates_stay_within_their_limits(vehicle):
     assert found[-1, 0] == pytest.approx(2.0 * vehicle.mass) and found[-1, 3] == pytest.approx(5.0 * 0.03)
 
 
+def test_the_bandwidth_of_an_anemometer(vehicle):
+    """Drag slopes of a fitted model, by differences, in both directions of both horizontal axes."""
+    residual, config = make_residual("gp_with_mean", vehicle), WindObserverConfig(name="w", noise=(0.2, 0.4, 1.0))
+    slopes = np.zeros((2, 2))
+    for axis in (0, 1):
+        for k, airspeed in enumerate((-5.0, 5.0)):
+            z, step = np.r_[np.zeros(6), np.full(4, vehicle.hover_thrust)], 1e-5 * np.eye(10)[axis]
+            z[axis] = airspeed
+            slopes[axis, k] = abs(residual(z + step) - residual(z - step))[0, axis] / 2e-5
+    found = wind_module.wind_bandwidth(vehicle, residual, residual.theta, config, PERIOD)
+    each = config.wind_walk * slopes.mean(axis=1) / (np.array([0.2, 0.4]) * np.sqrt(PERIOD))
+    assert found == pytest.approx(each.min(), rel=1e-5)
+    assert abs(slopes[:, 0] / slopes[:, 1] - 1).min() > 0.01  # it is another one in the other direction
+
+
 def test_a_poor_anemometer_is_refused_by_name(vehicle):
     with pytest.raises(UsageError, match="knows too little drag .* take observer=disturbance"):
         wind(mpc_of(vehicle, make_residual("none", vehicle), backend="interpreted"))
