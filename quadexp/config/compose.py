@@ -47,6 +47,7 @@ HYDRA = {  # how a key of Hydra itself begins -> what does that here
     "hydra.searchpath": "--conf names a folder of configuration",
     "hydra": "Hydra composes the configuration, and nothing else",
 }
+EACH = "each"  # of a grid under an experiment's `sweep:`, see _written_out
 KEPT = 50_000  # parsed overrides, and made nodes, that are remembered at most
 
 
@@ -137,11 +138,7 @@ class Composer:
         for value in values:
             choice = self._parse([f"experiment={value}"])
             sweep = self._compose(choice, parts=True).sweep
-            for grid in sweep if isinstance(sweep, list) else [sweep or {}]:
-                if not isinstance(grid, dict):
-                    raise UsageError(
-                        f"experiment={value}: `sweep:` must be a mapping {{key: values}}, or a list of them"
-                    )
+            for grid in _written_out(sweep or {}, value):
                 # The mapping's order is kept: what stands first varies slowest.
                 own = [f"{key}={_as_override(text)}" for key, text in grid.items() if key not in given]
                 yield choice + self._parse(own, sweep=True) + rest
@@ -518,6 +515,17 @@ def _keys(content: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
             yield from _keys(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}"
+
+
+def _written_out(grids: Any, experiment: str) -> Iterator[dict[str, Any]]:
+    """The grids of an experiment's `sweep:`, a mapping or a list of them; one with a list under `each` stands for as
+    many: what else it has, with each of these, which may have such lists themselves."""
+    for grid in grids if isinstance(grids, list) else [grids]:
+        if not isinstance(grid, dict):
+            raise UsageError(f"experiment={experiment}: `sweep:` must be a mapping {{key: values}}, or a list of them")
+        common = {key: values for key, values in grid.items() if key != EACH}
+        within = _written_out(grid[EACH], experiment) if EACH in grid else [{}]
+        yield from (common | inner for inner in within)
 
 
 def _product(overrides: Sequence[Given]) -> Grid:
