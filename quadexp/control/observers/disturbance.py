@@ -37,7 +37,12 @@ from quadexp.control.observers.observer import (
     believer,
     callable_air,
 )
-from quadexp.control.observers.scaled_force import N_SCALED, N_SCALED_STATE, scaled_force_update
+from quadexp.control.observers.scaled_force import (
+    APART,
+    N_SCALED,
+    N_SCALED_STATE,
+    scaled_force_update,
+)
 from quadexp.control.observers.torque import N_TORQUE_SETTINGS, N_TORQUE_STATE, torque_settings, torque_update
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
@@ -48,7 +53,7 @@ from quadexp.physics.vehicle import Vehicle
 
 CAUTIOUS_BANDWIDTH = 3.0  # rad/s, where the time of the thrusts is not known
 N_FORCE_STATE = 7  # a^, v^, P
-N_FORCE_SETTINGS = 7
+N_FORCE_SETTINGS = 8
 
 
 def with_disturbance_observer(controller: Controller, config: DisturbanceObserverConfig) -> Observer:
@@ -75,7 +80,7 @@ def with_disturbance_observer(controller: Controller, config: DisturbanceObserve
             known = config.scale_initial if config.scale_walk and scales else 0.0
             air = config.air_initial if config.air_walk and scales else 0.0
             P = np.diag([config.force_initial**2] * 3 + [known**2, air**2])
-            return np.concatenate([np.zeros(N_SCALED), P.ravel(), x[RATE], np.zeros(3)])
+            return np.concatenate([np.zeros(N_SCALED), P.ravel(), np.zeros(3), x[RATE], np.zeros(3)])
         return np.concatenate([np.zeros(3), x[VELOCITY], [config.force_initial**2], x[RATE], np.zeros(3)])
 
     slow = replace(
@@ -90,12 +95,14 @@ def with_disturbance_observer(controller: Controller, config: DisturbanceObserve
 
 
 def disturbance_settings(config: DisturbanceObserverKeys, period: float) -> np.ndarray:
-    """The numbers that the update takes: [q, r, gain on v^, gain on a^ from v, limit, variance that the scale gains
-    in a step] and those of the torque."""
+    """The numbers that the update takes: [q, r, gain on v^, gain on a^ from v, limit, variances that the
+    scales of thrust and air gain in a step, gain of what the filter of the scales leaves] and those of the torque."""
     z, r = float(np.exp(-config.force_bandwidth * period)), config.force_noise**2
-    K = 1 - z
+    apart = min(config.force_bandwidth, APART) if config.scale_walk or config.air_walk else config.force_bandwidth
+    K = 1 - float(np.exp(-apart * period))
     force = [r * K**2 / (1 - K), r, 1 - z * z, (1 - z) ** 2 / period, config.force_limit]
     force += [config.scale_walk**2 * period, config.air_walk**2 * period]
+    force.append(1 - z if apart < config.force_bandwidth else 0.0)
     return np.array(force + torque_settings(config.torque_bandwidth, config.torque_limit, period))
 
 
@@ -109,8 +116,8 @@ def disturbance_function(
     scaled: bool = False,
     at_once: bool = False,
 ) -> ca.Function:
-    """The update of control.observers.observer; s = [a^ (3,), v^ (3,), P, w^ (3,), J^-1 tau^ (3,)]; with a thrust
-    scale, see control.observers.scaled_force, [a^, k, P (4, 4), w^, J^-1 tau^]."""
+    """The update of control.observers.observer; s = [a^ (3,), v^ (3,), P, w^ (3,), J^-1 tau^ (3,)]; with
+    scales, see control.observers.scaled_force, [a, k, c, P (5, 5), e^ (3,), w^, J^-1 tau^]."""
     model = callable_air(residual.unscaled or residual, backend)
     first = N_SCALED_STATE if scaled else N_FORCE_STATE
     a = arguments(vehicle, first + N_TORQUE_STATE, len(residual.theta), N_FORCE_SETTINGS + N_TORQUE_SETTINGS)
@@ -119,14 +126,14 @@ def disturbance_function(
     y, slope = model(body_features(x, a["thrust"]), a["theta"][: model.size1_in(1)])
     y = ca.densify(y)
     force, estimate, P, scale, air = s[:3], s[3:6], s[6], ca.MX(1), ca.MX(1)
-    q, r, for_v, for_a, limit, scale_walk, air_walk = ca.vertsplit(settings[:N_FORCE_SETTINGS])
+    q, r, for_v, for_a, limit, scale_walk, air_walk, for_rest = ca.vertsplit(settings[:N_FORCE_SETTINGS])
     known: Any = ca.vertcat(0, 0, thrust) + y[:3]
     if scaled:
         by_scale = ca.vertcat(0, 0, thrust) + ca.mtimes(ca.densify(slope)[:3, 6:], a["thrust"])
         left, turned = ca.mtimes(R, a["reading"] - known), ca.mtimes(R, by_scale)
-        drag = ca.mtimes(R, y[:3])
-        found, P = scaled_force_update(s[:first], left, turned, drag, ca.vertcat(q, scale_walk, air_walk), r)
-        force, scale, air = found[:3], 1 + found[3], 1 + found[4]
+        drag, walks = ca.mtimes(R, y[:3]), ca.vertcat(q, scale_walk, air_walk)
+        found, P, rest = scaled_force_update(s[:first], left, turned, drag, walks, r, for_rest)
+        force, scale, air = found[:3] + rest, 1 + found[3], 1 + found[4]
     elif velocity:
         mean = ca.vertcat(0, 0, ca.sum1(a["mean"]) / vehicle.mass) + y[:3]
         predicted = estimate + period * (ca.mtimes(R, mean) + ca.vertcat(0, 0, -vehicle.gravity) + force)
@@ -144,6 +151,6 @@ def disturbance_function(
     lumped = scaled and at_once  # into the force where the vehicle is now
     told = force + (air - 1) * drag if lumped else force
     belief = ca.vertcat(vehicle.mass * told, torque, ca.MX.zeros(3), scale, 1 if lumped else air)
-    state = ca.vertcat(force, scale - 1, air - 1, P) if scaled else ca.vertcat(force, estimate, P)
+    state = ca.vertcat(found, P, rest) if scaled else ca.vertcat(force, estimate, P)
     results = [ca.vertcat(state, rates), belief]
     return ca.Function("disturbance_observer", [*a.values()], results, [*a], ["s_next", "belief"])
