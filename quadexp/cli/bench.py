@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from quadexp.cli.options import Conf, Json, OptionalOut, Overrides
-from quadexp.cli.terminal import console, emit, guarded, say
+from quadexp.cli.options import Conf, Format, Json, OptionalOut, Overrides
+from quadexp.cli.terminal import answered, console, format_of, guarded, say
 from quadexp.config.completion import groups
 
 SIZES = ("quick", "standard", "full")
@@ -55,6 +55,7 @@ def bench(
     page: Annotated[Path | None, typer.Option("--page", metavar="FILE", help="Where to write the page.")] = None,
     out: OptionalOut = None,
     conf: Conf = None,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Rank controllers by a protocol that does not change: the same tasks, worlds and seeds for all.
@@ -75,6 +76,7 @@ def bench(
     from quadexp.sweeps.cluster.engines import open_engine
     from quadexp.sweeps.engine import Workers
 
+    form = format_of(format, json)
     given = list(overrides or [])
     for text in given:
         if text.partition("=")[0].partition(".")[0] not in ("engine", "evaluate"):
@@ -105,10 +107,9 @@ def bench(
             )
     for note in made.notes:
         say(f"note: {note}")
-    if json:
-        boards = {name: [dict(zip(t.columns, row, strict=True)) for row in t.rows] for name, t in made.tables.items()}
-        emit({"protocol": made.protocol.name, "size": size, "boards": boards, "files": dict(made.files)})
-    else:
+    boards = {name: [dict(zip(t.columns, row, strict=True)) for row in t.rows] for name, t in made.tables.items()}
+    record = {"protocol": made.protocol.name, "size": size, "boards": boards, "files": dict(made.files)}
+    if not answered(form, record, lambda: list(made.tables.values()), "bench"):
         for table in made.tables.values():
             console().print(table.rich())
             for line in table.notes:

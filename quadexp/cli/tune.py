@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from quadexp.cli.options import Conf, Force, Json, OptionalOut, Overrides
-from quadexp.cli.terminal import emit, guarded
+from quadexp.cli.options import Conf, Force, Format, Json, OptionalOut, Overrides
+from quadexp.cli.terminal import answered, format_of, guarded
 from quadexp.config.completion import complete
 
 
@@ -35,6 +35,7 @@ def tune(
     out: OptionalOut = None,
     conf: Conf = None,
     force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Tune settings of a controller over worlds, trajectories, speeds and seeds, with a budget of flights.
@@ -60,6 +61,7 @@ def tune(
     from quadexp.tune.search import Request, cells_of, with_seeds
     from quadexp.tune.space import read_axes
 
+    form = format_of(format, json)
     with session(conf) as composer:
         given = with_seeds(overrides or [], seeds)
         cells = cells_of(composer, given)
@@ -77,8 +79,7 @@ def tune(
             Progress("flights") as progress,
         ):
             found = search(composer, request, out, flights, name=name, engine=engine, progress=progress)
-    if json:
-        emit(dict(found.record))
+    if answered(form, dict(found.record), found.rows, "tune"):
         return
     print("\n".join(found.lines))
     options = " ".join(found.options)
