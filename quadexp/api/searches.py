@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -118,7 +119,7 @@ def bench(
                 composer, Path(folder), size=size, only=only, version=protocol, extra=extra, engine=engine,
                 progress=shown,
                 controllers=[controllers] if isinstance(controllers, str) else list(controllers),
-                add=[Path(add)] if isinstance(add, (str, Path)) else [Path(one) for one in add],
+                add=[Path(add)] if isinstance(add, (str, os.PathLike)) else [Path(one) for one in add],
             )  # fmt: skip
     if made.failed:
         raise QuadexpError(f"{len(made.failed)} flights failed; the first: {made.failed[0]['cause']}")
