@@ -5,7 +5,9 @@
 The names of the Python API (docs/api.md) are imported when they are first used, so that `import quadexp` stays light.
 """
 
+import sys
 from importlib import import_module
+from types import ModuleType
 
 __version__ = "0.1.0"
 
@@ -16,12 +18,16 @@ _API = {
     "fit_drag": "api.calls",
     "fit_nn": "api.calls",
     "sweep": "api.calls",
+    "tune": "api.searches",
+    "bench": "api.searches",
     "load": "api.calls",
     "controller": "api.loop",
     "ControlLoop": "api.loop",
     "Flight": "api.frames",
     "Dataset": "api.frames",
     "Results": "api.frames",
+    "Tuning": "api.frames",
+    "Leaderboard": "api.frames",
     "Checkpoint": "api.checkpoint",
     "Measurement": "control.base",
     "Window": "control.base",
@@ -41,3 +47,14 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *_API})
+
+
+class _Package(ModuleType):
+    """The package, where a name of the API stays that when a room of the same name (quadexp/tune) is imported."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not (name in _API and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

@@ -9,9 +9,13 @@ from quadexp.api.calls import sweep as sweep
 from quadexp.api.checkpoint import Checkpoint as Checkpoint
 from quadexp.api.frames import Dataset as Dataset
 from quadexp.api.frames import Flight as Flight
+from quadexp.api.frames import Leaderboard as Leaderboard
 from quadexp.api.frames import Results as Results
+from quadexp.api.frames import Tuning as Tuning
 from quadexp.api.loop import ControlLoop as ControlLoop
 from quadexp.api.loop import controller as controller
+from quadexp.api.searches import bench as bench
+from quadexp.api.searches import tune as tune
 from quadexp.control.base import Measurement as Measurement
 from quadexp.control.base import Window as Window
 from quadexp.errors import DataError as DataError

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import pandas as pd
 
 from quadexp.api.checkpoint import Checkpoint
-from quadexp.api.frames import Dataset, Flight, Frame, Results
+from quadexp.api.frames import Dataset, Flight, Frame, Leaderboard, Results, Tuning
 from quadexp.api.overrides import Given, overrides
 from quadexp.api.scratch import Scratch
 from quadexp.config.compose import compose, session
@@ -40,7 +40,7 @@ def simulate(
     Returns the flight, a row a control instant; how it went is its `outcome`, no error.
     Raises UsageError for wrong settings, a missing model, or a path that the vehicle cannot fly.
     """
-    config = compose(overrides(settings, keywords), _conf(conf))
+    config = compose(overrides(settings, keywords), conf_folder(conf))
     path = None if out is None else check_output(Path(out), force=force)
     flight = fly_one(config)
     if path is not None:
@@ -61,11 +61,11 @@ def collect(
 
     A keyword that is no key of the configuration is one of `collect`: duration=60 is collect.duration=60 (s).
     """
-    config = compose(overrides(settings, keywords, "collect"), _conf(conf))
+    config = compose(overrides(settings, keywords, "collect"), conf_folder(conf))
     scratch = Scratch()
     path = scratch / "residuals.parquet" if out is None else check_output(Path(out), force=force)
     given = [_file(one, scratch, f"flight_{i:03d}") for i, one in enumerate(flights)]
-    with _Shown("seconds of flight", progress) as shown:
+    with Shown("seconds of flight", progress) as shown:
         collect_dataset(config, path, flights=given, progress=shown)
     return Dataset.of(*read_table(path, "residuals"))
 
@@ -101,11 +101,11 @@ def _fit(
     progress: bool = False,
     **keywords: Any,
 ) -> Checkpoint:
-    config = compose(overrides(settings, keywords, kind), _conf(conf))
+    config = compose(overrides(settings, keywords, kind), conf_folder(conf))
     scratch = Scratch()
     path = scratch / kind if out is None else check_output(Path(out), force=force, folder=True)
     file = _file(data, scratch, "residuals")
-    with _Shown("fit", progress) as shown:
+    with Shown("fit", progress) as shown:
         fit_checkpoint(kind, config, file, path, force=force, figures=False, progress=shown)
     return Checkpoint(path, scratch if out is None else None)
 
@@ -129,12 +129,12 @@ def sweep(
     from quadexp.sweeps.cluster.engines import build_engine
     from quadexp.sweeps.sweep import run_sweep
 
-    with session(_conf(conf)) as composer:
+    with session(conf_folder(conf)) as composer:
         cells = composer.expand(overrides(settings, keywords, lists=True), check=False)
     first = cells[0].config
     folder = Scratch() if out is None else Path(out)
     chosen = first.evaluate
-    with _Shown("flights", progress) as shown:
+    with Shown("flights", progress) as shown:
         made = run_sweep(
             cells, os.fspath(folder), metric=chosen.metric, baseline=chosen.baseline, confidence=chosen.confidence,
             engine=build_engine(first), force=force, old=old, progress=shown,
@@ -164,14 +164,15 @@ def load(path: Place) -> Flight | Dataset | Results | Checkpoint | Frame:
     if kind == "flight":
         flight = read_flight(path)
         return Flight.of(flight.columns, flight.metadata)
-    return {"residuals": Dataset}.get(kind, Frame).of(*read_table(path, kind))
+    kinds: dict[str, type[Frame]] = {"residuals": Dataset, "tuning": Tuning, "leaderboard": Leaderboard}
+    return kinds.get(kind, Frame).of(*read_table(path, kind))
 
 
 def _results(folder: Path | Scratch) -> Results:
     return Results.of(*read_table(folder / RESULTS, "results"), folder)
 
 
-def _conf(folder: Place | None) -> Path | None:
+def conf_folder(folder: Place | None) -> Path | None:
     return None if folder is None else Path(folder)
 
 
@@ -184,7 +185,7 @@ def _file(given: Place | pd.DataFrame, scratch: Scratch, name: str) -> Path:
     return write_table(scratch / f"{name}.parquet", given.columns_as_arrays(), given.record, given.kind)
 
 
-class _Shown:
+class Shown:
     """Progress where it is asked for."""
 
     def __init__(self, label: str, wanted: bool) -> None:

@@ -24,6 +24,7 @@ from quadexp.log.store import check_output, read_flight, write_table
 
 if TYPE_CHECKING:
     from quadexp.report.axes.frame import SweepFrame
+    from quadexp.report.table import Table
     from quadexp.report.tables import ErrorTable
 
 SHOWN_ROWS, SHOWN_COLUMNS = 6, 12  # of a table in a notebook
@@ -229,3 +230,58 @@ class Results(Frame):
 
     def _repr_html_(self) -> str:
         return self.table()._repr_html_() if self._is_whole() else super()._repr_html_()
+
+
+class Tuning(Frame):
+    """A search for settings, a row a trial: error (m), lost flights, and the value of each setting that was varied."""
+
+    kind = "tuning"
+
+    @property
+    def best(self) -> int:
+        """Place of the trial that was chosen."""
+        return int(self.attrs.get("best", self["value"].argmin()))
+
+    @property
+    def choice(self) -> str:
+        """The overrides that choose what was found, as "controller=NAME_tuned"."""
+        return str(self.attrs.get("choice", ""))
+
+    @property
+    def settings(self) -> dict[str, tuple[Any, Any]]:
+        """Key -> its value before and after."""
+        return dict(self.attrs.get("settings", {}))
+
+    @property
+    def folder(self) -> Path | None:
+        """The configuration folder with the options: qx.simulate(*tuned.choice.split(), conf=tuned.folder)."""
+        return None if self._folder is None else Path(self._folder)
+
+    def summary(self) -> list[str]:
+        return list(self.attrs.get("lines", ())) or [f"tuning: {len(self)} trials"]
+
+
+class Leaderboard(Frame):
+    """Flights of a protocol, a row each. In a notebook it shows the ranks."""
+
+    kind = "leaderboard"
+
+    @property
+    def notes(self) -> list[str]:
+        """Who has no part, and why."""
+        return list(self.attrs.get("notes", self.record.get("notes", ())))
+
+    @property
+    def boards(self) -> dict[str, Table]:
+        """Name of a family of tasks -> the table of its ranks, best first."""
+        from quadexp.bench.board import board_table, families_of
+        from quadexp.bench.protocol import read_protocol
+        from quadexp.report.result_rows import from_columns
+
+        protocol = read_protocol(int(self["protocol"].iloc[0]))
+        options: Any = {"metric": protocol.metric, "baseline": protocol.baseline}
+        found = families_of(from_columns(self.columns_as_arrays())).items()
+        return {name: board_table(own, title=name, **options) for name, own in found}
+
+    def summary(self) -> list[str]:
+        return [f"leaderboard: {len(self)} flights of {self['entry'].nunique()} entries"]

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from quadexp.cli.options import Conf, Json, OptionalOut, Overrides
-from quadexp.cli.terminal import console, emit, guarded, say
+from quadexp.cli.options import Conf, Format, Json, OptionalOut, Overrides
+from quadexp.cli.terminal import answered, console, format_of, guarded, say
 from quadexp.config.completion import groups
 
 SIZES = ("quick", "standard", "full")
@@ -61,6 +61,7 @@ def bench(
     page: Annotated[Path | None, typer.Option("--page", metavar="FILE", help="Where to write the page.")] = None,
     out: OptionalOut = None,
     conf: Conf = None,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Rank controllers by a protocol that does not change: the same tasks, worlds and seeds for all.
@@ -79,6 +80,7 @@ def bench(
     from quadexp.errors import QuadexpError
     from quadexp.progress import Progress
 
+    form = format_of(format, json)
     with Progress("flights") as progress:
         made = fly(
             overrides or [],
@@ -97,10 +99,9 @@ def bench(
         )
     for note in made.notes:
         say(f"note: {note}")
-    if json:
-        boards = {name: [dict(zip(t.columns, row, strict=True)) for row in t.rows] for name, t in made.tables.items()}
-        emit({"protocol": made.protocol.name, "size": size, "boards": boards, "files": dict(made.files)})
-    else:
+    boards = {name: [dict(zip(t.columns, row, strict=True)) for row in t.rows] for name, t in made.tables.items()}
+    record = {"protocol": made.protocol.name, "size": size, "boards": boards, "files": dict(made.files)}
+    if not answered(form, record, lambda: list(made.tables.values()), "bench"):
         for table in made.tables.values():
             console().print(table.rich())
             for line in table.notes:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from quadexp.cli.options import Conf, Format, Json
-from quadexp.cli.terminal import console, emit, format_of, guarded, print_rendered
+from quadexp.cli.terminal import answered, console, format_of, guarded
 from quadexp.errors import DataError, QuadexpError, UsageError
 
 COLOURS = {"blocking": "bold red", "warning": "yellow", "info": "dim"}
@@ -46,7 +46,9 @@ def check(
     stops = ("blocking", "warning") if strict else ("blocking",)
     blocked = [path for path, findings in found.items() if any(one.severity in stops for one in findings)]
     drawn = _draw(figures, loaded, found) if figures is not None else {}
-    if form == "json":
+    if form != "text":
+        from quadexp.report.table import Table
+
         records = [
             {
                 "path": path,
@@ -59,14 +61,11 @@ def check(
             }
             for path, flight in loaded.items()
         ]
-        emit({"flights": records, "blocked": len(blocked), "strict": strict})
-    elif form != "text":
-        from quadexp.report.table import Table
-
         names = ("severity", "name", "where", "measured", "allowed", "advice")
         pairs = [(path, one) for path, own in found.items() for one in own]
         rows = [[path, *(str(getattr(one, name) or "") for name in names)] for path, one in pairs]
-        print_rendered([Table(("flight", *names), rows, left=frozenset(range(7)))], form, "check")
+        record = {"flights": records, "blocked": len(blocked), "strict": strict}
+        answered(form, record, lambda: [Table(("flight", *names), rows, left=frozenset(range(7)))], "check")
     else:
         _print(loaded, found, drawn)
     if blocked:

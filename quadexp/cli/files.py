@@ -5,13 +5,14 @@ Only light modules are imported here; see cli/app.py.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from quadexp.cli.options import Force, Format, Json, OptionalOut, Out
-from quadexp.cli.terminal import emit, format_of, guarded, print_lines, print_rendered
+from quadexp.cli.terminal import answered, format_of, guarded, print_lines, single_values
 
 
 @guarded
@@ -30,11 +31,8 @@ def show(
 
     form = format_of(format, json)
     summary = summarise(path)
-    if form == "json":
-        emit({key: value for key, value in summary.items() if key not in ("lines", "tables")})
-    elif form != "text":
-        print_rendered(summary.get("tables", []), form, f"show {path}")
-    else:
+    record = {key: value for key, value in summary.items() if key not in ("lines", "tables")}
+    if not answered(form, record, lambda: summary.get("tables", []), f"show {path}"):
         print_lines(summary["lines"])
 
 
@@ -69,12 +67,8 @@ def compare_two(
         from quadexp.report.compare_picture import picture
 
         save_figure(picture(report["kind"], [first, *others]), path)
-    if form == "json":
-        picked = {key: value for key, value in report.items() if key != "lines"}
-        emit(picked | ({"picture": path} if path else {}))
-    elif form != "text":
-        print_rendered(compare_tables(first, *others), form, "compare")
-    else:
+    picked = {key: value for key, value in report.items() if key != "lines"} | ({"picture": path} if path else {})
+    if not answered(form, picked, lambda: compare_tables(first, *others), "compare"):
         print_lines(report["lines"])
         if path:
             print(path)
@@ -92,6 +86,7 @@ def report(
         typer.Option("--baseline", metavar="CONTROLLER", help="Controller to compare the others with."),
     ] = None,
     force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Write a comparison as one page that opens without a network: answer, tables, figures, replay, provenance.
@@ -102,9 +97,9 @@ def report(
     """
     from quadexp.report.page import make_report
 
+    form = format_of(format, json)
     made = make_report(results, out, figures=figures, baseline=baseline, force=force)
-    if json:
-        emit(made)
+    if answered(form, made, lambda: _files({"page": made["path"], **made["figures"]}), "report"):
         return
     print_lines([*made["answer"], made["note"]])
     print("\n".join([*map(str, made["figures"].values()), str(made["path"])]))
@@ -119,6 +114,7 @@ def export(
     target: Annotated[Path | None, typer.Argument(metavar="[OUT]", help="Where to write, as --out.")] = None,
     out: OptionalOut = None,
     force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Write a flight for other programs; mcap and rerun need the extra [viz]. Write results for a tracker, without a
@@ -132,6 +128,7 @@ def export(
     from quadexp.errors import UsageError
     from quadexp.log.exporters import export_flight
 
+    form = format_of(format, json)
     if target is not None and out is not None:
         raise UsageError("export: give the place to write to once, as OUT or as --out")
     if flight.is_dir() or flight.name == "results.parquet":
@@ -140,10 +137,13 @@ def export(
         files = export_results(flight, to, out or target, force=force)
     else:
         files = export_flight(flight, to, out or target, force=force)
-    if json:
-        emit({"format": to, "files": files})
-        return
-    print("\n".join(map(str, files.values())))
+    if not answered(form, {"format": to, "files": files}, lambda: _files(files), "export"):
+        print("\n".join(map(str, files.values())))
+
+
+def _files(files: Mapping[str, Path]) -> list[dict[str, Any]]:
+    """A row a file that was written."""
+    return [{"file": name, "path": path} for name, path in files.items()]
 
 
 @guarded
@@ -154,6 +154,7 @@ def animate(
     begin: Annotated[float, typer.Option("--from", metavar="S", help="Time of the first frame.")] = 0.0,
     end: Annotated[float | None, typer.Option("--to", metavar="S", help="Time of the last frame.")] = None,
     force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Draw flights over one reference as a moving picture in real time, a GIF or WebP file.
@@ -163,8 +164,7 @@ def animate(
     """
     from quadexp.report.animation import animate as draw
 
+    form = format_of(format, json)
     made = draw(flights, out, rate=rate, begin=begin, end=end, force=force)
-    if json:
-        emit(made)
-        return
-    print(f"{made['frames']} frames, {made['duration']:.1f} s\n{made['path']}")
+    if not answered(form, made, lambda: [single_values(made)], "animate"):
+        print(f"{made['frames']} frames, {made['duration']:.1f} s\n{made['path']}")

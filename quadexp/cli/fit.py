@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from quadexp.cli.options import Conf, Force, Format, Json, Out, Overrides
-from quadexp.cli.terminal import emit, format_of, guarded, print_lines, print_rendered
+from quadexp.cli.terminal import answered, format_of, guarded, print_lines
 
 DataSet = Annotated[Path, typer.Argument(help="Data set of `quadexp collect`.")]
 After = Annotated[
@@ -95,12 +95,7 @@ def _fit(
     path = check_output(out, force=force, folder=True)
     with Progress("fit") as progress:
         report = fit_checkpoint(kind, config, dataset, path, force=force, progress=progress, **options)
-    if form == "json":
-        emit(report)
+    if answered(form, report, lambda: report["rows"], f"fit-{kind}"):
         return
-    if form != "text":
-        from quadexp.report.table import records_table
-
-        return print_rendered([records_table(report["rows"])], form, kind)
     print_lines(report["lines"])
     print(path)

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from quadexp.cli.options import Conf, Force, Format, Json, OptionalOut, Out, Overrides
-from quadexp.cli.terminal import emit, format_of, guarded, print_lines, print_table, say
+from quadexp.cli.terminal import answered, emit, format_of, guarded, print_lines, print_table, say, single_values
 from quadexp.errors import QuadexpError
 
 FIGURES = 5  # of a usual sweep
@@ -26,7 +26,12 @@ NEEDED = {  # kind of a trajectory or controller -> modules, beside those that e
 
 @guarded
 def simulate(
-    overrides: Overrides = None, out: OptionalOut = None, conf: Conf = None, force: Force = False, json: Json = False
+    overrides: Overrides = None,
+    out: OptionalOut = None,
+    conf: Conf = None,
+    force: Force = False,
+    format: Format = None,
+    json: Json = False,
 ) -> None:
     """Fly one configuration and write the flight.
 
@@ -40,14 +45,16 @@ def simulate(
     from quadexp.report.margin_line import delays_note, world_note
     from quadexp.report.summary import flight_lines
 
+    form = format_of(format, json)
     config = compose(overrides or [], conf)
     path = check_output(out or Path("runs") / f"{_flight_name(config)}.parquet", force=force)
     flight = fly_one(config)
     write_flight(path, flight)
     if note := unused_model([config]):
         say(f"note: {note}")
-    if json:
-        emit({"path": path, **flight.metadata["row"], "residual": flight.metadata["residual"]})
+    row = flight.metadata["row"]
+    record = {"path": path, **row, "residual": flight.metadata["residual"]}
+    if answered(form, record, lambda: [{**row, "path": path}], "simulate"):
         return
     if flight.metadata["reference_note"]:
         say(f"note: {flight.metadata['reference_note']}")
@@ -74,6 +81,7 @@ def collect(
     ] = False,
     conf: Conf = None,
     force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Fly random paths, or take recorded flights, and write the residual: what the rigid body does not explain.
@@ -89,6 +97,7 @@ def collect(
     from quadexp.log.store import check_output
     from quadexp.progress import Progress
 
+    form = format_of(format, json)
     if sweep and flight:
         raise UsageError(
             "--sweep and --flight: give one of them; recorded flights are of the worlds they were flown in"
@@ -104,8 +113,7 @@ def collect(
         report = collect_dataset(
             config, path, flights=flight or [], worlds=worlds, save_flights=save_flights, progress=progress
         )
-    if json:
-        emit(report)
+    if answered(form, report, lambda: [single_values(report)], "collect"):
         return
     print_lines(report["lines"])
     print(path)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from quadexp.cli.options import Conf, Force, Json
-from quadexp.cli.terminal import emit, guarded, print_lines, say
+from quadexp.cli.options import Conf, Force, Format, Json
+from quadexp.cli.terminal import answered, format_of, guarded, print_lines, say
 from quadexp.errors import UsageError
 
 CURVES = {"auto": None, "s": (1,), "s2": (2,), "s+s2": (1, 2)}
@@ -56,6 +57,7 @@ def identify(
     figures: Annotated[bool, _regression("--figures/--no-figures", None, "Draw figures.")] = True,
     conf: Conf = None,
     force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Identify a vehicle from its flights: thrust curve, drag, blade-element coefficients, with 95 % intervals.
@@ -72,23 +74,23 @@ def identify(
     """
     from quadexp.experiment.identify import choose_method, configured_vehicle, identify_files
 
+    form = format_of(format, json)
     named = None if vehicle is None else configured_vehicle(vehicle, conf)
     if method == "delays":
         from quadexp.experiment.identify_delays import identify_delays
 
         delays = identify_delays(flights, named, conf)
-        if json:
-            emit({"method": "delays", "flights": delays["flights"]})
-        else:
+        rows = [{**one, "overrides": " ".join(one["overrides"])} for one in delays["flights"]]
+        if not answered(form, {"method": "delays", "flights": delays["flights"]}, lambda: rows, "identify"):
             print("\n".join(delays["lines"]))
         return
     choice = choose_method(flights, method, named)
     if choice.method == "rls":
         found = identify_files(flights, out, vehicle=vehicle, conf=conf, force=force, paper=paper)
         say(f"rls: {choice.reason}")
-        if json:
-            record = {"method": "rls", "out": out, "flights": [{"path": p, **one.metadata()} for p, one in found]}
-            emit(record)
+        each = [{"path": path, **one.metadata()} for path, one in found]
+        record = {"method": "rls", "out": out, "flights": each}
+        if answered(form, record, lambda: [row for flight in each for row in _of_flight(flight)], "identify"):
             return
         for path, one in found:
             print_lines(one.lines())
@@ -109,11 +111,25 @@ def identify(
     )  # fmt: skip
     say(f"regression: {choice.reason}")
     report: dict[str, Any] = identify_flights(flights, out, named, settings, force=force, figures=figures, conf=conf)
-    if json:
-        emit({key: value for key, value in report.items() if key != "lines"})
+    record = {key: value for key, value in report.items() if key != "lines"}
+    models = report["models"].items()
+    if answered(form, record, lambda: [{"model": name, **row} for name, rows in models for row in rows], "identify"):
         return
     print_lines(report["lines"])
     print(out)
+
+
+def _of_flight(record: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The coefficients identified in one flight, a row each."""
+    intervals = record.get("interval_95", {})
+    return [
+        {
+            "flight": record["flight"], "coefficient": name, "value": value,
+            "low": intervals.get(name, [None, None])[0], "high": intervals.get(name, [None, None])[1],
+            "recursion": record["recursion"][name], "path": record["path"],
+        }
+        for name, value in record["estimates"].items()
+    ]  # fmt: skip
 
 
 def _exponent(text: str) -> float | None:

@@ -8,17 +8,18 @@ from typing import Annotated, Any
 
 import typer
 
-from quadexp.cli.options import Conf, Force, Json
-from quadexp.cli.terminal import emit, guarded, print_lines, say
+from quadexp.cli.options import Conf, Force, Format, Json
+from quadexp.cli.terminal import FORMATS, answered, emit, format_of, guarded, print_lines, say
 from quadexp.errors import QuadexpError, UsageError
 
-_FORMATS = "auto, nanobench, blackbird, ulog, px4csv, csv, rosbag or quadexp."
+LOG_FORMATS = ("auto", "nanobench", "blackbird", "ulog", "px4csv", "csv", "rosbag", "quadexp")
+_FORMATS = f"Of the log: {', '.join(LOG_FORMATS[:-1])} or {LOG_FORMATS[-1]}."
 
 
 @guarded
 def import_flights(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Log files (or folders of px4csv, ROS 2).")],
-    form: Annotated[str, typer.Option("--format", metavar="FORMAT", help=_FORMATS)] = "auto",
+    form: Annotated[str, typer.Option("--log-format", metavar="FORMAT", help=_FORMATS)] = "auto",
     vehicle: Annotated[
         str | None, typer.Option("--vehicle", metavar="NAME", help="Which vehicle of the configuration flew.")
     ] = None,
@@ -53,6 +54,7 @@ def import_flights(
     keep: Annotated[bool, typer.Option("--keep", help="Write flights with blocking findings too.")] = False,
     conf: Conf = None,
     force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Make flights of logs: one clock, SI units, ENU and FLU, ground phases cut off, quality checked.
@@ -62,6 +64,9 @@ def import_flights(
     quadexp import --describe log.csv > mapping.yaml
     quadexp import log.csv --mapping mapping.yaml --out flights
     """
+    if format in LOG_FORMATS and format not in FORMATS:
+        raise UsageError(f"import --format {format}: is how the answer is printed; that of the log is --log-format")
+    shown = format_of(format, json)
     if describe:
         _describe(logs, json)
         return
@@ -73,14 +78,19 @@ def import_flights(
     records: list[dict[str, Any]] = []
     for one in import_files(logs, out, options, vehicle=vehicle, conf=conf, force=force, keep=keep):
         records.append(one.record())
-        if not json:
+        if shown == "text":
             print_lines(one.lines())
             sys.stdout.flush()
-    if json:
-        emit({"out": out, "logs": records})
+    answered(shown, {"out": out, "logs": records}, lambda: [_row(record) for record in records], "import")
     failed = [record for record in records if record["path"] is None]
     if failed:
         raise QuadexpError(f"{len(failed)} of {len(records)} logs were not imported")
+
+
+def _row(record: dict[str, Any]) -> dict[str, Any]:
+    """One log as a row: what was found in it by name."""
+    found = ", ".join(dict.fromkeys(one["name"] for one in record["findings"]))
+    return {**record, "notes": "; ".join(record["notes"]), "findings": found}
 
 
 def _angles(option: str, text: str | None) -> tuple[float, float, float] | None:

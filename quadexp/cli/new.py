@@ -10,8 +10,8 @@ from typing import Annotated, NamedTuple
 
 import typer
 
-from quadexp.cli.options import Json
-from quadexp.cli.terminal import emit, guarded
+from quadexp.cli.options import Format, Json
+from quadexp.cli.terminal import answered, format_of, guarded
 from quadexp.errors import UsageError
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
@@ -45,6 +45,7 @@ def new(
     to: Annotated[
         Path, typer.Option("--to", metavar="DIR", help="A configuration folder, given to other commands by --conf.")
     ] = Path("my_parts"),
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Begin a part of your own: a module, its option, and a test that passes, to be changed step by step.
@@ -55,6 +56,7 @@ def new(
     """
     from quadexp.log.store import check_output, write_text
 
+    form = format_of(format, json)
     if part not in TEMPLATES:
         raise UsageError(f"new: {part!r} is none of {', '.join(TEMPLATES)}")
     template = TEMPLATES[part]
@@ -70,8 +72,8 @@ def new(
         f"python -m pytest {shlex.quote(str(files[-1]))}",
         f"quadexp simulate --conf {shlex.quote(str(to))} {template.group}={option} --out runs/{option}.parquet",
     ]
-    if json:
-        emit({"part": part, "name": name, "option": f"{template.group}={option}", "files": files, "commands": commands})
+    made = {"part": part, "name": name, "option": f"{template.group}={option}", "files": files, "commands": commands}
+    if answered(form, made, lambda: [{"file": str(file)} for file in files], "new"):
         return
     print("\n".join([*map(str, files), "", "test it, fly it, then make it yours:", *(f"    {c}" for c in commands)]))
 

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from quadexp.cli.options import Force, Json, Out
-from quadexp.cli.terminal import emit, guarded, say
+from quadexp.cli.options import Force, Format, Json, Out
+from quadexp.cli.terminal import answered, format_of, guarded, say
 
 Keys = list[str] | None
 
@@ -30,6 +30,7 @@ def plot(
     ] = None,
     out: Out = Path("plot.png"),
     force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Draw results with any keys of the configuration as axes; without keys, what was swept chooses them.
@@ -49,6 +50,7 @@ def plot(
     from quadexp.report.axes.view import view
     from quadexp.report.axes.where import chosen
 
+    form = format_of(format, json)
     if kind is not None and kind not in FIGURES:
         raise UsageError(f"--kind {kind}: must be one of {', '.join(FIGURES)}")
     path = check_path(out, force)
@@ -60,9 +62,10 @@ def plot(
     options: Any = {"kind": kind, "confidence": float(frame.record.get("confidence", 0.95))}
     made = view(frame, y=y, x=x, by=_keys(by), facet=_keys(facet), **options)
     save_view(made, path, title=f"{results.name}: {made.y_label}")
-    if json:
-        emit({"path": path, "kind": made.kind, "x": made.x.key, "by": made.by, "facet": made.facet,
-              "y": made.y, "notes": [made.caption, *made.notes], "points": records(made)})  # fmt: skip
+    numbers = records(made)
+    about = {"kind": made.kind, "x": made.x.key, "by": made.by, "facet": made.facet, "y": made.y}
+    record = {"path": path, **about, "notes": [made.caption, *made.notes], "points": numbers}
+    if answered(form, record, lambda: numbers, "plot"):
         return
     for note in made.notes:
         say(f"note: {note}")

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from quadexp.cli.options import Force, Format, Json
-from quadexp.cli.terminal import console, emit, format_of, guarded, say
+from quadexp.cli.terminal import answered, console, emit, format_of, guarded, say
 
 COLUMNS = ("trajectory", "speed", "plant", "controller", "model", "variant", "seed", "outcome", "mean_error", "rmse")
 FAILED_COLUMNS = ("trajectory", "speed", "plant", "controller", "model", "variant", "seed", "outcome", "cause")
@@ -80,11 +80,11 @@ def results(
     if verify:
         if filters or prune or where:
             raise UsageError("--verify looks at the whole folder: give it alone")
-        return _verify(folder, form == "json")
+        return _verify(folder, form)
     if prune:
         if where:
             raise UsageError("--prune: name the cells by KEY=VALUE, not by --where")
-        return _prune(prune_results(folder, filters or [], remove=yes), form == "json")
+        return _prune(prune_results(folder, filters or [], remove=yes), form)
     frame = select(folder, filters or [], where=where, sort=sort, failures=failures)
     total = frame.rows
     frame = frame.taken(range(min(len(total), limit or len(total))))
@@ -93,7 +93,8 @@ def results(
     usual = (*(FAILED_COLUMNS if failures else COLUMNS), *(("sources",) if several else ()))
     table = flights_table(frame, names or usual, all_of_them=bool(names))
     if html or opened:
-        _page(frame, names or [*usual, "key"], html or Path(f"{folder.name}.html"), folder.name, force, opened)
+        path = html or Path(f"{folder.name}.html")
+        _page(frame, names or [*usual, "key"], path, folder.name, force, opened, form)
         return
     if form == "json":
         chosen = [dict(zip(names, values, strict=True)) for values in zip(*map(frame.column, names), strict=True)]
@@ -121,20 +122,20 @@ def results(
             say(line)
 
 
-def _prune(done: Any, json: bool) -> None:
-    if json:
-        emit({"keys": done.keys, "bytes": done.size, "removed": done.removed})
-    else:
+def _prune(done: Any, form: str) -> None:
+    record = {"keys": done.keys, "bytes": done.size, "removed": done.removed}
+    if not answered(form, record, lambda: [{"key": key, "removed": done.removed} for key in done.keys], "--prune"):
         state = "removed" if done.removed else "would be removed (--yes removes them)"
         print(f"{len(done.keys)} cells, {done.size / 1e6:.1f} MB, {state}")
 
 
-def _page(frame: Any, names: list[str], path: Path, title: str, force: bool, opened: bool) -> None:
+def _page(frame: Any, names: list[str], path: Path, title: str, force: bool, opened: bool, form: str) -> None:
     from quadexp.log.store import check_output, write_text
     from quadexp.report.flights_table import page_of
 
     write_text(check_output(path, force=force), page_of(frame, names, title))
-    print(path)
+    if not answered(form, {"path": path}, lambda: [{"path": path}], "--html"):
+        print(path)
     if opened:
         import webbrowser
 
@@ -142,16 +143,16 @@ def _page(frame: Any, names: list[str], path: Path, title: str, force: bool, ope
             say("note: no browser was found; open the file by hand")
 
 
-def _verify(folder: Path, json: bool) -> None:
+def _verify(folder: Path, form: str) -> None:
     from quadexp.errors import QuadexpError
     from quadexp.progress import Progress
     from quadexp.sweeps.verify import verify_results
 
     with Progress("files") as progress:
         found = verify_results(folder, progress)
-    if json:
-        emit({"files": found.files, "wrong": found.wrong, "unhashed": found.unhashed})
-    else:
+    record = {"files": found.files, "wrong": found.wrong, "unhashed": found.unhashed}
+    rows = [{"file": path, "what": what} for path, what in found.wrong.items()]
+    if not answered(form, record, lambda: rows or [{"files": found.files, "wrong": 0}], "--verify"):
         for path, what in found.wrong.items():
             print(f"{path}: {what}")
         if found.unhashed:

@@ -13,7 +13,7 @@ import shutil
 import signal
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -230,6 +230,28 @@ def format_of(form: str | None, json: bool) -> str:
     if json and form not in (None, "json"):
         raise UsageError(f"--json and --format {form}: give one of them")
     return "json" if json else form or "text"
+
+
+def answered(form: str, record: dict[str, Any], rows: Callable[[], Sequence[Any]], what: str) -> bool:
+    """Print what a command found as its --format asks: `record` as json, `rows` as csv, markdown or latex.
+
+    rows: gives records of one table, a row each, or the tables. Returns False for text, which the command prints.
+    """
+    if form == "text":
+        return False
+    if form == "json":
+        emit(record)
+        return True
+    from quadexp.report.table import Table, records_table
+
+    found = rows()
+    print_rendered(found if not found or isinstance(found[0], Table) else [records_table(found)], form, what)
+    return True
+
+
+def single_values(record: Mapping[str, Any]) -> dict[str, Any]:
+    """What of a record fits into a row of a table: numbers and texts."""
+    return {key: value for key, value in record.items() if not isinstance(value, (dict, list, tuple))}
 
 
 def print_rendered(tables: Sequence[Table], form: str, what: str) -> None:

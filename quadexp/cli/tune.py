@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from quadexp.cli.options import Conf, Force, Json, OptionalOut, Overrides
-from quadexp.cli.terminal import emit, guarded
+from quadexp.cli.options import Conf, Force, Format, Json, OptionalOut, Overrides
+from quadexp.cli.terminal import answered, format_of, guarded
 from quadexp.config.completion import complete
 
 
@@ -34,6 +34,7 @@ def tune(
     out: OptionalOut = None,
     conf: Conf = None,
     force: Force = False,
+    format: Format = None,
     json: Json = False,
 ) -> None:
     """Tune settings of a controller over worlds, trajectories, speeds and seeds, with a budget of flights.
@@ -54,6 +55,7 @@ def tune(
     from quadexp.tune.call import tune as search
     from quadexp.tune.preset import hidden
 
+    form = format_of(format, json)
     with Progress("flights") as progress:
         found = search(
             overrides or [],
@@ -69,8 +71,7 @@ def tune(
             force=force,
             progress=progress,
         )
-    if json:
-        emit(dict(found.record))
+    if answered(form, dict(found.record), found.rows, "tune"):
         return
     print("\n".join(found.lines))
     where = found.record["out"] if conf is None else conf

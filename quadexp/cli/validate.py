@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from quadexp.cli.options import Conf, Force, Format, Json
-from quadexp.cli.terminal import emit, format_of, guarded, print_lines, print_rendered
+from quadexp.cli.terminal import answered, format_of, guarded, print_lines
 from quadexp.errors import UsageError
 
 
@@ -68,13 +68,9 @@ def validate(
             models, tested, config, horizons=seconds, leave_one_out=leave_one_out, out=out, figures=figures,
             force=force, progress=progress,
         )  # fmt: skip
-    if form == "json":
-        emit({key: value for key, value in report.items() if key != "lines"})
+    record = {key: value for key, value in report.items() if key != "lines"}
+    if answered(form, record, lambda: report["rows"], "validate"):
         return
-    if form != "text":
-        from quadexp.report.table import records_table
-
-        return print_rendered([records_table(report["rows"])], form, "validate")
     print_lines(report["lines"])
     if out:
         print(out)

@@ -61,6 +61,9 @@ def import_files(
     """
     if not logs:
         raise UsageError("import: no log given")
+    for log in logs:
+        if not log.exists():
+            raise UsageError(f"import: {log}: no such file or folder")
     paths = {log: out / f"{log.stem}.parquet" for log in logs}
     for path, count in Counter(out / f"{log.stem}.parquet" for log in logs).items():
         if count > 1:

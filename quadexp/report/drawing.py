@@ -85,7 +85,10 @@ def _over_what_was_swept(
         views = automatic(frame, metric, confidence)
     except UsageError:  # no flight ended well
         return []
-    return [(f"{begin}_{view.file_name}", "axes", (rows, out, metric, confidence, record, i)) for i, view in enumerate(views)]
+    return [
+        (f"{begin}_{view.file_name}", "axes", (rows, out, metric, confidence, record, i))
+        for i, view in enumerate(views)
+    ]
 
 
 def _drawing(name: str, kind: str, inputs: tuple[Any, ...], decided_by: Any) -> Drawing:

@@ -68,10 +68,15 @@ def student(confidence: float, degrees: float) -> float:
 
 def mean_interval(values: np.ndarray, confidence: float = 0.95, *, least: float = -math.inf, seed: int = 0) -> Interval:
     """Interval of the mean of `values`, (n,). least: lower bound of the mean (0 for an error)."""
-    values = np.asarray(values, float)
-    mean = float(np.mean(values)) if len(values) else math.nan
-    limits = _interval((values,), lambda x, axis=-1: np.mean(x, axis=axis), mean, values, abs(mean), confidence, seed)
+    limits = _mean_interval(np.asarray(values, float).tobytes(), confidence, seed)
     return limits._replace(low=max(limits.low, least))
+
+
+@functools.lru_cache(maxsize=4096)  # the flights of one contestant are often the common flights
+def _mean_interval(data: bytes, confidence: float, seed: int) -> Interval:
+    values = np.frombuffer(data)
+    mean = float(np.mean(values)) if len(values) else math.nan
+    return _interval((values,), lambda x, axis=-1: np.mean(x, axis=axis), mean, values, abs(mean), confidence, seed)
 
 
 def reduction_interval(

@@ -87,7 +87,8 @@ def run_sweep(
     seconds. force: fly everything again, and replace another sweep's table. old: of cells that are there and were flown
     by other sources than those that run: "refly", "keep", or refuse to go on. isolate: False flies in this process.
     progress: called with the numbers of cells done and of all. flown: called with the rows and
-    the record of the results once all cells are flown, before the tables are made. landed: called with every row as it is there. function: flies one cell.
+    the record of the results once all cells are flown, before the tables are made. landed: called with every row as it
+    is there. function: flies one cell.
 
     A cell whose settings contradict each other is not flown: the outcome of its row is "invalid", `cause` says why.
 

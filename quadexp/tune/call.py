@@ -23,6 +23,7 @@ def tune(
     seed: int = 0,
     batch: int = 1,
     name: str | None = None,
+    figure: bool = True,
     out: Path | None = None,
     conf: Path | None = None,
     force: bool = False,
@@ -32,9 +33,9 @@ def tune(
 
     overrides: of the cells of a trial, several values as in a sweep. vary: KEY=LOW..HIGH of each setting; those of
     conf/tune by default. flights: budget. seeds: of a trial, where overrides give none. delay_margin: least one (s),
-    for an MPC. seed: of the search. batch: trials drawn together. name: of the option. out: a folder, tuned/CONTROLLER
-    by default. conf: a configuration folder of your own. force: begin anew. progress: numbers of flights done and of
-    all.
+    for an MPC. seed: of the search. batch: trials drawn together. name: of the option. figure: whether to draw the
+    search. out: a folder, tuned/CONTROLLER by default. conf: a configuration folder of your own. force: begin anew.
+    progress: numbers of flights done and of all.
     Raises UsageError before anything is flown.
     """
     with session(conf) as composer:
@@ -48,4 +49,4 @@ def tune(
         if force:
             clear(out)
         with opened(first, len(cells)) as engine:
-            return search(composer, request, out, flights, name=name, engine=engine, progress=progress)
+            return search(composer, request, out, flights, name=name, figure=figure, engine=engine, progress=progress)

@@ -20,7 +20,7 @@ from quadexp.report.metrics import SHOWN
 from quadexp.report.text import number
 from quadexp.tune.preset import check_name, options_of, write_preset
 from quadexp.tune.search import JOURNAL, Request, Search, Trial, best_of
-from quadexp.tune.space import overrides, settings_of
+from quadexp.tune.space import Axis, overrides, settings_of
 
 HISTORY = "history.parquet"
 
@@ -28,7 +28,7 @@ HISTORY = "history.parquet"
 @dataclass(frozen=True)
 class Tuned:
     """trials: all, the first one as it was. best: place of the best. choice: overrides that choose what was found.
-    option: its file. record: for --json. lines: what is printed."""
+    option: its file. record: for --json. lines: what is printed. axes: what was varied."""
 
     trials: Sequence[Trial]
     best: int
@@ -36,6 +36,15 @@ class Tuned:
     option: Path
     record: Mapping[str, Any]
     lines: Sequence[str]
+    axes: Sequence[Axis] = ()
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row a trial: its error (m), lost flights and settings, and whether it is the best."""
+        return [
+            {"trial": i, "error": trial.worth.error, "lost": trial.worth.lost, "best": i == self.best}
+            | {axis.name: number for axis, number in zip(self.axes, trial.numbers, strict=True)}
+            for i, trial in enumerate(self.trials)
+        ]
 
 
 def trials_of(flights: int, each: int) -> int:
@@ -92,7 +101,7 @@ def tune(
     lines = _lines(request, search, trials, best)
     width = max(map(len, settings))
     lines += [f"  {key:<{width}}  {_short(old)} -> {_short(new)}" for key, (old, new) in settings.items()]
-    return Tuned(trials, best, choice, option, record, [*lines, str(option)])
+    return Tuned(trials, best, choice, option, record, [*lines, str(option)], request.axes)
 
 
 def _short(value: Any) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 
 import numpy as np
@@ -49,6 +51,9 @@ def test_json(flight, tmp_path):
     code, out, _ = run("identify", flight, "--out", tmp_path / "e", "--json")
     found = json.loads(out)["flights"][0]
     assert code == 0 and set(found["estimates"]) == {"C_d0", "C_la", "C_Dx", "C_Dy", "C_Dz"}
+    out = run("identify", flight, "--out", tmp_path / "again", "--format", "csv")[1]
+    rows = {row["coefficient"]: float(row["value"]) for row in csv.DictReader(io.StringIO(out))}
+    assert rows == found["estimates"]
 
 
 def test_a_flight_without_record_needs_its_vehicle(flight, tmp_path):

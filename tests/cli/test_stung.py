@@ -151,3 +151,20 @@ def on_a_terminal(words, width, folder):
     os.close(ours)
     assert started.wait() == 0, out.decode()
     return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", out.decode()).replace("\r", "").splitlines()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["evaluate", "--sweep", "seed=range(0)"], "seed=range(0): an empty range leaves nothing to fly"),
+        (["evaluate", "--sweep", "seed=range(4,4,2)"], "an empty range leaves nothing to fly"),
+        (["simulate", "controller=nominal_mpc trajectory=circle"], "2 settings within one pair of quotes"),
+        (["import", "nothing.csv"], "nothing.csv: no such file or folder"),
+        (["import", "nothing.csv", "--log-format", "pdf"], "--log-format pdf: no such format"),
+        (["export", ".", "--to", "csv"], "holds no results"),
+    ],
+)
+def test_a_wrong_request_is_one_line_and_exit_code_2(here, words, message):
+    Path("nothing.csv").touch() if "pdf" in words else None
+    code, out, err = run(*words)
+    assert code == 2 and out == "" and err.startswith("error: ") and err.count("\n") == 1 and message in err

@@ -11,11 +11,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from quadexp.config.compose import expand
+from quadexp.report.axes.frame import SweepFrame
+from quadexp.report.draw import draw
+from quadexp.report.drawing import drawings
 from tests.docs.commands import ROOT, Step, steps
 from tests.docs.test_commands import alike, run
+from tests.report.axes.sweeps import noise, swept
 
 PAGE = ROOT / "docs" / "questions.md"
-QUICK = (1,)  # questions of the default tests; the others are slow
+QUICK = (1, 2, 19)  # questions whose flights are flown by the default tests; those of the others are slow
+PATHS = (8,)  # whose picture is of the paths that were flown
 
 
 class Question(NamedTuple):
@@ -56,6 +62,28 @@ def test_there_are_twenty_and_each_is_one_command():
     assert [one.number for one in found] == list(range(1, 21))
     assert len({shlex.join(one.command.words) for one in found}) == 20
     assert all(one.title.endswith("?") and one.command.program == "quadexp" for one in found)
+
+
+def swept_questions() -> list[int]:
+    return [one.number for one in questions()[1] if one.command.words[0] == "evaluate"]
+
+
+@pytest.mark.parametrize("number", swept_questions())
+def test_what_a_question_sweeps_can_be_flown_and_chooses_its_picture(number, tmp_path):
+    """Without flights: every combination is sound, rows stand for the flights, and the figure that is chosen for them
+    has the name of the picture and can be drawn."""
+    question = questions()[1][number - 1]
+    words = question.command.words
+    asked = [word for word in words[1 : words.index("--out")] if word != "--sweep"]
+    # a checkpoint that another command makes, and who needs it
+    asked = [word.replace("linear_drag_mpc", "perfect_mpc") for word in asked if not word.startswith("model=")]
+    assert all(not cell.invalid for cell in expand(asked))
+    out = swept(tmp_path / "results", asked, lambda config: 0.01 * (1 + noise(config.seed, repr(config))))
+    frame = SweepFrame.read(out)
+    made = {one.name: one for one in drawings(frame.rows, out, "mean_error", 0.95, frame.record)}
+    picture = Path(question.picture)
+    assert picture.parent == Path(words[words.index("--out") + 1]) / "figures" and picture.stem in made
+    assert number in PATHS or draw(made[picture.stem].kind, made[picture.stem].inputs, tmp_path / "a.svg")
 
 
 @pytest.mark.parametrize(

@@ -231,10 +231,10 @@ class TestSize:
         assert "by 95.0" in made["answer"][0]
 
     def test_then_lines_of_the_tables(self, tmp_path, monkeypatch):
-        monkeypatch.setattr("quadexp.report.page.build.LIMIT", 200_000)
+        monkeypatch.setattr("quadexp.report.page.build.LIMIT", 130_000)
         made = make_report(many_results(tmp_path / "many", 80), tmp_path / "report.html")
         shown = len(Page(made["path"].read_text(encoding="utf-8")).tables["mean_error"]) - 1
-        assert made["bytes"] < 200_000 and shown == 40
+        assert made["bytes"] < 130_000 and shown == 40
         assert f"{80 - shown} of 80 lines of the tables" in made["left_out"]
         assert "by 95.0" in made["answer"][0], "the answer is made from all of them"
 

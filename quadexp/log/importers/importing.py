@@ -39,7 +39,7 @@ FORMATS = {
     "rosbag": "ROS 1 and ROS 2; needs [logs]",
     "quadexp": "what this program wrote: Parquet, csv, tum, mcap",
 }
-_KINDS = {  # what a file's content may be for a --format
+_KINDS = {  # what a file's content may be for a --log-format
     "nanobench": ("text",), "blackbird": ("hdf5",), "ulog": ("ulog",), "px4csv": ("px4csv",),
     "csv": ("text", "hdf5"), "rosbag": ("rosbag", "mcap"), "quadexp": ("parquet", "text", "mcap", "rerun"),
 }  # fmt: skip
@@ -64,10 +64,10 @@ class Options:
 def checked(options: Options) -> Mapping | None:
     """The mapping that the options name; raises UsageError where the request itself is wrong."""
     if options.format not in FORMATS:
-        raise UsageError(f"--format {options.format}: no such format; there are {', '.join(FORMATS)}")
+        raise UsageError(f"--log-format {options.format}: no such format; there are {', '.join(FORMATS)}")
     mapping = None if options.mapping is None else load_mapping(options.mapping)
     if mapping is None and options.format == "csv":
-        raise UsageError("--format csv: needs --mapping FILE; `quadexp import --describe LOG` proposes one")
+        raise UsageError("--log-format csv: needs --mapping FILE; `quadexp import --describe LOG` proposes one")
     if options.rate is not None and not 0.1 <= options.rate <= 10_000:
         raise UsageError(f"--rate {options.rate:g}: must be in [0.1, 10000] Hz")
     if options.bad_rows not in MODES:
@@ -86,7 +86,7 @@ def import_log(
 def _import(path: Path, vehicle: Vehicle | None, options: Options, mapping: Mapping | None) -> tuple[Flight, list[str]]:
     kind = detect(path)
     if options.format != "auto" and kind not in _KINDS[options.format]:
-        raise DataError(f"{path}: its content is {kind}, not --format {options.format}")
+        raise DataError(f"{path}: its content is {kind}, not --log-format {options.format}")
     log = read_log(path, kind, options.format, mapping)
     if isinstance(log, Flight):
         if options.mounting or options.gyro_mounting:

@@ -29,6 +29,7 @@ GROUPS = ("vehicle", "plant", "world", "trajectory", "controller", "model", "see
 # Columns of the rows that tell what was flown, in the order in which a figure considers them.
 ASKED = ("vehicle", "plant", "trajectory", "trajectory.speed", "controller", "model", "seed")
 SAME = ("vehicle", "plant", "trajectory", "controller", "model", "variant", "sources")  # of flights that share settings
+MOST_GONE = 3  # of them that are tried where files are missing
 SETTINGS_ASIDE = ("evaluate", "engine", "experiment", "collect", "gp", "drag")  # nodes that decide no flight
 
 Row = Mapping[str, Any]
@@ -42,6 +43,7 @@ class SweepFrame:
         self.root, self.record = Path(root), record or {}
         self._store = CellStore(root)
         self._configs: dict[tuple[Any, ...], dict[str, Any]] = {}
+        self._gone: dict[tuple[Any, ...], int] = {}  # files of a group that could not be read
         self._columns: dict[str, list[Any]] = {}
         self._checkpoints: dict[str, dict[str, Any]] = {}
         self._lacking: dict[str, list[str]] = dict(self.record.get("without_flight", {}))
@@ -66,7 +68,7 @@ class SweepFrame:
     def taken(self, order: Sequence[int]) -> SweepFrame:
         """The frame of the rows at these places, in this order."""
         found = SweepFrame([self.rows[i] for i in order], self.root, self.record)
-        found._configs = self._configs
+        found._configs, found._gone = self._configs, self._gone
         return found
 
     def column(self, name: str) -> list[Any]:
@@ -185,13 +187,12 @@ class SweepFrame:
             pairs = (text.partition("=") for text in self._lacking[key])
             return {name: read_value(value) for name, _, value in pairs}
         group = tuple(row.get(name) for name in SAME)
-        if not self._configs.get(group):
+        if group not in self._configs and self._gone.get(group, 0) < MOST_GONE:
             try:
-                found = dict(read_metadata(self._store.path(key), "flight").get("config") or {})
+                self._configs[group] = dict(read_metadata(self._store.path(key), "flight").get("config") or {})
             except QuadexpError:  # a cell that has gone: what its row says has to do
-                found = {}
-            self._configs[group] = found
-        return self._configs[group]
+                self._gone[group] = self._gone.get(group, 0) + 1
+        return self._configs.get(group, {})
 
 
 def _flat(value: Mapping[str, Any], prefix: str = "") -> Iterable[str]:

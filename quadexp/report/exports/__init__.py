@@ -25,6 +25,8 @@ def export_results(
     Raises UsageError for an unknown format, or an extra that is not installed.
     """
     source = Path(results)
+    if source.is_dir() and not (source / "results.parquet").is_file():
+        raise UsageError(f"{results}: holds no results (made by `quadexp evaluate`); of single flights give the file")
     if form not in FORMATS:
         there = f"no such format for results; there are {', '.join(FORMATS)} (others take a flight)"
         raise UsageError(f"--to {form}: {there}{example_in(source)}")

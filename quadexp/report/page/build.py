@@ -22,8 +22,8 @@ from quadexp.report.page import palette
 from quadexp.report.page.answer import answer
 from quadexp.report.page.drawing import MAX_COURSES, PageFigures, draw_page, draw_paper, shown_courses
 from quadexp.report.page.power import MAX_FLIGHTS
-from quadexp.report.page.provenance import origin, portable
-from quadexp.report.page.replay import BUDGET, MAX_TRACKS, Case, choose_cases, pack_replay
+from quadexp.report.page.provenance import LOOKED_AT, origin, portable
+from quadexp.report.page.replay import BUDGET, MAX_TRACKS, Case, case_of, choose_cases, pack_replay
 from quadexp.report.page.sections import scoreboard, tables, worlds, worst, worst_rows
 from quadexp.report.page.source import TABLED, Comparison, read_comparison, spoken
 from quadexp.report.pairing import condition_of
@@ -149,7 +149,6 @@ def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[st
         left_out += [f"battery and rotors of {drawn.power_left} more worlds"] if drawn.power_left else []
         page = template.render(
             content,
-            reduced=extent != EXTENTS[0],
             left_out=left_out,
             sections=_sections(drawn, bool(packed), len(comparison.worlds) > 1),
             tables=numbers,
@@ -184,6 +183,11 @@ def _left_out(
     all_lines, lines = len(every[0]["lines"]), len(numbers[0]["lines"])
     left += [f"{all_lines - lines} of {all_lines} lines of the tables"] if lines < all_lines else []
     left += [f"the table of the {table['title']}" for table in every[len(numbers) :]]
+    every_case = len({case_of(row) for row in comparison.rows if row["outcome"] != "infeasible"})
+    if shown == conditions and len(replayed) < every_case:
+        left.append(f"the replay of {every_case - len(replayed)} of {every_case} pairs of condition and seed")
+    if (looked := len(comparison.sampled(LOOKED_AT))) < len(comparison.rows):
+        left.append(f"settings of flights beyond {looked} of {len(comparison.rows)}, evenly chosen")
     left += drawn.swept.left
     more = len(shown_courses(comparison, drawn.swept)) - MAX_COURSES
     left += [f"error over speed on {more} more courses"] if more > 0 else []

@@ -45,8 +45,9 @@ Draw = Callable[..., None]  # (panel, palette=Palette)
 
 @dataclass
 class PageFigures:
-    """SVG of every part, and the data of the text beside it. swept: over the keys swept. speed: a panel per course. power, fits, estimates: for the
-    template. powered, checkpoints, estimated: their sources. power_left: worlds that power leaves out."""
+    """SVG of every part, and the data of the text beside it. swept: over the keys swept. speed: a panel per course.
+    power, fits, estimates: for the template. powered, checkpoints, estimated: their sources. power_left: worlds that
+    power leaves out."""
 
     swept: Swept = field(default_factory=Swept)
     speed: list[str] = field(default_factory=list)

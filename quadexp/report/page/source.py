@@ -274,10 +274,13 @@ class Comparison:
         cells = Combinations(self.grids)
         return cells.overrides(self._places[row["key"]]) if len(cells) == len(self.rows) else ()
 
+    def sampled(self, most: int) -> list[dict[str, Any]]:
+        """At most so many rows, evenly chosen."""
+        return self.rows[:: max(1, -(-len(self.rows) // most))]
+
     def sample(self, most: int) -> list[dict[str, Any]]:
         """Metadata of at most so many flights, spread over all of them."""
-        chosen = self.rows[:: max(1, -(-len(self.rows) // most))]
-        return [record for row in chosen if (record := self.flight_record(row)) is not None]
+        return [record for row in self.sampled(most) if (record := self.flight_record(row)) is not None]
 
     def select(self, metric: str) -> list[Statistic]:
         return [s for s in self.statistics if s.metric == metric]

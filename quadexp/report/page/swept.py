@@ -1,4 +1,4 @@
-"""The figures over the keys that were swept, on the page: those that `quadexp plot` draws without keys, a tab a quantity.
+"""The page's figures over the keys that were swept: those that `quadexp plot` draws without keys, a tab a quantity.
 
 Lines are drawn in the colours of the page's theme; what a scale of colours stands for (heat maps, parallel coordinates)
 is drawn on white in both themes. A figure of too many marks for a drawing becomes a picture of points (PNG).
