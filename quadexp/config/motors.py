@@ -42,7 +42,9 @@ class ActuatorKeys(Settings):
     ] = 0.0
     rotor_inertia: Annotated[
         float,
-        Setting("of one rotor with its motor's bell about its axis; needs vehicle.thrust_coefficient", "[0, 1]", "kg m^2"),
+        Setting(
+            "of a rotor and its motor's bell about their axis; needs vehicle.thrust_coefficient", "[0, 1]", "kg m^2"
+        ),
     ] = 0.0
 
     def __post_init__(self) -> None:
@@ -63,8 +65,8 @@ class ActuatorConfig(ActuatorKeys, WorldPartConfig):
     @property
     def idle(self) -> bool:
         """See WorldPartConfig."""
-        lags, spreads = (self.time_constant_up, self.time_constant_down), (self.rotor_scale_std, self.flight_scale_std)
-        return not any((*lags, *spreads, self.rotor_inertia)) and self.rotor_speed_min is None and self.rotor_speed_max is None
+        numbers = (self.time_constant_up, self.time_constant_down, self.rotor_scale_std, self.flight_scale_std)
+        return not any((*numbers, self.rotor_inertia)) and self.rotor_speed_min is None and self.rotor_speed_max is None
 
 
 # --------------------------------------------------------------------------------------------------------- battery

@@ -8,9 +8,9 @@ The lag is discretised exactly over the integration step; the thrust of its midd
 the flight and s_i of each rotor are log-normal with mean 1 and the standard deviations of the settings, drawn when a
 flight begins. A flight begins with the rotors in hover, or at the thrusts of the reference where it begins in motion.
 
-Rotors with the inertia I_p about their axes, at the speeds W_i = sqrt(T(y_i) / k), have the angular momentum -I_p s_i W_i
-along z_body, s_i the sign of the reaction torque; changing and turning it takes a torque, whose opposite acts on the body
-(Sun et al. 2022, (4), (7), (8)):
+Rotors with the inertia I_p about their axes, at the speeds W_i = sqrt(T(y_i) / k), have the angular momentum
+-I_p s_i W_i along z_body, s_i the sign of the reaction torque; changing and turning it takes a torque, whose opposite
+acts on the body (Sun et al. 2022, (4), (7), (8)):
 
     tau = I_p [w_y S, -w_x S, S'],   S = sum_i s_i W_i                                          body, N m
 

@@ -74,12 +74,12 @@ def test_flights_are_those_of_momentum_integrated_by_itself(lei_li):
     y = np.r_[first[ATTITUDE], R.apply(J @ first[RATE] - INERTIA * (sign @ speed) * UP), speed]
     for command in u:
 
-        def slope(t, y, wanted=np.sqrt(command / k)):
+        def slope(t, y, command=command):
             q, L, W = y[:4], y[4:7], y[7:]
             R = Rotation.from_quat(q, scalar_first=True)
             w = np.linalg.solve(J, R.inv().apply(L) + INERTIA * (sign @ W) * UP)
             turn = 0.5 * np.r_[-q[1:] @ w, q[0] * w + np.cross(q[1:], w)]
-            return np.r_[turn, R.apply(lei_li.allocation[1:] @ (k * W**2)), (wanted - W) / TAU]
+            return np.r_[turn, R.apply(lei_li.allocation[1:] @ (k * W**2)), (np.sqrt(command / k) - W) / TAU]
 
         y = solve_ivp(slope, (0, PERIOD), y, rtol=1e-9, atol=1e-11).y[:, -1]
     R = Rotation.from_quat(y[:4], scalar_first=True)
