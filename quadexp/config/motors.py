@@ -40,6 +40,12 @@ class ActuatorKeys(Settings):
     flight_scale_std: Annotated[
         float, Setting("relative standard deviation of the thrust of all rotors, drawn once a flight", "[0, 0.5]")
     ] = 0.0
+    rotor_inertia: Annotated[
+        float,
+        Setting(
+            "of a rotor and its motor's bell about their axis; needs vehicle.thrust_coefficient", "[0, 1]", "kg m^2"
+        ),
+    ] = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -60,7 +66,7 @@ class ActuatorConfig(ActuatorKeys, WorldPartConfig):
     def idle(self) -> bool:
         """See WorldPartConfig."""
         numbers = (self.time_constant_up, self.time_constant_down, self.rotor_scale_std, self.flight_scale_std)
-        return not any(numbers) and self.rotor_speed_min is None and self.rotor_speed_max is None
+        return not any((*numbers, self.rotor_inertia)) and self.rotor_speed_min is None and self.rotor_speed_max is None
 
 
 # --------------------------------------------------------------------------------------------------------- battery

@@ -1,4 +1,4 @@
-"""Motors: limits of their speed, a first-order lag up and down, and rotors that differ.
+"""Motors: limits of their speed, a first-order lag up and down, rotors that differ, and their angular momentum.
 
     c_i = clip(u_i, k w_min^2, k w_max^2)        commanded thrusts u, N
     y_i' = (y_c,i - y_i) / tau                   quadexp.physics.motor; y = T, or sqrt(T) for a lag of the rotor speed
@@ -8,15 +8,23 @@ The lag is discretised exactly over the integration step; the thrust of its midd
 the flight and s_i of each rotor are log-normal with mean 1 and the standard deviations of the settings, drawn when a
 flight begins. A flight begins with the rotors in hover, or at the thrusts of the reference where it begins in motion.
 
+Rotors with the inertia I_p about their axes, at the speeds W_i = sqrt(T(y_i) / k), have the angular momentum
+-I_p s_i W_i along z_body, s_i the sign of the reaction torque; changing and turning it takes a torque, whose opposite
+acts on the body (Sun et al. 2022, (4), (7), (8)):
+
+    tau = I_p [w_y S, -w_x S, S'],   S = sum_i s_i W_i                                          body, N m
+
+S is that of the middle of the step, S' its mean over the step, w that of the beginning.
+
 Inner states: y (n,), then what is logged (n,), see rotor_columns.py. Parameters: exp(-h / 2 tau) up and down over half
-an integration step h, least and largest thrust (N), thrust coefficient, s_0 s_i (n,).
+an integration step h, least and largest thrust (N), thrust coefficient, s_0 s_i (n,); with I_p: I_p s_i / sqrt(k) (n,).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import casadi as ca
@@ -26,6 +34,7 @@ from quadexp.config.motors import ActuatorKeys
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import decayed, time_constant_towards
+from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
 from quadexp.world.rotor_columns import first_rotor_column, rotor_column, rotor_column_factor, rotor_column_names
@@ -45,12 +54,17 @@ class Actuator(ActuatorKeys, Effect):
         """See Effect.loop_lag."""
         return max(self.time_constant_up, self.time_constant_down)
 
+    def among(self, effects: Sequence[Effect]) -> Effect:
+        """See Effect.among: without inertia of the rotors nothing is added to a step."""
+        return SpinningActuator(**asdict(self)) if self.rotor_inertia else self
+
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        """See Effect.sizes. Raises UsageError for limits of the speed where the vehicle has no thrust coefficient."""
-        for key in ("rotor_speed_min", "rotor_speed_max"):
-            if getattr(self, key) is not None and vehicle.thrust_coefficient is None:
+        """See Effect.sizes. Raises UsageError for what needs speeds where the vehicle has no thrust coefficient."""
+        asked = {key: getattr(self, key) for key in ("rotor_speed_min", "rotor_speed_max")}
+        for key, value in (asked | {"rotor_inertia": self.rotor_inertia or None}).items():
+            if value is not None and vehicle.thrust_coefficient is None:
                 raise UsageError(
-                    f"actuator.{key}={getattr(self, key):g}: needs vehicle.thrust_coefficient, which"
+                    f"actuator.{key}={value:g}: needs vehicle.thrust_coefficient, which"
                     f" vehicle={vehicle.name} does not state"
                 )
         return Sizes(inner=2 * vehicle.n_rotors, parameters=N_FIXED + vehicle.n_rotors)
@@ -108,7 +122,43 @@ class Actuator(ActuatorKeys, Effect):
 
     def _delivered(self, at: Moment, y: Expression) -> Expression:
         """Thrusts (n,) (N)."""
-        return at.parameters[N_FIXED:] * (y**2 if self.lag_of == "rotor_speed" else y)
+        n = y.numel()
+        return at.parameters[N_FIXED : N_FIXED + n] * (y**2 if self.lag_of == "rotor_speed" else y)
+
+
+@dataclass(frozen=True)
+class SpinningActuator(Actuator):
+    """Motors whose rotors have angular momentum; Actuator.among makes it."""
+
+    def among(self, effects: Sequence[Effect]) -> Effect:
+        """See Effect.among."""
+        return self
+
+    def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
+        """See Effect.sizes."""
+        sizes = super().sizes(clock, vehicle)
+        return sizes._replace(parameters=sizes.parameters + vehicle.n_rotors)
+
+    def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
+        """See Effect.start."""
+        inner, parameters = super().start(rng, start)
+        vehicle = start.vehicle
+        assert vehicle.thrust_coefficient is not None  # `sizes` has refused it
+        factor = self.rotor_inertia / math.sqrt(vehicle.thrust_coefficient)
+        return inner, np.concatenate([parameters, factor * np.array(vehicle.rotor_spin, float)])
+
+    def wrench(self, at: Moment) -> tuple[Expression, Expression]:
+        """See Effect.wrench."""
+        middle, end = self._after(at)
+        first, n = at.inner[: middle.numel()], middle.numel()
+        before, between, after = (ca.dot(at.parameters[-n:], self._root(y)) for y in (first, middle, end))
+        w = at.x[RATE]
+        torque = ca.vertcat(w[1] * between, -w[0] * between, (after - before) / at.step)
+        return type(torque).zeros(3), torque
+
+    def _root(self, y: Expression) -> Expression:
+        """Root of the thrusts (n,) that the motors give."""
+        return y if self.lag_of == "rotor_speed" else ca.sqrt(ca.fmax(y, 0))
 
 
 def log_normal(std: float, drawn: Any) -> Any:

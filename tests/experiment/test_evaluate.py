@@ -166,6 +166,7 @@ ENTROPIES = {
     "trajectory=random": 0xB58D91EEE1D695E82E5A,
     "vehicle=hummingbird plant=rotorpy": 0x86E49082761C92B69AEB,
     "vehicle=cf2x_L250 plant=drone_models": 0xC0263D8BD3B3AEFC6C57,
+    "vehicle=sun plant=sun trajectory=ellipse world=sun_baseline actuator.rotor_inertia=5e-6": 0xC9C3E879B0613C0EB497,
 }
 
 

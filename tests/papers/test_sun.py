@@ -9,8 +9,12 @@ from quadexp.config.compose import compose, session
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.build_world import build_world
 from quadexp.experiment.evaluate import fly_one
+from quadexp.log.schema import Flight
+from quadexp.papers.sun.as_logged import RECORDED_AFTER, logged_rmse, with_logged
 from quadexp.papers.sun.data import ellipses, published
-from quadexp.papers.sun.report import TITLES, Condition, conditions, overview, reproduced, sun_table
+from quadexp.papers.sun.report import INFEASIBLE_SET, TITLES, Condition, conditions, overview, reproduced, sun_table
+from quadexp.physics.state import STATE_COLUMNS
+from quadexp.reference.ellipse import Ellipse as ReferenceEllipse
 
 ELLIPSE = ["vehicle=sun", "plant=sun", "trajectory=ellipse"]
 
@@ -73,10 +77,48 @@ def test_a_lost_flight_counts_five_metres():
     assert (found.lost, found.off) == (1, 1) and found.survivors == pytest.approx(3.1 / 3)
     assert found.position[1] == pytest.approx(np.std([0.2, 0.4, 2.5, 5.0]))
     printed = published()["sun_late_50", "sun_dfbc"]
-    assert reproduced(found, printed) == "no"
-    close = Condition.of([row("", "", "ok", printed.position * 1.1)])
-    assert reproduced(close, printed) == "yes"
-    assert reproduced(Condition.of([row("", "", "ok", printed.survivors)]), printed) == "crashes"
+    assert reproduced(found.position[0], found.survivors, printed) == "no"
+    assert reproduced(printed.position * 1.1, 9.0, printed) == "yes"
+    assert reproduced(9.0, printed.survivors, printed) == "crashes"
+    assert np.isnan(found.logged[0]) and reproduced(*found.logged, printed) == ""
+    logged = Condition.of([one | {"rmse_logged": one["rmse"] / 2} for one in rows])
+    assert logged.logged[0] == pytest.approx((0.1 + 0.2 + 1.25 + 5) / 4)
+    assert logged.logged_survivors == pytest.approx(found.survivors / 2)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.03])
+@pytest.mark.parametrize("plane", ["horizontal", "vertical"])
+def test_the_error_as_logged_of_a_flight_that_is_ahead_on_a_circle(plane, late):
+    """A vehicle `ahead` of the reference by its true position: the log has the chord 2 r sin(k tau / 2) with
+    tau = ahead + T - d, of the circle of radius r at the angular rate k."""
+    speed, acceleration, ahead = 12.0, 18.0, 0.02
+    trajectory = {"speed": speed, "acceleration": acceleration, "ratio": 1.0, "plane": plane}
+    trajectory |= {"heading": "auto", "height": 5.0, "duration": 20.0, "name": "ellipse", "lost_box": 5.0}
+    t = np.arange(1.0, 3.0, 0.1)
+    r, k = speed**2 / acceleration, acceleration / speed
+    across = "y" if plane == "horizontal" else "z"
+    columns = {"t": t} | {name: np.zeros(len(t)) for name in STATE_COLUMNS} | {"p_z": np.full(len(t), 5.0)}
+    columns["p_x"] = r * np.sin(k * (t + ahead))
+    columns[f"p_{across}"] = columns[f"p_{across}"] + r * np.cos(k * (t + ahead))
+    config = {"trajectory": trajectory} | ({"estimator": {"delay": late}} if late else {})
+    tau = ahead + RECORDED_AFTER - late
+    expected = 2 * r * abs(np.sin(k * tau / 2))
+    assert logged_rmse(Flight(columns, {"config": config})) == pytest.approx(expected, rel=1e-9)
+
+
+def test_flights_that_are_not_in_the_folder_have_no_error_as_logged(tmp_path):
+    (found,) = with_logged([row("sun_baseline", "sun_nmpc", "ok", 0.1) | {"key": "00" * 10}], tmp_path)
+    assert np.isnan(found["rmse_logged"]) and found["rmse"] == 0.1
+
+
+def test_the_infeasible_set_stands_apart():
+    """With its own printed figures, and not beside those of the feasible ellipses."""
+    rows = [row("sun_baseline", "sun_nmpc+indi", "ok", 0.1) for _ in range(2)]
+    rows[1] |= {"variant": "trajectory.plane=vertical trajectory.acceleration=50", "rmse": 0.5}
+    found = conditions(rows)["sun_nmpc+indi"]
+    assert [found[one].survivors for one in ("sun_baseline", INFEASIBLE_SET)] == [0.1, 0.5]
+    text = sun_table({"sun_nmpc+indi": found})
+    assert "0.500 m, 5.7 degrees; printed 0.40 m, 12.7 degrees" in text and "yes 0, crashes 0, no 1 of 1" in text
 
 
 def test_what_no_rotor_can_give_is_told_apart():
@@ -97,7 +139,7 @@ def test_what_no_rotor_can_give_is_told_apart():
 def test_the_tables_have_every_condition_and_controller():
     rows = [row(world, name, "ok", 0.1) for world in TITLES for name in ("sun_dfbc+indi", "sun_nmpc", "gp_mpc")]
     text = sun_table(conditions(rows))
-    assert text.count("| baseline |") == 3 and "printed position" in text
+    assert text.count("| baseline |") == 3 and "as logged" in text and "printed position" in text
     assert overview(rows).columns == ["condition", "sun_nmpc", "sun_dfbc+indi", "gp_mpc"]
     assert [line[0] for line in overview(rows).rows] == list(TITLES.values())
 
@@ -141,6 +183,18 @@ def test_worlds_are_what_their_names_say():
     z = np.r_[3.0, -2.0, 1.0, np.zeros(3), np.full(4, 2.0)]
     expected = np.array([-0.26 * 3, 0.28 * 2, -0.42 + 0.01 * 13]) / 0.75
     assert told(z)[0, :3] == pytest.approx(expected)
+
+
+def test_a_late_pose_hides_its_own_delay():
+    """What the controller is told follows the reference, the truth is ahead of it by 30 ms at 10 m/s; and the error as
+    logged is that of what it was told, against the reference of two steps before."""
+    found = flight("controller=sun_nmpc", "world=sun_late_30", "trajectory.duration=4")
+    told = np.stack([found[f"est_p_{axis}"] for axis in "xyz"], axis=1)
+    given = {"plane": "horizontal", "speed": 10.0, "acceleration": 20.0, "ratio": 1.0}
+    wanted = ReferenceEllipse(**given).flat_output(np.maximum(found.t - RECORDED_AFTER, 0)).position[:, 0]
+    error = np.sqrt(((told - wanted) ** 2).sum(axis=1).mean())
+    assert logged_rmse(found) == pytest.approx(error, rel=0.03)  # the same but for the first and the last 30 ms
+    assert error < 0.1 and found.metadata["row"]["rmse"] > 0.2
 
 
 @pytest.mark.parametrize("outer", ["sun_nmpc", "sun_dfbc"])

@@ -17,6 +17,8 @@ from quadexp.physics.vehicle import GRAVITY
 
 FLIGHTS = 75  # behind the published tables: every crash rate is a multiple of 1/75
 CRASHED = (5.0, 90.0)  # m and deg, for which a crashed flight counts
+# Ideal case of the infeasible ellipses, printed in the text: m and deg, crashed flights left out.
+INFEASIBLE = {"sun_nmpc+indi": (0.40, 12.7), "sun_dfbc+indi": (0.77, 33.4)}
 
 
 @dataclass(frozen=True)

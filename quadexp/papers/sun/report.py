@@ -2,7 +2,7 @@
 
 As there, a flight counts with its RMSE, a crashed one with 5 m and 90 degrees. Because this mixes two things, the error
 of the flights that did not crash and the number of those that did stand apart, and so do flights that stayed inside the
-box but are more than 2 m off: they are not flown.
+box but are more than 2 m off: they are not flown. Errors "as logged" are those of as_logged.py.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from quadexp.log.store import write_text
-from quadexp.papers.sun.data import CRASHED, Ellipse, Published, published
+from quadexp.papers.sun.as_logged import with_logged
+from quadexp.papers.sun.data import CRASHED, INFEASIBLE, Ellipse, Published, ellipses, published
 from quadexp.report.figures import save
 from quadexp.report.style import looks, plain_log, styled
 from quadexp.report.table import Table
@@ -48,6 +49,7 @@ TITLES = {
     "sun_late_50": "50 ms",
 }
 WEAKER = {"sun_mass_30": (1.3, 1.0), "sun_ct_minus_30": (1.0, 0.7)}  # world -> factors on mass and on thrust
+INFEASIBLE_SET = "sun_baseline, infeasible"  # as a world: the ideal case of the infeasible ellipses
 PUBLISHED = ("sun_nmpc", "sun_dfbc", "sun_nmpc+indi", "sun_dfbc+indi")
 
 Row = Mapping[str, Any]
@@ -59,6 +61,7 @@ class Condition:
 
     flights, lost, off: numbers of flights, of crashed ones, of others with more than OFF m. position, heading: mean and
     standard deviation (m, deg). survivors, survivors_heading: means of the flights that did not crash (m, deg).
+    logged, logged_survivors: position and survivors with the error as logged (m), NaN where it is not known.
     possible: flights whose ellipse the rotors can fly in this world; how many of them crashed, and the mean position
     error of the others (m).
     """
@@ -70,6 +73,8 @@ class Condition:
     heading: tuple[float, float]
     survivors: float
     survivors_heading: float
+    logged: tuple[float, float]
+    logged_survivors: float
     possible: int
     possible_lost: int
     possible_position: float
@@ -81,10 +86,13 @@ class Condition:
         lost = np.array([row["outcome"] != "ok" for row in rows])
         position = np.array([row["rmse"] for row in rows], float)
         heading = np.degrees(np.array([row["heading_rmse"] for row in rows], float))
-        counted = [np.where(lost, worst, values) for worst, values in zip(CRASHED, (position, heading), strict=True)]
+        logged = np.array([row.get("rmse_logged", float("nan")) for row in rows], float)
+        measured = position, heading, logged
+        worst = *CRASHED, CRASHED[0]
+        counted = [np.where(lost, one, values) for one, values in zip(worst, measured, strict=True)]
         means = [(float(values.mean()), float(values.std())) for values in counted]
         flown = ~lost
-        kept = [float(values[flown].mean()) if flown.any() else float("nan") for values in (position, heading)]
+        kept = [float(values[flown].mean()) if flown.any() else float("nan") for values in measured]
         could = np.array([_possible(row) for row in rows], bool)
         rest = position[flown & could]
         return cls(
@@ -95,6 +103,8 @@ class Condition:
             means[1],
             kept[0],
             kept[1],
+            means[2],
+            kept[2],
             int(could.sum()),
             int((lost & could).sum()),
             float(rest.mean()) if len(rest) else float("nan"),
@@ -104,20 +114,27 @@ class Condition:
 def _possible(row: Row) -> bool:
     """Whether the rotors give the thrust that the row's ellipse takes, in its world."""
     mass, thrust = WEAKER.get(row["plant"].partition("/")[2], (1.0, 1.0))
-    if mass == thrust:
-        return True
+    return mass == thrust or _ellipse(row).thrust(mass * MASS) <= thrust * THRUST
+
+
+def _ellipse(row: Row) -> Ellipse:
     given = dict(part.split("=", 1) for part in row.get("variant", "").split() if "=" in part)
     number = {name: float(given.get(f"trajectory.{name}", default)) for name, default in DEFAULTS.items()}
     plane = given.get("trajectory.plane", "horizontal")
-    ellipse = Ellipse(plane, float(row["speed"]), number["acceleration"], number["ratio"], feasible=True)
-    return ellipse.thrust(mass * MASS) <= thrust * THRUST
+    numbers = (float(row["speed"]), number["acceleration"], number["ratio"])
+    return Ellipse(plane, *numbers, feasible=Ellipse(plane, *numbers, feasible=False) not in ellipses())
+
+
+def _world(row: Row) -> str:
+    world = str(row["plant"].partition("/")[2])
+    return world if world != "sun_baseline" or _ellipse(row).feasible else INFEASIBLE_SET
 
 
 def conditions(rows: Iterable[Row]) -> dict[str, dict[str, Condition]]:
     """Controller (with its variant's remedies) -> world -> condition; both in the order of the tables."""
     groups: dict[str, dict[str, list[Row]]] = {}
     for row in rows:
-        groups.setdefault(row["controller"], {}).setdefault(row["plant"].partition("/")[2], []).append(row)
+        groups.setdefault(row["controller"], {}).setdefault(_world(row), []).append(row)
     names = [*(name for name in PUBLISHED if name in groups), *(name for name in groups if name not in PUBLISHED)]
     return {name: {world: Condition.of(groups[name][world]) for world in _in_order(groups[name])} for name in names}
 
@@ -127,17 +144,19 @@ def _in_order(worlds: Iterable[str]) -> list[str]:
     return [*(world for world in TITLES if world in worlds), *(world for world in worlds if world not in TITLES)]
 
 
-def reproduced(found: Condition, printed: Published) -> str:
-    """ "yes" for a mean position error within CLOSE of the printed one; "crashes" where the flights that did not crash
-    are within it, so that the number of crashes explains the difference; else "no"."""
-    if abs(found.position[0] / printed.position - 1) <= CLOSE:
+def reproduced(mean: float, survivors: float, printed: Published) -> str:
+    """ "yes" for a mean position error (m) within CLOSE of the printed one; "crashes" where that of the flights that
+    did not crash is within it, so that the number of crashes explains the difference; else "no"; "" for NaN."""
+    if np.isnan(mean):
+        return ""
+    if abs(mean / printed.position - 1) <= CLOSE:
         return "yes"
-    return "crashes" if abs(found.survivors / printed.survivors - 1) <= CLOSE else "no"
+    return "crashes" if abs(survivors / printed.survivors - 1) <= CLOSE else "no"
 
 
 def draw(rows: Sequence[Row], out: str | Path) -> dict[str, str]:
     """Tables and figure of a sweep into <out>; returns name -> path."""
-    found, folder = conditions(rows), Path(out)
+    found, folder = conditions(with_logged(rows, out)), Path(out)
     return {
         "table_sun": str(write_text(folder / "sun.md", sun_table(found))),
         "figure_sun": str(save(sun_figure(found), folder / "figures" / "sun")),
@@ -156,39 +175,53 @@ def overview(rows: Iterable[Row]) -> Table:
 
 
 def _beside(name: str, worlds: Mapping[str, Condition]) -> str:
-    printed, lines, verdicts = published(), [], []
+    printed, lines = published(), []
+    verdicts: tuple[list[str], list[str]] = [], []
     for world, ours in worlds.items():
         theirs = printed.get((world, name))
         line = [
             TITLES.get(world, world),
+            str(ours.flights),
             _with_sd(ours.position, 3),
+            _with_sd(ours.logged, 3),
             _with_sd(ours.heading, 1),
-            str(ours.lost),
-            str(ours.off),
+            f"{ours.lost} + {ours.off}" if ours.off else str(ours.lost),
             _number(ours.survivors, 3),
+            _number(ours.logged_survivors, 3),
             _of_possible(ours),
         ]
         if theirs is None:
-            lines.append([*line, "", "", "", "", ""])
+            lines.append([*line, "", "", "", "", "", ""])
             continue
-        verdicts.append(reproduced(ours, theirs))
+        verdicts[0].append(reproduced(ours.position[0], ours.survivors, theirs))
+        verdicts[1].append(reproduced(ours.logged[0], ours.logged_survivors, theirs))
         other = [
             _with_sd((theirs.position, theirs.position_sd), 3),
             _with_sd((theirs.heading, theirs.heading_sd), 1),
             str(theirs.lost),
             _number(theirs.survivors, 3),
-            verdicts[-1],
+            *(one[-1] for one in verdicts),
         ]
         lines.append(line + other)
     heads = (
-        "condition", "position (m)", "heading (deg)", "lost", "> 2 m", "survivors (m)", "possible (m)",
-        "printed position (m)", "printed heading (deg)", "printed lost", "printed survivors (m)", "reproduced",
+        "condition", "flights", "position (m)", "as logged (m)", "heading (deg)", "lost + > 2 m", "survivors (m)",
+        "as logged (m)", "possible (m)", "printed position (m)", "printed heading (deg)", "printed lost",
+        "printed survivors (m)", "reproduced", "as logged",
     )  # fmt: skip
-    flights = max(one.flights for one in worlds.values())
+    notes = [_verdict(title, one) for title, one in zip(("true position", "as logged"), verdicts, strict=True) if one]
+    if INFEASIBLE_SET in worlds and name in INFEASIBLE:
+        ours, (position, heading) = worlds[INFEASIBLE_SET], INFEASIBLE[name]
+        notes.append(
+            f"Infeasible ellipses, flights that did not crash: {ours.survivors:.3f} m, {ours.survivors_heading:.1f}"
+            f" degrees; printed {position:.2f} m, {heading:.1f} degrees"
+        )
+    title = f"{name}: mean (SD) of the RMSE over flights; a lost flight counts {CRASHED[0]:g} m"
+    return Table(heads, lines, title, notes=notes).markdown()
+
+
+def _verdict(title: str, verdicts: Sequence[str]) -> str:
     counts = ", ".join(f"{word} {verdicts.count(word)}" for word in ("yes", "crashes", "no"))
-    note = f"Mean position within {CLOSE:.0%} of the printed one: {counts} of {len(verdicts)}"
-    title = f"{name}: mean (SD) over {flights} flights of the RMSE; a lost flight counts {CRASHED[0]:g} m"
-    return Table(heads, lines, title, notes=[note]).markdown()
+    return f"Mean position within {CLOSE:.0%} of the printed one, {title}: {counts} of {len(verdicts)}"
 
 
 def _all(found: Mapping[str, Mapping[str, Condition]]) -> Table:
