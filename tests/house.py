@@ -29,8 +29,9 @@ FLOORS = (
     ("report",),
     ("experiment", "papers"),
     ("sweeps",),
-    ("tune", "api"),
+    ("tune",),
     ("bench",),
+    ("api",),
     ("cli",),
     ("__main__",),
 )

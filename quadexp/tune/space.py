@@ -95,7 +95,8 @@ def read_axes(texts: Sequence[str], config: Config, extra: Path | None = None) -
 
 
 def default_space(config: Config, extra: Path | None = None) -> list[str]:
-    """The axes of the files tune/NAME.yaml, by name or kind of the controller, and by name of each remedy."""
+    """The axes of the files tune/NAME.yaml, by name or kind of the controller, and by name of each remedy. A range that
+    does not contain the present value is left out: a decade up and down of it is taken."""
     found: list[str] = []
     nodes: dict[str, Any] = {"controller": config.controller, **remedies(config)}
     for group, node in nodes.items():
@@ -106,8 +107,17 @@ def default_space(config: Config, extra: Path | None = None) -> list[str]:
                 f"{node.name}: no default space to tune it in (conf/{SPACES}/{names[-1]}.yaml): give"
                 " --vary KEY=LOW..HIGH, or such a file in your --conf folder"
             )
-        found += [f"{group}.{key}" if rule is None else f"{group}.{key}={rule}" for key, rule in (space or {}).items()]
+        for key, rule in (space or {}).items():
+            name = f"{group}.{key}"
+            found.append(f"{name}={rule}" if rule is not None and _contains(name, str(rule), config) else name)
     return found
+
+
+def _contains(name: str, rule: str, config: Config) -> bool:
+    key, part, value = _value(name, config)
+    start = _entries(name, part, value, _declared(config, key))[1]
+    low, high, _ = _limits(name, rule, start)
+    return low <= start <= high
 
 
 def _space_file(names: Sequence[str], extra: Path | None) -> Mapping[str, Any] | None:
