@@ -181,14 +181,11 @@ def _beside(name: str, worlds: Mapping[str, Condition]) -> str:
         theirs = printed.get((world, name))
         line = [
             TITLES.get(world, world),
-            str(ours.flights),
             _with_sd(ours.position, 3),
             _with_sd(ours.logged, 3),
             _with_sd(ours.heading, 1),
             f"{ours.lost} + {ours.off}" if ours.off else str(ours.lost),
             _number(ours.survivors, 3),
-            _number(ours.logged_survivors, 3),
-            _of_possible(ours),
         ]
         if theirs is None:
             lines.append([*line, "", "", "", "", "", ""])
@@ -204,19 +201,31 @@ def _beside(name: str, worlds: Mapping[str, Condition]) -> str:
         ]
         lines.append(line + other)
     heads = (
-        "condition", "flights", "position (m)", "as logged (m)", "heading (deg)", "lost + > 2 m", "survivors (m)",
-        "as logged (m)", "possible (m)", "printed position (m)", "printed heading (deg)", "printed lost",
-        "printed survivors (m)", "reproduced", "as logged",
+        "condition", "position (m)", "as logged (m)", "heading (deg)", "lost + > 2 m", "survivors (m)",
+        "printed position (m)", "printed heading (deg)", "printed lost", "printed survivors (m)", "reproduced",
+        "as logged",
     )  # fmt: skip
     notes = [_verdict(title, one) for title, one in zip(("true position", "as logged"), verdicts, strict=True) if one]
+    flights = ", ".join(str(number) for number in sorted({one.flights for one in worlds.values()}))
+    title = f"{name}: mean (SD) over {flights} flights of the RMSE; a lost flight counts {CRASHED[0]:g} m"
+    return Table(heads, lines, title, notes=[*notes, *_apart(name, worlds)]).markdown()
+
+
+def _apart(name: str, worlds: Mapping[str, Condition]) -> list[str]:
+    """Lines on the ellipses that the rotors can fly, where they cannot fly all, and on the infeasible set."""
+    found = [
+        f"{TITLES.get(world, world)}: {one.possible} ellipses take no more thrust than there is;"
+        f" {one.possible_lost} of these lost, the others {one.possible_position:.3f} m"
+        for world, one in worlds.items()
+        if one.possible < one.flights
+    ]
     if INFEASIBLE_SET in worlds and name in INFEASIBLE:
         ours, (position, heading) = worlds[INFEASIBLE_SET], INFEASIBLE[name]
-        notes.append(
+        found.append(
             f"Infeasible ellipses, flights that did not crash: {ours.survivors:.3f} m, {ours.survivors_heading:.1f}"
             f" degrees; printed {position:.2f} m, {heading:.1f} degrees"
         )
-    title = f"{name}: mean (SD) of the RMSE over flights; a lost flight counts {CRASHED[0]:g} m"
-    return Table(heads, lines, title, notes=notes).markdown()
+    return found
 
 
 def _verdict(title: str, verdicts: Sequence[str]) -> str:
@@ -237,13 +246,6 @@ def _short(one: Condition | None) -> str:
         return ""
     text = _number(one.survivors, 3)
     return f"{text} ({one.lost}+{one.off})" if one.lost or one.off else text
-
-
-def _of_possible(one: Condition) -> str:
-    """Error of the flights that are possible and did not crash, and how many are and did; "" where all are possible."""
-    if one.possible == one.flights:
-        return ""
-    return f"{_number(one.possible_position, 3)} ({one.possible}, {one.possible_lost} lost)"
 
 
 def _with_sd(values: tuple[float, float], digits: int) -> str:
