@@ -87,12 +87,12 @@ def make_results(
     return root
 
 
-def many_results(root: Path, conditions: int) -> Path:
-    """Only the table: four controllers with two seeds in each of many conditions, as `make_results` would fly them."""
+def many_results(root: Path, conditions: int, seeds: int = 2) -> Path:
+    """Only the table: four controllers with some seeds in each of many conditions, as `make_results` flies them."""
     rows = []
     for i in range(conditions):
         for controller, error in ERRORS.items():
-            for seed in range(2):
+            for seed in range(seeds):
                 off = error * 8 * (1 + 0.01 * seed + 0.001 * (i % 7))
                 row = {"plant": "simplified", "vehicle": "torrente", "trajectory": "circle", "speed": 8.0}
                 row |= {"controller": controller, "model": "", "variant": f"plant.payload={i / 1000:g}", "seed": seed}
