@@ -43,7 +43,7 @@ class Cluster:
 
     def add_worker(self, *options: str, **environment: str) -> subprocess.Popen:
         """Start a worker of one thread; its files lie in a folder of its own."""
-        usual = "--host 127.0.0.1 --nthreads 1 --memory-limit 0 --no-dashboard".split()
+        usual = ["--host", "127.0.0.1", "--nthreads", "1", "--memory-limit", "0", "--no-dashboard"]
         return self._start("dask_worker", self.address, *usual, *self._tls, *options, **environment)
 
     def workers_of(self, nanny: subprocess.Popen) -> list[int]:
