@@ -100,9 +100,15 @@ def _draw_line(
         return
     x = np.array([place_of(view.x, value, *beside) for value, _ in there])
     mean, low, high = (view.factor * np.array([getattr(p, name) for _, p in there]) for name in ("mean", "low", "high"))
-    bars = np.nan_to_num(np.vstack([mean - np.maximum(low, 1e-9 if log else -np.inf), high - mean]), nan=0.0)
+    bars = np.maximum(np.vstack([mean - np.maximum(low, 1e-9 if log else -np.inf), high - mean]), 0.0)
     look = dict(look) | ({"linestyle": "none"} if view.x.kind == "group" else {})
-    panel.errorbar(x, mean, yerr=np.maximum(bars, 0.0), label=label, capsize=2.5, elinewidth=1.0, **look)
+    each: list[Any] = [(slice(None), label, look)]
+    if view.x.key == "controller" and not view.by:  # each with the look that it has everywhere
+        own = looks([str(value) for value in view.x.values])
+        each = [([i], "", own[str(value)].points()) for i, (value, _) in enumerate(there)]
+    for some, name, drawn in each:
+        yerr = bars[:, some] if np.isfinite(bars[:, some]).any() else None
+        panel.errorbar(x[some], mean[some], yerr=yerr, label=name, capsize=2.5, elinewidth=1.0, **drawn)
     for at, y, (_, point) in zip(x, mean, there, strict=True):
         if point.ended < point.trials:
             text = f"{point.ended}/{point.trials}"

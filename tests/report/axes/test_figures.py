@@ -15,7 +15,7 @@ from quadexp.report.axes.lines import line_figure
 from quadexp.report.axes.parallel import height, parallel_figure
 from quadexp.report.axes.save import check_path, figure_of, page_of, save_view
 from quadexp.report.axes.view import Axis, automatic, view
-from quadexp.report.style import KNOWN
+from quadexp.report.style import KNOWN, looks
 from tests.report.axes.sweeps import noise, swept
 
 
@@ -154,3 +154,19 @@ def test_nothing_that_ended_well_is_one_line_and_success_is_drawn(tmp_path):
     with pytest.raises(UsageError, match="none of the 2 flights ended well"):
         view(read, x="controller.nodes")
     assert figure_of(view(read, x="controller.nodes", y="success")).axes
+
+
+def test_a_controller_along_x_has_the_look_that_it_has_everywhere(tmp_path):
+    out = swept(tmp_path / "r", ["controller=nominal_mpc,perfect_mpc", "seed=0,1"], lambda config: 0.01)
+    drawn = figure_of(view(SweepFrame.read(out), x="controller")).axes[0].containers
+    assert [one.lines[0].get_color() for one in drawn] == [
+        looks([name])[name].colour for name in ("nominal_mpc", "perfect_mpc")
+    ]
+
+
+def test_one_line_says_who_flew_and_has_its_look(tmp_path):
+    out = swept(tmp_path / "r", ["controller=perfect_mpc", "controller.nodes=5,10,20"], lambda config: 0.01)
+    made = view(SweepFrame.read(out), x="controller.nodes")
+    figure = figure_of(made)
+    assert figure.get_suptitle().startswith("perfect_mpc, circle, 8 m/s; one flight each")
+    assert figure.axes[0].containers[0].lines[0].get_color() == looks(["perfect_mpc"])["perfect_mpc"].colour
