@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.air.base import Residual
+from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.config.observers import DisturbanceObserverConfig, WindObserverConfig
 from quadexp.control.base import Measurement, Window
 from quadexp.control.mpc.active_set import Status
@@ -190,10 +191,13 @@ def test_a_force_on_a_path_is_found_in_the_world(vehicle, source):
 
 def test_wind_and_thrust_scale_are_told_apart(vehicle, rng):
     """A reading of three axes, four unknowns: along a path they separate."""
-    residual, blown = make_residual("linear_drag", vehicle), (3.0, -2.0, 0.0)
+    residual, blown, torque = make_residual("linear_drag", vehicle), (3.0, -2.0, 0.0), (0.15, -0.12, 0.0)
     controller = wind(mpc_of(vehicle, residual), scale_walk=0.01, wind_walk=0.3)
     reference = SampledReference(Circle(speed=6.0, acceleration=3.0), controller)
-    states, beliefs = flown(Truth(vehicle, residual, wind=blown, scale=0.92), controller, reference, 300)
+    states, beliefs = flown(
+        Truth(vehicle, residual, torque=torque, wind=blown, scale=0.92), controller, reference, 300
+    )
+    assert beliefs[150:, 3:6].mean(axis=0) == pytest.approx(torque, abs=0.005)
     assert beliefs[150:, 6:8].mean(axis=0) == pytest.approx(blown[:2], abs=0.2)
     assert beliefs[150:, 9].mean() == pytest.approx(0.92, abs=0.01)
     errors = np.linalg.norm(states[150:, :3] - reference.along()[0][150:300, :3], axis=1)
@@ -203,12 +207,14 @@ def test_wind_and_thrust_scale_are_told_apart(vehicle, rng):
 @pytest.mark.parametrize("share", [0.7, 1.0, 1.3])
 def test_force_and_thrust_scale_are_told_apart(vehicle, share):
     """A thrust that is delivered in part turns with the body, a force does not: on a path both are found at once."""
-    residual, force = make_residual("none", vehicle), np.array([0.8, -0.5, 0.3])
+    residual = linear_drag_residual(vehicle, (0.4, 0.3, 0.1), (0.0, 0.0, 0.0), -0.2)  # a share of the thrust gets lost
+    force, torque = np.array([0.8, -0.5, 0.3]), np.array([0.06, -0.05, 0.0])
     observed = disturbance(mpc_of(vehicle, residual), scale_walk=0.01)
     reference = SampledReference(Circle(speed=6.0, acceleration=3.0, radius=3.0), observed)
-    _, beliefs = flown(Truth(vehicle, residual, force=force, scale=share), observed, reference, 300)
+    _, beliefs = flown(Truth(vehicle, residual, force, torque, scale=share), observed, reference, 300)
     assert beliefs[200:, 9] == pytest.approx(share, abs=0.01)
     assert beliefs[200:, :3].mean(axis=0) == pytest.approx(force, abs=0.1)
+    assert beliefs[200:, 3:6].mean(axis=0) == pytest.approx(torque, abs=0.005)  # the rotors' own is scaled too
 
 
 def test_another_mass_turns_with_the_body(vehicle):
