@@ -37,7 +37,7 @@ from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.mpc.online_mpc import AdaptingController
 from quadexp.control.mpc.rls_mpc import IdentifyingController
 from quadexp.control.observers.observer import air_of, known_delay, parameters_of
-from quadexp.control.wrapped import WrappedController
+from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.rigid_body import body_features
@@ -69,11 +69,7 @@ class L1Controller(WrappedController):
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         self.inner.reset(x, window)
-        start = (
-            np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max)
-            if len(window.input)
-            else (np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust))
-        )
+        start = thrust_at_start(window, self.vehicle)
         self._sent[...] = start
         own = [array for name, array in self._estimate.arguments.items() if name != "theta"]
         for array in (*own, *self._estimate.results.values()):

@@ -55,6 +55,14 @@ class WrappedController:
         return self.inner.log()
 
 
+def thrust_at_start(window: Window, vehicle: Vehicle) -> np.ndarray:
+    """What the rotors give as a flight begins, (n,) (N): the reference's thrusts within the limits; those of hover
+    where the controller asks for no reference."""
+    if not len(window.input):
+        return np.full(vehicle.n_rotors, vehicle.hover_thrust)
+    return np.clip(window.input[0], vehicle.thrust_min, vehicle.thrust_max)
+
+
 def layers(controller: Any) -> list[WrappedController]:
     """The remedies around a controller, the outermost first."""
     found = []

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.control.observers.observer import air_of
+from quadexp.control.wrapped import innermost
 from quadexp.experiment.build import ModelFile
 from quadexp.log.schema import Flight
 
@@ -19,8 +21,7 @@ def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> di
     """
     if model is None:
         return None
-    mpc = getattr(controller, "mpc", None)
-    ranges = dict(getattr(getattr(mpc, "residual", None), "ranges", None) or {})
+    ranges = dict(air_of(innermost(controller)).ranges or {})
     record: dict[str, Any] = {"model": model.path, "share": None, "shares": {}, "ranges": ranges, "note": UNKNOWN}
     if not ranges or not len(flight):
         return record | ({"note": "the flight has no samples"} if ranges else {})

@@ -50,7 +50,7 @@ def test_on_a_reference_in_a_vertical_plane_it_commands_the_references_thrusts(v
 
 
 def test_in_space_it_commands_the_references_thrust_and_tilt_torques(vehicle):
-    """A level ellipse, on which the vehicle turns about all axes; of the yaw it knows the heading's derivatives only."""
+    """A level ellipse, on which the vehicle turns about all axes; of the yaw it knows those of the heading only."""
     body = replace(vehicle, inertia=((0.02, 0, 0), (0, 0.03, 0), (0, 0, 0.05)))
     trajectory = Ellipse(speed=8.0, acceleration=16.0, ratio=2.0, plane="horizontal")
     t, compared = np.linspace(0.1, 3.1, 40), 0

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.air.base import Residual
+from quadexp.air.base import Residual, symbolic_residual
+from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.config.observers import DisturbanceObserverConfig, WindObserverConfig
 from quadexp.control.base import Measurement, Window
 from quadexp.control.mpc.active_set import Status
@@ -190,10 +191,11 @@ def test_a_force_on_a_path_is_found_in_the_world(vehicle, source):
 
 def test_wind_and_thrust_scale_are_told_apart(vehicle, rng):
     """A reading of three axes, four unknowns: along a path they separate."""
-    residual, blown = make_residual("linear_drag", vehicle), (3.0, -2.0, 0.0)
+    residual, blown, torque = make_residual("linear_drag", vehicle), (3.0, -2.0, 0.0), (0.15, -0.12, 0.0)
     controller = wind(mpc_of(vehicle, residual), scale_walk=0.01, wind_walk=0.3)
     reference = SampledReference(Circle(speed=6.0, acceleration=3.0), controller)
-    states, beliefs = flown(Truth(vehicle, residual, wind=blown, scale=0.92), controller, reference, 300)
+    states, beliefs = flown(Truth(vehicle, residual, torque=torque, wind=blown, scale=0.92), controller, reference, 300)
+    assert beliefs[150:, 3:6].mean(axis=0) == pytest.approx(torque, abs=0.005)
     assert beliefs[150:, 6:8].mean(axis=0) == pytest.approx(blown[:2], abs=0.2)
     assert beliefs[150:, 9].mean() == pytest.approx(0.92, abs=0.01)
     errors = np.linalg.norm(states[150:, :3] - reference.along()[0][150:300, :3], axis=1)
@@ -203,12 +205,14 @@ def test_wind_and_thrust_scale_are_told_apart(vehicle, rng):
 @pytest.mark.parametrize("share", [0.7, 1.0, 1.3])
 def test_force_and_thrust_scale_are_told_apart(vehicle, share):
     """A thrust that is delivered in part turns with the body, a force does not: on a path both are found at once."""
-    residual, force = make_residual("none", vehicle), np.array([0.8, -0.5, 0.3])
+    residual = linear_drag_residual(vehicle, (0.4, 0.3, 0.1), (0.0, 0.0, 0.0), -0.2)  # a share of the thrust gets lost
+    force, torque = np.array([0.8, -0.5, 0.3]), np.array([0.06, -0.05, 0.0])
     observed = disturbance(mpc_of(vehicle, residual), scale_walk=0.01)
     reference = SampledReference(Circle(speed=6.0, acceleration=3.0, radius=3.0), observed)
-    _, beliefs = flown(Truth(vehicle, residual, force=force, scale=share), observed, reference, 300)
+    _, beliefs = flown(Truth(vehicle, residual, force, torque, scale=share), observed, reference, 300)
     assert beliefs[200:, 9] == pytest.approx(share, abs=0.01)
     assert beliefs[200:, :3].mean(axis=0) == pytest.approx(force, abs=0.1)
+    assert beliefs[200:, 3:6].mean(axis=0) == pytest.approx(torque, abs=0.005)  # the rotors' own is scaled too
 
 
 def test_another_mass_turns_with_the_body(vehicle):
@@ -262,10 +266,10 @@ def a_hover(vehicle) -> Window:
     return Window(x, np.full((1, vehicle.n_rotors), vehicle.hover_thrust), np.zeros((5, 3)), np.zeros(3))
 
 
-def still(vehicle, observed, reading, steps, rates=None, velocities=None):
+def still(vehicle, observed, reading, steps, rates=None, velocities=None, residual=None):
     """The beliefs of an observer of a hovering vehicle that reads what it is given, (steps, 3), rates and velocities
     (steps, 3) likewise."""
-    told = Told(vehicle, make_residual("none", vehicle), np.full(vehicle.n_rotors, vehicle.hover_thrust))
+    told = Told(vehicle, residual or make_residual("none", vehicle), np.full(vehicle.n_rotors, vehicle.hover_thrust))
     controller = observed(told)
     x = np.concatenate([np.zeros(3), [1.0], np.zeros(9)])
     controller.reset(x, a_hover(vehicle))
@@ -322,6 +326,28 @@ def test_the_torque_observer_has_its_poles_where_they_were_put(vehicle):
     principal = replace(vehicle, inertia=((0.03, 0, 0), (0, 0.03, 0), (0, 0, 0.03)))  # then w x J w is zero
     found = still(principal, observed, reading, steps, rates)[:, 3:6] / 0.03
     assert found == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_torque_of_the_air_that_the_model_knows_is_no_disturbance(vehicle):
+    """A model with a constant torque, and rates that do not change: what is found is its opposite."""
+    z, theta, known = ca.SX.sym("z", 10), ca.SX.sym("theta", 0), [0.02, -0.01, 0.03]
+    model = symbolic_residual("torque", ca.vertcat(0, 0, 0, *known), z, theta, [])
+    found = still(vehicle, disturbance, np.tile([0, 0, 9.81], (60, 1)), 60, residual=model)
+    assert found[-1, 3:6] == pytest.approx(-np.array(known), abs=1e-6)
+
+
+def test_what_the_wind_leaves_of_the_reading_is_a_force(vehicle):
+    """Where the wind is known to be still: a low pass of the chosen bandwidth, in N."""
+    heavy, bandwidth = replace(vehicle, mass=1.7), 9.0
+
+    def observed(controller):
+        still_air = {"wind_walk": 1e-9, "wind_initial": 1e-9, "scale_walk": 0.0}
+        return wind(controller, force_bandwidth=bandwidth, least_bandwidth=0.0, **still_air)
+
+    reading, residual = np.tile([0.7, -0.4, heavy.gravity + 1.1], (30, 1)), make_residual("none", heavy)
+    found = still(heavy, observed, reading, 30, residual=residual)[:, :3]
+    low_pass = 1 - np.exp(-bandwidth * PERIOD * np.arange(1, 31))
+    assert found == pytest.approx(1.7 * low_pass[:, None] * [0.7, -0.4, 1.1], abs=1e-6)
 
 
 def test_a_body_that_tumbles_by_itself_has_no_torque(vehicle):

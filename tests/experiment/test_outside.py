@@ -52,6 +52,15 @@ def test_a_fast_flight_says_so_and_a_slow_one_does_not(model, tmp_path):
     assert "data        0.0 % of samples outside" in run("show", tmp_path / "slow.parquet")[1]
 
 
+@pytest.mark.parametrize(
+    "changes", [["observer=disturbance"], ["controller=geometric", "controller.residual=linear_drag"]]
+)
+def test_the_model_is_known_inside_remedies_and_in_other_controllers(model, tmp_path, changes):
+    code, out, error = fly(model, 12, tmp_path / "fast.parquet", *changes)
+    assert code == 0, error
+    assert read_metadata(tmp_path / "fast.parquet")["outside_data"]["share"] > 0.3
+
+
 def test_an_old_checkpoint_says_unknown(model, tmp_path):
     from dataclasses import replace
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from functools import lru_cache
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -70,7 +70,25 @@ def flown_or_refused(controller, parts):
     return flight
 
 
-@lru_cache(maxsize=None)
+@pytest.mark.parametrize("remedy", ["strapdown", "prediction"])
+def test_a_delay_remedy_around_a_controller_that_asks_for_no_reference(remedy):
+    parts = dict.fromkeys(GROUPS, "none") | {"delay": remedy}
+    found = flown_or_refused("rls_feedback", parts)
+    assert np.abs(commands(found) - without_remedies("rls_feedback")).max() > 1e-6
+
+
+@pytest.mark.parametrize("remedy", ["adaptive=l1", "observer=disturbance", "controller=online_mpc"])
+def test_a_lag_that_is_inverted_is_as_well_known_as_one_that_is_planned_with(remedy):
+    """Of motors that lag by 30 ms no more is taken for a force, or learned, with the one than with the other."""
+    given = ["controller=perfect_mpc", remedy, "trajectory=lemniscate", "trajectory.speed=5", "horizon=robust"]
+    given += ["trajectory.acceleration=2.5", "actuator=lag_30ms", "controller.backend=interpreted"]
+    column = {"adaptive=l1": "l1_force_z", "observer=disturbance": "observer_force_z"}.get(remedy, "innovation_z")
+    flights = [fly_one(compose([*given, f"motor={motor}"])) for motor in ("states", "lead")]
+    planned, inverted = (np.std(flight.columns[column][50:]) for flight in flights)
+    assert inverted < 1.3 * planned
+
+
+@cache
 def without_remedies(controller):
     return commands(flown_or_refused(controller, dict.fromkeys(GROUPS, "none")))
 

@@ -27,7 +27,7 @@ from quadexp.config.delays import PredictionConfig
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.delay.sent_commands import SETTLED, SentCommands
 from quadexp.control.mpc.mpc import StepRecord
-from quadexp.control.wrapped import WrappedController, innermost, layers
+from quadexp.control.wrapped import WrappedController, innermost, layers, thrust_at_start
 from quadexp.physics.integrator import rk4_step_with_input
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
@@ -78,7 +78,7 @@ class Prediction(WrappedController):
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         self._since, self._shown = 0, -1.0
-        self.commands.reset(np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max))
+        self.commands.reset(thrust_at_start(window, self.vehicle))
         super().reset(x, self._later(window) if self.ahead else window)
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:

@@ -14,7 +14,7 @@ from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.indi.law import indi_function, settled_memory
 from quadexp.control.multirate import MultiRate
-from quadexp.control.wrapped import WrappedController
+from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
@@ -35,9 +35,7 @@ class INDI(MultiRate):
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset. The filters start as if rates and thrusts of the start had always been there."""
         super().reset(x, window)
-        thrust = np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust)
-        if len(window.input):  # the controller looks at a reference
-            thrust = np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max)
+        thrust = thrust_at_start(window, self.vehicle)
         self._delivered.reset(thrust)
         arguments, values = self._law.arguments, np.concatenate([x[RATE], np.sqrt(thrust)])
         arguments["before"][:], arguments["memory"][:] = values, settled_memory(self._keys, values)

@@ -28,7 +28,7 @@ from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.mpc.online_mpc import AdaptingController
 from quadexp.control.mpc.rls_mpc import IdentifyingController
-from quadexp.control.wrapped import WrappedController, innermost
+from quadexp.control.wrapped import WrappedController, innermost, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
 
@@ -99,7 +99,7 @@ class Observer(WrappedController):
         if self._world is not None:
             self._world.reset(self._begin(x))
             return
-        self._delivered.reset(np.clip(window.input[0], self.vehicle.thrust_min, self.vehicle.thrust_max))
+        self._delivered.reset(thrust_at_start(window, self.vehicle))
         self._given["s"].ravel()[:] = self._begin(x)
         self._belief = no_belief()
 
