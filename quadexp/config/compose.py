@@ -25,6 +25,7 @@ from quadexp.config.settings import made
 from quadexp.errors import UsageError
 from quadexp.messages import one_line, suggestion
 
+EACH = "each"  # of a grid under an experiment's `sweep:`, see _written_out
 KEPT = 50_000  # made nodes that are remembered at most
 
 
@@ -83,11 +84,7 @@ class Composer:
         for value in values:
             choice = self._overrides.read([f"experiment={value}"])
             sweep = self._compose(choice, parts=True).sweep
-            for grid in sweep if isinstance(sweep, list) else [sweep or {}]:
-                if not isinstance(grid, dict):
-                    raise UsageError(
-                        f"experiment={value}: `sweep:` must be a mapping {{key: values}}, or a list of them"
-                    )
+            for grid in _written_out(sweep or {}, str(value)):
                 # The mapping's order is kept: what stands first varies slowest.
                 own = [f"{key}={_as_override(text)}" for key, text in grid.items() if key not in given]
                 yield choice + self._overrides.read(own, sweep=True) + rest
@@ -150,6 +147,17 @@ class Composer:
             found[name] = contents[name] if schema is None else made(schema, contents[name], f"{name}.")
             self._made[known] = found[name]
         return found
+
+
+def _written_out(grids: Any, experiment: str) -> Iterator[dict[str, Any]]:
+    """The grids of an experiment's `sweep:`, a mapping or a list of them; one with a list under `each` stands for as
+    many: what else it has, with each of these, which may have such lists themselves."""
+    for grid in grids if isinstance(grids, list) else [grids]:
+        if not isinstance(grid, dict):
+            raise UsageError(f"experiment={experiment}: `sweep:` must be a mapping {{key: values}}, or a list of them")
+        common = {key: values for key, values in grid.items() if key != EACH}
+        within = _written_out(grid[EACH], experiment) if EACH in grid else [{}]
+        yield from (common | inner for inner in within)
 
 
 def _product(overrides: Sequence[Given]) -> Grid:

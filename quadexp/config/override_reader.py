@@ -52,6 +52,8 @@ class OverrideReader:
         if given.key.split("/")[0].split(".")[0] in ("hydra", "schema", "sweep"):
             hint = next((f"; {said}" for begin, said in HYDRA.items() if given.key.startswith(begin)), "")
             raise UsageError(f"{text!r}: not a key of this program{hint}")
+        if given.sweep is not None and not given.sweep:
+            raise UsageError(f"{text}: an empty range leaves nothing to fly")
         if given.sweep is not None:
             if not sweep:
                 raise UsageError(f"{text!r}: several values for one key; use `quadexp evaluate --sweep` for that")
@@ -75,6 +77,8 @@ class OverrideReader:
         override = read_override(text, self._files.options)
         if override is None and key in PATHS:  # most letters that a path may have mean nothing to the grammar
             override = read_override(literal, self._files.options)
+        if override is None and (several := [word for word in text.split() if re.match(r"[\w.]+=", word)])[1:]:
+            raise UsageError(f"{text!r}: {len(several)} settings within one pair of quotes; give each by itself")
         if override is None:
             raise UsageError(
                 f"{text!r}: cannot be read as KEY=VALUE: a bracket or quote is left open,"
