@@ -25,6 +25,7 @@ from quadexp.config.settings import made
 from quadexp.errors import UsageError
 from quadexp.messages import one_line, suggestion
 
+EACH = "each"  # of a grid under an experiment's `sweep:`, see _written_out
 KEPT = 50_000  # made nodes that are remembered at most
 EACH = "each"  # of a grid under an experiment's `sweep:`, see _written_out
 
