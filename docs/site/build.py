@@ -17,7 +17,16 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "build" / "pages"
-SOURCES = ("*.md", "docs/*.md", "docs/site/*.md", "docs/figures/*", "benchmarks/*.md", "examples/notebooks/*.ipynb")
+SOURCES = (
+    "*.md",
+    "docs/*.md",
+    "docs/site/*.md",
+    "docs/site/*.js",
+    "docs/site/*.css",
+    "docs/figures/*",
+    "benchmarks/*.md",
+    "examples/notebooks/*.ipynb",
+)
 LANDING = ROOT / "docs" / "site" / "landing.md"  # index.html of the site; README.md is the page `about`
 NAV_PAGE = re.compile(r"^\s+- (?:.*: )?(\S+\.(?:md|ipynb))$")
 LINK = re.compile(r"\]\(([^)#\s]+)")

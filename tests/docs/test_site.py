@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.report.test_html_browser import browser, show, wait  # noqa: F401
+
 ROOT = Path(__file__).resolve().parents[2]
 LOADED = re.compile(r"<(?:script|link|img|iframe)[^>]*(?:src|href)=\"?https?://(?!squidfunk)[^\" >]+")
 
@@ -38,6 +40,12 @@ def test_the_navigation_has_the_pages_that_there_are(tmp_path, monkeypatch):
         "index.md", "about.md", "docs/guide.md", "docs/observers.md", "docs/quite_new.md"
     ]  # fmt: skip
     assert nav.index("More:") < nav.index("quite_new") and "docs/delays.md" not in nav
+
+
+def test_no_page_stands_twice_in_the_navigation():
+    nav = (ROOT / "docs/site/mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2]
+    pages = re.findall(r"\S+\.(?:md|ipynb)", nav)
+    assert len(pages) == len(set(pages)) > 25
 
 
 @pytest.mark.slow  # compiles two controllers
@@ -67,5 +75,35 @@ def test_every_link_leads_somewhere_and_nothing_is_loaded_from_elsewhere():
     ):
         assert "</html>" in (site / page).read_text(encoding="utf-8")
     assert "fit_gp" in (site / "docs/site/reference.html").read_text(encoding="utf-8")
+    reference = (site / "docs/site/reference.html").read_text(encoding="utf-8")
+    assert all(f"quadexp.api.searches.{name}" in reference for name in ("tune", "bench"))
     for page in site.rglob("*.html"):
         assert not LOADED.findall(page.read_text(encoding="utf-8")), page
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_in_a_browser_a_page_opened_from_a_file_has_its_scheme_its_search_and_no_error(browser, scheme):  # noqa: F811
+    """After the test above, which builds it; in three widths nothing is wider than the window."""
+    site = ROOT / "build" / "site"
+    if not (site / "index.html").is_file():
+        pytest.skip("no site is built: make docs")
+    for width in (390, 768, 1280):
+        for page in ("index.html", "docs/questions.html", "docs/leaderboard.html", "docs/site/gallery.html"):
+            show(browser, site / page, width=width, replay=False, color_scheme=scheme)
+            browser.execute_script("localStorage.clear()")
+            browser.get((site / page).as_uri())
+            assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+            ground = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
+            assert (sum(map(int, re.findall(r"\d+", ground)[:3])) > 383) == (scheme == "light")
+            assert (
+                browser.execute_script("return [...document.images].filter(i => i.complete && !i.naturalWidth)") == []
+            )
+            assert browser.get_log("browser") == []
+    browser.execute_script(
+        "document.querySelector('#__search').click(); const i = document.querySelector('.md-search__input'); i.focus();"
+        "i.value = 'gyroscope'; i.dispatchEvent(new KeyboardEvent('keyup', {bubbles: true}));"
+        "i.dispatchEvent(new Event('input', {bubbles: true}))"
+    )
+    wait(browser, "document.querySelector('.md-search-result__meta').textContent.includes('document')")
+    assert browser.get_log("browser") == []
