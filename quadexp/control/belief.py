@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+N_BELIEF = 11  # numbers, in the order of Belief
+
 
 class Belief(NamedTuple):
     """force: (3,), world (N). torque: (3,), body (N m). wind: velocity of the air (3,), world (m/s). thrust_scale,

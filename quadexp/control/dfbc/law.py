@@ -31,38 +31,38 @@ import casadi as ca
 from quadexp.air.base import N_OUTPUTS, Residual
 from quadexp.config.dfbc import DFBCKeys
 from quadexp.control.allocation import allocation
+from quadexp.control.belief import N_BELIEF
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 AT_LIMIT = 1e-9  # of the thrust range
-BELIEF = 10  # numbers: force, torque, wind, thrust scale
 OPPOSITE = 1e-6  # least 1 + r_z: a tilt error of 180 degrees has no axis
 SMALL = 1e-9  # of a length, below which a direction is not determined
 
 
 def law_function(vehicle: Vehicle, keys: DFBCKeys, residual: Residual, *, compiled: bool) -> ca.Function:
-    """The law: x (13,), path (3, 5) position (m) .. snap, yaw (3,), delivered thrusts (n,) (N), belief (10,), theta ->
+    """The law: x (13,), path (3, 5) position (m) .. snap, yaw (3,), delivered thrusts (n,) (N), belief (11,), theta ->
     thrust (n,) (N); angle, (2,): errors of tilt and yaw (rad); held: rotors at a limit.
 
     compiled: whether the residual's form for compilation is taken.
     """
     n = vehicle.n_rotors
     x, path, yaw = ca.SX.sym("x", N_STATE), ca.SX.sym("path", 3, 5), ca.SX.sym("yaw", 3)
-    delivered, belief = ca.SX.sym("delivered", n), ca.SX.sym("belief", BELIEF)
+    delivered, belief = ca.SX.sym("delivered", n), ca.SX.sym("belief", N_BELIEF)
     air = ca.SX.sym("air", N_OUTPUTS)
     wrench, angle = _wrench(vehicle, keys, x, path, yaw, delivered, belief, air)
     wanted = ca.Function("dfbc_wrench", [x, path, yaw, delivered, belief, air], ca.cse([wrench, angle]))
 
-    given = {"x": (N_STATE, 1), "path": (3, 5), "yaw": (3, 1), "delivered": (n, 1), "belief": (BELIEF, 1)}
+    given = {"x": (N_STATE, 1), "path": (3, 5), "yaw": (3, 1), "delivered": (n, 1), "belief": (N_BELIEF, 1)}
     a = {name: ca.MX.sym(name, *shape) for name, shape in given.items()}
     theta = ca.MX.sym("theta", residual.function.size1_in(1))
     model = residual.to_compile if compiled and residual.to_compile is not None else residual.function
     of_air = ca.MX(N_OUTPUTS, 1)
     if not residual.is_zero:
         velocity = air_velocity(a["x"][ATTITUDE], a["x"][VELOCITY], a["belief"][6:9])
-        of_air = ca.densify(model(ca.vertcat(velocity, a["x"][RATE], a["delivered"]), theta)[0])
+        of_air = a["belief"][10] * ca.densify(model(ca.vertcat(velocity, a["x"][RATE], a["delivered"]), theta)[0])
     wrench, angle = wanted(*a.values(), of_air)
     thrust = allocation(vehicle, keys.allocation, keys.wrench_weight)(wrench / a["belief"][9])
     margin = AT_LIMIT * (vehicle.thrust_max - vehicle.thrust_min)

@@ -1,7 +1,7 @@
 """A control law in closed form as a Controller: one compiled function a step.
 
 The function names what it reads: x (13,), state and input (thrusts) of the reference now (13,), (n,), its thrusts in
-the middle of the control period, path (3, 5), yaw (3,), belief (10,), theta, memory; and what it gives: command (n,),
+the middle of the control period, path (3, 5), yaw (3,), belief (11,), theta, memory; and what it gives: command (n,),
 memory_next, held (rotors at a limit), log. Only what it names is filled.
 """
 
@@ -22,7 +22,7 @@ from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.physics.vehicle import Vehicle
 
-NO_BELIEF = np.hstack([*no_belief()])  # force, torque, wind, thrust scale
+NO_BELIEF = np.hstack([*no_belief()])  # force, torque, wind, thrust scale, air scale
 
 
 class ExplicitController:

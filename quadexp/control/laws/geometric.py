@@ -39,7 +39,7 @@ import numpy as np
 from quadexp.air.base import N_OUTPUTS, Residual
 from quadexp.compile.backend import realise, resolve
 from quadexp.config.laws import GeometricKeys
-from quadexp.control.belief import Belief
+from quadexp.control.belief import N_BELIEF, Belief
 from quadexp.control.laws.attitude import attitude_distance, attitude_error, moving_attitude
 from quadexp.control.laws.desaturation import clipped, held, prioritised
 from quadexp.control.laws.explicit import ExplicitController
@@ -49,7 +49,7 @@ from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 E_X, E_Z = ca.DM([1, 0, 0]), ca.DM([0, 0, 1])
-FORCE, TORQUE, WIND, SCALE = slice(0, 3), slice(3, 6), slice(6, 9), 9  # of a belief, (10,)
+FORCE, TORQUE, WIND, SCALE, AIR = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10  # of a belief, (11,)
 LOGGED = ("psi",)
 
 
@@ -67,7 +67,7 @@ class GeometricController(ExplicitController):
     def believe(self, belief: Belief) -> None:
         """Take this for what acts beside the model, from the next step on."""
         believed = self._law.arguments["belief"]
-        believed[FORCE], believed[TORQUE], believed[WIND], believed[SCALE] = belief
+        believed[FORCE], believed[TORQUE], believed[WIND], believed[SCALE], believed[AIR] = belief
 
 
 class _Air:
@@ -94,18 +94,19 @@ def geometric_function(
 ) -> ca.Function:
     """The law with the inputs and outputs of explicit.py.
 
-    memory: theta_F (m/s^2), theta_tau (rad/s^2), (6,). belief: force, torque, wind, thrust scale, (10,). log: Psi.
+    memory: theta_F (m/s^2), theta_tau (rad/s^2), (6,). belief: force, torque, wind, thrust and air scale,
+    (11,). log: Psi.
     """
     law, n = _law(vehicle, keys), vehicle.n_rotors
-    sizes = {"x": N_STATE, "state": N_STATE, "input": n, "middle": n, "belief": 10, "memory": 6}
+    sizes = {"x": N_STATE, "state": N_STATE, "input": n, "middle": n, "belief": N_BELIEF, "memory": 6}
     inputs = {name: ca.MX.sym(name, size) for name, size in sizes.items()} | {"path": ca.MX.sym("path", 3, 5)}
     air = [ca.DM.zeros(N_OUTPUTS), ca.DM.zeros(N_OUTPUTS)]
     if residual is not None:
         model = (residual.to_compile if compiled else None) or residual.function
         inputs["theta"] = ca.MX.sym("theta", model.size1_in(1))
-        features = _features(n)
+        features, believed = _features(n), inputs["belief"]
         air = [
-            model(features(inputs[name], inputs["belief"][WIND], inputs["input"]), inputs["theta"])[0]
+            believed[AIR] * model(features(inputs[name], believed[WIND], inputs["input"]), inputs["theta"])[0]
             for name in ("x", "state")
         ]
     given = [inputs[name] for name in ("x", "state", "input", "middle", "path", "belief", "memory")]
@@ -124,7 +125,7 @@ def _law(vehicle: Vehicle, keys: GeometricKeys) -> ca.Function:
     n, m, J = vehicle.n_rotors, vehicle.mass, ca.DM(vehicle.inertia_matrix)
     x, state = ca.SX.sym("x", N_STATE), ca.SX.sym("state", N_STATE)
     thrust, middle, path = ca.SX.sym("thrust", n), ca.SX.sym("middle", n), ca.SX.sym("path", 3, 5)
-    belief, memory = ca.SX.sym("belief", 10), ca.SX.sym("memory", 6)
+    belief, memory = ca.SX.sym("belief", N_BELIEF), ca.SX.sym("memory", 6)
     air, air_r = ca.SX.sym("air", N_OUTPUTS), ca.SX.sym("air_r", N_OUTPUTS)
     theta_force, theta_torque = memory[:3], memory[3:]
     gravity, G = ca.DM([0, 0, -vehicle.gravity]), ca.DM(vehicle.allocation)

@@ -23,14 +23,13 @@ import numpy as np
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.control.base import Measurement, Window
-from quadexp.control.belief import Belief, no_belief
+from quadexp.control.belief import N_BELIEF, Belief, no_belief
 from quadexp.control.delivered import Delays, delivered_by_commands
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.targets import held_targets
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
-N_BELIEF = 11  # force, torque, wind, thrust scale, air scale
 ROUNDING = 1e-15  # of a limit: a delivered thrust at it gives a command within the rotor's, however it is rounded
 MOVED = 0.5  # m/s: with a smaller change of the wind the last solution is a good guess as it is
 
