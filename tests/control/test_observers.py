@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.air.base import Residual, symbolic_residual
 from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.air.scaled import scaled_residual
 from quadexp.config.observers import DisturbanceObserverConfig, WindObserverConfig
 from quadexp.control.base import Measurement, Window
 from quadexp.control.mpc.active_set import Status
@@ -22,7 +23,7 @@ from quadexp.control.observers import observer as observer_module
 from quadexp.control.observers import wind as wind_module
 from quadexp.control.observers.disturbance import with_disturbance_observer
 from quadexp.control.observers.observer import COLUMNS
-from quadexp.control.observers.scaled_force import scaled_force_update
+from quadexp.control.observers.scaled_force import N_SCALED_STATE, SURPRISE, scaled_force_update
 from quadexp.control.observers.wind import with_wind_observer
 from quadexp.errors import UsageError
 from quadexp.experiment.rollout import SampledReference
@@ -229,9 +230,13 @@ def test_another_mass_turns_with_the_body(vehicle):
     assert errors[1] < 0.5 * errors[0]
 
 
-def test_a_thrust_scale_needs_the_accelerometer(vehicle):
-    with pytest.raises(UsageError, match="scale_walk"):
-        disturbance(mpc_of(vehicle, make_residual("none", vehicle)), source="velocity", scale_walk=0.01)
+def test_scales_need_the_accelerometer_and_a_model_that_has_them(vehicle):
+    mpc = mpc_of(vehicle, make_residual("none", vehicle))
+    for key in ("scale_walk", "air_walk"):
+        with pytest.raises(UsageError, match=key):
+            disturbance(mpc, source="velocity", **{key: 0.01})
+    with pytest.raises(UsageError, match="air_walk: the MPC was made without"):
+        disturbance(mpc, air_walk=0.01)
 
 
 # ---------------------------------------------------------------------------------------------- filters as designed
@@ -435,18 +440,84 @@ def test_the_wind_filter_is_an_extended_kalman_filter(vehicle, rng):
 
 def test_the_filter_of_force_and_scale_is_a_kalman_filter(rng):
     """Against the textbook's information form, in numpy: P^-1 = P-^-1 + H' H / r."""
-    s, y, h, walks, r = ca.SX.sym("s", 20), ca.SX.sym("y", 3), ca.SX.sym("h", 3), ca.SX.sym("w", 2), 0.3
-    update = ca.Function("f", [s, y, h, walks], [*scaled_force_update(s, y, h, walks[0], walks[1], r)])
-    x, P, q = np.zeros(4), np.diag([4.0, 4.0, 4.0, 0.09]), np.array([0.2, 0.01])
-    state = np.concatenate([x, P.ravel()])
+    update, gain, r = scaled_update(), 0.4, 0.3
+    x, P, q, rest = np.zeros(5), np.diag([4.0, 4.0, 4.0, 0.09, 0.25]), np.array([0.2, 0.01, 0.02]), np.zeros(3)
+    state = np.concatenate([x, P.ravel(), rest])
     for _ in range(30):
-        turned, reading = 10 * rng.normal(size=3), rng.normal(size=3)
-        H = np.column_stack([np.eye(3), turned])
-        P = np.linalg.inv(np.linalg.inv(P + np.diag([*q[[0, 0, 0]], q[1]])) + H.T @ H / r)
+        by_thrust, by_air, reading = 10 * rng.normal(size=3), 4 * rng.normal(size=3), 0.5 * rng.normal(size=3)
+        H = np.column_stack([np.eye(3), by_thrust, by_air])
+        P = np.linalg.inv(np.linalg.inv(P + np.diag([*q[[0, 0, 0]], *q[1:]])) + H.T @ H / r)
         x = x + P @ H.T @ (reading - H @ x) / r
-        found, variance = update(state, reading, turned, q)
-        state = np.concatenate([np.array(found).ravel(), np.array(variance).ravel()])
-        assert state == pytest.approx(np.concatenate([x, P.ravel()]), abs=1e-9)
+        rest = rest + gain * (reading - H @ x - rest)
+        state = update(state, reading, by_thrust, by_air, q, r, gain)
+        assert state == pytest.approx(np.concatenate([x, P.ravel(), rest]), abs=1e-9)
+
+
+def scaled_update():
+    s, y, h, g = ca.SX.sym("s", N_SCALED_STATE), ca.SX.sym("y", 3), ca.SX.sym("h", 3), ca.SX.sym("g", 3)
+    walks, r, gain = ca.SX.sym("w", 3), ca.SX.sym("r"), ca.SX.sym("gain")
+    parts = scaled_force_update(s, y, h, g, walks, r, gain)
+    function = ca.Function("f", [s, y, h, g, walks, r, gain], [ca.vertcat(*parts)])
+    return lambda *given: np.array(function(*given)).ravel()
+
+
+def test_a_sudden_force_is_no_scale():
+    """A reading that nobody expects goes into the force; the scales take a share that falls with it, and the variance is
+    that of these gains (Joseph's form is of any gain)."""
+    update, none = scaled_update(), np.zeros(3)
+    P = np.diag([0.1, 0.1, 0.1, 0.01, 0.01])
+    state, h, g = np.concatenate([np.zeros(5), P.ravel(), none]), np.array([0, 0, 10.0]), np.array([3.0, 0, 0])
+    H = np.column_stack([np.eye(3), h, g])
+    S = H @ P @ H.T + 0.1 * np.eye(3)
+    K = P @ H.T @ np.linalg.inv(S)
+    for size in (1.0, 10.0, 40.0):
+        reading = size * np.array([0.6, 0.0, 0.8])
+        found = update(state, reading, h, g, none, 0.1, 0.0)
+        trust = min(1, SURPRISE / np.sqrt(reading @ np.linalg.solve(S, reading)))
+        used = np.diag([1, 1, 1, trust, trust]) @ K
+        assert (trust < 1) == (size > 5)
+        assert found[:5] == pytest.approx(used @ reading, abs=1e-9)
+        left = np.eye(5) - used @ H
+        assert found[5:30] == pytest.approx((left @ P @ left.T + 0.1 * used @ used.T).ravel(), abs=1e-9)
+
+
+def test_the_noise_of_readings_is_no_scale(vehicle, rng):
+    """A fast force observer answers noise with thrust; what it answered with must not be taken for a scale."""
+    residual = make_residual("none", vehicle)
+    observed = disturbance(mpc_of(vehicle, residual), scale_walk=0.005, force_bandwidth=100.0)
+    reference = SampledReference(Circle(speed=4.0, acceleration=2.0, radius=3.0), observed)
+    _, beliefs = flown(Truth(vehicle, residual), observed, reference, 300, 0.15, rng)
+    assert beliefs[100:, 9].mean() == pytest.approx(1.0, abs=0.1)  # 1.2 where the filter has the bandwidth of the force
+
+
+def test_drag_that_is_twice_the_models_is_found_and_planned_with(vehicle):
+    """A scale of the air turns with the velocity over the horizon, a force does not."""
+    residual, errors = make_residual("linear_drag", vehicle), []
+    twice = scaled_residual(residual)
+    twice = replace(twice, theta=np.append(residual.theta, 2.0))
+    for walk in (0.0, 0.02):
+        observed = disturbance(mpc_of(vehicle, scaled_residual(residual)), scale_walk=0.005, air_walk=walk)
+        reference = SampledReference(Circle(speed=6.0, acceleration=3.0, radius=3.0), observed)
+        states, beliefs = flown(Truth(vehicle, twice), observed, reference, 300)
+        errors.append(np.linalg.norm(states[150:, :3] - reference.along()[0][150:300, :3], axis=1).mean())
+    assert beliefs[200:, 9] == pytest.approx(1.0, abs=0.02) and beliefs[200:, 10] == pytest.approx(2.0, abs=0.05)
+    assert np.abs(beliefs[200:, :3]).max() < 0.1
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_one_that_plans_nothing_is_told_of_drag_as_a_force(vehicle):
+    """Without a horizon the scale of the air is the force that it means where the vehicle is."""
+    residual, velocity = make_residual("linear_drag", vehicle), np.array([5.0, -2.0, 0.0])
+    told = Told(vehicle, residual, np.full(vehicle.n_rotors, vehicle.hover_thrust))
+    controller = disturbance(told, scale_walk=0.005, air_walk=0.02)
+    x = np.concatenate([np.zeros(3), [1.0], np.zeros(3), velocity, np.zeros(3)])
+    controller.reset(x, a_hover(vehicle))
+    drag = residual(np.concatenate([velocity, np.zeros(3), told.thrust]))[0, :3]
+    for _ in range(100):
+        controller.step(Measurement(0.0, x, [0, 0, vehicle.gravity] + 1.5 * drag, None), a_hover(vehicle))
+    assert told.belief.air_scale == 1.0
+    together = told.belief.force / vehicle.mass + [0, 0, (told.belief.thrust_scale - 1) * vehicle.gravity]
+    assert together == pytest.approx(0.5 * drag, abs=0.02)
 
 
 @pytest.mark.parametrize("observed", [disturbance, wind])

@@ -6,11 +6,12 @@ import json
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from quadexp.cli.app import app
 from quadexp.config.compose import compose
-from quadexp.control.delay.timing import find_delays
+from quadexp.control.delay.timing import Stream, find_delays
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
@@ -74,3 +75,26 @@ def test_the_command_prints_what_to_set(tmp_path):
     assert "delay=prediction delay.time=0.0" in said.output and "controller.motor_lag=0.0" in said.output
     record = json.loads(CliRunner().invoke(app, ["identify", "--method", "delays", str(path), "--json"]).stdout)
     assert record["flights"][0]["age"] == pytest.approx(0.01, abs=2e-3)
+
+
+@pytest.mark.parametrize("age", [0.0, 0.01])
+def test_an_age_shows_on_the_axes_that_the_noise_of_the_thrust_is_not_on(age):
+    """A tilted thrust that turns about the vertical, read with 1.5 m/s^2 of noise on z_body and next to none across it.
+
+    With one noise for all axes the age of these data is found 4 ms wrong, or 2 ms where there is none."""
+    rng, step, period = np.random.default_rng(2), 0.005, 0.02
+    t = np.arange(0.0, 12.0, step)
+    azimuth = Rotation.from_rotvec(1.6 * t[:, None] * [0, 0, 1])
+    attitude = azimuth * Rotation.from_euler("y", 0.4)
+    force = np.tile([0.0, 0.0, 9.81 / np.cos(0.4)], (len(t), 1))
+    acceleration = attitude.apply(force) - [0, 0, 9.81]
+    velocity = np.vstack([np.zeros(3), np.cumsum((acceleration[1:] + acceleration[:-1]) / 2 * step, axis=0)])
+    q = attitude.as_quat(scalar_first=True)
+    rate = np.tile(Rotation.from_euler("y", 0.4).inv().apply([0, 0, 1.6]), (len(t), 1))
+    state = np.column_stack([0 * velocity, q, velocity, rate])
+    now = np.arange(round(0.2 / step), len(t), round(period / step))
+    reading = force[now] + rng.normal(size=(len(now), 3)) * [0.02, 0.02, 1.5]
+    vehicle = build_vehicle(compose([], None).vehicle)
+    command = np.full((len(now), 4), vehicle.hover_thrust)
+    found = find_delays(Stream(t[now], state[now - round(age / step)], reading, command), vehicle)
+    assert found.age == pytest.approx(age, abs=5e-4) and found.age_error < 1e-3

@@ -33,9 +33,10 @@ TINY = 1e-18  # of a square: exact data have no noise
 SPAN = 0.12  # s, over which velocity and attitude are compared with their integrals
 LARGEST_AGE, LARGEST_DEAD_TIME, LARGEST_LAG = 0.1, 0.1, 0.15  # s
 WORTH = 8.0  # log likelihood that one more constant must bring to be real
+WORTH_AN_AGE = 2.0  # log likelihood by which an age must be likelier than none to be one
 LEAST = 100  # readings
 OVERLAP = 6.0  # samples that tell the same, in spans that overlap
-KNOWN, KNOWN_AGE = 0.005, 0.003  # s, standard errors up to which delays of commands and of the state count as known
+KNOWN, KNOWN_AGE = 0.005, 0.004  # s, standard errors up to which delays of commands and of the state count as known
 
 
 @dataclass(frozen=True)
@@ -181,7 +182,8 @@ def _between(p: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 def _least(error: Callable[[float], np.ndarray]) -> tuple[float, float]:
     """Where errors, (m, 3), are likeliest in 0 .. LARGEST_AGE (s), each axis with a noise of its own, and the standard
-    error (s): at least half of what the two halves of the samples differ by."""
+    error (s): at least half of what the two halves of the samples differ by. None where none is nearly as likely: an age
+    of a millisecond that is not there is 8 mm at 8 m/s."""
     found = _minimum(error, slice(None))
     count = len(error(found))
     halves = [_minimum(error, part) for part in (slice(count // 2), slice(count // 2, None))]
@@ -189,6 +191,10 @@ def _least(error: Callable[[float], np.ndarray]) -> tuple[float, float]:
     at, slope = error(found), (error(high) - error(low)) / (high - low)
     told = count / OVERLAP * np.sum(np.mean(slope**2, axis=0) / (np.mean(at**2, axis=0) + TINY))
     own = 1 / np.sqrt(max(told, 1e-30))
+    none = np.mean(error(0.0) ** 2, axis=0) + TINY
+    likelier = count / OVERLAP / 2 * np.sum(np.log(none / (np.mean(at**2, axis=0) + TINY)))
+    if likelier < WORTH_AN_AGE:
+        found = 0.0
     return found, float(max(own, abs(halves[0] - halves[1]) / 2))
 
 

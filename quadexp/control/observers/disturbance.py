@@ -59,11 +59,12 @@ N_FORCE_SETTINGS = 8
 def with_disturbance_observer(controller: Controller, config: DisturbanceObserverConfig) -> Observer:
     """The controller with a disturbance observer; raises UsageError where it cannot be told of a disturbance."""
     inner = believer(controller, config.name)
-    if config.source == "velocity" and config.scale_walk > 0:
-        raise UsageError(
-            "observer.scale_walk: a thrust scale is found from the accelerometer, not with source=velocity"
-        )
+    for key in ("scale_walk", "air_walk"):
+        if config.source == "velocity" and getattr(config, key) > 0:
+            raise UsageError(f"observer.{key}: a scale is found from the accelerometer, not with source=velocity")
     core = innermost(inner)
+    if config.air_walk > 0 and isinstance(core, PredictiveController) and core.mpc.residual.unscaled is None:
+        raise UsageError("observer.air_walk: the MPC was made without a scale of its model of the air (air.scaled)")
     function = disturbance_function(
         inner.vehicle,
         air_of(core),
