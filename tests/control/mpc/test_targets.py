@@ -17,9 +17,11 @@ def targets(vehicle, rotation, specific, push):
     u = np.full(vehicle.n_rotors, specific * vehicle.mass / vehicle.n_rotors)
     three, times = [ca.MX(ca.DM(x))] * 3, [ca.MX(0.1 * k) for k in range(3)]
     disturbance = ca.MX(ca.DM([*push, 0, 0, 0]))
+    still, as_modelled = ca.MX.zeros(3), ca.MX(1)
     moved, changes, _ = held_targets(
-        three, [ca.MX(ca.DM(u))] * 3, [ca.MX.zeros(6)] * 3, times, None, ca.MX(), disturbance, ca.MX.zeros(3), vehicle
-    )
+        three, [ca.MX(ca.DM(u))] * 3, [ca.MX.zeros(6)] * 3, times, None, ca.MX(), disturbance, still, as_modelled,
+        vehicle,
+    )  # fmt: skip
     found, change = (np.array(v).ravel() for v in ca.Function("f", [], [moved[0][:4], changes[0]])().values())
     return Rotation.from_quat(np.roll(found, -1)).as_matrix()[:, 2], (u + change).sum() / vehicle.mass
 
