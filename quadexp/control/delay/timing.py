@@ -115,19 +115,14 @@ def moments_of(stream: Stream, vehicle: Vehicle) -> Moments:
 
 def find_delays(stream: Stream, vehicle: Vehicle) -> Delays:
     """Delays of a stream of one flight. Raises DataError where it is too short."""
-    search = Search(moments_of(stream, vehicle))
-    while not search.go_on():
-        pass
-    assert search.found is not None
-    return search.found
+    return Search(moments_of(stream, vehicle)).all()
 
 
 class Search:
     """The search for the delays in the sums of a flight: `begin` takes them as they are, `go_on` tries one candidate.
 
-    found: None until `go_on` has said that it has ended. candidates: tried so far. tried: those of dead time, lag and
-    age of the rates, with their costs. shifts, scores: candidates of the age, and the sum of squares that each leaves
-    of the velocity.
+    found: None until `go_on` has said that it has ended. candidates: tried so far. samples: in the sums. rates_age: age
+    of the rates by the torques (s).
     """
 
     def __init__(self, moments: Moments) -> None:
@@ -142,7 +137,7 @@ class Search:
             given[name].T[...] = getattr(moments, name)
         given["count"][0] = moments.counted
         self.found: Delays | None = None
-        self.candidates, self.tried = 0, list[tuple[np.ndarray, float]]()
+        self.candidates, self.samples, self.rates_age = 0, moments.samples, 0.0
         half = min(moments.halves, key=lambda one: abs(2 * one[0] - moments.spans))
         self._velocity = _Spans(moments.velocity, half[1], moments.spans, half[0], self.sizes)
         self._attitude = _Spans(moments.attitude, half[2], moments.spans, half[0], self.sizes)
@@ -155,6 +150,18 @@ class Search:
             next(self._pieces, None)
         return self.found is not None
 
+    def all(self) -> Delays:
+        """The search to its end."""
+        while self.found is None:
+            self.go_on()
+        return self.found
+
+    def age_likelihood(self, ages: np.ndarray) -> np.ndarray:
+        """Log likelihood of ages (s) of the state, less that of the one found, when the search has ended."""
+        left = np.array([self._velocity.left(float(age)) for age in (self._velocity.found, *ages)])
+        readings = 3 * self._velocity.spans / OVERLAP
+        return np.asarray(readings / 2 * np.log(left[0] / left[1:]))
+
     def _search(self) -> Iterator[None]:
         found, errors = yield from self._commands()
         mean = within_periods(self.sizes, *found[:2])
@@ -166,9 +173,7 @@ class Search:
         """Minus the log likelihood of dead time, lag and age of the rates, (3,) (s)."""
         self._evaluate.arguments["at"][:] = at
         self._evaluate()
-        cost = float(self._evaluate.results["cost"][0])
-        self.tried.append((np.array(at), cost))
-        return cost
+        return float(self._evaluate.results["cost"][0])
 
     def _commands(self) -> Any:
         """Dead time, lag and the rates' age, and the standard error of each; a piece for every candidate."""
@@ -186,6 +191,7 @@ class Search:
         ends.append(both)
         worth = min(cost for _, cost in ends) + WORTH
         found = next(at for at, cost in ends if cost <= worth)
+        self.rates_age = float(found[2])
         _, _, normal = yield from self._slopes(found)
         covariance = np.linalg.inv(normal + np.eye(3) / 0.1**2)  # 100 ms before anything is known
         together = float(found.sum() + np.sqrt(covariance.sum()))  # none is negative: none is more than all of them
@@ -239,6 +245,7 @@ class _Spans:
     def __init__(self, total: np.ndarray, half: np.ndarray, count: int, first: int, sizes: Sizes) -> None:
         self._sizes = sizes
         full = total.copy()
+        self.spans = count
         self._parts = [(full, count), (half, first), (full - half, count - first)]
 
     def _weights(self, shift: float, mean: np.ndarray) -> np.ndarray:
@@ -259,6 +266,10 @@ class _Spans:
         means = M[n:, :n] @ b
         return float(b @ M[:n, :n] @ b - means @ means / max(count, 1))
 
+    def left(self, shift: float) -> float:
+        """Sum of squares that a shift (s) leaves, once `least` has ended."""
+        return max(self._product(self._weights(shift, self._mean), 0), 1e-30)
+
     def least(self, mean: np.ndarray) -> Any:
         """Where the sum of squared errors is least in 0 .. LARGEST_AGE (s), and its standard error (s): at least half
         of what the two halves of the samples differ by."""
@@ -269,7 +280,6 @@ class _Spans:
             scores[:, i] = [self._product(b, part) for part in range(3)]
             if i % AT_ONCE == AT_ONCE - 1:
                 yield
-        self.scores = scores[0]
         found, *halves = (_bottom(grid, one) for one in scores)
         low, high = max(found - 4e-3, 0.0), found + 4e-3
         slope = (self._weights(min(high, LARGEST_AGE), mean) - self._weights(low, mean)) / (
@@ -278,6 +288,7 @@ class _Spans:
         at = self._weights(found, mean)
         samples = 3 * self._parts[0][1] / OVERLAP
         own = np.sqrt(self._product(at, 0) / max(samples * self._product(slope, 0), 1e-30))
+        self.found, self._mean = found, mean
         yield
         return found, float(max(own, abs(halves[0] - halves[1]) / 2))
 
