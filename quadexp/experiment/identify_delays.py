@@ -17,12 +17,11 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
-from quadexp.report.delay_figures import SHOWN, Profile, delay_figure
-from quadexp.report.figures import save
 
 ACCELEROMETER = ("acc_x", "acc_y", "acc_z")
 EVEN = 1e-3  # share of a period by which samples may be uneven
 NOTHING = 1.5e-3  # s: less than this is no delay that is worth a setting
+LIKELY = 20.0  # log likelihood less the best, down to which candidates are drawn
 PROFILED, BESIDE = 51, 2  # candidates of a delay in a figure; of them on each side of the likely ones
 
 
@@ -47,16 +46,25 @@ def identify_delays(
         search = Search(moments_of(told(flight, str(path)), flown))
         found = search.all()
         if figure is not None:
-            save(delay_figure(profiles(search, found), flight.columns, true_delays(flight)), figure)
+            _draw(search, found, flight, figure)
         settings = overrides(found)
         records.append({"path": str(path), **asdict(found), "overrides": settings})
         lines += [f"{path}", *(f"  {line}" for line in report(found)), f"  set: {' '.join(settings) or 'nothing'}"]
     return {"flights": records, "lines": lines}
 
 
-def profiles(search: Search, found: Delays) -> list[Profile]:
-    """Every delay that was looked for, against the likelihood of its candidates, near those that are likely at all;
-    dead time and lag each with the best of the other."""
+def _draw(search: Search, found: Delays, flight: Flight, path: Path) -> None:
+    """Write the figure of a search, as SVG and PNG; what draws is slow to import."""
+    from quadexp.report.delay_figures import Profile, delay_figure
+    from quadexp.report.figures import save
+
+    profiles = [Profile(*one) for one in candidates_of(search, found)]
+    save(delay_figure(profiles, flight.columns, true_delays(flight)), path)
+
+
+def candidates_of(search: Search, found: Delays) -> list[tuple[str, np.ndarray, np.ndarray, float, float]]:
+    """Of every delay that was looked for: name, candidates (s) where they are likely at all and their log likelihood
+    less the best, what was found and its standard error (s); dead time and lag each with the best of the other."""
     ages = np.linspace(0.0, LARGEST_AGE, PROFILED)
     ages = _near(ages, search.age_likelihood(ages))
     dead_times, lags = (np.linspace(0.0, largest, PROFILED) for largest in LARGEST[:2])
@@ -69,15 +77,15 @@ def profiles(search: Search, found: Delays) -> list[Profile]:
     fine = likelihood()
     fine -= fine.max()
     return [
-        Profile("age of the state", ages, search.age_likelihood(ages), found.age, found.age_error),
-        Profile("dead time of the commands", dead_times, fine.max(axis=1), found.dead_time, found.dead_time_error),
-        Profile("lag of the motors", lags, fine.max(axis=0), found.lag, found.lag_error),
+        ("age of the state", ages, search.age_likelihood(ages), found.age, found.age_error),
+        ("dead time of the commands", dead_times, fine.max(axis=1), found.dead_time, found.dead_time_error),
+        ("lag of the motors", lags, fine.max(axis=0), found.lag, found.lag_error),
     ]
 
 
 def _near(candidates: np.ndarray, likelihood: np.ndarray) -> np.ndarray:
     """As many candidates where these are likely, and beside."""
-    likely = np.flatnonzero(likelihood > likelihood.max() - SHOWN)
+    likely = np.flatnonzero(likelihood > likelihood.max() - LIKELY)
     ends = candidates[max(likely[0] - BESIDE, 0)], candidates[min(likely[-1] + BESIDE, len(candidates) - 1)]
     return np.linspace(*ends, len(candidates))
 
