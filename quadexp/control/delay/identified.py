@@ -2,8 +2,9 @@
 
     at first    the published grid with soft weights (`soft`), which stands some 50 ms that nobody told it; dead time
                 `assumed`, the middle of what it stands
-    at times    delay.after, then each time half as long again, until all are known to FINE_ENOUGH: a search in what
-                was told and sent so far (timing.py), CANDIDATES of it in a control step
+    from        delay.after on a search in what was told and sent so far (timing.py), CANDIDATES of it in a control
+                step; again until all is known, then each time that the flight is half as long again, until all is
+                known to FINE_ENOUGH
     then        the state is brought to now (by gyroscope and accelerometer where the rates are fresh, by the model
                 otherwise), the dead time predicted and the motors' lag inverted; and the grid and weights are those of
                 the controller's own settings
