@@ -25,4 +25,6 @@ def scaled_residual(residual: Residual) -> Residual:
 def _scaled(function: ca.Function) -> ca.Function:
     z, theta = ca.MX.sym("z", function.size1_in(0)), ca.MX.sym("theta", function.size1_in(1) + 1)
     y, slope = function(z, theta[:-1])
-    return ca.Function("residual_scaled", [z, theta], [theta[-1] * y, theta[-1] * slope], ["z", "theta"], ["y", "dy_dz"])
+    return ca.Function(
+        "residual_scaled", [z, theta], [theta[-1] * y, theta[-1] * slope], ["z", "theta"], ["y", "dy_dz"]
+    )

@@ -55,6 +55,9 @@ def identify(
     ] = None,
     loss: Annotated[str, _regression("--loss", "squares|huber", "Loss that is minimised.")] = "squares",
     figures: Annotated[bool, _regression("--figures/--no-figures", None, "Draw figures.")] = True,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", metavar="FILE", help="delays: draw the search, as SVG and PNG.")
+    ] = None,
     conf: Conf = None,
     force: Force = False,
     format: Format = None,
@@ -65,7 +68,7 @@ def identify(
     --method rls: recursive least squares, flight by flight, for flights with rotor speeds of a vehicle whose rotors are
     known; gives time series of C_d0, C_la and C_D, one file a flight. --method regression: all other flights together;
     gives a vehicle model, a folder that collect, validate and evaluate read. --method delays: age of the estimate, dead
-    time of the commands and lag of the motors, with the settings to give; writes nothing.
+    time of the commands and lag of the motors, with the settings to give; writes nothing but --figure.
 
     \b
     quadexp identify flights/a.parquet flights/b.parquet --out models/crazyflie
@@ -79,11 +82,13 @@ def identify(
     if method == "delays":
         from quadexp.experiment.identify_delays import identify_delays
 
-        delays = identify_delays(flights, named, conf)
+        delays = identify_delays(flights, named, conf, figure)
         rows = [{**one, "overrides": " ".join(one["overrides"])} for one in delays["flights"]]
         if not answered(form, {"method": "delays", "flights": delays["flights"]}, lambda: rows, "identify"):
             print("\n".join(delays["lines"]))
         return
+    if figure is not None:
+        raise UsageError("identify --figure: is for --method delays")
     choice = choose_method(flights, method, named)
     if choice.method == "rls":
         found = identify_files(flights, out, vehicle=vehicle, conf=conf, force=force, paper=paper)

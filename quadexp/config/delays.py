@@ -55,7 +55,8 @@ class IdentifiedDelayConfig(RemedyConfig):
     after: Annotated[
         float,
         Setting(
-            "time of the flight in which delays are looked for at first; then each time half as long again",
+            "time of the flight in which delays are looked for at first; then again until all are known, and once more"
+            " each time that the flight is half as long again, until they are known well",
             "[2, 60]",
             "s",
         ),

@@ -85,9 +85,9 @@ class DisturbanceObserverKeys(ObserverKeys):
             "[0, 10]",
         ),
     ] = 0.0
-    air_initial: Annotated[
-        float, Setting("standard deviation of the air's scale when a flight begins", "[0, 10]")
-    ] = 1.0
+    air_initial: Annotated[float, Setting("standard deviation of the air's scale when a flight begins", "[0, 10]")] = (
+        1.0
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,8 +2,9 @@
 
     at first    the published grid with soft weights (`soft`), which stands some 50 ms that nobody told it; dead time
                 `assumed`, the middle of what it stands
-    at times    delay.after, then each time half as long again, until all are known to FINE_ENOUGH: timing.find_delays
-                on what was told and sent so far
+    from        delay.after on a search in what was told and sent so far (timing.py), CANDIDATES of it in a control
+                step; again until all is known, then each time that the flight is half as long again, until all is
+                known to FINE_ENOUGH
     then        the state is brought to now (by gyroscope and accelerometer where the rates are fresh, by the model
                 otherwise), the dead time predicted and the motors' lag inverted; and the grid and weights are those of
                 the controller's own settings
@@ -15,7 +16,6 @@ it of loses the vehicle. Columns: delay_known (0, 1), delay_time, delay_dead_tim
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import replace
 from typing import Any
 
@@ -24,10 +24,11 @@ import numpy as np
 from quadexp.compile.backend import BufferedFunction
 from quadexp.config.delays import IdentifiedDelayConfig
 from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.delay.moments import Moments
 from quadexp.control.delay.prediction import STEP, Prediction, prediction_on
 from quadexp.control.delay.sent_commands import SETTLED, SentCommands
 from quadexp.control.delay.strapdown import Strapdown
-from quadexp.control.delay.timing import LEAST, Delays, Stream, find_delays
+from quadexp.control.delay.timing import LEAST, Delays, Search
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.dead_time import DeadTimePredictor
 from quadexp.control.mpc.motor_lead import MotorLead
@@ -40,6 +41,7 @@ LARGEST = 0.08  # s, of an age and of a dead time that are made good
 LARGEST_LAG = 0.1  # s
 SOFT_WEIGHT = 10.0  # of the squared position error, as published
 FINE_ENOUGH = 0.001  # s, standard error of the age and of the dead time from which on nothing is looked for again
+CANDIDATES = 1  # of a search, in a control step
 GRID = 4  # samples of the reference in a control period, so that it may be asked for later ones
 COLUMNS = ("delay_known", "delay_time", "delay_dead_time", "delay_lag")
 
@@ -76,7 +78,9 @@ class Identified(WrappedController):
         """See Controller.reset: nothing is known."""
         self._core.use(self._soft, self._assumed, None)
         self.found: Delays | None = None
-        self._next, self._records = round(self._config.after / self.control_period), list[tuple[Any, ...]]()
+        self._moments = Moments(self.vehicle, self.control_period)
+        self._search: Search | None = None
+        self._next: float = round(self._config.after / self.control_period)
         self._strapdown.delay, self._made_good = 0.0, (0.0, 0.0, 0.0, 0.0)
         self._aim()
         inside = self._inside(window)
@@ -87,18 +91,16 @@ class Identified(WrappedController):
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
-        began = time.perf_counter()
-        if len(self._records) == self._next:
-            self._look(measurement.state)
+        self._look(measurement.state)
         self._tell_thrusts()
         now = self._prediction.now(measurement.state)
         fresh = self._strapdown.now(measurement)
         state = fresh if self._strapdown.delay else now
         thrust, record = self.inner.step(measurement._replace(state=state), self._inside(window))
         self._prediction.commands.record(thrust)
-        force = np.full(3, np.nan) if measurement.specific_force is None else measurement.specific_force
-        self._records.append((measurement.t, measurement.state, force, thrust))
-        return thrust, record._replace(solve_time=time.perf_counter() - began)
+        if self._next < math.inf and measurement.specific_force is not None:
+            self._moments.add(measurement.t, measurement.state, measurement.specific_force, thrust)
+        return thrust, record
 
     def log(self) -> dict[str, float]:
         """See Controller.log."""
@@ -124,21 +126,30 @@ class Identified(WrappedController):
         self._delivered = self._prediction.commands.weights(np.zeros((1, 2)), dead_time, lag)[0]
 
     def _look(self, x: np.ndarray) -> None:
-        """Find the delays in what was told and sent so far, and make good what is known."""
-        records = self._records[1:]
-        self._next += self._next // 2
-        if len(records) < LEAST:
+        """Go on with a search, or begin one where it is time; make good what it has found."""
+        search, samples = self._search, self._moments.samples
+        if search is None:
+            if samples >= max(self._next, LEAST):
+                self._search = Search(self._moments)
             return
-        t, states, forces, commands = (np.array(one, float) for one in zip(*records, strict=True))
-        found = self.found = find_delays(Stream(t, states, forces, commands), self.vehicle)
+        for _ in range(CANDIDATES):
+            if search.go_on() and search.found is not None:
+                self._search, self._next = None, samples + 1
+                self._take(search.found, x)
+                return
+
+    def _take(self, found: Delays, x: np.ndarray) -> None:
+        """Make good what is known."""
+        self.found = found
         if found.age_known:
             self._make_young(found)
         if found.commands_known:
             self._make_early(found)
             self._be_cautious(False, x)
         known = found.age_known and found.commands_known
-        if known and max(found.age_error, found.dead_time_error) < FINE_ENOUGH:
-            self._next = -1
+        if known:
+            fine = max(found.age_error, found.dead_time_error) < FINE_ENOUGH
+            self._next = math.inf if fine else 1.5 * self._moments.samples
         self._made_good = (float(known), self._prediction.delay or self._strapdown.delay, *self._made_good[2:])
 
     def _make_young(self, found: Delays) -> None:

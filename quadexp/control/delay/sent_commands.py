@@ -12,10 +12,16 @@ The oldest command that is kept counts as having been sent for ever: S(s_0) = b 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
 SETTLED = 6.0  # time constants, after which nothing of a lag is left
+INSTANT = 1e-9  # s, a span that counts as an instant
+NO_LAG = 1e-18  # s
 
 
 class SentCommands:
@@ -42,16 +48,35 @@ class SentCommands:
     def weights(self, spans: np.ndarray, dead_time: float, lag: float) -> np.ndarray:
         """Weights (s, m) on the commands of the mean thrusts over spans (s, 2) (s): beginning and end, 0 is now, before
         the command of now is sent. A span of no length has the thrust at its time."""
-        count = len(self.values)
-        acts = dead_time - self._period * np.arange(count, 0, -1.0)  # s_j
-        spans = np.where(np.diff(spans) > 1e-9, spans, spans[:, 1:] + [-1e-9, 0.0])
-        a, b = spans[:, :1], spans[:, 1:]
-        passed = (_step_integral(b - acts, lag) - _step_integral(a - acts, lag)) / (b - a)
-        passed[:, 0] = 1.0
-        return passed - np.append(passed[:, 1:], np.zeros((len(passed), 1)), axis=1)
+        function = _weights(len(self.values), self._period)
+        spans = np.where(np.diff(spans) > INSTANT, spans, spans[:, 1:] + [-INSTANT, 0.0])
+        return np.array(function(spans[:, 0], spans[:, 1], dead_time, lag)).T[:, ::-1].copy()
 
 
-def _step_integral(x: np.ndarray, lag: float) -> np.ndarray:
-    """Integral of the step response over x (s) since the step."""
-    x = np.maximum(x, 0.0)
-    return x if not lag else x + lag * np.expm1(-x / lag)
+def command_weights(count: int, period: float, span: Any, dead_time: Any, lag: Any) -> Any:
+    """Weights (m,) on m = count commands, a control period (s) apart, the newest first, of the mean thrust over a span
+    (begin, end) (s); symbols."""
+    acts = dead_time - period * ca.DM(np.arange(1.0, count + 1))  # s_j
+    tau = ca.fmax(lag, NO_LAG)
+
+    def integral(x: Any) -> Any:
+        """Of the step response over x (s) since the step."""
+        x = ca.fmax(x, 0)
+        return x + tau * ca.expm1(-x / tau)
+
+    passed = (integral(span[1] - acts) - integral(span[0] - acts)) / (span[1] - span[0])
+    passed = ca.vertcat(passed[:-1], 1)
+    return passed - ca.vertcat(0, passed[:-1])
+
+
+@lru_cache(maxsize=32)
+def _weights(count: int, period: float) -> Callable[..., np.ndarray]:
+    """Of many spans at once, (m, k): begin, end (k,), dead time, lag."""
+    begin, end, dead_time, lag = (ca.SX.sym(name) for name in ("begin", "end", "dead_time", "lag"))
+    weights = command_weights(count, period, (begin, end), dead_time, lag)
+    one = ca.Function("weights", [begin, end, dead_time, lag], [weights])
+
+    def each(begins: np.ndarray, ends: np.ndarray, dead: float, tau: float) -> np.ndarray:
+        return np.array(one(begins[None], ends[None], dead, tau))
+
+    return each

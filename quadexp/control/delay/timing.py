@@ -1,42 +1,66 @@
 """Age of the estimate, dead time and lag of the commands, found in what a controller was told and has sent.
 
+Dead time d and lag of the commands. The accelerometer's z axis is the thrust over the mass and air: with the thrust
+T(d, lag) of the commands (sent_commands.py), and T2 that of their squares,
+
+    f_z = [1, T, T2, v_b, |v_b| v_b, t T] c                           v_b: told velocity, body axes
+
+c by least squares; d and lag leave the least of f_z, and of the torques that the told rates need. So neither drag, nor
+a scale of the thrust, nor a battery's sag is taken for a delay, and neither the state's age for that of the commands. A
+lag or a dead time alone is taken where both are not WORTH more.
+
 Age tau of the state. The accelerometer is read at once, so over a span of time
 
-    v_told(t + tau) |  =  integral of R(q_told(t + tau)) f(t) + g                f: specific force
+    v_told |  =  integral of R(q_told(t)) f(t - tau) + g              f: specific force, mean over each control period
 
-and tau is the shift for which both sides differ least. The same of the body rate: q_told(t + tau) turns by the integral
-of w_told(t); a shift of 0 says that the rates are as old as the attitude.
+and tau is the shift for which both sides differ least, on each axis of the body in the middle of the span against a noise
+of its own: an age shows where the specific force changes, on x and y, by the air; the noise of the thrust is on z. The same of the body rate: q_told turns by the integral of
+w_told(t - tau); a shift of 0 says that the rates are as old as the attitude.
 
-Dead time d and lag of the commands. The accelerometer's z axis is the thrust over the mass and air: with the thrust
-T(d, lag) of the commands (sent_commands.py)
-
-    f_z = [1, T, T^2, v_b, |v_b| v_b, t T] c                          v_b: told velocity, body axes, made younger by tau
-
-c by least squares; d and lag leave the least of f_z. So neither drag, nor a scale of the thrust, nor a battery's sag is
-taken for a delay, and neither the state's age for that of the commands. A lag or a dead time alone is taken where both
-are not WORTH more.
+Everything is found in sums over the samples (moments.py), so a `Search` can be made a piece at a time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
-from quadexp.control.delay.sent_commands import SETTLED, SentCommands
+from quadexp.compile.backend import BufferedFunction
+from quadexp.control.delay.moments import (
+    LARGEST_AGE,
+    LARGEST_DEAD_TIME,
+    LARGEST_LAG,
+    N_AIR,
+    Moments,
+    Sizes,
+)
+from quadexp.control.delay.sent_commands import INSTANT, SentCommands, command_weights
 from quadexp.errors import DataError
 from quadexp.physics.vehicle import Vehicle
 
-TINY = 1e-18  # of a square: exact data have no noise
-SPAN = 0.12  # s, over which velocity and attitude are compared with their integrals
-LARGEST_AGE, LARGEST_DEAD_TIME, LARGEST_LAG = 0.1, 0.1, 0.15  # s
+TINY = 1e-18  # of a mean square: exact data have no noise
 WORTH = 8.0  # log likelihood that one more constant must bring to be real
+WITHIN = 2.0  # log likelihood of two standard errors
 WORTH_AN_AGE = 2.0  # log likelihood by which an age must be likelier than none to be one
 LEAST = 100  # readings
 OVERLAP = 6.0  # samples that tell the same, in spans that overlap
-KNOWN, KNOWN_AGE = 0.005, 0.004  # s, standard errors up to which delays of commands and of the state count as known
+KNOWN, KNOWN_AGE = 0.005, 0.003  # s, standard errors up to which delays of commands and of the state count as known
+LARGEST = np.array([LARGEST_DEAD_TIME, LARGEST_LAG, LARGEST_AGE])
+MASKS = np.array([[0.0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]])  # which of dead time, lag, age of the rates there are
+STARTS = np.array(np.meshgrid([0.005, 0.02, 0.05], [0.01, 0.04], [0.002, 0.015])).T.reshape(-1, 3)  # s
+SMALL_STEP, NEAR = 1e-3, 4e-3  # s, of differences
+CLOSE = 1e-4  # s, at which a descent ends
+LEAST_NOISE = 1e-9
+LEFT = [f"{name}_{what}" for name in ("thrust", "x", "y") for what in ("left", "against")]
+DESCENTS, TRIALS = 12, 4
+FINE = 400  # parts of a control period to which a shift is found
+# A polynomial of the fourth degree at these parts by its values at five even ones.
+BETWEEN = np.vander(np.linspace(0.0, 1.0, FINE + 1), 5) @ np.linalg.inv(np.vander(np.linspace(0.0, 1.0, 5), 5))
 
 
 @dataclass(frozen=True)
@@ -82,209 +106,262 @@ class Delays:
         return self.gyro > self.age / 2
 
 
-def find_delays(stream: Stream, vehicle: Vehicle) -> Delays:
-    """Delays of a stream of one flight. Raises DataError where it is too short."""
+def moments_of(stream: Stream, vehicle: Vehicle) -> Moments:
+    """The sums of a stream of one flight. Raises DataError where it is too short."""
     if len(stream.t) < LEAST:
         raise DataError(f"delays cannot be found in {len(stream.t)} samples, {LEAST} are needed")
-    commands = _Commands(stream, vehicle)
-    found, errors = commands.found()
-    jumps = commands.within_periods(found)
-    age, age_error = _least(lambda tau: _velocity_error(stream, tau, vehicle.gravity, jumps))
-    gyro, gyro_error = _least(lambda tau: _attitude_error(stream, tau))
-    return Delays(age, age_error, gyro, gyro_error, found[0], errors[0], found[1], errors[1])
+    moments = Moments(vehicle, float(np.median(np.diff(stream.t))))
+    for row in zip(stream.t, stream.state, stream.specific_force, stream.command, strict=True):
+        moments.add(float(row[0]), *row[1:])
+    return moments
 
 
-def _later(t: np.ndarray, values: np.ndarray, shift: float) -> np.ndarray:
-    """Rows of a stream a time later, by cubics through four samples; the last ones hold."""
-    period = t[1] - t[0]
-    whole = int(np.floor(shift / period + 1e-9))
-    s = max(shift / period - whole, 0.0)
-    k, last = np.arange(len(t)) + whole, len(t) - 1
-    weights = (
-        -s * (s - 1) * (s - 2) / 6,
-        (s + 1) * (s - 1) * (s - 2) / 2,
-        -(s + 1) * s * (s - 2) / 2,
-        (s + 1) * s * (s - 1) / 6,
-    )
-    return sum(w * values[np.clip(k + i - 1, 0, last)] for i, w in enumerate(weights))
+def find_delays(stream: Stream, vehicle: Vehicle) -> Delays:
+    """Delays of a stream of one flight. Raises DataError where it is too short."""
+    return Search(moments_of(stream, vehicle)).all()
 
 
-def _integral(t: np.ndarray, rate: np.ndarray, shift: float, beyond: Any = 0.0) -> np.ndarray:
-    """Integral of a rate (k, 3) up to a time before each sample, (k, 3). What is compared with it is not interpolated,
-    so that white noise there speaks for no shift. beyond: of the mean over the period before a sample, (k, 3)."""
-    period = t[1] - t[0]
-    mean = (rate + np.vstack([rate[:1], rate[:-1]])) / 2 + beyond
-    total = np.cumsum(mean * period, axis=0)
-    whole = int(np.floor(shift / period + 1e-9))
-    s = 1 - max(shift / period - whole, 0.0)  # from the sample before
-    k = np.arange(len(t)) - whole
-    before, after = np.clip(k - 1, 0, None), np.clip(k, 0, None)
-    step = total[after] - total[before]
-    hermite = period * (s * (1 - s) ** 2 * rate[before] - s**2 * (1 - s) * rate[after])
-    return total[before] + s**2 * (3 - 2 * s) * step + hermite
+class Search:
+    """The search for the delays in the sums of a flight: `begin` takes them as they are, `go_on` tries one candidate.
 
+    found: None until `go_on` has said that it has ended. candidates: tried so far. samples: in the sums. rates_age: age
+    of the rates by the torques (s).
+    """
 
-def _velocity_error(stream: Stream, tau: float, gravity: float, jumps: np.ndarray) -> np.ndarray:
-    """Change of the told velocity over SPAN less the integral of the accelerometer's readings, (m, 3), body axes (m/s).
+    def __init__(self, moments: Moments) -> None:
+        self._evaluate = BufferedFunction(_evaluate(moments.vehicle, moments.sizes.period))
+        self.sizes, self._moments = moments.sizes, moments
+        self.begin()
 
-    An age turns the specific force, which is along z_body, and so shows on x and y; the noise of the thrust is on z.
+    def begin(self) -> None:
+        """Begin anew, with the sums of now."""
+        moments, given = self._moments, self._evaluate.arguments
+        for name in ("thrust", "turning_x", "turning_y"):
+            given[name].T[...] = getattr(moments, name)
+        given["count"][0] = moments.counted
+        self.found: Delays | None = None
+        self.candidates, self.samples, self.rates_age = 0, moments.samples, 0.0
+        half = min(moments.halves, key=lambda one: abs(2 * one[0] - moments.spans))
+        self._velocity = _Spans(moments.velocity, half[1], moments.spans, half[0], self.sizes)
+        self._attitude = _Spans(moments.attitude, half[2], moments.spans, half[0], self.sizes)
+        self._pieces = self._search()
 
-    jumps: what the mean of f_z over the period before each sample has beyond that of its two ends, (k,) (m/s^2)."""
-    state = _later(stream.t, stream.state, tau)
-    a = _turned(state[:, 3:7], stream.specific_force) - [0, 0, gravity]
-    up = _turned(state[:, 3:7], np.tile([0.0, 0.0, 1.0], (len(jumps), 1)))
-    error = _apart(stream.t, stream.state[:, 7:10], _integral(stream.t, a, tau, up * jumps[:, None]))
-    span, late = _samples(stream.t)
-    middle = stream.state[late + span // 2 :, 3:7][: len(error)]
-    return _centred(_turned(middle * [1, -1, -1, -1], error))
+    def go_on(self) -> bool:
+        """Try one more candidate; True where the search has ended."""
+        if self.found is None:
+            self.candidates += 1
+            next(self._pieces, None)
+        return self.found is not None
 
+    def all(self) -> Delays:
+        """The search to its end."""
+        while self.found is None:
+            self.go_on()
+        return self.found
 
-def _attitude_error(stream: Stream, tau: float) -> np.ndarray:
-    """Turn of the told attitude over SPAN less the integral of the told rates, (m, 3) (rad)."""
-    q, w = stream.state[:, 3:7], stream.state[:, 10:13]
-    world = _turned(_later(stream.t, q, tau), w)
-    steps = np.vstack([np.zeros(3), np.cumsum(_between(q[:-1], q[1:]), axis=0)])
-    return _centred(_apart(stream.t, steps, _integral(stream.t, world, tau)))
+    def age_likelihood(self, ages: np.ndarray) -> np.ndarray:
+        """Log likelihood of ages (s) of the state, less that of the one found, when the search has ended."""
+        found = self._velocity.likelihood(self._velocity.found)
+        return np.array([self._velocity.likelihood(float(age)) - found for age in ages])
 
+    def _search(self) -> Iterator[None]:
+        found, errors = yield from self._commands()
+        mean = within_periods(self.sizes, *found[:2])
+        age, age_error = yield from self._velocity.least(mean)
+        gyro, gyro_error = yield from self._attitude.least(np.empty(0))
+        self.found = Delays(age, age_error, gyro, gyro_error, found[0], errors[0], found[1], errors[1])
 
-def _apart(t: np.ndarray, told: np.ndarray, integral: np.ndarray) -> np.ndarray:
-    """Changes over SPAN of both, and their difference, where no end of the stream is met; the same samples always."""
-    span, late = _samples(t)
-    error = (told[span:] - told[:-span]) - (integral[span:] - integral[:-span])
-    return np.asarray(error[late : len(error) - late])
+    def cost(self, at: np.ndarray) -> float:
+        """Minus the log likelihood of dead time, lag and age of the rates, (3,) (s)."""
+        self._evaluate.arguments["at"][:] = at
+        self._evaluate()
+        return float(self._evaluate.results["cost"][0])
 
-
-def _samples(t: np.ndarray) -> tuple[int, int]:
-    """Samples of SPAN, and of what is left out at both ends of a stream."""
-    period = t[1] - t[0]
-    return max(round(SPAN / period), 2), int(np.ceil(LARGEST_AGE / period)) + 2
-
-
-def _centred(error: np.ndarray) -> np.ndarray:
-    """Without its mean on each axis: a bias of the sensor is no delay."""
-    return np.asarray(error - error.mean(axis=0))
-
-
-def _turned(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Body vectors (k, 3) in the world."""
-    q = q / np.linalg.norm(q, axis=1)[:, None]
-    cross = 2 * np.cross(q[:, 1:], v)
-    return v + q[:, :1] * cross + np.cross(q[:, 1:], cross)
-
-
-def _between(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Rotation vectors (k, 3) from p to q, in the axes in the middle of both, world; small angles."""
-    p, q = (one / np.linalg.norm(one, axis=1)[:, None] for one in (p, q))
-    w = np.sum(p * q, axis=1)
-    v = p[:, :1] * q[:, 1:] - q[:, :1] * p[:, 1:] - np.cross(q[:, 1:], p[:, 1:])
-    return 2 * np.sign(w)[:, None] * v
-
-
-def _least(error: Callable[[float], np.ndarray]) -> tuple[float, float]:
-    """Where errors, (m, 3), are likeliest in 0 .. LARGEST_AGE (s), each axis with a noise of its own, and the standard
-    error (s): at least half of what the two halves of the samples differ by. None where none is nearly as likely: an age
-    of a millisecond that is not there is 8 mm at 8 m/s."""
-    found = _minimum(error, slice(None))
-    count = len(error(found))
-    halves = [_minimum(error, part) for part in (slice(count // 2), slice(count // 2, None))]
-    low, high = max(found - 4e-3, 0.0), found + 4e-3
-    at, slope = error(found), (error(high) - error(low)) / (high - low)
-    told = count / OVERLAP * np.sum(np.mean(slope**2, axis=0) / (np.mean(at**2, axis=0) + TINY))
-    own = 1 / np.sqrt(max(told, 1e-30))
-    none = np.mean(error(0.0) ** 2, axis=0) + TINY
-    likelier = count / OVERLAP / 2 * np.sum(np.log(none / (np.mean(at**2, axis=0) + TINY)))
-    if likelier < WORTH_AN_AGE:
-        found = 0.0
-    return found, float(max(own, abs(halves[0] - halves[1]) / 2))
-
-
-def _minimum(error: Callable[[float], np.ndarray], part: slice) -> float:
-    def unlikely(at: float) -> float:
-        return float(np.sum(np.log(np.mean(np.square(error(at)[part]), axis=0) + TINY)))
-
-    grid = np.linspace(0.0, LARGEST_AGE, 26)
-    k = int(np.argmin([unlikely(float(at)) for at in grid]))
-    low, high = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
-    for _ in range(12):  # golden section
-        a, b = high - 0.618 * (high - low), low + 0.618 * (high - low)
-        low, high = (low, b) if unlikely(float(a)) < unlikely(float(b)) else (a, high)
-    return float(low + high) / 2
-
-
-class _Commands:
-    """Thrusts of the commands of a stream beside its specific force and its rates."""
-
-    def __init__(self, stream: Stream, vehicle: Vehicle) -> None:
-        t, w = stream.t, stream.state[:, 10:13]
-        self._period, self._vehicle = float(t[1] - t[0]), vehicle
-        reach = LARGEST_DEAD_TIME + LARGEST_AGE + SETTLED * LARGEST_LAG
-        self._history = SentCommands(vehicle.n_rotors, self._period, reach)
-        m = len(self._history.values)
-        before = np.concatenate([np.repeat(stream.command[:1], m, axis=0), stream.command])
-        self._windows = np.lib.stride_tricks.sliding_window_view(before, m, axis=0)[: len(t)]  # (k, n, m) sent before
-        v = _turned(stream.state[:, 3:7] * [1, -1, -1, -1], stream.state[:, 7:10])
-        self._air = np.column_stack([np.ones(len(t)), v, np.abs(v) * v])
-        self._clock = t - t.mean()
-        inertia = vehicle.inertia_matrix
-        momentum = np.vstack([np.zeros((1, 3)), np.diff(w, axis=0)]) / self._period @ inertia.T
-        self._targets = [stream.specific_force[:, 2], *(momentum + np.cross(w, w @ inertia.T))[:, :2].T]
-        self._settled = slice(min(round(0.3 / self._period), len(t) // 3), len(t))
-
-    def _thrusts(self, spans: Any, at: Any) -> list[np.ndarray]:
-        weights = self._history.weights(np.array(spans), float(at[0]), float(at[1]))
-        return [self._windows @ row for row in weights]
-
-    def _left(self, at: Any) -> np.ndarray:
-        """What remains of f_z and of the torques about x and y, (3, r). at: dead time, lag, age of the rates."""
-        keep, period, age = self._settled, self._period, float(at[2])
-        now, mean = self._thrusts([[0.0, 0.0], [-period - age, -age]], at)
-        thrust = now.sum(axis=1) / self._vehicle.mass
-        designs = [np.column_stack([self._air, thrust, thrust**2, thrust * self._clock])]
-        designs += [np.column_stack([self._air, mean @ self._vehicle.allocation[1 + axis]]) for axis in (0, 1)]
-        return np.stack([_remains(y[keep], X[keep]) for y, X in zip(self._targets, designs, strict=True)])
-
-    def within_periods(self, at: Any) -> np.ndarray:
-        """What the mean of T / m over the period before each sample has beyond that of its two ends, (k,)."""
-        now, mean = (one.sum(axis=1) for one in self._thrusts([[0.0, 0.0], [-self._period, 0.0]], at))
-        return (mean - (now + np.append(now[:1], now[:-1])) / 2) / self._vehicle.mass
-
-    def found(self) -> tuple[np.ndarray, np.ndarray]:
-        """Dead time, lag and the rates' age, and the standard error of each."""
-        from scipy.optimize import minimize
-
-        largest = np.array([LARGEST_DEAD_TIME, LARGEST_LAG, LARGEST_AGE])
-
-        def cost(at: Any) -> float:
-            """Minus the log likelihood."""
-            inside = np.clip(at, 0.0, largest)
-            left = self._left(inside)
-            rms = np.sqrt(np.mean(left**2, axis=1)) + 1e-9
-            return float(left.shape[1] * np.sum(np.log(rms)) + 1e5 * np.abs(at - inside).sum())
-
-        tried = []
-        for mask in np.array([[0.0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]]):
-            grid = [
-                mask * at
-                for at in np.array(np.meshgrid([0.005, 0.02, 0.05], [0.01, 0.04], [0.002, 0.015])).T.reshape(-1, 3)
-            ]
-            start = min(np.unique(grid, axis=0), key=cost)
-            simplex = start + np.vstack([np.zeros(3), 0.004 * np.eye(3)])
-            options = {"initial_simplex": simplex, "xatol": 2e-5, "fatol": 1e-2, "maxfev": 200}
-            best = minimize(lambda at, mask=mask: cost(at * mask), start, method="Nelder-Mead", options=options).x
-            tried.append(np.clip(best * mask, 0.0, largest))
-        costs = [cost(at) for at in tried]
-        found = next(at for at, one in zip(tried, costs, strict=True) if one <= min(costs) + WORTH)
-        step, left = 1e-3, self._left(found)
-        noise = np.sqrt(np.mean(left**2, axis=1, keepdims=True)) + 1e-9
-        slopes = [((self._left(found + step * e) - left) / (noise * step)).ravel() for e in np.eye(3)]
-        normal = np.stack(slopes) @ np.stack(slopes).T
+    def _commands(self) -> Any:
+        """Dead time, lag and the rates' age, and the standard error of each; a piece for every candidate."""
+        best, least = STARTS[0], np.inf
+        for start in STARTS:
+            cost = self.cost(start)
+            yield
+            if cost < least:
+                best, least = start, cost
+        both = yield from self._descend(best, MASKS[-1])
+        late, ends = both[0][0] + both[0][1], []
+        for mask in MASKS[:-1]:  # from there, the delay of both in one
+            start = mask * np.minimum([late, late, both[0][2]], LARGEST)
+            ends.append((yield from self._descend(start, mask)))
+        ends.append(both)
+        worth = min(cost for _, cost in ends) + WORTH
+        found = next(at for at, cost in ends if cost <= worth)
+        self.rates_age = float(found[2])
+        _, _, normal = yield from self._slopes(found)
         covariance = np.linalg.inv(normal + np.eye(3) / 0.1**2)  # 100 ms before anything is known
         together = float(found.sum() + np.sqrt(covariance.sum()))  # none is negative: none is more than all of them
-        return found, np.minimum(np.sqrt(np.diag(covariance)), max(together, 0.0))
+        errors = np.minimum(np.sqrt(np.diag(covariance)), max(together, 0.0))
+        return [float(one) for one in found], [float(one) for one in errors]
+
+    def _slopes(self, at: np.ndarray, free: Sequence[int] | np.ndarray = (0, 1, 2)) -> Any:
+        """Cost, its gradient and the normal matrix of what remains over its noise, by differences; a piece for each
+        candidate."""
+        costs, rows = [], []
+        for step in (np.zeros(3), *(SMALL_STEP * np.eye(3)[i] for i in free)):
+            costs.append(self.cost(at + step))
+            rows.append([self._evaluate.results[name].copy() for name in LEFT])
+            yield
+        gradient, normal = np.zeros(len(free)), np.zeros((len(free), len(free)))
+        for i in range(0, len(LEFT), 2):
+            left, against = (np.array([row[j] for row in rows]) for j in (i, i + 1))
+            square = max(float(left[0] @ against[0]) / self._evaluate.arguments["count"][0], 0.0)
+            noise = np.sqrt(square) + LEAST_NOISE
+            slopes, along = ((one[1:] - one[0]) / (SMALL_STEP * noise) for one in (left, against))
+            gradient += slopes @ against[0] / noise
+            normal += slopes @ along.T
+        return costs[0], gradient, normal
+
+    def _descend(self, at: np.ndarray, mask: np.ndarray) -> Any:
+        """Where the cost is least, from a candidate on, and that cost, by Levenberg and Marquardt's steps within the
+        limits."""
+        free, damping = np.flatnonzero(mask), 1e-3
+        for _ in range(DESCENTS):
+            cost, gradient, normal = yield from self._slopes(at, free)
+            for _ in range(TRIALS):
+                step = np.zeros(3)
+                step[free] = -np.linalg.solve(normal + np.diag(damping * np.diag(normal) + 1e-9), gradient)
+                to = np.clip(at + step, 0.0, LARGEST)
+                if np.abs(to - at).max() < CLOSE:
+                    return at, cost
+                tried = self.cost(to)
+                yield
+                if tried < cost:
+                    break
+                damping *= 10
+            else:
+                return at, cost
+            at, cost, damping = to, tried, damping / 10
+        return at, cost
 
 
-def _remains(target: np.ndarray, design: np.ndarray) -> np.ndarray:
-    """What a regression leaves of a target, (r,)."""
-    design = design / np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-12)
-    normal = design.T @ design + 1e-9 * len(design) * np.eye(design.shape[1])
-    return target - design @ np.linalg.solve(normal, design.T @ target)
+class _Spans:
+    """What a shift leaves of velocity or attitude over SPAN, by the sums of all spans and of the first half."""
+
+    def __init__(self, total: np.ndarray, half: np.ndarray, count: int, first: int, sizes: Sizes) -> None:
+        self._sizes = sizes
+        full = total.copy()
+        self.spans = count
+        self._parts = [(full, count), (half, first), (full - half, count - first)]
+
+    def _weights(self, shift: float, mean: np.ndarray) -> np.ndarray:
+        """b without the constants: what is told less the integral of what was read `shift` (s) earlier."""
+        lags, whole = self._sizes.lags, int(shift / self._sizes.period + 1e-9)
+        s = max(shift / self._sizes.period - whole, 0.0)
+        w, held = np.zeros(lags + 1), np.zeros(lags)
+        w[whole : whole + 3] = (1 - s) ** 2 / 2, 0.5 + s - s * s, s * s / 2  # readings that are linear in between
+        held[whole : whole + 2] = 1 - s, s
+        beyond = np.convolve(held, mean) if len(mean) else mean
+        return np.concatenate([[1.0], -w, -beyond])
+
+    def _squares(self, b: np.ndarray, part: int) -> np.ndarray:
+        """Means over the samples of the squares of b' z, (3,), without its mean in the world: a bias of the sensor is
+        no delay."""
+        M, count = self._parts[part]
+        n = len(b)
+        means = M[:, n:, :n].sum(axis=0) @ b / max(count, 1)
+        c = np.concatenate([b, -means])
+        return np.maximum(M @ c @ c, 0.0) / max(count, 1)
+
+    def left(self, shift: float) -> np.ndarray:
+        """Mean squares that a shift (s) leaves on each axis, (3,), once `least` has ended."""
+        return self._squares(self._weights(shift, self._mean), 0)
+
+    def likelihood(self, shift: float) -> float:
+        """Log likelihood of a shift (s), each axis with a noise of its own, once `least` has ended."""
+        return -self.spans / OVERLAP / 2 * _unlikely(self.left(shift))
+
+    def least(self, mean: np.ndarray) -> Any:
+        """The likeliest shift in 0 .. LARGEST_AGE (s), each axis with a noise of its own, and its standard error (s):
+        at least half of what the two halves of the samples differ by, and of what is nearly as likely. None where none is nearly as likely, and then
+        at least what was found: a millisecond of age that is not there is 8 mm at 8 m/s."""
+        grid = self._sizes.shifts
+        squares = np.empty((3, len(grid), 3))
+        for i, shift in enumerate(grid):
+            b = self._weights(float(shift), mean)
+            squares[:, i] = [self._squares(b, part) for part in range(3)]
+            yield
+        found, *halves = (_bottom(grid, one) for one in squares)
+        low, high = max(found - NEAR, 0.0), min(found + NEAR, LARGEST_AGE)
+        slope = (self._weights(high, mean) - self._weights(low, mean)) / (high - low)
+        self._mean = mean
+        told = self.spans / OVERLAP * np.sum(self._squares(slope, 0) / (self.left(found) + TINY))
+        likelihood = -self.spans / OVERLAP / 2 * _unlikely(squares[0])
+        near = grid[likelihood > self.likelihood(found) - WITHIN]  # as good as likely, where noise alone has a slope
+        wide = np.abs(near - found).max(initial=0.0)
+        error = max(1 / np.sqrt(max(told, 1e-30)), abs(halves[0] - halves[1]) / 2, wide / 2)
+        if self.likelihood(found) - likelihood[0] < WORTH_AN_AGE:
+            found, error = 0.0, max(error, found)
+        self.found = found
+        yield
+        return found, float(error)
+
+
+def _unlikely(squares: np.ndarray) -> Any:
+    """Sum over the axes of the logarithms of mean squares, (.., 3)."""
+    return np.log(np.maximum(squares, 0.0) + TINY).sum(axis=-1)
+
+
+def _bottom(grid: np.ndarray, squares: np.ndarray) -> float:
+    """The likeliest shift, to a FINE part of a period, by mean squares, (k, 3), at Sizes.shifts: within a period each
+    is a polynomial of the fourth degree, which five of them determine."""
+    scores = _unlikely(squares)
+    i = int(np.argmin(scores))
+    best, least = grid[i], scores[i]
+    for first in range(max(i - 4, 0) // 4 * 4, min(i + 1, len(grid) - 4), 4):
+        values = _unlikely(BETWEEN @ squares[first : first + 5])
+        k = int(np.argmin(values))
+        if values[k] < least:
+            best, least = grid[first] + k / FINE * (grid[first + 4] - grid[first]), values[k]
+    return float(best)
+
+
+def within_periods(sizes: Sizes, dead_time: float, lag: float) -> np.ndarray:
+    """What the mean of the thrust over a period has beyond that of its two ends, as weights on the commands."""
+    sent = SentCommands(1, sizes.period, sizes.commands * sizes.period)
+    mean, now = sent.weights(np.array([[-sizes.period, 0.0], [0.0, 0.0]]), dead_time, lag)[:, ::-1]
+    return np.asarray(mean - (now + np.append(0.0, now[:-1])) / 2)
+
+
+@lru_cache(maxsize=8)
+def _evaluate(vehicle: Vehicle, period: float) -> ca.Function:
+    return evaluate_function(vehicle, period)
+
+
+def evaluate_function(vehicle: Vehicle, period: float) -> ca.Function:
+    """What candidates leave of thrust and turning.
+
+    Inputs: at (3,): dead time, lag, age of the rates (s); the sums thrust, turning_x, turning_y of Moments, whole
+    matrices; count of samples. Outputs: cost: minus the log likelihood; and what remains of each of the three, as
+    weights b on z, and M b.
+    """
+    m = Sizes(period).commands
+    sizes = {"at": 3, "thrust": 3 * m + N_AIR + 1, "turning_x": m + N_AIR + 1, "turning_y": m + N_AIR + 1, "count": 1}
+    a = {k: ca.MX.sym(k, n, 1 if k in ("at", "count") else n) for k, n in sizes.items()}
+    dead_time, lag, age = ca.vertsplit(a["at"])
+    now = command_weights(m, period, (-INSTANT, 0.0), dead_time, lag)
+    mean = command_weights(m, period, (-period - age, -age), dead_time, lag)
+    weights = ca.Function("weights", [a["at"]], [now, mean])
+    now, mean = weights.expand()(a["at"])
+    cost, lefts = 0, []
+    for name, weights in (("thrust", [now] * 3), ("turning_x", [mean]), ("turning_y", [mean])):
+        columns = ca.diagcat(*weights, ca.DM.eye(N_AIR))
+        M = a[name]
+        design = ca.vertcat(columns, ca.DM.zeros(1, columns.size2()))
+        products = ca.mtimes(M, design)
+        normal, against = ca.mtimes(design.T, products), products[-1, :].T
+        scale = ca.sqrt(ca.fmax(ca.diag(normal), 1e-12))
+        normal = normal / ca.mtimes(scale, scale.T) + 1e-9 * ca.DM.eye(normal.size1())
+        c = ca.solve(normal, against / scale, "ldl") / scale
+        left = ca.vertcat(-ca.mtimes(columns, c), 1)
+        against_all = M[:, -1] - ca.mtimes(products, c)
+        square = ca.fmax(ca.dot(left, against_all), 0) / a["count"]
+        cost += a["count"] * ca.log(ca.sqrt(square) + LEAST_NOISE)
+        lefts += [left, against_all]
+    return ca.Function("delay_cost", [*a.values()], [cost, *lefts], [*a], ["cost", *LEFT])

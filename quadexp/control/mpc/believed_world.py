@@ -13,6 +13,7 @@ All of it is one function a control step. What it remembers until the next one i
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any
@@ -63,6 +64,7 @@ class BelievedWorld:
         estimator: Estimator | None = None,
     ) -> None:
         self._mpc, settings, self._estimator, self._scale = mpc, mpc.settings, estimator, 1.0
+        self.finite = False  # whether what `enter` left is
         self.thrust: np.ndarray | None = None
         model = None
         self._air_scale = mpc.parameters.ravel()[-1:] if mpc.residual.unscaled is not None else None
@@ -88,6 +90,7 @@ class BelievedWorld:
         self._next, self._found, self._change = left["memory_next"], left["found"], left["change"]
         self._since = (settings.dead_time + settings.node_times)[:, None]
         self._coefficient = mpc.vehicle.thrust_coefficient
+        self._told = [given.get(name, np.empty(0)) for name in ("known", "reading", "measured", "sent")]
         if estimator is not None:
             given["settings"].ravel()[:], given["delays"][...] = estimator.settings, estimator.delays.numbers
             self._layout = Layout(mpc.vehicle, settings.nodes, estimator)
@@ -137,26 +140,27 @@ class BelievedWorld:
 
         The arrays are overwritten by the next call.
         """
-        given = self._given
         self._x[...], self._X_ref[...], self._U_ref[...] = measurement.state, window.state, window.input
         if self._estimator is None:
-            told = given["belief"]
+            told = self._given["belief"]
             told[:3], told[3:6], told[6:9], told[9], told[10] = self.belief
         else:
-            reading, speed, known = measurement.specific_force, measurement.rotor_speed, given["known"]
-            known[0] = reading is not None
-            if reading is not None:
-                given["reading"][...] = reading
+            _, _, reading, speed = measurement
+            known, read, measured, _ = self._told
+            if reading is None:
+                known[0] = 0.0
+            else:
+                known[0], read[...] = 1.0, reading
             if self._coefficient is not None:
                 known[1] = speed is not None
                 if speed is not None:
-                    given["measured"][...] = self._coefficient * speed**2
+                    measured[...] = self._coefficient * speed**2
             if self.thrust is not None and (speed is None or self._coefficient is None):
-                known[1], given["measured"][...] = 1.0, self.thrust
+                known[1], measured[...] = 1.0, self.thrust
         self._enter()
         self._mpc.prepared = False  # the disturbance is another
         self._memory[...] = self._next
-        self._scale = self._found.item(9)
+        self._scale, self.finite = self._found.item(9), math.isfinite(self._change.item(4))
         if self._air_scale is not None:
             self._air_scale[:] = self._found[10:]
         if self._change.item(3) > MOVED:
@@ -168,7 +172,7 @@ class BelievedWorld:
         if self._scale != 1.0:
             thrust = thrust / self._scale
         if self._estimator is not None:
-            self._enter.arguments["sent"][...] = thrust
+            self._told[3][...] = thrust
         return thrust
 
     def _move(self, change: np.ndarray) -> None:
@@ -232,8 +236,8 @@ def enter_function(
     known (2,), whether these two are, sent (n,), the last command (N), settings, delays (see Delays); theta (p,), where
     the model or the estimator has parameters.
     Outputs: x_in, X_in, U_in: the same in the plan's frame; disturbance (6,); low, high (n,), limits of delivered
-    thrusts (N); found (11,), the belief; change (4,): of
-    the wind, and its size (m/s); memory_next.
+    thrusts (N); found (11,), the belief; change (5,): of
+    the wind, its size (m/s), and the sum of the squares of x_in, X_in and U_in; memory_next.
     """
     n, rows, layout = vehicle.n_rotors, samples * nodes + 1, Layout(vehicle, nodes, estimator)
     shapes = {"x": (N_STATE, 1), "X_ref": (N_STATE, rows), "U_ref": (n, rows - 1), "times": (rows, 1)}
@@ -278,7 +282,8 @@ def enter_function(
     results = {"x_in": x_in, "X_in": X_in, "U_in": U_in, "disturbance": disturbance, "found": found}
     low, high = (1 + ROUNDING) * vehicle.thrust_min, (1 - ROUNDING) * vehicle.thrust_max
     results |= {"low": scale * low * ca.DM.ones(n), "high": scale * high * ca.DM.ones(n)}
-    results |= {"change": ca.vertcat(change, ca.norm_2(change))}
+    squares = ca.sumsqr(x_in) + ca.sumsqr(X_in) + ca.sumsqr(U_in)
+    results |= {"change": ca.vertcat(change, ca.norm_2(change), squares)}
     results |= {"memory_next": ca.vertcat(*(memory[name] for name in layout.slices))}
     return ca.Function("believed_world", [*a.values()], [*results.values()], [*a], [*results])
 

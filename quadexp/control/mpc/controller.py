@@ -110,7 +110,7 @@ class PredictiveController:
         if world is None:
             thrust, record = self._answer(x, window)
         else:
-            thrust, record = self.mpc.command(x, self._within_reach(x, states), inputs)
+            thrust, record = self.mpc.command(x, self._within_reach(x, states), inputs, finite=world.finite)
         if self.lead is not None:
             thrust = self.lead.command(thrust, acting)
         if predictor is not None:

@@ -182,29 +182,32 @@ class ModelPredictiveController:
         self._active_set.reset()
         self._cold, self.prepared = True, False
 
-    def _set_reference(self, state_reference: np.ndarray, input_reference: np.ndarray) -> None:
+    def _set_reference(self, state_reference: np.ndarray, input_reference: np.ndarray, finite: bool = False) -> None:
         if state_reference is not self._X_ref:  # else it is in place already
             self._X_ref_body[...] = state_reference
             self._U_ref[...] = input_reference
-        if not math.isfinite(self._X_ref_flat.dot(self._X_ref_flat) + self._U_ref_flat.dot(self._U_ref_flat)):
+        if not finite and not math.isfinite(
+            self._X_ref_flat.dot(self._X_ref_flat) + self._U_ref_flat.dot(self._U_ref_flat)
+        ):
             raise QuadexpError("the reference is not finite")
 
     def command(
-        self, x0: np.ndarray, state_reference: np.ndarray, input_reference: np.ndarray
+        self, x0: np.ndarray, state_reference: np.ndarray, input_reference: np.ndarray, *, finite: bool = False
     ) -> tuple[np.ndarray, StepRecord]:
         """Rotor thrusts (n,) (N) for the measured state, and the record of the step.
 
         x0: (13,), unit quaternion; with settings.motor_lag (13 + n,), the rotors' thrusts (N) behind it.
         state_reference: (s N + 1, 13) at `node_times` from now; input_reference: (s N, n) (N); s as in MPCSettings.
-        Raises QuadexpError for a measurement or a reference that is not finite. A step that fails returns the last
+        finite: whether all of them are known to be. Raises QuadexpError for a measurement or a reference that is not
+        finite. A step that fails returns the last
         solution's first input with status FAILED; the caller decides what to do.
         """
         began = time.perf_counter()
-        if not math.isfinite(sum(x0.tolist())):
+        if not finite and not math.isfinite(sum(x0.tolist())):
             raise QuadexpError("the measured state is not finite")
         self._x0[...] = x0
         self.prepared = False
-        self._set_reference(state_reference, input_reference)
+        self._set_reference(state_reference, input_reference, finite)
         if self._attitude_ref.dot(self._attitude) < 0:  # q and -q are the same attitude: take the measured sign
             self._X_ref[:, ATTITUDE] *= -1
         if self._attitude_predicted.dot(self._attitude) < 0:

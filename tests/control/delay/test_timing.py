@@ -1,0 +1,157 @@
+"""The search for delays: its sums against the samples, its work a control step, and what it finds in flight."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quadexp.config.compose import compose
+from quadexp.control.delay import identified
+from quadexp.control.delay.moments import BEGINS, SPAN, Moments
+from quadexp.control.delay.sent_commands import SentCommands
+from quadexp.control.delay.timing import Search, Stream, find_delays, moments_of
+from quadexp.experiment.build import build_vehicle
+from quadexp.experiment.evaluate import fly_one
+from quadexp.experiment.identify_delays import told
+from quadexp.physics.state import ATTITUDE, VELOCITY
+
+PERIOD = 0.02
+
+
+@pytest.fixture
+def stream(rng) -> Stream:
+    """Told and sent at random, smooth."""
+    t = PERIOD * np.arange(260)
+
+    def waves(n):
+        phases, rates = rng.uniform(0, 6, (5, n)), rng.uniform(0.5, 9, (5, n))
+        return np.sin(t[:, None, None] * rates + phases).sum(axis=1) / 3
+
+    turns = Rotation.from_rotvec(0.4 * waves(3))
+    state = np.hstack([waves(3), turns.as_quat(scalar_first=True), 4 * waves(3), waves(3)])
+    force = np.array([0, 0, 9.8]) + 2 * waves(3) + 0.1 * rng.standard_normal((len(t), 3))
+    return Stream(t, state, force, 2 + 0.6 * waves(4) + 0.2 * rng.standard_normal((len(t), 4)))
+
+
+@pytest.mark.parametrize("at", [(0.013, 0.03, 0.008), (0.04, 0.0, 0.0), (0.0, 0.06, 0.05)])
+def test_a_cost_by_sums_is_that_of_the_samples(vehicle, stream, at):
+    """Against a regression on every sample, by numpy."""
+    dead_time, lag, age = at
+    search = Search(moments_of(stream, vehicle))
+    sent = SentCommands(4, PERIOD, (search.sizes.commands - 1) * PERIOD)
+    sent.reset(stream.command[0])
+    spans, J = np.array([[0.0, 0.0], [-PERIOD - age, -age]]), vehicle.inertia_matrix
+    weights, designs, targets = sent.weights(spans, dead_time, lag), [], []
+    for k in range(len(stream.t)):
+        x, before = stream.state[k], stream.state[max(k - 1, 0)]
+        v = Rotation.from_quat(x[ATTITUDE], scalar_first=True).inv().apply(x[VELOCITY])
+        air = [1.0, *v, *(np.abs(v) * v)]
+        total = sent.values.sum(axis=1) / vehicle.mass
+        now, squares = weights[0] @ total, weights[0] @ total**2
+        torque = vehicle.allocation[1:3] @ (weights[1] @ sent.values)
+        needed = J @ (x[10:] - before[10:]) / PERIOD + np.cross(x[10:], J @ x[10:])
+        designs.append(([*air, now, squares, now * stream.t[k]], [*air, torque[0]], [*air, torque[1]]))
+        targets.append((stream.specific_force[k, 2], *needed[:2]))
+        sent.record(stream.command[k])
+    first, cost = round(BEGINS / PERIOD), 0.0
+    for i in range(3):
+        X, y = np.array([one[i] for one in designs])[first:], np.array(targets)[first:, i]
+        left = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
+        cost += len(y) * np.log(np.sqrt(np.mean(left**2)))
+    assert search.cost(np.array(at)) == pytest.approx(cost, rel=1e-6)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.013, 0.02, 0.071])
+def test_what_a_shift_leaves_is_that_of_the_samples(vehicle, stream, shift):
+    """Readings linear in between, integrated over each period by quadrature, turned by the attitude in its middle."""
+    search = Search(moments_of(stream, vehicle))
+    search.all()
+    search._velocity._mean = np.zeros(search.sizes.commands + 1)
+    q = stream.state[:, ATTITUDE]
+    middle = Rotation.from_quat(q[1:] + q[:-1], scalar_first=True)
+    fine = (np.arange(400) + 0.5) / 400 * PERIOD
+    steps = np.zeros((len(q), 3))
+    for k in range(1, len(q)):
+        at = stream.t[k - 1] + fine - shift
+        mean = [np.interp(at, stream.t, stream.specific_force[:, i]).mean() for i in range(3)]
+        steps[k] = middle[k - 1].apply(mean) * PERIOD
+    total, span = np.cumsum(steps, axis=0), round(SPAN / PERIOD)
+    first, v = search.sizes.lags, stream.state[:, VELOCITY]
+    error = (v[span:] - v[:-span] - total[span:] + total[:-span])[first:]
+    at = Rotation.from_quat(q[first + span // 2 :][: len(error)], scalar_first=True)
+    left = np.mean(at.inv().apply(error - error.mean(axis=0)) ** 2, axis=0)
+    assert search._velocity.left(shift) == pytest.approx(left, rel=1e-6)
+
+
+def test_half_the_samples_are_half_of_the_sums(vehicle, stream):
+    """What is kept of an earlier instant is what a shorter flight has."""
+    moments, part = moments_of(stream, vehicle), Moments(vehicle, PERIOD)
+    count, velocity, attitude = moments.halves[3]
+    for row in zip(stream.t, stream.state, stream.specific_force, stream.command, strict=True):
+        part.add(float(row[0]), *row[1:])
+        if part.spans == count:
+            break
+    for ours, theirs in ((part.velocity, velocity), (part.attitude, attitude)):
+        assert (
+            ours.sum(axis=0)[-1, -1] == pytest.approx(count)
+            and count > 0
+            and np.allclose(ours, theirs, rtol=1e-12, atol=1e-9)
+        )
+
+
+WORLDS = {
+    "hummingbird": [
+        "vehicle=hummingbird", "world=everything", "trajectory=lemniscate", "trajectory.speed=5", "seed=41",
+    ],
+    "quad_bench": [
+        "vehicle=quad_bench", "world=everything", "trajectory.speed=4", "estimator.delay=0.03", "seed=42",
+    ],
+    "torrente": [
+        "world=everything", "trajectory=lemniscate", "trajectory.speed=7", "estimator.delay=0.015",
+        "estimator.gyro=fresh", "link.latency=0.005", "seed=43",
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_in_flight_the_same_is_found_with_little_work_a_step(monkeypatch, name):
+    """One sample and one candidate a control step at most; and what is found is what the batch finds in the samples up
+    to there, and, within the standard errors of both, in the whole flight."""
+    work, found = {"samples": 0, "candidates": 0, "most": 0, "searches": 0}, []
+
+    class Counted(Search):
+        def go_on(self):
+            work["candidates"] += 1
+            ended = super().go_on()
+            if ended:
+                found.append((self.samples, self.found, self.candidates))
+            return ended
+
+    class CountedMoments(Moments):
+        def add(self, *sample):
+            assert work["candidates"] <= 1
+            work["samples"], work["candidates"] = work["samples"] + 1, 0
+            super().add(*sample)
+
+    monkeypatch.setattr(identified, "Search", Counted)
+    monkeypatch.setattr(identified, "Moments", CountedMoments)
+    fast = ["controller=nominal_mpc", "controller.backend=interpreted", "delay=identified"]
+    config = compose([*fast, *WORLDS[name]])
+    flight = fly_one(config)
+    whole, vehicle = told(flight, name), build_vehicle(config.vehicle)
+    assert flight.metadata["outcome"] == "ok" and found and work["samples"] <= len(whole.t)
+    for samples, online, candidates in found:
+        assert candidates < 200
+        until = slice(1, samples + 1)  # the first instant has no reading
+        batch = find_delays(
+            Stream(whole.t[until], whole.state[until], whole.specific_force[until], whole.command[until]), vehicle
+        )
+        assert np.allclose([*asdict(online).values()], [*asdict(batch).values()], atol=1e-6)
+    last, batch = found[-1][1], find_delays(whole, vehicle)
+    assert abs(last.age - batch.age) < 2 * np.hypot(last.age_error, batch.age_error)
+    errors = [last.dead_time_error, last.lag_error, batch.dead_time_error, batch.lag_error]
+    late = [one.dead_time + one.lag for one in (last, batch)]  # which is known better than each
+    assert abs(late[0] - late[1]) < 2 * np.linalg.norm(errors)
