@@ -106,6 +106,11 @@ def told(flight: Flight, name: str) -> Stream:
     period = np.diff(t)
     if len(t) < 2 or np.ptp(period) > EVEN * period.mean():
         raise DataError(f"{name}: delays are found in samples that are evenly spaced; these are not")
+    if not flight.n_rotors:
+        raise DataError(f"{name}: delays are found from the commands of the rotors (u_0, .. in N), and it has none")
+    missing = [column for column in ACCELEROMETER if column not in flight.columns]
+    if missing:
+        raise DataError(f"{name}: delays are found from the accelerometer, and {', '.join(missing)} are not in it")
     estimated = tuple(f"est_{column}" for column in STATE_COLUMNS)
     state = flight.stack(estimated if estimated[0] in flight.columns else STATE_COLUMNS)
     return Stream(t, state, flight.stack(ACCELEROMETER), flight.input)

@@ -61,6 +61,15 @@ def test_uneven_samples_are_refused():
         told(Flight({"t": t}, {}), "a flight")
 
 
+@pytest.mark.parametrize(("without", "said"), [("u_", "commands of the rotors"), ("acc_", "accelerometer, and acc_x")])
+def test_a_log_without_commands_or_accelerometer_is_refused(without, said):
+    """As imported logs are whose motors were told in numbers of a driver."""
+    flight = fly_one(compose(["controller=nominal_mpc", "trajectory=hover", "trajectory.duration=1"]))
+    columns = {name: values for name, values in flight.columns.items() if not name.startswith(without)}
+    with pytest.raises(DataError, match=f"log: delays are found from the {said}"):
+        told(Flight(columns, flight.metadata), "log")
+
+
 def test_too_few_samples_are_refused():
     flight = fly_one(compose(["controller=nominal_mpc", "trajectory=hover", "trajectory.duration=1"]))
     with pytest.raises(DataError, match=r"delays cannot be found in 51 samples, 100 are needed"):

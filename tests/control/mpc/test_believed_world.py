@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -186,6 +187,18 @@ def test_a_thrust_scale_asks_for_more_of_the_rotors(vehicle, rng):
     assert vehicle.thrust_max * (1 - 1e-14) < other.max() <= vehicle.thrust_max
     scaled.reset(x, window)  # and with the flight the belief ends
     assert np.array_equal(scaled.mpc._step.arguments["u_max"], np.full(4, vehicle.thrust_max))
+
+
+def test_a_thrust_scale_moves_the_lower_limit_too(vehicle, rng):
+    """Far above, with rotors that cannot give less than a newton: the command is at that limit."""
+    vehicle = replace(vehicle, thrust_min=1.0)
+    scaled = controller_of(vehicle, make_residual("none", vehicle), position_weight=(200.0, 200.0, 200.0))
+    x, window = a_window(scaled, rng)
+    x[2] += 3.0
+    scaled.reset(x, window)
+    scaled.believe(Belief(np.zeros(3), np.zeros(3), np.zeros(3), 0.8))
+    thrust = scaled.step(Measurement(0.0, x, None, None), window)[0]
+    assert 1.0 <= thrust.min() < 1.0 * (1 + 1e-14)
 
 
 def test_a_flight_begins_without_a_belief(vehicle, rng):

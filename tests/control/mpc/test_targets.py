@@ -34,3 +34,17 @@ def test_they_hold_the_path(vehicle, rng):
         wanted = rotation.as_matrix()[:, 2] * specific - push
         axis, thrust = targets(vehicle, rotation, specific, push)
         assert axis * thrust == pytest.approx(wanted, abs=1e-6)
+
+
+def test_their_rates_are_those_of_their_attitudes(vehicle):
+    """A reference that turns, under a push: the attitudes' own derivative, by differences, in body axes."""
+    h, start, w = 1e-3, Rotation.from_euler("zyx", [1.0, 0.5, -0.4]), np.array([1.5, -2.0, 1.0])
+    turns = [start * Rotation.from_rotvec(w * h * k) for k in (-1, 0, 1)]
+    states = [ca.MX(ca.DM(np.r_[np.zeros(3), np.roll(one.as_quat(), 1), np.zeros(3), w])) for one in turns]
+    inputs = [ca.MX(ca.DM(np.full(vehicle.n_rotors, 15.0 * vehicle.mass / vehicle.n_rotors)))] * 3
+    push, times = ca.MX(ca.DM([1.0, -1.5, 0.5, 0, 0, 0])), [ca.MX(h * k) for k in range(3)]
+    moved, *_ = held_targets(states, inputs, [ca.MX.zeros(6)] * 3, times, None, ca.MX(), push, ca.MX.zeros(3), vehicle)
+    before, now, after = (np.array(ca.DM(ca.evalf(one))).ravel() for one in moved)
+    first, last = (Rotation.from_quat(np.roll(one[:4], -1)) for one in (before, after))
+    rate = (first.inv() * last).as_rotvec() / (2 * h)
+    assert now[4:] == pytest.approx(rate, abs=0.01) and np.abs(rate - w).max() > 0.1
