@@ -1,7 +1,7 @@
 """A residual times a number that may change in flight: y = s r(z, theta), with s as the last parameter.
 
-Another density of the air, or more area in it, scales drag as a whole; an observer that finds s tells the controller what
-the air will do where the vehicle is going to be, which a force that is found where it is now does not.
+Another density of the air, or more area in it, scales drag as a whole; an observer that finds s tells the controller
+what the air will do where the vehicle is going to be, which a force that is found where it is now does not.
 """
 
 from __future__ import annotations
@@ -25,4 +25,6 @@ def scaled_residual(residual: Residual) -> Residual:
 def _scaled(function: ca.Function) -> ca.Function:
     z, theta = ca.MX.sym("z", function.size1_in(0)), ca.MX.sym("theta", function.size1_in(1) + 1)
     y, slope = function(z, theta[:-1])
-    return ca.Function("residual_scaled", [z, theta], [theta[-1] * y, theta[-1] * slope], ["z", "theta"], ["y", "dy_dz"])
+    return ca.Function(
+        "residual_scaled", [z, theta], [theta[-1] * y, theta[-1] * slope], ["z", "theta"], ["y", "dy_dz"]
+    )

@@ -138,7 +138,7 @@ class Composer:
         for value in values:
             choice = self._parse([f"experiment={value}"])
             sweep = self._compose(choice, parts=True).sweep
-            for grid in _written_out(sweep or {}, value):
+            for grid in _written_out(sweep or {}, str(value)):
                 # The mapping's order is kept: what stands first varies slowest.
                 own = [f"{key}={_as_override(text)}" for key, text in grid.items() if key not in given]
                 yield choice + self._parse(own, sweep=True) + rest

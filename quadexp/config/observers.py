@@ -80,14 +80,14 @@ class DisturbanceObserverKeys(ObserverKeys):
     air_walk: Annotated[
         float,
         Setting(
-            "how fast the scale of the air's force changes (of drag), likewise; for a controller whose model knows drag;"
+            "how fast the scale of the air's force (of drag) changes, likewise; for controllers that know drag;"
             " 0: it is not estimated",
             "[0, 10]",
         ),
     ] = 0.0
-    air_initial: Annotated[
-        float, Setting("standard deviation of the air's scale when a flight begins", "[0, 10]")
-    ] = 1.0
+    air_initial: Annotated[float, Setting("standard deviation of the air's scale when a flight begins", "[0, 10]")] = (
+        1.0
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

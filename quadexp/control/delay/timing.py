@@ -125,18 +125,18 @@ def _integral(t: np.ndarray, rate: np.ndarray, shift: float, beyond: Any = 0.0) 
 
 
 def _velocity_error(stream: Stream, tau: float, gravity: float, jumps: np.ndarray) -> np.ndarray:
-    """Change of the told velocity over SPAN less the integral of the accelerometer's readings, (m, 3), body axes (m/s).
+    """Change of the told velocity over SPAN less the integral of the readings, (m, 3), body axes (m/s).
 
-    An age turns the specific force, which is along z_body, and so shows on x and y; the noise of the thrust is on z.
+    An age shows where the specific force changes: on x and y, by the air; the noise of the thrust is on z.
 
     jumps: what the mean of f_z over the period before each sample has beyond that of its two ends, (k,) (m/s^2)."""
     state = _later(stream.t, stream.state, tau)
     a = _turned(state[:, 3:7], stream.specific_force) - [0, 0, gravity]
     up = _turned(state[:, 3:7], np.tile([0.0, 0.0, 1.0], (len(jumps), 1)))
-    error = _apart(stream.t, stream.state[:, 7:10], _integral(stream.t, a, tau, up * jumps[:, None]))
+    error = _centred(_apart(stream.t, stream.state[:, 7:10], _integral(stream.t, a, tau, up * jumps[:, None])))
     span, late = _samples(stream.t)
     middle = stream.state[late + span // 2 :, 3:7][: len(error)]
-    return _centred(_turned(middle * [1, -1, -1, -1], error))
+    return _turned(middle * [1, -1, -1, -1], error)
 
 
 def _attitude_error(stream: Stream, tau: float) -> np.ndarray:
@@ -182,8 +182,8 @@ def _between(p: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 def _least(error: Callable[[float], np.ndarray]) -> tuple[float, float]:
     """Where errors, (m, 3), are likeliest in 0 .. LARGEST_AGE (s), each axis with a noise of its own, and the standard
-    error (s): at least half of what the two halves of the samples differ by. None where none is nearly as likely: an age
-    of a millisecond that is not there is 8 mm at 8 m/s."""
+    error (s): at least half of what the two halves of the samples differ by. None where none is nearly as likely: a
+    millisecond of age that is not there is 8 mm at 8 m/s."""
     found = _minimum(error, slice(None))
     count = len(error(found))
     halves = [_minimum(error, part) for part in (slice(count // 2), slice(count // 2, None))]
