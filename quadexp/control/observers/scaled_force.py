@@ -5,7 +5,7 @@
     a' = noise,  k' = noise,  c' = noise,   H = [I, h, g],   S = H P- H' + r I,   K = P- H' S^-1
 
 a, the force over the mass, stands in the world; k, the error of the thrust scale (of the mass, of the thrust
-coefficient), turns with the body; c, the error of the air's scale (of drag, of the mass), turns with the velocity: h and
+coefficient), turns with the body; c, the error of the air's scale (drag, mass), turns with the velocity: h and
 g tell them apart as soon as the vehicle turns or its thrust or speed changes. At constant h and g only their sum is
 known, and it is shared by how much each is thought to change (P).
 
