@@ -133,10 +133,10 @@ def _velocity_error(stream: Stream, tau: float, gravity: float, jumps: np.ndarra
     state = _later(stream.t, stream.state, tau)
     a = _turned(state[:, 3:7], stream.specific_force) - [0, 0, gravity]
     up = _turned(state[:, 3:7], np.tile([0.0, 0.0, 1.0], (len(jumps), 1)))
-    error = _centred(_apart(stream.t, stream.state[:, 7:10], _integral(stream.t, a, tau, up * jumps[:, None])))
+    error = _apart(stream.t, stream.state[:, 7:10], _integral(stream.t, a, tau, up * jumps[:, None]))
     span, late = _samples(stream.t)
     middle = stream.state[late + span // 2 :, 3:7][: len(error)]
-    return _turned(middle * [1, -1, -1, -1], error)
+    return _centred(_turned(middle * [1, -1, -1, -1], error))
 
 
 def _attitude_error(stream: Stream, tau: float) -> np.ndarray:
@@ -193,9 +193,8 @@ def _least(error: Callable[[float], np.ndarray]) -> tuple[float, float]:
     own = 1 / np.sqrt(max(told, 1e-30))
     none = np.mean(error(0.0) ** 2, axis=0) + TINY
     likelier = count / OVERLAP / 2 * np.sum(np.log(none / (np.mean(at**2, axis=0) + TINY)))
-    if likelier < WORTH_AN_AGE:
-        found = 0.0
-    return found, float(max(own, abs(halves[0] - halves[1]) / 2))
+    doubt = max(own, abs(halves[0] - halves[1]) / 2)
+    return (found, float(doubt)) if likelier >= WORTH_AN_AGE else (0.0, float(max(doubt, found / 2)))
 
 
 def _minimum(error: Callable[[float], np.ndarray], part: slice) -> float:

@@ -40,7 +40,7 @@ class DFBC:
     def believe(self, belief: Belief) -> None:
         """Take this for what acts beside the model, from the next step on."""
         values = self._law.arguments["belief"]
-        values[:3], values[3:6], values[6:9], values[9] = belief
+        values[:3], values[3:6], values[6:9], values[9] = belief[:4]
 
     def forget(self) -> None:
         """See Controller.forget; nothing is learned that outlives a flight."""
