@@ -67,7 +67,7 @@ class GeometricController(ExplicitController):
     def believe(self, belief: Belief) -> None:
         """Take this for what acts beside the model, from the next step on."""
         believed = self._law.arguments["belief"]
-        believed[FORCE], believed[TORQUE], believed[WIND], believed[SCALE] = belief
+        believed[FORCE], believed[TORQUE], believed[WIND], believed[SCALE] = belief[:4]
 
 
 class _Air:
