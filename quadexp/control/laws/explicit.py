@@ -22,7 +22,7 @@ from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.physics.vehicle import Vehicle
 
-NO_BELIEF = np.hstack([*no_belief()])  # force, torque, wind, thrust scale
+NO_BELIEF = np.hstack(no_belief()[:4])  # force, torque, wind, thrust scale
 
 
 class ExplicitController:
