@@ -36,7 +36,7 @@ WORTH = 8.0  # log likelihood that one more constant must bring to be real
 WORTH_AN_AGE = 2.0  # log likelihood by which an age must be likelier than none to be one
 LEAST = 100  # readings
 OVERLAP = 6.0  # samples that tell the same, in spans that overlap
-KNOWN, KNOWN_AGE = 0.005, 0.004  # s, standard errors up to which delays of commands and of the state count as known
+KNOWN, KNOWN_AGE = 0.005, 0.003  # s, standard errors up to which delays of commands and of the state count as known
 
 
 @dataclass(frozen=True)
