@@ -76,10 +76,12 @@ reproduce-ladder: $(STAMP)
 	done
 	$(QUADEXP) evaluate --sweep experiment=reality_ladder --out results/reality_ladder --refly
 
-# Tables IV and V of Sun et al. 2022, their infeasible set, and the same conditions with remedies: 7,736 flights.
+# Tables IV and V of Sun et al. 2022, their infeasible set, and the same conditions with ours: 14,044 flights.
 reproduce-sun: $(STAMP)
 	$(QUADEXP) evaluate --sweep experiment=sun --out results/sun --refly
 	$(QUADEXP) evaluate --sweep experiment=sun_infeasible --out results/sun_infeasible --refly
+	$(QUADEXP) collect vehicle=sun plant=sun actuator=speed_lag_30ms collect.extent=20 --out data/sun.parquet --force
+	$(QUADEXP) fit-gp data/sun.parquet vehicle=sun plant=sun gp=sun --out models/sun --force
 	$(QUADEXP) evaluate --sweep experiment=sun_ours --out results/sun_ours --refly
 
 # Settings tuned with the same budget for every controller, on the same cells (Lei & Li's, on their vehicle); what is

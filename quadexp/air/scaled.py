@@ -1,7 +1,7 @@
 """A residual times a number that may change in flight: y = s r(z, theta), with s as the last parameter.
 
-Another density of the air, or more area in it, scales drag as a whole; an observer that finds s tells the controller what
-the air will do where the vehicle is going to be, which a force that is found where it is now does not.
+Another density of the air, or more area in it, scales drag as a whole; an observer that finds s tells the controller
+what the air will do where the vehicle is going to be, which a force that is found where it is now does not.
 """
 
 from __future__ import annotations

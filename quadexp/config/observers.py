@@ -80,7 +80,7 @@ class DisturbanceObserverKeys(ObserverKeys):
     air_walk: Annotated[
         float,
         Setting(
-            "how fast the scale of the air's force changes (of drag), likewise; for a controller whose model knows drag;"
+            "how fast the scale of the air's force (of drag) changes, likewise; for controllers that know drag;"
             " 0: it is not estimated",
             "[0, 10]",
         ),

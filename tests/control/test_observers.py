@@ -462,8 +462,8 @@ def scaled_update():
 
 
 def test_a_sudden_force_is_no_scale():
-    """A reading that nobody expects goes into the force; the scales take a share that falls with it, and the variance is
-    that of these gains (Joseph's form is of any gain)."""
+    """A reading that nobody expects goes into the force; the scales take a share that falls with it, and the variance
+    is that of these gains (Joseph's form is of any gain)."""
     update, none = scaled_update(), np.zeros(3)
     P = np.diag([0.1, 0.1, 0.1, 0.01, 0.01])
     state, h, g = np.concatenate([np.zeros(5), P.ravel(), none]), np.array([0, 0, 10.0]), np.array([3.0, 0, 0])

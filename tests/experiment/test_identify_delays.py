@@ -88,14 +88,14 @@ def test_the_command_prints_what_to_set(tmp_path):
 
 @pytest.mark.parametrize("age", [0.0, 0.01])
 def test_an_age_shows_on_the_axes_that_the_noise_of_the_thrust_is_not_on(age):
-    """A tilted thrust that turns about the vertical, read with 1.5 m/s^2 of noise on z_body and next to none across it.
+    """A tilted vehicle that turns about the vertical, its drag to and fro, with 1.5 m/s^2 of noise on z_body only.
 
-    With one noise for all axes the age of these data is found 4 ms wrong, or 2 ms where there is none."""
+    With one noise for all axes it is lost in that of the thrust."""
     rng, step, period = np.random.default_rng(2), 0.005, 0.02
     t = np.arange(0.0, 12.0, step)
     azimuth = Rotation.from_rotvec(1.6 * t[:, None] * [0, 0, 1])
     attitude = azimuth * Rotation.from_euler("y", 0.4)
-    force = np.tile([0.0, 0.0, 9.81 / np.cos(0.4)], (len(t), 1))
+    force = np.column_stack([2 * np.sin(3 * t), 2 * np.cos(2 * t), np.full(len(t), 9.81 / np.cos(0.4))])
     acceleration = attitude.apply(force) - [0, 0, 9.81]
     velocity = np.vstack([np.zeros(3), np.cumsum((acceleration[1:] + acceleration[:-1]) / 2 * step, axis=0)])
     q = attitude.as_quat(scalar_first=True)

@@ -7,7 +7,7 @@ command j + 1 periods ago, and t the time,
 
     thrust     z = [s_j, s_j^2, t s_j, air, f_z]          air = [1, v_b, |v_b| v_b], told velocity in body axes
     turning    z = [p_j, air, torque that the told rates need]                                    about x, about y
-    velocity   z = R_m' [change of v, sums over SPAN of h R f_i and of h R e_z s_j, 1]            on each axis
+    velocity   z = [R_m' [change of v - g t, sums over SPAN of h R f_i and of h R e_z s_j], 1]          on each axis
     attitude   z = [turn, sums over SPAN of h R w_i, 1]                                           on each axis
 
 R: told attitude in the middle of a period h, R_m: of a span; f_i, w_i: accelerometer and told rate i periods before its end.
@@ -89,7 +89,8 @@ class Moments:
         self._spans = list(zip(added, sums, z, totals, strict=True))
         self._told = np.zeros((self.sizes.span + 1, 2, 3))
         self._rotations = np.zeros((self.sizes.span + 1, 3, 3))
-        self._turned = np.empty_like(z[0])
+        self._fallen = vehicle.gravity * self.sizes.span * period  # m/s in a span
+        self._on_body = z[0].copy(order="F")
         self._begin = round(BEGINS / period)
         self.counted = 0
         self.halves = [(0, self.velocity.copy(), self.attitude.copy())]
@@ -130,8 +131,11 @@ class Moments:
             if counts:
                 z[0] = self._told[now, i] - self._told[first, i]
                 np.subtract(sums[now], sums[first], out=z[1:-3])
-                if not i:  # velocity: on the axes of the body in the middle of the span
-                    z = np.matmul(z, self._rotations[(k - span + span // 2) % rows].T, out=self._turned)
+                if not i:  # velocity: without gravity, on the axes of the body in the middle of the span
+                    z[0, 2] += self._fallen
+                    turned = self._rotations[(k - span + span // 2) % rows].T
+                    np.matmul(z[:-3], turned, out=self._on_body[:-3])
+                    z = self._on_body
                 for axis in range(3):
                     dger(1.0, z[:, axis], z[:, axis], a=total[axis].T, overwrite_a=True)
         if counts and self.spans % KEPT == 0:

@@ -261,13 +261,12 @@ class _Spans:
         return np.concatenate([[1.0], -w, -beyond])
 
     def _squares(self, b: np.ndarray, part: int) -> np.ndarray:
-        """Means over the samples of the squares of b' z, (3,), without its mean in the world: a bias of the sensor is
+        """Means over the samples of the squares of b' z, (3,), without its mean on each axis: a bias of the sensor is
         no delay."""
         M, count = self._parts[part]
-        n = len(b)
-        means = M[:, n:, :n].sum(axis=0) @ b / max(count, 1)
-        c = np.concatenate([b, -means])
-        return np.maximum(M @ c @ c, 0.0) / max(count, 1)
+        n, axes = len(b), np.arange(3)
+        means = M[axes, n + axes, :n] @ b / max(count, 1)
+        return np.maximum(M[:, :n, :n] @ b @ b / max(count, 1) - means**2, 0.0)
 
     def left(self, shift: float) -> np.ndarray:
         """Mean squares that a shift (s) leaves on each axis, (3,), once `least` has ended."""

@@ -72,7 +72,6 @@ def with_disturbance_observer(controller: Controller, config: DisturbanceObserve
         inner.backend,
         velocity=config.source == "velocity",
         scaled=config.scale_walk > 0 or config.air_walk > 0,
-        at_once=not isinstance(core, PredictiveController),
     )
     settings = disturbance_settings(config, inner.control_period)
 
@@ -115,7 +114,6 @@ def disturbance_function(
     *,
     velocity: bool = False,
     scaled: bool = False,
-    at_once: bool = False,
 ) -> ca.Function:
     """The update of control.observers.observer; s = [a^ (3,), v^ (3,), P, w^ (3,), J^-1 tau^ (3,)]; with
     scales, see control.observers.scaled_force, [a, k, c, P (5, 5), e^ (3,), w^, J^-1 tau^]."""
@@ -149,9 +147,7 @@ def disturbance_function(
     rates, torque = torque_update(
         s[first:], x[RATE], scale * a["mean"], air * y[3:], settings[N_FORCE_SETTINGS:], vehicle, period
     )
-    lumped = scaled and at_once  # into the force where the vehicle is now
-    told = force + (air - 1) * drag if lumped else force
-    belief = ca.vertcat(vehicle.mass * told, torque, ca.MX.zeros(3), scale, 1 if lumped else air)
+    belief = ca.vertcat(vehicle.mass * force, torque, ca.MX.zeros(3), scale, air)
     state = ca.vertcat(found, P, rest) if scaled else ca.vertcat(force, estimate, P)
     results = [ca.vertcat(state, rates), belief]
     return ca.Function("disturbance_observer", [*a.values()], results, [*a], ["s_next", "belief"])

@@ -1,12 +1,12 @@
 """A force, a thrust scale and an air scale at once, from the same accelerometer: a Kalman filter of random walks.
 
-    y = R (f - T e_z / m - a_air) = a + k h + c g,     h = R (T e_z / m + da_air/du u),   g = R a_air     f: accelerometer
+    y = R (f - T e_z / m - a_air) = a + k h + c g,     h = R (T e_z / m + da_air/du u),   g = R a_air
 
     a' = noise,  k' = noise,  c' = noise,   H = [I, h, g],   S = H P- H' + r I,   K = P- H' S^-1
 
 a, the force over the mass, stands in the world; k, the error of the thrust scale (of the mass, of the thrust
-coefficient), turns with the body; c, the error of the air's scale (of drag, of the mass again), turns with the velocity: h
-and g tell them apart as soon as the vehicle turns or its thrust or speed changes. At constant h and g only their sum is
+coefficient), turns with the body; c, the error of the air's scale (drag, mass), turns with the velocity: h and
+g tell them apart as soon as the vehicle turns or its thrust or speed changes. At constant h and g only their sum is
 known, and it is shared by how much each is thought to change (P).
 
 A force that sets in at once is no random walk, and is not to be learned as a scale: where the innovation nu is beyond
@@ -14,7 +14,7 @@ what is expected, nu' S^-1 nu > SURPRISE^2, the scales follow it that much less.
 
 However fast the estimated force is, the filter believes in one of APART at most: a faster one takes the noise of the
 readings for forces, the controller answers them with thrust, and what it answered with is taken for a scale. What the
-filter leaves of y goes through a low pass of the whole bandwidth, e^ += gain (y - H [a, k, c] - e^), and a^ + e^ is told.
+filter leaves of y goes through a low pass of the whole bandwidth, e^ += gain (y - H [a, k, c] - e^); a^ + e^ is told.
 """
 
 from __future__ import annotations
