@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.control.wrapped import innermost
 from quadexp.experiment.build import ModelFile
 from quadexp.log.schema import Flight
 
@@ -21,6 +20,7 @@ def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> di
     if model is None:
         return None
     from quadexp.control.observers.observer import air_of
+    from quadexp.control.wrapped import innermost
 
     ranges = dict(air_of(innermost(controller)).ranges or {})
     record: dict[str, Any] = {"model": model.path, "share": None, "shares": {}, "ranges": ranges, "note": UNKNOWN}

@@ -505,8 +505,8 @@ def test_drag_that_is_twice_the_models_is_found_and_planned_with(vehicle):
     assert errors[1] < 0.5 * errors[0]
 
 
-def test_one_that_plans_nothing_is_told_of_drag_as_a_force(vehicle):
-    """Without a horizon the scale of the air is the force that it means where the vehicle is."""
+def test_one_that_plans_nothing_is_told_of_drag_as_a_scale_too(vehicle):
+    """Force and scales are what the reading means where the vehicle is."""
     residual, velocity = make_residual("linear_drag", vehicle), np.array([5.0, -2.0, 0.0])
     told = Told(vehicle, residual, np.full(vehicle.n_rotors, vehicle.hover_thrust))
     controller = disturbance(told, scale_walk=0.005, air_walk=0.02)
@@ -515,8 +515,9 @@ def test_one_that_plans_nothing_is_told_of_drag_as_a_force(vehicle):
     drag = residual(np.concatenate([velocity, np.zeros(3), told.thrust]))[0, :3]
     for _ in range(100):
         controller.step(Measurement(0.0, x, [0, 0, vehicle.gravity] + 1.5 * drag, None), a_hover(vehicle))
-    assert told.belief.air_scale == 1.0
+    assert told.belief.air_scale > 1.1
     together = told.belief.force / vehicle.mass + [0, 0, (told.belief.thrust_scale - 1) * vehicle.gravity]
+    together += (told.belief.air_scale - 1) * drag
     assert together == pytest.approx(0.5 * drag, abs=0.02)
 
 

@@ -7,10 +7,11 @@ command j + 1 periods ago, and t the time,
 
     thrust     z = [s_j, s_j^2, t s_j, air, f_z]          air = [1, v_b, |v_b| v_b], told velocity in body axes
     turning    z = [p_j, air, torque that the told rates need]                                    about x, about y
-    velocity   z = [R_m' [change of v - g t, sums over SPAN of h R f_i and of h R e_z s_j], 1]          on each axis
+    velocity   z = [R_m' [change of v - g t, sums over SPAN of h R f_i and of h R e_z s_j], 1]   on each axis
     attitude   z = [turn, sums over SPAN of h R w_i, 1]                                           on each axis
 
-R: told attitude in the middle of a period h, R_m: of a span; f_i, w_i: accelerometer and told rate i periods before its end.
+R: told attitude in the middle of a period h, R_m: of a span; f_i, w_i: accelerometer and told rate i periods before its
+end.
 """
 
 from __future__ import annotations

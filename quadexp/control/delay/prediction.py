@@ -63,7 +63,7 @@ class Prediction(WrappedController):
             shared = {"commands": self.commands.values} | ({} if model is None else {"theta": model.parameters})
             world = None if self._observer is None else getattr(innermost(inner), "believed", None)
             if world is not None and model is not None:
-                shared |= {"push": model.disturbance, "wind": world.numbers[6:9], "scale": world.numbers[9:]}
+                shared |= {"push": model.disturbance, "wind": world.numbers[6:9], "scale": world.numbers[9:10]}
                 self._observer = None  # nothing is to be told
             function = prediction_on(self.vehicle, residual, parts, len(self.commands.values), inner.backend)
             self._predict = BufferedFunction(function, shared)

@@ -13,8 +13,9 @@ Age tau of the state. The accelerometer is read at once, so over a span of time
 
     v_told |  =  integral of R(q_told(t)) f(t - tau) + g              f: specific force, mean over each control period
 
-and tau is the shift for which both sides differ least, on each axis of the body in the middle of the span against a noise
-of its own: an age shows where the specific force changes, on x and y, by the air; the noise of the thrust is on z. The same of the body rate: q_told turns by the integral of
+and tau is the shift for which both sides differ least, on each axis of the body in the middle of the span against a
+noise of its own: an age shows where the specific force changes, on x and y, by the air; the noise of the thrust is on
+z. The same of the body rate: q_told turns by the integral of
 w_told(t - tau); a shift of 0 says that the rates are as old as the attitude.
 
 Everything is found in sums over the samples (moments.py), so a `Search` can be made a piece at a time.
@@ -278,8 +279,9 @@ class _Spans:
 
     def least(self, mean: np.ndarray) -> Any:
         """The likeliest shift in 0 .. LARGEST_AGE (s), each axis with a noise of its own, and its standard error (s):
-        at least half of what the two halves of the samples differ by, and of what is nearly as likely. None where none is nearly as likely, and then
-        at least what was found: a millisecond of age that is not there is 8 mm at 8 m/s."""
+        at least half of what the two halves of the samples differ by, and of what is nearly as likely. None where none
+        is nearly as likely, and then at least what was found: a millisecond of age that is not there is 8 mm at 8 m/s.
+        """
         grid = self._sizes.shifts
         squares = np.empty((3, len(grid), 3))
         for i, shift in enumerate(grid):

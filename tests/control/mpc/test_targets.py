@@ -43,7 +43,10 @@ def test_their_rates_are_those_of_their_attitudes(vehicle):
     states = [ca.MX(ca.DM(np.r_[np.zeros(3), np.roll(one.as_quat(), 1), np.zeros(3), w])) for one in turns]
     inputs = [ca.MX(ca.DM(np.full(vehicle.n_rotors, 15.0 * vehicle.mass / vehicle.n_rotors)))] * 3
     push, times = ca.MX(ca.DM([1.0, -1.5, 0.5, 0, 0, 0])), [ca.MX(h * k) for k in range(3)]
-    moved, *_ = held_targets(states, inputs, [ca.MX.zeros(6)] * 3, times, None, ca.MX(), push, ca.MX.zeros(3), vehicle)
+    still, as_modelled = ca.MX.zeros(3), ca.MX(1)
+    moved, *_ = held_targets(
+        states, inputs, [ca.MX.zeros(6)] * 3, times, None, ca.MX(), push, still, as_modelled, vehicle
+    )
     before, now, after = (np.array(ca.DM(ca.evalf(one))).ravel() for one in moved)
     first, last = (Rotation.from_quat(np.roll(one[:4], -1)) for one in (before, after))
     rate = (first.inv() * last).as_rotvec() / (2 * h)
