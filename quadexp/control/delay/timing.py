@@ -50,7 +50,7 @@ WITHIN = 2.0  # log likelihood of two standard errors
 WORTH_AN_AGE = 2.0  # log likelihood by which an age must be likelier than none to be one
 LEAST = 100  # readings
 OVERLAP = 6.0  # samples that tell the same, in spans that overlap
-KNOWN, KNOWN_AGE = 0.005, 0.003  # s, standard errors up to which delays of commands and of the state count as known
+KNOWN = 0.005  # s, standard error up to which a delay counts as known
 LARGEST = np.array([LARGEST_DEAD_TIME, LARGEST_LAG, LARGEST_AGE])
 MASKS = np.array([[0.0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]])  # which of dead time, lag, age of the rates there are
 STARTS = np.array(np.meshgrid([0.005, 0.02, 0.05], [0.01, 0.04], [0.002, 0.015])).T.reshape(-1, 3)  # s
@@ -94,7 +94,7 @@ class Delays:
     @property
     def age_known(self) -> bool:
         """Whether these data tell the age."""
-        return self.age_error <= KNOWN_AGE
+        return self.age_error <= KNOWN
 
     @property
     def commands_known(self) -> bool:
