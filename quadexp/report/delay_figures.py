@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from quadexp.report.style import HUES, styled
 
 MS = 1e3
-INTERVAL = 1.96  # standard errors on both sides
 SHOWN = 20.0  # log likelihood below the best that is drawn
 BELIEVED = {  # column -> what it is, hue
     "delay_time": ("age of the state", "blue"),
@@ -57,15 +56,13 @@ def delay_figure(
 def _draw_profile(panel: Axes, profile: Profile) -> None:
     colour, mark = HUES["blue"][0], HUES["vermillion"][0]
     panel.plot(MS * profile.candidates, profile.score, color=colour)
-    low, high = (max(profile.found + side * INTERVAL * profile.error, 0.0) for side in (-1, 1))
+    low, high = (max(profile.found + side * profile.error, 0.0) for side in (-1, 1))
     panel.axvspan(MS * low, MS * high, color=mark, alpha=0.15, linewidth=0)
     panel.axvline(MS * profile.found, color=mark, linestyle="--")
     panel.set_ylim(-SHOWN, 0.05 * SHOWN)
     panel.set_xlim(MS * profile.candidates[0], MS * profile.candidates[-1])
     panel.set_title(profile.name)
-    panel.set_xlabel(
-        f"candidate, ms\nfound {MS * profile.found:.1f} ms, 95 % $\\pm${MS * INTERVAL * profile.error:.1f}"
-    )
+    panel.set_xlabel(f"candidate, ms\nfound {MS * profile.found:.1f} ms, standard error {MS * profile.error:.1f}")
 
 
 def _draw_believed(panel: Axes, columns: Mapping[str, np.ndarray], true: Mapping[str, float]) -> None:

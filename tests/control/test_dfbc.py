@@ -11,9 +11,11 @@ from scipy.spatial.transform import Rotation
 from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.air.none import no_residual
 from quadexp.config.dfbc import DFBCKeys
+from quadexp.config.laws import GeometricKeys
 from quadexp.control.base import Measurement, Window
 from quadexp.control.belief import Belief
 from quadexp.control.dfbc.controller import DFBC
+from quadexp.control.laws.geometric import GeometricController
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.physics.state import POSITION, RATE, VELOCITY
 from quadexp.reference.ellipse import Ellipse
@@ -88,6 +90,25 @@ def test_what_is_believed_is_taken_away(vehicle):
     blown = wrench(x[VELOCITY], Belief(still, still, wind))
     assert blown == pytest.approx(wrench(x[VELOCITY] - wind, Belief(still, still, still)), abs=1e-9)
     assert np.abs(blown - plain).max() > 1e-2
+
+
+@pytest.mark.parametrize("law", [controller, lambda vehicle, air: GeometricController(vehicle, GeometricKeys(), air)])
+def test_a_believed_scale_of_the_air_is_a_model_with_so_much_more_drag(vehicle, law):
+    """DFBC and geometric control, turned and fast, in a believed wind."""
+    drag, still, wind = np.array([0.4, 0.3, 0.1]), np.zeros(3), np.array([1.0, -2.0, 0.5])
+    x = np.concatenate([np.zeros(3), Rotation.from_rotvec([0.03, -0.05, 0.04]).as_quat(scalar_first=True), np.zeros(6)])
+    x[VELOCITY], x[RATE] = (5.0, -3.0, 1.0), (0.2, -0.1, 0.1)
+    window = Window(np.tile(x, (2, 1)), np.full((2, 4), vehicle.hover_thrust), np.zeros((5, 3)), np.zeros(3))
+    window.position[0], window.position[1] = x[:3], x[VELOCITY]
+
+    def command(factor, scale):
+        made = law(vehicle, linear_drag_residual(vehicle, factor * drag))
+        made.reset(x, window)
+        made.believe(Belief(still, still, wind, 1.0, scale))
+        return made.step(Measurement(0.0, x, None, None), window)[0]
+
+    assert command(1.0, 2.0) == pytest.approx(command(2.0, 1.0), abs=1e-9)
+    assert np.abs(command(1.0, 2.0) - command(1.0, 1.0)).max() > 1e-2
 
 
 def test_the_printed_side_of_y_flips_upside_down(vehicle):

@@ -13,15 +13,15 @@ from quadexp.log.store import write_flight
 from quadexp.report.delay_figures import Profile, delay_figure
 
 
-def test_the_chosen_candidate_and_its_interval_are_drawn():
+def test_the_chosen_candidate_and_its_standard_error_are_drawn():
     candidates = np.linspace(0.0, 0.04, 81)
     profile = Profile("age of the state", candidates, -(((candidates - 0.012) / 0.002) ** 2) / 2, 0.012, 0.002)
     (panel,) = delay_figure([profile], {"t": np.arange(3.0)}).axes
     curve, chosen = panel.lines
     assert curve.get_xdata()[np.argmax(curve.get_ydata())] == pytest.approx(12.0)
     assert chosen.get_xdata() == pytest.approx([12.0, 12.0])
-    interval = panel.patches[0].get_extents().transformed(panel.transData.inverted())
-    assert (interval.x0, interval.x1) == pytest.approx((12 - 1.96 * 2, 12 + 1.96 * 2))
+    band = panel.patches[0].get_extents().transformed(panel.transData.inverted())
+    assert (band.x0, band.x1) == pytest.approx((12 - 2, 12 + 2))
 
 
 def test_what_was_believed_in_flight_stands_beside_the_truth():
