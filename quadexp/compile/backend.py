@@ -1,9 +1,9 @@
 """Two back ends for one CasADi function: the virtual machine, or generated C compiled once and cached.
 
-A compiled function lies in the user's cache folder under the hash of its source, the flags, the compiler and the
-processor's features, with the hash of its own content beside it: one that does not match is never loaded but made
-anew. It is written to a temporary name and renamed, under a lock, so that any number of processes may ask for the same
-one. Without a compiler "auto" says so once and uses the virtual machine.
+A compiled function lies in the user's cache folder (files/cache.py) under the hash of its source, the flags, the whole
+command of the compiler with its version, and the processor, with the hash of its own content beside it: one that does
+not match is never loaded but made anew, under a lock, so that any number of processes may ask for the same one. Without
+a compiler "auto" says so once and uses the virtual machine.
 """
 
 from __future__ import annotations
@@ -13,10 +13,9 @@ import ctypes
 import fcntl
 import hashlib
 import os
-import shutil
+import shlex
 import sys
 import tempfile
-import time
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from functools import cache, cached_property
 from pathlib import Path
@@ -24,7 +23,6 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from quadexp.cache import cache_folder, unusable
 from quadexp.compile.compiler import (
     STRICT_FLAGS,
     compile_flags,
@@ -35,9 +33,10 @@ from quadexp.compile.compiler import (
     toolchain,
 )
 from quadexp.errors import QuadexpError, UsageError
+from quadexp.files.cache import cache_folder, thin, unusable
+from quadexp.files.writer import unfollowed, write_text, written
 
 BACKENDS = ("auto", "compiled", "interpreted")
-LONG_AGO = 86400.0  # s
 
 
 @cache
@@ -73,8 +72,12 @@ def realise_together(functions: Sequence[ca.Function], backend: str) -> list[ca.
     library = _compile(functions)
     try:
         return [LibraryFunction(function.name(), library) for function in functions]
-    except RuntimeError:  # a file system that executes nothing, for one
-        raise QuadexpError(f"{_refusal(library)}; set QUADEXP_CACHE to another folder") from None
+    except RuntimeError as error:  # which only names the last of the places where CasADi looked
+        try:
+            ctypes.CDLL(str(library))
+        except OSError as refusal:  # a file system that executes nothing, for one
+            raise _unloadable(refusal) from None
+        raise QuadexpError(f"{library.name}: {error}") from None
 
 
 class LibraryFunction(ca.Function):
@@ -91,16 +94,12 @@ def strict_library(name: str, body: Path) -> ctypes.CDLL:
     try:
         return ctypes.CDLL(str(library))
     except OSError as error:
-        raise QuadexpError(f"{error}; set QUADEXP_CACHE to another folder") from None
+        raise _unloadable(error) from None
 
 
-def _refusal(library: Path) -> str:
-    """Why a library cannot be loaded; CasADi only names the last of the places where it looked."""
-    try:
-        ctypes.CDLL(str(library))
-    except OSError as error:
-        return str(error)
-    return f"{library}: has not the functions that it should have"
+def _unloadable(error: OSError) -> QuadexpError:
+    path, inside = cache_folder()
+    return QuadexpError(f"{error}; set QUADEXP_CACHE to another folder".replace(str(inside), str(path)))
 
 
 def handwritten(
@@ -131,23 +130,24 @@ def _library(name: str, source: str, flags: Sequence[str]) -> Path:
     """Path of the shared library of a C source, compiled unless the cache has it."""
     key = hashlib.sha256("\n".join([toolchain(), *flags, source]).encode()).hexdigest()[:24]
     folder = cache_folder()
-    library = folder / f"{name}_{key}.so"
-    if _intact(library):
-        return library
+    library = folder.inside / f"{name}_{key}.so"
     try:
-        with _lock(folder / f"{key}.lock"):
-            if not _intact(library):
-                _sweep_up(folder)
-                _build(name, source, flags, library)
+        if not _intact(library):
+            with _lock(folder.inside / f"{key}.lock"):
+                if not _intact(library):
+                    _build(name, source, flags, folder.path / library.name)
+                    thin(folder, library)
     except OSError as error:
-        raise unusable(folder, error) from None
+        raise unusable(folder.path, error) from None
+    with contextlib.suppress(OSError):
+        os.utime(library)  # used now
     return library
 
 
 @contextlib.contextmanager
 def _lock(path: Path) -> Iterator[None]:
     """Only one process at a time; on a file system without locks all of them build, and the last one stays."""
-    with open(path, "w") as file:
+    with open(path, "w", opener=unfollowed) as file:
         with contextlib.suppress(OSError):
             fcntl.flock(file, fcntl.LOCK_EX)
         try:
@@ -157,35 +157,26 @@ def _lock(path: Path) -> Iterator[None]:
 
 
 def _build(name: str, source: str, flags: Sequence[str], library: Path) -> None:
+    """Compile in a private folder. The compiler is another process: it needs the path, not the handle."""
     with tempfile.TemporaryDirectory(dir=library.parent, prefix=".build-", ignore_cleanup_errors=True) as scratch:
-        code, unlinked, built = (str(Path(scratch) / f"built{suffix}") for suffix in (".c", ".o", ".so"))
-        Path(code).write_text(source, encoding="utf-8")
-        run_compiler([*flags, "-c", code, "-o", unlinked], f"compile {name}")
-        run_compiler(["-shared", unlinked, "-o", built, "-lm"], f"compile {name}")
-        digest = Path(scratch) / "sha256"
-        digest.write_text(_sha256(Path(built)))
-        os.replace(built, library)
-        os.replace(digest, library.with_suffix(".sha256"))
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+        code, unlinked, built = (Path(scratch) / f"built{suffix}" for suffix in (".c", ".o", ".so"))
+        code.write_text(source, encoding="utf-8")
+        run_compiler([*flags, "-c", str(code), "-o", str(unlinked)], f"compile {name}", scratch)
+        run_compiler(["-shared", str(unlinked), "-o", str(built), "-lm"], f"compile {name}", scratch)
+        if not built.is_file():
+            raise QuadexpError(f"{shlex.join(required_compiler())} made no library of {name}: is it a C compiler?")
+        content = built.read_bytes()
+    with written(library) as file:
+        file.write(content)
+    write_text(library.with_suffix(".sha256"), hashlib.sha256(content).hexdigest())
 
 
 def _intact(library: Path) -> bool:
     """Whether a cached library is there and is, byte for byte, what was compiled."""
     try:
-        return library.with_suffix(".sha256").read_text() == _sha256(library)
+        return library.with_suffix(".sha256").read_text() == hashlib.sha256(library.read_bytes()).hexdigest()
     except (OSError, UnicodeError):
         return False
-
-
-def _sweep_up(folder: Path) -> None:
-    """Remove what compilations left that were killed long ago."""
-    for left in folder.glob(".build-*"):
-        with contextlib.suppress(OSError):
-            if time.time() - left.stat().st_mtime > LONG_AGO:
-                shutil.rmtree(left, ignore_errors=True)
 
 
 class BufferedFunction:

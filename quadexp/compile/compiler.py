@@ -20,20 +20,27 @@ from quadexp.errors import QuadexpError, UsageError
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-fno-tree-slp-vectorize", "-fno-semantic-interposition", "-fPIC")
 GCC_FLAGS = ("-fno-tree-reassoc",)  # CasADi's order of operations is the better one; clang refuses the flag
 STRICT_FLAGS = ("-O2", "-ffp-contract=off", "-fPIC")  # for C of our own whose every operation is meant
+CPUINFO = Path("/proc/cpuinfo")
+PROCESSOR = {  # lines of it that name a model (x86, Arm) or features (x86; Arm; RISC-V; Power)
+    "vendor_id", "cpu family", "model", "CPU implementer", "CPU variant", "CPU part",
+    "flags", "Features", "isa", "cpu",
+}  # fmt: skip
 PATIENCE = 1800.0  # s that the compiler may take
 
 
 def _words() -> list[str]:
     """The compiler's command: $CC, which may be several words such as `ccache gcc`, else gcc, clang or cc."""
-    chosen = shlex.split(os.environ.get("CC", ""))
+    try:
+        chosen = shlex.split(os.environ.get("CC", ""))
+    except ValueError as error:
+        raise UsageError(f"CC={os.environ['CC']}: is no command ({error})") from None
     for words in [chosen] if chosen else [["gcc"], ["clang"], ["cc"]]:
         path = shutil.which(words[0])
         if path:
-            return [path, *words[1:]]
+            return [os.path.abspath(path), *words[1:]]
     return []
 
 
-@cache
 def compiler() -> str | None:
     """Path of the C compiler, or None."""
     return next(iter(_words()), None)
@@ -45,17 +52,28 @@ def not_found() -> str:
 
 
 def required_compiler() -> list[str]:
-    if compiler() is None:
+    words = _words()
+    if not words:
         raise UsageError(f"backend=compiled: {not_found()}; use backend=interpreted")
-    return _words()
+    return words
 
 
-def run_compiler(arguments: Sequence[str], purpose: str) -> str:
-    """What the compiler prints; raises QuadexpError where it fails, cannot be run or does not come to an end."""
+def run_compiler(arguments: Sequence[str], purpose: str, scratch: str | None = None) -> str:
+    """What the compiler prints; raises QuadexpError where it fails, cannot be run or does not come to an end.
+
+    scratch: private folder for its temporary files.
+    """
     command = required_compiler()
+    environment = os.environ | ({"TMPDIR": scratch} if scratch else {})
     try:
         done = subprocess.run(
-            [*command, *arguments], check=False, capture_output=True, text=True, timeout=PATIENCE, errors="replace"
+            [*command, *arguments],
+            check=False,
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+            errors="replace",
+            env=environment,
         )
     except subprocess.TimeoutExpired:
         raise QuadexpError(f"{command[0]} could not {purpose}: it took longer than {PATIENCE:g} s") from None
@@ -68,20 +86,34 @@ def run_compiler(arguments: Sequence[str], purpose: str) -> str:
 
 
 @cache
-def _compiler_version() -> str:
+def _version(command: tuple[str, ...]) -> str:
     return run_compiler(["--version"], "say its version")
 
 
-@cache
 def compile_flags() -> tuple[str, ...]:
-    return FLAGS + GCC_FLAGS if "Free Software Foundation" in _compiler_version() else FLAGS
+    is_gcc = "Free Software Foundation" in _version(tuple(required_compiler()))
+    return FLAGS + GCC_FLAGS if is_gcc else FLAGS
+
+
+def toolchain() -> str:
+    """What besides source and flags decides the binary: the whole command, its version, the processor."""
+    command = required_compiler()
+    return "\n".join([*command, _version(tuple(command)), _processor()])
 
 
 @cache
-def toolchain() -> str:
-    """What besides the source decides the binary: compiler version, flags, processor features."""
-    features = platform.processor() + platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        features += next((line for line in cpuinfo.read_text().splitlines() if line.startswith("flags")), "")
-    return "\n".join([_compiler_version(), " ".join(compile_flags()), features])
+def _processor() -> str:
+    """What -march=native looks at: model and features of all cores, by name."""
+    try:
+        text = CPUINFO.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        text = ""
+    known = {line for line in text.splitlines() if line.partition(":")[0].strip() in PROCESSOR}
+    if not known:  # macOS; where nothing tells processors apart, each machine has its own
+        try:
+            ask = ["sysctl", "machdep.cpu", "hw.optional"]
+            text = subprocess.run(ask, check=False, capture_output=True, text=True, errors="replace").stdout
+        except OSError:
+            text = ""
+        known = {text or platform.node()}
+    return "\n".join([platform.machine(), *sorted(known)])

@@ -12,8 +12,9 @@ import time
 import casadi as ca
 import pytest
 
-from quadexp.compile.backend import cache_folder, compiler, realise
+from quadexp.compile.backend import compiler, realise
 from quadexp.errors import QuadexpError
+from quadexp.files.cache import cache_folder
 from tests.faults.command import ROOT
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
@@ -106,7 +107,7 @@ def test_a_folder_that_others_may_write_to_is_refused(folder):
 
 
 def test_a_new_folder_is_private(folder):
-    assert cache_folder().stat().st_mode & 0o777 == 0o700
+    assert cache_folder().path.stat().st_mode & 0o777 == 0o700
 
 
 def refused(started):

@@ -159,12 +159,12 @@ def test_a_folder_that_takes_no_files(closed):
 
 KILL = """
 import os, signal
-replace = os.replace
+rename = os.rename
 def kill(source, target, **options):
     if str(target).endswith({name!r}):
         os.kill(os.getpid(), signal.SIGKILL)
-    return replace(source, target, **options)
-os.replace = kill
+    return rename(source, target, **options)
+os.rename = kill
 """
 
 

@@ -1,0 +1,37 @@
+"""`quadexp cache`: what is kept between runs. Only light modules are imported here; see cli/app.py."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from quadexp.cli.options import Format, Json
+from quadexp.cli.terminal import answered, format_of, guarded
+
+
+@guarded
+def cache(
+    clear: Annotated[bool, typer.Option("--clear", help="Remove all of it; it is made again when needed.")] = False,
+    format: Format = None,
+    json: Json = False,
+) -> None:
+    """Show, or clear, the folder of compiled functions and composed options.
+
+    It is QUADEXP_CACHE, or else the user's cache folder. Compiled functions that were not used for longest go first.
+
+    \b
+    quadexp cache
+    quadexp cache --clear
+    """
+    from quadexp.files import cache as kept
+
+    form = format_of(format, json)
+    folder = kept.cache_folder()
+    if clear:
+        kept.clear(folder)
+    sizes = [about.st_size for about in kept.libraries(folder).values()]
+    record = {"folder": folder.path, "libraries": len(sizes), "bytes": sum(sizes), "bound": kept.BOUND}
+    if not answered(form, record, lambda: [record], "cache"):
+        print(f"{len(sizes)} compiled functions, {sum(sizes) / 1e6:.1f} of at most {kept.BOUND / 1e6:.0f} MB")
+        print(folder.path)

@@ -1,0 +1,139 @@
+"""Attacks by names: out of the output folder, through links, onto the terminal's next line."""
+
+from __future__ import annotations
+
+import copy
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from quadexp.cli.fly import _flight_name, _results_name
+from quadexp.config.compose import compose, expand
+from quadexp.config.flight import HoverConfig
+from quadexp.errors import DataError, QuadexpError, UsageError
+from quadexp.files.names import NAMED, file_name, is_name
+from quadexp.learn.checkpoint import load_model, save_model
+from quadexp.log.cell_store import CellStore
+from quadexp.log.store import read_flight, write_flight, write_table
+from quadexp.report.drawing import FigureFolder
+from quadexp.sweeps.results import prune, select
+from quadexp.sweeps.sweep import run_sweep
+from quadexp.tune.preset import check_name
+from tests.faults.command import FLY, run
+from tests.files.test_writer import PRECIOUS, drag
+from tests.log.flights import straight_flight
+from tests.sweeps.cells import quick_cell
+
+HOSTILE = (
+    "../../../x", "/etc/x", "..", ".", "", "a/../../b", "-rf", "~", ".hidden", "nul", "COM1.txt", "a\0b",
+    "a\nb", "\x1b]0;owned\x07", "a\u2028b", "\u202etxt", "x" * 5000, "é" * 300, "a\\b", "a\u2215b", "con", " x ", "x.",
+    "\ud800",
+)  # fmt: skip
+
+
+def lies_in(path: Path, folder: Path) -> bool:
+    return path.parent == folder and Path(os.path.normpath(path)).parent == folder
+
+
+@given(st.one_of(st.sampled_from(HOSTILE), st.text(max_size=400)))
+def test_a_file_name_is_one_component(text):
+    made = file_name(text)
+    assert Path(made).parts == (made,) and made.isprintable() and len(made.encode()) <= 140
+    assert made == made.strip(" .") and not made.startswith("-") and made.upper() not in ("NUL", "CON", "COM1.TXT")
+    assert lies_in(FigureFolder("out").path(f"path_{text}"), Path("out/figures"))
+    assert file_name(made) == made or made != text
+
+
+@given(st.lists(st.text(max_size=30), min_size=2, max_size=8, unique=True))
+def test_different_names_have_different_files(texts):
+    assert len({file_name(text) for text in texts}) == len(texts)
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_what_is_written_lies_in_the_output_folder(name):
+    """Names of a trajectory, an experiment, a tuned option: each is refused, or made a file name."""
+    config = copy.deepcopy(compose([]))
+    object.__setattr__(config.trajectory, "name", name)  # which its own check would refuse
+    folder = Path("runs")
+    for made in (_flight_name(config), _results_name([f"experiment={name}"], config, True)):
+        assert lies_in(folder / f"{made}.parquet", folder)
+    if name:
+        try:
+            check_name({"controller": "gp_mpc"}, name)
+        except UsageError:
+            return
+        assert lies_in(folder / f"{name}.yaml", folder)
+
+
+def test_a_sweep_writes_nothing_outside_its_folder(tmp_path):
+    out = tmp_path / "deep" / "deeper" / "results"
+    words = (*FLY[1:], "trajectory.name='../../../x'", "--out", out)
+    assert run("evaluate", "--sweep", *words).returncode == 0
+    outside = [path for path in tmp_path.rglob("*") if path.is_file() and out not in path.parents]
+    assert outside == [] and len(list((out / "figures").glob("path_*.svg"))) == 1
+
+
+@pytest.mark.parametrize("name", [name for name in HOSTILE if not is_name(name)])
+def test_a_name_is_one_printable_line(name, tmp_path):
+    """Wherever it is read: from the configuration, a flight, a table of results, a checkpoint."""
+    with pytest.raises(UsageError, match="one printable line"):
+        HoverConfig(name=name)
+    if not name or "\ud800" in name:
+        return
+    flight = write_flight(tmp_path / "a.parquet", straight_flight(config={"trajectory": {"name": name}}))
+    with pytest.raises(DataError, match="trajectory is not one printable line"):
+        read_flight(flight)
+    (tmp_path / "r" / "cells").mkdir(parents=True)
+    row = dict.fromkeys((*NAMED, "key", "outcome"), np.array([name], object))
+    write_table(tmp_path / "r" / "results.parquet", row, {}, "results")
+    with pytest.raises(DataError, match="is not one printable line"):
+        select(tmp_path / "r")
+    model = drag()
+    object.__setattr__(model, "vehicle", {"name": name, "fingerprint": "0"})
+    with pytest.raises(DataError, match="vehicle is not one printable line"):
+        load_model(save_model(tmp_path / "m", model))
+
+
+@pytest.fixture
+def linked(tmp_path):
+    """A folder of results whose cells of one letter lie behind a link, in a folder of somebody else's."""
+    out, outside = tmp_path / "r", tmp_path / "outside"
+    run_sweep(expand(["seed=range(2)"]), out, function=quick_cell, isolate=False)
+    key = min(CellStore(out).done())
+    CellStore(out).path(key).parent.rename(outside)
+    (out / "cells" / key[:2]).symlink_to(outside)
+    (outside / "thesis.tmp").write_text(PRECIOUS)
+    return out, outside
+
+
+def test_results_remove_nothing_behind_a_link(linked):
+    out, outside = linked
+    before = {path.name: path.read_bytes() for path in outside.iterdir()}
+    prune(out, ["controller=*"], remove=True)
+    CellStore(out).clean()
+    CellStore(out).remove([path.stem for path in outside.iterdir()]) if False else None
+    assert {path.name: path.read_bytes() for path in outside.iterdir()} == before
+
+
+def test_a_sweep_writes_nothing_behind_a_link(linked):
+    out, outside = linked
+    before = sorted(os.listdir(outside))
+    with pytest.raises(QuadexpError, match=r"cannot be written \(.. is a link"):
+        run_sweep(expand(["seed=range(2)"]), out, function=quick_cell, isolate=False, force=True)
+    assert sorted(os.listdir(outside)) == before
+
+
+@pytest.mark.parametrize("place", ["cells", "figures"])
+def test_a_folder_of_results_that_is_a_link(tmp_path, place):
+    outside, out = tmp_path / "outside", tmp_path / "r"
+    outside.mkdir()
+    (outside / "path_hover.svg").write_text(PRECIOUS)
+    out.mkdir()
+    (out / place).symlink_to(outside)
+    (out / "cells").mkdir(exist_ok=True)
+    assert run("evaluate", "--sweep", *FLY[1:], "--out", out).returncode != 0
+    assert os.listdir(outside) == ["path_hover.svg"] and (outside / "path_hover.svg").read_text() == PRECIOUS
