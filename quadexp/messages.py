@@ -1,24 +1,116 @@
-"""Text for people: suggestions for a misspelt name, one line from an error of a library, no control characters.
+"""Text for people: one escaper a format, suggestions for a misspelt name, one line from an error of a library.
 
-Names may come from files of other people. A control character in one could move the cursor, hide or forge lines, or
-set the title of the terminal. Therefore standard output and the error stream are wrapped once
-(quadexp/cli/terminal.py), and control characters are printed as escape sequences instead of being sent.
+Names, labels, causes and paths may come from files of other people. So every writer passes them through the escaper of
+its format, and each gives one line, one cell or one word, whatever the text was:
+
+    clean           a stream of text: no control character but newline and tab
+    printable       one line of a terminal, a log or a comment
+    markdown        text within a line, or a cell of a table
+    latex           text or a cell of LaTeX
+    csv_line        a row of CSV, with no formula
+    html, script    text and values of attributes in HTML and SVG; JSON within <script>
+    yaml            a value of YAML
+    tracker_name    a name for MLflow and Weights & Biases, and tracker_text, a value
+    shlex.quote     a word of a command
+
+Figures take text as it is: mathematics is asked for by name (report/style.py). Standard output and the error stream are
+wrapped once in a CleanStream (quadexp/cli/terminal.py).
 """
 
 from __future__ import annotations
 
 import difflib
+import html as markup
+import json
+import math
+import os
 import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-# Those of ASCII and Latin-1 except tab and newline, and those that change the direction of writing or break lines.
-_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+# Signs beyond ASCII that are not printed, such as marks of direction, are written out; blanks that this program sets,
+# and the bytes of a path that is not UTF-8, are kept.
+_UNUSUAL = re.compile("[^\n\t -~\u00a0\u202f\udc80-\udcff]")
+_LATEX = str.maketrans(
+    {c: f"\\{c}" for c in "&%$#_{}"}
+    | {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}"}
+    | {c: f"${c}$" for c in "<>|"}
+)
+# What begins code, emphasis, a cell, mathematics, a tag, a link, an entity; an underscore within a word begins nothing.
+_MARKDOWN = re.compile(r"[\\`*|~$]|<(?=\S)|\](?=[(\[:])|(?<![^\W_])_|_(?![^\W_])|&(?=[#\w])")
+_BLOCK = re.compile(r"^(\d{1,9}(?=[.)](?!\S))|(?=[#>+=-]))")  # what begins a list, a heading, a quotation
+_BYTES = re.compile("[\udc80-\udcff]+")  # of a path that is not UTF-8
+_NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?inf|-"
+# What a spreadsheet evaluates at the beginning of a cell, of any country's separator, where it is no number.
+_FORMULA = re.compile(rf"(?i)(?:^|(?<=;))(?=\s*[=+\-@\uff1d\uff0b\uff0d\uff20])(?!(?:{_NUMBER})(?:;|$))")
 
 
 def clean(text: str) -> str:
-    """The text with control characters written out, such as \\x1b for ESC."""
-    return _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
+    """The text with what is not printed written out, such as \\x1b for ESC; newline and tab are kept."""
+    text = _BYTES.sub(lambda run: os.fsdecode(os.fsencode(run[0])), text)  # as letters where they are UTF-8
+    return _UNUSUAL.sub(lambda sign: sign[0] if sign[0].isprintable() else ascii(sign[0])[1:-1], text)
+
+
+def printable(text: object) -> str:
+    """One line: newline and tab are written out too."""
+    return clean(str(text)).replace("\n", "\\n").replace("\t", "\\t")
+
+
+def _stored(text: object) -> str:
+    """One line for a file, which is UTF-8."""
+    return printable(text).encode(errors="backslashreplace").decode()
+
+
+def markdown(text: object, *, begins: bool = False) -> str:
+    """Text within a line of Markdown, or a cell. begins: a line begins with it."""
+    escaped = _MARKDOWN.sub(r"\\\g<0>", _stored(text))
+    return _BLOCK.sub(r"\1\\", escaped.lstrip()) if begins else escaped
+
+
+def latex(text: object) -> str:
+    """Text or a cell of LaTeX. What begins with a bracket or star would be an argument of the command before it."""
+    escaped = _stored(text).translate(_LATEX)
+    return f"{{}}{escaped}" if escaped[:1] in ("[", "*") else escaped
+
+
+def csv_line(values: Iterable[Any]) -> str:
+    """A row of CSV: numbers with the digits that give them back, empty for None and NaN. A text that a spreadsheet
+    would evaluate begins with an apostrophe, and one with a separator, of any country, stands in quotes."""
+    return ",".join(map(_csv_cell, values)) or '""'
+
+
+def _csv_cell(value: Any) -> str:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    if isinstance(value, float):
+        return repr(value)
+    text = _FORMULA.sub("'", _stored(value))
+    return '"' + text.replace('"', '""') + '"' if re.search('[",;]', text) else text
+
+
+def html(text: object) -> str:
+    """Text, or the value of an attribute in quotes, of HTML and SVG."""
+    return markup.escape(clean(str(text)).encode(errors="backslashreplace").decode())
+
+
+def script(value: Any) -> str:
+    """JSON to stand within <script>."""
+    return json.dumps(value, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def yaml(value: Any) -> str:
+    """A value as YAML on one line, which is read back as it was: JSON, with what is not printed written out."""
+    return _stored(json.dumps(value, ensure_ascii=False))
+
+
+def tracker_text(text: object) -> str:
+    """A value of a setting or tag for an experiment tracker, which takes so many letters."""
+    return _stored(text)[:500]
+
+
+def tracker_name(text: object) -> str:
+    """A name for an experiment tracker: no separator of paths and addresses."""
+    return re.sub(r"[/\\#?%:]", "_", _stored(text))[:128]
 
 
 class CleanStream:
@@ -32,8 +124,8 @@ class CleanStream:
         return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:
-        for line in lines:
-            self.write(line)
+        for text in lines:
+            self.write(text)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.raw, name)

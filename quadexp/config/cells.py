@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, is_dataclass
 from typing import Any, overload
 
 from quadexp.config.schema import PRESETS, REMEDIES, WORLD, Config
@@ -27,9 +27,9 @@ Grid = tuple[tuple[str, ...], ...]  # for every key its overrides; the cells are
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One configuration of a sweep. overrides: what made it. varied: the overrides that differ within the sweep and
-    that no column of the result table names by itself. invalid: why the overrides contradict each other, "" where they
-    do not; `config` is then made of those that do not.
+    """One configuration of a sweep. overrides: what made it. varied: the keys that differ within the sweep and that no
+    column of the result table names by itself, as overrides, also where the cell has its default. invalid: why the
+    overrides contradict each other, "" where they do not; `config` is then made of those that do not.
 
     Cells share the nodes of their configurations: read them, do not write them."""
 
@@ -74,10 +74,15 @@ class Cells(Combinations, Sequence[Cell]):
     def __init__(self, grids: Sequence[Grid], compose: Callable[[Sequence[str]], Config]) -> None:
         super().__init__(grids)
         self._compose = compose
-        values: dict[str, set[str]] = {}
+        values: dict[str, dict[str, None]] = {}
         for text in (text for grid in self.grids for texts in grid for text in texts):
-            values.setdefault(_key(text), set()).add(text)
-        self._varied = {key for key, texts in values.items() if len(texts) > 1 and key not in COLUMN_KEYS}
+            values.setdefault(_key(text), {})[text] = None
+        choices = [{_key(texts[0]): set(texts) for texts in grid} for grid in self.grids]
+        self._varied = {
+            key: list(texts)
+            for key, texts in values.items()
+            if key not in COLUMN_KEYS and (len(texts) > 1 or _set_in_part(key, choices))
+        }
 
     @overload
     def __getitem__(self, index: int) -> Cell: ...
@@ -87,14 +92,20 @@ class Cells(Combinations, Sequence[Cell]):
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         overrides = self.overrides(index)
-        varied = " ".join(text for text in overrides if _key(text) in self._varied)
         try:
-            return Cell(self._compose(overrides), overrides, varied)
+            config = self._compose(overrides)
+            return Cell(config, overrides, self._differing(overrides, config))
         except UsageError as error:
             kept = self._consistent(overrides)
-            return InvalidCell(
-                self._compose(kept), overrides, varied, str(error), error, frozenset({*overrides} - {*kept})
-            )
+            config = self._compose(kept)
+            varied = self._differing(overrides, config)
+            return InvalidCell(config, overrides, varied, str(error), error, frozenset({*overrides} - {*kept}))
+
+    def _differing(self, overrides: Sequence[str], config: Config) -> str:
+        """The keys that vary with their values; that of a key that is not given here is what the configuration has."""
+        given = {_key(text): text for text in overrides}
+        texts = (given.get(key) or _default(key, config, known) for key, known in self._varied.items())
+        return " ".join(text for text in texts if text)
 
     def sound(self) -> list[Cell]:
         """All cells; raises the UsageError of the first that is invalid."""
@@ -147,6 +158,37 @@ def refuse_mistakes(cells: Iterable[Cell]) -> Iterator[Cell]:
     for text, error in errors.items():
         if _key(text) not in keys or (isinstance(error, ForbiddenValueError) and text not in accepted):
             raise error
+
+
+def _set_in_part(key: str, grids: Sequence[Mapping[str, set[str]]]) -> bool:
+    """Whether some grids give a key that another one does not, whose flights the columns do not tell apart: those of
+    who flies, for a key of the controller, which all its conditions share."""
+    who = {"controller", "model", "remedies", *REMEDIES}
+    columns = who if key.startswith("controller.") else COLUMN_KEYS - {"seed", "experiment"}
+    with_key, without = ([grid for grid in grids if (key in grid) == wanted] for wanted in (True, False))
+    return any(
+        all(one[column] & other[column] for column in columns & one.keys() & other.keys())
+        for one in with_key
+        for other in without
+    )
+
+
+def _default(key: str, config: Config, known: Iterable[str]) -> str:
+    """The value of a key in a configuration as an override, spelled as one of those known; "" without such a key."""
+    value: Any = config
+    for part in key.split("."):
+        value = getattr(value, part, None)
+    if value is None or is_dataclass(value):  # a group of options: its columns say which
+        return ""
+    same = (text for text in known if _same(text.partition("=")[2], value))
+    return next(same, f"{key}={str(value).replace(' ', '')}")
+
+
+def _same(text: str, value: Any) -> bool:
+    try:
+        return bool(float(text) == value)
+    except ValueError:
+        return text.lower() == str(value).lower()
 
 
 def _key(override: str) -> str:

@@ -98,14 +98,10 @@ class Choices:
         return {key: node_of(key, value, options, source) for key, value in found.items()}
 
     def _composed_anew(self, name: str, chosen: Sequence[Given]) -> dict[str, Any]:
-        import yaml
-
         from quadexp.config.hydra_files import composed_files
 
-        try:
-            content = composed_files(name, [one.text for one in chosen], self._files.folders)
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise self._files.unreadable(error) from None
+        self._files.check([name, *(f"{one.key}/{one.value}" for one in chosen)])
+        content = composed_files(name, [one.text for one in chosen], self._files.folders)
         if name == "config":
             self._check_presets(content, chosen)
         return content

@@ -25,7 +25,8 @@ def groups(extra: Path | None = None) -> dict[str, list[str]]:
     for root in folders(extra):
         for folder in sorted(root.iterdir()) if root.is_dir() else ():
             if folder.is_dir():
-                found.setdefault(folder.name, set()).update(path.stem for path in folder.glob("*.yaml"))
+                files = (path for path in folder.glob("*.yaml") if path.is_file())
+                found.setdefault(folder.name, set()).update(path.stem for path in files)
     return {group: sorted(options) for group, options in found.items() if options}
 
 

@@ -23,6 +23,7 @@ from quadexp.config.plugins import import_from
 from quadexp.config.schema import WORLD, Config, world_name
 from quadexp.config.settings import made
 from quadexp.errors import UsageError
+from quadexp.files.names import is_name
 from quadexp.messages import one_line, suggestion
 
 EACH = "each"  # of a grid under an experiment's `sweep:`, see _written_out
@@ -105,6 +106,8 @@ class Composer:
                 raise UsageError(f"{one.text}: holds keys; set one of them, such as {one.key}.{first}=...")
         config = Config(**self._nodes(base, values))
         config = replace(config, world=self._world_name(config, chosen, values))
+        if not is_name(config.world):
+            raise UsageError(f"world={config.world!r}: its name must be one printable line")
         baseline = config.evaluate.baseline
         if baseline not in self._groups["controller"]:
             hint = suggestion(baseline, self.options("controller"))

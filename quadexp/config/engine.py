@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
@@ -106,3 +107,17 @@ class SlurmConfig(ClusterConfig):
     ] = None
     interface: Annotated[str | None, Setting("network interface by which nodes reach the scheduler")] = None
     python: Annotated[str | None, Setting("Python interpreter of the nodes; null: the same path as here")] = None
+
+    def __post_init__(self) -> None:
+        """What stands in the script of a job is a word of the shell, or one line: only `prologue` is shell."""
+        super().__post_init__()
+        for name in ("queue", "account", "walltime", "shared", "interface", "python", "tls_ca", "tls_cert", "tls_key"):
+            value = getattr(self, name)
+            if value is not None and shlex.quote(value) != value:
+                raise UsageError(
+                    f"engine.{name}={value!r}: must be one word of letters, digits and @%+=:,./-_: it stands in the"
+                    " script of a job"
+                )
+        for directive in self.directives:
+            if not directive.isprintable():
+                raise UsageError(f"engine.directives={directive!r}: each must be one line")

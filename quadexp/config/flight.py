@@ -16,7 +16,7 @@ Backend = Annotated[
     Literal["auto", "compiled", "interpreted"],
     Setting("C code compiled once and kept, CasADi's interpreter, or compiled where there is a compiler"),
 ]
-Name = Annotated[str, Setting("name in tables and figures")]
+Name = Annotated[str, Setting("name in tables and figures", names=True)]
 SPEED = Setting(
     "nominal speed (circle, lemniscate; `quadexp simulate` prints the peak speed), or largest speed of the path"
     " (random,"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
-from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
+from omegaconf.errors import OmegaConfBaseException
 
 from quadexp.config.override import quoted
 from quadexp.config.schema import SCHEMA, SCHEMAS, conf_folder
@@ -27,33 +28,20 @@ from quadexp.config.settings import REQUIRED, declared, plain
 from quadexp.errors import UsageError
 from quadexp.messages import one_line
 
+_one_thread = threading.RLock()  # Hydra composes for one at a time
 _VERSION = {"version_base": "1.3"} if hydra.__version__.startswith("1.3.") else {}  # later versions take none
 
 
 def composed_files(name: str, chosen: Sequence[str], folders: Sequence[Path]) -> dict[str, Any]:
     """What a file and a choice of options (GROUP=OPTION each) make together. folders: conf/, then others to search."""
-    register_schemas()
     own = ",".join(quoted(f"file://{folder}") for folder in folders[1:])
-    GlobalHydra.instance().clear()
-    with _one_line(), hydra.initialize_config_dir(str(conf_folder()), **_VERSION):
-        content = OmegaConf.to_container(hydra.compose(name, overrides=[*chosen, f"hydra.searchpath=[{own}]"]))
+    with _one_thread, _one_line():
+        register_schemas()
+        GlobalHydra.instance().clear()
+        with hydra.initialize_config_dir(str(conf_folder()), **_VERSION):
+            content = OmegaConf.to_container(hydra.compose(name, overrides=[*chosen, f"hydra.searchpath=[{own}]"]))
     assert isinstance(content, dict)
     return {str(key): value for key, value in content.items()}
-
-
-def resolved(content: dict[str, Any]) -> dict[str, Any]:
-    """The content with its references, such as ${seed}, replaced by what they refer to."""
-    try:
-        found = OmegaConf.to_container(OmegaConf.create(content), resolve=True)
-    except OmegaConfBaseException as error:
-        key = str(getattr(error, "full_key", None) or "a value").split("\n")[0]
-        reason = "a name that does not exist" if isinstance(error, InterpolationKeyError) else "what cannot be read"
-        raise UsageError(
-            f"{key}: refers to {reason}; a reference is ${{KEY}} with a key of the configuration, such as ${{seed}}"
-            " or ${trajectory.speed}, and none that leads back to itself"
-        ) from None
-    assert isinstance(found, dict)
-    return {str(key): value for key, value in found.items()}
 
 
 class _Groups:

@@ -16,13 +16,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from quadexp.cache import cache_folder
-from quadexp.errors import QuadexpError
+from quadexp.config.plain_data import read_regular
+from quadexp.errors import QuadexpError, UsageError, WriteError
+from quadexp.files.cache import CONFIGURATIONS, cache_folder
+from quadexp.files.writer import written
 
-FOLDER = "configurations"
 MOST_FILES = 2000  # in the folders of a configuration; with more, nothing is kept
 MOST_ENTRIES = 2000  # of which the older half goes
-_TEMPORARY = ".tmp"
 
 
 class KeptCompositions:
@@ -55,21 +55,20 @@ class KeptCompositions:
                 return
         except (TypeError, ValueError):  # such as a date
             return
-        temporary = path.with_name(f"{path.name}.{os.getpid()}{_TEMPORARY}")
-        with contextlib.suppress(OSError, UnicodeError):
-            path.parent.mkdir(mode=0o700, exist_ok=True)
-            temporary.write_text(f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}", encoding="utf-8")
-            os.replace(temporary, path)
+        with contextlib.suppress(OSError, UnicodeError, WriteError):
+            with written(path, durable=False) as file:  # its hash tells a damaged one
+                file.write(f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}".encode())
             _thin(path.parent)
 
     def _path(self, asked: Sequence[Any]) -> Path | None:
         if self._base is None:
             return None
         try:
-            folder = cache_folder()
+            folder = cache_folder().inside
         except QuadexpError:
             return None
-        return folder / FOLDER / f"{hashlib.sha256(f'{self._base}{json.dumps(asked)}'.encode()).hexdigest()[:40]}.json"
+        key = hashlib.sha256(f"{self._base}{json.dumps(asked)}".encode()).hexdigest()[:40]
+        return folder / CONFIGURATIONS / f"{key}.json"
 
 
 def _digest_of(folders: Sequence[Path]) -> str | None:
@@ -82,9 +81,9 @@ def _digest_of(folders: Sequence[Path]) -> str | None:
     for files in found:
         for name, path in sorted(files):
             try:
-                content = path.read_bytes()
-            except OSError:
-                return None
+                content = read_regular(path)
+            except (OSError, UsageError):  # no file of the configuration either
+                continue
             digest.update(f"{name}\0{len(content)}\0".encode(errors="surrogateescape"))
             digest.update(content)
         digest.update(b"\0\0")

@@ -35,10 +35,12 @@ class ActuatorKeys(Settings):
         Setting("largest speed of the rotors; null: none; needs vehicle.thrust_coefficient", "(0, 1e5]", "rad/s"),
     ] = None
     rotor_scale_std: Annotated[
-        float, Setting("relative standard deviation of the thrust of each rotor, drawn once a flight", "[0, 0.5]")
+        float,
+        Setting("relative standard deviation of each rotor's thrust at its speed, drawn once a flight", "[0, 0.5]"),
     ] = 0.0
     flight_scale_std: Annotated[
-        float, Setting("relative standard deviation of the thrust of all rotors, drawn once a flight", "[0, 0.5]")
+        float,
+        Setting("relative standard deviation of all rotors' thrust at their speeds, drawn once a flight", "[0, 0.5]"),
     ] = 0.0
     rotor_inertia: Annotated[
         float,

@@ -11,13 +11,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from quadexp.config.override import Given
+from quadexp.config.plain_data import REFERENCE, REFERENCES
 from quadexp.config.schema import SCHEMA, SCHEMAS, Config
 from quadexp.config.settings import declared, plain
 from quadexp.errors import UsageError
 from quadexp.messages import ending_in, suggestion
 
 _REFERENCE = re.compile(r"\$\{(\w+(?=\})|)")
-_WHOLE_REFERENCE = re.compile(r"\$\{(\w+)\}")
+MOST_STEPS = 16  # from reference to reference
+MOST_LETTERS = 1000  # of what a reference stands for
 
 
 class Node(NamedTuple):
@@ -74,27 +76,40 @@ def content_of(name: str, base: Mapping[str, Node], values: Sequence[Given], oth
             _set(content, one.key.split("."), one.value)
     if not others:
         return content[name]
-    try:
-        return _substituted(content[name], content)
-    except LookupError:
-        from quadexp.config.hydra_files import resolved
-
-        return resolved(content)[name]
+    return _resolved(content[name], name, content, {}, ())
 
 
-def _substituted(content: Any, others: Mapping[str, Any]) -> Any:
-    """The content with its references to numbers of the root replaced; LookupError where there are other references."""
-    if isinstance(content, dict):
-        return {key: _substituted(value, others) for key, value in content.items()}
-    if isinstance(content, list):
-        return [_substituted(value, others) for value in content]
-    if not isinstance(content, str) or "${" not in content:
-        return content
-    whole = _WHOLE_REFERENCE.fullmatch(content)
-    value = others[whole[1]] if whole else content
-    if not isinstance(value, (int, float)):
-        raise LookupError(content)
-    return value
+def _resolved(value: Any, at: str, whole: Mapping[str, Any], known: dict[str, Any], way: tuple[str, ...]) -> Any:
+    """The value with its references replaced. at: its key. whole: what they refer to. known: values by key. way: keys
+    that led here."""
+    if isinstance(value, dict):
+        return {key: _resolved(item, f"{at}.{key}", whole, known, way) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_resolved(item, at, whole, known, way) for item in value]
+    if not isinstance(value, str) or "${" not in value:
+        return value
+
+    def named(match: re.Match[str]) -> Any:
+        key = match[1]
+        if key in way or len(way) > MOST_STEPS:
+            raise UsageError(f"{at}: refers to what cannot be read; {REFERENCES}")
+        if key not in known:
+            found: Any = whole
+            for part in key.split("."):
+                if not isinstance(found, dict) or part not in found:
+                    raise UsageError(f"{at}: refers to a name that does not exist; {REFERENCES}")
+                found = found[part]
+            known[key] = _resolved(found, key, whole, known, (*way, key))
+        if len(str(known[key])) > MOST_LETTERS:
+            raise UsageError(f"{at}: refers to {key}, which is too long to be referred to")
+        return known[key]
+
+    alone = REFERENCE.fullmatch(value)
+    if alone:
+        return named(alone)
+    if "${" in REFERENCE.sub("", value):
+        raise UsageError(f"{at}: refers to what cannot be read; {REFERENCES}")
+    return REFERENCE.sub(lambda match: str(named(match)), value)
 
 
 def _set(content: dict[str, Any], parts: Sequence[str], value: Any) -> None:

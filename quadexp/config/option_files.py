@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from quadexp.config.completion import folders, groups
+from quadexp.config.plain_data import REFERENCE, REFERENCES, read_data
 from quadexp.config.schema import SCHEMAS
 from quadexp.config.settings import declared
 from quadexp.errors import UsageError
 from quadexp.messages import MOST_NAMED, ending_in
+
+_MODIFIERS = re.compile(r"^\s*(?:(?:override|optional)\s+)*")
 
 
 class OptionFiles:
@@ -36,9 +39,31 @@ class OptionFiles:
         path = self.find(name)
         assert path is not None, name
         try:
-            return yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+            content = read_data(path) or {}
         except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise self.unreadable(error) from None
+            raise unreadable(path, error) from None
+        if wrong := re.search(r"\$\{[^}]{,60}\}?", REFERENCE.sub("", str(content))):
+            raise UsageError(f"{path}: {wrong[0]}: {REFERENCES}")
+        if not isinstance(content, Mapping) or not isinstance(content.get("defaults") or [], list):
+            raise UsageError(f"{path}: must be a mapping {{key: value}}, and `defaults` a list")
+        return content
+
+    def check(self, names: Iterable[str]) -> None:
+        """Read all files that these names lead to by their `defaults`, before a library does: UsageError where one is
+        more than data. Those of conf/ lead to others of conf/ alone."""
+        waiting = list(names)
+        seen: set[str] = set()
+        while waiting:
+            name = waiting.pop().removesuffix(".yaml")
+            file = self.find(name)
+            if file is None or name in seen or file.is_relative_to(self.folders[0]):
+                continue
+            seen.add(name)
+            content = self.read(name)
+            for option in _defaults(content):
+                if "${" in option:
+                    raise UsageError(f"{file}: defaults: {option}: an option is chosen by its name, not by a reference")
+                waiting += [option.lstrip("/"), f"{name.rpartition('/')[0]}/{option}".lstrip("/")]
 
     def chosen_by(self, name: str) -> dict[str, str]:
         """Group -> option that the defaults of a file choose."""
@@ -64,18 +89,19 @@ class OptionFiles:
         named = re.search(rf"/schema/{group}/(\w+)@", text)
         return named[1] if named else ""
 
-    def unreadable(self, error: Exception) -> UsageError:
-        """What is wrong with a file, in one line that names it."""
-        mark = getattr(error, "problem_mark", None)
-        file = mark.name if mark else getattr(error, "name", None) or self._undecodable()
-        place = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        reason = getattr(error, "problem", None) or str(error).splitlines()[0]
-        return UsageError(f"{file}{place}: not valid YAML: {reason}")
 
-    def _undecodable(self) -> str:
-        for file in (path for folder in self.folders for path in sorted(folder.rglob("*.yaml"))):
-            try:
-                file.read_text(encoding="utf-8")
-            except UnicodeDecodeError:
-                return str(file)
-        return "a file of the configuration"
+def unreadable(path: Path, error: Exception) -> UsageError:
+    """What is wrong with a file of YAML, in one line that names it."""
+    mark = getattr(error, "problem_mark", None)
+    place = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+    reason = getattr(error, "problem", None) or str(error).splitlines()[0]
+    return UsageError(f"{path}{place}: not valid YAML: {reason}")
+
+
+def _defaults(content: Mapping[str, Any]) -> Iterator[str]:
+    """The options that a file's `defaults` name, such as "/vehicle/mine" and "base"."""
+    for one in content.get("defaults") or ():
+        for group, options in one.items() if isinstance(one, Mapping) else [("", one)]:
+            for option in options if isinstance(options, list) else [options]:
+                words = (_MODIFIERS.sub("", str(part)).partition("@")[0] for part in (group, option))
+                yield "/".join(filter(None, words))

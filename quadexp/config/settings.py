@@ -22,6 +22,7 @@ from types import NoneType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from quadexp.errors import ForbiddenValueError, UsageError
+from quadexp.files.names import is_name
 from quadexp.messages import suggestion
 
 if TYPE_CHECKING:
@@ -36,11 +37,13 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Setting:
-    """What a value means, the interval it must lie in (of a list: each number), and its unit."""
+    """What a value means, the interval it must lie in (of a list: each number), its unit, and whether it names a thing,
+    as one printable line."""
 
     meaning: str
     interval: str = ""
     unit: str = ""
+    names: bool = False
 
 
 @dataclass(frozen=True)
@@ -198,6 +201,8 @@ def _checked(key: str, value: Any, one: Declared) -> Any:
         raise ForbiddenValueError(f"{key}={value}: must be one of {', '.join(one.words)}")
     if one.length and len(value) != one.length and not _is_rows(one.type):
         raise ForbiddenValueError(f"{key}={_shown(value)}: must be a list of {one.length} numbers")
+    if one.setting.names and not is_name(value):
+        raise ForbiddenValueError(f"{key}={value!r}: must be one printable line")
     interval, unit = one.setting.interval, one.setting.unit
     for item in value if isinstance(value, tuple) else [value] if interval else ():
         if interval and not inside(item, interval):

@@ -76,7 +76,7 @@ class StatedEstimateKeys(Settings):
     velocity_noise: Annotated[float, Setting("standard deviation of the velocity, per axis", "[0, 10]", "m/s")] = 0.0
     attitude_noise: Annotated[float, Setting("standard deviation of the attitude, per axis", "[0, 1]", "rad")] = 0.0
     rate_noise: Annotated[float, Setting("standard deviation of the body rate, per axis", "[0, 10]", "rad/s")] = 0.0
-    delay: Annotated[float, Setting("age of the state that is told, in whole integration steps", "[0, 0.5]", "s")] = 0.0
+    delay: Annotated[float, Setting("age of the state that is told", "[0, 0.5]", "s")] = 0.0
     gyro: Annotated[
         Literal["late", "fresh"],
         Setting("body rate that is told: as old as the rest of the state, or that of now, as a gyroscope's is"),

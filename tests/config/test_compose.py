@@ -128,6 +128,30 @@ class TestExpand:
         cells = expand(["controller.nodes=10,20", "controller.horizon=1", "trajectory.speed=4,8"])
         assert {cell.varied for cell in cells} == {"controller.nodes=10", "controller.nodes=20"}
 
+    @pytest.mark.parametrize(
+        ("grids", "varied"),
+        [
+            (["controller: nominal_mpc", "controller: nominal_mpc, controller.nodes: 30"], ["nodes=10", "nodes=30"]),
+            (
+                ["controller: nominal_mpc, seed: 1", "controller: nominal_mpc, controller.nodes: 30"],
+                ["nodes=10", "nodes=30"],
+            ),
+            (
+                ["controller: perfect_mpc", "controller: nominal_mpc, controller.nodes: 30"],
+                ["", ""],
+            ),  # named by a column
+            (["controller: geometric", "controller: nominal_mpc, controller.horizon: 1"], ["", ""]),
+            (["trajectory: circle", "trajectory: hover, trajectory.duration: 9"], ["", ""]),
+        ],
+    )
+    def test_a_key_that_one_grid_gives_differs_from_the_default_of_the_others(self, tmp_path, grids, varied):
+        """So that one controller with two settings is not one column."""
+        lines = ["# @package _global_", "sweep:", *(f"  - {{{grid}}}" for grid in grids)]
+        (tmp_path / "experiment").mkdir()
+        (tmp_path / "experiment" / "mine.yaml").write_text("\n".join(lines) + "\n")
+        found = [cell.varied for cell in expand(["experiment=mine"], tmp_path)]
+        assert found == [f"controller.{text}" if text else "" for text in varied]
+
     def test_the_command_line_has_precedence_over_the_experiments_sweep(self):
         everything, one_seed = expand(["experiment=quick"]), expand(["experiment=quick", "seed=5"])
         assert {cell.config.seed for cell in one_seed} == {5}
@@ -264,7 +288,7 @@ class TestOwnFolder:
             ("name: racer\n\tmass: 1.0\n", r"vehicle/racer.yaml, line 2, column 1: not valid YAML: found "),
             (b"name: \xff\n", r"vehicle/racer.yaml: not valid YAML: 'utf-8' codec"),
             ("name: racer\nmass: 1.0\n", "vehicle=racer: its file names no schema of vehicle; let it begin with"),
-            ("- name\n", "vehicle=racer: its file names no schema of vehicle"),
+            ("- name\n", "racer.yaml: must be a mapping"),
             ("", "vehicle=racer: its file names no schema of vehicle"),
             ("defaults: [/schema/plant/ideal@_here_]\n", "Could not load 'schema/plant/ideal'"),
             ("defaults: [/schema/plant/simplified@_here_]\n", "vehicle=racer: its file names no schema of vehicle"),

@@ -12,10 +12,11 @@ import pytest
 
 from quadexp.config import hydra_files
 from quadexp.config.compose import compose
-from quadexp.config.kept import FOLDER, MOST_FILES, KeptCompositions
+from quadexp.config.kept import MOST_FILES, KeptCompositions
 from quadexp.config.schema import conf_folder
 from quadexp.config.settings import record
 from quadexp.errors import UsageError
+from quadexp.files.cache import CONFIGURATIONS
 
 ROOT = Path(__file__).resolve().parents[2]
 ASKED = ["trajectory=lemniscate", "controller=gp_mpc", "trajectory.speed=7"]
@@ -24,7 +25,7 @@ ASKED = ["trajectory=lemniscate", "controller=gp_mpc", "trajectory.speed=7"]
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("QUADEXP_CACHE", str(tmp_path / "cache"))
-    return tmp_path / "cache" / FOLDER
+    return tmp_path / "cache" / CONFIGURATIONS
 
 
 @pytest.fixture
