@@ -5,7 +5,7 @@
 Rotation vectors follow Solà 2017, "Quaternion kinematics for the error-state Kalman filter" (arXiv:1711.02508).
 
 Post-processing in numpy uses scipy.spatial.transform.Rotation instead, except for the velocity relative to the air,
-which is computed here both for expressions and for samples.
+which is computed here both for expressions and for samples, and for headings.
 """
 
 from __future__ import annotations
@@ -42,6 +42,25 @@ def air_velocity(q: Any, velocity: Any, wind: Any = None) -> Any:
     rows = _entries(*(q.tolist() if single else np.moveaxis(q, -1, 0)))
     x, y, z = relative.tolist() if single else np.moveaxis(relative, -1, 0)
     return np.stack([rows[0][i] * x + rows[1][i] * y + rows[2][i] * z for i in range(3)], axis=-1)
+
+
+def heading(q: np.ndarray) -> np.ndarray:
+    """The heading that a yaw prescribes, (...) (rad): y_body is level against (cos yaw, sin yaw, 0), of q, (..., 4)."""
+    rows = _entries(*np.moveaxis(q, -1, 0))
+    return np.asarray(np.arctan2(-rows[0][1], rows[1][1]))
+
+
+def thrust_axis(q: np.ndarray) -> np.ndarray:
+    """z_body in the world, (..., 3), of q, (..., 4)."""
+    return np.stack([row[2] for row in _entries(*np.moveaxis(q, -1, 0))], axis=-1)
+
+
+def heading_rate(q: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """Time derivative of `heading`, (...) (rad/s), under the body rate w, (..., 3) (rad/s)."""
+    (x_0, y_0, z_0), (x_1, y_1, z_1), _ = _entries(*np.moveaxis(q, -1, 0))
+    roll, _, yaw = np.moveaxis(w, -1, 0)
+    turn = y_0 * (z_1 * roll - x_1 * yaw) - y_1 * (z_0 * roll - x_0 * yaw)
+    return np.asarray(turn / np.maximum(y_0**2 + y_1**2, SMALLEST))
 
 
 def _entries(w: Any, x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any], ...]:

@@ -51,6 +51,8 @@ class Vehicle(VehicleConfig):
             raise UsageError(
                 f"vehicle.rotor_spin: {len(self.rotor_spin)} signs for {self.n_rotors} rotors, one each is needed"
             )
+        if set(self.rotor_spin) - {1.0, -1.0}:
+            raise UsageError(f"vehicle.rotor_spin={list(self.rotor_spin)}: each must be 1 or -1")
         if np.linalg.matrix_rank(self.allocation, tol=1e-9) < 4:
             raise UsageError("vehicle.rotor_position: thrust and the three torques cannot be set independently")
         if not self.thrust_min < self.hover_thrust < self.thrust_max:
@@ -62,6 +64,12 @@ class Vehicle(VehicleConfig):
     @property
     def n_rotors(self) -> int:
         return len(self.rotor_position)
+
+    @property
+    def size(self) -> float:
+        """Largest distance between two rotors (m)."""
+        position = np.array(self.rotor_position, float)
+        return float(np.linalg.norm(position[:, None] - position, axis=2).max())
 
     @property
     def inertia_matrix(self) -> np.ndarray:

@@ -25,6 +25,6 @@ class Accelerometer:
         if not np.all(np.isfinite(self.bias)) or not min(self.noise_std) >= 0:
             raise UsageError("sensor.accelerometer: the bias must be finite and the noise not negative")
 
-    def read(self, specific_force: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """One reading, (3,) (m/s^2), of a specific force (3,); three numbers are drawn whatever the noise."""
-        return specific_force + np.array(self.bias) + np.array(self.noise_std) * rng.standard_normal(3)
+    def read(self, specific_force: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Readings (.., 3) (m/s^2) of specific forces (.., 3). noise: standard normal numbers, (.., 3)."""
+        return specific_force + np.array(self.bias) + np.array(self.noise_std) * noise

@@ -2,22 +2,26 @@
 
     c_i = clip(u_i, k w_min^2, k w_max^2)        commanded thrusts u, N
     y_i' = (y_c,i - y_i) / tau                   quadexp.physics.motor; y = T, or sqrt(T) for a lag of the rotor speed
-    T_i = s_0 s_i T(y_i)
+    W_i = sqrt(T(y_i) / k)                       speed, rad/s
+    T_i = s_0 s_i k W_i^2
 
 The lag is discretised exactly over the integration step; the thrust of its middle is held over it. The factors s_0 of
 the flight and s_i of each rotor are log-normal with mean 1 and the standard deviations of the settings, drawn when a
-flight begins. A flight begins with the rotors in hover, or at the thrusts of the reference where it begins in motion.
+flight begins. They are of the thrust coefficient (density of the air, blades): no speed shows them, and what they
+change, (s_0 s_i - 1) T and its torque, acts on the body beside the thrusts k W^2 that the airframe gets. A flight
+begins with the rotors in hover, or at the thrusts of the reference where it begins in motion.
 
-Rotors with the inertia I_p about their axes, at the speeds W_i = sqrt(T(y_i) / k), have the angular momentum
--I_p s_i W_i along z_body, s_i the sign of the reaction torque; changing and turning it takes a torque, whose opposite
-acts on the body (Sun et al. 2022, (4), (7), (8)):
+Rotors with the inertia I_p about their axes have the angular momentum -I_p d_i W_i along z_body, d_i the sign of the
+reaction torque; changing and turning it takes a torque, whose opposite acts on the body (Sun et al. 2022, (4), (7),
+(8)):
 
-    tau = I_p [w_y S, -w_x S, S'],   S = sum_i s_i W_i                                          body, N m
+    tau = I_p [w_y S, -w_x S, S'],   S = sum_i d_i W_i                                          body, N m
 
 S is that of the middle of the step, S' its mean over the step, w that of the beginning.
 
 Inner states: y (n,), then what is logged (n,), see rotor_columns.py. Parameters: exp(-h / 2 tau) up and down over half
-an integration step h, least and largest thrust (N), thrust coefficient, s_0 s_i (n,); with I_p: I_p s_i / sqrt(k) (n,).
+an integration step h, least and largest thrust (N), thrust coefficient; with I_p or factors: (s_0 s_i - 1) times
+vehicle.allocation (4 n,), column by column, and I_p d_i / sqrt(k) (n,).
 """
 
 from __future__ import annotations
@@ -34,13 +38,14 @@ from quadexp.config.motors import ActuatorKeys
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import decayed, time_constant_towards
-from quadexp.physics.state import RATE
+from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.state import ATTITUDE, RATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
 from quadexp.world.rotor_columns import first_rotor_column, rotor_column, rotor_column_factor, rotor_column_names
 
 NO_LAG = 1e-9  # s, in place of 0: the decay over any step is then exactly 0
-N_FIXED = 5  # parameters before the rotors' factors
+N_FIXED = 5  # parameters without I_p and factors
 
 
 @dataclass(frozen=True)
@@ -55,8 +60,9 @@ class Actuator(ActuatorKeys, Effect):
         return max(self.time_constant_up, self.time_constant_down)
 
     def among(self, effects: Sequence[Effect]) -> Effect:
-        """See Effect.among: without inertia of the rotors nothing is added to a step."""
-        return SpinningActuator(**asdict(self)) if self.rotor_inertia else self
+        """See Effect.among: without inertia and factors of the rotors nothing is added to a step."""
+        pushes = self.rotor_inertia or self.flight_scale_std or self.rotor_scale_std
+        return PushingActuator(**asdict(self)) if pushes else self
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
         """See Effect.sizes. Raises UsageError for what needs speeds where the vehicle has no thrust coefficient."""
@@ -67,13 +73,11 @@ class Actuator(ActuatorKeys, Effect):
                     f"actuator.{key}={value:g}: needs vehicle.thrust_coefficient, which"
                     f" vehicle={vehicle.name} does not state"
                 )
-        return Sizes(inner=2 * vehicle.n_rotors, parameters=N_FIXED + vehicle.n_rotors)
+        return Sizes(inner=2 * vehicle.n_rotors, parameters=N_FIXED)
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         """See Effect.start."""
         vehicle = start.vehicle
-        drawn = rng.standard_normal(1 + vehicle.n_rotors)  # whatever the settings: neither changes the other's draws
-        scale = log_normal(self.flight_scale_std, drawn[0]) * log_normal(self.rotor_scale_std, drawn[1:])
         k = vehicle.thrust_coefficient or 0.0
         low = k * (self.rotor_speed_min or 0.0) ** 2
         high = math.inf if self.rotor_speed_max is None else k * self.rotor_speed_max**2
@@ -84,12 +88,9 @@ class Actuator(ActuatorKeys, Effect):
             )
         constants = [max(one, NO_LAG) for one in (self.time_constant_up, self.time_constant_down)]
         decays = [math.exp(-start.clock.step / 2 / one) for one in constants]
-        thrust = np.full(vehicle.n_rotors, vehicle.hover_thrust)
-        if start.thrust is not None:
-            thrust = np.clip(start.thrust, low, high)
-        first = self._lagging(thrust)
-        inner = np.concatenate([np.array(first, float).ravel(), first_rotor_column(vehicle, start.thrust)])
-        return inner, np.concatenate([decays, [low, high, rotor_column_factor(vehicle)], scale])
+        thrust = np.clip(start.thrust, low, high)
+        inner = np.concatenate([np.array(self._lagging(thrust)).ravel(), first_rotor_column(vehicle, thrust)])
+        return inner, np.array([*decays, low, high, rotor_column_factor(vehicle)])
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
         """See Effect.columns."""
@@ -97,7 +98,7 @@ class Actuator(ActuatorKeys, Effect):
 
     def thrusts(self, at: Moment) -> Expression:
         """See Effect.thrusts."""
-        return self._delivered(at, self._after(at)[0])
+        return self._thrust(self._after(at)[0])
 
     def advance(self, at: Moment) -> Expression:
         """See Effect.advance."""
@@ -107,7 +108,7 @@ class Actuator(ActuatorKeys, Effect):
     def end(self, at: Moment) -> Expression:
         """See Effect.end: what is logged."""
         y = at.inner[: at.inner.numel() // 2]
-        return ca.vertcat(y, rotor_column(self._delivered(at, y), at.parameters[4]))
+        return ca.vertcat(y, rotor_column(self._thrust(y), at.parameters[4]))
 
     def _lagging(self, thrust: Any) -> Any:
         """y of a thrust."""
@@ -120,15 +121,14 @@ class Actuator(ActuatorKeys, Effect):
         half = time_constant_towards(y, command, up, down)  # of the decays: which of the two holds
         return decayed(y, command, half), decayed(y, command, half**2)
 
-    def _delivered(self, at: Moment, y: Expression) -> Expression:
-        """Thrusts (n,) (N)."""
-        n = y.numel()
-        return at.parameters[N_FIXED : N_FIXED + n] * (y**2 if self.lag_of == "rotor_speed" else y)
+    def _thrust(self, y: Expression) -> Expression:
+        """k W^2 (n,) (N)."""
+        return y**2 if self.lag_of == "rotor_speed" else y
 
 
 @dataclass(frozen=True)
-class SpinningActuator(Actuator):
-    """Motors whose rotors have angular momentum; Actuator.among makes it."""
+class PushingActuator(Actuator):
+    """Motors whose rotors have angular momentum, or thrust coefficients of their own; Actuator.among makes it."""
 
     def among(self, effects: Sequence[Effect]) -> Effect:
         """See Effect.among."""
@@ -137,15 +137,17 @@ class SpinningActuator(Actuator):
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
         """See Effect.sizes."""
         sizes = super().sizes(clock, vehicle)
-        return sizes._replace(parameters=sizes.parameters + vehicle.n_rotors)
+        return sizes._replace(parameters=sizes.parameters + 5 * vehicle.n_rotors)
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         """See Effect.start."""
         inner, parameters = super().start(rng, start)
         vehicle = start.vehicle
-        assert vehicle.thrust_coefficient is not None  # `sizes` has refused it
-        factor = self.rotor_inertia / math.sqrt(vehicle.thrust_coefficient)
-        return inner, np.concatenate([parameters, factor * np.array(vehicle.rotor_spin, float)])
+        drawn = rng.standard_normal(1 + vehicle.n_rotors)  # whatever the settings: neither changes the other's draws
+        scale = log_normal(self.flight_scale_std, drawn[0]) * log_normal(self.rotor_scale_std, drawn[1:])
+        more = ((scale - 1) * vehicle.allocation).ravel(order="F")
+        factor = self.rotor_inertia / math.sqrt(vehicle.thrust_coefficient or 1.0)  # no inertia where it is not known
+        return inner, np.concatenate([parameters, more, factor * np.array(vehicle.rotor_spin, float)])
 
     def wrench(self, at: Moment) -> tuple[Expression, Expression]:
         """See Effect.wrench."""
@@ -154,7 +156,8 @@ class SpinningActuator(Actuator):
         before, between, after = (ca.dot(at.parameters[-n:], self._root(y)) for y in (first, middle, end))
         w = at.x[RATE]
         torque = ca.vertcat(w[1] * between, -w[0] * between, (after - before) / at.step)
-        return type(torque).zeros(3), torque
+        more = ca.mtimes(ca.reshape(at.parameters[N_FIXED:-n], 4, n), at.thrust)
+        return ca.mtimes(rotation_matrix(at.x[ATTITUDE]), ca.vertcat(0, 0, more[0])), torque + more[1:]
 
     def _root(self, y: Expression) -> Expression:
         """Root of the thrusts (n,) that the motors give."""

@@ -69,19 +69,25 @@ class Battery(BatteryKeys, Effect):
                 f"battery: {source:.1f} V over {self.resistance:g} Ohm give {source**2 / 4 / self.resistance:.0f} W at"
                 f" most, hovering takes {needed:.0f} W"
             )
-        hovering = (source + math.sqrt(source**2 - 4 * self.resistance * needed)) / 2
         step, rotor = start.clock.step, (vehicle.hover_thrust, power / vehicle.n_rotors)
+
+        def voltage_at(power: float) -> float:
+            return (source + math.sqrt(max(source**2 - 4 * self.resistance * power, 0.0))) / 2
+
+        drawn = float(ca.sum1(rotor_power(ca.DM(start.thrust), *rotor))) + self.electronics
+        voltage = voltage_at(drawn)
         values = {
             "cells": self.cells, "capacity": self.capacity, "resistance": self.resistance,
             "rc_resistance": self.rc_resistance, "rc_decay": math.exp(-step / self.rc_time_constant),
             "rc_share": float(mean_share(self.rc_time_constant, step)),
-            "per_reference": 1 / (self.reference_voltage or hovering),
+            "per_reference": 1 / (self.reference_voltage or voltage_at(needed)),
             "power_of_a_newton": float(rotor_power(1.0, *rotor)),
             "electronics": self.electronics, "thrust_max": vehicle.thrust_max,
             "power_max": float(rotor_power(vehicle.thrust_max, *rotor)),
             "cutoff": self.cutoff_voltage * self.cells, "rotor_column_factor": rotor_column_factor(vehicle),
         }  # fmt: skip
-        inner = [self.state_of_charge, 0.0, hovering, needed / hovering, *first_rotor_column(vehicle), 0.0, 0.0]
+        logged = first_rotor_column(vehicle, start.thrust)
+        inner = [self.state_of_charge, 0.0, voltage, drawn / voltage, *logged, 0.0, 0.0]
         return inner, [values[name] for name in PARAMETERS]
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:

@@ -25,7 +25,7 @@ from quadexp.air.blade_element import blade_element_correction, require_rotor, r
 from quadexp.config.lei_li import BladeElementEffects
 from quadexp.errors import ModelDomainError, UsageError
 from quadexp.physics.induced_velocity import REASONS, Defined
-from quadexp.physics.rotor import C_D0, BladeCoefficients
+from quadexp.physics.rotor import C_D0, STANDING, BladeCoefficients
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.blade_element_equations import BladeElementModel, checked_equations, fast_equations
@@ -82,10 +82,11 @@ class BladeElementPlant(SimulatedPlant):
         super().reset()
         self._apply_changes()
 
-    def initial(self) -> np.ndarray:
+    def initial(self, thrust: np.ndarray) -> np.ndarray:
         """See SimulatedPlant."""
-        n = self.vehicle.n_rotors
-        speed = np.full(n, math.sqrt(self.vehicle.hover_thrust / self.vehicle.static_thrust_coefficient))
+        highest = self.effects.rotor_speed_max or math.inf
+        speed = np.sqrt(thrust / self.vehicle.static_thrust_coefficient)
+        speed = np.clip(speed, max(self.effects.rotor_speed_min, STANDING), highest)
         inflow = static_coefficients(self.vehicle.rotor_geometry, self.coefficients).inflow
         return np.concatenate([speed, speed * inflow])
 

@@ -60,7 +60,8 @@ def compose(
     parts = _Parts(equations, tuple(effects[:last]), stepping, vehicle)
     airframe, steps, n = layout.airframe, clock.steps, vehicle.n_rotors
     x, inner = ca.MX.sym("x", N_STATE), ca.MX.sym("inner", layout.size("inner") + WIND)
-    u, noise, step = ca.MX.sym("u", n), ca.MX.sym("noise", layout.size("noise"), steps), ca.MX.sym("step")
+    u, step = ca.MX.sym("u", n), ca.MX.sym("step")
+    noise = ca.MX.sym("noise", equations.step.size1_in(2), steps)
     parameters, draws = ca.MX.sym("parameters", layout.size("parameters")), ca.MX.sym("draws", layout.size("draws"))
     time = ca.MX.sym("time")
 
@@ -68,9 +69,8 @@ def compose(
     inner_a, own, measuring, _ = ca.vertsplit(inner, cut)
     theta, known = parameters[: airframe.parameters], parameters[: stepping.size("parameters")]
     own = parts.begun()(time, x, own, u, known, draws[: stepping.size("draws")], step)
-    acting = noise[: stepping.size("noise"), :]
     if equations.begin:
-        wind, thrusts, *_ = parts.drive()(time, x, own, u, acting[:, 0], known, step)
+        wind, thrusts, *_ = parts.drive()(time, x, own, u, known, step)
         s, _ = equations.begin(_seen_from_the_air(x, wind), inner_a, thrusts, theta)
         rest = s[N_STATE:]
     else:
@@ -79,7 +79,7 @@ def compose(
     times = time + step * ca.DM(range(steps)).T
     one, used = _trimmed(parts.step())
     still = parts.chosen(own, parts.still)[used["still"]]
-    states, *kept = _repeated(one, steps, state, times, acting, (still, u, known[used["parameters"]], step))
+    states, *kept = _repeated(one, steps, state, times, noise, (still, u, known[used["parameters"]], step))
 
     sizes = [N_STATE, rest.numel(), parts.size(parts.moving), WIND, n, 3]
     x_next, rest, moved, wind, thrusts, pushed = ca.vertsplit(states[:, -1], [0, *accumulate(sizes)])
@@ -99,7 +99,7 @@ def compose(
 
     told: Told = {"state": x_next, "specific_force": reading}
     own, told = parts.measured(
-        ca.horzcat(x, states[:N_STATE, :]), own, noise, parameters, draws, time + clock.period, step, clock, told
+        ca.horzcat(x, states[:N_STATE, :]), own, parameters, draws, time + clock.period, step, clock, told
     )
     inner_next = ca.vertcat(inner_a, own, wind)
     results = [x_next, inner_next, told["specific_force"], doubt, told["state"]]
@@ -144,7 +144,7 @@ def _trimmed(step: ca.Function) -> tuple[ca.Function, dict[str, list[int]]]:
 
 
 def wind_function(equations: Equations, effects: Sequence[Effect], layout: Layout, vehicle: Vehicle) -> ca.Function:
-    """(t, x, the effects' inner states, u, noise, parameters, step) -> the wind (3,), world (m/s), as in a step."""
+    """(t, x, the effects' inner states, u, parameters, step) -> the wind (3,), world (m/s), as in a step."""
     drive = _Parts(equations, tuple(effects), layout, vehicle).drive()
     return drive.slice("wind", range(drive.n_in()), [0])
 
@@ -191,22 +191,22 @@ class _Parts:
     def _symbols(self, *names: str) -> list[Any]:
         sizes = {
             "t": 1, "x": N_STATE, "own": self._layout.size("inner") - self._layout.airframe.inner,
-            "u": self._vehicle.n_rotors, "noise": self._layout.size("noise"), "step": 1, "x_next": N_STATE,
+            "u": self._vehicle.n_rotors, "step": 1, "x_next": N_STATE,
             "parameters": self._layout.size("parameters"), "draws": self._layout.size("draws"), "wind": WIND,
             "thrusts": self._vehicle.n_rotors,
         }  # fmt: skip
         return [self._kind.sym(name, sizes[name]) for name in names]
 
     def _moments(self, **given: Any) -> list[Moment]:
-        """What each effect sees. own, noise, parameters, draws: of all of them."""
+        """What each effect sees. own, parameters, draws: of all of them."""
         cut = {
             name: self._cut(given.pop(name), kind) if name in given else [self._kind(0, 1)] * len(self._effects)
-            for name, kind in (("own", "inner"), ("noise", "noise"), ("parameters", "parameters"), ("draws", "draws"))
+            for name, kind in (("own", "inner"), ("parameters", "parameters"), ("draws", "draws"))
         }
         rest = {"wind": self._kind.zeros(WIND), "thrust": None, "x_next": None, "command": None} | given
         return [
-            Moment(inner=inner, noise=noise, parameters=theta, draws=draws, **rest)
-            for inner, noise, theta, draws in zip(*cut.values(), strict=True)
+            Moment(inner=inner, parameters=theta, draws=draws, **rest)
+            for inner, theta, draws in zip(*cut.values(), strict=True)
         ]
 
     def _function(self, name: str, symbols: list[Any], results: list[Any]) -> ca.Function:
@@ -235,10 +235,10 @@ class _Parts:
         return self._function("ending", symbols, [ca.vertcat(*found)])
 
     def drive(self) -> ca.Function:
-        """(t, x, own, u, noise, parameters, step) -> wind (3,), thrusts (n,), force (3,) world, torque (3,) body."""
-        symbols = self._symbols("t", "x", "own", "u", "noise", "parameters", "step")
-        t, x, own, command, noise, parameters, step = symbols
-        moments = self._moments(t=t, x=x, own=own, noise=noise, parameters=parameters, step=step)
+        """(t, x, own, u, parameters, step) -> wind (3,), thrusts (n,), force (3,) world, torque (3,) body."""
+        symbols = self._symbols("t", "x", "own", "u", "parameters", "step")
+        t, x, own, command, parameters, step = symbols
+        moments = self._moments(t=t, x=x, own=own, parameters=parameters, step=step)
         wind, force, torque = (self._kind.zeros(3) for _ in range(3))
         for effect, at in zip(self._effects, moments, strict=True):
             if effect.has("wind"):
@@ -255,12 +255,12 @@ class _Parts:
         return self._function("drive", symbols, [wind, command, force, torque, *entering])
 
     def _after(self) -> ca.Function:
-        """(t, x, own, noise, parameters, step, wind, thrusts, x_next, entering ..) -> own after the step."""
-        symbols = self._symbols("t", "x", "own", "noise", "parameters", "step", "wind", "thrusts", "x_next")
+        """(t, x, own, parameters, step, wind, thrusts, x_next, entering ..) -> own after the step."""
+        symbols = self._symbols("t", "x", "own", "parameters", "step", "wind", "thrusts", "x_next")
         entering = [self._symbols("u")[0] for _ in self._effects]
-        t, x, own, noise, parameters, step, wind, thrusts, x_next = symbols
+        t, x, own, parameters, step, wind, thrusts, x_next = symbols
         moments = self._moments(
-            t=t, x=x, own=own, noise=noise, parameters=parameters, step=step, wind=wind, thrust=thrusts, x_next=x_next
+            t=t, x=x, own=own, parameters=parameters, step=step, wind=wind, thrust=thrusts, x_next=x_next
         )
         found = [
             effect.advance(at._replace(command=command)) if effect.has("advance") else at.inner
@@ -277,7 +277,8 @@ class _Parts:
         S, still = ca.MX.sym("S", sum(sizes)), ca.MX.sym("still", self.size(self.still))
         x, rest, moved, _ = ca.vertsplit(S, [0, *accumulate(sizes)])
         t, u, step = ca.MX.sym("t"), ca.MX.sym("u", n), ca.MX.sym("step")
-        noise, parameters = ca.MX.sym("noise", layout.size("noise")), ca.MX.sym("parameters", layout.size("parameters"))
+        noise = ca.MX.sym("noise", equations.step.size1_in(2))
+        parameters = ca.MX.sym("parameters", layout.size("parameters"))
         theta = parameters[: layout.airframe.parameters]
 
         pieces, first = [ca.MX(sizes.inner, 1) for sizes in layout.effects], 0
@@ -285,7 +286,7 @@ class _Parts:
             size = layout.effects[i].inner
             pieces[i], first = still[first : first + size], first + size
         own = self.assembled(moved, ca.vertcat(ca.MX(0, 1), *pieces))
-        wind, thrusts, force, torque, *entering = self.drive()(t, x, own, u, noise, parameters, step)
+        wind, thrusts, force, torque, *entering = self.drive()(t, x, own, u, parameters, step)
         pushes = any(effect.has("wrench") for effect in self._effects)
         blows = any(effect.has("wind") for effect in self._effects)
         mass = equations.mass(theta) if equations.mass else self._vehicle.mass
@@ -299,13 +300,13 @@ class _Parts:
 
         seen = kicked(_seen_from_the_air(x, wind) if blows else x)
         held = equations.command(thrusts, theta) if equations.command else thrusts
-        found = equations.step(ca.vertcat(seen, rest), held, noise[: layout.airframe.noise], theta, step)
+        found = equations.step(ca.vertcat(seen, rest), held, noise, theta, step)
         s, *kept = found if isinstance(found, tuple) else (found,)
         x_next, rest = kicked(s[:N_STATE]), s[N_STATE:]
         if blows:
             x_next = ca.vertcat(x_next[POSITION] + step * wind, x_next[ATTITUDE], x_next[VELOCITY] + wind, x_next[RATE])
         if self.moving:
-            own = self._after()(t, x, own, noise, parameters, step, wind, thrusts, x_next, *entering)
+            own = self._after()(t, x, own, parameters, step, wind, thrusts, x_next, *entering)
         pushed = ca.mtimes(rotation_matrix(x_next[ATTITUDE]).T, force / mass) if pushes else ca.MX.zeros(3)
         S_next = ca.vertcat(x_next, rest, self.chosen(own, self.moving), wind, thrusts, pushed)
         one = ca.Function("world_step", [S, t, still, u, noise, parameters, step], [S_next, *kept])
@@ -328,7 +329,6 @@ class _Parts:
         self,
         states: Any,
         own: Any,
-        noise: Any,
         parameters: Any,
         draws: Any,
         t: Any,
@@ -338,11 +338,10 @@ class _Parts:
     ) -> tuple[Any, Told]:
         """own after the period, and what the controller is told."""
         found = []
-        rows = self._layout.ends("noise")[1:]
         cut = [self._cut(value, kind) for value, kind in ((own, "inner"), (parameters, "parameters"), (draws, "draws"))]
-        for i, (effect, inner, theta, drawn) in enumerate(zip(self._effects, *cut, strict=True)):
+        for effect, inner, theta, drawn in zip(self._effects, *cut, strict=True):
             if effect.has("measure"):
-                at = Readings(t, states, inner, noise[rows[i] : rows[i + 1], :], theta, drawn, step, clock)
+                at = Readings(t, states, inner, theta, drawn, step, clock)
                 inner, told = effect.measure(at, told)
             found.append(inner)
         return ca.vertcat(*found), told

@@ -22,6 +22,7 @@ import math
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from quadexp.air.base import Residual, feature_names, symbolic_residual
 from quadexp.config.foreign import DroneModelsKeys
@@ -59,7 +60,7 @@ class DroneModelsPlant(RotorSpeedPlant):
                 f"plant.thrust_curve={list(self.keys.thrust_curve)}: must rise with the speed from"
                 f" vehicle.thrust_min={vehicle.thrust_min:g} N on"
             )
-        hover = vehicle.hover_thrust / self.hover_speed(vehicle) ** 2
+        hover = vehicle.hover_thrust / float(self.initial(vehicle.hover_thrust)) ** 2
         stated = vehicle.thrust_coefficient
         if stated is None or abs(hover / stated - 1) > OTHER_ROTOR:
             raise UsageError(
@@ -77,19 +78,15 @@ class DroneModelsPlant(RotorSpeedPlant):
             + [keys.propeller_inertia]
         )
 
-    def _speed(self, thrust: float) -> float:
-        """Rotor speed (rad/s) at a thrust (N) that is held."""
+    def initial(self, thrust: npt.ArrayLike) -> np.ndarray:
+        """See SimulatedPlant: rotor speeds (rad/s) at thrusts (N) that are held."""
         k_0, k_1, k_2 = self.keys.thrust_curve
-        return RPM * (math.sqrt(k_1**2 - 4 * k_2 * (k_0 - thrust)) - k_1) / (2 * k_2)
-
-    def hover_speed(self, vehicle: Vehicle) -> float:
-        """See RotorSpeedPlant."""
-        return self._speed(vehicle.hover_thrust)
+        return RPM * (np.sqrt(k_1**2 - 4 * k_2 * (k_0 - np.asarray(thrust))) - k_1) / (2 * k_2)
 
     @property
     def loop_lag(self) -> float:  # type: ignore[override]  # a plain attribute in the base
         """See SimulatedPlant: in hover, of thrust after a small change of the command, up or down, the longer (s)."""
-        rpm = self.hover_speed(self.vehicle) / RPM
+        rpm = float(self.initial(self.vehicle.hover_thrust)) / RPM
         return 1 / min(linear + 2 * square * rpm for linear, square in (self.keys.spin_up, self.keys.spin_down))
 
     def residual(self) -> Residual:

@@ -18,8 +18,9 @@ Axes, fixed in the world for a flight: "along" is the horizontal direction of th
 none), "across" is horizontal and 90 degrees to the left of it, "vertical" is up. The air is frozen while the vehicle
 passes at the airspeed V.
 
-The filters are advanced every 5 ms, or more often where the turbulence is finer, and their wind is held in between;
-V is that of the beginning of the control period. Held values have the asked intensity exactly. What holding changes
+The filters are advanced every 5 ms, or more often where the turbulence is finer (up to every 0.5 ms), and their wind
+is held in between, at times that depend on no control period and no integration step; V is that of the beginning of
+the control period. Held values have the asked intensity exactly. What holding changes
 lies near 200 Hz and beyond: with T = 0.3 s (6 m at 20 m/s) the corner of the spectrum is at 0.5 Hz, and a vehicle
 follows the air through its drag, within about a second.
 
@@ -45,6 +46,7 @@ from quadexp.physics.expression import Expression
 from quadexp.physics.state import VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
+from quadexp.world.streams import NEVER, TICK, Ticking
 
 FOOT = 0.3048  # m
 N_FILTER, N_NOISE = 5, 5  # states [along z_1; across z_1, z_2; vertical z_1, z_2], and numbers per step
@@ -105,8 +107,8 @@ def turbulence(filters: Expression, intensity: Expression) -> Expression:
 
 @dataclass(frozen=True)
 class Dryden(DrydenKeys, Effect):
-    """See DrydenKeys. inner: filter states (5,); of the control period the first wind and what each further one adds
-    (3, k), world (m/s), column by column, and when each begins to hold (k,) (s).
+    """See DrydenKeys. inner: filter states (5,); the wind with which the control period begins and what each of its
+    ticks adds (3, 1 + k), world (m/s), column by column, and when each tick is (k,) (s).
 
     parameters: mean wind (3,), world (m/s); axes (9,), column by column; intensity (3,) (m/s); scale lengths (3,) (m);
     least and largest airspeed at which the turbulence passes (m/s); how long a wind is held (s).
@@ -116,13 +118,13 @@ class Dryden(DrydenKeys, Effect):
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
         """See Effect.sizes."""
-        count = self.winds(clock)
-        return Sizes(inner=N_FILTER + 4 * count, parameters=N_PARAMETERS, draws=N_NOISE * count)
+        ticks = Ticking(N_NOISE, self.held(), clock.period)
+        return Sizes(N_FILTER + 3 + 4 * ticks.slots, N_PARAMETERS, (ticks,))
 
-    def winds(self, clock: Clock) -> int:
-        """How many winds there are in a control period, k; not more than integration steps."""
+    def held(self) -> float:
+        """How long a wind is held (s)."""
         finest = min(self._lengths()) / (PASSING if self.airspeed is None else self.airspeed)
-        return min(max(1, math.ceil(clock.period / min(HELD, SHARE * finest) - 1e-9)), clock.steps)
+        return max(TICK, min(HELD, SHARE * finest))
 
     def _lengths(self) -> np.ndarray:
         return scale_lengths(self.altitude) if self.length is None else np.array(self.length)
@@ -133,33 +135,32 @@ class Dryden(DrydenKeys, Effect):
         at_6m = math.hypot(*self.velocity[:2]) if self.wind_at_6m is None else self.wind_at_6m
         intensity = intensities(self.altitude, at_6m) if self.intensity is None else self.intensity
         speeds = (self.airspeed_min, math.inf) if self.airspeed is None else (self.airspeed, self.airspeed)
-        count = self.winds(start.clock)
-        held = [start.clock.period / count]
-        parameters = np.concatenate([mean, axes(mean).ravel(order="F"), intensity, self._lengths(), speeds, held])
+        held = self.held()
+        parameters = np.concatenate([mean, axes(mean).ravel(order="F"), intensity, self._lengths(), speeds, [held]])
         filters = stationary(rng.standard_normal(N_NOISE))
         first = _blown()(filters, parameters).full().ravel()
-        return np.concatenate([filters, first, np.zeros(4 * count - 3)]), parameters
+        slots = Ticking(N_NOISE, held, start.clock.period).slots
+        return np.concatenate([filters, first, np.zeros(4 * slots)]), parameters
 
     def begin(self, at: Moment) -> Expression:
         """See Effect.begin: the winds of the period."""
         mean, length, limits = at.parameters[:3], at.parameters[15:18], at.parameters[18:20]
         airspeed = ca.fmin(ca.fmax(ca.sqrt(ca.sumsqr(at.x[VELOCITY] - mean)), limits[0]), limits[1])
-        held, count = at.parameters[20], at.draws.numel() // N_NOISE
-        filters, winds = at.inner[:N_FILTER], []
-        for noise in ca.vertsplit(at.draws, N_NOISE):
+        filters = at.inner[:N_FILTER]
+        winds, times = [_velocity(filters, at.parameters)], []
+        for time, noise in (ca.vertsplit(slot, [0, 1, 1 + N_NOISE]) for slot in ca.vertsplit(at.draws, 1 + N_NOISE)):
+            after = advanced(filters, noise, length / airspeed, at.parameters[20])
+            filters = ca.if_else(time < NEVER, after, filters)
             winds.append(_velocity(filters, at.parameters))
-            filters = advanced(filters, noise, length / airspeed, held)
-        added = [after - before for before, after in pairwise(winds)]
-        return ca.vertcat(filters, winds[0], *added, *(at.t + i * held for i in range(count)))
+            times.append(time)
+        return ca.vertcat(filters, winds[0], *(after - before for before, after in pairwise(winds)), *times)
 
     def wind(self, at: Moment) -> Expression:
         """See Effect.wind: the last that holds when the step begins."""
-        count = (at.inner.numel() - N_FILTER) // 4
-        winds, times = at.inner[N_FILTER:-count], at.inner[-count:]
-        found = winds[:3]
-        for i in range(1, count):
-            found += (at.t >= times[i] - IN_TIME) * winds[3 * i : 3 * i + 3]
-        return found
+        count = (at.inner.numel() - N_FILTER - 3) // 4
+        first, *added = ca.vertsplit(at.inner[N_FILTER:-count], 3)
+        times = ca.vertsplit(at.inner[-count:])
+        return first + sum((at.t >= time - IN_TIME) * more for time, more in zip(times, added, strict=True))
 
 
 @cache

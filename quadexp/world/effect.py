@@ -6,8 +6,9 @@ An effect is a class with one equation and its settings. It overrides the hooks 
 effects and the airframe's equations into the one function of a control period. Hooks are CasADi expressions of what a
 `Moment` or `Readings` holds, so they hold for every airframe, and the flight in C needs to know none of them.
 
-What has a memory is an inner state; what is drawn once a flight is a parameter; white noise comes as standard normal
-numbers from the effect's own random stream, so that switching an effect on changes no other's numbers.
+What has a memory is an inner state; what is drawn once a flight is a parameter; noise comes as standard normal numbers
+from the effect's own random stream, by time (see streams.py): switching an effect on, or another control rate, changes
+no numbers.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
+from quadexp.world.streams import Drawn
 
 # Groups of effects in the order in which a command meets them; `truth` changes the vehicle, `wind` and `external` act
 # on the airframe, the last two on what is measured.
@@ -42,33 +44,37 @@ class Clock:
 
 
 class Sizes(NamedTuple):
-    """How many numbers an effect has: inner states, parameters, and standard normal numbers per integration step
-    (noise) and per control period (draws)."""
+    """How many inner states and parameters an effect has, and what it draws in a control period."""
 
     inner: int = 0
     parameters: int = 0
-    noise: int = 0
-    draws: int = 0
+    drawn: tuple[Drawn, ...] = ()
+
+    @property
+    def draws(self) -> int:
+        """How many numbers are drawn in a control period."""
+        return sum(drawn.size for drawn in self.drawn)
 
 
 class Start(NamedTuple):
     """What is known when a flight begins. x: state (13,). duration: s, of the reference. vehicle: the true one.
 
-    begun: inner states of the effects that begin before, by part. thrust: of the rotors (n,) (N); None: in hover.
+    thrust: what the rotors give and every command before was, (n,) (N). begun: inner states of the effects that begin
+    before, by part.
     """
 
     x: np.ndarray
     duration: float
     clock: Clock
     vehicle: Vehicle
+    thrust: np.ndarray
     begun: Mapping[str, np.ndarray] = {}
-    thrust: np.ndarray | None = None
 
 
 class Moment(NamedTuple):
     """The beginning of an integration step, as expressions.
 
-    t: s since the start. x: true state (13,), world. inner, noise, parameters: the effect's own. step: s.
+    t: s since the start. x: true state (13,), world. inner, parameters: the effect's own. step: s.
     draws: the effect's own, in `begin` only. command: thrusts (n,) (N) that enter the effect; in `begin` those just
     commanded. wind: sum of all winds (3,), world (m/s), zero in `begin` and `wind`. thrust: (n,) (N) that the airframe
     gets, in `wrench` and `advance`. x_next: true state after the step, in `advance`.
@@ -77,7 +83,6 @@ class Moment(NamedTuple):
     t: Any
     x: Any
     inner: Any
-    noise: Any
     parameters: Any
     step: Any
     draws: Any
@@ -91,13 +96,12 @@ class Readings(NamedTuple):
     """The end of a control period, as MX expressions.
 
     t: s since the start. states: true states (13, steps + 1) at the beginning and after every integration step.
-    inner, parameters, draws: the effect's own. noise: the effect's own (d, steps). step: s. clock: the same in numbers.
+    inner, parameters, draws: the effect's own. step: s. clock: the same in numbers.
     """
 
     t: ca.MX
     states: ca.MX
     inner: ca.MX
-    noise: ca.MX
     parameters: ca.MX
     draws: ca.MX
     step: ca.MX

@@ -6,7 +6,7 @@
 Commands are clipped to the vehicle's limits. The model is what its checkpoint holds: drag, lumped blade element, or a
 Gaussian process on its mean function (its mean; outside the fit's range it goes back to the mean function). What the
 accelerometer of the logs read beside motion is in the model's offsets, so it is here too. Noise: white, by its spectral
-density, drawn once per integration step h with standard deviation density / sqrt(h).
+density, held for 0.5 ms whatever the integration step (see Held in streams.py).
 """
 
 from __future__ import annotations
@@ -43,24 +43,26 @@ class FromModelPlant(SimulatedPlant):
         self._model = model
         density = np.array([force_noise_density / vehicle.mass] * 3 + [torque_noise_density] * 3)
         parameters = np.concatenate([density, model.theta])
-        super().__init__(vehicle, _equations(vehicle, model, model_mass), parameters, step=step, backend=backend)
+        equations = _equations(vehicle, model, model_mass, bool(density.any()))
+        super().__init__(vehicle, equations, parameters, step=step, backend=backend)
 
     def residual(self) -> Residual:
         """See Plant.residual: the model itself; noise and clipping left out."""
         return self._model
 
 
-def _equations(vehicle: Vehicle, model: Residual, model_mass: float | None) -> Equations:
-    """RK4 with the noise, (6,), held over each step; the parameters are [densities (6,) of a and tau, theta]."""
+def _equations(vehicle: Vehicle, model: Residual, model_mass: float | None, noisy: bool) -> Equations:
+    """RK4, the noise, (6,) or none, held over each step; the parameters are [densities (6,) of a and tau, theta]."""
     n = vehicle.n_rotors
     x, u, y = ca.SX.sym("x", N_STATE), ca.SX.sym("u", n), ca.SX.sym("y", 6)
     features = ca.Function("features", [x, u], [body_features(x, u)])
     derivative = ca.Function("derivative", [x, u, y], [state_derivative(x, u, vehicle, y)])
 
     x, command = ca.MX.sym("x", N_STATE), ca.MX.sym("u", n)
-    noise, parameters, step = ca.MX.sym("noise", 6), ca.MX.sym("parameters", 6 + len(model.theta)), ca.MX.sym("step")
+    noise, step = ca.MX.sym("noise", 6 * noisy), ca.MX.sym("step")
+    parameters = ca.MX.sym("parameters", 6 + len(model.theta))
     density, theta = ca.vertsplit(parameters, [0, 6, 6 + len(model.theta)])
-    held = noise * density / ca.sqrt(step)
+    held = noise * density / ca.sqrt(step) if noisy else ca.MX.zeros(6)
     thrusts = ca.fmin(ca.fmax(command, vehicle.thrust_min), vehicle.thrust_max)
 
     def correction(state: ca.MX) -> ca.MX:

@@ -1,7 +1,8 @@
 """Inertial sensors and their aids over a control period.
 
 The IMU is read in step with the control loop, k = ceil(rate period) times in every control period, at the nearest
-integration steps; its noise is given by densities and does not depend on that. Aids are read at those instants, each at
+integration steps; its noise is given by densities and does not depend on that. The biases walk along straight lines
+between the points of every 20 ms. Aids are read at those instants, each at
 its own rate (see aid.py). For estimators this adds to what is told, a column an IMU reading:
 
     imu        (7, k)         [a_m (m/s^2), w_m (rad/s), interval (s)]
@@ -15,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
 import casadi as ca
@@ -31,7 +33,9 @@ from quadexp.world.gnss import gnss
 from quadexp.world.heading import heading
 from quadexp.world.imu import FORCE, N_BIAS, N_DENSITIES
 from quadexp.world.motion_capture import motion_capture
+from quadexp.world.streams import TICK, Drawn, Held, Sampled
 
+WALK = 0.02  # s, see Held
 BIAS_COLUMNS = tuple(f"bias_{kind}_{axis}" for kind in "ag" for axis in "xyz")
 
 
@@ -68,13 +72,20 @@ class InertialSensors(ImuKeys, Effect):
             )
         return count
 
+    def _instants(self, clock: Clock) -> list[int]:
+        """Integration steps of a control period at which the IMU is read, and the beginning."""
+        count = self.readings(clock)
+        return [round(j * clock.steps / count) for j in range(count + 1)]
+
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
         """See Effect."""
-        each = imu.N_NOISE + sum(aid.noise + 1 for aid in self.aids)
+        bounds = tuple(clock.step * i for i in self._instants(clock))
+        drawn: list[Drawn] = [Held(imu.N_READING, bounds, min(TICK, 1 / self.imu_rate)), Held(N_BIAS, bounds, WALK)]
+        drawn += [Sampled(1 + aid.noise, bounds[1:], 1 / aid.rate) for aid in self.aids]
         return Sizes(
             inner=N_BIAS + N_CLOCK * len(self.aids),
             parameters=1 + N_DENSITIES + sum(N_SAMPLING + len(aid.deviations) for aid in self.aids),
-            draws=each * self.readings(clock),
+            drawn=tuple(drawn),
         )
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
@@ -90,11 +101,13 @@ class InertialSensors(ImuKeys, Effect):
 
     def measure(self, at: Readings, told: Told) -> tuple[ca.MX, Told]:
         """See Effect."""
-        count = self.readings(at.clock)
-        instants = [round(j * at.clock.steps / count) for j in range(count + 1)]
+        instants = self._instants(at.clock)
+        count = len(instants) - 1
         before, after = at.states[:, instants[:-1]], at.states[:, instants[1:]]
         durations = at.step * ca.DM(np.diff(instants)).T
-        noise = ca.reshape(at.draws, -1, count)
+        sizes = [imu.N_READING, N_BIAS, *(1 + aid.noise for aid in self.aids)]
+        drawn = ca.vertsplit(at.draws, [0, *accumulate(size * count for size in sizes)])
+        noise = ca.vertcat(*(ca.reshape(one, -1, count) for one in drawn))
         parameters = ca.repmat(at.parameters, 1, count)
         inner, *found = self._tick().mapaccum(count)(at.inner, before, after, durations, noise, parameters)
         told = told | {"specific_force": found[0][FORCE, -1], "imu": ca.vertcat(found[0], durations)}

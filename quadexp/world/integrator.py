@@ -25,6 +25,7 @@ from quadexp.physics.expression import Expression
 from quadexp.physics.integrator import euler_step, rk4_step
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.physics.vehicle import Vehicle
+from quadexp.world.streams import Drawn, Held, Streams
 
 METHODS = {"euler": euler_step, "rk4": rk4_step}
 INPUTS = ("x", "inner", "u", "noise", "parameters", "step")
@@ -107,10 +108,33 @@ class SimulatedPlant:
 
     def reset(self) -> None:
         """See Plant.reset."""
-        self.time, self.inner = 0.0, self.initial()
+        self.time, self.inner = 0.0, self.initial(np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust))
 
-    def initial(self) -> np.ndarray:
-        """Inner states at the beginning of a flight, (m,)."""
+    def begin(
+        self,
+        x: np.ndarray,
+        period: float,
+        duration: float,
+        rng: np.random.Generator,
+        thrust: np.ndarray | None = None,
+    ) -> Streams:
+        """Begin a flight in the state x, (13,), with control periods of `period` (s), of a duration (s).
+
+        Returns the noise of the flight, for `advance`: the same function of time at any period and integration step.
+        rng: of the noise. thrust: that the rotors give and that was commanded before, (n,) (N); None: that of hover.
+        """
+        self.reset()
+        if thrust is not None:
+            self.inner = self.initial(thrust)
+        return Streams(self.own_noise(rng, period), period)
+
+    def own_noise(self, rng: np.random.Generator, period: float) -> list[tuple[np.random.Generator, Drawn]]:
+        """What the equations draw in control periods (s), and its stream."""
+        numbers, bounds = self.equations.step.size1_in(2), np.linspace(0, period, self.steps(period) + 1)
+        return [(rng, Held(numbers, tuple(bounds.tolist())))] if numbers else []
+
+    def initial(self, thrust: np.ndarray) -> np.ndarray:
+        """Inner states at the beginning of a flight whose rotors give these thrusts (n,) (N); (m,)."""
         return np.zeros(self.equations.inner_size)
 
     @property
@@ -123,9 +147,12 @@ class SimulatedPlant:
         return self._parameters
 
     def advance(
-        self, x: np.ndarray, u: np.ndarray, duration: float, rng: np.random.Generator | None = None
+        self, x: np.ndarray, u: np.ndarray, duration: float, rng: np.random.Generator | Streams | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """See Plant.advance. rng: may be None where the equations have no noise."""
+        """See Plant.advance. rng: what `begin` returned; or a Generator, whose noise is new in every period and step.
+
+        It may be None where the equations have no noise.
+        """
         self.require_flight()
         function = self.prepared(duration)
         arguments, results = function.arguments, function.results
@@ -196,15 +223,7 @@ class SimulatedPlant:
 
 
 class RotorSpeedPlant(SimulatedPlant):
-    """A plant whose inner states are its rotors' speeds, (n,) (rad/s), which begin at those of hover."""
-
-    def hover_speed(self, vehicle: Vehicle) -> float:
-        """rad/s."""
-        raise NotImplementedError
-
-    def initial(self) -> np.ndarray:
-        """See SimulatedPlant."""
-        return np.full(self.vehicle.n_rotors, self.hover_speed(self.vehicle))
+    """A plant whose inner states are its rotors' speeds, (n,) (rad/s)."""
 
     @property
     def inner_columns(self) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 Command k is sent at t_k and arrives at t_k + latency + jitter U_k, with U_k uniform in [0, 1); with a probability it
 is lost. The vehicle flies the newest command that has arrived: one that was overtaken on its way is ignored, and a lost
 one leaves the last in force. A command takes effect at the first integration step that does not begin before its
-arrival. Until the first arrives the rotors stand at hover.
+arrival. Until the first arrives the thrust of the start is in force.
 
 Inner states: the command that everything older has come to, then for each command still kept, the newest first, its
 thrusts (n,) (N) and the time of its arrival (s), NEVER where it is lost. Parameters: latency, jitter, drop.
@@ -12,7 +12,6 @@ thrusts (n,) (N) and the time of its arrival (s), NEVER where it is lost. Parame
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,9 +22,9 @@ from quadexp.config.world import LatencyKeys
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
+from quadexp.world.streams import NEVER, Sampled
 
-NEVER = 1e9  # s
-ROUNDING = 1e-9  # s, by which a command may come late and still be in time
+ROUNDING = 1e-11  # s, by which a command may come before or after a step and count as coming with it
 
 
 @dataclass(frozen=True)
@@ -46,34 +45,28 @@ class Latency(LatencyKeys, Effect):
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
         """See Effect.sizes."""
         n = vehicle.n_rotors
-        return Sizes(inner=n + self._kept(clock) * (n + 1), parameters=3, draws=2)
+        return Sizes(inner=n + self._kept(clock) * (n + 1), parameters=3, drawn=(Sampled(2, (0.0,)),))
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         """See Effect.start."""
-        n, kept = start.vehicle.n_rotors, self._kept(start.clock)
-        hover = np.full(n, start.vehicle.hover_thrust)
-        return np.concatenate([hover, np.tile([*hover, NEVER], kept)]), (self.latency, self.jitter, self.drop)
-
-    @staticmethod
-    def _commands(inner: Expression, n: int) -> Iterator[tuple[Expression, Expression]]:
-        """(thrusts (n,), time of their arrival (s)), the oldest first."""
-        for first in range(inner.numel() - n - 1, n - 1, -n - 1):
-            yield inner[first : first + n], inner[first + n]
+        waiting = np.tile([*start.thrust, NEVER], self._kept(start.clock))
+        return np.concatenate([start.thrust, waiting]), (self.latency, self.jitter, self.drop)
 
     def begin(self, at: Moment) -> Expression:
         """See Effect.begin: the oldest command is no longer kept, the new one is sent."""
         n = at.command.numel()
-        oldest, arrival = next(self._commands(at.inner, n))
-        base = ca.if_else(arrival <= at.t + ROUNDING, oldest, at.inner[:n])
+        base = ca.if_else(at.inner[-1] < NEVER, at.inner[-n - 1 : -1], at.inner[:n])
         uniform = (1 + ca.erf(at.draws / math.sqrt(2))) / 2
         latency, jitter, drop = ca.vertsplit(at.parameters)
         arrives = ca.if_else(uniform[1] < drop, NEVER, at.t + latency + jitter * uniform[0])
         return ca.vertcat(base, at.command, arrives, at.inner[n : -n - 1])
 
     def thrusts(self, at: Moment) -> Expression:
-        """See Effect.thrusts."""
-        n = at.command.numel()
-        found = at.inner[:n]
-        for thrusts, arrival in self._commands(at.inner, n):
-            found = ca.if_else(arrival <= at.t + ROUNDING, thrusts, found)
-        return found
+        """See Effect.thrusts: from its arrival on, each command replaces older ones."""
+        n, acting, found = at.command.numel(), 0, 0
+        for first in range(n, at.inner.numel(), n + 1):  # the newest first; acting: share of the step from then on
+            left = at.t + at.step - ROUNDING - at.inner[first + n]
+            share = ca.fmax(acting, ca.fmin(left / (at.step - 2 * ROUNDING), 1))
+            found += (share - acting) * at.inner[first : first + n]
+            acting = share
+        return found + (1 - acting) * at.inner[:n]

@@ -32,8 +32,7 @@ def rotor_column(thrust: Expression, factor: Expression) -> Expression:
     return ca.if_else(factor > 0, speed, thrust)
 
 
-def first_rotor_column(vehicle: Vehicle, thrust: np.ndarray | None = None) -> Any:
-    """The columns at thrusts (n,) (N), in hover where none are given; (n,)."""
+def first_rotor_column(vehicle: Vehicle, thrust: np.ndarray) -> Any:
+    """The columns at thrusts (n,) (N); (n,)."""
     k = vehicle.thrust_coefficient
-    thrust = np.full(vehicle.n_rotors, vehicle.hover_thrust) if thrust is None else np.maximum(thrust, 0.0)
     return thrust if k is None else np.sqrt(thrust / k)

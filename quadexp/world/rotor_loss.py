@@ -46,7 +46,7 @@ class RotorLoss(RotorLossKeys, Effect):
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         """See Effect.start."""
         numbers = [float(loss[name]) for loss in self._ordered for name in ("t", "factor")]
-        return first_rotor_column(start.vehicle), [rotor_column_factor(start.vehicle), *numbers]
+        return first_rotor_column(start.vehicle, start.thrust), [rotor_column_factor(start.vehicle), *numbers]
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
         """See Effect.columns."""

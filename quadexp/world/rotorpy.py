@@ -57,16 +57,18 @@ class RotorPyPlant(RotorSpeedPlant):
                 f"plant=rotorpy: vehicle={vehicle.name} has no vehicle.thrust_coefficient (thrust per rotor speed"
                 " squared); vehicle=hummingbird has"
             )
-        if not self.keys.rotor_speed_min < self.hover_speed(vehicle) < self.keys.rotor_speed_max:
+        hover = float(np.sqrt(vehicle.hover_thrust / vehicle.thrust_coefficient))
+        if not self.keys.rotor_speed_min < hover < self.keys.rotor_speed_max:
             raise UsageError(
-                f"plant.rotor_speed_max: vehicle={vehicle.name} hovers at {self.hover_speed(vehicle):.4g} rad/s,"
+                f"plant.rotor_speed_max: vehicle={vehicle.name} hovers at {hover:.4g} rad/s,"
                 f" outside ({self.keys.rotor_speed_min:g}, {self.keys.rotor_speed_max:g})"
             )
         super().__init__(vehicle, _equations(vehicle), self._values(), step=step, backend=backend)
 
-    def hover_speed(self, vehicle: Vehicle) -> float:
-        """See RotorSpeedPlant."""
-        return float(np.sqrt(vehicle.hover_thrust / vehicle.static_thrust_coefficient))
+    def initial(self, thrust: np.ndarray) -> np.ndarray:
+        """See SimulatedPlant."""
+        speed = np.sqrt(thrust / self.vehicle.static_thrust_coefficient)
+        return np.clip(speed, self.keys.rotor_speed_min, self.keys.rotor_speed_max)
 
     def _values(self) -> np.ndarray:
         """Parameters of the equations, (10,)."""

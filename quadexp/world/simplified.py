@@ -5,9 +5,9 @@
     v'                     = R F / M + g,   M = m + payload (a point mass at the centre)
     w'                     = J^-1 (G t + noise - w x J w)
 
-Every noise is white and given by its spectral density, drawn once per integration step h with standard deviation
-density / sqrt(h), so that trajectories have the same statistics for every h. The published code draws force and torque
-with 0.005 N and N m at h = 0.5 ms: densities 1.118e-4. The motor noise's deviation grows with the root of the
+Every noise is white and given by its spectral density, held for 0.5 ms whatever the integration step h (see Held in
+streams.py): in its mean over h, density / sqrt(h) times a standard normal number. The published code draws force and
+torque with 0.005 N and N m at h = 0.5 ms: densities 1.118e-4. The motor noise's deviation grows with the root of the
 normalised thrust, 0.02 sqrt(u / u_max) u_max at h = 0.5 ms: density 4.472e-4. The lift of rotors in forward flight is
 that of Sun et al. 2022, zero by default.
 """
@@ -39,6 +39,11 @@ class PlantEffects(SimplifiedKeys):
         """The ideal plant: what the nominal model says is what happens."""
         return cls((0.0,) * 3, (0.0,) * 3, 0.0, 0.0, 0.0, 0.0, 0.0)
 
+    @property
+    def noisy(self) -> bool:
+        """Whether there is noise at all."""
+        return any((self.motor_noise_density, self.force_noise_density, self.torque_noise_density))
+
     def parameters(self) -> np.ndarray:
         """The numbers in the order of the plant's symbolic parameter vector, (12,)."""
         return np.hstack(astuple(self)).astype(float)
@@ -60,7 +65,8 @@ class SimplifiedPlant(SimulatedPlant):
         self, vehicle: Vehicle, effects: PlantEffects | None = None, *, step: float = 5e-4, backend: str = "auto"
     ) -> None:
         self.effects = effects or PlantEffects()
-        super().__init__(vehicle, _equations(vehicle), self.effects.parameters(), step=step, backend=backend)
+        equations, parameters = _equations(vehicle, self.effects.noisy), self.effects.parameters()
+        super().__init__(vehicle, equations, parameters, step=step, backend=backend)
 
     def residual(self) -> Residual:
         """See Plant.residual: drag, mean motor loss and payload; noise and clipping left out."""
@@ -89,12 +95,12 @@ def _body_acceleration(
     return (force + ca.vertcat(0, 0, ca.sum1(delivered) + lift)) / (vehicle.mass + effects[PAYLOAD])
 
 
-def _equations(vehicle: Vehicle) -> Equations:
-    """RK4 with the noise, (n + 6,), held over each step; the parameters are PlantEffects.parameters."""
+def _equations(vehicle: Vehicle, noisy: bool) -> Equations:
+    """RK4 with the noise, (n + 6,) or none, held over each step; the parameters are PlantEffects.parameters."""
     n = vehicle.n_rotors
-    x, u, noise = ca.SX.sym("x", N_STATE), ca.SX.sym("u", n), ca.SX.sym("noise", n + 6)
+    x, u, noise = ca.SX.sym("x", N_STATE), ca.SX.sym("u", n), ca.SX.sym("noise", (n + 6) * noisy)
     effects, step = ca.SX.sym("effects", N_EFFECTS), ca.SX.sym("step")
-    scaled = noise / ca.sqrt(step)
+    scaled = noise / ca.sqrt(step) if noisy else ca.SX.zeros(n + 6)
     motor = effects[MOTOR_NOISE] * ca.sqrt(u * vehicle.thrust_max) * scaled[:n]
     delivered = ca.fmin(ca.fmax(_delivered_thrust(u, effects, vehicle) - motor, 0), vehicle.thrust_max)
     force_noise = effects[FORCE_NOISE] * scaled[n : n + 3] / (vehicle.mass + effects[PAYLOAD])

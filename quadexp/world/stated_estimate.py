@@ -2,13 +2,14 @@
 
     p^ = p + n_p    v^ = v + n_v    w^ = w + n_w    q^ = q o [1, n_a / 2] / |..|        all at t - delay
 
-n: white from sample to sample, independent on each axis. The delay is a whole number of integration steps, the nearest
-one. Until the first delayed state is there, the state at the start holds. With gyro=fresh the body rate is that of t:
-a gyroscope has no part in what makes poses late.
+n: white from sample to sample, independent on each axis. Between two integration steps the state is interpolated, which
+is off by acceleration h^2 / 8 at most. Until the first delayed state is there, the state at the start holds. With
+gyro=fresh the body rate is that of t: a gyroscope has no part in what makes poses late.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,8 +21,10 @@ from quadexp.physics.rotation import left_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
+from quadexp.world.streams import Sampled
 
 AXES = 12  # of the noise: position, velocity, attitude, rate
+ROUNDING = 1e-6  # of an integration step, by which a delay may differ from whole steps and count as such
 
 
 @dataclass(frozen=True)
@@ -36,25 +39,29 @@ class StatedEstimate(StatedEstimateKeys, Effect):
         """See Effect.loop_delay."""
         return self.delay
 
-    def _late(self, clock: Clock) -> int:
-        return round(self.delay / clock.step)
+    def _late(self, clock: Clock) -> tuple[int, float]:
+        """Integration steps by which the older of two states is late, and the share of the younger one."""
+        late = math.ceil(self.delay / clock.step - ROUNDING)
+        return late, late - self.delay / clock.step
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
         """See Effect.sizes."""
-        return Sizes(inner=N_STATE * self._late(clock), parameters=4, draws=AXES)
+        return Sizes(N_STATE * self._late(clock)[0], parameters=4, drawn=(Sampled(AXES, (clock.period,)),))
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         """See Effect.start."""
         noise = (self.position_noise, self.velocity_noise, self.attitude_noise, self.rate_noise)
-        return np.tile(start.x, self._late(start.clock)), noise
+        return np.tile(start.x, self._late(start.clock)[0]), noise
 
     def measure(self, at: Readings, told: Told) -> tuple[ca.MX, Told]:
         """See Effect.measure."""
-        late, steps = self._late(at.clock), at.clock.steps
-        past, now = ca.reshape(at.inner, N_STATE, late), at.states[:, 1:]
-        x = past[:, steps - 1] if late >= steps else now[:, steps - 1 - late]
-        rate = now[:, -1] if self.gyro == "fresh" else x
-        kept = ca.horzcat(past[:, steps:], now) if late > steps else now[:, steps - late :]
+        late, share = self._late(at.clock)
+        kept = ca.horzcat(ca.reshape(at.inner, N_STATE, late), at.states[:, 1:])[:, -late - 1 :]
+        x = kept[:, 0]
+        if share > ROUNDING:
+            x = (1 - share) * x + share * kept[:, 1]
+            x[ATTITUDE] /= ca.norm_2(x[ATTITUDE])
+        rate = kept[:, -1] if self.gyro == "fresh" else x
         noise = at.draws * ca.vertcat(*(ca.repmat(std, 3, 1) for std in ca.vertsplit(at.parameters)))
         turned = ca.mtimes(left_matrix(x[ATTITUDE]), ca.vertcat(1, noise[6:9] / 2))
         noisy = ca.vertcat(
@@ -63,4 +70,4 @@ class StatedEstimate(StatedEstimateKeys, Effect):
             x[VELOCITY] + noise[3:6],
             rate[RATE] + noise[9:],
         )
-        return ca.reshape(kept, N_STATE * late, 1), told | {"state": noisy}
+        return ca.vec(kept[:, 1:]), told | {"state": noisy}

@@ -1,18 +1,33 @@
-"""Random numbers of a flight by part, each part's from a stream of its own.
+"""Random numbers of a flight: each part's from a stream of its own, and each a function of time.
 
 A part's stream comes from the seed of the flight's generator and the part's name. So every part meets the same numbers
-whatever else is switched on, and so does every controller.
+whatever else is switched on. Numbers belong to ticks i T of a clock that starts with the flight, not to control periods
+or integration steps. So every controller meets the same numbers at every rate:
+
+    Sampled   what is drawn at an instant t has the numbers of the tick floor(t / T)
+    Ticking   what goes on at every tick has the numbers of each tick in the control period
+    Held      white noise of density 1 is w(t) = n_i / sqrt(T) for i T <= t < (i + 1) T; an interval h has sqrt(h) times
+              its mean there, which is standard normal where the interval is one of whole ticks
+
+Most ticks of `Sampled` are not needed: number i is the i-th of SplitMix64 (Steele, Lea and Flood 2014), which needs
+none before it, made normal after Box and Muller (1958).
 """
 
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 WORDS = 4  # of 32 bits, that name a stream
+TICK = 5e-4  # s
+EARLY = 1e-6  # of a tick, by which a time may come before it and belong to it
+NEVER = 1e9  # s
+BLOCK = 128  # control periods that are drawn at once
 
 
 def part_stream(rng: np.random.Generator, part: str) -> np.random.Generator:
@@ -23,59 +38,153 @@ def part_stream(rng: np.random.Generator, part: str) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size))
 
 
-class Share(NamedTuple):
-    """What a part takes of its stream in a control period: noise (steps of it), then draws, once."""
+@dataclass(frozen=True)
+class Sampled:
+    """`numbers` standard normal ones at each of some instants (s, since the control period began)."""
 
-    rng: np.random.Generator
-    noise: int
-    draws: int = 0
+    numbers: int
+    instants: tuple[float, ...]
+    tick: float = TICK
+
+    @property
+    def size(self) -> int:
+        """Numbers of a control period: instant by instant."""
+        return self.numbers * len(self.instants)
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        """(when control periods begin (k,), when the last one ends) -> their numbers (k, size), period after period."""
+        key = rng.integers(2**64, dtype=np.uint64)
+
+        def take(begins: np.ndarray, end: float) -> np.ndarray:
+            ticks = np.floor((begins[:, None] + self.instants) / self.tick + EARLY)
+            return _split_mix(key, ticks.astype(np.uint64), self.numbers).reshape(len(begins), -1)
+
+        return take
+
+
+@dataclass(frozen=True)
+class Ticking:
+    """`numbers` standard normal ones at every tick (s) after the start of the flight."""
+
+    numbers: int
+    tick: float
+    period: float  # s, of control
+
+    @property
+    def slots(self) -> int:
+        """Largest number of ticks in a control period."""
+        return math.ceil(self.period / self.tick - EARLY)
+
+    @property
+    def size(self) -> int:
+        """Numbers of a control period: slot by slot the time of its tick (s), NEVER where there is none, and the
+        tick's numbers."""
+        return (1 + self.numbers) * self.slots
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        """See Sampled.begin."""
+
+        def take(begins: np.ndarray, end: float) -> np.ndarray:
+            first = np.ceil(np.append(begins, end) / self.tick - EARLY).clip(1)
+            ticks = first[:-1, None] + np.arange(self.slots)
+            there = ticks < first[1:, None]
+            found = np.zeros((*ticks.shape, 1 + self.numbers))
+            found[..., 0] = np.where(there, self.tick * ticks, NEVER)
+            found[there, 1:] = rng.standard_normal((there.sum(), self.numbers))
+            return found.reshape(len(begins), -1)
+
+        return take
+
+
+@dataclass(frozen=True)
+class Held:
+    """`numbers` independent white noises over intervals of the control period. bounds: of these, (k + 1,), s."""
+
+    numbers: int
+    bounds: tuple[float, ...]
+    tick: float = TICK
+
+    @property
+    def size(self) -> int:
+        """Numbers of a control period: interval by interval."""
+        return self.numbers * (len(self.bounds) - 1)
+
+    def begin(self, rng: np.random.Generator) -> Any:
+        """See Sampled.begin."""
+        first, rows = 0, np.empty((0, self.numbers))  # the tick of the first row
+
+        def take(begins: np.ndarray, end: float) -> np.ndarray:
+            nonlocal first, rows
+            edges = np.append(begins[:, None] + self.bounds[:-1], end) / self.tick
+            whole = np.rint(edges)
+            edges = np.where(np.abs(edges - whole) < EARLY, whole, edges)
+            more = math.ceil(edges[-1]) - first - len(rows)
+            new = rng.standard_normal((more, self.numbers))
+            if not len(rows) and len(edges) == more + 1 and np.array_equal(edges, whole):  # an interval is a tick
+                first += more
+                return new.reshape(len(begins), -1)
+            rows = np.concatenate([rows, new])
+            path = np.concatenate([np.zeros((1, self.numbers)), rows]).cumsum(axis=0)
+            corner = np.floor(edges).astype(int)
+            beyond = edges - corner
+            corner -= first
+            path = path[corner] + beyond[:, None] * rows[np.minimum(corner, len(rows) - 1)]
+            first, rows = first + corner[-1], rows[corner[-1] :]
+            return (np.diff(path, axis=0) / np.sqrt(np.diff(edges))[:, None]).reshape(len(begins), -1)
+
+        return take
+
+
+Drawn = Sampled | Ticking | Held
 
 
 class Streams:
-    """Standard normal numbers of a control period: noise (steps, d) with a column a number, then all draws."""
+    """The numbers of a flight's control periods, in the order of the parts: `block` has them from period `first` on.
 
-    def __init__(self, shares: Sequence[Share], steps: int) -> None:
-        self._shares, self._steps = shares, steps
-        self._kept: dict[int, list[np.ndarray]] = {}
-        self.noise_size = steps * sum(share.noise for share in shares)
-        self.size = self.noise_size + sum(share.draws for share in shares)
+    parts: what is drawn, and the stream of each. period: s, of control.
+    """
 
-    def take(self, periods: int) -> np.ndarray:
-        """The numbers of the next periods, (periods, size), until the next call; one by one they are the same."""
-        found, *blocks = self._memory(periods)
-        if len(blocks) == 1 and not self._shares[0].draws:
-            self._shares[0].rng.standard_normal(out=found)
-            return found
-        noise = found[:, : self.noise_size].reshape(periods, self._steps, -1) if self.noise_size else None
-        sole = sum(share.noise > 0 for share in self._shares) == 1  # then its numbers are in their order already
-        row, draw = 0, self.noise_size
-        for share, block in zip(self._shares, blocks, strict=True):
-            share.rng.standard_normal(out=block)
-            found[:, draw : draw + share.draws] = block[:, : share.draws]
-            if share.noise and sole:
-                found[:, : self.noise_size] = block[:, share.draws :]
-            elif noise is not None and share.noise:
-                noise[:, :, row : row + share.noise] = block[:, share.draws :].reshape(periods, self._steps, -1)
-            row, draw = row + share.noise, draw + share.draws
-        return found
+    def __init__(self, parts: Sequence[tuple[np.random.Generator, Drawn]], period: float) -> None:
+        self._period, self._takers = period, [drawn.begin(rng) for rng, drawn in parts]
+        self.size = sum(drawn.size for _, drawn in parts)
+        self._kept = np.empty((BLOCK, self.size))
+        self.block, self.first, self.taken = self._kept[:0], 0, 0  # taken: periods
 
-    def _memory(self, periods: int) -> list[np.ndarray]:
-        """Arrays of `take`: the numbers of all parts together, and those of each. New memory costs more than a draw."""
-        if periods not in self._kept:
-            sizes = [self.size, *(self._steps * share.noise + share.draws for share in self._shares)]
-            self._kept = {periods: [np.empty((periods, size)) for size in sizes]}
-        return self._kept[periods]
+    @property
+    def end(self) -> int:
+        """The first period that is not in the block."""
+        return self.first + len(self.block)
+
+    def draw(self) -> None:
+        """The next block."""
+        self.first = self.end
+        times = self._period * np.arange(self.first, self.first + BLOCK + 1)
+        self.block, column = self._kept, 0  # new memory costs more than a draw
+        for take in self._takers:
+            found = take(times[:-1], times[-1])
+            column += found.shape[1]
+            self.block[:, column - found.shape[1] : column] = found
 
     def standard_normal(self, out: np.ndarray) -> None:
         """As Generator.standard_normal: the numbers of the next period."""
-        out.ravel()[:] = self.take(1)[0]
+        if self.taken == self.end:
+            self.draw()
+        out.ravel()[:] = self.block[self.taken - self.first]
+        self.taken += 1
 
-    @property
-    def state(self) -> list[Any]:
-        """Where all streams are."""
-        return [share.rng.bit_generator.state for share in self._shares]
 
-    @state.setter
-    def state(self, states: list[Any]) -> None:
-        for share, state in zip(self._shares, states, strict=True):
-            share.rng.bit_generator.state = state
+def sampled(rng: np.random.Generator, times: np.ndarray, numbers: int) -> np.ndarray:
+    """Standard normal numbers (k, numbers) at some times (k,) (s); see Sampled."""
+    return Sampled(numbers, (0.0,)).begin(rng)(times, 0.0)
+
+
+def _split_mix(key: np.uint64, ticks: np.ndarray, numbers: int) -> np.ndarray:
+    """Standard normal numbers (.., numbers) of ticks (..), of the sequence that begins at a key."""
+    pairs = (numbers + 1) // 2
+    place = ticks[..., None] * np.uint64(2 * pairs) + np.arange(1, 2 * pairs + 1, dtype=np.uint64)
+    z: Any = key + place * np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ z >> np.uint64(30)) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ z >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)
+    uniform = (((z ^ z >> np.uint64(31)) >> np.uint64(11)) + 0.5) * 2.0**-53
+    radius, angle = np.sqrt(-2 * np.log(uniform[..., :pairs])), 2 * np.pi * uniform[..., pairs:]
+    return np.concatenate([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)[..., :numbers]

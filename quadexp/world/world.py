@@ -20,7 +20,7 @@ from quadexp.errors import ModelDomainError, QuadexpError, UsageError
 from quadexp.world.composition import WIND, Layout, compose, wind_function
 from quadexp.world.effect import Clock, Effect, Sizes, Start, ordered
 from quadexp.world.integrator import Equations, SimulatedPlant
-from quadexp.world.streams import Share, Streams, part_stream
+from quadexp.world.streams import Drawn, Streams, part_stream
 
 WIND_COLUMNS = ("wind_x", "wind_y", "wind_z")
 
@@ -59,8 +59,9 @@ class World(SimulatedPlant):
 
     # ------------------------------------------------------------------------------------------------- a flight begins
     def reset(self) -> None:
-        """See Plant.reset; the flight itself begins with `begin`."""
+        """See Plant.reset: what is flown and what is believed; the flight itself begins with `begin`."""
         self.airframe.reset()
+        self._believed.reset()  # which another flight may have flown
         self.time, self.inner = 0.0, np.empty(0)
 
     def begin(
@@ -74,15 +75,16 @@ class World(SimulatedPlant):
         """Begin a flight in the state x, (13,), with control periods of `period` (s), of a duration (s).
 
         Returns the noise of the flight, for `advance`. rng: of the airframe's noise; its seed gives the effects'
-        streams. thrust: of the rotors, (n,) (N); None: they hover.
+        streams. thrust: that the rotors give and that was commanded before, (n,) (N); None: that of hover.
         """
         self.reset()
+        thrust = np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust) if thrust is None else thrust
         clock = self.clock(period)
         begun: dict[str, np.ndarray] = {}
-        start = Start(np.array(x, float), duration, clock, self.vehicle, begun, thrust)
+        start = Start(np.array(x, float), duration, clock, self.vehicle, thrust, begun)
         layout = self._layout(clock)
-        shares = [Share(rng, layout.airframe.noise)]
-        inner, parameters = [self.airframe.inner], []
+        parts = list[tuple[np.random.Generator, Drawn]]()
+        inner, parameters = [self.airframe.initial(thrust)], []
         for effect, sizes in zip(self.effects, layout.effects, strict=True):
             stream = part_stream(rng, effect.part)
             found = [np.asarray(values, float).ravel() for values in effect.start(stream, start)]
@@ -91,7 +93,7 @@ class World(SimulatedPlant):
             begun[effect.part] = found[0]
             inner.append(found[0])
             parameters.append(found[1])
-            shares.append(Share(stream, sizes.noise, sizes.draws))
+            parts += [(part_stream(rng, f"{effect.part} {i}"), drawn) for i, drawn in enumerate(sizes.drawn)]
         ends = [layout.ends(kind)[1:] for kind in ("inner", "parameters")]
         slices = [[slice(*pair) for pair in pairwise(one)] for one in ends]
         first = layout.airframe.parameters
@@ -105,7 +107,7 @@ class World(SimulatedPlant):
         for effect, own in zip(self.effects, inner[1:], strict=True):
             self.measured = effect.first(own, self.measured)
         self.inner = np.concatenate([*inner, self._first_wind(start, np.concatenate(inner[1:]))])
-        return Streams(shares, clock.steps)
+        return Streams([*self.own_noise(rng, period), *parts], period)
 
     def require_flight(self) -> None:
         """See SimulatedPlant."""
@@ -123,8 +125,7 @@ class World(SimulatedPlant):
         if start.clock not in self._winds:
             self._winds[start.clock] = wind_function(self.equations, self.effects, layout, self.vehicle)
         wind = self._winds[start.clock]
-        u, noise = np.zeros(self.vehicle.n_rotors), np.zeros(layout.size("noise"))
-        return np.array(wind(0.0, start.x, own, u, noise, self.parameters(step), step)).ravel()
+        return np.array(wind(0.0, start.x, own, np.zeros(self.vehicle.n_rotors), self.parameters(step), step)).ravel()
 
     def clock(self, period: float) -> Clock:
         """How a control period (s) is divided."""
@@ -133,7 +134,7 @@ class World(SimulatedPlant):
     def _layout(self, clock: Clock) -> Layout:
         if clock not in self._layouts:
             step = self.equations.step
-            airframe = Sizes(self.equations.inner_size, step.size1_in(3), step.size1_in(2))
+            airframe = Sizes(self.equations.inner_size, step.size1_in(3))
             effects = tuple(effect.sizes(clock, self.vehicle) for effect in self.effects)
             self._layouts[clock] = Layout(airframe, effects)
         return self._layouts[clock]

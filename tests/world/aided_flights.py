@@ -17,6 +17,7 @@ from quadexp.world.eskf import N_COVARIANCE, N_ERROR, N_NOMINAL
 from quadexp.world.imu import N_BIAS
 from quadexp.world.inertial import InertialSensors
 from quadexp.world.navigation import Navigation
+from quadexp.world.streams import Streams, part_stream
 
 GRAVITY = 9.81
 
@@ -77,8 +78,10 @@ class AidedRun:
         """outage: from when (s) until when no fix gets through."""
         rng, other = np.random.default_rng(seed).spawn(2)
         f, begun = self.function, {}
-        start = Start(states[0], 1.0, self.clock, Body(), begun)
+        start = Start(states[0], 1.0, self.clock, Body(), np.empty(0), begun)
         f.arguments["inner"][:], f.arguments["parameters"][:] = self.sensors.start(rng, start)
+        drawn = enumerate(self.sensors.sizes(self.clock, None).drawn)
+        noise = Streams([(part_stream(rng, str(i)), one) for i, one in drawn], self.clock.period)
         begun["sensor"] = f.arguments["inner"].copy()
         f.arguments["known"][:], f.arguments["believed"][:] = self.filter.start(other, start)
         self.at_first, self.bias_at_first = f.arguments["known"].copy(), begun["sensor"][:N_BIAS]
@@ -87,7 +90,7 @@ class AidedRun:
         for k in range(0, len(states) - 1, self.clock.steps):
             f.arguments["fixes"][0] = not outage[0] <= k * self.clock.step < outage[1]
             f.arguments["states"][:] = states[k : k + self.clock.steps + 1]
-            rng.standard_normal(out=f.arguments["draws"])
+            noise.standard_normal(f.arguments["draws"])
             f()
             for name, row in rows.items():
                 row.append(f.results[f"{name}_next"].copy())
@@ -140,9 +143,9 @@ def _period(sensors: InertialSensors, estimator: Navigation, clock: Clock) -> ca
         "believed": ca.MX.sym("believed", own.parameters),
         "fixes": ca.MX.sym("fixes"),
     }
-    none, step = ca.MX(0, 1), ca.MX(clock.step)
+    step = ca.MX(clock.step)
     x, inner, known, draws, parameters, believed, fixes = symbols.values()
-    at = Readings(ca.MX(0), x, inner, none, parameters, draws, step, clock)
+    at = Readings(ca.MX(0), x, inner, parameters, draws, step, clock)
     told: Any = {"state": x[:, -1], "specific_force": ca.MX.zeros(3)}
     inner_next, told = sensors.measure(at, told)
     told |= {aid.name: fixes * told[aid.name] for aid in sensors.aids}

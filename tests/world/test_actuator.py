@@ -86,9 +86,9 @@ def test_limits_of_the_speed_are_limits_of_the_thrust(lei_li):
 
 def test_scales_have_the_asked_mean_and_spread(lei_li):
     """Over many flights: of a rotor sqrt(flight^2 + rotor^2), between two rotors of one flight the flight's."""
-    effect = Actuator(flight_scale_std=0.05, rotor_scale_std=0.03)
-    begin = Start(REST, 1.0, Clock(PERIOD, 20), lei_li)
-    scale = np.array([effect.start(np.random.default_rng(seed), begin)[1][-4:] for seed in range(4000)])
+    effect = Actuator(flight_scale_std=0.05, rotor_scale_std=0.03).among([])
+    begin = Start(REST, 1.0, Clock(PERIOD, 20), lei_li, np.full(4, lei_li.hover_thrust))
+    scale = np.array([effect.start(np.random.default_rng(seed), begin)[1][5:21:4] for seed in range(4000)]) + 1
     both = np.sqrt(1.05**2 + (1 + 0.05**2) * 0.03**2 - 0.05 * 2 - 1)  # of the product of two independent factors
     assert scale.mean(axis=0) == pytest.approx(np.ones(4), abs=4 * both / np.sqrt(4000))
     assert scale.std(axis=0) == pytest.approx(np.full(4, both), rel=0.05)
@@ -98,19 +98,22 @@ def test_scales_have_the_asked_mean_and_spread(lei_li):
 
 @pytest.mark.parametrize("kind", AIRFRAMES)
 def test_hover_takes_the_scaled_command(vehicle, kind):
-    """Commanded the hover thrust over their scale, rotors that differ hold the vehicle as ideal ones do."""
+    """Commanded the hover thrust over their scale, rotors that differ hold the vehicle as ideal ones do.
+
+    But for the yaw of blade_element: there the torque of a rotor at its own speed is not in proportion to its thrust.
+    """
     x = REST.copy()
     plant = airframe(kind, vehicle)
     hover = np.full(vehicle.n_rotors, vehicle.hover_thrust)
     expected = fly(airframe(kind, vehicle), x, [hover] * 20)[0]
     world = World(plant, [Actuator(rotor_scale_std=0.1, time_constant_up=0.02, time_constant_down=0.02)])
     world.begin(x, PERIOD, 1.0, np.random.default_rng(1))
-    scale = world._own_parameters[-vehicle.n_rotors :]
+    scale = 1 + world._own_parameters[5 : 5 + 4 * vehicle.n_rotors : 4]
     assert np.ptp(scale) > 0.05
     settled = [hover / scale] * 60
     tilted, held = fly(world, x, [hover] * 20)[0], fly(world, x, settled)[0]
     assert np.abs(tilted[-1, 10:]).max() > 0.1  # the uncorrected command turns it over
-    speeds = np.diff(held[-20:, 10:], axis=0)
+    speeds = np.diff(held[-20:, 10 : 12 if kind == "blade_element" else 13], axis=0)
     assert np.abs(speeds).max() < 1e-3 + 2 * np.abs(np.diff(expected[:, 10:], axis=0)).max()
 
 

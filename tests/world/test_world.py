@@ -7,6 +7,7 @@ each part its own numbers, whatever else is switched on.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from quadexp.world.constant_wind import ConstantWind
 from quadexp.world.from_model import FromModelPlant
 from quadexp.world.link import Latency
 from quadexp.world.stated_estimate import StatedEstimate
-from quadexp.world.streams import Share, Streams, part_stream
+from quadexp.world.streams import part_stream, sampled
 from quadexp.world.world import World
 from tests.air.models import BLADE, with_rotors
 
@@ -54,11 +55,7 @@ def start(seed=0):
 
 def fly(plant, x, thrusts, seed=1):
     """States (k + 1, 13), readings (k, 3), measured (k + 1, 13) under open-loop commands (k, n)."""
-    rng = np.random.default_rng(seed)
-    if isinstance(plant, World):
-        rng = plant.begin(x, PERIOD, PERIOD * len(thrusts), rng)
-    else:
-        plant.reset()
+    rng = plant.begin(x, PERIOD, PERIOD * len(thrusts), np.random.default_rng(seed))
     states, readings, told = [x], [], [x]
     for u in thrusts:
         x, reading = plant.advance(x, u, PERIOD, rng)
@@ -106,17 +103,18 @@ def test_a_latency_of_whole_periods_shifts_the_commands(vehicle, kind, late):
     assert np.abs(fly(world, x, u)[0] - fly(airframe(kind, vehicle), x, shifted)[0]).max() < 1e-12
 
 
-@pytest.mark.parametrize("latency", [0.007, 0.013, 0.031])
-def test_a_latency_below_a_period_is_exact_on_the_integration_steps(vehicle, latency):
-    """Against the same airframe commanded every integration step, with the commands shifted by hand."""
+@pytest.mark.parametrize("latency", [0.0003, 0.007, 0.0134, 0.031])
+def test_a_latency_below_a_period_is_exact(vehicle, latency):
+    """Against the same airframe commanded every integration step, with the commands shifted and averaged by hand."""
     plant = airframe("simplified", vehicle, noise=False)
     plant.effects = replace(plant.effects, torque_noise_density=0.0)
     plant._parameters = plant.effects.parameters()
     u, x, steps = commands(vehicle, 12), start(2), round(PERIOD / STEP)
     world = fly(World(plant, [Latency(latency=latency)]), x, u)[0]
     fine = np.repeat(u, steps, axis=0)
-    late = round(latency / STEP)
-    fine = np.concatenate([np.full((late, vehicle.n_rotors), vehicle.hover_thrust), fine])[: len(u) * steps]
+    late, share = divmod(latency / STEP + 1e-9, 1)
+    fine = np.concatenate([np.full((int(late) + 1, vehicle.n_rotors), vehicle.hover_thrust), fine])
+    fine = ((1 - share) * fine[1:] + share * fine[:-1])[: len(u) * steps]
     plant.reset()
     for k, command in enumerate(fine):
         if k % steps == 0:
@@ -135,7 +133,7 @@ def test_jitter_and_loss_as_a_list_of_messages_has_them(vehicle):
 
     from scipy.stats import norm
 
-    draws = part_stream(np.random.default_rng(7), "link").standard_normal((len(u), 2))
+    draws = sampled(part_stream(np.random.default_rng(7), "link 0"), PERIOD * np.arange(len(u)), 2)
     arrival = PERIOD * np.arange(len(u)) + latency + jitter * norm.cdf(draws[:, 0])
     arrival[norm.cdf(draws[:, 1]) < drop] = np.inf
     finite = arrival[np.isfinite(arrival)]
@@ -144,8 +142,12 @@ def test_jitter_and_loss_as_a_list_of_messages_has_them(vehicle):
     for k in range(len(u) * steps):
         if k % steps == 0:
             assert np.abs(x - world[k // steps]).max() < 1e-9
-        come = np.flatnonzero(arrival <= k * STEP + 1e-9)
-        command = u[come[-1]] if len(come) else np.full(n, vehicle.hover_thrust)
+        inside = arrival[(arrival > k * STEP) & (arrival < (k + 1) * STEP)]
+        command, edges = 0, [k * STEP, *np.sort(inside), (k + 1) * STEP]
+        for begin, end in pairwise(edges):
+            come = np.flatnonzero(arrival <= begin + 1e-9)
+            newest = u[come[-1]] if len(come) else np.full(n, vehicle.hover_thrust)
+            command += (end - begin) / STEP * newest
         x, _ = plant.advance(x, command, STEP, np.random.default_rng(0))
 
 
@@ -169,17 +171,19 @@ def test_a_fresh_gyroscope_beside_a_late_pose(vehicle, kind, delay):
     assert np.abs(fresh[2][3:, 10:] - late[2][3:, 10:]).max() > 1e-3
 
 
-def test_a_delay_below_a_period(vehicle):
-    """Against the same commands on a control period as short as an integration step."""
-    delay, u, x = 0.007, commands(vehicle, 12), start(6)
+@pytest.mark.parametrize(("delay", "off"), [(0.0003, 1e-5), (0.007, 1e-9), (0.0344, 1e-5)])
+def test_a_delay_is_exact_whatever_the_integration_step(vehicle, delay, off):
+    """Against the same commands on control periods of a tenth of an integration step."""
+    u, x = commands(vehicle, 12), start(6)
     plant = airframe("simplified", vehicle, noise=False)
     plant._parameters = replace(plant.effects, torque_noise_density=0.0).parameters()
     _, _, told = fly(World(plant, [StatedEstimate(delay=delay)]), x, u)
-    steps, fine = round(PERIOD / STEP), [x]
+    tenth, fine = STEP / 10, [x]
+    steps = round(PERIOD / tenth)
     for command in np.repeat(u, steps, axis=0):
-        fine.append(plant.advance(fine[-1], command, STEP, np.random.default_rng(0))[0])
+        fine.append(plant.advance(fine[-1], command, tenth, np.random.default_rng(0))[0])
     for k in range(1, len(u) + 1):
-        assert np.abs(told[k] - fine[k * steps - round(delay / STEP)]).max() < 1e-9
+        assert np.abs(told[k] - fine[max(k * steps - round(delay / tenth), 0)]).max() < off
 
 
 def test_the_noise_of_an_estimate_is_as_stated(vehicle):
@@ -200,39 +204,13 @@ def test_the_noise_of_an_estimate_is_as_stated(vehicle):
     assert np.abs(np.linalg.norm(told[:, ATTITUDE], axis=1) - 1).max() < 1e-12
 
 
-class TestStreams:
-    def test_switching_a_part_on_changes_no_other_part(self, vehicle):
-        """The airframe's noise and the estimate's are the same with and without a link that draws."""
-        u, x = commands(vehicle, 20), start()
-        stated = StatedEstimate(position_noise=0.1)
-        alone = fly(World(airframe("simplified", vehicle), [stated]), x, u)
-        lossy = Latency(drop=1e-12)  # which draws, and loses nothing
-        both = fly(World(airframe("simplified", vehicle), [stated, lossy]), x, u)
-        clean = fly(airframe("simplified", vehicle), x, u)
-        assert np.abs(alone[0] - both[0]).max() < 1e-12 and np.abs(alone[2] - both[2]).max() < 1e-12
-        assert np.abs(alone[0] - clean[0]).max() < 1e-12 and np.abs(alone[2] - alone[0])[1:, 0].min() > 0
-
-    def test_a_part_has_its_own_stream_and_leaves_the_generator_alone(self):
-        rng = np.random.default_rng(4)
-        before = rng.bit_generator.state
-        first, other = part_stream(rng, "wind").random(4), part_stream(rng, "link").random(4)
-        assert rng.bit_generator.state == before and np.array_equal(first, part_stream(rng, "wind").random(4))
-        assert not np.array_equal(first, other) and not np.array_equal(first, np.random.default_rng(4).random(4))
-        (child,) = rng.spawn(1)
-        assert not np.array_equal(part_stream(child, "wind").random(4), first)
-
-    @pytest.mark.parametrize("sizes", [[(7, 0)], [(3, 2), (0, 4), (2, 0)], [(0, 1)], [(0, 0), (1, 1)]])
-    def test_in_blocks_or_one_by_one_they_are_the_same(self, sizes):
-        steps = 5
-        makers = [lambda: Streams([Share(np.random.default_rng(i), *size) for i, size in enumerate(sizes)], steps)] * 2
-        one, two = (make() for make in makers)
-        block, out = one.take(6), np.empty(one.size)
-        for row in block:
-            two.standard_normal(out)
-            assert np.array_equal(row, out)
-        column = 0
-        for i, (noise, draws) in enumerate(sizes):
-            own = np.random.default_rng(i).standard_normal((6, steps * noise + draws))
-            found = block[:, : one.noise_size].reshape(6, steps, -1)[:, :, column : column + noise] if noise else None
-            assert found is None or np.array_equal(found.reshape(6, -1), own[:, draws:])
-            column += noise
+def test_switching_a_part_on_changes_no_other_part(vehicle):
+    """The airframe's noise and the estimate's are the same with and without a link that draws."""
+    u, x = commands(vehicle, 20), start()
+    stated = StatedEstimate(position_noise=0.1)
+    alone = fly(World(airframe("simplified", vehicle), [stated]), x, u)
+    lossy = Latency(drop=1e-12)  # which draws, and loses nothing
+    both = fly(World(airframe("simplified", vehicle), [stated, lossy]), x, u)
+    clean = fly(airframe("simplified", vehicle), x, u)
+    assert np.abs(alone[0] - both[0]).max() < 1e-12 and np.abs(alone[2] - both[2]).max() < 1e-12
+    assert np.abs(alone[0] - clean[0]).max() < 1e-12 and np.abs(alone[2] - alone[0])[1:, 0].min() > 0
