@@ -31,13 +31,16 @@ class Window(NamedTuple):
     """The reference as a controller may see it.
 
     state: (N + 1, 13) at its node times from now. input: (N, n), N. position: (5, 3), world: position (m) .. snap, now.
-    yaw: heading (rad), rate, acceleration (3,), now; zero where the heading is free.
+    yaw: heading (rad), rate, acceleration (3,), now. Where the trajectory leaves the heading free it is that of the
+    reference's attitude, which does not turn about its thrust axis: rate and acceleration are zero, for laws that turn
+    the vehicle about that axis by them. drift: the rate at which such a heading changes all the same (rad/s).
     """
 
     state: np.ndarray
     input: np.ndarray
     position: np.ndarray
     yaw: np.ndarray
+    drift: float = 0.0
 
 
 class Controller(Protocol):

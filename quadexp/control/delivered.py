@@ -77,7 +77,7 @@ def commands_function(rotors: int, delays: Delays, shared: Mapping[str, np.ndarr
 
 
 class DeliveredThrust:
-    """Call `reset`, then at every control instant `now` and `record`, in this order.
+    """Call `reset`, then at every control instant `now` and `record`, in this order, also where speeds are measured.
 
     dead_time, lag: what is known of the commands' delay and of the rotors' time constant (s).
     thrust: by the commands, at the control instant, (n,) (N). mean: the same over the last control period; where rotor
@@ -99,6 +99,7 @@ class DeliveredThrust:
     def now(self, measurement: Measurement) -> np.ndarray:
         """Thrusts at the control instant, just before the new command, (n,) (N)."""
         if measurement.rotor_speed is None or self._coefficient is None:
+            self._measured = None
             return self.thrust
         before, measured = self._measured, self._coefficient * measurement.rotor_speed**2
         self._measured = measured

@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import shutil
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from quadexp.errors import DataError, UsageError, write_error
+from quadexp.errors import DataError, UsageError
+from quadexp.files.names import check_names
+from quadexp.files.writer import check_output, write_folder
 from quadexp.learn.checkpoint_check import check_model
 from quadexp.learn.linear_drag import LinearDrag
 from quadexp.learn.model import GPModel, OutputPosterior
@@ -27,7 +27,6 @@ from quadexp.learn.terms import TermModel
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.learn.torque import TorqueModel
 from quadexp.learn.vehicle_model import VehicleModel
-from quadexp.log.store import check_output
 from quadexp.physics.vehicle import Vehicle
 
 SCHEMA = 1
@@ -60,25 +59,7 @@ def save_model(path: str | Path, model: Model, *, report: dict[str, Any] | None 
     files = {MODEL_FILE: json.dumps(document, allow_nan=False) + "\n"}
     if report is not None:
         files[REPORT_FILE] = json.dumps(report, indent=1) + "\n"
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    shutil.rmtree(temporary, ignore_errors=True)  # left by a killed process; in containers process numbers repeat
-    try:
-        temporary.mkdir(parents=True)
-        for name, text in files.items():
-            with open(temporary / name, "w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-        if path.exists():
-            for name in reversed(files):
-                os.replace(temporary / name, path / name)
-        else:
-            os.replace(temporary, path)
-    except OSError as error:
-        raise write_error(path, error) from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-    return path
+    return write_folder(path, files, force=force)
 
 
 def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Model:
@@ -108,6 +89,7 @@ def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Model:
     try:
         model = _decode(payload)
         check_model(model)
+        check_names({"vehicle": model.vehicle}, str(file))
     except ValueError as error:
         raise DataError(f"{file}: not a valid model: {str(error).splitlines()[0]}; fit it again") from None
     except (KeyError, TypeError, AttributeError, IndexError, OverflowError) as error:

@@ -40,7 +40,8 @@ POINT, WORLD_VELOCITY, RATES = ("p_x", "p_y", "p_z"), ("v_x", "v_y", "v_z"), ("w
 
 
 class Track:
-    """A flight's measured motion at the samples, and the rotors' accelerations by a predictor's thrust curve."""
+    """A flight's measured motion at the samples, and the accelerations by a predictor's thrust curve: `rotors` at the
+    accelerometer's reading of each sample, `ahead` over the motion that begins there."""
 
     def __init__(self, one: FlightRows, predictor: Predictor, gravity: float = GRAVITY) -> None:
         flight, at = one.flight, slice(one.first, None)
@@ -52,6 +53,7 @@ class Track:
         self.rate, self.time, self.segment = one.rate, one.samples.time, one.samples.segment
         self.wind = np.zeros_like(self.velocity) if flight.wind is None else flight.wind[at]
         self.rotors = predictor.curve.of_signal(one.samples.signal, one.samples.voltage)
+        self.ahead = one.samples.during(self.rotors)
         beyond = predictor.beyond(one.samples.velocity, self.rate, self.rotors)
         thrust = one.samples.force[:, 2] - beyond[:, 2]
         self.scale = tracked_scale(self.rotors.sum(axis=1), thrust, self.dt)
@@ -87,21 +89,21 @@ def attitude_rollout(
     down = np.array([0.0, 0.0, -track.gravity])
     scale = track.scale[starts] if tracked else np.ones(len(starts))
 
-    def acceleration(k: np.ndarray, v: np.ndarray) -> np.ndarray:
+    def acceleration(k: np.ndarray, v: np.ndarray, rotors: np.ndarray) -> np.ndarray:
         body = air_velocity(track.quaternion[k], v, track.wind[k])
-        force = predictor.beyond(body, track.rate[k], track.rotors[k]) - track.bias
-        force[:, 2] += scale * track.rotors[k].sum(axis=1)
+        force = predictor.beyond(body, track.rate[k], rotors[k]) - track.bias
+        force[:, 2] += scale * rotors[k].sum(axis=1)
         return np.einsum("kij,kj->ki", track.matrix[k], force) + down
 
     p, v = track.position[starts].copy(), track.velocity[starts].copy()
     position, velocity = [p], [v]
-    slope = acceleration(starts, v)
+    slope = acceleration(starts, v, track.ahead)
     for j in range(steps):
         h = (track.time[starts + j + 1] - track.time[starts + j])[:, None]
-        ahead = acceleration(starts + j + 1, v + h * slope)
+        ahead = acceleration(starts + j + 1, v + h * slope, track.rotors)
         p = p + h * v + h * h / 6 * (2 * slope + ahead)
         v = v + h / 2 * (slope + ahead)
-        slope = acceleration(starts + j + 1, v)
+        slope = acceleration(starts + j + 1, v, track.ahead)
         position.append(p)
         velocity.append(v)
     return np.array(position), np.array(velocity)
@@ -119,8 +121,8 @@ def turning(track: Track, mode: str, vehicle: Vehicle, starts: np.ndarray) -> Tu
     if track.torque is None:
         raise DataError(f"{track.name}: there is no fitted torque to predict with")
     model, at = track.torque, (track.time, track.segment)
-    driven = model.driven(*at, geometric_acceleration(track.rotors, vehicle))
-    offset = model.tracked_offset(*at, driven, track.rate, gyroscopic(track.rate, vehicle))[starts]
+    before, driven = (model.driven(*at, geometric_acceleration(x, vehicle)) for x in (track.rotors, track.ahead))
+    offset = model.tracked_offset(*at, (before + driven) / 2, track.rate, gyroscopic(track.rate, vehicle))[starts]
     return lambda k, w: np.where(model.used, driven[k] + offset - gyroscopic(w, vehicle), 0.0)
 
 
@@ -156,8 +158,8 @@ def full_rollout(
         state = np.where(lost[:, None], states[0], state)  # restarted at a finite state, and set to NaN below
         stopped |= lost
         body = air_velocity(state[:, ATTITUDE], state[:, VELOCITY], track.wind[k])
-        correction = predictor.beyond(body, state[:, RATE], track.rotors[k]) - track.bias
-        thrust = vehicle.mass * scale[:, None] * track.rotors[k]
+        correction = predictor.beyond(body, state[:, RATE], track.ahead[k]) - track.bias
+        thrust = vehicle.mass * scale[:, None] * track.ahead[k]
         torque = np.zeros_like(correction)
         if turn is not None:  # in place of the geometric torque
             rate = state[:, RATE]

@@ -60,7 +60,7 @@ def force_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, name: str =
 
     Raises DataError for a column that is missing or not finite, and for another number of rotors than the vehicle's.
     """
-    samples = gather([flight], curve.signal, [name])
+    samples = gather([flight], curve.signal, [name]).delayed(curve.delay)
     first = len(flight) - len(samples)  # the first row of a simulated flight has no reading yet
     rotors = curve.of_signal(samples.signal, samples.voltage)
     if rotors.shape[1] != vehicle.n_rotors:

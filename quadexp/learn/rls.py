@@ -9,7 +9,6 @@ clipping is rarely needed.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +17,7 @@ import numpy as np
 from quadexp.air.blade_element import require_rotor
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.config.lei_li import RLSKeys
-from quadexp.errors import QuadexpError, UsageError
+from quadexp.errors import UsageError
 from quadexp.learn.rls_step import AXES, rls_step_function
 from quadexp.physics.rotor import C_LA, THETA, BladeCoefficients
 from quadexp.physics.vehicle import Vehicle
@@ -92,18 +91,17 @@ class BladeElementRLS:
             if s.relative_std is not None:
                 spread = (s.relative_std * np.maximum(np.abs(theta_0[list(at)]), 1e-3)) ** 2
             self._step.arguments[f"P_{axis}"][...] = np.diag(spread)
+            self._step.arguments[f"prior_{axis}"][...] = spread
 
     def update(self, body_velocity: np.ndarray, rotor_speed: np.ndarray, specific_force: np.ndarray) -> np.ndarray:
         """Update with one sample; returns the values to use, (5,).
 
         body_velocity: (3,) FLU (m/s). rotor_speed: (n,) (rad/s). specific_force: reading (3,) FLU (m/s^2). All at the
-        same instant. Raises QuadexpError where they are not finite.
+        same instant, and finite.
         """
         arguments, results = self._step.arguments, self._step.results
         v, w, y = (arguments[name] for name in ("v", "w", "y"))
         v[...], w[...], y[...] = body_velocity, rotor_speed, specific_force
-        if not math.isfinite(v @ v + w @ w + y @ y):
-            raise QuadexpError("identification: the measured velocity, rotor speeds or specific force are not finite")
         if min(w.tolist()) < SLOWEST:
             self.skipped += 1
             return self.theta

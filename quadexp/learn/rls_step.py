@@ -8,11 +8,16 @@ regressors per body axis is the derivative of the dynamics' own force:
 and on every axis, with the coefficients that its force depends on, x (C_d0, C_la, C_Dx), y (C_d0, C_la, C_Dy), z (C_la,
 C_Dz):
 
-    e = y - Phi^T theta,   K = P Phi / (Phi^T P Phi + lambda sigma^2)                       (24)
-    theta <- theta + K e,   P <- (I - K Phi^T) P / lambda
+    P <- (lambda P^-1 + (1 - lambda) P_0^-1)^-1
+    e = y - Phi^T theta,   K = P Phi / (Phi^T P Phi + sigma^2)                              (24)
+    theta <- theta + K e,   P <- (I - K Phi^T) P
 
-The paper has sigma = 1 m/s^2 and lambda = 1. V_I is not measured: it solves (14) and (17) with the coefficients in use.
-That makes F_z depend on C_la through V_I as well; with gauss_newton the gain is taken from the whole derivative
+The paper has sigma = 1 m/s^2 and lambda = 1. lambda < 1 forgets by exponential resetting (Lai & Bernstein 2023, IEEE
+Control Systems Letters 7; forgetting towards a given density in Kulhavy & Zarrop 1993, Int. J. Control 58): P <= P_0
+always, also in directions that nothing excites, in which P / lambda grows without bound.
+
+V_I is not measured: it solves (14) and (17) with the coefficients in use. That makes F_z depend on C_la through V_I as
+well; with gauss_newton the gain is taken from the whole derivative
 
     dF_z/dC_la + (dF_z/dV_I) (dV_I/dC_la)
 
@@ -41,8 +46,8 @@ def rls_step_function(
     """One update of the three estimators.
 
     Inputs: v (3,) body FLU (m/s); w (n,) (rad/s); y (3,) specific force (m/s^2); used (5,) coefficients in use;
-    theta_x, theta_y, theta_z and P_x, P_y, P_z of the axes; sigma (m/s^2); forgetting lambda; lift_weight, the share of
-    the z axis in C_la.
+    theta_x, theta_y, theta_z, P_x, P_y, P_z of the axes and prior_x, prior_y, prior_z, the diagonals of P_0; sigma
+    (m/s^2); forgetting lambda; lift_weight, the share of the z axis in C_la.
     Outputs: the new theta_* and P_*; raw (5,), combined by (25), (26); error (3,), e (m/s^2); induced (n,) (m/s);
     regressors (3, 5) (m/s^2); weight beta_x.
     """
@@ -52,6 +57,7 @@ def rls_step_function(
     sigma, forgetting, lift_weight = (ca.SX.sym(name) for name in ("sigma", "forgetting", "lift_weight"))
     thetas = [ca.SX.sym(f"theta_{a}", len(at)) for a, at in zip("xyz", AXES, strict=True)]
     covariances = [ca.SX.sym(f"P_{a}", len(at), len(at)) for a, at in zip("xyz", AXES, strict=True)]
+    priors = [ca.SX.sym(f"prior_{a}", len(at)) for a, at in zip("xyz", AXES, strict=True)]
 
     terms = PRINTED if printed_coefficients else ADOPTED
     flow = rotor_flow(vehicle, v)
@@ -73,18 +79,21 @@ def rls_step_function(
     for axis, at in enumerate(AXES):
         phi, direction = regressors[axis, at].T, gain_regressors[axis, at].T
         theta, P = thetas[axis], covariances[axis]
+        kept = forgetting * ca.DM.eye(len(at)) + (1 - forgetting) * P / ca.repmat(priors[axis], 1, len(at))
+        P = ca.mtimes(P, ca.inv_minor(kept))
+        P = (P + P.T) / 2
         spread = ca.mtimes(P, direction)
-        gain = spread / (ca.dot(direction, spread) + forgetting * sigma**2)
+        gain = spread / (ca.dot(direction, spread) + sigma**2)
         errors.append(y[axis] - ca.dot(phi, theta))
         new_thetas.append(theta + gain * errors[-1])
-        new_covariances.append((P - ca.mtimes(gain, spread.T)) / forgetting)
+        new_covariances.append(P - ca.mtimes(gain, spread.T))
 
     speed = ca.fabs(v[0]) + ca.fabs(v[1])
     weight = ca.if_else(speed > 0, ca.fabs(v[0]) / (speed + (speed <= 0)), 0.5)
     raw = _combine(new_thetas, weight, lift_weight)
     return ca.Function(
         "rls_step",
-        [v, w, y, used, *thetas, *covariances, sigma, forgetting, lift_weight],
+        [v, w, y, used, *thetas, *covariances, *priors, sigma, forgetting, lift_weight],
         ca.cse(
             [
                 *new_thetas,
@@ -97,7 +106,7 @@ def rls_step_function(
             ]
         ),
         ["v", "w", "y", "used", *(f"theta_{a}" for a in "xyz"), *(f"P_{a}" for a in "xyz")]
-        + ["sigma", "forgetting", "lift_weight"],
+        + [*(f"prior_{a}" for a in "xyz"), "sigma", "forgetting", "lift_weight"],
         [*(f"new_theta_{a}" for a in "xyz"), *(f"new_P_{a}" for a in "xyz")]
         + ["raw", "error", "induced", "regressors", "weight"],
     )

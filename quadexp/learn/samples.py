@@ -4,8 +4,15 @@
     v = R^T (v_world - wind)        air-relative body velocity (m/s); wind is zero where the flight has no wind columns
 
 In a simulated flight the reading of row k belongs to the end of the interval over which the command of row k - 1 was
-held, so commands are taken one row earlier and the first row, which has no reading yet, is omitted. A recorded flight
-has a common clock since its import and is used row by row.
+held, so commands are taken one row earlier and the first row, which has no reading yet, is omitted. Such a command is
+that of the whole interval [k - 1, k]: at its end in a regression on readings, in its middle where motion is integrated.
+A recorded flight has a common clock since its import and is used row by row.
+
+A command that acts late is the signal of the time before (`delayed`): `gather_to_fit` takes the delay d with which
+
+    f_z = [1, sum_i s_i(t - d), sum_i s_i(t - d)^2, v_z, |v_z| v_z, v_x^2 + v_y^2] c
+
+leaves least, a whole number of periods, and none unless it is worth it.
 """
 
 from __future__ import annotations
@@ -24,6 +31,8 @@ from quadexp.log.schema import Flight
 # In order of preference for the thrust.
 SIGNALS = {"rotor_speed": "rad/s", "motor_command": "1", "thrust_acceleration": "m/s^2", "u": "N"}
 HELD = ("u", "motor_command")  # commands, held over an interval
+LARGEST_DELAY = 0.12  # s
+WORTH = 0.05  # decrease of the log rms of f_z from which a delay is taken to be real
 RATES = ("w_x", "w_y", "w_z")
 QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 
@@ -34,7 +43,8 @@ class Samples:
 
     force: specific force, (k, 3) body FLU (m/s^2). velocity: air-relative, (k, 3) body FLU (m/s).
     signal: rotors' signal, (k, n) ((k, 1) for thrust_acceleration). voltage: (k,) V, or None where a flight lacks it.
-    rate: body rates, (k, 3) FLU (rad/s), or None where a flight lacks them.
+    rate: body rates, (k, 3) FLU (rad/s), or None where a flight lacks them. held: (k,), whether the signal was held
+    over the interval that ends at the sample. delay: by which the signal is earlier (s).
     """
 
     time: np.ndarray
@@ -46,7 +56,9 @@ class Samples:
     voltage: np.ndarray | None
     kind: str
     names: tuple[str, ...]
-    rate: np.ndarray | None = None
+    rate: np.ndarray | None
+    held: np.ndarray
+    delay: float = 0.0
 
     def __len__(self) -> int:
         return len(self.time)
@@ -58,12 +70,26 @@ class Samples:
 
     def rows(self, selection: np.ndarray) -> Samples:
         """The samples of a mask or index array; the flights keep their numbers."""
-        names = ("time", "flight", "segment", "force", "velocity", "signal")
+        names = ("time", "flight", "segment", "force", "velocity", "signal", "held")
         chosen: dict[str, Any] = {name: getattr(self, name)[selection] for name in names}
         for name in ("voltage", "rate"):
             values = getattr(self, name)
             chosen[name] = None if values is None else values[selection]
         return replace(self, **chosen)
+
+    def delayed(self, delay: float) -> Samples:
+        """With the signal of `delay` (s) earlier; at the beginning of a segment, where it is not known, the first."""
+        if not delay:
+            return self
+        rows = round(delay / float(np.median(np.diff(self.time))))
+        first = np.searchsorted(self.segment, self.segment)
+        late = np.maximum(np.arange(len(self)) - rows, first)
+        return replace(self, signal=self.signal[late], delay=self.delay + delay)
+
+    def during(self, values: np.ndarray) -> np.ndarray:
+        """Values (k, n) of the signal, over the interval that begins at each sample."""
+        later = np.minimum(np.arange(len(self)) + 1, np.searchsorted(self.segment, self.segment, "right") - 1)
+        return np.where(self.held[:, None], values[later], values)
 
 
 def rotor_columns(flight: Flight, kind: str) -> list[str]:
@@ -123,12 +149,40 @@ def gather(flights: Sequence[Flight], kind: str, names: Sequence[str] | None = N
         force = flight.stack(["acc_x", "acc_y", "acc_z"])[k]
         if with_rate:
             rates.append(flight.stack(RATES)[k].astype(float))
-        parts.append((flight.t[k], np.full(len(k), index), segment, force, flight.air_velocity[k], signal, voltage))
-    time, flight_index, segment, force, velocity, signal, voltage = map(np.concatenate, zip(*parts, strict=True))
+        held = np.full(len(k), simulated and kind in HELD)
+        parts.append(
+            (flight.t[k], np.full(len(k), index), segment, force, flight.air_velocity[k], signal, voltage, held)
+        )
+    time, flight_index, segment, force, velocity, signal, voltage, held = map(np.concatenate, zip(*parts, strict=True))
     rate = np.concatenate(rates) if with_rate else None
     return Samples(
-        time, flight_index, segment, force, velocity, signal, voltage if with_voltage else None, kind, names, rate
+        time, flight_index, segment, force, velocity, signal, voltage if with_voltage else None, kind, names, rate, held
     )  # fmt: skip
+
+
+def gather_to_fit(flights: Sequence[Flight], signal: str | None = None, names: Sequence[str] | None = None) -> Samples:
+    """All samples of the flights, the commands of simulated ones as late as they act; see `choose_signal`, `gather`."""
+    samples = gather(flights, choose_signal(flights, signal), names)
+    if not samples.held.all():
+        return samples
+    period = float(np.median(np.diff(samples.time)))
+    most = round(LARGEST_DELAY / period)
+    rows = np.arange(most, len(samples))
+    rows = rows[samples.segment[rows] == samples.segment[rows - most]]
+    if len(rows) <= most:
+        return samples
+    v, target = samples.velocity[rows], samples.force[rows, 2]
+    beside = [np.ones(len(rows)), v[:, 2], np.abs(v[:, 2]) * v[:, 2], v[:, 0] ** 2 + v[:, 1] ** 2]
+    left = np.empty(most + 1)
+    for late in range(most + 1):
+        sent = samples.signal[rows - late]
+        design = np.stack([*beside, sent.sum(axis=1), np.square(sent).sum(axis=1)], axis=1)
+        left[late] = np.std(target - design @ np.linalg.lstsq(design, target)[0])
+    late = int(np.argmin(left))
+    if left[late] > np.exp(-WORTH) * left[0]:
+        return samples
+    known = np.arange(len(samples)) - late >= np.searchsorted(samples.segment, samples.segment)
+    return samples.delayed(late * period).rows(known)
 
 
 def _has_rates(flight: Flight) -> bool:

@@ -43,7 +43,7 @@ class ThrustCurve:
     (q,), or (n, q) with one row per rotor; m/s^2 per signal^power. intercept, intercept_error: m/s^2, sum over all
     rotors. rotors: n. drag_z, drag_z_error: d_z, 1/s (0: not fitted). freedom: degrees of freedom of Student's t.
     condition: condition number. residual_std: root mean square residual along z, m/s^2. signal_range: smallest and
-    largest signal of the fit. loss: "squares" or "huber".
+    largest signal of the fit. loss: "squares" or "huber". delay: between the signal and its thrust (s).
     """
 
     signal: str
@@ -63,6 +63,7 @@ class ThrustCurve:
     residual_std: float = 0.0
     signal_range: np.ndarray | None = None
     loss: str = "squares"
+    delay: float = 0.0
 
     def rotor_acceleration(self, flight: Flight) -> np.ndarray:
         """Acceleration that each rotor's thrust gives, (k, n) (m/s^2), sample by sample.
@@ -73,7 +74,9 @@ class ThrustCurve:
         if not columns:
             raise DataError(f"the flight has no column {self.signal}_0, which this thrust curve needs")
         voltage = flight["battery_voltage"] if self.reference_voltage else None
-        return self.of_signal(flight.stack(columns).astype(float), voltage)
+        late = round(self.delay / float(np.median(np.diff(flight.t)))) if self.delay else 0
+        acting = np.maximum(np.arange(len(flight)) - late, 0)
+        return self.of_signal(flight.stack(columns).astype(float)[acting], voltage)
 
     def of_signal(self, signal: np.ndarray, voltage: np.ndarray | None = None) -> np.ndarray:
         """The same from the signal, (k, n), and the voltage, (k,) (V)."""
@@ -114,7 +117,8 @@ class ThrustCurve:
             )
         if self.has_intercept:
             terms.append(f"b {self.intercept:.4g} +- {half_width(self.intercept_error, self.freedom):.2g}")
-        return f"on {scaled}: {'; '.join(terms)}"
+        late = f"; commands {1e3 * self.delay:.3g} ms late" if self.delay else ""
+        return f"on {scaled}: {'; '.join(terms)}{late}"
 
 
 def scaled_signal(
@@ -211,6 +215,7 @@ def fit_thrust_samples(
         g, g_error, float(value[q]) if intercept else 0.0, float(error[q]) if intercept else 0.0, n,
         float(value[-1]) if drag else 0.0, float(error[-1]) if drag else 0.0, regression.freedom, regression.condition,
         float(np.sqrt(np.mean(regression.residual**2))), np.array([scaled.min(), scaled.max()]), loss,
+        samples.delay,
     )  # fmt: skip
     return curve, regression
 

@@ -172,6 +172,8 @@ def _cut(samples: Samples, vehicle: Vehicle, curve: ThrustCurve) -> list[_Piece]
         rotors = curve.of_signal(samples.signal[rows], None if samples.voltage is None else samples.voltage[rows])
         w = samples.rate[rows]
         geometric, own = geometric_acceleration(rotors, vehicle), gyroscopic(w, vehicle)
+        if samples.held[start]:  # over the interval that ends at each sample: at the sample, the mean of both sides
+            geometric = np.vstack([(geometric[:-1] + geometric[1:]) / 2, geometric[-1:]])
         pieces.append(_Piece(samples.time[rows], w, geometric, own, int(samples.flight[start])))
     return pieces
 

@@ -50,9 +50,9 @@ class FlightRows:
         return np.linalg.norm(self.samples.velocity, axis=1)
 
 
-def read_rows(flight: Flight, name: str, signal: str) -> FlightRows:
-    """Raises DataError where the flight lacks what the signal or the residual needs."""
-    samples = gather([flight], signal, [name])
+def read_rows(flight: Flight, name: str, signal: str, delay: float = 0.0) -> FlightRows:
+    """delay: of the thrust behind its signal (s). Raises DataError where the flight lacks what is needed."""
+    samples = gather([flight], signal, [name]).delayed(delay)
     first = len(flight) - len(samples)
     missing = [column for column in ("w_x", "w_y", "w_z") if column not in flight.columns]
     if missing:

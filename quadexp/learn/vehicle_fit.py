@@ -17,7 +17,7 @@ from quadexp.errors import DataError, UsageError
 from quadexp.learn.dataset import ResidualDataset
 from quadexp.learn.lumped import SELF_CONSISTENT, WITHOUT_RADIUS, fit_inflow, momentum_of
 from quadexp.learn.regression import Regression, regress
-from quadexp.learn.samples import Samples, choose_signal, gather
+from quadexp.learn.samples import Samples, gather_to_fit
 from quadexp.learn.support import VELOCITY, feature_ranges
 from quadexp.learn.terms import AXES, LINEAR, QUADRATIC, TermModel, all_columns, term_columns, term_model
 from quadexp.learn.thrust_curve import ThrustCurve, fit_thrust_samples, thrust_columns
@@ -144,7 +144,7 @@ def fit_vehicle_model(
     Raises DataError where linear drag cannot be fitted, or where flights are of different vehicles.
     """
     settings = settings or FitSettings()
-    samples = samples or gather(flights, choose_signal(flights, settings.signal), names)
+    samples = samples or gather_to_fit(flights, settings.signal, names)
     record = vehicle_record(flights, vehicle, settings.mass, samples.names)
     momentum = momentum_of(vehicle, settings.mass, settings.radius)
     linear = fit_level("linear", samples, settings)

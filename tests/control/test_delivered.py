@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import quadexp as qx
 from quadexp.control.base import Measurement
 from quadexp.control.delivered import DeliveredThrust
 
@@ -52,3 +53,21 @@ def test_speeds_say_nothing_without_a_coefficient(vehicle):
     delivered = DeliveredThrust(vehicle, PERIOD)
     delivered.reset(np.full(4, 3.0))
     assert delivered.now(measured(np.full(4, 400.0))) == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    "settings", ["dfbc", "geometric inner=indi", "nominal_mpc inner=indi", "dfbc observer=disturbance"]
+)
+def test_speeds_that_say_nothing_change_no_flight(settings):
+    """Rotor speeds of a vehicle without a thrust coefficient: every thrust is that of a flight without them."""
+    path = ("trajectory=lemniscate", "trajectory.speed=6", "plant=ideal", "plant.backend=interpreted")
+    loop = qx.controller(*f"controller={settings}".split(), *path, "controller.backend=interpreted")
+    flights = []
+    for speed in (None, np.full(4, 500.0)):
+        loop.reset()
+        state, reading, thrusts = loop.start, None, []
+        for t in loop.times[: round(2.0 / loop.period)]:
+            thrusts.append(loop.step(qx.Measurement(t, state, reading, speed)))
+            state, reading = loop.plant.advance(state, thrusts[-1], loop.period, np.random.default_rng(0))
+        flights.append(thrusts)
+    np.testing.assert_array_equal(*flights)

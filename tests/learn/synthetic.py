@@ -10,7 +10,7 @@ MASS = 1.0  # kg
 LINEAR = np.array([0.3, 0.3, 0.0])  # N s/m
 QUADRATIC = 0.08  # N s^2/m^2
 LOSS = 20 * 0.1 / (20 * 1.3) ** 2  # lost thrust per rotor: LOSS u^2, N
-VEHICLE = {"name": "synthetic", "fingerprint": "0123456789ab"}
+VEHICLE = {"name": "synthetic", "fingerprint": "0123456789ab", "mass": MASS}
 
 
 def truth(velocity: np.ndarray, thrust: np.ndarray) -> np.ndarray:

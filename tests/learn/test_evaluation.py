@@ -7,10 +7,12 @@ import pytest
 from scipy.stats import norm
 
 from quadexp.errors import DataError
+from quadexp.learn.dataset import ResidualDataset
 from quadexp.learn.evaluation import evaluate, evaluate_drag, fit_with_report, score, split_by_flight
 from quadexp.learn.gp_fit import fit_gp
 from quadexp.learn.model import GPSettings
-from quadexp.report.fit_figures import calibration_figure, fit_figure
+from quadexp.learn.predict import predict
+from quadexp.report.fit_figures import calibration_figure, curve, fit_figure, moved
 from tests.learn.synthetic import synthetic_dataset
 
 QUICK = GPSettings(inducing=10, max_iterations=15)
@@ -73,8 +75,23 @@ def test_more_points_and_their_optimisation_lower_the_error(dataset):
     assert found["sgpr", 10] < found["sgpr", 5] < found["subset", 5]
 
 
-def test_figures(dataset, tmp_path):
-    fit = fit_with_report(dataset, GPSettings(inducing=10, max_iterations=10))
+@pytest.mark.parametrize("mean", ["zero", "linear_drag", "quadratic", "blade_element"])
+def test_a_drawn_curve_is_the_prediction_with_all_else_at_its_median(dataset, mean):
+    model = fit_gp(dataset, GPSettings(inducing=5, max_iterations=3, mean=mean))
+    output, names = model.outputs[2], ["v_x", "v_y", "v_z", "u_0", "u_1", "u_2", "u_3"]  # a_z <- v_z, thrust
+    middle = {name: np.median(dataset.matrix([name])) for name in names}
+    middle |= {name: np.median(dataset.matrix(["thrust"])) / 4 for name in names[3:]}
+    drawn = curve(model, output, 0, dataset, count=5)
+    rows = {name: np.full(5, value) for name, value in middle.items()} | {"v_z": drawn.x, "flight": np.zeros(5, int)}
+    np.testing.assert_allclose(drawn.mean, predict(model, ResidualDataset(rows, {}))["a_z"].mean, rtol=1e-12)
+    remainder = moved(model, output, 0, dataset)[1]
+    np.testing.assert_array_equal(remainder, dataset.matrix(["a_z"])[:, 0] - predict(model, dataset)["a_z"].mean)
+    assert np.isfinite(curve(model, output, 0, None).mean).all()  # the page has a checkpoint whose data are gone
+
+
+@pytest.mark.parametrize("mean", ["zero", "quadratic"])
+def test_figures(dataset, tmp_path, mean):
+    fit = fit_with_report(dataset, GPSettings(inducing=10, max_iterations=10, mean=mean))
     figures = {
         "fit": fit_figure(fit.held_out_model, fit.test),
         "calibration": calibration_figure(fit.held_out_model, fit.test),

@@ -70,29 +70,32 @@ def test_gaussian_process_is_gpytorchs(vehicle, rng):
 @few
 @given(vehicles(flat=True), st.sampled_from([1.0, 0.97]), st.booleans(), generators)
 def test_recursive_is_batch_least_squares(vehicle, forgetting, scaled, rng):
-    """Any vehicle, noise and forgetting: the estimator of every axis is the weighted minimum over all its samples."""
+    """Any vehicle, noise and forgetting: the estimator of every axis is the weighted minimum over all its samples, and
+    over what it fell back on between them."""
     blade = make_blade(rng)
     initial = BladeCoefficients.from_parameters(blade.parameters() * rng.uniform(0.5, 1.5, 5))
     kind = {"noise": float(rng.uniform(0.02, 1))} | ({"relative_std": 0.4} if scaled else {"covariance": 3.0})
     estimator = BladeElementRLS(vehicle, initial, RLSSettings(forgetting=forgetting, **kind))
-    prior, rows, readings = estimator.covariance, [], []
+    prior, rows, readings, before = estimator.covariance, [], [], []
     k = static_coefficients(vehicle.rotor, blade).thrust
     for _ in range(25):
         v, w = 3 * rng.normal(size=3), np.sqrt(make_thrusts(rng, vehicle) / k)
         v[2] = abs(v[2])
         force = aerodynamic_point(vehicle, blade, v, w).force / vehicle.mass + 0.05 * rng.normal(size=3)
+        before.append(estimator.axis_theta)
         estimator.update(v, w, force)
         rows.append(estimator.regressors)
         readings.append(force)
     rows, readings = np.array(rows), np.array(readings)
-    age = np.sqrt(forgetting) ** np.arange(25)[::-1]
     for axis, at in enumerate(AXES):
         batch = batch_least_squares(
-            rows[:, axis][:, list(at)] * age[:, None],
-            readings[:, axis] * age,
+            rows[:, axis][:, list(at)],
+            readings[:, axis],
             prior=initial.parameters()[list(at)],
-            covariance=prior[axis] / forgetting**25,
+            covariance=prior[axis],
             noise=kind["noise"],
+            forgetting=forgetting,
+            estimates=[one[axis] for one in before],
         )
         assert estimator.axis_theta[axis] == pytest.approx(batch, rel=1e-6, abs=1e-7)
 

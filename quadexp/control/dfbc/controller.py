@@ -59,8 +59,7 @@ class DFBC:
         self._law()
         results = self._law.results
         thrust = results["thrust"].copy()
-        if measurement.rotor_speed is None:
-            self._delivered.record(thrust)
+        self._delivered.record(thrust)
         status = Status.RICCATI if math.isfinite(thrust @ thrust) else Status.FAILED
         return thrust, StepRecord(time.perf_counter() - began, status, 0, int(results["held"][0]), 0.0)
 

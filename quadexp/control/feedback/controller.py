@@ -95,6 +95,7 @@ class FeedbackController:
         arguments["x"][...] = measurement.state
         arguments["reference"][...] = window.position[:3]
         arguments["yaw"][...] = window.yaw
+        arguments["yaw"][1] += window.drift
         arguments["theta"][...] = self.aerodynamics.theta
         self._law()
         if not self.variant.delayed:

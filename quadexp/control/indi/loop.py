@@ -48,8 +48,7 @@ class INDI(MultiRate):
         self._law()
         arguments["before"][:], arguments["memory"][:] = results["filtered"], results["memory_next"]
         thrust = results["thrust"].copy()
-        if measurement.rotor_speed is None:
-            self._delivered.record(thrust)
+        self._delivered.record(thrust)
         return thrust
 
 

@@ -3,13 +3,12 @@
     F = m (a_r + g e_z - K_p e_p - K_d e_v),   T = F . R e_z,   tau = J (-k_p e_R - k_d (w - yaw' e_z)) + w x J w
 
 It knows no rate and no angular acceleration of the reference, and commands thrusts beyond the limits, which are clipped
-here. The yaw is that of the reference's attitude (attitude.py), also where a trajectory leaves the heading free.
+here.
 """
 
 from __future__ import annotations
 
 import importlib
-import math
 import time
 from typing import Any
 
@@ -52,10 +51,10 @@ class RotorPySE3Controller:
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step; a command that is not finite has status FAILED."""
         began = time.perf_counter()
-        x, (w, a, b, c) = measurement.state, window.state[0, ATTITUDE].tolist()
+        x = measurement.state
         state = {"x": x[POSITION], "v": x[VELOCITY], "q": np.roll(x[ATTITUDE], -1), "w": x[RATE]}
         path = dict(zip(("x", "x_dot", "x_ddot", "x_dddot", "x_ddddot"), window.position, strict=True))
-        heading = {"yaw": math.atan2(2 * (w * c - a * b), 1 - 2 * (a * a + c * c)), "yaw_dot": window.yaw[1]}
+        heading = {"yaw": window.yaw[0], "yaw_dot": window.yaw[1]}
         wanted = self._law.update(measurement.t, state, path | heading)["cmd_motor_thrusts"]
         u = np.clip(wanted, self.vehicle.thrust_min, self.vehicle.thrust_max)
         status = Status.RICCATI if np.isfinite(u).all() else Status.FAILED

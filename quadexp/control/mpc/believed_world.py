@@ -305,5 +305,5 @@ def _estimated(
     estimate, belief = estimator.update(*given)
     nothing = ca.DM([0.0] * (N_BELIEF - 2) + [1.0, 1.0])
     left = {"commands": ca.vec(commands), "thrust": thrust, "before": ca.vertcat(a["measured"], turning)}
-    left |= {"estimate": kept["estimate"] + read * (estimate - kept["estimate"])}
-    return nothing + read * (belief - nothing), left
+    left |= {"estimate": ca.if_else(read, estimate, kept["estimate"])}  # without a reading, `reading` is an old one
+    return ca.if_else(read, belief, nothing), left

@@ -23,6 +23,7 @@ from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
 from quadexp.control.mpc.settings import MPCSettings
+from quadexp.control.wrapped import thrust_at_start
 from quadexp.physics.vehicle import Vehicle
 
 
@@ -85,7 +86,7 @@ class AdaptingController(PredictiveController):
         """See Controller.reset."""
         super().reset(x, window)
         self.forget()
-        self._delivered.reset(np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust))
+        self._delivered.reset(thrust_at_start(window, self.vehicle))
 
     def prepare(self, window: Window) -> None:
         """Does nothing: the weights of the next step depend on its measurement."""
@@ -107,13 +108,11 @@ class AdaptingController(PredictiveController):
         return {f"innovation_{axis}": float(value) for axis, value in zip("xyz", self.innovation, strict=True)}
 
     def _learn(self, measurement: Measurement, thrust: np.ndarray, window: Window) -> None:
-        """One update; a sample that is not finite is left out."""
+        """One update."""
         x, f, u = self._inputs
         x[...], f[...], u[...] = measurement.state, measurement.specific_force, thrust
         self._path[:3], self._path[3:] = window.position[0], window.position[1]
         self._update()
-        if not math.isfinite(self._new_belief.dot(self._new_belief)):
-            return
         self._belief[...] = self._new_belief
         self.samples += 1
         self._take()

@@ -16,6 +16,7 @@ from quadexp.control.base import Measurement, Window
 from quadexp.control.feedback.aerodynamics import IdentifiedCoefficients
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
+from quadexp.control.wrapped import thrust_at_start
 
 # Changes of (C_d0, C_la, C_D) for which the reference is recomputed: each is about 0.05 m/s^2 at 10 m/s.
 NOTABLE = np.array([0.004, 0.015, 0.004, 0.004, 0.004])
@@ -51,7 +52,7 @@ class IdentifyingController(PredictiveController):
         """See Controller.reset."""
         super().reset(x, window)
         self.forget()
-        self._commanded = np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust)
+        self._commanded = thrust_at_start(window, self.vehicle)
 
     def prepare(self, window: Window) -> None:
         """Does nothing: the coefficients of the next step depend on its measurement."""
