@@ -1,6 +1,7 @@
 """From a configuration to the things it names: vehicle, plant, trajectory, residual model, controller.
 
-What is costly is made once per process and kept: a worker flies many cells with few controllers.
+What is costly is made once per thread and kept: a worker flies many cells with few controllers. What is kept has a
+memory, and buffers that compiled code works on, so its thread is its only owner; a flight begins by resetting it.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import importlib
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -23,6 +25,7 @@ from quadexp.errors import DataError, UsageError
 from quadexp.experiment import build_custom, build_foreign, build_identified, build_laws, build_lei_li
 from quadexp.experiment.identity import digest
 from quadexp.experiment.inputs import located
+from quadexp.physics.plausible import plausible
 from quadexp.physics.vehicle import Vehicle
 
 T = TypeVar("T")
@@ -40,7 +43,6 @@ TRAJECTORIES = {
 }
 MODEL_FILE = "model.json"
 KEPT = 64  # things kept at most, the one not used for longest goes: a sweep over plants makes a plant a cell
-_kept: dict[str, Any] = {}
 BELIEVERS = {"observer", "adaptive"}  # groups of remedies that tell an MPC of disturbances, see control.belief
 WITHIN_LIMITS = ("random", "file")  # kinds of trajectory that are timed by the limits of the vehicle
 
@@ -52,26 +54,32 @@ MAKERS = {
 }
 
 
+class _Kept(threading.local):
+    def __init__(self) -> None:
+        self.things: dict[str, Any] = {}
+
+
+_kept = _Kept()
+
+
 def keep(record: Any, make: Callable[[], T]) -> T:
-    """What was made before of an equal record, else a new one."""
-    key = digest(record)
-    made = _kept.pop(key) if key in _kept else make()
-    while len(_kept) >= KEPT:
-        del _kept[next(iter(_kept))]
-    _kept[key] = made
+    """What this thread made before of an equal record, else a new one."""
+    key, things = digest(record), _kept.things
+    made = things.pop(key) if key in things else make()
+    while len(things) >= KEPT:
+        del things[next(iter(things))]
+    things[key] = made
     return made
 
 
 @contextlib.contextmanager
 def unshared() -> Iterator[None]:
     """What is built inside is new, and nobody else gets it: parts have states, such as what a controller identified."""
-    kept = dict(_kept)
-    _kept.clear()
+    kept, _kept.things = _kept.things, {}
     try:
         yield
     finally:
-        _kept.clear()
-        _kept.update(kept)
+        _kept.things = kept
 
 
 @dataclass(frozen=True)
@@ -89,8 +97,8 @@ class ModelFile:
 
 
 def build_vehicle(config: VehicleConfig) -> Vehicle:
-    """The vehicle; raises UsageError where the numbers describe none."""
-    return keep(["vehicle", asdict(config)], lambda: part(Vehicle, config))
+    """The vehicle; raises UsageError where the numbers describe none, or one of them is no multirotor's."""
+    return keep(["vehicle", asdict(config)], lambda: part(Vehicle, plausible(config)))
 
 
 def build_plant(vehicle: Vehicle, config: PlantConfig, believed: Vehicle | None = None) -> Any:

@@ -23,20 +23,17 @@ import numpy as np
 
 from quadexp.config.schema import WORLD, Config
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.experiment.build import build_controller, build_vehicle, find_model
+from quadexp.experiment.build import build_vehicle, find_model
 from quadexp.experiment.build_identified import load_identified
-from quadexp.experiment.build_world import build_world
-from quadexp.experiment.evaluate import describe, thrust_excess
+from quadexp.experiment.evaluate import build_loop, describe, thrust_excess
 from quadexp.experiment.identity import digest, flight_record
-from quadexp.experiment.loop_margins import loop_margins
-from quadexp.experiment.rollout import SampledReference, fly
-from quadexp.experiment.stability import instability
 from quadexp.learn.dataset import ResidualDataset, as_told, residual_dataset
 from quadexp.learn.known_noise import known_noise
 from quadexp.learn.recorded import is_recorded, logged_thrust, recorded_dataset, target_cost
 from quadexp.learn.rotor_thrust import mean_thrust
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.learn.timing_fit import TimingFit, fit_timing
+from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_flight, write_table
 from quadexp.physics.vehicle import Vehicle
@@ -111,10 +108,7 @@ def collect_flights(
     worlds = worlds or [config]
     for world in worlds:
         _check_same(config, world)
-        plant = build_world(world, vehicle)
-        controller = build_controller(world, vehicle, plant, model)
-        if unstable := instability(world, loop_margins(controller, world.plant, plant), vehicle, plant, model):
-            raise UsageError(unstable)
+        build_loop(world, model)
     sequence = np.random.SeedSequence(int(digest(["collect", config.seed]), 16))
     speeds = np.random.default_rng(sequence.spawn(1)[0])
     offset = speeds.random()
@@ -123,19 +117,17 @@ def collect_flights(
     while not flights or recorded < config.collect.duration - 1e-6:
         index = len(flights)
         world = worlds[index % len(worlds)]
-        plant = build_world(world, vehicle)
-        controller = build_controller(world, vehicle, plant, model)
+        loop = build_loop(world, model)
         flown = {group: node for group, node in flight_record(world).items() if group != "trajectory"}
         path_rng, noise_rng = map(np.random.default_rng, sequence.spawn(2))
         share = (offset + index * GOLDEN) % 1.0
         speed = config.collect.speed_min + share * (config.collect.speed_max - config.collect.speed_min)
         left = config.collect.duration - recorded
-        trajectory = _trajectory(config, vehicle, controller, speed, left, path_rng)
-        reference = SampledReference(trajectory, controller)
+        trajectory = _trajectory(config, vehicle, loop.controller, speed, left, path_rng)
         metadata = describe(world, vehicle, model) | {"name": f"flight_{index:03d}", "trajectory": config.collect.mode}
         metadata["config"] = {**flown, "collect": _decisive(config)}
-        flight = fly(plant, controller, reference, noise_rng, lost_distance=LOST_DISTANCE, metadata=metadata)
-        if flight.outcome != "ok":
+        flight = loop.fly(trajectory, noise_rng, lost_distance=LOST_DISTANCE, metadata=metadata)
+        if flight.outcome not in COMPLETED:
             raise QuadexpError(
                 f"flight {index} at {speed:.1f} m/s ended early ({flight.metadata['cause']}); lower collect.speed_max"
             )
@@ -307,16 +299,18 @@ def collect_dataset(
     flights: Sequence[Path] = (),
     worlds: Sequence[Config] = (),
     save_flights: Path | None = None,
+    force: bool = True,
     progress: Callable[[float, float], None] = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Write the residual data set of flight files, or of new flights (worlds: see collect_flights).
+    """Write the residual data set of flight files, or of new flights (worlds: see collect_flights). force: replace
+    files that are there.
 
     Returns the report.
     """
     vehicle = build_vehicle(config.vehicle)
     if flights:
         _check_unique(flights, save_flights)
-        flown = [read_flight(file, ordered=True) for file in flights]
+        flown = [read_flight(file, whole=True) for file in flights]
         names = [str(file) for file in flights]
         record: dict[str, Any] = {"source": "files"}
     else:
@@ -330,9 +324,9 @@ def collect_dataset(
     record |= {key: getattr(config.collect, key) for key in OF_RECORDED if "target" in dataset.metadata}
     if save_flights is not None:
         for name, flight in zip(names, flown, strict=True):
-            write_flight(save_flights / f"{Path(name).stem}.parquet", flight)
+            write_flight(save_flights / f"{Path(name).stem}.parquet", flight, force=force)
     metadata = {**dataset.metadata, **record, "seed": config.seed, "versions": versions(), "provenance": provenance()}
-    write_table(path, dataset.columns, metadata, "residuals")
+    write_table(path, dataset.columns, metadata, "residuals", force=force)
     speed = np.linalg.norm(dataset.matrix(["v_x", "v_y", "v_z"]), axis=1)
     seconds = float(np.sum(dataset.columns["dt"]))
     report = {

@@ -3,7 +3,7 @@
 flight.c makes whole control periods on the arrays that plant and controller have in Python, so that either can go on
 where the other stopped. It returns where something is out of the ordinary (a failed step, a vehicle far from its
 reference, a plant in doubt, a change of its parameters): Python then makes that step or period, with the same result as
-if it had made all of them. The noise is drawn beforehand, in the order of the periods.
+if it had made all of them. The noise is drawn beforehand, a block of periods at once.
 """
 
 from __future__ import annotations
@@ -23,11 +23,10 @@ from quadexp.control.mpc.subproblem import TOLERANCE
 from quadexp.physics.state import N_STATE
 from quadexp.world.base import Plant
 from quadexp.world.integrator import SimulatedPlant
-from quadexp.world.streams import Share, Streams
+from quadexp.world.streams import Streams
 from quadexp.world.world import World
 
 SOURCE = Path(__file__).with_name("flight.c")
-DRAWN_AT_ONCE = 128  # periods
 INSIDE = 1 - 1e-9  # of a distance: what is nearer is nearer in any order of summation
 LARGEST = 1e100  # of a number in a reference
 
@@ -79,39 +78,6 @@ def _library() -> ctypes.CDLL:
     return library
 
 
-class Drawn:
-    """The noise of a flight, drawn in blocks of periods; in place of its streams for who asks for one period's."""
-
-    def __init__(self, streams: Streams, periods: int) -> None:
-        self._streams, self._periods = streams, periods
-        self.block, self.first = np.empty((0, streams.size)), 0
-        self.taken = 0  # periods
-
-    @property
-    def end(self) -> int:
-        """The first period that is not in the block."""
-        return self.first + len(self.block)
-
-    def draw(self) -> None:
-        """The next block."""
-        self._state = self._streams.state
-        self.first = self.end
-        self.block = self._streams.take(min(DRAWN_AT_ONCE, self._periods - self.first))
-
-    def standard_normal(self, out: np.ndarray) -> None:
-        """The noise of the next period, as the streams would have given it."""
-        if self.taken == self.end:
-            self.draw()
-        out.ravel()[:] = self.block[self.taken - self.first]
-        self.taken += 1
-
-    def give_back(self) -> None:
-        """Leave the streams as if only what was taken had been drawn."""
-        if self.taken < self.end:
-            self._streams.state = self._state
-            self._streams.take(self.taken - self.first)
-
-
 def covers(plant: Plant, controller: Controller, rng: Any, logged: int = 0) -> bool:
     """Whether flight.c does all that these do in an ordinary step: compiled, of this program, with nothing unknown.
 
@@ -144,7 +110,7 @@ class CompiledFlight:
     plant, controller: that `covers` accepts. along: the reference's states at the control instants, (k, 13).
     reference: states (g, 13) and inputs (g, n) on a grid, and which of its rows make each horizon, (k, N + 1).
     log: arrays to fill, (k, ..) each, by name: state, input, reading, inner, record, estimate. logged: which of the
-    plant's inner states are logged; None: all, or none. noise: the flight's generator, or a world's streams.
+    plant's inner states are logged; None: all, or none. noise: what `plant.begin` returned.
     lost_distance: m.
     """
 
@@ -156,15 +122,12 @@ class CompiledFlight:
         along: np.ndarray,
         log: dict[str, np.ndarray],
         logged: np.ndarray | None,
-        noise: np.random.Generator | Streams,
+        noise: Streams,
         lost_distance: float,
     ) -> None:
         step, bounded = controller.mpc.functions
         period, self._plant = plant.prepared(controller.control_period), plant
-        steps = plant.steps(controller.control_period)
-        if not isinstance(noise, Streams):
-            noise = Streams([Share(noise, period.function.size1_in("noise"))], steps)
-        self.drawn, self._world = Drawn(noise, len(along)), isinstance(plant, World)
+        self._drawn, self._world = noise, isinstance(plant, World)
         self._x, self._reading, self._inner = np.empty(N_STATE), np.empty(3), np.empty(len(plant.inner))
         self._told = np.empty(N_STATE) if self._world else self._x
         if logged is None:
@@ -202,7 +165,7 @@ class CompiledFlight:
             noise_size=noise.size,
             noise_argument=names.index("noise"),
             draws_argument=names.index("draws") if self._world else -1,
-            draws_at=noise.noise_size,
+            draws_at=period.arguments["noise"].size,
             doubt_size=period.results["doubt"].size,
             near=lost_distance * INSIDE if finite else -1.0,
             reach=controller.settings.distance_limit * INSIDE,
@@ -217,7 +180,7 @@ class CompiledFlight:
 
         Returns the instant at which Python is needed, whether its control step has been made, state and reading then.
         """
-        flight, plant, drawn = self._flight, self._plant, self.drawn
+        flight, plant, drawn = self._flight, self._plant, self._drawn
         self._x[:], self._reading[:], self._inner[:] = x, reading, plant.inner
         if self._world:
             self._told[:] = plant.measured

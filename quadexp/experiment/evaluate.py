@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 import quadexp
 from quadexp.config.schema import Config, controller_name
+from quadexp.config.settings import record
 from quadexp.errors import UsageError
 from quadexp.experiment.build import (
     ModelFile,
@@ -19,6 +21,7 @@ from quadexp.experiment.build import (
     build_vehicle,
     find_model,
 )
+from quadexp.experiment.build_remedies import check_needs
 from quadexp.experiment.build_world import build_world
 from quadexp.experiment.identity import digest, flight_entropy, flight_record
 from quadexp.experiment.loop_margins import loop_margins
@@ -31,7 +34,9 @@ from quadexp.provenance import libraries, provenance, sources, versions
 from quadexp.report.metrics import flight_metrics
 
 LONGEST = 4 * 3600.0  # s of a flight
+MOST_DRAG = 0.5  # of the weight, at 1 m/s
 CHECK_STEP = 0.02  # s between the points at which a reference is compared with the vehicle's limits
+FINITE_SAMPLES = 200  # of a path, of which each must be finite
 
 
 class InfeasibleError(UsageError):
@@ -81,6 +86,7 @@ def check_feasible(config: Config, trajectory: Any, vehicle: Vehicle) -> str:
     """
     from quadexp.reference.feasibility import check_feasible as compare
 
+    _check_finite(config, trajectory)
     reference = _coarse_reference(trajectory, vehicle)
     excess = thrust_excess(trajectory, vehicle, reference)
     if excess and not config.trajectory.allow_infeasible:
@@ -90,7 +96,38 @@ def check_feasible(config: Config, trajectory: Any, vehicle: Vehicle) -> str:
         )
     worst = compare(reference, vehicle)
     notes = [getattr(trajectory, "note", ""), "" if worst is None else str(worst), below_ground(config, trajectory)]
-    return "; ".join(note for note in notes if note)
+    return "; ".join(note for note in (*notes, heavy_drag(config)) if note)
+
+
+def heavy_drag(config: Config) -> str:
+    """Whether the drag of a plant is that of another vehicle, in one line, "" if not. The drag of the shipped plants is
+    0.04 to 0.06 of the weight at 1 m/s, on the vehicles that they are of."""
+    drag = sum(max(getattr(config.plant, name, (0.0,))) for name in ("linear_drag", "quadratic_drag"))
+    share = drag / (config.vehicle.mass * config.vehicle.gravity)
+    if share <= MOST_DRAG:
+        return ""
+    return (
+        f"plant.linear_drag and quadratic_drag make {drag:.3g} N at 1 m/s, {share:.3g} of the weight of"
+        f" vehicle={config.vehicle.name}; multirotors have 0.02 to 0.1: are they of another vehicle, or in mN s/m?"
+    )
+
+
+def _check_finite(config: Config, trajectory: Any) -> None:
+    """UsageError where the path is not finite, with the setting that is furthest from the usual size of numbers."""
+    t = np.linspace(0.0, min(trajectory.duration, LONGEST), FINITE_SAMPLES)
+    with np.errstate(all="ignore"):
+        flat = trajectory.flat_output(t).position
+    finite = np.isfinite(flat).all(axis=(1, 2))
+    if finite.all():
+        return
+    settings = record(config.trajectory)
+    settings |= settings.pop("options", {})
+    size = {key: abs(math.log10(abs(x))) for key, x in settings.items() if isinstance(x, (int, float)) and abs(x) > 0}
+    key = max(size, key=lambda key: size[key], default="name")
+    raise UsageError(
+        f"the reference is not finite at t = {t[int(np.argmin(finite))]:.3g} s: trajectory.{key}={settings[key]} leads"
+        " beyond the numbers of a computer"
+    )
 
 
 def below_ground(config: Config, trajectory: Any) -> str:
@@ -109,38 +146,59 @@ def below_ground(config: Config, trajectory: Any) -> str:
     )
 
 
+@dataclass(frozen=True)
+class Loop:
+    """Everything that flies under one configuration. sensor: None for an exact accelerometer. margins: see
+    loop_margins."""
+
+    vehicle: Vehicle
+    plant: Any
+    sensor: Any
+    controller: Any
+    margins: dict[str, Any] | None
+
+    def fly(self, trajectory: Any, rng: np.random.Generator, **options: Any) -> Flight:
+        """Fly a trajectory, from its own start if it has one. options: see rollout.fly."""
+        from quadexp.experiment.rollout import SampledReference, fly
+
+        reference, start = SampledReference(trajectory, self.controller), getattr(trajectory, "start_state", None)
+        return fly(self.plant, self.controller, reference, rng, start=start, sensor=self.sensor, **options)
+
+
+def build_loop(config: Config, model: ModelFile | None) -> Loop:
+    """What a configuration flies with. Raises InfeasibleError where the loop is not stable at hover."""
+    vehicle = build_vehicle(config.vehicle)
+    plant = build_world(config, vehicle)
+    check_needs(config, vehicle, plant)
+    controller = build_controller(config, vehicle, plant, model)
+    margins = loop_margins(controller, config.plant, plant)
+    if unstable := instability(config, margins, vehicle, plant, model):
+        raise InfeasibleError(unstable)
+    return Loop(vehicle, plant, build_sensor(config.sensor), controller, margins)
+
+
 def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     """Fly one configuration.
 
     model: the checkpoint; None: found by the configuration.
     Raises UsageError (InfeasibleError) before the flight only; how the flight went is its outcome.
     """
-    from quadexp.experiment.rollout import SampledReference, fly
-
     model = model or find_model(config)
     vehicle = build_vehicle(config.vehicle)
     trajectory = build_trajectory(config.trajectory, vehicle)
     note = check_feasible(config, trajectory, vehicle)
-    plant = build_world(config, vehicle)
-    controller = build_controller(config, vehicle, plant, model)
-    margins = loop_margins(controller, config.plant, plant)
-    if unstable := instability(config, margins, vehicle, plant, model):
-        raise InfeasibleError(unstable)
-    reference = SampledReference(trajectory, controller)
-    flight = fly(
-        plant,
-        controller,
-        reference,
+    loop = build_loop(config, model)
+    controller = loop.controller
+    flight = loop.fly(
+        trajectory,
         generator(config),
-        start=getattr(trajectory, "start_state", None),
-        sensor=build_sensor(config.sensor),
         lost_distance=config.trajectory.lost_distance,
         lost_box=config.trajectory.lost_box,
         metadata=describe(config, vehicle, model),
     )
     flight.metadata["reference_note"] = note
     flight.metadata["residual"] = {"name": controller.name, "source": controller.source}
-    flight.metadata["margins"] = margins
+    flight.metadata["margins"] = loop.margins
     flight.metadata["outside_data"] = outside_data(flight, model, controller)
     flight.metadata["row"] = result_row(config, flight)
     return flight
@@ -176,7 +234,8 @@ def describe(config: Config, vehicle: Vehicle, model: ModelFile | None) -> dict[
 
 def result_row(config: Config, flight: Flight) -> dict[str, Any]:
     """The row of one flight in a table of results."""
-    metadata = flight.metadata
+    metadata, rate = flight.metadata, getattr(config.controller, "rate", None)
+    period = 1 / rate if rate else None
     return {
         "plant": config.plant.name if config.world == "clean" else f"{config.plant.name}/{config.world}",
         "vehicle": config.vehicle.name,
@@ -185,7 +244,7 @@ def result_row(config: Config, flight: Flight) -> dict[str, Any]:
         "controller": controller_name(config),
         "model": metadata["model"],
         "seed": config.seed,
-        **flight_metrics(flight, config.vehicle.thrust_min, config.vehicle.thrust_max),
+        **flight_metrics(flight, config.vehicle.thrust_min, config.vehicle.thrust_max, period),
         "reference_residual": metadata.get("reference_residual"),
         "outside_data": (metadata.get("outside_data") or {}).get("share"),
         "outcome": metadata["outcome"],
@@ -219,8 +278,11 @@ def evaluate_cell(config: Config, model: ModelFile | None, path: str, key: str) 
 
 
 def _thinned(flight: Flight, period: float) -> Flight:
-    """The flight with one sample a period (s) only; 0: all."""
-    if not period or not len(flight):
+    """The flight with one sample a period (s) only, which its metadata then say; 0: all."""
+    control_period = float(flight.t[1] - flight.t[0]) if len(flight) > 1 else math.inf
+    every = round(period / control_period)
+    if every < 2:
         return flight
-    every = max(1, round(period / (flight.t[1] - flight.t[0]))) if len(flight) > 1 else 1
-    return Flight({name: column[::every] for name, column in flight.columns.items()}, flight.metadata)
+    thinned = {"log_period": period, "control_period": control_period}
+    columns = {name: column[::every] for name, column in flight.columns.items()}
+    return Flight(columns, {**flight.metadata, "thinned": thinned})

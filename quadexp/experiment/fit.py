@@ -103,7 +103,7 @@ def _fit_gp(data: ResidualDataset, config: Config, progress: ProgressCallback) -
         made = {"fit": fit_figures.fit_figure(fit.held_out_model, shown)}
         if fit.test is not None:
             made["calibration"] = fit_figures.calibration_figure(fit.held_out_model, fit.test)
-        return {name: str(save(figure, folder / name)) for name, figure in made.items()}
+        return {name: str(save(figure, folder / name, inside=folder.parent)) for name, figure in made.items()}
 
     return fit.model, report, draw
 

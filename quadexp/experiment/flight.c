@@ -53,7 +53,9 @@ typedef struct {
     double *log_state, *log_input, *log_reading, *log_inner, *log_record, *log_estimate; /* log_estimate: may be null */
 } flight;
 
-static void copy(double *to, const double *from, integer count) { memcpy(to, from, sizeof(double) * (size_t)count); }
+static void copy(double *to, const double *from, integer count) {
+    if (count) memcpy(to, from, sizeof(double) * (size_t)count); /* of nothing, the pointers are null */
+}
 
 static int run(const function *f) { return f->call(f->arguments, f->results, f->iw, f->w, 0); }
 

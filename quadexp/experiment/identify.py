@@ -19,6 +19,7 @@ from quadexp.config.flight import VehicleConfig
 from quadexp.config.settings import made
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
+from quadexp.files.writer import check_output
 from quadexp.learn.offline import Identification, identify_flight
 from quadexp.learn.rls import RLSSettings
 from quadexp.learn.samples import QUATERNION, rotor_columns
@@ -27,7 +28,7 @@ from quadexp.log.store import (
     check_attitude,
     check_finite,
     check_order,
-    check_output,
+    check_whole,
     column_names,
     read_flight,
     read_table,
@@ -72,11 +73,12 @@ def choose_method(paths: Sequence[Path], asked: str | None, vehicle: Vehicle | N
 
 def read_recorded(path: Path) -> Flight:
     """Read a flight that may lack commanded thrusts, as a log does. Raises DataError unless time, attitude and velocity
-    are finite, and time increases."""
+    are finite, time increases and no sample was left out."""
     needed = ("t", *QUATERNION, "v_x", "v_y", "v_z")
     columns, record = read_table(path, "flight", required=needed)
     check_finite(columns, needed, str(path))
     check_attitude(columns, str(path))
+    check_whole(record, str(path))
     check_order(columns["t"], str(path))
     return Flight(columns, record)
 
@@ -118,12 +120,12 @@ def identify_files(
     named = None if vehicle is None else configured_vehicle(vehicle, conf)
     results = []
     for path in flights:
-        flight = read_flight(path, ordered=True)
+        flight = read_flight(path, whole=True)
         settings = RLSSettings() if paper else None
         results.append(identify_flight(flight, named or _recorded(flight, path), settings=settings, name=str(path)))
     for path, one in zip(paths, results, strict=True):
         record = {**one.metadata(), "versions": versions(), "provenance": provenance()}
-        write_table(path, one.columns(), record, "estimates")
+        write_table(path, one.columns(), record, "estimates", force=force)
     return list(zip(paths, results, strict=True))
 
 

@@ -39,7 +39,7 @@ def identify_delays(
         raise UsageError(f"identify --figure: draws one flight, {len(paths)} are given")
     records, lines = [], list[str]()
     for path in paths:
-        flight = read_flight(path)
+        flight = read_flight(path, whole=True)
         flown = vehicle or own_vehicle(flight, conf)
         if flown is None:
             raise UsageError(f"{path}: its vehicle is not known here; name it: --vehicle NAME")

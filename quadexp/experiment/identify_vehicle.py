@@ -12,15 +12,15 @@ import numpy as np
 
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identify import own_vehicle, read_recorded
+from quadexp.files.writer import check_output
 from quadexp.learn.checkpoint import save_model
 from quadexp.learn.lumped import momentum_of
-from quadexp.learn.samples import Samples, choose_signal, gather
+from quadexp.learn.samples import Samples, gather_to_fit
 from quadexp.learn.selection import HOVER_INFLOW, best_level, compare_curves, flight_by_flight, selection
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.learn.vehicle_fit import FitSettings, curve_beside_quadratic, fit_level, fit_vehicle_model
 from quadexp.learn.vehicle_model import VehicleModel
 from quadexp.log.schema import Flight
-from quadexp.log.store import check_output
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
 
@@ -54,7 +54,7 @@ def identify_vehicle(
     Raises DataError, UsageError.
     """
     settings = settings or FitSettings()
-    samples = samples or gather(flights, choose_signal(flights, settings.signal), names)
+    samples = samples or gather_to_fit(flights, settings.signal, names)
     momentum = momentum_of(vehicle, settings.mass, settings.radius)
     curves = compare_curves(samples, settings) if settings.powers is None else []
     if curves:
@@ -129,7 +129,7 @@ def write_identification(
     from quadexp.report.identify_figures import draw_identification
 
     made = draw_identification(*result)
-    return {name: str(save(figure, out / "figures" / name)) for name, figure in made.items()}
+    return {name: str(save(figure, out / "figures" / name, inside=out)) for name, figure in made.items()}
 
 
 def identify_flights(
@@ -142,21 +142,23 @@ def identify_flights(
     figures: bool = True,
     conf: Path | None = None,
 ) -> dict[str, Any]:
-    """Read, identify, write. vehicle: None: the one recorded in the flights, if any. Returns the report, with `lines`.
+    """Read, identify, write. vehicle: None: the one recorded in the flights, if any. Returns the report, with `lines`
+    and `main`, those that matter first.
 
     Raises UsageError or DataError before anything is written.
     """
-    from quadexp.report.identify_lines import identification_lines
+    from quadexp.report.identify_lines import identification_lines, main_lines
 
     check_output(out, force=force, folder=True)
     names = unique_names(paths)
     flights = [read_recorded(path) for path in paths]
-    samples = gather(flights, choose_signal(flights, settings.signal), names)
+    samples = gather_to_fit(flights, settings.signal, names)
     flights = [Flight({"t": flight.t[:1]}, flight.metadata) for flight in flights]  # to free their columns
     result = identify_vehicle(flights, names, vehicle or own_vehicle(flights[0], conf), settings, samples=samples)
     files = write_identification(result, out, force=force, figures=figures)
     lines = identification_lines(result.model, result.report)
-    return {"method": "regression", "out": out, "figures": files, **result.report, "lines": lines}
+    texts = {"lines": lines, "main": main_lines(result.model, result.report)}
+    return {"method": "regression", "out": out, "figures": files, **result.report, **texts}
 
 
 def unique_names(paths: Sequence[Path]) -> list[str]:

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.errors import QuadexpError, UsageError
+from quadexp.files.writer import check_output
 from quadexp.log.check import Finding, check_flight
 from quadexp.log.importers import Options, checked, import_log
 from quadexp.log.schema import Flight
-from quadexp.log.store import check_output, write_flight
+from quadexp.log.store import write_flight
 from quadexp.physics.vehicle import Vehicle
 
 
@@ -81,10 +82,12 @@ def import_files(
         except (MemoryError, RecursionError) as error:
             yield Outcome(log, cause=f"too large or too deeply nested to read ({type(error).__name__})")
         else:
-            yield _finish(Outcome(log, notes=notes, findings=check_flight(flight, named)), flight, path, seen, keep)
+            yield _finish(
+                Outcome(log, notes=notes, findings=check_flight(flight, named)), flight, path, seen, keep, force
+            )
 
 
-def _finish(one: Outcome, flight: Flight, path: Path, seen: dict[str, str], keep: bool) -> Outcome:
+def _finish(one: Outcome, flight: Flight, path: Path, seen: dict[str, str], keep: bool, force: bool) -> Outcome:
     """Write the flight, unless something blocks."""
     source = flight.metadata.get("source", {})
     content = source.get("sha256", str(one.log))
@@ -99,7 +102,7 @@ def _finish(one: Outcome, flight: Flight, path: Path, seen: dict[str, str], keep
             one.cause += f"; the earlier {path} was removed"
         return one
     record = {"findings": [finding.record() for finding in one.findings]} if source else {}
-    write_flight(path, flight, **record)
+    write_flight(path, flight, force=force, **record)
     seen.setdefault(content, one.log.name)
     one.path, one.summary = path, _summary(flight)
     return one

@@ -5,7 +5,10 @@ from __future__ import annotations
 from typing import Any
 from weakref import WeakKeyDictionary
 
+import numpy as np
+
 from quadexp.config.flight import PlantConfig
+from quadexp.physics.state import ATTITUDE, N_STATE
 
 _known: WeakKeyDictionary[Any, dict[tuple[float, float], dict[str, Any]]] = WeakKeyDictionary()  # flown many times
 
@@ -31,9 +34,13 @@ def loop_margins(controller: Any, config: PlantConfig, plant: Any = None) -> dic
     lag += getattr(plant, "loop_lag", 0.0)
     made = _known.setdefault(controller, {})
     if (latency, lag) not in made:
+        from quadexp.control.base import Window
         from quadexp.control.mpc.margins import STABLE, HoverLoop, margins
 
-        controller.forget()  # as it is when a flight begins
+        n, rest = controller.vehicle.n_rotors, np.eye(N_STATE)[ATTITUDE.start]
+        nodes = len(controller.node_times)
+        thrusts = np.full((nodes - 1, n), controller.vehicle.hover_thrust)
+        controller.reset(rest, Window(np.tile(rest, (nodes, 1)), thrusts, np.zeros((5, 3)), np.zeros(3)))
         around = layers(controller)
         age = sum(float(getattr(one, "delay", 0.0)) for one in around if one.in_margins)
         settings = core.settings

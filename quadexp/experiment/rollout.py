@@ -13,14 +13,19 @@ from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.controller import as_controller
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
+from quadexp.control.readings import ReadingGate
 from quadexp.errors import ModelDomainError, QuadexpError, UsageError
 from quadexp.experiment.compiled_flight import CompiledFlight, covers
+from quadexp.log.outcome import CORRIDOR, corridor
 from quadexp.log.schema import Flight
-from quadexp.physics.state import POSITION, STATE_COLUMNS, VELOCITY, input_columns
+from quadexp.physics.rotation import heading, heading_rate
+from quadexp.physics.state import ATTITUDE, POSITION, RATE, STATE_COLUMNS, VELOCITY, input_columns
 from quadexp.reference.base import Trajectory
 from quadexp.reference.feasibility import clipped
 from quadexp.reference.flatness import Reference, flat_reference
 from quadexp.world.base import Plant
+from quadexp.world.integrator import SimulatedPlant
+from quadexp.world.streams import part_stream, sampled
 from quadexp.world.world import World
 
 LOST_DISTANCE = 10.0  # m from the reference; beyond it a flight counts as lost
@@ -31,14 +36,14 @@ INNER_STATES = ("rotor_speed", "induced_velocity")  # (n,) attributes of some pl
 class Sensor(Protocol):
     """Accelerometer between the plant's specific force and the controller; see quadexp.world."""
 
-    def read(self, specific_force: np.ndarray, rng: np.random.Generator) -> np.ndarray: ...
+    def read(self, specific_force: np.ndarray, noise: np.ndarray) -> np.ndarray: ...
 
 
 class SampledReference:
     """The reference at every control instant and every node of the horizon that starts there.
 
     controller: its period and node times determine the sampling; its residual, if fed forward, enters attitude, rates
-    and thrusts.
+    and thrusts. free_heading: whether the trajectory leaves the heading free.
     """
 
     def __init__(self, trajectory: Trajectory, controller: Controller | ModelPredictiveController) -> None:
@@ -54,7 +59,9 @@ class SampledReference:
         self._stride = _common_stride(self._where)
         flat = trajectory.flat_output(self.t)
         self._position = flat.position
-        self._yaw = np.zeros((samples, 3)) if flat.yaw is None else flat.yaw
+        self._follow_heading = flat.yaw is None
+        self.free_heading = flat.yaw is None and not getattr(trajectory, "counts_heading", False)
+        self._yaw, self._drift = np.zeros((samples, 3)) if flat.yaw is None else flat.yaw, np.zeros(samples)
         self._residual: Residual | object | None = self  # none yet
         self.reference: Reference
         self.renew(controller.residual)
@@ -73,6 +80,9 @@ class SampledReference:
         )
         if getattr(self._trajectory, "clipped", False):
             self.reference = clipped(self.reference, self._vehicle)
+        if self._follow_heading:
+            attitude, rate = (self.reference.state[self._now, part] for part in (ATTITUDE, RATE))
+            self._yaw[:, 0], self._drift = heading(attitude), heading_rate(attitude, rate)
         self.reference.state.flags.writeable = self.reference.input.flags.writeable = False  # horizons are views
 
     @property
@@ -97,7 +107,7 @@ class SampledReference:
 
     def window(self, k: int) -> Window:
         """The reference for the controller at control instant k."""
-        return Window(*self.horizon(k), self._position[k], self._yaw[k])
+        return Window(*self.horizon(k), self._position[k], self._yaw[k], self._drift.item(k))
 
     def box(self, margin: float) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest position (3,) of the reference, widened by a margin (m)."""
@@ -108,7 +118,7 @@ class SampledReference:
     def first_thrust(self) -> np.ndarray | None:
         """Rotor thrusts (n,) (N) with which a flight begins, where the reference begins in motion; else None."""
         state, thrust = self.at(0)
-        return thrust if state[VELOCITY].any() else None
+        return np.clip(thrust, self._vehicle.thrust_min, self._vehicle.thrust_max) if state[VELOCITY].any() else None
 
     def along(self) -> tuple[np.ndarray, np.ndarray]:
         """States (k, 13) and inputs (k, n) at the control instants."""
@@ -146,27 +156,32 @@ def fly(
     the flight ends by the true one.
     The flight ends early, with the log up to there, where the vehicle is further than lost_distance (m) from the
     reference, or outside the box around it widened by lost_box (m; None: no box), or its state is not finite ("lost"),
-    or a control step fails ("solver_failed"). metadata: extended by the outcome and the mean share of the residual in
-    the reference (None without feed-forward of a residual).
+    or a control step fails, or what is measured is refused ("solver_failed"). One that was flown to its end has left
+    its corridor where it was further from its reference than log/outcome.py allows ("left_corridor"). metadata:
+    extended by the outcome, the corridor (m) and the mean share of the residual in the reference (None without
+    feed-forward of a residual).
     """
     controller = as_controller(controller)
     period = controller.control_period
     renewal = Renewal(round(controller.reference_period / period))
-    sensor_rng = rng.spawn(1)[0] if sensor is not None else rng
     x = reference.at(0)[0].copy() if start is None else np.array(start, float)
     world = plant if isinstance(plant, World) else None
     noise: Any = rng
-    if world is not None:
-        thrust = reference.first_thrust if start is None else None
-        noise = world.begin(x, period, float(reference.t[-1]) + period, rng, thrust)
+    thrust = reference.first_thrust if start is None else None
+    if isinstance(plant, SimulatedPlant) and type(plant).advance is SimulatedPlant.advance:
+        noise = plant.begin(x, period, float(reference.t[-1]) + period, rng, thrust)
     else:
         plant.reset()
+    sensed = np.empty((0, 3))  # noise of the readings
+    if sensor is not None:
+        sensed = sampled(part_stream(rng, "accelerometer"), period * np.arange(len(reference) + 1), 3)
     inner = _Inner(plant, period)
     log = _Log(len(reference), plant.vehicle.n_rotors, len(inner.names), world is not None and world.estimates)
     reading = np.array([0.0, 0.0, plant.vehicle.gravity])
     measured, speed = None, None
     told = x if world is None else world.measured
     controller.reset(told, reference.window(0))
+    gate = ReadingGate(plant.vehicle.n_rotors)
     compiled: CompiledFlight | None = None
     box = None if lost_box is None else reference.box(lost_box)
     inside = lost_distance if lost_box is None else min(lost_distance, lost_box)  # surely not lost
@@ -174,7 +189,6 @@ def fly(
         log.state_reference[:], log.input_reference[:] = along = reference.along()
         arrays, horizons = log.arrays(), reference.horizons()
         compiled = CompiledFlight(plant, controller, horizons, along[0], arrays, inner.places, noise, inside)
-        noise = compiled.drawn
     outcome, cause, shares = "ok", "", np.full(len(reference), reference.residual_share)
     k, commanded = 0, False
     while k < len(reference):
@@ -192,7 +206,11 @@ def fly(
             if box is not None and not (box[0] <= x[POSITION]).all() & (x[POSITION] <= box[1]).all():
                 outcome, cause = "lost", f"{lost_box:g} m outside the box of the reference at t={t:.2f} s"
                 break
-            asked = Measurement(t, told, measured, speed), reference.window(k)
+            try:
+                asked = gate.admit(Measurement(t, told, measured, speed)), reference.window(k)
+            except QuadexpError as error:
+                outcome, cause = "solver_failed", str(error)
+                break
             began = time.perf_counter()
             u, record = controller.step(*asked)
             took = time.perf_counter() - began
@@ -215,15 +233,25 @@ def fly(
             u = log.input[log.rows - 1].copy()
             continue
         if sensor is not None:
-            reading = sensor.read(reading, sensor_rng)
+            reading = sensor.read(reading, sensed[k])
         measured, speed = reading, getattr(plant, "rotor_speed", None)
     if compiled is not None:
-        compiled.drawn.give_back()
-        log.measure(sensor, sensor_rng)
+        log.measure(sensor, sensed)
     if not log.rows:
         raise QuadexpError(f"the flight ended before its first sample: {cause}")
+    wanted = log.state_reference[: log.rows]
+    width = corridor(plant.vehicle.size, reference.t[: log.rows], wanted[:, POSITION], wanted[:, VELOCITY])
+    away = np.linalg.norm(log.state[: log.rows, POSITION] - wanted[:, POSITION], axis=1)
+    if outcome == "ok" and away.max() > width:
+        at = int(away.argmax())
+        outcome = "left_corridor"
+        cause = (
+            f"{away[at]:.3g} m from the reference at t={reference.t[at]:.2f} s, beyond its corridor of {width:.3g} m,"
+        )
+        cause += f" {CORRIDOR:g} sizes of the vehicle"
     share = float(np.mean(shares[: k + 1]))  # it may change where references are recomputed in flight
-    details: dict[str, Any] = {"outcome": outcome, "cause": cause, "backend": controller.backend}
+    details: dict[str, Any] = {"outcome": outcome, "cause": cause, "corridor": width, "backend": controller.backend}
+    details["free_heading"] = reference.free_heading
     details["reference_residual"] = None if math.isnan(share) else share
     if renewal.failed:
         details["stale_references"] = renewal.failed
@@ -316,11 +344,10 @@ class _Log:
             self.estimate[k] = told
         self.extra.append(extra)
 
-    def measure(self, sensor: Sensor | None, rng: np.random.Generator) -> None:
+    def measure(self, sensor: Sensor | None, noise: np.ndarray) -> None:
         """Put what a sensor makes of them in place of the specific forces; the first is not measured."""
         if sensor is not None:
-            for k in range(1, self.rows):
-                self.reading[k] = sensor.read(self.reading[k], rng)
+            self.reading[1 : self.rows] = sensor.read(self.reading[1 : self.rows], noise[1 : self.rows])
 
     def columns(self, t: np.ndarray, inner_names: list[str]) -> dict[str, np.ndarray]:
         """Named columns of the flown samples."""

@@ -13,8 +13,10 @@ from quadexp.config.schema import Config
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.build_identified import load_identified
+from quadexp.files.writer import check_output, write_text
 from quadexp.learn.gp_fit import fit_gp
 from quadexp.learn.model import GPModel, GPSettings
+from quadexp.learn.neural import NeuralModel, NNSettings
 from quadexp.learn.open_loop import TURNING, Track, rollout_errors
 from quadexp.learn.predictors import NOMINAL, Predictor, nominal, predictors
 from quadexp.learn.recorded import recorded_dataset
@@ -25,7 +27,7 @@ from quadexp.learn.validation import FlightRows, Residuals, band_rows, read_rows
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
 from quadexp.learn.vehicle_model import VehicleModel
 from quadexp.log.schema import Flight
-from quadexp.log.store import check_output, read_flight, write_text
+from quadexp.log.store import read_flight
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
 
@@ -59,7 +61,7 @@ def validate(
         check_output(out, force=force, folder=True)
     vehicle = build_vehicle(config.vehicle)
     loaded = _load(models, vehicle)
-    flown = {path.stem: read_flight(path, ordered=True) for path in flights}
+    flown = {path.stem: read_flight(path, whole=True) for path in flights}
     if len(flown) < len(flights):
         raise UsageError("--flights: two of them have the same name")
     if leave_one_out:
@@ -79,7 +81,7 @@ def validate(
             chosen = refitted(loaded, {name: flown[name] for name in fitted}, vehicle)
         used, lines = _torque_tested(_predictors(chosen, vehicle), [flown[name] for name in tested], tested, vehicle)
         torques += [f"{', '.join(tested)}: {line}" if leave_one_out else line for line in lines]
-        rows = [read_rows(flown[name], name, used[0].curve.signal) for name in tested]
+        rows = [read_rows(flown[name], name, used[0].curve.signal, used[0].curve.delay) for name in tested]
         if not leave_one_out:
             notes += _seen(used, tested)
         for predictor in used:
@@ -103,7 +105,7 @@ def validate(
     from quadexp.report.validation_table import validation_lines
 
     report["lines"] = validation_lines(report)
-    report["files"] = _write(report, merged, out, figures) if out is not None else {}
+    report["files"] = _write(report, merged, out, figures, force) if out is not None else {}
     return report
 
 
@@ -148,7 +150,8 @@ def _torque_tested(
     for one in candidates:
         model = one.torque
         if model is not None and id(model) not in tested:
-            share = explained(model, gather(flights, one.curve.signal, names), vehicle, one.curve)
+            samples = gather(flights, one.curve.signal, names).delayed(one.curve.delay)
+            share = explained(model, samples, vehicle, one.curve)
             passed = model if share is None else replace(model, share_low=np.minimum(model.share_low, share))
             tested[id(model)] = passed
             lines += _torque_lines(model, share)
@@ -188,9 +191,11 @@ def refitted(
                 curve = fit_vehicle_model(list(flights.values()), None, names=list(flights)).thrust
             rows = recorded_dataset(list(flights.values()), vehicle, curve, names=list(flights))
             if isinstance(model, GPModel):
-                names = {f.name for f in fields(GPSettings)}
-                values = {key: value for key, value in model.settings.items() if key in names}
-                fresh = fit_gp(rows, GPSettings(**values))
+                fresh = fit_gp(rows, _stored(GPSettings, model.settings))
+            elif isinstance(model, NeuralModel):
+                from quadexp.learn.nn_fit import fit_network
+
+                fresh = fit_network(rows, _stored(NNSettings, model.settings))
             else:
                 from quadexp.learn.linear_drag import fit_linear_drag
                 from quadexp.learn.thrust_scale import with_common_scale
@@ -198,6 +203,12 @@ def refitted(
                 fresh = fit_linear_drag(with_common_scale(rows).dataset, thrust=False, loss=model.loss, intervals=False)
         made.append((label, fresh))
     return made
+
+
+def _stored(kind: Any, stored: Mapping[str, Any]) -> Any:
+    """Settings of a fit as its checkpoint has them."""
+    names = {f.name for f in fields(kind)}
+    return kind(**{key: value for key, value in stored.items() if key in names})
 
 
 def _settings(model: VehicleModel, flights: int) -> FitSettings:
@@ -283,13 +294,12 @@ def _merge(parts: Sequence[Residuals]) -> Residuals:
     return Residuals(parts[0].predictor, error, tracked, scale, numbers, stretches, speed, outside)
 
 
-def _write(report: dict[str, Any], found: Sequence[Residuals], out: Path, figures: bool) -> dict[str, str]:
+def _write(report: dict[str, Any], found: Sequence[Residuals], out: Path, figures: bool, force: bool) -> dict[str, str]:
     import json
 
-    out.mkdir(parents=True, exist_ok=True)
     record = {key: value for key, value in report.items() if key not in ("lines", "files")}
     files = {"report": str(out / REPORT_FILE)}
-    write_text(out / REPORT_FILE, json.dumps(record, indent=1, default=str) + "\n")
+    write_text(out / REPORT_FILE, json.dumps(record, indent=1, default=str) + "\n", force=force)
     if figures:
         from quadexp.report import validation_figures
         from quadexp.report.figures import save

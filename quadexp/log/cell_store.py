@@ -3,21 +3,24 @@
     <results>/cells/<2 hex>/<key>.parquet
 
 A cell is done when its file exists and holds, byte for byte, what was written; a file appears complete or not at all.
-Nothing else is kept between runs.
+Nothing else is kept between runs. No link is followed below the results folder: what lies behind one is no cell, is
+not removed, and nothing is written there.
 """
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
+import math
 import os
-import shutil
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from quadexp.errors import DataError, UsageError
-from quadexp.log.store import check_output, read_record
+from quadexp.files.names import check_names
+from quadexp.files.writer import check_output, clean, make_inside, remove, unfollowed
+from quadexp.log.store import read_record
 
 MARK = "cells"
 
@@ -34,15 +37,12 @@ class CellStore:
         if self.root.is_dir() and any(self.root.iterdir()) and not self.folder.is_dir():
             raise UsageError(f"{self.root}: is a folder of other things, not of results: choose another --out")
         check_output(self.root, folder=True, force=True)
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UsageError(f"{self.folder}: cannot be written ({error.strerror})") from None
+        make_inside(self.root, self.folder)
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:
         """Refuse a second sweep in this folder while one runs; raises UsageError."""
-        with open(self.folder / ".lock", "w") as file:
+        with open(self.folder / ".lock", "w", opener=unfollowed) as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 theirs = not os.path.samestat(os.fstat(file.fileno()), os.stat(file.name))
@@ -63,29 +63,35 @@ class CellStore:
 
     def done(self) -> set[str]:
         """Keys of the cells that have a file, whatever it holds."""
-        return {entry.name.removesuffix(".parquet") for entry in self._entries() if entry.name.endswith(".parquet")}
+        names = (entry.name for folder in self._folders() for entry in os.scandir(folder))
+        return {name.removesuffix(".parquet") for name in names if name.endswith(".parquet")}
 
-    def row(self, key: str) -> dict[str, Any]:
-        """Result row of a cell, from the record of its file, every byte of which is checked.
+    def row(self, key: str, log_period: float = math.inf) -> dict[str, Any]:
+        """Result row of a cell; raises as `record` does."""
+        return dict(self.record(key, log_period)["row"])
 
-        Raises DataError where the file has changed since it was written, or holds another flight.
+    def record(self, key: str, log_period: float = math.inf) -> dict[str, Any]:
+        """Record of a cell's file, every byte of which is checked.
+
+        log_period: largest time (s) between samples of a flight thinned by evaluate.log_period that will do.
+        Raises DataError where the file has changed since it was written, holds another flight, or too few samples.
         """
         record = read_record(self.path(key), "flight")
         if record.get("key") != key or "row" not in record:
             raise DataError(f"{self.path(key)}: holds another flight than its name says")
-        return record["row"]
+        if (stored := record.get("thinned", {}).get("log_period", 0.0)) > log_period:
+            raise DataError(f"{self.path(key)}: holds a sample every {stored:g} s only")
+        check_names(record, str(self.path(key)))
+        return record
 
     def remove(self, keys: Iterable[str]) -> None:
         for key in keys:
-            self.path(key).unlink(missing_ok=True)
+            remove(self.path(key), self.root)
 
     def clean(self) -> None:
         """Remove unfinished files of an interrupted run (call it with the lock held)."""
-        for entry in self._entries():
-            if entry.name.endswith(".tmp"):
-                Path(entry.path).unlink(missing_ok=True)
-        for path in self.root.glob(".*.tmp"):
-            path.unlink(missing_ok=True)
+        for folder in (self.root, *self._folders()):
+            clean(folder)
 
     @contextlib.contextmanager
     def emptied(self) -> Iterator[None]:
@@ -93,11 +99,13 @@ class CellStore:
         try:
             yield
         except BaseException:
-            if self.root.is_dir() and not any(path.is_file() for path in self.root.rglob("*")):
-                shutil.rmtree(self.root, ignore_errors=True)
+            for folder in (*self._folders(), self.folder, self.root):
+                with contextlib.suppress(OSError):  # it holds something
+                    folder.rmdir()
             raise
 
-    def _entries(self) -> Iterator[os.DirEntry[str]]:
-        for folder in os.scandir(self.folder) if self.folder.is_dir() else ():
-            if folder.is_dir():
-                yield from os.scandir(folder.path)
+    def _folders(self) -> list[Path]:
+        """The folders that cells lie in."""
+        if self.folder.is_symlink() or not self.folder.is_dir():
+            return []
+        return [Path(entry.path) for entry in os.scandir(self.folder) if entry.is_dir(follow_symlinks=False)]

@@ -14,7 +14,7 @@ import hashlib
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 CONTENT_KEY = b"quadexp_content_sha256"  # in the schema metadata
 FILE_KEY = b"quadexp_file_sha256"  # in the file's key-value metadata
@@ -61,19 +61,20 @@ def _parts(chunk: Any) -> list[Any]:
     return [repr(chunk.to_pylist()).encode()]
 
 
-def write_sealed(table: Any, path: Path, **options: Any) -> None:
-    """Write an Arrow table as a Parquet file with the hash of its own bytes. options: of the Parquet writer."""
+def write_sealed(table: Any, file: BinaryIO, **options: Any) -> None:
+    """Write an Arrow table as Parquet, with the hash of its own bytes, into an empty file that is open for reading and
+    writing. options: of the Parquet writer."""
     import pyarrow.parquet as pq
 
-    with pq.ParquetWriter(path, table.schema, **options) as writer:
+    with pq.ParquetWriter(file, table.schema, **options) as writer:
         writer.write_table(table)
         writer.add_key_value_metadata({FILE_KEY: _NONE_YET})
-    with open(path, "r+b") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest().encode()
-        footer = _read_footer(file)
-        (found,) = _SEAL.finditer(footer)
-        file.seek(-len(footer) + found.start(1), 2)
-        file.write(digest)
+    file.seek(0)
+    digest = hashlib.file_digest(file, "sha256").hexdigest().encode()  # type: ignore[arg-type]
+    footer = _read_footer(file)
+    (found,) = _SEAL.finditer(footer)
+    file.seek(-len(footer) + found.start(1), 2)
+    file.write(digest)
 
 
 def _read_footer(file: Any) -> bytes:

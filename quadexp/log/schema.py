@@ -92,7 +92,10 @@ RESULT_COLUMNS: dict[str, Column] = {
     "rmse": Column("m", "world", "sqrt(mean ||e||^2) of the position error e"),
     "mean_error": Column("m", "world", "mean ||e||; Torrente et al. 2021 print this one as RMSE"),
     "max_error": Column("m", "world", "max ||e||"),
-    "attitude_rmse": Column("rad", "", "sqrt(mean angle^2) of the rotation between attitude and reference"),
+    "attitude_rmse": Column(
+        "rad", "", "sqrt(mean angle^2) between attitude and reference; heading left out where free"
+    ),
+    "heading_rmse": Column("rad", "", "sqrt(mean angle^2) between the azimuths of y_body and of the reference's"),
     "solve_time_median": Column("s", "", "wall time of the control step"),
     "solve_time_p99": Column("s", "", "wall time of the control step"),
     "solve_time_max": Column("s", "", "wall time of the control step"),
@@ -125,13 +128,13 @@ STATISTIC_COLUMNS: dict[str, Column] = {
     "mean": Column(_OWN, "", "mean over its own flights that ended well"),
     **{f: Column(_OWN, "", f"{end} limit of the mean") for f, end in (("low", "lower"), ("high", "upper"))},
     "std": Column(_OWN, "", "standard deviation over the seeds"),
-    "interval": Column("", "", "BCa bootstrap, t, constant, or none"),
+    "interval": Column("", "", "t (Student's), or none: fewer than two values, or all the same"),
     "common": Column("1", "", "flights that all who are compared ended well; 0 for who is not compared"),
     "common_mean": Column(_OWN, "", "mean over the common flights"),
     "common_std": Column(_OWN, "", "standard deviation over the common flights"),
     "common_interval": Column("", "", "as interval, of the common mean"),
     "best_p": Column("1", "", "p that it is not the best of its line, for who may be marked so; see report/winner.py"),
-    "success": Column("1", "", "share of the trials that ended well; limits by Wilson"),
+    "success": Column("1", "", "share of the trials that ended well; limits by Clopper and Pearson"),
     "baseline": Column("", "", "label of whom it is compared with"),
     "pairs": Column("1", "", "seeds that both ended well, as did all who are compared"),
     "left_out": Column("", "", "seeds that make no pair, by cause"),
@@ -142,7 +145,7 @@ STATISTIC_COLUMNS: dict[str, Column] = {
     "cohen_d": Column("1", "", "mean over standard deviation of the differences, positive where smaller"),
     "p": Column("1", "", "paired permutation test of the mean difference, two-sided"),
     "p_holm": Column("1", "", "p corrected for the number of comparisons"),
-    "p_least": Column("1", "", "the least p that so many pairs can give"),
+    "p_least": Column("1", "", "the least p that so many seeds can give"),
     "comparisons": Column("1", "", "over how many p_holm is corrected"),
 }
 for _name in ("success", "difference", "reduction", "common"):
@@ -232,7 +235,7 @@ class Flight:
     """One flight: columns over time (each (k,)), and metadata that can be written as JSON.
 
     Columns carry the names, units and frames of `FLIGHT_COLUMNS`. Metadata: config, seed, vehicle, plant, trajectory,
-    controller, model, outcome ("ok", "lost", "solver_failed", "infeasible"), versions, provenance.
+    controller, model, outcome (see outcome.py), versions, provenance.
     """
 
     columns: dict[str, np.ndarray]

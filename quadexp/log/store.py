@@ -4,26 +4,27 @@ Under the key `quadexp` the file carries JSON: {"kind": "flight" | "residuals" |
 under `quadexp_sha256` the hash of that text and of the columns' names; every page of data carries a checksum. The hash
 of the columns' types and values stands beside it and is checked where the file is read in full, that of the file's
 bytes behind it (see hashes.py). So a changed bit, an edited number and a file that another program wrote anew are
-noticed. A file is written to a temporary name in its own folder, flushed to the disk, then renamed.
+noticed.
 """
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
-import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from quadexp.errors import DataError, UsageError, WrongFileError, write_error
+from quadexp.errors import DataError, UsageError, WrongFileError
+from quadexp.files.names import check_names
+from quadexp.files.writer import written
 from quadexp.log.declared import check_declared, check_numbers
 from quadexp.log.hashes import CONTENT_KEY, content_hash, sealed_bytes, sealed_value, write_sealed
 from quadexp.log.schema import Flight, describe
+from quadexp.messages import printable
 from quadexp.physics.state import STATE_COLUMNS
 
 SCHEMA = 2
@@ -56,77 +57,12 @@ RECORD: dict[str, type] = {
 }  # fmt: skip
 
 
-def check_output(path: str | Path, *, force: bool = False, folder: bool = False) -> Path:
-    """Make sure that `path` can be written, before hours of work: the folder it will lie in takes files, and nothing is
-    in the way unless `force`. Nothing is made.
-
-    folder: whether `path` is to be a directory (an existing empty one is nothing in the way).
-    Raises UsageError.
-    """
-    path = Path(path)
-    try:
-        str(path).encode()
-        if folder and path.is_file():
-            raise UsageError(f"{path}: is a file, a folder is needed here: choose another --out")
-        if not folder and path.is_dir():
-            raise UsageError(f"{path}: is a folder, a file name is needed here: choose another --out")
-        if path.exists() and not path.is_dir() and not path.is_file():
-            raise UsageError(f"{path}: is a device or a pipe, not a file: choose another --out")
-        occupied = any(path.iterdir()) if folder and path.is_dir() else os.path.lexists(path)
-        if occupied and not force:
-            raise UsageError(f"{path}: exists already; pass --force to replace it, or choose another --out")
-        above = [path, *path.absolute().parents] if folder else list(path.absolute().parents)
-        nearest = next(parent for parent in above if parent.exists())
-        probe = nearest / f".{path.name}.{os.getpid()}.probe"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written there ({error.strerror}): choose another --out") from None
-    except UnicodeEncodeError:
-        name = os.fsencode(path).decode(errors="backslashreplace")
-        raise UsageError(f"{name}: the name is not UTF-8: choose another --out") from None
-    return path
-
-
-@contextlib.contextmanager
-def atomic_path(path: Path) -> Iterator[Path]:
-    """A temporary name beside `path`; on leaving without an error, the file found there becomes `path`."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield temporary
-        with open(temporary, "rb") as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError as error:
-        raise write_error(path, error) from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-
-
-def write_text(path: str | Path, text: str) -> Path:
-    """Write a text file, whole or not at all."""
-    path = Path(path)
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return path
-
-
 def read_text(path: Path) -> str | None:
     """What a text file holds; None where there is none, or no text."""
     try:
         return path.read_bytes().decode("utf-8")
     except (OSError, UnicodeError):
         return None
-
-
-def write_bytes(path: str | Path, write: Callable[[Path], Any]) -> Path:
-    """Let `write(temporary path)` make a file, then move it to `path`."""
-    path = Path(path)
-    with atomic_path(path) as temporary:
-        write(temporary)
-    return path
 
 
 def _field(name: str, array: Any, kind: str) -> Any:
@@ -137,8 +73,10 @@ def _field(name: str, array: Any, kind: str) -> Any:
     return pa.field(name, array.type, metadata={key: value for key, value in metadata.items() if value} or None)
 
 
-def write_table(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, Any], kind: str) -> Path:
-    """Write columns (each (k,)) and JSON-able metadata as one Parquet file."""
+def write_table(
+    path: str | Path, columns: Mapping[str, Any], metadata: Mapping[str, Any], kind: str, *, force: bool = True
+) -> Path:
+    """Write columns (each (k,)) and JSON-able metadata as one Parquet file; force: see `written`."""
     import pyarrow as pa
 
     arrays = {name: _arrow(values) for name, values in columns.items()}
@@ -150,7 +88,9 @@ def write_table(path: str | Path, columns: Mapping[str, Any], metadata: Mapping[
     table = pa.Table.from_arrays(list(arrays.values()), schema=schema)
     text = [name for name, array in arrays.items() if pa.types.is_string(array.type)]
     options = {"compression": "zstd", "use_dictionary": text, "write_page_checksum": True}
-    return write_bytes(path, lambda temporary: write_sealed(table, temporary, **options))
+    with written(path, force=force) as file:
+        write_sealed(table, file, **options)
+    return Path(path)
 
 
 def _digest(record: bytes, names: list[str], content: bytes | None) -> bytes:
@@ -203,6 +143,7 @@ def read_metadata(path: str | Path, kind: str | None = None) -> dict[str, Any]:
     wrong = [name for name, type_ in RECORD.items() if not isinstance(record.get(name), type_ | None)]
     if wrong:
         raise DataError(f"{path}: damaged, {wrong[0]!r} of its record is {str(record[wrong[0]])[:40]!r}")
+    check_names(record, str(path))
     if kind is not None and found != kind:
         raise WrongFileError(f"{path}: is {NAMES.get(found, found)}, {needed(kind)}")
     return record
@@ -308,7 +249,7 @@ def _say_unhashed(path: str | Path) -> None:
     """Once a process, so that a hundred files are not a hundred lines."""
     if not _unhashed:
         print(
-            f"note: {path}: written before columns were hashed, so an edited number would not be noticed"
+            f"note: {printable(path)}: written before columns were hashed, so an edited number would not be noticed"
             " (`quadexp show FILE` says it of each file)",
             file=sys.stderr,
         )
@@ -370,6 +311,15 @@ def check_finite(columns: Mapping[str, np.ndarray], names: Iterable[str], where:
             )
 
 
+def check_whole(record: Mapping[str, Any], where: str) -> None:
+    """Raise DataError for a flight thinned by evaluate.log_period, whose rows are not consecutive control instants."""
+    if thinned := record.get("thinned"):
+        raise DataError(
+            f"{where}: holds a sample every {thinned['log_period']:g} s of a flight controlled every"
+            f" {thinned['control_period']:g} s: fly it with evaluate.log_period=0 to have all of them"
+        )
+
+
 def check_order(t: np.ndarray, where: str) -> None:
     """Raise DataError naming the first row whose time is not later than that of the row before."""
     late = np.flatnonzero(~(np.diff(t) > 0))
@@ -425,20 +375,21 @@ def first_line(error: BaseException) -> str:
     return text[0][:200] if text else type(error).__name__
 
 
-def write_flight(path: str | Path, flight: Flight, **extra: Any) -> Path:
-    """Write a flight; `extra` joins its metadata."""
-    return write_table(path, flight.columns, {**flight.metadata, **extra}, "flight")
+def write_flight(path: str | Path, flight: Flight, *, force: bool = True, **extra: Any) -> Path:
+    """Write a flight; `extra` joins its metadata. force: see `written`."""
+    return write_table(path, flight.columns, {**flight.metadata, **extra}, "flight", force=force)
 
 
-def read_flight(path: str | Path, *, check: bool = True, ordered: bool = False) -> Flight:
-    """Read a flight. check: refuse NaN in time, state or input (naming column and row). ordered: refuse time that does
-    not go on, as what is learned from differences must."""
+def read_flight(path: str | Path, *, check: bool = True, whole: bool = False) -> Flight:
+    """Read a flight. check: refuse NaN in time, state or input (naming column and row). whole: refuse time that does
+    not go on, and flights of which some samples only are stored, as what is learned from differences must."""
     thrust = () if read_metadata(path, "flight").get("recorded") else ("u_0",)  # a log seldom says the rotors' thrust
     columns, record = read_table(path, "flight", required=("t", *STATE_COLUMNS, *thrust))
     if check:
         names = ["t", *STATE_COLUMNS, *(name for name in columns if name.startswith("u_"))]
         check_finite(columns, names, str(path))
         check_attitude(columns, str(path))
-    if ordered:
+    if whole:
+        check_whole(record, str(path))
         check_order(columns["t"], str(path))
     return Flight(columns, record)

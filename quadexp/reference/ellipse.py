@@ -24,10 +24,12 @@ LONGEST_HORIZON = 10.0  # s, for which the ellipse goes on behind the flight
 class Ellipse(EllipseKeys):
     """An ellipse; settings: see EllipseKeys. Raises UsageError where a number is out of range.
 
-    clipped: references stay within the vehicle's limits, where a controller only tries to follow.
+    clipped: references stay within the vehicle's limits, where a controller only tries to follow. counts_heading: the
+    heading is prescribed also where flat outputs leave it free.
     """
 
     clipped = True
+    counts_heading = True
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -45,3 +45,13 @@ def test_a_duration_too_short_to_learn_from_flies_a_second():
 
 def test_another_seed_draws_others(drawn):
     assert not np.array_equal(drawn[0][:20], paths("seed=1")[0][:20])
+
+
+def test_the_configured_accelerometer_is_flown():
+    """No MPC reads it: the flights are those without it, but for bias and noise of its readings."""
+    given = ["sensor=lei_li", "sensor.accelerometer_bias=[1,-2,3]", "sensor.accelerometer_noise=[0.1,0.2,0.4]"]
+    for exact, read in zip(*(collect_flights(compose([*SHORT, *more])) for more in ([], given)), strict=True):
+        assert np.array_equal(exact.state, read.state)
+        off = (read.stack(["acc_x", "acc_y", "acc_z"]) - exact.stack(["acc_x", "acc_y", "acc_z"]))[1:]
+        assert off.mean(axis=0) == pytest.approx([1, -2, 3], abs=0.1)
+        assert off.std(axis=0) == pytest.approx([0.1, 0.2, 0.4], rel=0.2)

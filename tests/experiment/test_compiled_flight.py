@@ -16,7 +16,7 @@ from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment import compiled_flight, rollout
-from quadexp.experiment.compiled_flight import CompiledFlight, Drawn, covers
+from quadexp.experiment.compiled_flight import CompiledFlight, covers
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
@@ -36,7 +36,7 @@ from quadexp.world.link import Latency
 from quadexp.world.rotor_loss import RotorLoss
 from quadexp.world.slung_load import SlungLoad
 from quadexp.world.stated_estimate import StatedEstimate
-from quadexp.world.streams import Share, Streams
+from quadexp.world.streams import BLOCK
 from quadexp.world.true_vehicle import TrueVehicle
 from quadexp.world.world import World
 from tests.air.models import BLADE, make_residual, with_rotors
@@ -227,7 +227,7 @@ class TestWhereItHandsOver:
         path = Circle(speed=4.0, acceleration=2.0)
         found = both(monkeypatch, SimplifiedPlant(vehicle, step=1e-3, backend="compiled"), mpc(vehicle), path)
         samples = len(found.flight.t)
-        assert samples > compiled_flight.DRAWN_AT_ONCE and found.handed_over == [(samples, False)]
+        assert samples > BLOCK and found.handed_over == [(samples, False)]
 
     def test_bounds_are_met_in_c(self, monkeypatch, vehicle):
         """A jump of three metres at thrusts of at most 1.3 of hover."""
@@ -410,14 +410,3 @@ def mpc_of_any_kind(vehicle, backend="auto"):
     return PredictiveController(
         ModelPredictiveController(vehicle, make_residual("none", vehicle), MPCSettings(nodes=6), backend=backend)
     )
-
-
-def test_noise_drawn_in_blocks_is_the_same_noise():
-    """Taken a period at a time, and given back where a flight ended early."""
-    size, one, two = 7, np.random.default_rng(5), np.random.default_rng(5)
-    drawn, out = Drawn(Streams([Share(one, size)], 1), 300), np.empty((7, 1))
-    for _ in range(200):
-        drawn.standard_normal(out=out)
-        assert np.array_equal(out.ravel(), two.standard_normal(size))
-    drawn.give_back()
-    assert np.array_equal(one.standard_normal(5), two.standard_normal(5))

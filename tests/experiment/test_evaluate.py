@@ -173,3 +173,15 @@ ENTROPIES = {
 @pytest.mark.parametrize("overrides", ENTROPIES)
 def test_a_key_that_comes_later_changes_no_noise(overrides):
     assert flight_entropy(compose(overrides.split())) == ENTROPIES[overrides]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "key"),
+    [
+        (["trajectory.radius=1e-300"], "trajectory.radius=1e-300"),
+        (["trajectory=lemniscate", "trajectory.radius=1e-200"], "trajectory.radius=1e-200"),
+    ],
+)
+def test_a_path_that_is_not_finite_names_its_setting(overrides, key):
+    with pytest.raises(UsageError, match=rf"the reference is not finite at t = \S+ s: {key} "):
+        fly_one(compose(overrides))

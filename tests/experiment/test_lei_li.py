@@ -16,6 +16,7 @@ from quadexp.errors import ModelDomainError, UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_sensor, build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.log.outcome import COMPLETED
 from quadexp.report.metrics import attitude_error, position_error
 
 BENCH = ["vehicle=lei_li", "plant=blade_element", "sensor=lei_li"]
@@ -48,7 +49,7 @@ def fly_from(start, *overrides, lost_distance=100.0, seed=0):
 @pytest.mark.parametrize(("trajectory", "variant"), EXPECTED)
 def test_the_examples_without_chance(trajectory, variant):
     flight = flown(f"trajectory={trajectory}", f"controller={variant}_feedback", "controller.cone=false")
-    assert flight.outcome == "ok"
+    assert flight.outcome in COMPLETED  # the printed errors of some are beyond the corridor of this vehicle
     assert position_error(flight).mean() == pytest.approx(EXPECTED[trajectory, variant], rel=0.02)
 
 
@@ -143,7 +144,7 @@ class TestCorners:
         """The printed law brakes in the wrong direction and strays by 12 m; with the cone it comes straight down."""
         above = self.start(position=[0.0, 0.0, 84.0], velocity=[2.0, 0.0, 0.0])
         safe, printed = self.fly(above), self.fly(above, "controller.cone=false")
-        assert safe.outcome == "ok" and position_error(safe)[-1] < 0.1 and safe["cone"].any()
+        assert safe.outcome in COMPLETED and position_error(safe)[-1] < 0.1 and safe["cone"].any()
         strayed = [np.hypot(flight["p_x"], flight["p_y"]).max() for flight in (safe, printed)]
         assert strayed[0] < 2.0 and strayed[1] > 10.0
 
@@ -154,13 +155,13 @@ class TestCorners:
 
     def test_a_descent_at_15_m_s_through_its_own_wake(self):
         flight = self.fly(self.start(position=[0, 0, 70.0], velocity=[0.0, 0.0, -15.0]))
-        assert flight.outcome == "ok" and position_error(flight)[-1] < 0.1 and flight["p_z"].min() > 45.0
+        assert flight.outcome in COMPLETED and position_error(flight)[-1] < 0.1 and flight["p_z"].min() > 45.0
 
     def test_tilted_by_89_degrees(self):
         half = np.radians(89.0) / 2
         flight = self.fly(self.start(attitude=[np.cos(half), 0.0, np.sin(half), 0.0]))
         assert all(np.isfinite(values).all() for values in flight.columns.values())
-        assert flight.outcome == "ok" and position_error(flight)[-1] < 2.0
+        assert flight.outcome in COMPLETED and position_error(flight)[-1] < 2.0
 
     def test_a_rotor_that_stands_still(self, lei_li, blade):
         """Allowed at rest only: in moving air its advance ratio does not exist."""
@@ -258,7 +259,7 @@ class TestIdentifyingMPC:
     def test_a_start_28_m_away_is_flown(self, controller, seed):
         """Example 2 begins at rest in the circle's centre; all reach the circle and stay, whatever the seed."""
         flight = flown("trajectory=lei_li_circle", f"controller={controller}", f"seed={seed}")
-        assert flight.outcome == "ok"
+        assert flight.outcome in COMPLETED
         assert position_error(flight)[flight.t > 10.0].max() < 0.5
         assert np.linalg.norm(flight.stack(["v_x", "v_y", "v_z"]), axis=1).max() < 28.0
 

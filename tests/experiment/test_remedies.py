@@ -12,6 +12,9 @@ import pytest
 from quadexp.config.compose import compose
 from quadexp.config.schema import controller_name
 from quadexp.errors import UsageError
+from quadexp.experiment.build import build_vehicle
+from quadexp.experiment.build_remedies import check_needs
+from quadexp.experiment.build_world import build_world
 from quadexp.experiment.evaluate import fly_one
 
 WORLD = ["trajectory=hover", "trajectory.duration=0.3", "external=push", "external.force=[0.5,-0.3,-0.4]"]
@@ -99,3 +102,33 @@ def test_a_combination_flies_and_does_something_or_is_refused(controller, parts)
     if flight is not None and any(option != "none" for option in parts.values()):
         found, bare = commands(flight), without_remedies(controller)
         assert found.shape != bare.shape or np.abs(found - bare).max() > 1e-4  # an inner loop has a rate of its own
+
+
+SCALES = ["remedies=unknown_vehicle", "controller=nominal_mpc"]
+
+
+@pytest.mark.parametrize(
+    ("given", "needed"),
+    [
+        (["actuator=lag_30ms"], "observer.scale_walk"),
+        (["actuator=lag_30ms", "observer.scale_walk=0"], "observer.air_walk"),
+        (["actuator=lag_30ms", "observer.scale_walk=0", "observer.air_walk=0"], None),
+        (["actuator=lag_30ms", "observer.motor_lag=0.03"], None),
+        (["actuator=lag_30ms", "delay=identified"], None),
+        (["actuator=lag_30ms", "vehicle=quad_bench"], None),
+        ([], None),
+    ],
+    ids=lambda x: " ".join(x) if isinstance(x, list) else "",
+)
+def test_a_scale_needs_the_thrusts_of_its_time(given, needed):
+    """From rotor speeds, from what is told, or because motors do not lag; checked before anything flies."""
+    config = compose([*SCALES, *given])
+    vehicle = build_vehicle(config.vehicle)
+    plant = build_world(config, vehicle)
+    if needed is None:
+        check_needs(config, vehicle, plant)
+        return
+    with pytest.raises(UsageError, match=f"^{needed}: a scale is found from rotor speeds"):
+        check_needs(config, vehicle, plant)
+    with pytest.raises(UsageError, match=needed):
+        fly_one(config)

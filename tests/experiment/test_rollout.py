@@ -5,12 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import quadexp as qx
 from quadexp.air.none import no_residual
+from quadexp.config.compose import compose
+from quadexp.config.dfbc import DFBCKeys
+from quadexp.control.dfbc.controller import DFBC
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.experiment.rollout import SampledReference
+from quadexp.experiment.evaluate import fly_one
+from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.physics.rotation import heading
+from quadexp.physics.state import ATTITUDE
 from quadexp.reference.circle import Circle
 from quadexp.reference.flatness import flat_reference
+from quadexp.reference.hover import Hover
+from quadexp.world.simplified import PlantEffects, SimplifiedPlant
 
 
 @pytest.mark.parametrize(
@@ -43,6 +52,28 @@ def test_what_a_controller_sees_cannot_be_changed_by_it(vehicle):
         states[0, 0] = 1.0
 
 
+HELD = ("trajectory=hover", "wind=constant")
+
+
+@pytest.mark.parametrize(
+    ("given", "outcome", "reaches"),
+    [
+        (("vehicle=crazyflie", *HELD, "wind.velocity=[9,0,0]", "trajectory.duration=1"), "left_corridor", 20 * 0.092),
+        (("vehicle=torrente", *HELD, "wind.velocity=[9,0,0]", "trajectory.duration=1"), "ok", 20 * 0.47),
+        (("vehicle=crazyflie", *HELD, "wind.velocity=[30,0,0]", "trajectory.duration=1"), "lost", 20 * 0.092),
+        (("vehicle=crazyflie", "plant=ideal", "trajectory=step", "trajectory.target=[4,0,1]"), "ok", 20 * 0.092 + 4),
+    ],
+)
+def test_a_flight_ends_well_inside_a_corridor_in_sizes_of_its_vehicle(given, outcome, reaches):
+    """With 6.5 m from its place a vehicle of 92 mm has left it; a set-point that jumps takes its corridor along."""
+    flight = fly_one(compose([*given, "controller.backend=interpreted", "plant.backend=interpreted"]))
+    row = flight.metadata["row"]
+    assert flight.outcome == row["outcome"] == outcome and (flight.metadata["cause"] == "") is (outcome == "ok")
+    assert flight.metadata["corridor"] == pytest.approx(reaches, rel=1e-4)
+    assert (row["max_error"] > reaches) is (outcome == "left_corridor")
+    assert np.isnan([row[name] for name in ("mean_error", "rmse", "max_error")]).all() == (outcome == "lost")
+
+
 def test_a_renewal_that_fails_is_tried_again_after_twice_the_time():
     """And after the usual time once it has succeeded."""
     from quadexp.errors import UsageError
@@ -65,3 +96,46 @@ def test_a_renewal_that_fails_is_tried_again_after_twice_the_time():
     assert made == [10, 30, 70, 80, 90, 100, 110, 120, 130, 140, 150]
     assert renewal.failed == 2
     assert not Renewal(0).due(0)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        ("dfbc",),
+        ("geometric",),
+        ("pid",),
+        ("static_feedback", "vehicle=lei_li", "plant=blade_element", "sensor=perfect"),
+    ],
+    ids=lambda settings: settings[0],
+)
+def test_a_free_heading_is_that_of_the_references_attitude(settings):
+    """Every law follows it, round by round, and no score counts it."""
+    controller, *others = settings
+    backends = ("controller.backend=interpreted", "plant.backend=interpreted")
+    flight = qx.simulate(f"controller={controller}", *others, *backends, "trajectory=circle", speed=3, radius=1.5)
+    flown, wanted = (
+        np.unwrap(heading(q[:, ATTITUDE])) for q in (flight.arrays().state, flight.arrays().reference_state)
+    )
+    assert np.ptp(wanted) > 1.0 and flight.outcome == "ok"
+    assert np.sqrt(np.mean((flown - wanted) ** 2)) < 0.2 * np.ptp(wanted)
+    assert flight.metrics["heading_rmse"] is None
+
+
+@pytest.mark.parametrize(("broken", "ends"), [("reading", 0.5), ("rotor_speed", 0.5), (None, 1.0)])
+def test_a_flight_ends_where_what_is_measured_is_refused(vehicle, broken, ends):
+    """A plant from outside whose sensors fail after 0.4 s: the last readings are held for HELD."""
+
+    class Failing(SimplifiedPlant):
+        rotor_speed = np.full(4, 400.0)
+
+        def advance(self, x, u, duration, rng=None):
+            x, reading = super().advance(x, u, duration, rng)
+            failed = self.time > 0.4
+            self.rotor_speed = np.full(4, np.nan if failed and broken == "rotor_speed" else 400.0)
+            return x, reading + (np.nan if failed and broken == "reading" else 0.0)
+
+    dfbc = DFBC(vehicle, DFBCKeys(), no_residual(vehicle), backend="interpreted")
+    plant = Failing(vehicle, PlantEffects.none(), step=0.01, backend="interpreted")
+    flight = fly(plant, dfbc, SampledReference(Hover(position=(0, 0, 1), duration=1.0), dfbc), np.random.default_rng(0))
+    assert flight.t[-1] == pytest.approx(ends, abs=0.01)
+    assert flight.metadata["outcome"] == ("solver_failed" if broken else "ok")

@@ -9,10 +9,11 @@ from quadexp.api.loop import controller
 from quadexp.config.compose import compose, expand
 from quadexp.config.schema import WORLD, world_parts
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_controller, build_plant, build_vehicle
+from quadexp.experiment.build import build_controller, build_plant, build_vehicle, unshared
 from quadexp.experiment.build_world import build_world
 from quadexp.experiment.evaluate import InfeasibleError, fly_one, generator
 from quadexp.experiment.identity import flight_entropy, flight_record
+from quadexp.physics.state import POSITION, STATE_COLUMNS
 from quadexp.report.margin_line import world_note
 from quadexp.report.metrics import flight_metrics
 from quadexp.report.notes import notes
@@ -74,6 +75,17 @@ def test_metrics_are_of_the_truth():
     assert np.abs(told - true)[1:].max() > 0.05
     row = flight_metrics(flight, 0.0, 20.0)
     assert row["mean_error"] == pytest.approx(np.linalg.norm(true - wanted, axis=1).mean(), rel=1e-12)
+
+
+def test_the_accelerometers_noise_is_that_of_the_time():
+    """What it adds at 50 Hz is what it adds at 100 Hz at these instants."""
+
+    def added(rate):
+        sensors = (["sensor=lei_li"], [])
+        noisy, exact = (fly_one(compose([*SHORT, f"controller.rate={rate}", *sensor])) for sensor in sensors)
+        return (noisy.stack(["acc_x", "acc_y", "acc_z"]) - exact.stack(["acc_x", "acc_y", "acc_z"]))[1:]
+
+    assert added(50) == pytest.approx(added(100)[1::2], abs=1e-12) and np.ptp(added(50), axis=0).min() > 0.05
 
 
 def test_a_plant_that_only_advances_is_refused_in_one_line(tmp_path):
@@ -160,3 +172,77 @@ def test_a_loop_of_ones_own_in_a_world():
     for k, t in enumerate(loop.times):
         assert np.array_equal(x, flown.state[k])
         x, _ = plant.advance(x, loop.step(plant.measured, t), loop.period, noise)
+
+
+IN_MOTION = ["trajectory=ellipse", "trajectory.speed=5", "trajectory.acceleration=8"]
+INTERPRETED = ["controller.backend=interpreted", "plant.backend=interpreted"]
+OBSERVED = ["controller=nominal_mpc", "observer=disturbance"]
+HUMMINGBIRD, LEI_LI = ["vehicle=hummingbird"], ["vehicle=lei_li", "plant=blade_element"]
+
+
+@pytest.mark.parametrize(
+    ("first", "then"),
+    [
+        # What is believed of the plant is flown itself where it is the true one; its payload grows in flight.
+        (["controller=perfect_mpc"], ["controller=perfect_mpc", "truth.mass=1.05"]),
+        # The margins of a loop are those without what its observer found in the flight before.
+        (["external=push", "external.onset=0", "external.force=[4,2,-5]", *OBSERVED], ["link=latency", *OBSERVED]),
+    ],
+    ids=["believed plant", "margins under an observer"],
+)
+def test_a_flight_is_the_same_after_another(first, then):
+    given = [*LEI_LI, *IN_MOTION, "trajectory.duration=0.3", "plant.schedule=[{t: 0.1, payload: 0.4}]"]
+    given += ["controller.allow_unstable=true", *INTERPRETED]
+    other, config = compose([*given, *first]), compose([*given, *then])
+    with unshared():
+        alone = fly_one(config)
+    with unshared():
+        fly_one(other)
+        after = fly_one(config)
+    assert after.metadata["margins"] == alone.metadata["margins"]
+    np.testing.assert_array_equal(after.stack(STATE_COLUMNS), alone.stack(STATE_COLUMNS))
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        [*HUMMINGBIRD, "actuator=lag_30ms"],
+        [*HUMMINGBIRD, "battery=sag"],
+        [*HUMMINGBIRD, "health=rotor_loss"],
+        [*HUMMINGBIRD, "plant=rotorpy"],
+        [*HUMMINGBIRD, "plant=rotorpy", "wind=constant"],
+        [*LEI_LI, "plant.motor_lag=0.05"],
+    ],
+    ids=" ".join,
+)
+def test_rotors_begin_with_the_thrusts_of_a_reference_in_motion(given):
+    """They turn at sqrt(T / k)."""
+    config = compose([*given, *IN_MOTION, "trajectory.duration=0.1", "controller=dfbc"])
+    flight = fly_one(config)
+    speeds, thrusts = (flight.stack([f"{name}_{i}" for i in range(4)])[0] for name in ("rotor_speed", "ref_u"))
+    k = build_vehicle(config.vehicle).static_thrust_coefficient
+    assert thrusts.mean() > 1.1 * build_vehicle(config.vehicle).hover_thrust
+    np.testing.assert_allclose(speeds, np.sqrt(thrusts / k), rtol=1e-9)
+
+
+def test_a_battery_begins_with_the_current_that_the_thrusts_take():
+    """The voltage of the first instant is where the next one's goes on."""
+    given = [*IN_MOTION, "trajectory.duration=0.1", "controller=dfbc", "battery=sag", "plant=ideal"]
+    current = fly_one(compose([*given, "vehicle=sun"]))["battery_current"]
+    assert current[0] == pytest.approx(current[1], rel=0.02)
+
+
+@pytest.mark.parametrize("vehicle", ["sun", "torrente"])
+@pytest.mark.parametrize("lag", [[], ["actuator=lag_30ms", "controller.motor_lag=0.03"]], ids=["", "lag"])
+def test_a_known_delay_costs_nothing_from_the_first_instant_on(vehicle, lag):
+    late = ["link=latency", "link.latency=0.04", "controller.dead_time=0.04", *lag]
+    given = [f"vehicle={vehicle}", "plant=ideal", *IN_MOTION, "trajectory.duration=0.8", "controller=perfect_mpc"]
+    flight = fly_one(compose([*given, *late, "controller.backend=interpreted"]))
+    error = flight.stack(STATE_COLUMNS[POSITION]) - flight.stack([f"ref_{name}" for name in STATE_COLUMNS[POSITION]])
+    assert np.abs(error).max() < 1e-4
+
+
+def test_what_learns_from_delivered_thrusts_begins_with_those_of_a_reference_in_motion():
+    late = ["link=latency", "link.latency=0.04", "controller.dead_time=0.04", "controller.feedforward=false"]
+    given = ["plant=ideal", *IN_MOTION, "trajectory.duration=0.2", "controller=online_mpc", *late, *INTERPRETED]
+    assert np.abs(fly_one(compose(given))["innovation_z"][1:3]).max() < 0.05

@@ -8,16 +8,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from quadexp.errors import DataError, UsageError
+from quadexp.files.writer import check_output, written
 from quadexp.log.schema import FLIGHT_COLUMNS, describe
-from quadexp.log.store import (
-    check_output,
-    read_flight,
-    read_metadata,
-    read_table,
-    write_bytes,
-    write_flight,
-    write_table,
-)
+from quadexp.log.store import read_flight, read_metadata, read_table, write_flight, write_table
 from tests.log.flights import straight_flight
 
 
@@ -58,12 +51,9 @@ def test_nothing_is_left_behind_by_a_write_that_fails(tmp_path):
     path = write_flight(tmp_path / "a.parquet", straight_flight())
     before = path.read_bytes()
 
-    def fails(temporary):
-        temporary.write_bytes(b"half")
+    with pytest.raises(RuntimeError), written(path) as file:
+        file.write(b"half")
         raise RuntimeError("disk on fire")
-
-    with pytest.raises(RuntimeError):
-        write_bytes(path, fails)
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["a.parquet"]
 

@@ -77,8 +77,6 @@ def check_repeats(columns: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[F
     kept = np.ones(len(t), bool)
     if not names or len(t) < LEAST_ROWS:
         return [], kept
-    if np.ptp(columns[names[0]]) == 0:
-        return [], kept
     number = _row_numbers([columns[name] for name in names])
     _, first, inverse = np.unique(number, return_index=True, return_inverse=True)
     again = first[inverse.ravel()] < np.arange(len(t))

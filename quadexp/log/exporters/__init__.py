@@ -1,4 +1,4 @@
-"""Flights in other programs' formats: one module a format, each takes a flight and a path and says what it wrote."""
+"""Flights in other programs' formats: one module a format, `write(flight, path, force=...)` says what it wrote."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from importlib import import_module
 from pathlib import Path
 
 from quadexp.errors import UsageError
-from quadexp.log.schema import Flight
-from quadexp.log.store import check_output, read_flight
+from quadexp.files.writer import check_output
+from quadexp.log.store import read_flight
 
 
 @dataclass(frozen=True)
@@ -47,5 +47,5 @@ def export_flight(
     if not len(loaded):
         raise UsageError(f"{source}: holds no samples ({loaded.outcome}), there is nothing to export")
     check_output(target, force=force, folder=not chosen.suffix)
-    write: Callable[[Flight, Path], dict[str, Path]] = import_module(f"{__name__}.{chosen.module}").write
-    return write(loaded, target)
+    write: Callable[..., dict[str, Path]] = import_module(f"{__name__}.{chosen.module}").write
+    return write(loaded, target, force=force)

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 from quadexp import __version__
+from quadexp.files.writer import written
 from quadexp.log.extras import missing_package
 from quadexp.log.schema import Flight, describe
-from quadexp.log.store import write_bytes
 
 PATH_POINTS = 2000
 
@@ -42,19 +42,15 @@ SCHEMAS = {
 }  # fmt: skip
 
 
-def write(flight: Flight, path: Path) -> dict[str, Path]:
+def write(flight: Flight, path: Path, *, force: bool = True) -> dict[str, Path]:
     """Write the file; UsageError where the package is missing."""
     try:
         importlib.import_module("mcap")
     except ImportError:
         raise missing_package("--to mcap", "mcap", "viz") from None
-    return {"mcap": write_bytes(path, lambda temporary: _write(flight, temporary))}
-
-
-def _write(flight: Flight, path: Path) -> None:
     from mcap.writer import Writer
 
-    with open(path, "wb") as file:
+    with written(path, force=force) as file:
         writer = Writer(file)
         writer.start(profile="", library=f"quadexp {__version__}")
         channels = {
@@ -90,6 +86,7 @@ def _write(flight: Flight, path: Path) -> None:
             )  # fmt: skip
         writer.add_metadata("quadexp", {"record": json.dumps(flight.metadata, sort_keys=True)})
         writer.finish()
+    return {"mcap": path}
 
 
 def _channels(flight: Flight) -> list[tuple[str, str, dict[str, Any]]]:

@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
+from quadexp.files.writer import write_text
 from quadexp.log.exporters.table_csv import write_columns
 from quadexp.log.importers.mapped import turn_attitude
 from quadexp.log.schema import Flight
 from quadexp.log.signal import continuous
-from quadexp.log.store import write_text
 from quadexp.log.units import axes_matrix
 
 NED_ENU, FRD_FLU = axes_matrix("world", "NED", ""), axes_matrix("body", "FRD", "")
@@ -39,15 +39,16 @@ UNITS = {
 Topic = dict[str, np.ndarray]
 
 
-def write(flight: Flight, path: Path) -> dict[str, Path]:
+def write(flight: Flight, path: Path, *, force: bool = True) -> dict[str, Path]:
     """Write the folder `path`; returns topic -> file."""
     timestamp = np.round(1e6 * flight.t).astype(np.int64)
     files = {
-        name: write_columns(path / f"{path.name}_{name}_0.csv", {"timestamp": timestamp, **topic})
+        name: write_columns(path / f"{path.name}_{name}_0.csv", {"timestamp": timestamp, **topic}, force=force)
         for name, topic in topics(flight, timestamp).items()
     }
     about = {"units": UNITS, "record": flight.metadata}
-    return files | {"about": write_text(path / f"{path.name}_about.json", json.dumps(about, indent=1) + "\n")}
+    text = json.dumps(about, indent=1) + "\n"
+    return files | {"about": write_text(path / f"{path.name}_about.json", text, force=force)}
 
 
 def topics(flight: Flight, timestamp: np.ndarray) -> dict[str, Topic]:

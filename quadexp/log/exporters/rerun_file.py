@@ -10,28 +10,34 @@ record                 the flight's record, as JSON text
 from __future__ import annotations
 
 import json
+import shutil
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from quadexp.errors import QuadexpError
+from quadexp.files.writer import written
 from quadexp.log.extras import missing_package
 from quadexp.log.schema import Flight
-from quadexp.log.store import write_bytes
 
 TIMELINE = "t"
 BLUE, GREY = (0, 114, 178), (136, 136, 136)
 
 
-def write(flight: Flight, path: Path) -> dict[str, Path]:
+def write(flight: Flight, path: Path, *, force: bool = True) -> dict[str, Path]:
     """Write the recording; UsageError where the package is missing."""
     try:
         import rerun
     except ImportError:
         raise missing_package("--to rerun", "rerun-sdk", "viz") from None
     try:
-        return {"rerun": write_bytes(path, lambda temporary: _write(flight, temporary, rerun))}
+        with written(path, force=force) as file, tempfile.TemporaryDirectory() as folder:  # rerun takes a path only
+            _write(flight, stored := Path(folder) / "flight.rrd", rerun)
+            with open(stored, "rb") as source:
+                shutil.copyfileobj(source, file)
+        return {"rerun": path}
     except RuntimeError as error:  # its writer thread died: what is said above by rerun itself
         raise QuadexpError(f"{path}: cannot be written ({error})") from None
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from quadexp.log.hypotheses.windows import Windows, multiply
 from quadexp.log.units import UNITS, axes_matrix, axes_words
+from quadexp.messages import yaml
 from quadexp.physics.vehicle import GRAVITY
 
 NED = axes_matrix("world", "NED", "")
@@ -72,10 +73,9 @@ def flow(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(flow, value)) + "]"
     if isinstance(value, str):
-        plain = value and all(c.isalnum() or c in "_./^" for c in value) and not value[0].isdigit()
+        plain = value and all(c.isalnum() or c in "_./^" for c in value) and not value[0].isdigit() and value[0] != "."
         words = ("y", "n", "yes", "no", "on", "off", "true", "false", "null")
-        quoted = '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
-        return value if plain and value.lower() not in words else quoted
+        return value if plain and value.lower() not in words else yaml(value)
     return f"{value:.10g}" if isinstance(value, float) else str(value)
 
 

@@ -38,6 +38,7 @@ from quadexp.log.importers.names import NOT_MEASURED, groups, hint, numbered_qua
 from quadexp.log.importers.rotor_columns import find_battery, find_motors
 from quadexp.log.importers.table import numbers, open_table
 from quadexp.log.units import UNITS
+from quadexp.messages import printable
 
 Groups = dict[str, list[list[int]]]  # quantity -> groups of columns, the likeliest first
 ORDER = ("time", "world", "body", "position", "attitude", "velocity", "rate", "acceleration")
@@ -69,12 +70,13 @@ class Description:
     def yaml(self) -> str:
         """The mapping, as `--mapping` takes it, with the confidence behind every line."""
         lines = [
-            f"# {self.path.name}: proposed by `quadexp import --describe`; check what is not sure.",
+            f"# {printable(self.path.name)}: proposed by `quadexp import --describe`; check what is not sure.",
             f"format: {self.format}",
         ]
         for key, made in self.fields.items():
-            lines += [f"# {key}: {made.sureness} ({made.confidence:.0%}): {made.why}", f"{key}: {flow(made.value)}"]
-        return "\n".join([*lines, *(f"# note: {text}" for text in self.warnings), ""])
+            why = f"{made.sureness} ({made.confidence:.0%}): {made.why}"
+            lines += [f"# {key}: {printable(why)}", f"{key}: {flow(made.value)}"]
+        return "\n".join([*lines, *(f"# note: {printable(text)}" for text in self.warnings), ""])
 
     def record(self) -> dict[str, Any]:
         fields = {

@@ -89,8 +89,7 @@ def _import(path: Path, vehicle: Vehicle | None, options: Options, mapping: Mapp
         raise DataError(f"{path}: its content is {kind}, not --log-format {options.format}")
     log = read_log(path, kind, options.format, mapping)
     if isinstance(log, Flight):
-        if options.mounting or options.gyro_mounting:
-            raise DataError(f"{path}: --mounting is for logs; this file holds a flight as it is")
+        _refuse_changes(path, log, vehicle, options)
         return _mended(log, vehicle, options)
     _unmount(path, log, options)
     offsets, found = _offsets(path, log, options.align)
@@ -99,6 +98,18 @@ def _import(path: Path, vehicle: Vehicle | None, options: Options, mapping: Mapp
     metadata = _metadata(path, log, made, vehicle, offsets)
     flight, left_out = _mended(Flight(made.columns, metadata), vehicle, options, made.derived)
     return flight, [*made.notes, *found, *left_out]
+
+
+def _refuse_changes(path: Path, flight: Flight, vehicle: Vehicle | None, options: Options) -> None:
+    """Raise DataError where the options would change a flight that is taken as it is."""
+    asked = {"--mounting": options.mounting, "--gyro-mounting": options.gyro_mounting, "--rate": options.rate}
+    asked |= {"--align": options.align}
+    flown = flight.metadata.get("vehicle") or {}
+    if vehicle is not None:
+        asked[f"--vehicle {vehicle.name}"] = flown.get("fingerprint") != vehicle.fingerprint
+    if wrong := next((option for option, value in asked.items() if value), None):
+        by = f" by {flown['name']}" if "name" in flown else ""
+        raise DataError(f"{path}: {wrong} is for logs; this file holds a flight{by} as it is")
 
 
 def _mended(

@@ -28,6 +28,7 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.config.plain_data import read_data
 from quadexp.errors import UsageError
 from quadexp.log.importers.raw import QUANTITIES, ROTORS, Crop, columns_of
 from quadexp.log.units import (
@@ -123,9 +124,8 @@ def load_mapping(path: Path) -> Mapping:
     import yaml
 
     try:
-        text = path.read_text(encoding="utf-8")
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
-        values = yaml.safe_load(text)
+        values = read_data(path)
+        root = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
     except FileNotFoundError:
         raise UsageError(f"{path}: no such mapping") from None
     except (OSError, UnicodeDecodeError) as error:

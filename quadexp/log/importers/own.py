@@ -1,4 +1,6 @@
-"""What this program wrote, back as a flight: Parquet, csv, tum, mcap. Nothing is resampled or cropped."""
+"""What this program wrote, back as a flight: Parquet, csv, mcap, by the record in it or beside it. Nothing is resampled
+or cropped. A csv with the names of a flight's columns and no record beside it, and tum, are logs like any other.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ import numpy as np
 
 from quadexp.errors import DataError
 from quadexp.log.extras import missing_package
-from quadexp.log.importers.raw import Crop, RawLog, clean_stream
+from quadexp.log.importers.raw import QUANTITIES, ROTORS, Crop, RawLog, clean_stream, columns_of
 from quadexp.log.importers.table import Table, open_table
 from quadexp.log.schema import FLIGHT_COLUMNS, Flight, describe
 from quadexp.log.store import first_line, read_table
@@ -36,7 +38,7 @@ def is_tum(table: Table) -> bool:
 
 
 def read_own(path: Path, kind: str) -> Flight | RawLog:
-    """A flight as it was written; a RawLog of poses from tum. Raises DataError."""
+    """A flight as it was written; a RawLog from tum, and from a csv without its record. Raises DataError."""
     if kind == "parquet":
         columns, record = read_table(path, "flight", required=("t",))
         return Flight(columns, record)
@@ -51,8 +53,21 @@ def read_own(path: Path, kind: str) -> Flight | RawLog:
         return _tum(table)
     if not _is_csv(table):
         raise DataError(f"{path}: not written by quadexp: columns {', '.join(table.columns[:6])}, ...")
-    columns = table.read(table.columns, [])
-    return Flight(_typed(columns), _record(path))
+    notes: list[str] = []
+    columns, beside = table.read(table.columns, notes), _record(path)
+    return _streams(path, columns, notes) if beside is None else Flight(_typed(columns), beside)
+
+
+def _streams(path: Path, columns: dict[str, np.ndarray], notes: list[str]) -> RawLog:
+    """A log under the names of a flight's columns, so in their units and frames, and the vehicle's order of rotors."""
+    log = RawLog("csv", {}, "quadexp", notes=notes)
+    for quantity, names in QUANTITIES.items():
+        if quantity in ROTORS:
+            names = columns_of(quantity, sum(c.startswith(names[0].format("")) for c in columns))
+        if names and set(names) <= set(columns):
+            values = np.stack([columns[name] for name in names], axis=1)
+            log.streams[quantity] = clean_stream(path, quantity, columns["t"], values, notes)
+    return log
 
 
 def _typed(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -62,11 +77,11 @@ def _typed(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return columns
 
 
-def _record(path: Path) -> dict[str, Any]:
+def _record(path: Path) -> dict[str, Any] | None:
     """The record beside a csv, where it still lies there."""
     file = path.with_name(f"{path.name}.json")
     if not file.is_file():
-        return {"name": path.stem, "outcome": "ok"}
+        return None
     try:
         record = json.loads(file.read_text(encoding="utf-8"))["record"]
         return dict(record)

@@ -184,12 +184,15 @@ def _hermite(x: np.ndarray, slopes: np.ndarray, left: np.ndarray, width: np.ndar
 
 
 def slerp(t: np.ndarray, q: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Spherical linear interpolation of unit quaternions q (k, 4), signs continuous, at the times `at`, (n, 4)."""
+    """Spherical linear interpolation of quaternions q (k, 4) at the times `at`, (n, 4), along the shorter arc: q and -q
+    are one attitude."""
     q = q / np.linalg.norm(q, axis=1, keepdims=True)
     left = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
     share = ((at - t[left]) / (t[left + 1] - t[left]))[:, None]
     a, b = q[left], q[left + 1]
-    angle = np.arccos(np.clip(np.sum(a * b, axis=1, keepdims=True), -1, 1))
+    cosine = np.sum(a * b, axis=1, keepdims=True)
+    b = np.where(cosine < 0, -b, b)
+    angle = np.arccos(np.clip(np.abs(cosine), -1, 1))
     small = angle < 1e-6  # there the arc is its chord
     sine = np.where(small, 1, np.sin(angle))
     first = np.where(small, 1 - share, np.sin((1 - share) * angle) / sine)

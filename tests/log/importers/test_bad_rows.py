@@ -59,7 +59,8 @@ def with_line(flight: Flight, start: float, end: float) -> Flight:
 
 def imported(folder, flight: Flight, how: str, vehicle: str = "torrente"):
     """(outcome, flight) of a log written and imported."""
-    (folder / "mapping.yaml").write_text(MAPPING)
+    lines = MAPPING.splitlines(keepends=True)
+    (folder / "mapping.yaml").write_text("".join(x for x in lines if "w_x" in flight.columns or "rate" not in x))
     log = write_csv(folder / "log.csv", dict(flight.columns))
     options = Options(mapping=folder / "mapping.yaml", bad_rows=how)
     (outcome,) = import_files([log], folder / how, options, vehicle=vehicle)
@@ -106,6 +107,24 @@ def test_bad_rows_are_refused_dropped_or_gaps(tmp_path, case):
         assert (flight["segment"][-1] > 0) == (how == "gap" or name == "dead_logger")
 
 
+@pytest.mark.parametrize("gyro", [True, False])
+@pytest.mark.parametrize("seed", [80, 90])
+def test_a_row_is_bridged_across_a_change_of_sign(tmp_path, gyro, seed):
+    """q and -q are one attitude: the bridge between them is the short one, and no good row beside it is left out."""
+    truth = imitated(seed, "torrente", duration=15)
+    bad = with_repeats(truth, 0.01, seed)
+    spoilt = bad["p_x"] != truth["p_x"]
+    after = np.flatnonzero(spoilt)[::5] + 1
+    flipped = np.where(np.cumsum(np.isin(np.arange(len(truth)), after)) % 2, -1.0, 1.0)
+    columns = {name: values * flipped if name in Q else values for name, values in bad.columns.items()}
+    columns = {name: values for name, values in columns.items() if gyro or not name.startswith("w_")}
+    outcome, flight = imported(tmp_path, Flight(columns, {}), "drop")
+    assert flight is not None, outcome.cause
+    assert flight.metadata["source"]["left_out"]["rows"] == {"duplicated_rows": spoilt.sum()}
+    dot = np.abs(np.sum(flight.stack(Q) * truth.stack(Q), axis=1))
+    assert len(flight) == len(truth) and np.degrees(2 * np.arccos(np.minimum(dot, 1))).max() < 5
+
+
 def test_the_line_is_named_with_its_time():
     for vehicle, seed, start, length in zip(
         VEHICLES, range(81, 85), (3.0, 6.5, 9.0, 4.4), (0.8, 2.0, 4.0, 1.3), strict=True
@@ -148,6 +167,16 @@ def test_smooth_simulated_flights_hold_no_line():
 def test_too_many_bad_rows_are_not_left_out(tmp_path):
     outcome, flight = imported(tmp_path, with_repeats(imitated(87, "torrente", duration=10), 0.3), "drop")
     assert flight is None and any("20% is the most" in note for note in outcome.notes)
+
+
+@pytest.mark.parametrize("first", ["status", "ref_p_z"])
+def test_pasted_rows_are_found_whatever_column_is_first(first):
+    flight = imitated(91, "torrente", duration=15)
+    rows = np.arange(len(flight))
+    rows[900:1200] = rows[300:600]
+    columns = {first: np.zeros(len(flight)), **{n: x if n == "t" else x[rows] for n, x in flight.columns.items()}}
+    (found,) = [one for one in check_flight(Flight(columns, {})) if one.name == "duplicated_rows"]
+    assert found.blocks and found.span == pytest.approx((9.0, 12.0), abs=0.03)
 
 
 def test_copies_time_and_all_are_dropped(tmp_path):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from quadexp.errors import DataError
 from quadexp.log.exporters import export_flight
 from quadexp.log.importers import Options, import_log
 from quadexp.log.schema import Flight
@@ -70,6 +71,33 @@ def test_a_changed_name_changes_nothing(flown, tmp_path):
     (tmp_path / "made.log").write_bytes(path.read_bytes())
     again, _ = import_log(tmp_path / "made.log", None, Options())
     np.testing.assert_array_equal(again.t, flight.t)
+
+
+def test_a_log_under_these_names_is_a_log(flown, tmp_path):
+    """What is an export of this program says its record, not the names of the columns."""
+    from tests.log.importers.vehicles import quad_x
+
+    flight, path = flown
+    export_flight(path, "csv", tmp_path / "made.csv")
+    (tmp_path / "made.csv.json").unlink()
+    again, _ = import_log(tmp_path / "made.csv", quad_x(), Options(rate=20.0, align=True))
+    source = again.metadata["source"]
+    assert again.metadata["recorded"] and source["resampled"] and source["rate"] == 20.0
+    assert again.metadata["vehicle"]["fingerprint"] == quad_x().fingerprint
+    assert np.allclose(np.diff(again.t), 0.05)
+    assert {name for name in flight.columns if not name.startswith("ref_w")} - {"status"} <= set(again.columns)
+
+
+@pytest.mark.parametrize("options", [{"rate": 20.0}, {"align": True}, {"mounting": (0.0, 0.0, 1.0)}, {}], ids=str)
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_what_would_change_a_flight_is_refused(flown, tmp_path, form, options):
+    from tests.log.importers.vehicles import quad_x
+
+    _, path = flown
+    if form == "csv":
+        path = export_flight(path, "csv", tmp_path / "made.csv")["csv"]
+    with pytest.raises(DataError, match="is for logs; this file holds a flight"):
+        import_log(path, None if options else quad_x(), Options(**options))
 
 
 @pytest.mark.parametrize("version", ["new", "old"])
