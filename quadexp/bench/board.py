@@ -12,22 +12,29 @@ import numpy as np
 from quadexp.bench.protocol import SHORT
 from quadexp.bench.ranking import Row, Standing, standings
 from quadexp.errors import UsageError
-from quadexp.log.store import read_table, read_text, write_table, write_text
+from quadexp.files.writer import write_text
+from quadexp.log.store import read_table, read_text, write_table
 from quadexp.provenance import provenance
+from quadexp.report.inference import least_seeds
 from quadexp.report.metrics import SHOWN
 from quadexp.report.result_rows import from_columns, to_columns
 from quadexp.report.table import Table
-from quadexp.report.text import count, duration, listed, number
+from quadexp.report.text import count, duration, listed, number, too_few
 
 FILE = "leaderboard.parquet"
 TEXTS = ("entry", "settings", "family", "task", "world", "size", "protocol_sha256")
 NUMBERS = ("protocol", "bound")
 BEGIN, END = "<!-- bench: begin (written by the command; edit nothing up to the end) -->", "<!-- bench: end -->"
 RULE = (
-    "Place: by flights lost, the fewest first, then by mean rank over all cells (task, world, seed), where lost flights"
-    " share the last ranks; in brackets the 95 % interval over the seeds. =: not told apart from the one above."
-    " x least: geometric mean of the error over the least of each cell. Bounds are told the plant's equations and take"
-    " no rank. step: median over the instants of the fastest loop, on the machine that flew: no part of the rank."
+    "Place: who is not told apart by the flights lost from the entry that lost the fewest, by mean rank over all"
+    " cells (task, world, seed), where lost flights share the last ranks; then the others in the same way. In"
+    " brackets the 95 % interval over the seeds. =: not told apart from the one above (paired permutation test of"
+    " the seeds, p < 0.05 each). x least: geometric mean of the error over the least of each cell. It and the"
+    " error over the baseline's are of flights that ended well, (n): of n only, and who loses the hard ones has"
+    " less. Bounds are told the plant's equations and take no rank. settings: as shipped are those of a"
+    " publication or, where there is none, of this program; set by hand on seeds that are flown here, they are"
+    " flattered. Bold: the least of a line, without a test. step: median over the instants of the fastest loop, on"
+    " the machine that flew: no part of the rank."
 )
 
 
@@ -94,6 +101,9 @@ def board_table(rows: Sequence[Row], *, metric: str, baseline: str, title: str =
     found = standings(rows, metric=metric, baseline=baseline)
     heads = ["place", "entry", "settings", "ended well", "mean rank", "x least", f"error / {baseline}", "step"]
     notes = [f"{listed([one.entry for one in found if one.bound])}: bound, not ranked"] if found[-1].bound else []
+    seeds = len({row["seed"] for row in rows})
+    if seeds < least_seeds(1):
+        notes.append(f"{too_few(seeds, least_seeds(1), 0.95)}; nobody is told apart")
     return Table(heads, [_line(one) for one in found], title, left=frozenset({1, 2}), notes=notes)
 
 
@@ -105,7 +115,11 @@ def _line(one: Standing) -> list[str]:
     )
     ended = f"{one.flights - one.lost} of {one.flights}"
     step = duration(one.step).replace("µ", "u")
-    return [place, one.entry, one.settings, ended, rank, number(one.least), ratio, step]
+    least, ratio = (
+        text + (f" ({cells})" if cells < one.flights and text != "-" else "")
+        for text, cells in ((number(one.least), one.least_cells), (ratio, one.ratio_cells))
+    )
+    return [place, one.entry, one.settings, ended, rank, least, ratio, step]
 
 
 def _limits(low: float, high: float, form: str = ".2f") -> str:

@@ -16,17 +16,17 @@ from quadexp.config.schema import PRESETS, REMEDIES, Config, remedies
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle, find_model, knows_plant
 from quadexp.experiment.build_world import build_world
-from quadexp.tune.preset import provenance_of
+from quadexp.tune.preset import BY_HAND, provenance_of
 
 ALLOWED = ("controller", *PRESETS, "remedies", *REMEDIES)  # groups that an entry may set
-PUBLISHED = "published"
+SHIPPED = "as shipped"
 
 
 @dataclass(frozen=True)
 class Entry:
     """name: of its rows. overrides: what makes it. bound: whether it is told the plant's equations. settings:
-    published, tuned with so many flights, or set by hand. models: whether it may need a checkpoint. network: whether
-    that is a network."""
+    as shipped, tuned with so many flights, or set by hand, on which seeds. models: whether it may need a checkpoint.
+    network: whether that is a network."""
 
     name: str
     overrides: tuple[str, ...]
@@ -70,24 +70,29 @@ def _entry(text: str, composer: Composer, protocol: Protocol, extra: Path | None
 
 
 def _settings(given: Sequence[str], protocol: Protocol, extra: Path | None) -> str:
-    """Where its settings come from; raises UsageError where they were chosen on flights of the protocol.
+    """Where its settings come from; raises UsageError where they were tuned on flights of the protocol.
 
-    A bundle that was not tuned counts as set by hand, as keys do: no publication has its values.
+    A bundle without provenance counts as set by hand, as keys do: no publication has its values.
     """
     last = max(int(one["seeds"]) for family in protocol.families.values() for one in family.sizes.values())
-    flights, by_hand = 0, False
+    flights, by_hand, watched = 0, False, set[int]()
     for word in given:
         group, _, option = word.partition("=")
         about = provenance_of(option, extra, group) if group in ("controller", "remedies", *REMEDIES) else None
         if about is None:
             by_hand |= group == "remedies"
             continue
+        if BY_HAND in about:
+            watched |= {*about["seeds"]}
+            continue
         if common := {*about.get("seeds", [])} & {*protocol.seeds(last)}:
             raise UsageError(f"{word}: was tuned on seed {min(common)}, which the protocol flies: tune it on others")
         flights += int(about.get("flights", 0))
     own = [word for word in given if word.partition("=")[0].count(".")]
     parts = [f"tuned, {flights} flights"] if flights else []
-    return ", ".join([*parts, "set by hand"] if own or by_hand else parts) or PUBLISHED
+    if own or by_hand or watched:
+        parts.append("set by hand" + (f", seeds {min(watched)} to {max(watched)}" if watched else ""))
+    return ", ".join(parts) or SHIPPED
 
 
 def configs_of(

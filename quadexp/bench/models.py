@@ -10,7 +10,7 @@ from quadexp.config.compose import Composer
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.fit import fit_checkpoint
 from quadexp.experiment.identity import digest
-from quadexp.log.store import write_text
+from quadexp.files.writer import write_text
 from quadexp.provenance import DECIDING, package_folder, source_hash
 
 MODEL = "model.json"

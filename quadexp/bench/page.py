@@ -13,11 +13,12 @@ from quadexp import __version__
 from quadexp.bench.board import RULE, board_table, error_table, families_of
 from quadexp.bench.protocol import SHORT, Protocol
 from quadexp.bench.ranking import Row
-from quadexp.log.store import write_text
+from quadexp.files.writer import write_text
 from quadexp.report.flown_by import flown_by_lines
 from quadexp.report.page import palette
+from quadexp.report.page.build import environment
 from quadexp.report.table import Table
-from quadexp.report.text import count, typeset
+from quadexp.report.text import count
 
 STYLE = files("quadexp.report.page") / "templates"
 TEMPLATE = files("quadexp.bench") / "leaderboard.html.j2"
@@ -25,10 +26,6 @@ TEMPLATE = files("quadexp.bench") / "leaderboard.html.j2"
 
 def write_page(path: Path, rows: Sequence[Row], protocol: Protocol, notes: Sequence[str] = ()) -> Path:
     """Write the page of a leaderboard."""
-    from jinja2 import Environment
-
-    environment = Environment(autoescape=True)
-    environment.filters["typeset"] = typeset
     light, dark = palette.css_blocks()
     options: dict[str, Any] = {"metric": protocol.metric}
     families = [
@@ -42,7 +39,8 @@ def write_page(path: Path, rows: Sequence[Row], protocol: Protocol, notes: Seque
         for name, own in families_of(rows).items()
     ]
     entries = list(dict.fromkeys(str(row["entry"]) for row in rows))
-    page = environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+    template = environment().from_string(TEMPLATE.read_text(encoding="utf-8"))
+    page = template.render(
         version=__version__,
         title=f"Leaderboard, protocol v{protocol.version}",
         lead=f"{count(len(entries), 'entry').replace('entrys', 'entries')}, {count(len(rows), 'flight')}, size"

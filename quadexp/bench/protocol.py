@@ -24,10 +24,12 @@ from quadexp.config.compose import Composer, session
 from quadexp.config.schema import WORLD, Config
 from quadexp.config.settings import record
 from quadexp.errors import DataError, UsageError
+from quadexp.files.writer import write_text
 from quadexp.messages import suggestion
 from quadexp.report.text import count
 
 LATEST = 2
+FORMER = {"gp=default": "gp=zero_mean"}  # what versions 1 and 2 say, and what it is called today
 FOLDER = files("quadexp.bench") / "protocols"
 SHORT = 12  # hex digits of a hash
 GROUPS = ("vehicle", "plant", "sensor", "trajectory")
@@ -93,7 +95,8 @@ def _protocol(version: int, text: bytes, sha256: str) -> Protocol:
     families = {}
     for name, one in content["families"].items():
         tasks, worlds = ({key: tuple(value) for key, value in one[part].items()} for part in ("tasks", "worlds"))
-        families[name] = Family(name, one["what"], tuple(one["given"]), one["models"], tasks, worlds, one["sizes"])
+        models = {key: [FORMER.get(text, text) for text in given] for key, given in one["models"].items()}
+        families[name] = Family(name, one["what"], tuple(one["given"]), models, tasks, worlds, one["sizes"])
     return Protocol(version, sha256, content["metric"], content["baseline"], content["first_seed"], families)
 
 
@@ -179,7 +182,7 @@ def write_lock(version: int, folder: Path) -> Path:
     with session() as composer:
         values = resolved(_protocol(version, text, ""), composer)
     path = folder / f"v{version}.lock.json"
-    path.write_text(json.dumps(values, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(values, indent=1, sort_keys=True) + "\n")
     return path
 
 

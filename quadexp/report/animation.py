@@ -6,7 +6,6 @@ every vehicle drawn to scale from above. Where there is wind, an arrow in its co
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,16 +13,17 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import UsageError
+from quadexp.files.writer import check_output, written
+from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
-from quadexp.log.store import check_output, read_flight, write_bytes
+from quadexp.log.store import read_flight
 from quadexp.report.metrics import position_error
 from quadexp.report.page.replay import SOME_ROTORS
-from quadexp.report.style import looks, plain_log, styled
+from quadexp.report.style import Figure, looks, plain_log, styled
 from quadexp.report.text import speed_text
 
 FORMATS = (".gif", ".webp")
@@ -54,7 +54,7 @@ def animate(
         raise UsageError(f"--out {out}: must end in {' or '.join(FORMATS)}")
     if not 1 <= rate <= 50:
         raise UsageError(f"--rate {rate:g}: must be in [1, 50] frames per second")
-    flights = [read_flight(path) for path in paths]
+    flights = [read_flight(path, whole=True) for path in paths]
     _check_same_reference(paths, flights)
     last = max(float(flight["t"][-1]) for flight in flights)
     end = last if end is None else min(end, last)
@@ -66,16 +66,14 @@ def animate(
     check_output(out, force=force)
     picture = _Picture(_labels(paths, flights), flights, begin, end)
     frames = [picture.frame(t) for t in times]
-    durations = [round(1000 / rate)] * (len(frames) - 1) + [round(1000 * HOLD)]
+    unit = 10 if out.suffix.lower() == ".gif" else 1  # ms, of the durations that a file can hold
+    shown = unit * np.diff(np.round(1000 * (times - begin) / unit)).astype(int)  # rounded, without drifting from t
+    durations = [*shown.tolist(), round(1000 * HOLD)]
 
-    def write(path: Path) -> None:
-        stored = io.BytesIO()
+    with written(out, force=force) as file:
         frames[0].save(
-            stored, out.suffix[1:].upper(), save_all=True, append_images=frames[1:], duration=durations, loop=0
+            file, out.suffix[1:].upper(), save_all=True, append_images=frames[1:], duration=durations, loop=0
         )
-        path.write_bytes(stored.getvalue())
-
-    write_bytes(out, write)
     return {"path": out, "frames": len(frames), "duration": len(frames) / rate}
 
 
@@ -116,11 +114,12 @@ class _Picture:
         path.set(xlabel="x (m)", ylabel="y (m)")
         path.set_title(_title(longest), fontsize=9)
         self._here, self._trails, self._lines, self._bodies = [], [], [], []
-        for label, error in zip(labels, self._errors, strict=True):
+        for label, flight, error in zip(labels, flights, self._errors, strict=True):
             colour = found[label].colour
             self._trails += path.plot([], [], color=colour, linewidth=2)
             self._here += path.plot([], [], marker="o", markersize=5, color=colour, linestyle="none")
-            self._lines += course.plot([], [], color=colour, label=f"{label}: mean {1e3 * error.mean():.3g} mm")
+            of_all = f"mean {1e3 * error.mean():.3g} mm" if flight.outcome in COMPLETED else flight.outcome
+            self._lines += course.plot([], [], color=colour, label=f"{label}: {of_all}")
             body = LineCollection([], colors=colour, linewidths=2.2)
             near.add_collection(body)
             self._bodies.append(body)

@@ -10,16 +10,15 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from quadexp.log.finding import Finding
 from quadexp.log.hypotheses.windows import STREAMS, Pair, cut, pairs, window_starts
 from quadexp.log.schema import Flight
-from quadexp.report.style import COLOURS, styled
+from quadexp.report.style import COLOURS, Figure, styled
 
 COLUMNS = (
     (("velocity",), "velocity, world (m/s)", "v", "dp/dt"),
-    (("force", "force (p)", "thrust", "thrust (p)"), "specific force, body (m/s²)", "acc", "$R^T$(dv/dt + g)"),
+    (("force", "force (p)", "thrust", "thrust (p)"), "specific force, body (m/s²)", "acc", "Rᵀ(dv/dt + g)"),
     (("rate",), "body rate (rad/s)", "w", "from the attitude"),
 )
 FOUND, EXPECTED = COLOURS[2], COLOURS[1]

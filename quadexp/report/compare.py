@@ -3,8 +3,9 @@
 Every other one is compared with the first, b with a: difference = b - a, relative = 100 (b - a) / a (%).
 
 Flights of two results are paired by condition, contestant and seed. Errors are over the flights that all contestants
-ended well in both (pairing.py): b is compared with a as a contestant is with a baseline in overall.py, by a mean ratio
-with its interval and a paired permutation test; b is "not distinguishable" if that is not significant.
+ended well in both (pairing.py): b is compared with a as a contestant is with a baseline in statistics.py, by a mean
+ratio over the seeds with its interval and a paired permutation test; b is "not distinguishable" if that is not
+significant, and "n seeds cannot tell" where it could not be.
 """
 
 from __future__ import annotations
@@ -306,16 +307,21 @@ def _contestants(
                 },
                 **change(*_means(well, metric)),
                 "pairs": pooled.pairs,
+                "seeds": pooled.units,
                 "left_out": ", ".join(filter(None, left_out)),
                 "ratio": -pooled.reduction,
                 "ratio_low": -pooled.reduction_high,
                 "ratio_high": -pooled.reduction_low,
                 "p": pooled.p,
+                "p_least": pooled.p_least,
                 "own": {"pairs": len(own), **change(*_means(own, metric))},
             }
         )
-    for one, p in zip(made, holm(np.array([one["p"] for one in made])), strict=True):
+    corrected = holm(np.array([one["p"] for one in made]))
+    tests = int(np.count_nonzero(~np.isnan(corrected)))
+    for one, p in zip(made, corrected, strict=True):
         one |= {"p_holm": float(p), "distinguishable": bool(p < 1 - confidence)}
+        one["testable"] = bool(tests * float(str(one["p_least"])) < 1 - confidence)
     return made
 
 
@@ -338,22 +344,24 @@ def _conditions(both: Mapping[Key, tuple[Row, Row]], labels: Mapping[Any, str], 
 
 def _metric_lines(metrics: Sequence[Mapping[str, Any]], metric: str) -> list[str]:
     factor, unit = SHOWN[metric]
-    heading = [f"{TITLES[metric]} ({unit})", "flown a", "flown b", "pairs", "a", "b", "b - a", "ratio", "p (Holm)"]
+    heading = [f"{TITLES[metric]} ({unit})", "flown a", "flown b", "pairs", "seeds", "a", "b", "b - a", "ratio"]
     rows, left_out, own = [], [], []
     for one in metrics:
         limits = "" if math.isnan(one["ratio_low"]) else f" [{one['ratio_low']:+.3g}, {one['ratio_high']:+.3g}]"
         ratio = relative(one["ratio"]) + ("" if one["ratio"] == 0 or math.isnan(one["ratio"]) else limits)
-        verdict = ("smaller" if one["ratio"] < 0 else "larger") if one["distinguishable"] else "not distinguishable"
+        verdict = "not distinguishable" if one["testable"] else f"{count(one['seeds'], 'seed')} cannot tell"
+        verdict = ("smaller" if one["ratio"] < 0 else "larger") if one["distinguishable"] else verdict
         verdict = {"-": "-", "same": "the same"}.get(ratio, verdict)
         flown = [f"{k} of {n}" for k, n in (one["flown"][side] for side in "ab")]
         numbers = [number(factor * one[name]) for name in ("a", "b", "difference")]
-        rows.append([one["label"], *flown, str(one["pairs"]), *numbers, ratio, p_value(one["p_holm"]), verdict])
+        p = p_value(one["p_holm"] if one["testable"] else math.nan)
+        rows.append([one["label"], *flown, str(one["pairs"]), str(one["seeds"]), *numbers, ratio, p, verdict])
         if one["left_out"]:
             left_out.append(f"  {one['label']}: left out {re.sub(r' by a(?=,|$)', ' in a', one['left_out'])}")
         if one["own"]["pairs"] > one["pairs"]:
             means = " and ".join(number(factor * one["own"][side]) for side in "ab")
             own.append(f"  {one['label']}: over all {one['own']['pairs']} that it ended well in both: {means} {unit}")
-    return Table([*heading, "b is"], rows, notes=[*left_out, *own]).lines()
+    return Table([*heading, "p (Holm)", "b is"], rows, notes=[*left_out, *own]).lines()
 
 
 def _condition_lines(conditions: Sequence[Mapping[str, Any]], metric: str) -> list[str]:

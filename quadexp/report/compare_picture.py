@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from quadexp.errors import UsageError
 from quadexp.log.store import read_flight, read_table
@@ -16,9 +15,9 @@ from quadexp.report.axes.frame import SweepFrame
 from quadexp.report.axes.lines import line_figure
 from quadexp.report.axes.view import view
 from quadexp.report.compare_many import names_of
-from quadexp.report.metrics import position_error
+from quadexp.report.metrics import mean_error, position_error
 from quadexp.report.result_rows import ROW_COLUMNS, from_columns
-from quadexp.report.style import looks, plain_log, styled
+from quadexp.report.style import Figure, looks, plain_log, styled
 from quadexp.report.summary import MODEL_FILE, RESULTS_FILE
 
 SOURCE = "results"  # key of the folder that a flight of several results comes from
@@ -43,8 +42,8 @@ def flights_figure(paths: Sequence[Path]) -> Figure:
         if k == 0:
             above.plot(flight["ref_p_x"], flight["ref_p_y"], color="#888888", linewidth=0.8, label="reference")
         above.plot(flight["p_x"], flight["p_y"], label=name, **look.line())
-        values = 1e3 * position_error(flight)
-        error.plot(flight.t, np.maximum(values, 1e-6), label=f"{name}: mean {values.mean():.3g} mm", **look.line())
+        values, mean = 1e3 * position_error(flight), 1e3 * mean_error(flight)
+        error.plot(flight.t, np.maximum(values, 1e-6), label=f"{name}: mean {mean:.3g} mm", **look.line())
     above.set_aspect("equal", adjustable="datalim")
     above.set_xlabel("x (m)")
     above.set_ylabel("y (m)")

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from quadexp.report.style import HUES, styled
+from quadexp.report.style import HUES, Figure, styled
 
 MS = 1e3
 SHOWN = 20.0  # log likelihood below the best that is drawn

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from quadexp.report.style import Figure
 
 
 def draw(kind: str, inputs: tuple[Any, ...], path: Path) -> bool:
@@ -25,7 +25,7 @@ def draw(kind: str, inputs: tuple[Any, ...], path: Path) -> bool:
     }
     figure = makers[kind](*inputs)
     if figure is not None:
-        figures.save(figure, path)
+        figures.save(figure, path, inside=path.parent.parent)
     return figure is not None
 
 

@@ -19,8 +19,10 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import UsageError
+from quadexp.files.names import file_name
+from quadexp.files.writer import clean, remove, write_text
 from quadexp.log.cell_store import CellStore
-from quadexp.log.store import read_text, write_text
+from quadexp.log.store import read_text
 from quadexp.provenance import source_hash
 from quadexp.report.axes.frame import SweepFrame
 from quadexp.report.axes.view import automatic
@@ -124,7 +126,7 @@ class FigureFolder:
 
     def path(self, name: str) -> Path:
         """The SVG; the PNG lies beside it."""
-        return self.folder / f"{name}.svg"
+        return self.folder / f"{file_name(name)}.svg"
 
     def shows(self, drawing: Drawing) -> bool:
         """Whether the figure is there as it would be drawn."""
@@ -155,18 +157,19 @@ class FigureFolder:
         """Remove a figure, which is of other rows."""
         for file in self._files(name):
             with contextlib.suppress(OSError):  # a folder that takes no files has none either
-                file.unlink(missing_ok=True)
+                remove(file, self.folder.parent)
 
     def clean(self) -> None:
         """Remove unfinished files of processes that were ended."""
-        for file in self.folder.glob(".*.tmp"):
-            file.unlink(missing_ok=True)
+        if not self.folder.is_symlink():
+            clean(self.folder)
 
     def _files(self, name: str) -> list[Path]:
         return [self.path(name).with_suffix(f".{form}") for form in FORMATS]
 
     def _write(self) -> None:
-        write_text(self.folder / DRAWN, json.dumps(self._drawn, indent=1, sort_keys=True) + "\n")
+        text = json.dumps(self._drawn, indent=1, sort_keys=True) + "\n"
+        write_text(self.folder / DRAWN, text, inside=self.folder.parent)
 
 
 def fastest(

@@ -5,7 +5,6 @@ Each function returns a matplotlib Figure and changes no global state. Colours a
 
 from __future__ import annotations
 
-import functools
 import math
 import textwrap
 from collections.abc import Collection, Mapping, Sequence
@@ -17,17 +16,16 @@ import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
-from matplotlib.figure import Figure
 
+from quadexp.files.writer import written
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_flight, write_bytes
+from quadexp.log.store import read_flight
 from quadexp.report.drawing import FORMATS
-from quadexp.report.metrics import SHOWN, position_error
+from quadexp.report.metrics import SHOWN, mean_error, position_error
 from quadexp.report.pairing import Flights, is_flown
 from quadexp.report.statistics import CONFIDENCE, Statistic, compute_statistics
-from quadexp.report.style import PLAIN, entries, looks, plain_log, styled
+from quadexp.report.style import PLAIN, Figure, entries, looks, plain_log, styled
 from quadexp.report.tables import TITLES, column_labels, course_labels, statistic_labels
-from quadexp.report.text import METHODS
 
 # Light for small errors, dark for large ones; without the end that is invisible on white paper.
 ERROR_COLOURS = LinearSegmentedColormap.from_list(
@@ -115,8 +113,8 @@ def _apart(values: Sequence[float], least: float) -> list[float]:
 
 def interval_text(methods: Collection[str], confidence: float, over: str = "seeds") -> str:
     """Caption of lines and bands, such as "mean over seeds; shaded: its 95 % interval (Student's t)"."""
-    used = " or ".join(text for name, text in METHODS.items() if name in methods)
-    return f"mean over {over}; shaded: its {100 * confidence:g} % interval ({used})" if used else f"mean over {over}"
+    shaded = f"; shaded: its {100 * confidence:g} % interval (Student's t)" if "t" in methods else ""
+    return f"mean over {over}{shaded}"
 
 
 @styled
@@ -146,7 +144,7 @@ def tracked_paths(flights: Sequence[tuple[str, Flight]], title: str = "", missin
         flown.set_array(np.maximum((error[:-1] + error[1:]) / 2, smallest))
         panel.add_collection(flown)
         panel.plot(x[0], y[0], marker="o", markersize=4, color="#000000", linestyle="none", label="start")
-        panel.set_title(f"{textwrap.fill(heading, 28)}\nmean {error.mean():.3g} mm", fontsize=9)
+        panel.set_title(f"{textwrap.fill(heading, 28)}\nmean {1e3 * mean_error(flight):.3g} mm", fontsize=9)
         panel.set_aspect("equal")
     for panel in grid.flat[len(flights) :]:
         panel.set_visible(False)
@@ -210,10 +208,10 @@ def path_figure(cells: Mapping[str, str], title: str, missing: Sequence[str]) ->
 
 
 @styled
-def save(figure: Figure, path: Path) -> Path:
-    """Write a figure as SVG and PNG; returns the path of the SVG."""
+def save(figure: Figure, path: Path, inside: Path | None = None) -> Path:
+    """Write a figure as SVG and PNG; returns the path of the SVG. inside: see `written`."""
     for form in FORMATS:
         metadata = {"Date": None} if form == "svg" else None
-        drawn = functools.partial(figure.savefig, format=form, dpi=150, metadata=metadata)
-        write_bytes(path.with_suffix(f".{form}"), drawn)
+        with written(path.with_suffix(f".{form}"), inside=inside) as file:
+            figure.savefig(file, format=form, dpi=150, metadata=metadata)
     return path.with_suffix(".svg")

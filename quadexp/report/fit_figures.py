@@ -5,19 +5,19 @@ Each function returns a matplotlib Figure and changes no global state; `quadexp.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.colors import LogNorm
-from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from quadexp.learn.dataset import ResidualDataset
+from quadexp.learn.dataset import THRUST, ResidualDataset
 from quadexp.learn.model import GPModel, OutputPosterior
 from quadexp.learn.predict import AXIS, Prediction, predict
-from quadexp.report.style import BLUE, COLOURS, COUNTS, GREY, MARKERS, ORANGE, entries, styled
+from quadexp.learn.term_mean import VELOCITY, TermMean
+from quadexp.physics.vehicle import GRAVITY
+from quadexp.report.style import BLUE, COLOURS, COUNTS, GREY, MARKERS, ORANGE, Figure, entries, styled
 
 CURVE_POINTS = 300
 MAX_COLUMNS = 4
@@ -56,43 +56,44 @@ class Curve(NamedTuple):
     middle: np.ndarray
 
 
-def curve(model: GPModel, output: OutputPosterior, i: int, points: np.ndarray, count: int = CURVE_POINTS) -> Curve:
-    """The model over feature i within its data, the other features at the medians of `points`, (n, features)."""
+def curve(
+    model: GPModel, output: OutputPosterior, i: int, data: ResidualDataset | None, count: int = CURVE_POINTS
+) -> Curve:
+    """The model over feature i within its data, all else at the medians of `data`; None: of the inducing points."""
+    points = output.inducing if data is None else data.matrix(output.features)
     middle = np.median(points, axis=0)
     low, high = model.feature_range.get(output.features[i], [points[:, i].min(), points[:, i].max()])
-    grid = np.tile(middle, (count, 1))
-    grid[:, i] = np.linspace(low, high, count)
-    made = _predict(model, output, grid)
-    line = None
-    if output.output in AXIS:
-        line = model.linear_drag.acceleration(_table(output.features, grid))[:, AXIS[output.output]]
-    return Curve(grid[:, i], made.mean, made.std, line, middle)
+    features = np.tile(middle, (count, 1))
+    features[:, i] = np.linspace(low, high, count)
+    rows = _rows(model, output, features, data)
+    prediction = _predict(model, output, rows)
+    line = model.linear_drag.acceleration(rows)[:, AXIS[output.output]] if output.output in AXIS else None
+    return Curve(features[:, i], prediction.mean, prediction.std, line, middle)
 
 
-def moved(
-    model: GPModel, output: OutputPosterior, i: int, points: np.ndarray, values: np.ndarray, middle: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Values (n,) at `points`, moved by the model's difference between them and the other features at `middle`; and
-    values minus mean."""
-    held = np.tile(middle, (len(points), 1))
-    held[:, i] = points[:, i]
-    left = values - _predict(model, output, points).mean
-    return _predict(model, output, held).mean + left, left
+def moved(model: GPModel, output: OutputPosterior, i: int, data: ResidualDataset) -> tuple[np.ndarray, np.ndarray]:
+    """The output's values in `data`, (n,), moved by the model's difference between their rows and the same feature i
+    with all else at its median; and values minus mean."""
+    features = data.matrix(output.features)
+    held = np.tile(np.median(features, axis=0), (len(features), 1))
+    held[:, i] = features[:, i]
+    remainder = data.matrix([output.output])[:, 0] - _predict(model, output, data).mean
+    return _predict(model, output, _rows(model, output, held, data)).mean + remainder, remainder
 
 
 def _fit_panels(upper: Any, lower: Any, model: GPModel, output: OutputPosterior, i: int, data: ResidualDataset) -> None:
     """upper: mean and data over feature i. lower: data minus mean, the 2-sigma band, the inducing points."""
     features = data.matrix(output.features)
-    x, mean, std, line, median = curve(model, output, i, features)
-    target, left = moved(model, output, i, features, data.matrix([output.output])[:, 0], median)
+    x, mean, std, line, median = curve(model, output, i, data)
+    target, remainder = moved(model, output, i, data)
     band, low, high = 2 * std, x[0], x[-1]
     margin = 0.03 * (high - low)
     inside = (features[:, i] >= low) & (features[:, i] <= high)  # beyond, the model extrapolates
     if not inside.any():
         inside[:] = True
     top = _limits(np.concatenate([np.quantile(target[inside], [0.0005, 0.9995]), mean]))
-    bottom = _limits(np.array([-1, 1]) * max(np.quantile(np.abs(left[inside]), 0.998), 1.15 * np.median(band)))
-    for panel, values, limits, size in ((upper, target, top, (60, 36)), (lower, left, bottom, (60, 20))):
+    bottom = _limits(np.array([-1, 1]) * max(np.quantile(np.abs(remainder[inside]), 0.998), 1.15 * np.median(band)))
+    for panel, values, limits, size in ((upper, target, top, (60, 36)), (lower, remainder, bottom, (60, 20))):
         panel.hexbin(
             features[:, i], values, gridsize=size, mincnt=1, cmap=COUNTS, norm=LogNorm(), linewidths=0.1,
             extent=(low - margin, high + margin, *limits), zorder=1,
@@ -119,11 +120,13 @@ def _fit_panels(upper: Any, lower: Any, model: GPModel, output: OutputPosterior,
     ]
     heading = f"{symbol(output.output)} over {symbol(output.features[i])}"
     lines = [", ".join(others[j : j + 3]) for j in range(0, len(others), 3)]
-    upper.set_title("\n".join([heading + (", at" if others else ""), *lines]), fontweight="normal", fontsize=9)
+    upper.set_title(
+        "\n".join([heading + (", at" if others else ""), *lines]), fontweight="normal", fontsize=9, parse_math=True
+    )
     upper.tick_params(labelbottom=False)
-    upper.set_ylabel(axis_label(output.output))
+    upper.set_ylabel(axis_label(output.output), parse_math=True)
     lower.set_ylabel(f"data minus mean ({unit(output.output)})")
-    lower.set_xlabel(axis_label(output.features[i]))
+    lower.set_xlabel(axis_label(output.features[i]), parse_math=True)
 
 
 @styled
@@ -157,7 +160,8 @@ def calibration_figure(model: GPModel, data: ResidualDataset) -> Figure:
     panel.set_ylabel("held-out samples inside")
     for axis in (panel.xaxis, panel.yaxis):
         axis.set_major_formatter(PercentFormatter(1.0))
-    panel.legend(loc="center right", bbox_to_anchor=(0.94, 0.27))
+    for text in panel.legend(loc="center right", bbox_to_anchor=(0.94, 0.27)).get_texts():
+        text.set_parse_math(True)
     return figure
 
 
@@ -190,13 +194,28 @@ def _limits(values: np.ndarray) -> tuple[float, float]:
     return low - 0.06 * (high - low), high + 0.06 * (high - low)
 
 
-def _predict(model: GPModel, output: OutputPosterior, features: np.ndarray) -> Prediction:
-    """Prediction of one output at features (k, d)."""
-    return predict(replace(model, outputs=(output,)), _table(output.features, features))[output.output]
+def _predict(model: GPModel, output: OutputPosterior, rows: ResidualDataset) -> Prediction:
+    """Prediction of one output, prior mean included."""
+    return predict(replace(model, outputs=(output,)), rows)[output.output]
 
 
-def _table(names: Sequence[str], features: np.ndarray) -> ResidualDataset:
-    """Rows with the given features; what linear drag needs beside them is zero."""
-    columns = {name: np.zeros(len(features)) for name in ("v_x", "v_y", "v_z", "thrust")}
-    columns |= {name: features[:, j] for j, name in enumerate(names)}
+def _rows(
+    model: GPModel, output: OutputPosterior, features: np.ndarray, data: ResidualDataset | None
+) -> ResidualDataset:
+    """Rows with the given features (k, d). What the prior mean and linear drag read beside them stands at its median
+    in `data`, without data at hover; where the collective thrust is a feature, the rotors share it evenly."""
+    if data is not None:
+        rotors = [name for name in data.columns if name.startswith("u_")]
+        beside = {name: float(np.median(data.columns[name])) for name in (*VELOCITY, *rotors) if name in data.columns}
+    else:
+        rotors, beside = [], dict.fromkeys(VELOCITY, 0.0)
+        if isinstance(model.mean, TermMean):
+            rotors = [f"u_{j}" for j in range(model.mean.model.rotors)]
+            beside |= dict.fromkeys(rotors, model.mean.mass * GRAVITY / len(rotors))
+    columns = {name: np.full(len(features), value) for name, value in beside.items()}
+    columns |= {name: features[:, j] for j, name in enumerate(output.features)}
+    if THRUST in columns:
+        columns |= {name: columns[THRUST] / len(rotors) for name in rotors if name not in output.features}
+    elif not rotors:
+        columns[THRUST] = np.zeros(len(features))
     return ResidualDataset(columns | {"flight": np.zeros(len(features), int)}, {})

@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.colors import LogNorm
-from matplotlib.figure import Figure
 
 from quadexp.learn.regression import half_width
 from quadexp.learn.samples import SIGNALS, Samples
 from quadexp.learn.terms import AXES, TermModel
 from quadexp.learn.thrust_curve import ThrustCurve, scaled_signal
 from quadexp.learn.vehicle_model import VehicleModel
-from quadexp.report.style import COLOURS, COUNTS, KNOWN, ORANGE, styled
+from quadexp.report.style import COLOURS, COUNTS, KNOWN, ORANGE, Figure, styled
 
 QUADRATIC = KNOWN["quadratic drag"][0]
 LEVEL_COLOURS = {
@@ -66,7 +65,8 @@ def thrust_figure(curve: ThrustCurve, samples: Samples) -> Figure:
     unit = SIGNALS[curve.signal]
     label = f"{curve.signal.replace('_', ' ')}, mean of the rotors" + (f" ({unit})" if unit != "1" else "")
     if curve.reference_voltage:
-        label += f", times V / {curve.reference_voltage:g} V"
+        power = "" if curve.voltage_exponent == 1 else f"$^{{{curve.voltage_exponent:.3g}}}$"
+        label += f", times (V / {curve.reference_voltage:g} V){power}"
     above.set(xlabel=label, ylabel="specific force along z (m/s²)", title="thrust curve")
     above.legend()
     below.axhline(0, color="#000000", linewidth=0.8)
@@ -98,9 +98,10 @@ def drag_figure(model: TermModel, curve: ThrustCurve, samples: Samples, quadrati
                 panel.plot(grid[:, i], line, color=colour, linestyle=dash, label=one.kind)
         value, error = model.coefficient(AXES[i], "linear")
         half = half_width(error, model.freedom[i])
-        panel.set_title(f"$d_{AXES[i]}$ = {value:.3f} ± {half:.3f} 1/s", fontweight="normal")
-        panel.set(xlabel=f"$v_{AXES[i]}$ relative to the air (m/s)", ylim=(low - margin, high + margin))
-        panel.set_ylabel(f"$a_{AXES[i]}$ beyond the thrust (m/s²)")
+        panel.set_title(f"$d_{AXES[i]}$ = {value:.3f} ± {half:.3f} 1/s", fontweight="normal", parse_math=True)
+        panel.set_ylim(low - margin, high + margin)
+        panel.set_xlabel(f"$v_{AXES[i]}$ relative to the air (m/s)", parse_math=True)
+        panel.set_ylabel(f"$a_{AXES[i]}$ beyond the thrust (m/s²)", parse_math=True)
         if i == 0:
             panel.legend()
     return figure
@@ -120,7 +121,7 @@ def ladder_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
                 at = np.arange(len(columns)) + (k - (len(rows) - 1) / 2) * width
                 values = [row[part][name] for name in columns]
                 panel.bar(at, values, width * 0.9, color=LEVEL_COLOURS[row["level"]], label=row["name"])
-        panel.set_xticks(range(len(columns)), ["$a_x$", "$a_y$", "$a_z$", "vector"])
+        panel.set_xticks(range(len(columns)), ["$a_x$", "$a_y$", "$a_z$", "vector"], parse_math=True)
         panel.set_title(title)
     if not any(row["held_out"] for row in rows):
         panels[1].text(0.5, 0.5, "one flight: nothing left out", ha="center", transform=panels[1].transAxes)

@@ -34,6 +34,21 @@ def identification_lines(model: VehicleModel, report: Mapping[str, Any]) -> list
     return lines
 
 
+def main_lines(model: VehicleModel, report: Mapping[str, Any]) -> list[str]:
+    """What matters first, in four lines: data, thrust, drag, the best model; and the notes."""
+    terms = {row["axis"]: row for row in model.linear.records() if row["term"] == "linear"}
+    drag = ", ".join(f"d_{axis} {r['value']:.4g} +- {r['high'] - r['value']:.2g}" for axis, r in terms.items())
+    lines = [identification_lines(model, report)[0], f"thrust      {model.thrust}", f"drag        {drag} 1/s"]
+    for row in report["selection"]:
+        if row["level"] == report.get("best_row", report["best"]):
+            score, where = (
+                (row["held_out"], "on flights left out") if row["held_out"] else (row["in_sample"], "in sample")
+            )
+            error = f": RMSE {score['norm']:.3f} m/s^2 {where}" if score else ""
+            lines.append(f"best        {row['name'].strip('+ ')}{error}")
+    return lines + [f"note        {note}" for note in report["notes"]]
+
+
 def model_lines(model: VehicleModel) -> list[str]:
     """Thrust curve and coefficients, +- half the 95 % interval."""
     lines = [f"intervals   +- is half the 95 % interval {interval_of(model.dataset.get('flights', 0))}"]

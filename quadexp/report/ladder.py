@@ -10,26 +10,25 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
-
-from quadexp.log.store import write_text
+from quadexp.files.writer import write_text
 from quadexp.report.figures import save
 from quadexp.report.statistics import Statistic, compute_statistics
-from quadexp.report.style import entries, looks, plain_log, styled
+from quadexp.report.style import Figure, entries, looks, plain_log, styled
 from quadexp.report.table import Table
+from quadexp.report.tables import course_labels, plant_labels
 from quadexp.report.text import speed_text
 
 ACROSS = 2  # panels of the figure side by side
 
 Row = Mapping[str, Any]
-Place = tuple[str, float]  # trajectory, speed
+Place = tuple[str, float]  # trajectory with what else varies, speed
 
 
 def draw(rows: Sequence[Row], out: Path) -> dict[str, str]:
     """Table and figure into <out>; returns name -> path."""
     return {
         "table_ladder": str(write_text(out / "ladder.md", ladder_table(rows).markdown())),
-        "figure_ladder": str(save(ladder_figure(rows), out / "figures" / "ladder")),
+        "figure_ladder": str(save(ladder_figure(rows), out / "figures" / "ladder", inside=out)),
     }
 
 
@@ -39,16 +38,23 @@ def world_of(plant: str) -> str:
 
 
 def by_world(rows: Sequence[Row]) -> dict[str, dict[Place, dict[str, Statistic]]]:
-    """World, in the order of the rows -> place -> controller -> statistic of the mean error."""
+    """World, in the order of the rows -> place -> label of a contestant -> statistic of the mean error."""
     found: dict[str, dict[Place, dict[str, Statistic]]] = {world_of(row["plant"]): {} for row in rows}
-    for s in compute_statistics(rows, metrics=("mean_error",)):
-        found[world_of(s.plant)].setdefault((s.trajectory, s.speed), {})[s.controller] = s
+    statistics = compute_statistics(rows, metrics=("mean_error",))
+    courses = course_labels((s.trajectory, s.setting) for s in statistics)
+    for s, label in zip(statistics, plant_labels(statistics), strict=True):
+        found[world_of(s.plant)].setdefault((courses[s.trajectory, s.setting], s.speed), {})[label] = s
     return {world: dict(sorted(places.items())) for world, places in found.items()}
+
+
+def _labels(worlds: Mapping[str, Mapping[Place, Mapping[str, Statistic]]]) -> list[str]:
+    return list(dict.fromkeys(name for places in worlds.values() for found in places.values() for name in found))
 
 
 def ladder_table(rows: Sequence[Row]) -> Table:
     """Mean position error (mm) by world and controller, of every trajectory and speed."""
-    worlds, names = by_world(rows), list(dict.fromkeys(row["controller"] for row in rows))
+    worlds = by_world(rows)
+    names = _labels(worlds)
     lines = [
         [world, trajectory, speed_text(speed, ""), *(cell(found.get(name)) for name in names)]
         for world, places in worlds.items()
@@ -75,7 +81,7 @@ def ladder_figure(rows: Sequence[Row]) -> Figure:
     """
     worlds = by_world(rows)
     places = sorted({place for found in worlds.values() for place in found})
-    names = list(dict.fromkeys(row["controller"] for row in rows))
+    names = _labels(worlds)
     look = looks(names)
     lines = -(-len(places) // ACROSS)
     size = (1.6 + 3.4 * min(ACROSS, len(places)), 0.8 + lines * (0.7 + 0.24 * len(worlds)))

@@ -6,15 +6,15 @@ are flown: the table of results, which compares common flights only, is made at 
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from quadexp.messages import html, printable
 from quadexp.report.page.palette import SHAPE_PATHS, SHAPES, css_blocks
 from quadexp.report.page.source import spoken
-from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_flown
+from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_flown, is_invalid
 from quadexp.report.style import Look, looks
 from quadexp.report.tables import TITLES, course_labels
 from quadexp.report.text import number, shown, speed_text
@@ -61,6 +61,11 @@ class Live:
         return len(self.rows)
 
     @property
+    def asked(self) -> list[Mapping[str, Any]]:
+        """The rows of flights; settings that contradict each other are none."""
+        return [row for row in self.rows if not is_invalid(row)]
+
+    @property
     def left(self) -> float:
         """Seconds that the rest will take at the rate so far; NaN where it is not known."""
         flown = self.done - self.before
@@ -70,7 +75,7 @@ class Live:
         """Label -> flights that ended well, and all that are there."""
         labels = self._labels()
         found: dict[str, tuple[int, int]] = {}
-        for row in self.rows:
+        for row in self.asked:
             label = labels[contestant_of(row)]
             well, all_of_them = found.get(label, (0, 0))
             found[label] = well + is_flown(row), all_of_them + 1
@@ -80,11 +85,12 @@ class Live:
         """(world, course, speed) -> label -> cell, ordered by course and speed."""
         factor, _ = shown(self.metric)
         labels = self._labels()
-        conditions = [condition_of(row) for row in self.rows]
+        rows = self.asked
+        conditions = [condition_of(row) for row in rows]
         courses = course_labels((c[2], c[4]) for c in conditions)
         several = len({c[:2] for c in conditions}) > 1
         found: dict[tuple[Any, ...], dict[str, Cell]] = {}
-        for row, (plant, vehicle, trajectory, speed, setting) in zip(self.rows, conditions, strict=True):
+        for row, (plant, vehicle, trajectory, speed, setting) in zip(rows, conditions, strict=True):
             line = (f"{plant}, {vehicle}" if several else "", courses[trajectory, setting], speed)
             cell = found.setdefault(line, {}).get(labels[contestant_of(row)], Cell())
             error = row[self.metric]
@@ -98,7 +104,7 @@ class Live:
         return looks(sorted(self._labels().values()))
 
     def _labels(self) -> dict[Any, str]:
-        return contestant_labels(list(dict.fromkeys(map(contestant_of, self.rows))))
+        return contestant_labels(list(dict.fromkeys(map(contestant_of, self.asked))))
 
 
 def clock(seconds: float) -> str:
@@ -127,14 +133,14 @@ def live_table(live: Live) -> Any:
     _, unit = shown(live.metric)
     ended, lines = live.ended(), live.lines()
     title = f"{TITLES.get(live.metric, live.metric)} so far ({unit}): {progress_text(live)}"
-    table = Table(title=title, title_justify="left")
+    table = Table(title=Text(printable(title)), title_justify="left")
     table.add_column("trajectory", overflow="fold")
     table.add_column("m/s", justify="right", overflow="fold")
     for label, (well, flown) in ended.items():
-        table.add_column(Text(f"{label}\n{well} of {flown} ended well"), justify="right", overflow="fold")
+        table.add_column(Text(f"{printable(label)}\n{well} of {flown} ended well"), justify="right", overflow="fold")
     for (world, course, speed), cells in lines.items():
         where = f"{course} ({world})" if world else course
-        table.add_row(Text(where), speed, *(cells.get(label, Cell()).text() for label in ended))
+        table.add_row(Text(printable(where)), speed, *(cells.get(label, Cell()).text() for label in ended))
     return table
 
 
@@ -142,10 +148,10 @@ def live_table(live: Live) -> Any:
 def fragment(live: Live) -> str:
     """The part of the page that changes."""
     share = 100 * live.done / live.total if live.total else 0.0
-    kind = html.escape(live.state.split(" ")[0])
+    kind = html(live.state.split(" ")[0])
     values = f'aria-valuemin="0" aria-valuemax="{live.total}" aria-valuenow="{live.done}"'
     parts = [
-        f'<p class="state" data-state="{kind}">{html.escape(progress_text(live))}</p>',
+        f'<p class="state" data-state="{kind}">{html(progress_text(live))}</p>',
         f'<div class="bar" role="progressbar" aria-label="Flights" {values}><i style="width:{share:.1f}%"></i></div>',
     ]
     if live.rows:
@@ -157,7 +163,7 @@ def page(live: Live, *, script: str = "", nonce: str = "") -> str:
     """The whole page. script: that renews it while the sweep runs, run under `nonce`."""
     light, dark = css_blocks()
     run = f'<script nonce="{nonce}">{script}</script>' if script else ""
-    title = html.escape(live.title)
+    title = html(live.title)
     return f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">
 <link rel="icon" href="data:,"><title>{title} - quadexp sweep</title>
@@ -201,20 +207,18 @@ def _counts(live: Live) -> str:
     look_of, rows = live.look_of(), []
     for label, (well, flown) in live.ended().items():
         lost = f' <span class="lost">{flown - well} lost</span>' if well < flown else ""
-        name = f"{_mark(look_of[label])}{html.escape(spoken(label))}"
-        rows.append(
-            f'<tr data-label="{html.escape(label)}"><th scope="row">{name}</th><td>{well} of {flown}{lost}</td></tr>'
-        )
+        name = f"{_mark(look_of[label])}{html(spoken(label))}"
+        rows.append(f'<tr data-label="{html(label)}"><th scope="row">{name}</th><td>{well} of {flown}{lost}</td></tr>')
     return f'<h2>Ended well</h2><div class="scroll"><table data-ended>{"".join(rows)}</table></div>'
 
 
 def _table(live: Live) -> str:
     _, unit = shown(live.metric)
     look_of, ended, lines = live.look_of(), live.ended(), live.lines()
-    heads = "".join(f'<th scope="col">{_mark(look_of[x])}{html.escape(spoken(x))}</th>' for x in ended)
+    heads = "".join(f'<th scope="col">{_mark(look_of[x])}{html(spoken(x))}</th>' for x in ended)
     body = []
     for (world, course, speed), cells in [*lines.items()][:MOST_LINES]:
-        where = html.escape(f"{course} ({world})" if world else course)
+        where = html(f"{course} ({world})" if world else course)
         values = "".join(f"<td>{cells.get(label, Cell()).text()}</td>" for label in ended)
         body.append(f'<tr><th scope="row">{where}</th><td>{speed}</td>{values}</tr>')
     more = f" {len(lines) - MOST_LINES} more lines are not shown." if len(lines) > MOST_LINES else ""
@@ -239,7 +243,7 @@ def _panels(live: Live) -> str:
     low, high = math.floor(math.log10(min(means))), math.ceil(math.log10(max(means)))
     scale = (low, high if high > low else low + 1)
     figures = [
-        f"<figure><figcaption>{html.escape(course)}</figcaption>{_panel(course, group, scale, look_of, live)}</figure>"
+        f"<figure><figcaption>{html(course)}</figcaption>{_panel(course, group, scale, look_of, live)}</figure>"
         for course, group in [*courses.items()][:MOST_PANELS]
     ]
     more = len(courses) - MOST_PANELS
@@ -287,4 +291,4 @@ def _panel(
         parts.append(f'<polyline points="{line}" fill="none" stroke="var(--series-{look.token})" stroke-width="1.6"/>')
         parts += [_mark(look, point) for point in points]
     label = f"Error against speed on {course}, {len(group)} speeds, {len(look_of)} controllers"
-    return f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{html.escape(label)}">{"".join(parts)}</svg>'
+    return f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{html(label)}">{"".join(parts)}</svg>'

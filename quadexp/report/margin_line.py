@@ -9,13 +9,15 @@ LONG = 0.499  # s: margins are not looked for beyond half a second
 
 
 def margin_line(margins: Mapping[str, Any] | None) -> str:
-    """What a loop stands of what nobody predicted; "" where it is not known. margins: see experiment.loop_margins."""
+    """What a loop stands of what nobody predicted; "" where it is not known. margins: see experiment.loop_margins.
+    They are those of the MPC by itself, which is said where a remedy is around it."""
     if not margins:
         return ""
     if not margins["delay"]:
         return "hover is not stable, even without a delay"
     delay, lag = (_milliseconds(margins[name]) for name in ("delay", "lag"))
-    line, predicted = f"stands {delay} of unmodelled delay, {lag} of unmodelled lag", _predicted(margins)
+    of = "the bare MPC stands" if margins.get("without") or margins.get("age") else "stands"
+    line, predicted = f"{of} {delay} of unmodelled delay, {lag} of unmodelled lag", _predicted(margins)
     left_out = "".join(f", without {name}" for name in margins.get("without", ()))
     if not predicted:
         return f"{line} (at hover{left_out})"
@@ -30,9 +32,10 @@ def world_note(margins: Mapping[str, Any] | None) -> str:
     if not margins or margins["world_stable"] or not margins["delay"]:
         return ""
     world = f"{_milliseconds(margins['world_latency'])} of delay and {_milliseconds(margins['world_lag'])} of motor lag"
+    loop = "the loop of the bare MPC" if margins.get("without") else "the loop"
     return (
         f"this world has {world}, the controller predicts {_milliseconds(_predicted(margins))} of dead time and"
-        f" {_milliseconds(margins['motor_lag'])} of lag: the loop is not stable at hover; give controller.dead_time,"
+        f" {_milliseconds(margins['motor_lag'])} of lag: {loop} is not stable at hover; give controller.dead_time,"
         " controller.motor_lag, or a longer controller.first_node (horizon=robust)"
     )
 

@@ -1,11 +1,14 @@
 """How well a flight followed its reference.
 
-With e the position error (m), phi the angle of the rotation between attitude and reference (rad):
+With e the position error (m), phi the angle of the rotation between attitude and reference (rad), or, where the path
+leaves the heading free, between their thrust axes:
 
     rmse = sqrt(mean ||e||^2)    mean_error = mean ||e||    max_error = max ||e||    attitude_rmse = sqrt(mean phi^2)
-    heading_rmse = sqrt(mean psi^2), psi the difference of the azimuths of y_body, which a prescribed yaw commands
+    heading_rmse = sqrt(mean psi^2), psi the difference of the azimuths of y_body, which a prescribed yaw commands; none
+                   where the heading is free
 
-Torrente et al. 2021 print mean ||e|| under the name RMSE. All samples of the flight count, ramps included.
+Torrente et al. 2021 print mean ||e|| under the name RMSE. All samples of the flight count, ramps included. A flight
+that was not flown to its end has no error (log/outcome.py).
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
 
@@ -28,29 +32,43 @@ def position_error(flight: Flight) -> np.ndarray:
     return np.linalg.norm(flight.state[:, POSITION] - flight.reference_state[:, POSITION], axis=1)
 
 
-def attitude_error(flight: Flight) -> np.ndarray:
-    """Angle of the rotation between attitude and reference, (k,) (rad), in [0, pi].
+def mean_error(flight: Flight) -> float:
+    """Mean position error (m) as in the table of results, also of a flight of which only some samples are stored; over
+    its samples where it has no row there."""
+    return float((flight.metadata.get("row") or {}).get("mean_error") or position_error(flight).mean())
 
-    4 atan2(|a - b|, |a + b|) of the unit quaternions a and b, the sign of b such that |a - b| is the smaller one.
+
+def attitude_error(flight: Flight) -> np.ndarray:
+    """phi, (k,) (rad), in [0, pi]; see the module.
+
+    2 atan2(|a - b|, |a + b|) of unit vectors a and b: the thrust axes, or the quaternions, which have half the angle,
+    with the sign of b such that |a - b| is the smaller one.
     """
     a, b = (
         q / np.linalg.norm(q, axis=1, keepdims=True)
         for q in (flight.state[:, ATTITUDE], flight.reference_state[:, ATTITUDE])
     )
+    free = _free(flight)
+    if free:
+        from quadexp.physics.rotation import thrust_axis  # imports CasADi, which showing a flight does without
+
+        a, b = thrust_axis(a), thrust_axis(b)
     apart, together = np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1)
+    if free:
+        return 2 * np.arctan2(apart, together)
     return 4 * np.arctan2(np.minimum(apart, together), np.maximum(apart, together))
+
+
+def _free(flight: Flight) -> bool:
+    return bool(flight.metadata.get("free_heading", False))
 
 
 def heading_error(flight: Flight) -> np.ndarray:
     """Azimuth of y_body minus that of the reference, (k,) (rad), in [-pi, pi]."""
-    found, wanted = (_azimuth(q) for q in (flight.state[:, ATTITUDE], flight.reference_state[:, ATTITUDE]))
+    from quadexp.physics.rotation import heading  # imports CasADi, which showing a flight does without
+
+    found, wanted = (heading(q) for q in (flight.state[:, ATTITUDE], flight.reference_state[:, ATTITUDE]))
     return np.remainder(found - wanted + np.pi, 2 * np.pi) - np.pi
-
-
-def _azimuth(q: np.ndarray) -> np.ndarray:
-    """atan2(-R_01, R_11), (k,) (rad), of quaternions (k, 4)."""
-    w, x, y, z = q.T
-    return np.arctan2(-2 * (x * y - w * z), w * w - x * x + y * y - z * z)
 
 
 def saturated_share(flight: Flight, thrust_min: float, thrust_max: float) -> float:
@@ -60,29 +78,44 @@ def saturated_share(flight: Flight, thrust_min: float, thrust_max: float) -> flo
     return float(at_limit.any(axis=1).mean())
 
 
-def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float) -> dict[str, Any]:
-    """The numbers of a result row that come from the flight itself; NaN for a flight without samples."""
+def flight_metrics(flight: Flight, thrust_min: float, thrust_max: float, period: float | None = None) -> dict[str, Any]:
+    """The numbers of a result row that come from the flight itself; NaN for a flight without samples, and the errors
+    of one that was not flown to its end.
+
+    period: between two steps of the controller (s), None for that of the samples. Between its steps an inner loop has
+    instants of its own, which are no steps of the controller.
+    """
     if len(flight) == 0:
         return dict.fromkeys(METRICS, float("nan")) | {"unconverged_count": 0, "duration": 0.0}
-    error, angle, solve_time = position_error(flight), attitude_error(flight), flight["solve_time"]
-    t = flight.t
-    return {
+    error, angle, t = position_error(flight), attitude_error(flight), flight.t
+    every = max(1, round(period / (t[1] - t[0]))) if period and len(t) > 1 else 1
+    solve_time = flight["solve_time"][::every]
+    metrics = {
         "rmse": float(np.sqrt(np.mean(error**2))),
         "mean_error": float(np.mean(error)),
         "max_error": float(np.max(error)),
         "attitude_rmse": float(np.sqrt(np.mean(angle**2))),
-        "heading_rmse": float(np.sqrt(np.mean(heading_error(flight) ** 2))),
+        "heading_rmse": None if _free(flight) else float(np.sqrt(np.mean(heading_error(flight) ** 2))),
         "saturated_share": saturated_share(flight, thrust_min, thrust_max),
         "peak_speed": float(np.linalg.norm(flight.state[:, VELOCITY], axis=1).max()),
         "duration": float(t[-1] - t[0]),
-        "unconverged_count": int(np.sum(flight.columns.get("unconverged", 0))),
+        "unconverged_count": int(np.sum(flight.columns["unconverged"][::every]))
+        if "unconverged" in flight.columns
+        else 0,
         "solve_time_median": float(np.median(solve_time)),
         "solve_time_p99": float(np.percentile(solve_time, 99)),
         "solve_time_max": float(np.max(solve_time)),
     }
+    return metrics | errors_none(flight.outcome)
 
 
+def errors_none(outcome: Any) -> dict[str, float]:
+    """The errors of a flight with this outcome as far as they are none; {} where it was flown to its end."""
+    return {} if outcome in COMPLETED else dict.fromkeys(ERRORS, float("nan"))
+
+
+ERRORS = ("rmse", "mean_error", "max_error", "attitude_rmse", "heading_rmse")
 METRICS = (
-    "rmse", "mean_error", "max_error", "attitude_rmse", "heading_rmse", "saturated_share", "peak_speed", "duration",
-    "unconverged_count", "solve_time_median", "solve_time_p99", "solve_time_max",
+    *ERRORS, "saturated_share", "peak_speed", "duration", "unconverged_count", "solve_time_median", "solve_time_p99",
+    "solve_time_max",
 )  # fmt: skip

@@ -13,9 +13,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from quadexp.learn.support import REPORTED_SHARE
+from quadexp.log.outcome import RULE, UNFLOWN
 from quadexp.report.flown_by import mixed_programs
 from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_bound, is_invalid
-from quadexp.report.text import METHODS, count, speed_text
+from quadexp.report.text import count, speed_text, too_few
 
 if TYPE_CHECKING:  # `quadexp show` and `simulate` need no statistics
     from quadexp.report.statistics import Overall, Statistic
@@ -24,7 +25,6 @@ if TYPE_CHECKING:  # `quadexp show` and `simulate` need no statistics
 LARGE_ATTITUDE_ERROR = math.radians(10.0)  # rad, RMS over a flight
 MOST_CONTESTANTS = 10  # that a kind of note has a line on
 MOST_CAUSES = 3  # of invalid combinations that are named
-UNFLOWN = ("failed", "infeasible")  # outcomes without a sample
 UNITS = {"thrust": "N", "speed": "m/s", "v": "m/s", "w": "rad/s", "u": "N"}  # of a feature, by the start of its name
 
 Row = Mapping[str, Any]
@@ -34,11 +34,11 @@ def table_notes(
     statistics: Sequence[Statistic], pooled: Sequence[Overall], found: Sequence[Verdict] = ()
 ) -> tuple[str, ...]:
     """What the numbers of a table are, who is best, and each contestant against the baseline over all conditions."""
-    from quadexp.report.inference import least_p
+    from quadexp.report.inference import least_seeds
 
-    used = [text for name, text in METHODS.items() if any(s.common_interval == name for s in statistics)]
     confidence = statistics[0].confidence
-    interval = f" [{100 * confidence:g} % interval: {' or '.join(used)}]" if used else ""
+    known = any(s.common_interval == "t" for s in statistics)
+    interval = f" [{100 * confidence:g} % interval: Student's t]" if known else ""
     seeds = sorted({s.seeds for s in statistics})
     seeds_text = count(seeds[0], "seed") if len(seeds) == 1 else f"{seeds[0]} to {seeds[-1]} seeds"
     all_well = not any(s.failures for s in statistics)
@@ -57,17 +57,16 @@ def table_notes(
     if tested:
         comparisons, pairs = tested[0].comparisons, max(s.pairs for s in tested)
         over = count(comparisons, "comparison")
-        if comparisons * least_p(pairs) < alpha:
+        least = least_seeds(comparisons, confidence)
+        if pairs >= least:
             test = f"p < {alpha:.2g}, paired permutation test, Holm over {over}"
             lines.append(f"* differs from {tested[0].baseline}: {test}")
         else:
-            enough = math.floor(2 + math.log2(comparisons / alpha))
-            lines.append(
-                f"{pairs} pairs a line cannot show significance (p is {least_p(pairs):.3g} at least, over {over}):"
-                f" {enough} could"
-            )
+            lines.append(too_few(pairs, least, confidence, f" in a line, over {over}"))
     elif not any(s.baseline for s in statistics) and contestants > 1:
         lines.append("no comparison: the baseline (evaluate.baseline) is not among these controllers")
+    if not all_well:
+        lines.append(RULE)
     if any(s.n > s.common for s in statistics):
         lines.append("own: mean over all own flights that ended well, and their number")
     lines += [text for one in found if (text := one.text())]

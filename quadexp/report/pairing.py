@@ -6,9 +6,17 @@
     invalid     a combination of settings that contradict each other: no flight was requested, it takes no part
     flown       "k of n": of n trials, k ended well
     compared    contestants with k > 0
-    common      the flights (condition, seed) that all compared contestants ended well; as long as there are none, the
-                contestants with the smallest k are removed from the comparison
+    common      the flights (condition, seed) that all compared contestants ended well, made whole; as long as there are
+                none, the contestants with the smallest k are removed from the comparison
     pair        two flights of one condition and seed: they have the same noise
+    unit        a seed. Conditions that differ only in the world, the grid of a controller or a remedy share every gust
+                of a seed, so that their flights are no sample: the value of a seed is its mean over the conditions, and
+                intervals, p and counts are over the seeds. So they are for conditions with noise of their own (another
+                path, speed, plant or vehicle), whose mean is then less uncertain; these are chosen, not drawn: one seed
+                on twelve paths is one value, without an interval
+    whole       every condition with every seed: otherwise the seeds are means of different conditions. Of flights that
+                are not, the condition or the seed that lacks the largest share of them is left out, until they are: a
+                condition with two common flights decides nothing
 
 Means, intervals and tests that stand beside each other are over the common flights, so they are of the same paths and
 noise. The mean over all own flights is printed beside them, with its count. The contestants with the smallest share of
@@ -116,19 +124,43 @@ class Flights(NamedTuple):
         return Flights(self.ended + other.ended, self.trials + other.trials)
 
 
-def common(ended: Mapping[Who, Set[What]]) -> tuple[list[Who], frozenset[What]]:
-    """Who is compared, and the flights that all of them ended well; nobody if there are no common flights.
+def common(ended: Mapping[Who, Set[tuple[What, int]]]) -> tuple[list[Who], frozenset[tuple[What, int]]]:
+    """Who is compared, and the whole flights that all of them ended well; nobody if there are no common flights.
 
-    ended: who -> flights that ended well.
+    ended: who -> flights (condition, seed) that ended well.
     """
     compared = [who for who, flights in ended.items() if flights]
     while compared:
-        shared = frozenset[What].intersection(*(frozenset(ended[who]) for who in compared))
+        shared = frozenset[tuple[What, int]].intersection(*(frozenset(ended[who]) for who in compared))
         if shared:
-            return compared, shared
+            return compared, whole(shared)
         least = min(len(ended[who]) for who in compared)
         compared = [who for who in compared if len(ended[who]) > least]
     return [], frozenset()
+
+
+def whole(flights: Set[tuple[What, int]]) -> frozenset[tuple[What, int]]:
+    """Those of some flights (condition, seed), of which every condition has every seed; see the module."""
+    conditions = sorted({at for at, _ in flights}, key=str)
+    seeds = sorted({seed for _, seed in flights})
+    there = np.array([[(at, seed) in flights for seed in seeds] for at in conditions])
+    while not there.all():
+        shares = there.mean(axis=1), there.mean(axis=0)
+        axis = int(shares[1].min() < shares[0].min())
+        place = int(shares[axis].argmin())
+        there = np.delete(there, place, axis)
+        del (conditions, seeds)[axis][place]
+    return frozenset((at, seed) for at in conditions for seed in seeds)
+
+
+def seed_means(values: Mapping[tuple[What, int], Any]) -> np.ndarray:
+    """The independent values of a comparison: the mean of each seed over the conditions, (seeds, ...), seeds ascending.
+
+    values: (condition, seed) -> (...); those that are not whole are left out."""
+    by_seed: dict[int, list[Any]] = {}
+    for at, seed in sorted(whole(values.keys()), key=str) if values else ():
+        by_seed.setdefault(seed, []).append(values[at, seed])
+    return np.array([np.mean(by_seed[seed], axis=0) for seed in sorted(by_seed)])
 
 
 def flew_least(flights: Mapping[Who, Flights]) -> frozenset[Who]:
@@ -147,7 +179,7 @@ class Flown(NamedTuple):
 
 
 class Common(NamedTuple):
-    """Who is compared, and condition -> seeds of the flights that all of them ended well."""
+    """Who is compared, and condition -> seeds of the common flights, for all conditions the same."""
 
     compared: tuple[Contestant, ...]
     seeds: Mapping[Condition, frozenset[int]]
@@ -155,6 +187,11 @@ class Common(NamedTuple):
     @property
     def flights(self) -> int:
         return sum(map(len, self.seeds.values()))
+
+    @property
+    def units(self) -> int:
+        """Number of seeds."""
+        return max(map(len, self.seeds.values()), default=0)
 
 
 class Groups:

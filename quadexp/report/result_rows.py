@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.report.metrics import errors_none
 from quadexp.report.table import csv_text
 
 # Columns of a result row, in the order they are written.
@@ -42,6 +43,7 @@ def to_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def from_columns(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Result rows from the columns of a results file."""
+    """Result rows from the columns of a results file; a flight that was lost has no errors, whatever wrote it."""
     lists = [column.tolist() for column in columns.values()]
-    return [dict(zip(columns, values, strict=True)) for values in zip(*lists, strict=True)]
+    rows = (dict(zip(columns, values, strict=True)) for values in zip(*lists, strict=True))
+    return [row | errors_none(row["outcome"]) for row in rows]

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Any
 
-from quadexp.messages import clean
+from quadexp.messages import html
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1b1f24; --ground: #fff; --line: #d0d7de; --head: #f3f5f8; --soft: #5f6773; }
@@ -82,15 +81,15 @@ def sortable_page(
         c.name for c in columns if all(_is_number(row.get(c.name)) or _is_empty(row.get(c.name)) for row in rows)
     }
     heads = "".join(
-        f'<th scope="col"{_right(c, numeric)}><button type="button">{_text(c.heading)}</button></th>' for c in columns
+        f'<th scope="col"{_right(c, numeric)}><button type="button">{html(c.heading)}</button></th>' for c in columns
     )
     lines = "".join(f"<tr>{''.join(_cell(c, row.get(c.name), numeric) for c in columns)}</tr>" for row in rows)
     figure = f"<figure>{above}</figure>" if above else ""
-    said = "".join(f"<p>{_text(note)}</p>" for note in notes)
+    said = "".join(f"<p>{html(note)}</p>" for note in notes)
     return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{_text(title)}</title>'
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html(title)}</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<style>{STYLE}</style></head><body><h1>{_text(title)}</h1>{said}{figure}"
+        f"<style>{STYLE}</style></head><body><h1>{html(title)}</h1>{said}{figure}"
         f'<p><input type="search" placeholder="filter rows" aria-label="filter rows"> '
         f'<span class="found">{len(rows)} rows</span></p>'
         f'<div class="scroll" tabindex="0"><table><thead><tr>{heads}</tr></thead><tbody>{lines}</tbody></table></div>'
@@ -102,7 +101,7 @@ def _cell(column: Column, value: Any, numeric: set[str]) -> str:
     if _is_empty(value):
         return "<td></td>"
     if not _is_number(value):
-        return f"<td>{_text(str(value).lower() if isinstance(value, bool) else str(value))}</td>"
+        return f"<td>{html(str(value).lower() if isinstance(value, bool) else str(value))}</td>"
     return f'<td{_right(column, numeric)} data-v="{value!r}">{column.factor * value:.6g}</td>'
 
 
@@ -116,7 +115,3 @@ def _is_number(value: Any) -> bool:
 
 def _is_empty(value: Any) -> bool:
     return value is None or value == "" or (isinstance(value, float) and math.isnan(value))
-
-
-def _text(text: str) -> str:
-    return escape(clean(text))

@@ -6,11 +6,11 @@ with the baseline seed by seed, difference = contestant - baseline, over the com
 `left_out` by cause. p-values are corrected for all comparisons of one metric. Equations: inference.py; common flights,
 conditions and pairs: pairing.py; who is best: winner.py.
 
-`Overall` compares a contestant with the baseline over all conditions. Errors differ tenfold between conditions, so
-ratios are averaged, each condition with the same weight (the ratio of inference.py), over the common flights:
+`Overall` compares a contestant with the baseline over all conditions. Errors differ tenfold between conditions, so the
+logarithms of their ratios are averaged over the conditions of a seed, and the seeds are the values (pairing.py):
 
-    reduction = 100 (1 - ratio)
-    p: paired permutation of the weighted logarithms, corrected by Holm for the number of contestants
+    reduction = 100 (1 - ratio), the ratio of inference.py
+    p: paired permutation of the logarithms, corrected by Holm for the number of contestants
 
 The interval is for new seeds of these conditions, not for new trajectories.
 """
@@ -25,28 +25,41 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.log.outcome import FAILURES
 from quadexp.log.schema import describe
 from quadexp.report.inference import (
     cohen_d,
     holm,
     least_p,
+    least_seeds,
     log_ratio,
     mean_interval,
     paired_permutation,
     rank_biserial,
     reduction_interval,
     success_interval,
+    vary,
 )
 from quadexp.report.metrics import SHOWN
-from quadexp.report.pairing import Condition, Contestant, Flights, Flown, Groups, Row, World, causes_text
-from quadexp.report.text import count, probability
+from quadexp.report.pairing import (
+    Condition,
+    Contestant,
+    Flights,
+    Flown,
+    Groups,
+    Row,
+    World,
+    causes_text,
+    seed_means,
+    whole,
+)  # fmt: skip
+from quadexp.report.text import count, probability, too_few
 from quadexp.report.winner import barred, line_p
 
 COMPARED = tuple(dict.fromkeys((*SHOWN, "attitude_rmse")))
 DESCRIBED = ("solve_time_median", "solve_time_p99", "saturated_share")  # no comparison: they are not paired by noise
 BASELINE = "nominal_mpc"
 CONFIDENCE = 0.95
-FAILURES = ("lost", "solver_failed", "infeasible", "failed")
 NAN = math.nan
 
 
@@ -91,6 +104,7 @@ class Statistic:
     common_high: float
     common_std: float
     common_interval: str
+    left_corridor: int
     lost: int
     solver_failed: int
     infeasible: int
@@ -144,19 +158,20 @@ class Statistic:
         return self.p_holm < 1 - self.confidence  # False for NaN
 
 
-def tally(flights: Sequence[Flown], trials: int, confidence: float) -> dict[str, Any]:
-    """How the flights of a group ended: counts by outcome, and the success rate with its interval.
+def tally(flights: Sequence[Flown], trials: int) -> dict[str, Any]:
+    """How the flights of a group ended: counts by outcome, and the success rate.
 
     trials: see `Groups.flights`; a cell without a result (failed) is one.
     """
     outcomes = Counter(f.outcome if f.outcome in ("ok", *FAILURES) else "failed" for f in flights)
-    low, high = success_interval(outcomes["ok"], trials, confidence)
-    success = outcomes["ok"] / trials if trials else NAN
-    counts = {name: outcomes[name] for name in FAILURES}
-    return {
-        "seeds": len(flights), "trials": trials, **counts,
-        "success": success, "success_low": low, "success_high": high,
-    }  # fmt: skip
+    counts = {"seeds": len(flights), "trials": trials, **{name: outcomes[name] for name in FAILURES}}
+    return {**counts, "success": outcomes["ok"] / trials if trials else NAN}
+
+
+def _success_limits(flights: Sequence[Flown], trials: int, confidence: float) -> dict[str, float]:
+    """Of one condition, whose flights are independent; those of several are not."""
+    limits = success_interval(sum(f.outcome == "ok" for f in flights), trials, confidence)
+    return dict(zip(("success_low", "success_high"), limits, strict=True))
 
 
 def compute_statistics(
@@ -165,9 +180,8 @@ def compute_statistics(
     metrics: Sequence[str] = (*COMPARED, *DESCRIBED),
     baseline: str = BASELINE,
     confidence: float = CONFIDENCE,
-    seed: int = 0,
 ) -> list[Statistic]:
-    """The statistics of result rows, metric by metric. baseline: name of a controller. seed: of the bootstrap."""
+    """The statistics of result rows, metric by metric. baseline: name of a controller."""
     groups = Groups(rows, baseline, metrics)
     paired = {
         (condition, contestant): (rival, *groups.pairs(condition, contestant, rival, groups.common_in(condition)))
@@ -175,7 +189,11 @@ def compute_statistics(
         if (rival := groups.baseline(contestant)) is not None
     }
     flights = {condition: groups.flights([condition]) for condition in dict.fromkeys(at for at, _ in groups.cells)}
-    tallies = {at: tally(group, flights[at[0]][at[1]].trials, confidence) for at, group in groups.cells.items()}
+    trials = {at: flights[at[0]][at[1]].trials for at in groups.cells}
+    tallies = {
+        at: tally(group, trials[at]) | _success_limits(group, trials[at], confidence)
+        for at, group in groups.cells.items()
+    }
     least = barred(groups)
     statistics: list[Statistic] = []
     for place, metric in enumerate(metrics):
@@ -186,9 +204,9 @@ def compute_statistics(
             seeds = among.seeds.get(condition, frozenset()) if contestant in among.compared else frozenset[int]()
             values = np.array([flown.values[place] for flown in group if flown.outcome == "ok"])
             shared = groups.values(condition, contestant, place, seeds) if seeds else values[:0]
-            own = _mean_fields(values, confidence, seed)
+            own = _mean_fields(values, confidence)
             # The common flights are among its own: as many are the same.
-            common = own if len(shared) == len(values) else _mean_fields(shared, confidence, seed)
+            common = own if len(shared) == len(values) else _mean_fields(shared, confidence)
             fields: dict[str, Any] = {
                 **dict(zip(("plant", "vehicle", "trajectory", "speed", "setting"), condition, strict=True)),
                 **dict(zip(("controller", "model", "variant"), contestant, strict=True)),
@@ -201,7 +219,7 @@ def compute_statistics(
             if metric in COMPARED and (condition, contestant) in paired:
                 rival, pairs, left_out = paired[condition, contestant]
                 fields |= {"baseline": groups.labels[rival], "left_out": causes_text(left_out)}
-                fields |= _comparison(pairs, place, confidence, seed)
+                fields |= _comparison(pairs, place, confidence)
             unit, label = describe(metric, "results").unit, groups.labels[contestant]
             made.append(Statistic(metric=metric, unit=unit, label=label, confidence=confidence, **fields))
         corrected = holm(np.array([one.p for one in made]))
@@ -213,10 +231,10 @@ def compute_statistics(
     return statistics
 
 
-def _mean_fields(values: np.ndarray, confidence: float, seed: int) -> dict[str, Any]:
+def _mean_fields(values: np.ndarray, confidence: float) -> dict[str, Any]:
     """Number, mean, its interval and the standard deviation of the finite values; NaN if there are none."""
     values = values[np.isfinite(values)]
-    limits = mean_interval(values, confidence, least=0.0, seed=seed)
+    limits = mean_interval(values, confidence, least=0.0)
     return {
         "n": len(values),
         "mean": float(np.mean(values)) if len(values) else NAN,
@@ -240,13 +258,13 @@ def _best(
     return {(at, who): float(p) for (at, (who, _)), p in zip(found.items(), corrected, strict=True) if who is not None}
 
 
-def _comparison(pairs: Sequence[tuple[Flown, Flown]], place: int, confidence: float, seed: int) -> dict[str, Any]:
+def _comparison(pairs: Sequence[tuple[Flown, Flown]], place: int, confidence: float) -> dict[str, Any]:
     own, others = (np.array([pair[side].values[place] for pair in pairs]) for side in (0, 1))
     if not len(pairs):
         return {}
     differences = own - others
-    limits = mean_interval(differences, confidence, seed=seed)
-    relative = reduction_interval(own, others, confidence, seed=seed)
+    limits = mean_interval(differences, confidence)
+    relative = reduction_interval(own, others, confidence)
     base = float(np.mean(others))
     return {
         "pairs": len(pairs),
@@ -259,18 +277,25 @@ def _comparison(pairs: Sequence[tuple[Flown, Flown]], place: int, confidence: fl
         "reduction_high": relative.high,
         "effect": rank_biserial(differences),
         "cohen_d": cohen_d(differences),
-        "p": paired_permutation(differences, seed=seed) if len(pairs) > 1 else NAN,
-        "p_least": least_p(len(pairs)) if len(pairs) > 1 else NAN,
+        **_test(differences, vary(own) or vary(others)),
     }
+
+
+def _test(differences: np.ndarray, varying: bool) -> dict[str, float]:
+    """p of the differences of some seeds, (n,), and the least that so many can give; NaN for copies of one flight."""
+    if len(differences) < 2 or not varying:
+        return {"p": NAN, "p_least": NAN}
+    return {"p": paired_permutation(differences), "p_least": least_p(len(differences))}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Overall:
     """One contestant against the baseline over all conditions. reduction*: percent, positive if it is better.
 
-    conditions: number of those with a pair. own_reduction, own_pairs: over all flights that both ended well. left_out:
-    number of missing pairs by cause. seeds and failures as in `Statistic`, over all its flights. p_least: the smallest
-    p that so many pairs can give.
+    conditions, units: number of those with pairs, and of their seeds, which are the values; pairs: of both together.
+    own_reduction, own_pairs: over all flights that both ended well. left_out: number of missing pairs by cause. seeds
+    and failures as in `Statistic`, over all its flights. p_least: the smallest p that so many units can give.
+    comparisons: number that p_holm is corrected for.
     """
 
     metric: str
@@ -281,6 +306,7 @@ class Overall:
     baseline: str
     confidence: float
     conditions: int
+    units: int
     pairs: int
     left_out: str
     reduction: float
@@ -294,27 +320,38 @@ class Overall:
     own_reduction: float
     seeds: int
     trials: int
+    left_corridor: int
     lost: int
     solver_failed: int
     infeasible: int
     failed: int
     success: float
-    success_low: float
-    success_high: float
+    comparisons: int = 0
 
     @property
     def significant(self) -> bool:
         return self.p_holm < 1 - self.confidence
 
+    @property
+    def testable(self) -> bool:
+        """Whether so many seeds can show a difference."""
+        return self.comparisons * self.p_least < 1 - self.confidence
+
+    @property
+    def chance(self) -> str:
+        """Seeds and p, such as "5 seeds, p = 0.13", or "2 seeds cannot show p < 0.05: at least 6 are needed"."""
+        if self.testable:
+            return f"{count(self.units, 'seed')}, {probability(self.p_holm)}"
+        return too_few(self.units, least_seeds(max(1, self.comparisons), self.confidence), self.confidence)
+
     def text(self) -> str:
-        """Such as "gp_mpc: 98.7 % [98.6, 98.8] less than nominal_mpc over 4 conditions (20 pairs, p < 0.0001)"."""
+        """Such as "gp_mpc: 98.7 % [98.6, 98.8] less than nominal_mpc over 4 conditions (20 seeds, p < 0.0001)"."""
         if not self.pairs:
             return f"{self.label}: no pair with {self.baseline} ({self.left_out})"
         low, high = self.reduction_low, self.reduction_high
         word, (low, high) = ("less", (low, high)) if self.reduction >= 0 else ("more", (-high, -low))
         limits = "" if math.isnan(low) else f" [{low:.1f}, {high:.1f}]"
-        about = ", ".join(filter(None, [count(self.pairs, "pair"), probability(self.p_holm)]))
-        about += f"; left out: {self.left_out}" if self.left_out else ""
+        about = self.chance + (f"; left out: {self.left_out}" if self.left_out else "")
         if self.own_pairs > self.pairs:
             own, more = abs(self.own_reduction), "less" if self.own_reduction >= 0 else "more"
             about += f"; over all {self.own_pairs} that both ended well: {own:.1f} % {more}"
@@ -323,12 +360,7 @@ class Overall:
 
 
 def overall(
-    rows: Sequence[Row],
-    *,
-    metric: str = "mean_error",
-    baseline: str = BASELINE,
-    confidence: float = CONFIDENCE,
-    seed: int = 0,
+    rows: Sequence[Row], *, metric: str = "mean_error", baseline: str = BASELINE, confidence: float = CONFIDENCE
 ) -> list[Overall]:
     """Every contestant that has a baseline; see the module's equations."""
     groups = Groups(rows, baseline, (metric,))
@@ -339,8 +371,8 @@ def overall(
         rival = groups.baseline(contestant)
         if rival is None:
             continue
-        logs: list[np.ndarray] = []
-        every: list[np.ndarray] = []  # also beyond the common flights
+        logs: dict[tuple[Condition, int], float] = {}
+        every: list[list[float]] = []  # of each condition, also beyond the common flights
         causes: Counter[str] = Counter()
         own: list[Flown] = []
         trials = 0
@@ -349,16 +381,15 @@ def overall(
             own += groups.cells.get((condition, contestant), [])
             trials += flights[condition].get(contestant, Flights(0, 0)).trials
             causes.update(left_out)
-            found, zeros = _logs(pairs)
-            if zeros:
-                causes["without an error above zero"] += zeros
-            if len(found):
-                logs.append(found)
-            found, _ = _logs(groups.pairs(condition, contestant, rival)[0])
-            if len(found):
-                every.append(found)
-        fields = dict(zip(("controller", "model", "variant"), contestant, strict=True)) | tally(own, trials, confidence)
-        fields |= {"own_pairs": sum(map(len, every)), "own_reduction": _reduction(log_ratio(every).value)}
+            here = _logs(pairs)
+            if len(here) < len(pairs):
+                causes["without an error above zero"] += len(pairs) - len(here)
+            logs |= {(condition, seed): log for seed, log in here.items()}
+            if found := _logs(groups.pairs(condition, contestant, rival)[0]):
+                every.append([*found.values()])
+        kept = whole(logs.keys()) if logs else frozenset()
+        if len(kept) < len(logs):
+            causes["not in every condition"] += len(logs) - len(kept)
         made.append(
             Overall(
                 metric=metric,
@@ -366,35 +397,40 @@ def overall(
                 baseline=groups.labels[rival],
                 confidence=confidence,
                 left_out=causes_text(causes),
-                **fields,
-                **_weighted(logs, confidence, seed),
+                conditions=len({condition for condition, _ in kept}),
+                pairs=len(kept),
+                own_pairs=sum(map(len, every)),
+                own_reduction=_reduction(math.exp(np.mean([*map(np.mean, every)]))) if every else NAN,
+                controller=contestant[0],
+                model=contestant[1],
+                variant=contestant[2],
+                **tally(own, trials),
+                **_over_seeds(seed_means(logs), confidence),
             )
         )
     corrected = holm(np.array([one.p for one in made]))
-    return [replace(one, p_holm=float(p)) for one, p in zip(made, corrected, strict=True)]
+    tests = int(np.count_nonzero(~np.isnan(corrected))) or sum(one.pairs > 0 for one in made)
+    return [replace(one, p_holm=float(p), comparisons=tests) for one, p in zip(made, corrected, strict=True)]
 
 
-def _weighted(logs: Sequence[np.ndarray], confidence: float, seed: int) -> dict[str, Any]:
-    pairs, ratio = sum(map(len, logs)), log_ratio(logs, confidence)  # NaN without pairs
-    several = pairs > 1
+def _over_seeds(logs: np.ndarray, confidence: float) -> dict[str, Any]:
+    """Of the logarithms of the ratio of every seed, (n,)."""
+    ratio = log_ratio(logs, confidence)  # NaN without pairs
     return {
-        "conditions": len(logs),
-        "pairs": pairs,
+        "units": len(logs),
         "reduction": _reduction(ratio.value),
         "reduction_low": _reduction(ratio.high),
         "reduction_high": _reduction(ratio.low),
-        "effect": rank_biserial(np.concatenate(logs)) if pairs else NAN,
-        "p": paired_permutation(np.concatenate([log / len(log) for log in logs]), seed=seed) if several else NAN,
-        "p_least": least_p(pairs) if several else NAN,
+        "effect": rank_biserial(logs),
+        **_test(logs, vary(logs)),
         "p_holm": NAN,
     }
 
 
-def _logs(pairs: Sequence[tuple[Flown, Flown]]) -> tuple[np.ndarray, int]:
-    """Logarithms of the ratios, and how many pairs have none."""
-    errors = np.array([[flown.values[0] for flown in pair] for pair in pairs]).reshape(-1, 2)
-    positive = np.all(errors > 0, axis=1)
-    return np.log(errors[positive, 0] / errors[positive, 1]), int(np.count_nonzero(~positive))
+def _logs(pairs: Sequence[tuple[Flown, Flown]]) -> dict[int, float]:
+    """Seed -> logarithm of the ratio of the first metric, of the pairs that have one."""
+    errors = {own.seed: (own.values[0], other.values[0]) for own, other in pairs}
+    return {seed: math.log(own / other) for seed, (own, other) in errors.items() if own > 0 and other > 0}
 
 
 def _reduction(ratio: float) -> float:

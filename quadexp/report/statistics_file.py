@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import QuadexpError
-from quadexp.log.store import read_table, read_text, write_table, write_text
+from quadexp.files.writer import write_text
+from quadexp.log.store import read_table, read_text, write_table
 from quadexp.report.notes import notes
 from quadexp.report.pairing import Row, is_invalid
 from quadexp.report.statistics import (
@@ -36,7 +37,7 @@ from quadexp.report.tables import ErrorTable, comparison_table, table_of, to_lat
 from quadexp.report.winner import Verdict, verdicts
 
 FILE = "statistics.parquet"
-VERSION = 2  # of how the numbers are computed; another one makes stored statistics unknown
+VERSION = 3  # of how the numbers are computed; another one makes stored statistics unknown
 _KINDS = {field.name: str(field.type) for field in fields(Statistic)}
 _DTYPES = {"int": np.int64, "float": float, "str": object}
 

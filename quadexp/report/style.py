@@ -8,16 +8,21 @@ colour-blind readers (tests/report/test_palette.py).
 
 from __future__ import annotations
 
+import io
 import math
 import zlib
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import cycle
 from typing import Any
 
-import matplotlib
+import matplotlib.figure
+from matplotlib.axis import Axis
 from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+
+from quadexp.messages import clean
 
 HUES: dict[str, tuple[str, str]] = {  # hue -> colour on light and on dark ground
     "ink": ("#000000", "#ffffff"),
@@ -58,8 +63,45 @@ STYLE: Any = {  # matplotlib types every single key
     "legend.frameon": False,
     "svg.fonttype": "path",
     "svg.hashsalt": "quadexp",
+    "text.parse_math": False,  # a name may hold any letter: mathematics is asked for where a text is mathematics
 }
 styled = matplotlib.rc_context(STYLE)  # decorator of functions that make a Figure
+
+
+@dataclass(frozen=True)
+class _Clean:
+    """Texts of ticks without control characters. made: text of a value and its number."""
+
+    made: Callable[..., str]
+
+    def __call__(self, *tick: Any) -> str:
+        return clean(self.made(*tick))
+
+
+class Figure(matplotlib.figure.Figure):
+    """A figure whose texts have no control character, and whose fonts are whole in PDF and PostScript (Type 42: systems
+    for submissions refuse Type 3). A notebook shows it, also where matplotlib.pyplot is not in use."""
+
+    def draw(self, renderer: Any) -> None:
+        for axis in self.findobj(Axis):  # which makes its texts while it is drawn
+            formatter = axis.get_major_formatter()
+            if isinstance(formatter, FuncFormatter) and not isinstance(formatter.func, _Clean):
+                formatter.func = _Clean(formatter.func)
+        for text in self.findobj(Text):
+            if (shown := clean(text.get_text())) != text.get_text():
+                text.set_text(shown)
+        super().draw(renderer)
+
+    def savefig(self, *args: Any, **kwargs: Any) -> None:
+        with matplotlib.rc_context({"pdf.fonttype": 42, "ps.fonttype": 42}):
+            super().savefig(*args, **kwargs)
+
+    def _repr_png_(self) -> bytes:
+        stream = io.BytesIO()
+        self.savefig(stream, format="png", dpi=72, bbox_inches="tight")
+        return stream.getvalue()
+
+
 PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 LOOKS: dict[str, tuple[str, str, Any]] = {  # controller or model of the air -> hue, marker, dash
     "nominal_mpc": ("grey", "o", "-"),

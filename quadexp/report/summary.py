@@ -14,11 +14,12 @@ import numpy as np
 
 from quadexp.config.schema import WORLD
 from quadexp.errors import DataError, UsageError
+from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import describe
 from quadexp.log.store import check_finite, has_content_hash, read_metadata, read_table
 from quadexp.report.flown_by import flown_by, flown_by_lines, versions_of
 from quadexp.report.margin_line import margin_line
-from quadexp.report.metrics import METRICS
+from quadexp.report.metrics import METRICS, errors_none
 from quadexp.report.notes import LARGE_ATTITUDE_ERROR, outside_line, range_lines
 from quadexp.report.text import speed_text
 
@@ -47,7 +48,8 @@ def summarise(path: str | Path) -> dict[str, Any]:
 
 def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[str]:
     """The result of one flight. always: also a line on a flight that stayed inside its model's data."""
-    row, residual = metadata["row"], metadata.get("residual", {})
+    row = metadata["row"] | errors_none(metadata["row"]["outcome"])
+    residual = metadata.get("residual", {})
     name = residual.get("name", "?")
     source = f" from {residual['source']}" if residual.get("source") else ""
     speed = f" at {text}" if (text := speed_text(row["speed"])) else ""
@@ -55,11 +57,13 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
     errors = ", ".join(
         f"{n} {1e3 * row[k]:.4g} mm" for n, k in (("mean", "mean_error"), ("RMSE", "rmse"), ("max", "max_error"))
     )
+    errors += f", attitude {np.degrees(row['attitude_rmse']):.3g} deg"
+    ended = row["outcome"] in COMPLETED
     times = (1e6 * row[f"solve_time_{name}"] for name in ("median", "p99", "max"))
     lines = [
         f"{about} on {row['plant']}, seed {row['seed']}",
         f"outcome     {row['outcome']}{f' ({cause})' if (cause := metadata.get('cause')) else ''}",
-        f"error       {errors}, attitude {np.degrees(row['attitude_rmse']):.3g} deg",
+        f"error       {errors if ended else 'none: it was not flown to its end'}",
     ]
     if row["attitude_rmse"] > LARGE_ATTITUDE_ERROR:
         lines.append("            the attitude is far from the reference's, which an error of position does not show")
@@ -71,6 +75,10 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
         f"flight      {row['duration']:.2f} s, peak speed {row['peak_speed']:.2f} m/s,"
         f" {100 * row['saturated_share']:.1f} % of samples at a thrust limit"
     )
+    if thinned := metadata.get("thinned"):
+        lines.append(
+            f"stored      a sample every {thinned['log_period']:g} s, not every {thinned['control_period']:g} s"
+        )
     if line := margin_line(metadata.get("margins")):
         lines.append(f"loop        {line}")
     share = row.get("reference_residual")
@@ -120,7 +128,8 @@ def _table(path: Path) -> dict[str, Any]:
     }
     lines = [f"{path}: {kind}, {count} rows, {len(columns)} columns, {_size(summary['bytes'])}"]
     if kind == "flight" and "row" in record:
-        summary["metrics"] = {name: record["row"].get(name) for name in METRICS}
+        row = record["row"] | errors_none(record.get("outcome"))
+        summary["metrics"] = {name: row.get(name) for name in METRICS}
         summary["outcome"] = record.get("outcome")
         summary["tables"] = [_metric_table(summary["metrics"])]
         not_flown = [f"outcome     {record.get('outcome')}: {record.get('cause')}"]

@@ -18,6 +18,7 @@ from quadexp.report.metrics import SHOWN
 from quadexp.report.notes import notes as row_notes
 from quadexp.report.notes import table_notes
 from quadexp.report.pairing import (
+    Contestant,
     Flights,
     condition_of,
     contestant_labels,
@@ -155,6 +156,16 @@ def column_labels(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return [" ".join([labels[contestant_of(row)], *(f"@{row[name]}" for name in several)]) for row in rows]
 
 
+def plant_labels(statistics: Sequence[Statistic]) -> list[str]:
+    """The contestant of each statistic, told apart from the others on its plant: the same controller has checkpoints of
+    its own on another one."""
+    there: dict[str, dict[Contestant, None]] = {}
+    for s in statistics:
+        there.setdefault(s.plant, {})[s.contestant] = None
+    labels = {plant: contestant_labels(list(contestants)) for plant, contestants in there.items()}
+    return [labels[s.plant][s.contestant] for s in statistics]
+
+
 def course_labels(conditions: Iterable[tuple[str, str]]) -> dict[tuple[str, str], str]:
     """(trajectory, other settings) -> label of a line, such as "circle payload=0.1"; no two are the same."""
     conditions = list(dict.fromkeys(conditions))
@@ -259,7 +270,7 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
     """Every contestant against the baseline, condition by condition; None if nobody is compared."""
     metric = statistics[0].metric
     factor, unit = SHOWN[metric]
-    heading = ["trajectory", "speed (m/s)", "controller", "pairs", f"difference ({unit})"]
+    heading = ["trajectory", "speed (m/s)", "controller", "seeds", f"difference ({unit})"]
     heading += ["reduction (%)", "effect", "p", "p (Holm)", "left out"]
     courses = course_labels((s.trajectory, s.setting) for s in statistics)
     rows = []
@@ -279,7 +290,7 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
         return None
     baselines = dict.fromkeys(s.baseline for s in statistics if s.baseline)
     note = (
-        "difference: contestant less baseline over the pairs; reduction: positive where better; effect: matched-pairs"
+        "difference: contestant less baseline over the seeds; reduction: positive where better; effect: matched-pairs"
         " rank-biserial in [-1, 1]; p: paired permutation test, then corrected by Holm over"
         f" {max(s.comparisons for s in statistics)} comparisons"
     )

@@ -12,7 +12,6 @@ from typing import Any
 
 from quadexp.report.metrics import SHOWN
 
-METHODS = {"BCa": "BCa bootstrap", "t": "Student's t"}  # of intervals, see inference.Interval
 MOST_DECIMALS = 3  # of a percentage
 SPACE, NOBREAK, MINUS, DASH = "\u202f", "\u00a0", "\u2212", "\u2013"  # SPACE: narrow, does not break
 _MINUS = re.compile(r"(?<![\w.=/:-])-(?=\d)")
@@ -20,9 +19,12 @@ _UNIT = re.compile(r"(?<=\d) (?=(?:mm|m/s|ms|µs|s|%|°)(?![\w/]))")
 _BRACKETS = re.compile(r"\[[^\[\]]*\d\]|\bp [<=] ")
 
 
+ANGLES = ("attitude_rmse", "heading_rmse")
+
+
 def shown(metric: str) -> tuple[float, str]:
     """Factor from SI and unit in which a metric is printed."""
-    return SHOWN.get(metric, (180 / math.pi, "°") if metric == "attitude_rmse" else (1.0, ""))
+    return SHOWN.get(metric, (180 / math.pi, "°") if metric in ANGLES else (1.0, ""))
 
 
 def significant(value: float, least: int = 1) -> str:
@@ -75,6 +77,13 @@ def p_value(p: float) -> str:
 def probability(p: float) -> str:
     """Such as "p = 0.031", "p < 0.0001", or "" for NaN."""
     return "" if math.isnan(p) else f"p {'' if p < 1e-4 else '= '}{p_value(p)}"
+
+
+def too_few(seeds: int, least: int, confidence: float, over: str = "") -> str:
+    """Of a test that so few seeds cannot pass. least: that could, see inference.least_seeds. over: how many tests."""
+    if seeds < least:
+        return f"{count(seeds, 'seed')} cannot show p < {1 - confidence:.2g}{over}: at least {least} are needed"
+    return f"{count(seeds, 'seed')}, which change nothing: no test"
 
 
 def duration(seconds: float, exact: bool = False) -> str:

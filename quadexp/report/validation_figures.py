@@ -9,10 +9,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from quadexp.learn.validation import Residuals
-from quadexp.report.style import COLOURS, GREY, entries, looks, styled
+from quadexp.report.style import COLOURS, GREY, Figure, entries, looks, styled
 from quadexp.report.validation_table import MODES, QUANTITIES, error_of, mean_of
 
 

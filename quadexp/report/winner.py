@@ -1,7 +1,8 @@
 """The best contestant: the one with the least error over the common flights, if all others differ significantly.
 
-    least      the smallest L_k = mean_c mean_i ln x_kci over the common flights i of the conditions c (pairing.py)
-    ratio      exp(L_j - L_least) of another to the least, paired, with its interval and p (see inference.log_ratio)
+    least      the smallest L_k = mean_i mean_c ln x_kci, over the conditions c and then over the seeds i (pairing.py)
+    ratio      exp(L_j - L_least) of another to the least, paired, with its interval and p over the seeds (see
+               inference.log_ratio)
     p          k max_j p_j, at most 1, for k ranked contestants; corrected by Holm over the lines of a table
     best       p < 1 - confidence = alpha, and no contestant ended a larger share of its flights well
 
@@ -20,11 +21,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadexp.report.inference import Ratio, log_ratio
-from quadexp.report.pairing import Common, Condition, Contestant, Flights, Groups, Row, flew_least, is_bound
+from quadexp.report.inference import NO_RATIO, Ratio, log_ratio
+from quadexp.report.pairing import (
+    Common,
+    Condition,
+    Contestant,
+    Flights,
+    Groups,
+    Row,
+    flew_least,
+    is_bound,
+    seed_means,
+)  # fmt: skip
 from quadexp.report.text import count, probability
-
-NO_RATIO = Ratio(math.nan, math.nan, math.nan, math.nan)
 
 
 class Ranking(NamedTuple):
@@ -42,38 +51,31 @@ class Ranking(NamedTuple):
 
 def rank(groups: Groups, among: Common, who: Sequence[Contestant], place: int, confidence: float) -> Ranking:
     """The ranking of those in `who` that are compared, by one metric over the common flights."""
-    logs = _logs(groups, among, [one for one in who if one in among.compared], place)
-    means = {one: float(np.mean([np.mean(log) for log in found])) for one, found in logs.items() if found}
-    if not means:
+    who = [one for one in who if one in among.compared]
+    logs = dict(zip(who, _logs(groups, among, who, place), strict=True)) if who else {}
+    if not logs or not len(logs[who[0]]):
         return Ranking(None, {}, math.nan)
-    first, *others = sorted(means, key=lambda one: means[one])
-    ratios = {one: _ratio(logs[one], logs[first], confidence) for one in others}
+    first, *others = sorted(who, key=lambda one: float(np.mean(logs[one])))
+    ratios = {one: log_ratio(logs[one] - logs[first], confidence) for one in others}
     p = [ratio.p for ratio in ratios.values()]
-    return Ranking(first, ratios, min(1.0, len(means) * max(p)) if p and not np.isnan(p).any() else math.nan)
+    return Ranking(first, ratios, min(1.0, len(who) * max(p)) if p and not np.isnan(p).any() else math.nan)
 
 
-def _logs(groups: Groups, among: Common, who: Sequence[Contestant], place: int) -> dict[Contestant, list[np.ndarray]]:
-    """ln of the errors of each by condition; without flights in which one of them has no error above zero."""
-    found: dict[Contestant, list[np.ndarray]] = {one: [] for one in who}
-    if not who:
-        return found
+def _logs(groups: Groups, among: Common, who: Sequence[Contestant], place: int) -> np.ndarray:
+    """ln of the error of each, (who, seeds), without flights in which one of them has no error above zero."""
+    found: dict[tuple[Condition, int], np.ndarray] = {}
     for condition, seeds in among.seeds.items():
-        values = np.array([groups.values(condition, one, place, seeds) for one in who])
-        values = values[:, np.all(np.isfinite(values) & (values > 0), axis=0)]
-        if values.shape[1]:
-            for one, own in zip(who, values, strict=True):
-                found[one].append(np.log(own))
-    return found
-
-
-def _ratio(values: Sequence[np.ndarray], others: Sequence[np.ndarray], confidence: float) -> Ratio:
-    return log_ratio([a - b for a, b in zip(values, others, strict=True)], confidence, across=True)
+        values = np.array([groups.values(condition, one, place, seeds) for one in who]).T
+        for seed, errors in zip(sorted(seeds), values, strict=True):
+            if np.all(np.isfinite(errors) & (errors > 0)):
+                found[condition, seed] = np.log(errors)
+    return seed_means(found).reshape(-1, len(who)).T
 
 
 def ratio_of(groups: Groups, among: Common, who: Contestant, other: Contestant, confidence: float) -> Ratio:
     """Error of one over that of another, of the first metric, over the common flights."""
-    logs = _logs(groups, among, [who, other], 0)
-    return _ratio(logs[who], logs[other], confidence)
+    own, others = _logs(groups, among, [who, other], 0)
+    return log_ratio(own - others, confidence)
 
 
 def line_p(
@@ -84,8 +86,6 @@ def line_p(
     barred: those with the smallest share of flights that ended well on this plant and vehicle.
     """
     among = groups.common_in(condition)
-    if among.flights < 2:
-        return None, math.nan
     flights = groups.flights([condition])
     rivals = [one for one in flights if not is_bound(one[0])]
     ranking = rank(groups, among, rivals, place, confidence)
@@ -109,11 +109,12 @@ def _flew_most(who: Contestant, flights: dict[Contestant, Flights]) -> bool:
 class Verdict:
     """The contestant with the least error of one metric on one plant and vehicle, over all conditions.
 
-    flown: [label, flights that ended well, trials] of each. compared: labels. common: number of common flights, in
-    `conditions` conditions. least: "" if nobody is compared. ways: number of ranked contestants. best: `least` differs
-    significantly from all of them and no contestant flew more. flew_less: another one ended a larger share of its
-    flights well. alike: those not distinguishable from the least. next: the nearest one, with `ratio` times the error.
-    bound: the first bound; the least has `bound_ratio` times its error. Ratios: [value, low, high, p] or NaN.
+    flown: [label, flights that ended well, trials] of each. compared: labels. common: number of common flights, of
+    `units` seeds in `conditions` conditions. least: "" if nobody is compared. ways: number of ranked contestants.
+    best: `least` differs significantly from all of them and no contestant flew more. flew_less: another one ended a
+    larger share of its flights well. alike: those not distinguishable from the least. next: the nearest one, with
+    `ratio` times the error. bound: the first bound; the least has `bound_ratio` times its error. Ratios: [value,
+    low, high, p] or NaN.
     """
 
     metric: str
@@ -124,6 +125,7 @@ class Verdict:
     compared: list[str]
     common: int
     conditions: int
+    units: int
     least: str
     ways: int
     best: bool
@@ -143,7 +145,8 @@ class Verdict:
         head = f"least {over}{', bounds aside' if self.bound else ''}: {self.least}"
         value, low, high, _ = self.ratio
         limits = "" if math.isnan(low) else f" [{low:.3g}, {high:.3g}]"
-        ratio = f"{value:.3g} times{limits}, {probability(self.p) or 'too few flights to tell'}"
+        chance = probability(self.p) or f"{count(self.units, 'seed')} cannot tell"
+        ratio = f"{value:.3g} times{limits}, {chance}"
         if self.alike:
             return f"{head}, not distinguishable from {', '.join(self.alike)} (nearest: {ratio})"
         if self.flew_less:
@@ -176,6 +179,7 @@ def _verdict(groups: Groups, among: Common, flights: dict[Contestant, Flights], 
         compared=[labels[one] for one in among.compared],
         common=among.flights,
         conditions=len(among.seeds),
+        units=among.units,
         least=labels[least] if least is not None else "",
         ways=len(ranking.ratios) + (least is not None),
         best=bool(ranking.ratios) and not alike and not less,

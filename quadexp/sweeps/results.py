@@ -1,12 +1,14 @@
 """What a folder of results holds: list, filter, sort, prune.
 
 The rows of the last sweep stand in its table. Cells that are not in it, left by earlier sweeps into the same folder or
-flown by one that has not ended, are read from their own files; where there is a table, they are not wanted.
+flown by one that has not ended, are read from their own files; where there is a table, they are not wanted. What is
+removed is chosen by its own file alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -15,14 +17,13 @@ from typing import Any
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identity import digest
 from quadexp.log.cell_store import CellStore
-from quadexp.log.store import read_metadata
-from quadexp.report.axes.frame import SweepFrame
+from quadexp.log.outcome import FAILURES
+from quadexp.report.axes.frame import SweepFrame, read_value
 from quadexp.report.axes.where import chosen
 from quadexp.sweeps.keys import condition
 from quadexp.sweeps.sweep_table import RESULTS, Row, open_results, read_rows, table_row, write_results
 
 WANTED = "wanted"  # beside the columns of a result row: whether the last sweep asked for the cell
-FAILURES = ("failed", "invalid", "infeasible", "lost", "solver_failed", "damaged")
 # What a sweep makes of its rows.
 MADE = (RESULTS, "results.csv", "statistics.parquet", "statistics.csv", "table.md", "table.tex", "comparison.tex")
 
@@ -51,17 +52,9 @@ def select(
     decides first, and missing values come last. failures: only what did not end well.
     Raises UsageError for a folder without results or an unknown column.
     """
-    store = open_results(out)
-    path = store.root / RESULTS
-    frame = SweepFrame(list(_all_rows(store)), store.root, read_rows(path)[1] if path.exists() else {})
-    for text in filters:
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise UsageError(f"{text!r}: expected KEY=VALUE, such as controller=gp_mpc")
-        column = frame.column(name)
-        frame = frame.where([any(_matches(found, allowed) for allowed in value.split(",")) for found in column])
+    frame = _filtered(_frame(open_results(out))[0], filters)
     if failures:
-        frame = frame.where([row["outcome"] in FAILURES for row in frame.rows])
+        frame = frame.where([row["outcome"] in (*FAILURES, "invalid", "damaged") for row in frame.rows])
     if where:
         frame = frame.where(chosen(frame, where))
     order = list(range(len(frame.rows)))
@@ -82,48 +75,66 @@ def prune(out: str | Path, filters: Sequence[str] = (), *, remove: bool = False)
     store = open_results(out)
     if not filters and not (store.root / RESULTS).exists():
         raise UsageError(f"{store.root}: no {RESULTS} says which cells are wanted: name the others by KEY=VALUE")
-    there = store.done()
-    keys = [row["key"] for row in select(out, filters or [f"{WANTED}=false"]).rows if row["key"] in there]
-    size = sum(store.path(key).stat().st_size for key in keys)
-    if remove and keys:
-        with store.lock():
-            conditions = {_condition(store, key) for key in keys}
+    with store.lock() if remove else contextlib.nullcontext():
+        frame, configs = _frame(store, own=True)
+        keys = [row["key"] for row in _filtered(frame, filters or [f"{WANTED}=false"]).rows]
+        size = sum(store.path(key).stat().st_size for key in keys)
+        if remove and keys:
             store.remove(keys)
+            conditions = {digest(condition(configs[key])) for key in keys if "controller" in configs.get(key, {})}
             _shorten_table(store.root, set(keys), conditions)
     return Pruned(keys, size, remove)
 
 
-def _all_rows(store: CellStore) -> Iterator[Row]:
-    has_table = (store.root / RESULTS).exists()
-    rows = read_rows(store.root / RESULTS)[0] if has_table else []
-    for row in rows:
-        yield {**row, WANTED: True}
-    for key in sorted(store.done() - {row["key"] for row in rows}):
+def _frame(store: CellStore, *, own: bool = False) -> tuple[SweepFrame, dict[str, dict[str, Any]]]:
+    """All cells, and key -> settings of those whose own file was read. own: read every file, and list nothing else."""
+    path = store.root / RESULTS
+    rows, record = read_rows(path) if path.exists() else ([], {})
+    listed = {row["key"]: row for row in rows}
+    made: list[Row] = [] if own else [{**row, WANTED: True} for row in rows]
+    configs: dict[str, dict[str, Any]] = {}
+    for key in sorted(store.done() if own else store.done() - listed.keys()):
+        row, wanted = listed.get(key, {}), key in listed or not path.exists()
         try:
-            yield {**table_row(store.row(key)), WANTED: not has_table}
+            found = store.record(key)
+            configs[key] = found.get("config") or {}
+            row = {**found["row"], "variant": row.get("variant")}
         except (DataError, UsageError) as error:
-            yield {**table_row({"key": key, "outcome": "damaged", "cause": str(error)}), WANTED: False}
+            row, wanted = {"key": key, "outcome": "damaged", "cause": str(error)}, key in listed
+        made.append({**table_row(row), WANTED: wanted})
+    return SweepFrame(made, store.root, record, configs), configs
+
+
+def _filtered(frame: SweepFrame, filters: Sequence[str]) -> SweepFrame:
+    for text in filters:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise UsageError(f"{text!r}: expected KEY=VALUE, such as controller=gp_mpc")
+        allowed, column = _alternatives(value), frame.column(name)
+        frame = frame.where([any(_matches(found, one) for one in allowed) for found in column])
+    return frame
+
+
+def _alternatives(value: str) -> list[str]:
+    """The parts of a comma list; a comma inside brackets is one of a value."""
+    parts, depth = [""], 0
+    for letter in value:
+        depth += (letter in "[{") - (letter in "]}")
+        if letter == "," and not depth:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return parts
 
 
 def _matches(found: Any, allowed: str) -> bool:
-    """Whether a value of a row is the one allowed: a text by its pattern, a number by its value."""
-    if isinstance(found, bool):
-        return str(found).lower() == allowed.lower()
-    if isinstance(found, str):
-        return fnmatchcase(found, allowed)
+    """Whether a value of a row is the one allowed: a text by its pattern, a number or a list by its value."""
     if found is None:
         return allowed in ("", "null")
-    try:
-        return float(allowed) == found
-    except ValueError:
-        return False
-
-
-def _condition(store: CellStore, key: str) -> str:
-    try:
-        return digest(condition(read_metadata(store.path(key), "flight")["config"]))
-    except (DataError, KeyError):
-        return ""
+    value = read_value(allowed)
+    if isinstance(found, str) and fnmatchcase(found, allowed):
+        return True
+    return bool(found == value) and isinstance(found, bool) is isinstance(value, bool)
 
 
 def _shorten_table(root: Path, keys: set[str], conditions: set[str]) -> None:

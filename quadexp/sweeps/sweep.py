@@ -17,10 +17,12 @@ from typing import Any, Literal
 
 import quadexp
 from quadexp.config.cells import Cell, Cells
-from quadexp.errors import DataError, QuadexpError, UsageError, WriteError, write_error
+from quadexp.errors import DataError, QuadexpError, UsageError, WriteError
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import check_feasible, evaluate_cell, failed_row
+from quadexp.files.writer import make_inside
 from quadexp.log.cell_store import CellStore
+from quadexp.log.outcome import UNFLOWN
 from quadexp.log.store import read_metadata
 from quadexp.provenance import libraries, provenance, sources
 from quadexp.report.flown_by import counted, differing_libraries, flown_by, program_name, programs_of
@@ -32,7 +34,6 @@ from quadexp.sweeps.plan import INVALID, Job, check_jobs, flying_order, plan_cel
 from quadexp.sweeps.sweep_table import RESULTS, Row, table_row, write_results
 
 Old = Literal["ask", "refly", "keep"]  # what to do with cells that other sources have flown
-NOT_FLOWN = ("failed", "infeasible")  # outcomes that make a sweep end with exit code 1
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class SweepResult:
 
     @property
     def not_flown(self) -> list[Row]:
-        return [row for row in self.rows if row["outcome"] in NOT_FLOWN]
+        return [row for row in self.rows if row["outcome"] in UNFLOWN]
 
     @property
     def invalid(self) -> list[Row]:
@@ -186,11 +187,11 @@ def fly_cells(
 
 def _recall(store: CellStore, jobs: Mapping[str, Job]) -> tuple[dict[str, Row], list[str]]:
     """Key -> row of the cells that are there, each taken from its file, whose bytes are compared with their hash; and
-    a note on those that have changed, which are to be flown again."""
+    a note on those that have changed, or hold fewer samples than asked for, which are to be flown again."""
 
     def read(key: str) -> Row | QuadexpError:
         try:
-            return store.row(key)
+            return store.row(key, jobs[key].cell.config.evaluate.log_period)
         except (DataError, UsageError) as error:
             return error
 
@@ -202,7 +203,9 @@ def _recall(store: CellStore, jobs: Mapping[str, Job]) -> tuple[dict[str, Row], 
     rows = {key: _row_of(jobs[key], row) for key, row in found.items() if not isinstance(row, QuadexpError)}
     if not changed:
         return rows, []
-    return rows, [f"{len(changed)} cells have changed since they were flown and are flown again: {changed[0]}"]
+    return rows, [
+        f"{len(changed)} cells have changed since they were flown, or lack samples, and are flown again: {changed[0]}"
+    ]
 
 
 def _row_of(job: Job, row: Mapping[str, Any]) -> Row:
@@ -245,10 +248,7 @@ def _fly(
     if not todo:
         return
     for folder in {store.path(job.key).parent for job in todo}:
-        try:
-            folder.mkdir(exist_ok=True)
-        except OSError as error:
-            raise write_error(folder, error) from error
+        make_inside(store.root, folder)
     if not isolate:
         for job in todo:
             yield job.key, _own(function(job.cell.config, job.model, str(store.path(job.key)), job.key))

@@ -17,8 +17,11 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import QuadexpError, UsageError
+from quadexp.files.names import NAMED, check_names
+from quadexp.files.writer import write_text
 from quadexp.log.cell_store import CellStore
-from quadexp.log.store import has_content_hash, read_table, read_text, write_table, write_text
+from quadexp.log.store import has_content_hash, read_table, read_text, write_table
+from quadexp.report.metrics import errors_none
 from quadexp.report.result_rows import INTEGER_COLUMNS, ROW_COLUMNS, TEXT_COLUMNS, from_columns, to_columns, to_csv
 from quadexp.report.statistics_file import (
     Statistics,
@@ -46,6 +49,7 @@ def open_results(out: str | Path) -> CellStore:
 def table_row(row: Mapping[str, Any]) -> Row:
     """A result row with every column of the table, each of its type: a missing text is empty, a missing number NaN."""
     made: Row = {}
+    row = {**row, **errors_none(row.get("outcome"))}
     for name in ROW_COLUMNS:
         value = row.get(name)
         if name in TEXT_COLUMNS:
@@ -61,6 +65,9 @@ def table_row(row: Mapping[str, Any]) -> Row:
 def read_rows(path: Path) -> tuple[list[Row], dict[str, Any]]:
     """Rows and record of a table of results; raises DataError where it is damaged."""
     columns, record = read_table(path, "results", required=("key", "outcome"))
+    for name in NAMED:
+        for value in {*columns.get(name, ())}:
+            check_names({name: value}, str(path))
     return [table_row(row) for row in from_columns(columns)], record
 
 

@@ -59,6 +59,8 @@ def verify_results(out: str | Path, progress: Callable[[int, int], None] = lambd
         progress(count, len(keys))
     path = store.root / RESULTS
     table = found.look(path, lambda: read_rows(path)) if path.exists() else None
+    if not path.exists() and any((store.root / name).exists() for name in (*TEXTS, FILE)):
+        found.wrong[str(path)] = "is not there, and what is made of it is"
     if table is not None:
         listed, record = table
         if wrong := _unlike(listed, rows):
@@ -97,6 +99,8 @@ def _verify_made(root: Path, record: dict[str, Any], found: Verified) -> None:
     found.wrong |= altered_texts(root, record)
     found.wrong |= {str(root / name): "is not there" for name in made if not (root / name).is_file()}
     path = root / FILE
+    if "statistics" in record and not path.exists():
+        found.wrong[str(path)] = "is not there"
     table = found.look(path, lambda: read_table(path, "statistics")) if path.exists() else None
     if table and record.get("statistics", table[1].get("fingerprint")) != table[1].get("fingerprint"):
         found.wrong[str(path)] = f"is not of the rows of {RESULTS}"

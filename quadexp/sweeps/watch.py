@@ -19,7 +19,7 @@ from types import TracebackType
 from typing import Any
 
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.log.store import write_text
+from quadexp.files.writer import write_text
 from quadexp.report.live import Live, fragment, page
 
 HOST = "127.0.0.1"

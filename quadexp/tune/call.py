@@ -7,6 +7,7 @@ from pathlib import Path
 
 from quadexp.config.compose import session
 from quadexp.sweeps.cluster.engines import opened
+from quadexp.sweeps.plan import plan_cells
 from quadexp.tune.result import Tuned, clear, trials_of
 from quadexp.tune.result import tune as search
 from quadexp.tune.search import SEEDS, Request, cells_of, with_seeds
@@ -40,8 +41,8 @@ def tune(
     """
     with session(conf) as composer:
         given = with_seeds(overrides, seeds)
-        cells = cells_of(composer, given)
-        first = cells[0].config
+        cells = plan_cells(cells_of(composer, given))
+        first = next(iter(cells.values())).cell.config
         trials_of(flights, len(cells))
         axes = tuple(read_axes(vary, first, conf))
         request = Request(tuple(given), axes, first.evaluate.metric, delay_margin, seed, batch)

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from quadexp.report.figures import save
 from quadexp.report.metrics import SHOWN
-from quadexp.report.style import plain_log, styled
+from quadexp.report.style import Figure, plain_log, styled
 from quadexp.report.tables import TITLES
 from quadexp.tune.search import Request, Trial
 

@@ -1,7 +1,8 @@
 """What a trial is worth: one number over its flights, the smaller the better.
 
     flight that ended well      ln(e / 1 m), e its mean error (or another metric)
-    flight that was lost        LOST (2 - s), s the share of its path that was flown; not flown at all: s = 0
+    flight that did not         LOST (2 - s), s the share of its path that was flown; not flown at all: s = 0;
+                                flown to the end, but outside its corridor: s = 1
     trial                       the mean over its flights; with a least delay margin, and a smaller one found:
                                 + LOST (2 - margin / least)
 

@@ -18,17 +18,22 @@ from quadexp.config.compose import Composer
 from quadexp.config.schema import REMEDIES, Config
 from quadexp.config.settings import record
 from quadexp.errors import UsageError
-from quadexp.log.store import write_text
+from quadexp.files.names import file_name
+from quadexp.files.writer import write_text
+from quadexp.messages import printable
+from quadexp.messages import yaml as one_line_of
 
 SUFFIX = "_tuned"
 HEAD = "# Provenance:"
+BY_HAND = "by hand"  # key of the provenance of settings that were not tuned, but chosen by flights of these seeds
 _INDENT = "#   "
 
 
-def options_of(composer: Composer, given: Sequence[str], config: Config) -> dict[str, str]:
-    """Group -> option of what is tuned: the controller, and every remedy around it that does something."""
+def options_of(given: Sequence[str], config: Config) -> dict[str, str]:
+    """Group -> option of what is tuned: the controller, and every remedy around it that does something; as given, or as
+    an experiment chose them."""
     chosen = {text.partition("=")[0]: text.partition("=")[2] for text in given}
-    found = {"controller": chosen.get("controller", composer.compose([]).controller.name)}
+    found = {"controller": chosen.get("controller", config.controller.name)}
     for group in REMEDIES:
         if not getattr(config, group).idle:
             found[group] = chosen.get(group, getattr(config, group).name)
@@ -55,17 +60,18 @@ def write_preset(
     title = "tuned by `quadexp tune`; see docs/tuning.md. Written by that command."
     if len(options) == 1:
         path = out / "controller" / f"{name}.yaml"
-        head = [f"# {controller}, {title}", *_provenance(about), "defaults:", f"  - {controller}", "  - _self_", ""]
+        head = [f"# {printable(controller)}, {title}", *_provenance(about)]
+        head += ["defaults:", f"  - {_yaml(controller)}", "  - _self_", ""]
         write_text(path, "\n".join([*head, *_content({"name": name, **changed["controller"]})]) + "\n")
         return f"controller={name}", path
     path = out / "remedies" / f"{name}.yaml"
     around = {group: options.get(group, "none") for group in REMEDIES}
     head = [
         "# @package _global_",
-        f"# For controller={controller}, {title}",
+        f"# For controller={printable(controller)}, {title}",
         *_provenance(about),
         "defaults:",
-        *(f"  - override /{group}: {option}" for group, option in around.items()),
+        *(f"  - override /{group}: {_yaml(option)}" for group, option in around.items()),
         "  - _self_",
         "",
     ]
@@ -86,8 +92,11 @@ def hidden(option: Path) -> bool:
 
 
 def check_name(options: Mapping[str, str], name: str | None) -> None:
-    """Raise UsageError where the option to write would have the name of the one that it extends."""
-    if (name or default_name(options)) == options["controller"]:
+    """Raise UsageError where the option to write has no name for a file, or the name of the one that it extends."""
+    chosen = name or default_name(options)
+    if file_name(chosen) != chosen:
+        raise UsageError(f"--name {chosen!r}: is no name for a file: letters, digits and _.,+=@- make one")
+    if chosen == options["controller"]:
         raise UsageError(f"--name {name}: is the option that is tuned: give another name")
 
 
@@ -122,11 +131,12 @@ def _yaml(value: Any) -> str:
     import yaml
 
     text = yaml.safe_dump(value, default_flow_style=True, width=10_000, sort_keys=False).strip()
-    return text.removesuffix("...").strip()
+    text = text.removesuffix("...").strip()
+    return text if text.isprintable() else one_line_of(value)
 
 
 def provenance_of(option: str, extra: Path | None = None, group: str = "controller") -> dict[str, Any] | None:
-    """Where the settings of an option come from; None for one that was not written by `quadexp tune`."""
+    """Where the settings of an option come from; None where its file does not say."""
     for folder in folders(extra):  # the first is the one that is composed
         path = folder / group / f"{option}.yaml"
         if path.is_file():

@@ -76,7 +76,7 @@ def tune(
     Raises UsageError before anything is flown; see also Search.run.
     """
     search = Search(composer, request, out, **how)
-    options = options_of(composer, request.given, search.config)
+    options = options_of(request.given, search.config)
     check_name(options, name)
     trials = search.run(trials_of(flights, search.flights), progress)
     best = best_of(trials)

@@ -116,9 +116,9 @@ class Search:
     ) -> None:
         self.request, self.store = request, CellStore(out)
         self._composer, self._engine, self._function, self._isolate = composer, engine, function, isolate
-        self._cells = cells_of(composer, request.given)
+        jobs = plan_cells(cells_of(composer, request.given))
+        self._cells = [job.cell for job in jobs.values()]
         self._durations = [_duration(cell.config) for cell in self._cells]
-        jobs = plan_cells(self._cells)
         self._asked = {"cells": digest([*jobs]), **request.record()}
         models = {job.model for job in jobs.values() if job.model}
         self.models = sorted(f"{model.path}, sha256 {model.sha256[:20]}" for model in models)
@@ -186,7 +186,8 @@ class Search:
 
     def _next(self, study: Any, done: int, trials: int) -> Iterator[tuple[int, tuple[float, ...]]]:
         """(number, numbers) of the trials of the present batch that are not complete: those that were asked before an
-        interruption, then new ones."""
+        interruption, then new ones. The whole batch is asked for before any of it is flown, also where the budget ends
+        in it: what is left waits for a larger budget."""
         from optuna.samplers import TPESampler
         from optuna.trial import TrialState
 
@@ -196,8 +197,7 @@ class Search:
                 asked.append((trial.number, trial.params))
             else:
                 study.tell(trial.number, state=TrialState.FAIL)
-        left = min(self.request.batch - done % self.request.batch, trials - done)
-        while len(asked) < left:
+        while len(asked) < self.request.batch - done % self.request.batch:
             index = done + len(asked)
             draws = int(np.random.SeedSequence([self.request.seed, index]).generate_state(1)[0])
             study.sampler = TPESampler(seed=draws, multivariate=True, n_startup_trials=STARTUP)
@@ -210,7 +210,7 @@ class Search:
                 else:
                     trial.suggest_float(axis.name, axis.low, axis.high, log=axis.log)
             asked.append((trial.number, trial.params))
-        for number, params in asked:
+        for number, params in asked[: trials - done]:
             yield number, self._numbers(params)
 
     def _numbers(self, params: Mapping[str, float]) -> tuple[float, ...]:

@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any, get_args
 
 from quadexp.config.completion import folders
+from quadexp.config.option_files import unreadable
+from quadexp.config.plain_data import read_data
 from quadexp.config.schema import REMEDIES, Config, remedies
 from quadexp.config.settings import Declared, declared, inside, record
 from quadexp.errors import UsageError
@@ -129,9 +131,9 @@ def _space_file(names: Sequence[str], extra: Path | None) -> Mapping[str, Any] |
             if not path.is_file():
                 continue
             try:
-                content = yaml.safe_load(path.read_text(encoding="utf-8"))
+                content = read_data(path)
             except (yaml.YAMLError, UnicodeDecodeError) as error:
-                raise UsageError(f"{path}: not valid YAML: {str(error).splitlines()[0]}") from None
+                raise unreadable(path, error) from None
             if not isinstance(content, dict):
                 raise UsageError(f"{path}: must be a mapping {{key: LOW..HIGH}}")
             return content

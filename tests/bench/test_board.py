@@ -31,7 +31,7 @@ ROWS = board(ERRORS)
 def test_rows_come_back(tmp_path):
     path = write_board(tmp_path / "b.parquet", ROWS, {})
     back = read_board(path)
-    assert [{name: one[name] for name in ROWS[0]} for one in back] == ROWS
+    assert str([{name: one[name] for name in ROWS[0]} for one in back]) == str(ROWS)  # NaN is the same here
     write_table(tmp_path / "c.parquet", {"t": [0.0]}, {}, "flight")
     with pytest.raises(Exception, match="is a flight, leaderboard is needed here"):
         read_board(tmp_path / "c.parquet")
@@ -63,9 +63,11 @@ def test_what_is_not_alike_is_not_ranked_together(more, message):
 def test_tables_say_who_lost_and_which_settings():
     table = board_table(ROWS, metric="mean_error", baseline="nominal_mpc")
     assert [row[:4] for row in table.rows] == [
-        ["1", "nominal_mpc", "published", "6 of 6"],
-        ["2", "other", "published", "4 of 6"],
+        ["1", "other", "as shipped", "4 of 6"],
+        ["= 2", "nominal_mpc", "as shipped", "6 of 6"],
     ]
+    assert [row[5] for row in table.rows] == ["1.00 (4)", "1.59"]  # of the surviving flights, which says how many
+    assert table.notes == ["3 seeds cannot show p < 0.05: at least 6 are needed; nobody is told apart"]
     errors = error_table(ROWS, metric="mean_error", by=("task",))
     assert list(errors.columns) == ["task", "nominal_mpc", "other"]
     assert errors.rows[0] == ["circle", "**200.0**", "100.0 (1 lost)"]
@@ -83,7 +85,7 @@ def test_markdown_is_written_between_its_marks(tmp_path):
     path.write_text(f"# Title\n\nbefore\n\n{BEGIN}\nformer text\n{END}\n\nafter\n")
     once = update_markdown(path, text).read_text()
     assert once.startswith("# Title\n\nbefore\n") and once.endswith("after\n") and "former text" not in once
-    assert update_markdown(path, text).read_text() == once and "| 1 | nominal_mpc |" in once
+    assert update_markdown(path, text).read_text() == once and "| 1 | other |" in once
     (tmp_path / "c.md").write_text("# no marks\n")
     with pytest.raises(UsageError, match="has no marks to write between"):
         update_markdown(tmp_path / "c.md", text)

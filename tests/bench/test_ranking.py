@@ -34,23 +34,30 @@ def test_places_by_mean_rank():
         }
     )
     found = standings(rows, baseline="c")
-    assert [(one.entry, one.place, one.level) for one in found] == [("a", 1, False), ("b", 2, True), ("c", 3, False)]
+    assert [(one.entry, one.place, one.level) for one in found] == [("a", 1, False), ("b", 2, True), ("c", 3, True)]
     a, b, c = found
     assert a.rank == pytest.approx((1 + 1 + 1.5) / 3) and b.rank == pytest.approx((2 + 2 + 1.5) / 3)
-    assert c.rank == c.rank_low == c.rank_high == 3.0
+    assert c.rank == 3.0 and math.isnan(c.rank_low)  # last at every seed: no interval
     assert a.rank_low <= a.rank <= a.rank_high
 
 
-def test_a_lost_flight_comes_before_every_rank():
+@pytest.mark.parametrize(
+    ("seeds", "lost", "order"), [(6, 1, ["good", "poor"]), (6, 6, ["poor", "good"]), (5, 5, ["good", "poor"])]
+)
+def test_lost_flights_come_first_where_they_tell_apart(seeds, lost, order):
+    """`good` loses the step at some seeds: at all six of them p is 2 / 64, five cannot tell."""
     rows = board(
         {
-            "good": lambda task, seed: 0.1 if (task, seed) != ("step", 2) else None,
+            "good": lambda task, seed: 0.1 if task != "step" or seed >= lost else None,
             "poor": lambda task, seed: 0.5,
-        }
+        },
+        seeds=range(seeds),
+        tasks=("circle", "square", "step"),
     )
-    found = standings(rows)
-    assert [one.entry for one in found] == ["poor", "good"] and of(found)["good"].rank < of(found)["poor"].rank
-    assert of(found)["good"].lost == 1 and not of(found)["good"].level
+    found = standings(rows, baseline="poor")
+    assert [one.entry for one in found] == order and of(found)["good"].lost == lost
+    assert found[1].level == (seeds < 6)
+    assert of(found)["good"].least_cells == 3 * seeds - lost and of(found)["good"].least == 1.0
 
 
 def test_ratios():

@@ -8,7 +8,9 @@ import pytest
 
 from quadexp.bench import run as bench
 from quadexp.bench.board import read_board
+from quadexp.bench.entries import read_entries
 from quadexp.bench.models import make_model, make_network
+from quadexp.bench.protocol import read_protocol
 from quadexp.config.compose import session
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import evaluate_cell
@@ -157,6 +159,23 @@ def test_settings_that_were_tuned_on_its_own_seeds_are_refused(protocol, tmp_pat
     assert {row["settings"] for row in made.rows} == {"tuned, 40 flights"}
     with pytest.raises(UsageError, match="controller=peeking: was tuned on seed 2, which the protocol flies"):
         run(tmp_path / "b", ["peeking"], tmp_path / "t")
+
+
+@pytest.mark.parametrize(
+    ("entry", "settings"),
+    [
+        ("gp_mpc", "as shipped"),
+        ("gp_mpc remedies=wind", "set by hand, seeds 0 to 3"),
+        ("gp_mpc observer=wind", "set by hand, seeds 0 to 3"),
+        ("online_mpc controller.nodes=20", "set by hand, seeds 0 to 3"),
+        ("gp_mpc controller.nodes=20", "set by hand"),
+        ("gp_mpc remedies=gp_mpc_wind_tuned", "tuned, 360 flights"),
+    ],
+)
+def test_the_table_says_what_was_set_by_hand_and_on_which_seeds(entry, settings):
+    with session() as composer:
+        (found,) = read_entries([entry], composer, read_protocol())
+    assert found.settings == settings
 
 
 def test_an_entry_of_the_field_that_cannot_fly_somewhere_is_a_note(protocol, monkeypatch, tmp_path):

@@ -46,6 +46,22 @@ def test_one_frame_per_period_and_the_last_one_stays(tmp_path, suffix):
             assert image.info["duration"] == 100
 
 
+@pytest.mark.parametrize("suffix", [".gif", ".webp"])
+@pytest.mark.parametrize("rate", [7, 40, 45])
+def test_it_is_in_real_time(tmp_path, suffix, rate):
+    """A GIF counts time in hundredths of a second: at no frame is it further off than half of one."""
+    paths = [flight(tmp_path, "nominal_mpc", (0.3, 0.0, 0.0))]
+    made = animate(paths, tmp_path / f"a{suffix}", rate=rate, end=0.3)
+    unit, shown = (10, []) if suffix == ".gif" else (1, [])
+    with Image.open(made["path"]) as image:
+        for k in range(image.n_frames - 1):
+            image.seek(k)
+            image.load()
+            shown.append(image.info["duration"])
+    wanted = 1000 / rate * np.arange(1, made["frames"])
+    assert len(shown) == made["frames"] - 1 and np.abs(np.cumsum(shown) - wanted).max() <= unit / 2 + 1e-6
+
+
 def test_the_vehicles_are_to_scale_and_where_they_were(tmp_path):
     """In the window beside the reference: one 0.3 m to the right of the other, whose centre is the reference."""
     paths = [flight(tmp_path, "nominal_mpc", (0.3, 0.0, 0.0)), flight(tmp_path, "gp_mpc", (-0.3, 0.0, 0.0))]

@@ -16,7 +16,7 @@ from quadexp.report.page import make_report
 from quadexp.report.page.answer import answer
 from quadexp.report.page.sections import scoreboard, tables
 from quadexp.report.page.source import read_comparison
-from quadexp.report.pairing import Flights, common, flew_least
+from quadexp.report.pairing import Flights, common, flew_least, whole
 from quadexp.report.result_rows import to_columns
 from quadexp.report.statistics import compute_statistics, overall
 from quadexp.report.tables import error_table, to_latex, to_markdown
@@ -28,15 +28,35 @@ from tests.report.test_tables import row
 TIMES = {"solve_time_median": 3e-5, "solve_time_p99": 6e-5, "backend": "compiled"}
 
 
+def at(seeds):
+    """Who -> the flights of one condition."""
+    return {who: {("x", int(seed)) for seed in own} for who, own in seeds.items()}
+
+
 class TestRule:
     def test_flights_that_all_ended_well(self):
-        ended = {"a": {1, 2, 3}, "b": {2, 3, 4}, "c": set()}
-        assert common(ended) == (["a", "b"], frozenset({2, 3}))
+        assert common(at({"a": "123", "b": "234", "c": ""})) == (["a", "b"], frozenset({("x", 2), ("x", 3)}))
         assert common({"a": set(), "b": set()}) == ([], frozenset())
 
     def test_who_has_the_fewest_is_left_out_where_there_would_be_none(self):
-        assert common({"a": {1, 2, 3}, "b": {2, 3}, "c": {9}}) == (["a", "b"], frozenset({2, 3}))
-        assert common({"a": {1, 2}, "b": {3, 4}}) == ([], frozenset())  # two that never met
+        assert common(at({"a": "123", "b": "23", "c": "9"})) == (["a", "b"], frozenset({("x", 2), ("x", 3)}))
+        assert common(at({"a": "12", "b": "34"})) == ([], frozenset())  # two that never met
+
+    @pytest.mark.parametrize(
+        ("seeds", "kept"),
+        [
+            ({"x": "0123", "y": "0123"}, {"x": "0123", "y": "0123"}),
+            ({"x": "0123456789", "y": "01", "z": "0123456789"}, {"x": "0123456789", "z": "0123456789"}),
+            ({"w": "012345", "x": "012345", "y": "01245", "z": "012345"}, dict.fromkeys("wxyz", "01245")),
+            ({"x": "0123", "y": "5678", "z": "0123"}, {"x": "0123", "z": "0123"}),
+            ({"x": "0", "y": "1"}, {"y": "1"}),
+        ],
+    )  # fmt: skip
+    def test_whole(self, seeds, kept):
+        def flights(by_condition):
+            return {(condition, int(seed)) for condition, own in by_condition.items() for seed in own}
+
+        assert whole(flights(seeds)) == flights(kept)
 
     def test_who_flew_least(self):
         flights = {"a": Flights(20, 20), "b": Flights(5, 20), "c": Flights(1, 4), "d": Flights(0, 0)}
@@ -156,7 +176,10 @@ def test_compare_says_not_distinguishable(tmp_path):
     rng = np.random.default_rng(4)
     for name in "ab":
         made = [row("gp_mpc", seed=s, error=float(0.1 * np.exp(0.3 * rng.normal()))) for s in range(8)]
-        made += [row("rls_mpc", seed=s, error=0.1 if name == "a" else 0.02) for s in range(8)]
+        made += [
+            row("rls_mpc", seed=s, error=(0.1 if name == "a" else 0.02) * (1 + 0.01 * s**2 * (name == "a")))
+            for s in range(8)
+        ]
         write_table(tmp_path / name / "results.parquet", to_columns(made), {"metric": "mean_error"}, "results")
     report = compare(tmp_path / "a", tmp_path / "b")
     assert [one["distinguishable"] for one in report["metrics"]] == [False, True]

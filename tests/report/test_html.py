@@ -13,6 +13,7 @@ import pytest
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.store import read_table
 from quadexp.report.page import make_report
+from quadexp.report.page.answer import answer
 from quadexp.report.page.panels import pareto_front
 from quadexp.report.page.provenance import sweep_command
 from quadexp.report.page.source import read_comparison
@@ -94,18 +95,37 @@ def test_one_file_under_two_megabytes_that_loads_nothing(made, text):
     assert len(page.ids) == len(set(page.ids))
 
 
-def test_the_answer_comes_from_the_numbers(made, results):
+@pytest.fixture(scope="module")
+def sure(tmp_path_factory):
+    """Results of ten seeds, which can tell three contestants apart."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tests.report.results.SEEDS", range(10))
+        return make_results(tmp_path_factory.mktemp("sure") / "results")
+
+
+def test_the_answer_comes_from_the_numbers(sure, tmp_path):
+    made = make_report(sure, tmp_path / "report.html")
     first, second = made["answer"]
-    comparison = read_comparison(results)
+    comparison = read_comparison(sure)
     one = comparison.overall["gp_mpc"]
     expected = 100 * (1 - ERRORS["gp_mpc"] / ERRORS["nominal_mpc"])  # 95 %, the same noise for both
     assert one.reduction == pytest.approx(expected, abs=0.01)
     assert "by 95.0" in first and "GP MPC, the best of 2 ways, tracks 20 times closer than nominal MPC" in first
-    flown = "Flights that ended well: perfect MPC, GP MPC and nominal MPC 24 of 24, linear-drag MPC 23 of 24."
+    flown = "Flights that ended well: perfect MPC, GP MPC and nominal MPC 40 of 40, linear-drag MPC 39 of 40."
     assert first.startswith(flown)
-    assert "Over the 23 flights that all ended well" in first and "within 33.3\u202f% of perfect MPC" in first
+    assert "Over the 36 flights that all ended well" in first and "within 33.3\u202f% of perfect MPC" in first
     assert second.startswith("It runs in real time") and "50.0\u202fµs" in second and "20\u202fms" in second
-    assert "1 of 96 flights did not end well (lost)" in made["note"]
+    assert "1 of 160 flights did not end well (lost)" in made["note"]
+
+
+@pytest.mark.parametrize(("controller", "credited"), [("gp_mpc", True), ("geometric", False), ("gp_mpc+wind", False)])
+def test_only_what_knows_the_air_and_differs_in_nothing_else_is_credited(tmp_path, monkeypatch, controller, credited):
+    monkeypatch.setattr("tests.report.results.ERRORS", {"nominal_mpc": 0.04, controller: 0.002})
+    monkeypatch.setattr("tests.report.results.SEEDS", range(10))
+    monkeypatch.setattr("tests.report.results.TIMES", {"nominal_mpc": 2e-5, controller: 2e-5})
+    made = answer(read_comparison(make_results(tmp_path / "r", controllers=("nominal_mpc", controller), lost=False)))
+    assert ("aerodynamics" in made.gain) == ("aerodynamics" in made.question) == credited
+    assert "times closer than nominal MPC" in made.gain and "95.0" in made.gain
 
 
 def test_the_numbers_on_the_page_are_those_of_the_table(text, results):
@@ -188,8 +208,8 @@ def test_results_without_a_baseline_or_a_rival(tmp_path, controllers):
     assert all(sentence.endswith(".") and "nan" not in sentence for sentence in made["answer"])
 
 
-def test_the_p_against_the_baseline_is_the_one_of_the_tables(results, made):
-    comparison = read_comparison(results)
+def test_the_p_against_the_baseline_is_the_one_of_the_tables(sure, tmp_path):
+    comparison, made = read_comparison(sure), make_report(sure, tmp_path / "report.html")
     p = probability(comparison.overall[comparison.lead].p_holm)
     assert f"against the baseline {p} (paired permutation test, by Holm over" in " ".join(made["note"].split())
 
@@ -218,7 +238,7 @@ class TestSize:
 
     @pytest.mark.slow  # half a minute
     def test_a_thousand_conditions(self, tmp_path):
-        made = make_report(many_results(tmp_path / "many", 1000), tmp_path / "report.html")
+        made = make_report(many_results(tmp_path / "many", 1000, seeds=8), tmp_path / "report.html")
         text = made["path"].read_text(encoding="utf-8")
         assert made["bytes"] == made["path"].stat().st_size < 2_000_000
         page = Page(text)
@@ -232,7 +252,7 @@ class TestSize:
 
     def test_then_lines_of_the_tables(self, tmp_path, monkeypatch):
         monkeypatch.setattr("quadexp.report.page.build.LIMIT", 130_000)
-        made = make_report(many_results(tmp_path / "many", 80), tmp_path / "report.html")
+        made = make_report(many_results(tmp_path / "many", 80, seeds=8), tmp_path / "report.html")
         shown = len(Page(made["path"].read_text(encoding="utf-8")).tables["mean_error"]) - 1
         assert made["bytes"] < 130_000 and shown == 40
         assert f"{80 - shown} of 80 lines of the tables" in made["left_out"]

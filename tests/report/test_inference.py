@@ -13,14 +13,12 @@ from quadexp.report import inference
 from quadexp.report.inference import (
     cohen_d,
     holm,
-    least_count,
     least_p,
     mean_interval,
     paired_permutation,
     rank_biserial,
     reduction_interval,
     success_interval,
-    widened,
 )
 
 
@@ -49,86 +47,36 @@ class TestInterval:
             assert math.isnan(limits.low) and math.isnan(limits.high) and limits.method == "none"
 
     def test_values_that_are_all_the_same(self):
-        assert mean_interval(np.full(8, 0.1)) == (pytest.approx(0.1), pytest.approx(0.1), "constant")
+        assert mean_interval(np.full(8, 0.1)).method == "none"  # copies of one value are no sample
 
-    @pytest.mark.parametrize(("confidence", "count"), [(0.5, 2), (0.75, 3), (0.95, 6), (0.99, 8)])
-    def test_the_bootstrap_begins_where_its_range_can_hold_the_confidence(self, confidence, count):
-        assert least_count(confidence) == count
-        assert 1 - 2.0 ** (1 - count) >= confidence > 1 - 2.0 ** (2 - count)
-        values = np.random.default_rng(0).normal(size=count)
-        assert mean_interval(values, confidence).method == "BCa"
-        assert mean_interval(values[:-1], confidence).method == ("t" if count > 2 else "none")
-
-    def test_it_is_scipys_bca_at_the_widened_level(self):
-        values = np.random.default_rng(3).exponential(size=12)
-        wanted = scipy.stats.bootstrap(
-            (values,),
-            np.mean,
-            n_resamples=inference.RESAMPLES,
-            confidence_level=widened(0.95, 12),
-            method="BCa",
-            random_state=np.random.default_rng(0),
-        ).confidence_interval
-        assert mean_interval(values)[:2] == pytest.approx((wanted.low, wanted.high), rel=1e-12)
-        assert mean_interval(values) == mean_interval(values)
-
-    def test_the_widened_level_is_that_of_students_interval(self):
-        # Half width of a normal bootstrap: z sqrt((n-1)/n) s / sqrt(n), to be t s / sqrt(n).
-        for n in (6, 20, 200):
-            z = scipy.stats.norm.ppf((1 + widened(0.95, n)) / 2)
-            assert z * math.sqrt((n - 1) / n) == pytest.approx(scipy.stats.t.ppf(0.975, n - 1), rel=1e-9)
-
-    def test_many_values_have_students_interval_which_is_the_bootstraps(self, monkeypatch):
-        values = np.random.default_rng(5).gamma(3.0, size=400)
-        wanted = mean_interval(values)
-        assert wanted.method == "t"
-        monkeypatch.setattr(inference, "MOST_BOOTSTRAPPED", 400)
-        half = (wanted.high - wanted.low) / 2
-        assert mean_interval(values)[:2] == pytest.approx(wanted[:2], abs=0.1 * half)
-
-    # Measured in 2000 runs: 95, 93 and 95 % for the normal, where the plain bootstrap has 85 % at 6 values; an
-    # exponential of few values is hard for every method. The bounds are 3 standard errors below.
-    @pytest.mark.parametrize(
-        ("name", "mean", "n", "least"),
-        [
-            ("normal", 0.0, 3, 0.92),
-            ("normal", 0.0, 6, 0.89),
-            pytest.param("normal", 0.0, 10, 0.92, marks=pytest.mark.slow),
-            ("exponential", 1.0, 6, 0.87),
-            pytest.param("exponential", 1.0, 20, 0.90, marks=pytest.mark.slow),
-        ],
-    )
-    def test_coverage(self, name, mean, n, least, monkeypatch):
-        monkeypatch.setattr(inference, "RESAMPLES", 999)
-        rng = np.random.default_rng(17)
-        held = 0
-        for run in range(600):
-            low, high, _ = mean_interval(getattr(rng, name)(size=n), seed=run)
-            held += low <= mean <= high
-        assert least <= held / 600 <= 0.98
+    @pytest.mark.parametrize("n", [2, 3, 6, 20])
+    @pytest.mark.parametrize(("name", "mean", "least"), [("normal", 0.0, 0.94), ("exponential", 1.0, 0.80)])
+    def test_coverage(self, name, mean, least, n):
+        draws = getattr(np.random.default_rng(17), name)(size=(2000, n))
+        held = [low <= mean <= high for low, high, _ in map(mean_interval, draws)]
+        assert least <= np.mean(held) <= 0.965
 
     @pytest.mark.parametrize("n", [4, 8])
-    def test_coverage_of_the_reduction(self, n, monkeypatch):
-        monkeypatch.setattr(inference, "RESAMPLES", 999)
+    def test_coverage_of_the_reduction(self, n):
         rng = np.random.default_rng(23)
-        runs, held = 300, 0
-        for run in range(runs):
+        runs, held = 2000, 0
+        for _ in range(runs):
             common = rng.normal(size=n)  # paired: the same noise in both
             own, base = 5 + 0.3 * common + 0.2 * rng.normal(size=n), 20 + common + 0.4 * rng.normal(size=n)
-            low, high, _ = reduction_interval(own, base, seed=run)
+            low, high, _ = reduction_interval(own, base)
             held += low <= 75.0 <= high
-        assert 0.90 <= held / runs <= 0.99
+        assert 0.93 <= held / runs <= 0.97
 
     def test_a_reduction_that_is_the_same_everywhere(self):
         base = np.array([10.0, 20.0, 40.0])
-        assert reduction_interval(0.25 * base, base) == (75.0, 75.0, "constant")
+        assert reduction_interval(0.25 * base, base).method == "none"
         assert reduction_interval(base, np.zeros(3)).method == "none"
 
 
 class TestSuccess:
     @pytest.mark.parametrize(("k", "n"), [(0, 5), (3, 5), (5, 5), (17, 20)])
-    def test_wilson_as_scipy_has_it(self, k, n):
-        wanted = scipy.stats.binomtest(k, n).proportion_ci(0.95, method="wilson")
+    def test_limits_as_scipy_has_them(self, k, n):
+        wanted = scipy.stats.binomtest(k, n).proportion_ci(0.95, method="exact")
         assert success_interval(k, n) == pytest.approx((wanted.low, wanted.high), rel=1e-9, abs=1e-12)
 
     def test_no_trials(self):
@@ -169,14 +117,11 @@ class TestPermutation:
         ranks = np.sign(differences) * scipy.stats.rankdata(np.abs(differences))
         assert paired_permutation(ranks) == pytest.approx(scipy.stats.wilcoxon(differences, method="exact").pvalue)
 
-    def test_drawn_patterns_and_the_normal_limit_agree_with_counting(self, monkeypatch):
+    def test_the_normal_limit_agrees_with_counting(self, monkeypatch):
         differences = np.random.default_rng(13).normal(0.1, 1, 28)
         exact = paired_permutation(differences)
         assert 0.01 < exact < 0.5
         monkeypatch.setattr(inference, "MOST_EXACT", 20)
-        drawn = paired_permutation(differences)
-        assert drawn == pytest.approx(exact, abs=4 * math.sqrt(exact / inference.DRAWS)) and drawn != exact
-        monkeypatch.setattr(inference, "MOST_DRAWN", 20)
         assert paired_permutation(differences) == pytest.approx(exact, rel=0.1)
 
     def test_it_errs_as_often_as_it_says(self):

@@ -9,11 +9,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_table, write_table
-from quadexp.report.metrics import METRICS, attitude_error, flight_metrics, position_error, saturated_share
+from quadexp.report.metrics import ERRORS, METRICS, attitude_error, flight_metrics, position_error, saturated_share
 from quadexp.report.result_rows import ROW_COLUMNS, from_columns, to_columns, to_csv
 from quadexp.report.tables import error_table
+from quadexp.report.text import shown
+from quadexp.sweeps.results import select
+from quadexp.sweeps.sweep_table import table_row
 from tests.log.flights import straight_flight
 from tests.report.test_tables import row
 
@@ -71,6 +75,37 @@ def test_solve_times():
     assert metrics["solve_time_max"] == pytest.approx(100e-6)
 
 
+@pytest.mark.parametrize("every", [1, 6])
+def test_instants_of_an_inner_loop_are_no_steps_of_the_controller(every):
+    """Samples at 0.01 s; the controller steps at every n-th, and its record stands beside the instants between."""
+    flight = straight_flight(60)
+    flight.columns["solve_time"] = np.where(np.arange(60) % every == 0, 50e-6, 4e-6)
+    flight.columns["unconverged"] = (np.arange(60) < every).astype(np.int8)
+    dt = flight.t[1] - flight.t[0]
+    metrics = flight_metrics(flight, 0.0, 20.0, every * dt)
+    assert metrics["solve_time_median"] == pytest.approx(50e-6) and metrics["unconverged_count"] == 1
+
+
+@pytest.mark.parametrize("outcome", ["lost", "solver_failed", "left_corridor", "ok"])
+def test_a_flight_that_was_not_flown_to_its_end_has_no_error(tmp_path, outcome):
+    """Nor has one in a table of an earlier version, which wrote the error up to there; it is sorted last."""
+    flight = straight_flight(5, (0.03, 0.0, 0.0))
+    flight.metadata["outcome"] = outcome
+    metrics, ended = flight_metrics(flight, 0.0, 20.0), outcome in COMPLETED
+    errors = ("rmse", "mean_error", "max_error", "attitude_rmse", "heading_rmse")
+    assert [math.isnan(metrics[name]) for name in errors] == [not ended] * 5
+    assert metrics["duration"] > 0 and metrics["peak_speed"] > 0
+    old = [{**row(), "outcome": outcome, "mean_error": 1e-9, "key": "a"}, {**row(), "mean_error": 1.0, "key": "b"}]
+    (tmp_path / "cells").mkdir()
+    write_table(tmp_path / "results.parquet", to_columns(old), {}, "results")
+    assert [one["key"] for one in select(tmp_path, sort="mean_error").rows] == (["a", "b"] if ended else ["b", "a"])
+    assert table_row(old[0])["mean_error"] == pytest.approx(1e-9 if ended else math.nan, nan_ok=True)
+
+
+def test_every_error_is_shown_with_its_unit():
+    assert [shown(name)[1] for name in ERRORS] == ["mm", "mm", "mm", "°", "°"]
+
+
 def test_rows_have_no_count_of_last_resorts_and_tables_of_earlier_versions_are_read(tmp_path):
     made = flight_metrics(straight_flight(5), 0.0, 20.0)
     assert set(made) == set(METRICS) and not any("resort" in name for name in (*made, *ROW_COLUMNS))
@@ -92,5 +127,23 @@ def test_attitude_error_against_scipy(rng):
     b[:10] = a[:10] * rng.uniform(-3, 3, (10, 1))  # no angle, quaternions of any length and sign
     b[10:20] = a[10:20] + 1e-9 * rng.normal(size=(10, 4))
     expected = (Rotation.from_quat(b, scalar_first=True).inv() * Rotation.from_quat(a, scalar_first=True)).magnitude()
-    flight = SimpleNamespace(state=np.pad(a, ((0, 0), (3, 6))), reference_state=np.pad(b, ((0, 0), (3, 6))))
+    flight = SimpleNamespace(
+        metadata={}, state=np.pad(a, ((0, 0), (3, 6))), reference_state=np.pad(b, ((0, 0), (3, 6)))
+    )
     np.testing.assert_allclose(attitude_error(flight), expected, rtol=0, atol=1e-9)
+
+
+def test_a_free_heading_is_in_no_error(rng):
+    """The angle between thrust axes, by SciPy, whatever the vehicle turned about its own."""
+    tilt, turn = rng.uniform(0.1, 3.0, 5), rng.uniform(-3, 3, 5)
+    flown = Rotation.from_rotvec(np.outer(tilt, [0.6, 0.8, 0.0])) * Rotation.from_rotvec(np.outer(turn, [0, 0, 1.0]))
+    reference = Rotation.random(random_state=1)
+    flight = straight_flight(5)
+    for prefix, rotation in (("", reference * flown), ("ref_", Rotation.concatenate([reference] * 5))):
+        columns = rotation.as_quat(scalar_first=True).T
+        flight.columns.update({f"{prefix}q_{i}": column for i, column in zip("wxyz", columns, strict=True)})
+    assert attitude_error(flight) == pytest.approx((reference.inv() * reference * flown).magnitude())
+    assert not np.allclose(attitude_error(flight), tilt, atol=0.05)
+    flight.metadata["free_heading"] = True
+    assert attitude_error(flight) == pytest.approx(tilt)
+    assert flight_metrics(flight, 0.0, 20.0)["heading_rmse"] is None

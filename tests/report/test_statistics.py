@@ -60,7 +60,7 @@ class TestOneCondition:
         rows = errors("nominal_mpc", [0.2, 0.3, 0.4]) + errors("gp_mpc", [0.1, 0.2, 0.3])[::-1]
         gp = only(compute_statistics(rows, metrics=["mean_error"]), "gp_mpc")
         assert gp.difference == pytest.approx(-0.1) and math.isnan(gp.cohen_d)  # the same at every seed
-        assert (gp.difference_low, gp.difference_high) == pytest.approx((-0.1, -0.1))
+        assert math.isnan(gp.difference_low) and gp.p == 0.25  # no spread, no interval
 
     def test_six_seeds_can_be_significant_and_one_can_not_be_tested(self):
         rows = errors("nominal_mpc", [0.2, 0.21, 0.22, 0.2, 0.25, 0.3]) + errors("gp_mpc", [0.1] * 6)
@@ -74,7 +74,7 @@ class TestOneCondition:
         statistics = compute_statistics(rows)
         assert len(statistics) == 2 * len((*COMPARED, *DESCRIBED))
         time = only(statistics, "nominal_mpc", metric="solve_time_median")
-        assert time.mean == 2e-5 and time.interval == "constant" and time.unit == "s"
+        assert time.mean == 2e-5 and time.interval == "none" and time.unit == "s"
         assert only(statistics, "gp_mpc", metric="solve_time_median").baseline == ""
 
 
@@ -202,28 +202,44 @@ class TestOverall:
         ]
         (gp,) = overall(rows)
         assert (gp.label, gp.conditions, gp.pairs, gp.left_out) == ("gp_mpc", 2, 4, "")
-        assert (gp.reduction, gp.reduction_low, gp.reduction_high) == pytest.approx((80, 80, 80))
-        assert gp.effect == 1.0 and gp.p == gp.p_least == 1 / 8
-        assert gp.text() == "gp_mpc: 80.0 % [80.0, 80.0] less than nominal_mpc over 2 conditions (4 pairs, p = 0.12)"
+        assert gp.reduction == pytest.approx(80) and gp.units == 2 and gp.effect == 1.0
+        assert math.isnan(gp.reduction_low) and math.isnan(gp.p)  # copies
+        few = "2 seeds cannot show p < 0.05: at least 6 are needed"
+        assert gp.text() == f"gp_mpc: 80.0 % less than nominal_mpc over 2 conditions ({few})"
 
-    def test_conditions_weigh_the_same_however_many_pairs_they_have(self):
-        rows = errors("nominal_mpc", [1.0], speed=4.0) + errors("gp_mpc", [0.25], speed=4.0)
-        rows += errors("nominal_mpc", [1.0] * 3, speed=8.0) + errors("gp_mpc", [1.0] * 3, speed=8.0)
+    def test_a_seed_is_the_mean_over_the_conditions_and_one_value(self):
+        rng = np.random.default_rng(7)
+        logs = rng.normal(size=(3, 6))  # conditions, seeds
+        rows = [
+            made
+            for speed, log in enumerate(logs, 4)
+            for made in errors("nominal_mpc", [0.1] * 6, speed=float(speed))
+            + errors("gp_mpc", list(0.1 * np.exp(log)), speed=float(speed))
+        ]
         (gp,) = overall(rows)
-        assert gp.reduction == pytest.approx(50)  # geometric mean of 1/4 and 1
-        assert math.isnan(gp.reduction_low)  # one flight says nothing about the spread of its condition
+        assert (gp.conditions, gp.units, gp.pairs) == (3, 6, 18)
+        seeds = logs.mean(axis=0)
+        assert gp.p == inference.paired_permutation(seeds) and gp.p_least == 2 / 64
+        assert 1 - gp.reduction_high / 100 == pytest.approx(inference.log_ratio(seeds).low)
+
+    def test_a_condition_with_few_flights_is_left_out(self):
+        rows = errors("nominal_mpc", [1.0, 1.0], speed=4.0) + errors("gp_mpc", [0.25, 0.26], speed=4.0)
+        rows += errors("nominal_mpc", [1.0] * 8, speed=8.0) + errors(
+            "gp_mpc", [1.0 + 0.1 * s for s in range(8)], speed=8.0
+        )
+        (gp,) = overall(rows)
+        assert (gp.conditions, gp.units) == (1, 8) and gp.left_out == "2 not ended well by all"
+        assert gp.own_pairs == 10 and "over all 10 that both ended well" in gp.text()
 
     def test_worse_is_said_as_more(self):
         rows = errors("nominal_mpc", [0.1, 0.1]) + errors("gp_mpc", [0.12, 0.12])
-        assert (
-            overall(rows)[0].text().startswith("gp_mpc: 20.0 % [20.0, 20.0] more than nominal_mpc over 1 condition (2")
-        )
+        assert overall(rows)[0].text().startswith("gp_mpc: 20.0 % more than nominal_mpc over 1 condition (2 seeds")
 
     def test_failures_are_counted(self):
         rows = errors("nominal_mpc", [0.2, 0.3, "lost"]) + errors("gp_mpc", [0.1, "lost", 0.1])
         (gp,) = overall(rows)
         assert gp.pairs == 1 and gp.lost == 1 and gp.success == pytest.approx(2 / 3)
-        assert gp.text().endswith("(1 pair; left out: 1 lost, 1 lost by nominal_mpc)")
+        assert gp.text().endswith("at least 6 are needed; left out: 1 lost, 1 lost by nominal_mpc)")
         (gp,) = overall(errors("nominal_mpc", ["lost"]) + errors("gp_mpc", [0.1]))
         assert gp.text() == "gp_mpc: no pair with nominal_mpc (1 lost by nominal_mpc)"
 

@@ -56,24 +56,31 @@ def test_groups_stand_above_their_first_column():
     assert table.markdown().startswith("| ")
 
 
+def test_latex_leaves_no_character_with_a_meaning():
+    text = Table(["a^b~c", "x > 1 | y"], [["q_x^2", "{50 %}"]]).latex()
+    body = text[text.index("toprule") : text.index("bottomrule")]
+    plain = re.sub(r"\\\\|\\(textasciicircum|textasciitilde)\{\}|\\[a-z]+|\\[_%{}]|\$[<>|]\$", "", body)
+    assert not set("^~_%{}<>|$") & set(plain) and plain.count("&") == 2
+
+
 def test_markdown():
     assert TABLE.markdown().splitlines() == [
         "mean error (mm)",
         "",
         "| trajectory | m/s | gp_mpc |",
         "| --- | ---: | ---: |",
-        *("| " + " | ".join(row) + " |" for row in ROWS),
+        *("| " + " | ".join(row).replace("<", r"\<") + " |" for row in ROWS),
         "",
-        "* differs",
+        r"\* differs",
         "second",
     ]
-    assert TABLE.markdown(bullets=True).endswith("\n- &ast; differs\n- second\n")
+    assert TABLE.markdown(bullets=True).endswith("\n- \\* differs\n- second\n")
 
 
 def test_latex_translates_marks_and_escapes_the_rest():
     latex = TABLE.latex()
     assert r"circle & 4 & \textbf{1.2} [1.1, 1.3]$^*$ \\" in latex
-    assert r"a\_b \& c & 8 & 10.0 $<$x> (1 solver\_failed) \\" in latex
+    assert r"a\_b \& c & 8 & 10.0 $<$x$>$ (1 solver\_failed) \\" in latex
     assert r"\begin{tabular}{lrr}" in latex and latex.count(r"\midrule") == 2
     assert latex.splitlines()[0] == r"% mean error (mm); needs \usepackage{booktabs}"
     over = Table(TABLE.columns, ROWS, TABLE.title, head=1, over="error").latex()

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from quadexp.log.store import read_table, write_table
+from quadexp.messages import latex
 from quadexp.report.result_rows import ROW_COLUMNS, from_columns, to_columns, to_csv
 from quadexp.report.statistics import compute_statistics
-from quadexp.report.table import escape
 from quadexp.report.tables import comparison_table, error_table, table_of, to_latex, to_markdown, to_rich
 from quadexp.report.text import significant, with_interval
 
@@ -28,12 +28,12 @@ def row(controller="nominal_mpc", speed=8.0, seed=0, error=0.24, **more):
 
 def test_mean_over_seeds_in_millimetres_and_the_best_marked():
     rows = [row(seed=0, error=0.2), row(seed=1, error=0.3)]
-    rows += [row("gp_mpc", seed=0, error=0.004), row("gp_mpc", seed=1, error=0.006)]  # the same ratio: no chance
+    rows += [row("gp_mpc", seed=0, error=0.004), row("gp_mpc", seed=1, error=0.00601)]
     table = error_table(rows)
     assert table.columns == ("nominal_mpc", "gp_mpc") and table.rows == (("circle", "8"),)
     nominal, gp = (table.entries[table.rows[0], column] for column in table.columns)
     assert nominal.mean == pytest.approx(250.0) and nominal.spread == pytest.approx(50 * math.sqrt(2))
-    assert gp.best and not nominal.best and gp.mean == pytest.approx(5.0)
+    assert gp.best and not nominal.best and gp.mean == pytest.approx(5.005)
     assert error_table(rows, "rmse").entries[table.rows[0], "nominal_mpc"].mean == pytest.approx(300.0)
 
 
@@ -129,15 +129,16 @@ def test_digits(value, text):
     assert significant(value) == text
 
 
+MADE = (("nominal_mpc", 0.2, 0.0), ("gp_mpc", 0.004, 0.001))  # error at the first seed, more at every other
+
+
 def test_markdown_and_latex():
-    table = error_table([row(error=0.2, seed=s) for s in (0, 1)] + [row("gp_mpc", error=0.004, seed=s) for s in (0, 1)])
-    assert (
-        "| flown |  | 2 of 2 | 2 of 2 |\n| circle | 8 | 200.0 [200.0, 200.0] | **4.00** [4.00, 4.00] |"
-        in to_markdown(table)
-    )
+    rows = [row(name, error=e + s * d, seed=s) for name, e, d in MADE for s in (0, 1, 2)]
+    table = error_table(rows)
+    assert "| flown |  | 3 of 3 | 3 of 3 |\n| circle | 8 | 200.0 | **5.00** [2.52, 7.48] |" in to_markdown(table)
     latex = to_latex(table)
-    assert r"circle & 8 & 200.0 [200.0, 200.0] & \textbf{4.00} [4.00, 4.00] \\" in latex
-    assert r"nominal\_mpc & gp\_mpc" in latex and r"flown &  & 2 of 2 & 2 of 2 \\" in latex
+    assert r"circle & 8 & 200.0 & \textbf{5.00} [2.52, 7.48] \\" in latex
+    assert r"nominal\_mpc & gp\_mpc" in latex and r"flown &  & 3 of 3 & 3 of 3 \\" in latex
     assert latex.count(r"\toprule") == latex.count(r"\bottomrule") == 1
     assert r"trajectory & speed (m/s) & nominal\_mpc" in latex and r"\multicolumn{2}{c}{mean error (mm)}" in latex
     assert latex.count("&") == 2 + 3 * 3
@@ -198,9 +199,9 @@ class TestIntervals:
         assert rf"\textbf{{{gp.mean:.2f}}} {text}$^*$" in to_latex(table)
         assert f"] (1 lost) | **{gp.mean:.2f}** {text}* (own {gp.own:.2f} of 7) |" in to_markdown(table)
         assert gp.own == pytest.approx((sum(4 + 0.1 * s for s in range(6)) + 4) / 7) and gp.flights == 6
-        assert "- &ast; differs from nominal_mpc: p < 0.05" in to_markdown(table)
+        assert r"- \* differs from nominal_mpc: p < 0.05" in to_markdown(table)
         assert table.notes[0].startswith(
-            "mean over the flights of a line that all ended well, of 7 seeds [95 % interval: BCa bootstrap]; bold:"
+            "mean over the flights of a line that all ended well, of 7 seeds [95 % interval: Student's t]; bold:"
         )
 
     def test_a_controller_that_loses_flights_is_not_the_best_and_who_has_the_larger_error_is_not_either(self):
@@ -213,8 +214,8 @@ class TestIntervals:
     def test_the_note_says_how_many_seeds_a_significant_line_takes(self):
         rows = [row(seed=s, error=0.2 + 0.01 * s) for s in range(5)] + [row("gp_mpc", seed=s) for s in range(5)]
         assert error_table(rows).notes[1] == (
-            "5 pairs a line cannot show significance (p is 0.0625 at least, over 1 comparison): 6 could"
+            "5 seeds cannot show p < 0.05 in a line, over 1 comparison: at least 6 are needed"
         )
 
     def test_latex_escapes_everything(self):
-        assert escape("a_b & 5 % < {x} \\") == r"a\_b \& 5 \% $<$ \{x\} \textbackslash{}"
+        assert latex("a_b & 5 % < {x} \\") == r"a\_b \& 5 \% $<$ \{x\} \textbackslash{}"

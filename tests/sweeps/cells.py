@@ -88,7 +88,7 @@ def bare_cell(config, model, path, key):
 def poisoned_cell(config, model, path, key):
     """Seed 1 kills its process while it writes, 2 raises, 3 never ends, 4 eats all memory, 5 segfaults."""
     if config.seed == 1:
-        Path(path).with_name(f".{Path(path).name}.{os.getpid()}.tmp").write_bytes(b"half")
+        Path(path).with_name(f".quadexp-{os.getpid():016x}.tmp").write_bytes(b"half")
         os.kill(os.getpid(), signal.SIGKILL)
     if config.seed == 2:
         raise ValueError("this seed does not work")

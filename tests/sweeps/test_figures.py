@@ -141,7 +141,7 @@ def test_an_interrupt_leaves_whole_figures_and_the_next_run_draws_the_others(flo
         content = (out / "figures" / name).read_bytes()
         assert content.rstrip().endswith(b"</svg>") or b"IEND" in content[-16:], name
     (out / "figures").mkdir(exist_ok=True)
-    (out / "figures" / ".solve_time.svg.1.tmp").write_text("<svg> of a process that was killed")
+    (out / "figures" / ".quadexp-0123456789abcdef.tmp").write_text("<svg> of a process that was killed")
     assert draw(out, rows)[1] == {}
     assert set(drawn(out)) == {f"{name}.{form}" for name in CIRCLE for form in ("svg", "png")}
 

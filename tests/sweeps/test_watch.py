@@ -71,6 +71,13 @@ def test_the_page_grows_and_its_numbers_are_those_of_the_flights(out):
         get(watch.url)
 
 
+def test_settings_that_contradict_each_other_are_no_flight():
+    rows = [row(error=0.2), row(seed=1, outcome="lost"), row(seed=2, outcome="invalid")]
+    live = Live("r", "mean_error", 3, rows=rows)
+    (cells,) = live.lines().values()
+    assert live.ended() == {"nominal_mpc": (1, 2)} and cells["nominal_mpc"].text() == "200.0 (1 lost)"
+
+
 def test_only_who_has_the_address_on_this_machine_gets_an_answer(out):
     with Watch(out, "mean_error") as watch:
         port = watch.url.split(":")[2].split("/")[0]

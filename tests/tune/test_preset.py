@@ -6,6 +6,7 @@ import shutil
 
 import pytest
 
+from quadexp.api.frames import Tuning
 from quadexp.config.compose import compose, session
 from quadexp.config.schema import REMEDIES
 from quadexp.config.settings import record
@@ -60,6 +61,18 @@ def test_the_budget_is_counted_in_flights(tuned):
     assert (out / "history.svg").is_file()
 
 
+@pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 2, 1, 0], [2, 0, 3, 1]])
+def test_the_best_trial_is_the_same_however_the_table_is_sorted(tuned, order):
+    out, found = tuned
+    for attrs in ({}, {"best": found.best}):
+        table = Tuning.of(*read_table(out / "history.parquet", "tuning"), out)
+        table.attrs |= attrs
+        table = table.iloc[order]
+        assert table["trial"].iloc[table.best] == found.best
+    with pytest.raises(UsageError, match="not among these rows"):
+        _ = table[table["trial"] != found.best].best
+
+
 def test_where_it_comes_from_stands_in_its_file(tuned):
     about = provenance_of("perfect_mpc_tuned", tuned[0])
     assert about and all(tuned[1].record[key] == value for key, value in about.items())
@@ -98,7 +111,7 @@ def test_a_controller_and_its_remedies_are_one_bundle(given, tmp_path):
     """It flies what was found, in one composition and as a cell of a sweep, whatever was chosen before."""
     with session() as composer:
         config = composer.compose([*given, "controller.rate=150"])
-        options = options_of(composer, given, config)
+        options = options_of(given, config)
         choice, path = write_preset(tmp_path, composer, options, config, {"flights": 7}, "mine")
     assert choice == f"{given[0]} remedies=mine" and not hidden(path)
     groups = ("controller", *REMEDIES)
@@ -108,6 +121,17 @@ def test_a_controller_and_its_remedies_are_one_bundle(given, tmp_path):
     with session(tmp_path) as composer:
         swept = composer.expand([*choice.split(), "world=clean,only_wind"])
         assert [[record(getattr(cell.config, group)) for group in groups] for cell in swept] == [wanted] * 2
+
+
+def test_the_controller_of_an_experiment_is_the_one_that_is_tuned(tmp_path):
+    (tmp_path / "experiment").mkdir()
+    chosen = "# @package _global_\ndefaults:\n  - override /controller: dfbc\n  - _self_\ncontroller: {rate: 100}\n"
+    (tmp_path / "experiment" / "mine.yaml").write_text(chosen)
+    with session(tmp_path) as composer:
+        config = composer.compose(["experiment=mine"])
+        options = options_of(["experiment=mine"], config)
+        choice, _ = write_preset(tmp_path, composer, options, config, {"flights": 7}, "own")
+    assert record(compose([choice], tmp_path).controller) == record(config.controller) | {"name": "own"}
 
 
 def test_what_is_called_as_a_shipped_option_is_hidden_by_it(tmp_path):

@@ -59,6 +59,20 @@ def test_batches_too(tmp_path):
     assert same(complete, search(tmp_path / "b", 13, WeightCell(), BOTH, batch=4))
 
 
+@pytest.mark.parametrize(("batch", "budgets"), [(4, [13, 15]), (3, [2, 4, 11]), (5, [14])])
+def test_a_budget_that_ends_in_a_batch_can_be_raised(tmp_path, batch, budgets):
+    complete = search(tmp_path / "a", 17, WeightCell(), BOTH, batch=batch)
+    for budget in budgets:
+        assert same(complete[:budget], search(tmp_path / "b", budget, WeightCell(), BOTH, batch=batch))
+    assert same(complete, search(tmp_path / "b", 17, WeightCell(), BOTH, batch=batch))
+
+
+def test_a_cell_that_is_given_twice_is_flown_once(tmp_path):
+    twice = [*HOVER, "seed=5,5"]
+    once = search(tmp_path / "b", 3, WeightCell(), given=[*HOVER, "seed=5"])
+    assert same(once, search(tmp_path / "a", 3, WeightCell(), given=twice))
+
+
 def test_a_larger_budget_continues_and_a_smaller_one_is_its_beginning(whole, tmp_path):
     first = search(tmp_path / "t", 6, WeightCell(), BOTH)
     assert same(first, whole[1][:6])

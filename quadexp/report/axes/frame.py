@@ -7,6 +7,7 @@ the overrides that asked for it are in the record of the results.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -36,11 +37,19 @@ Row = Mapping[str, Any]
 
 
 class SweepFrame:
-    """Rows of results, one a flight, with a column for every key. record: of the table; {} where there is none."""
+    """Rows of results, one a flight, with a column for every key. record: of the table; {} where there is none.
+    configs: key of a row -> settings, of flights whose own file was read."""
 
-    def __init__(self, rows: Sequence[Row], root: str | Path, record: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        rows: Sequence[Row],
+        root: str | Path,
+        record: Mapping[str, Any] | None = None,
+        configs: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
         self.rows = list(rows)
         self.root, self.record = Path(root), record or {}
+        self._own = configs or {}
         self._store = CellStore(root)
         self._configs: dict[tuple[Any, ...], dict[str, Any]] = {}
         self._gone: dict[tuple[Any, ...], int] = {}  # files of a group that could not be read
@@ -67,7 +76,7 @@ class SweepFrame:
 
     def taken(self, order: Sequence[int]) -> SweepFrame:
         """The frame of the rows at these places, in this order."""
-        found = SweepFrame([self.rows[i] for i in order], self.root, self.record)
+        found = SweepFrame([self.rows[i] for i in order], self.root, self.record, self._own)
         found._configs, found._gone = self._configs, self._gone
         return found
 
@@ -147,7 +156,7 @@ class SweepFrame:
             return "+".join(self._remedies(row, REMEDIES)) or "none"
         if name.startswith("model."):
             return self._of_checkpoint(row["model"]).get(name.removeprefix("model."))
-        varied = dict(setting_pairs(row["variant"] or ""))
+        varied = dict(setting_pairs(row["variant"] or "")) if row["key"] not in self._own else {}
         if name in varied:
             return read_value(varied[name])
         config = self._config(row)
@@ -179,10 +188,12 @@ class SweepFrame:
         chosen = [self._value(row, group) for group in groups]
         return [str(name) for name in chosen if name not in (None, "none")]
 
-    def _config(self, row: Row) -> dict[str, Any]:
-        """The settings of a flight, as far as they do not depend on speed and seed, which are in its row: one file is
-        read for all flights that differ in these only."""
+    def _config(self, row: Row) -> Mapping[str, Any]:
+        """The settings of a flight: its own, where its file was read; else as far as they do not depend on speed and
+        seed, which are in its row: one file is read for all flights of a sweep that differ in these only."""
         key = row["key"]
+        if key in self._own:
+            return self._own[key]
         if key in self._lacking:
             pairs = (text.partition("=") for text in self._lacking[key])
             return {name: read_value(value) for name, _, value in pairs}
@@ -214,12 +225,21 @@ def _named(value: Any) -> Any:
     """A value that can be compared and printed: the name of a part, a list as its text."""
     if isinstance(value, Mapping):
         return value.get("name")
-    return json.dumps(value, separators=(",", ":")) if isinstance(value, (list, tuple)) else _plain(value)
+    return _list_text(value) if isinstance(value, (list, tuple)) else _plain(value)
+
+
+def _list_text(value: Any) -> str:
+    """A list as its text, the same for 1 and 1.0 and for all blanks."""
+    whole = json.loads(json.dumps(value), parse_float=lambda text: int(x) if (x := float(text)).is_integer() else x)
+    return json.dumps(whole, separators=(",", ":"))
 
 
 def read_value(text: str) -> Any:
-    """The value of an override's text: a number, true, false, null (None), or a text."""
+    """The value of an override's text: a number, true, false, null (None), or a text; of a list its text."""
     text = text.strip()
+    if text.startswith("["):
+        with contextlib.suppress(ValueError):
+            return _list_text(json.loads(text))
     words = {"true": True, "false": False, "null": None}
     if text.lower() in words:
         return words[text.lower()]

@@ -13,14 +13,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from quadexp.report.axes.lines import MAX_PANELS, caption, is_log, notes_of
 from quadexp.report.axes.points import Place
 from quadexp.report.axes.view import Axis, View
 from quadexp.report.figures import ERROR_COLOURS
-from quadexp.report.style import plain_log, styled
+from quadexp.report.style import Figure, plain_log, styled
 from quadexp.report.text import significant
 
 MAX_ACROSS = 3

@@ -13,11 +13,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from quadexp.report.axes.points import SUCCESS, Place, Point
 from quadexp.report.axes.view import Axis, View
-from quadexp.report.style import PLAIN, Look, entries, looks, plain_log, styled
+from quadexp.report.style import PLAIN, Figure, Look, entries, looks, plain_log, styled
 
 MAX_PANELS = 36
 MAX_ACROSS = 4

@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm, Normalize
-from matplotlib.figure import Figure
 
 from quadexp.report.axes.lines import caption, is_log, notes_of
 from quadexp.report.axes.view import Axis, View
 from quadexp.report.figures import ERROR_COLOURS
-from quadexp.report.style import plain_log, styled
+from quadexp.report.style import Figure, plain_log, styled
 from quadexp.report.text import significant
 
 MOST_TICKS = 12

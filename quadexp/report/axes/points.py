@@ -4,8 +4,9 @@ A place is one value of every key that the figure shows (x, lines, panels). Its 
 one rule of every table (pairing.py): places that differ in keys of the controller stand beside each other, and are over
 the flights that all of them ended well. Settings that the figure does not show are averaged, seed by seed:
 
-    mean      over the seeds, of the mean over the other settings flown with that seed
-    interval  of the mean over the seeds, as in tables (inference.mean_interval)
+    mean      over the seeds, of the mean over the other settings of that seed
+    interval  of the mean over the seeds, as in tables (inference.mean_interval); of a share, where each flight has a
+              seed of its own
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 
 from quadexp.report.axes.frame import SweepFrame, of_controller
 from quadexp.report.inference import mean_interval, success_interval
-from quadexp.report.pairing import common
+from quadexp.report.pairing import common, seed_means
 
 Place = tuple[Any, ...]  # a value of each key that is shown
 SUCCESS = "success"  # the share of flights that ended well
@@ -105,19 +106,15 @@ def _point(
     trials = len(rows) - len(wrong)
     about: dict[str, Any] = {"ended": ended, "trials": trials, "lost": lost, "invalid": "" if trials else wrong[0]}
     if values is None:
-        low, high = success_interval(ended, trials, confidence)
+        single = len({row["seed"] for row in rows}) == len(rows)
+        low, high = success_interval(ended, trials, confidence) if single else (math.nan, math.nan)
         share = ended / trials if trials else math.nan
-        return Point(share, low, high, trials, 0, method="Wilson", **about)
-    by_seed: dict[int, dict[Any, list[float]]] = {}
+        return Point(share, low, high, trials, 0, method="Clopper-Pearson", **about)
+    flown: dict[tuple[Any, int], list[float]] = {}
     for i in used:
-        by_seed.setdefault(frame.rows[i]["seed"], {}).setdefault(rest[i], []).append(float(values[i]))
-    settings = {one for found in by_seed.values() for one in found}
-    whole = {seed: found for seed, found in by_seed.items() if len(found) == len(settings)}
-    means = np.array([np.mean([np.mean(flown) for flown in found.values()]) for found in (whole or by_seed).values()])
+        flown.setdefault((rest[i], frame.rows[i]["seed"]), []).append(float(values[i]))
+    means = seed_means({at: np.mean(several) for at, several in flown.items()})
     if not len(means):
         return Point(math.nan, math.nan, math.nan, 0, 0, **about)
-    flights = sum(len(flown) for found in (whole or by_seed).values() for flown in found.values())
-    if not whole:  # every seed lacks another setting: their mean says something, their spread does not
-        return Point(float(means.mean()), math.nan, math.nan, flights, len(means), **about)
     limits = mean_interval(means, confidence, least=0.0 if min(means) >= 0 else -math.inf)
-    return Point(float(means.mean()), limits.low, limits.high, flights, len(means), method=limits.method, **about)
+    return Point(float(means.mean()), limits.low, limits.high, len(used), len(means), method=limits.method, **about)

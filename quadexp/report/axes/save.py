@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import functools
 import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
-
 from quadexp.errors import UsageError
-from quadexp.log.store import check_output, write_bytes, write_text
+from quadexp.files.writer import check_output, write_text, written
 from quadexp.report.axes.heat import heat_figure
 from quadexp.report.axes.lines import line_figure
 from quadexp.report.axes.parallel import parallel_figure
 from quadexp.report.axes.view import View
 from quadexp.report.sortable import Column, sortable_page
-from quadexp.report.style import styled
+from quadexp.report.style import Figure, styled
 
 FIGURES = {"lines": line_figure, "heat": heat_figure, "parallel": parallel_figure}
 SUFFIXES = ("png", "pdf", "svg", "html")
@@ -47,20 +44,22 @@ def check_path(path: Path, force: bool, suffixes: Sequence[str] = SUFFIXES) -> P
 
 
 @styled
-def save_view(view: View, path: Path, title: str = "") -> Path:
+def save_view(view: View, path: Path, title: str = "", *, force: bool = True) -> Path:
     """Write the figure of a view in the format that the path's suffix names."""
     form = path.suffix.lower().lstrip(".")
     if form == "html":
-        return write_text(path, page_of(view, title))
-    return save_figure(figure_of(view), path)
+        return write_text(path, page_of(view, title), force=force)
+    return save_figure(figure_of(view), path, force=force)
 
 
 @styled
-def save_figure(figure: Figure, path: Path) -> Path:
+def save_figure(figure: Figure, path: Path, *, force: bool = True) -> Path:
     """Write a figure as PNG, PDF or SVG, without the time at which it was drawn."""
     form = path.suffix.lower().lstrip(".")
     dated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-    return write_bytes(path, functools.partial(figure.savefig, format=form, dpi=150, metadata=dated.get(form)))
+    with written(path, force=force) as file:
+        figure.savefig(file, format=form, dpi=150, metadata=dated.get(form))
+    return path
 
 
 @styled

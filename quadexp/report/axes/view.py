@@ -18,7 +18,7 @@ from quadexp.errors import UsageError
 from quadexp.messages import suggestion
 from quadexp.report.axes.frame import ALIASES, SweepFrame, is_metric, is_number, unit_of
 from quadexp.report.axes.points import SUCCESS, Place, Point, points, shown_column
-from quadexp.report.text import METHODS, count, listed
+from quadexp.report.text import count, listed
 from quadexp.report.text import shown as unit_shown
 
 Kind = Literal["lines", "heat", "parallel"]
@@ -27,7 +27,8 @@ WHO = ("controller", "model")
 MOST_LINES = 12  # in a panel, before a key makes panels instead
 Y_TITLES = {
     "mean_error": "mean error", "rmse": "RMSE", "max_error": "largest error", "attitude_rmse": "attitude error (RMS)",
-    SUCCESS: "flights that ended well", "saturated_share": "samples at a thrust limit",
+    "heading_rmse": "heading error (RMS)", SUCCESS: "flights that ended well",
+    "saturated_share": "samples at a thrust limit",
 }  # fmt: skip
 Y_UNITS = {SUCCESS: (100.0, "%"), "saturated_share": (100.0, "%"), "outside_data": (100.0, "%"),
            "peak_speed": (1.0, "m/s"), "duration": (1.0, "s")}  # fmt: skip
@@ -141,14 +142,15 @@ class View:
     def _bars(self) -> str:
         shown = [point for point in self.places.values() if point.is_shown]
         if self.y == SUCCESS:
-            return f"share of flights; bars: its {100 * self.confidence:g} % interval (Wilson)"
+            exact = any(math.isfinite(point.low) for point in self.places.values())
+            bars = f"; bars: its {100 * self.confidence:g} % interval (Clopper-Pearson)" if exact else ""
+            return f"share of flights{bars}"
         seeds = sorted({point.seeds for point in shown})
         over = "one flight each" if seeds == [1] and not self.others else f"mean over {_span(seeds)}"
         if self.kind != "lines":
             return over
-        used = [text for name, text in METHODS.items() if any(point.method == name for point in shown)]
-        bars = f"; bars: its {100 * self.confidence:g} % interval ({' or '.join(used)})" if used else ""
-        return over + bars
+        known = any(point.method == "t" for point in shown)
+        return over + (f"; bars: its {100 * self.confidence:g} % interval (Student's t)" if known else "")
 
     def title(self, keys: Sequence[str], values: Place) -> str:
         return ", ".join(

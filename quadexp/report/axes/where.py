@@ -7,7 +7,8 @@
     KEY is null                KEY is not null
 
 KEY: a column of the results or any key of the configuration. VALUE: a number in SI units, or with a unit (5mm, 20us);
-a text, with quotes where it holds blanks; true or false. A missing value fulfils no comparison.
+a text, with quotes where it holds blanks; a list in quotes, '[4,0,0]'; true or false. A missing value fulfils no
+comparison.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.report.axes.frame import SweepFrame, is_number
+from quadexp.report.axes.frame import SweepFrame, is_number, read_value
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "us": 1e-6, "ms": 1e-3, "s": 1.0, "deg": math.pi / 180, "%": 0.01}
 COMPARISONS: dict[str, Callable[[Any, Any], bool]] = {
@@ -221,7 +222,8 @@ def _tokens(condition: str) -> Iterator[Token]:
         elif found["word"]:
             yield Token("word", found["word"], found.start("word"))
         elif found["text"]:
-            yield Token("text", found["text"][1:-1], found.start("text"))
+            text = found["text"][1:-1]
+            yield Token("text", read_value(text) if text.startswith("[") else text, found.start("text"))
         else:
             yield Token("sign", found["sign"], found.start("sign"))
         at = found.end()

@@ -7,7 +7,9 @@ from importlib import import_module
 from pathlib import Path
 
 from quadexp.errors import UsageError
-from quadexp.log.store import check_output, example_in
+from quadexp.files.writer import check_output
+from quadexp.log.store import example_in
+from quadexp.messages import tracker_name
 from quadexp.report.axes.frame import SweepFrame
 
 FORMATS = {  # name -> module, in which `write(frame, folder, name) -> files` stands
@@ -37,4 +39,4 @@ def export_results(
     write: Callable[[SweepFrame, Path, str], dict[str, Path]] = module.write
     module.check_installed()
     target.mkdir(parents=True, exist_ok=True)
-    return write(frame, target, source.resolve().name)
+    return write(frame, target, tracker_name(source.resolve().name))

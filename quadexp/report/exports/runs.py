@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+from quadexp.messages import tracker_name, tracker_text
 from quadexp.report.axes.frame import SweepFrame, is_metric, is_number
 from quadexp.report.result_rows import ROW_COLUMNS
 
@@ -29,12 +30,13 @@ def runs(frame: SweepFrame) -> Iterator[Run]:
     keys = list(dict.fromkeys([*names, "trajectory.speed", *frame.swept]))
     columns = {key: frame.column(key) for key in keys}
     for i, row in enumerate(frame.rows):
-        settings = {key: column[i] for key, column in columns.items() if column[i] is not None}
+        given = {key: column[i] for key, column in columns.items() if column[i] is not None}
+        settings = {key: tracker_text(value) if isinstance(value, str) else value for key, value in given.items()}
         numbers = {
             name: float(row[name])
             for name in ROW_COLUMNS
             if is_metric(name) and is_number(row.get(name)) and math.isfinite(row[name])
         }
-        tags = {name: str(row[name]) for name in TAGS if row.get(name)}
+        tags = {name: tracker_text(row[name]) for name in TAGS if row.get(name)}
         parts = [row["controller"], row["trajectory"], row["variant"] or "", f"seed {row['seed']}"]
-        yield Run(" ".join(filter(None, parts)), settings, numbers, tags, row["outcome"] == "ok")
+        yield Run(tracker_name(" ".join(filter(None, parts))), settings, numbers, tags, row["outcome"] == "ok")

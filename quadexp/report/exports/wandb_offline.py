@@ -31,7 +31,7 @@ def write(frame: SweepFrame, folder: Path, name: str) -> dict[str, Path]:
     for one in runs(frame):
         run = wandb.init(
             project=name, group=name, name=one.name, dir=str(folder), mode="offline", config=one.settings,
-            tags=[one.tags.get("outcome", "")], settings=settings, reinit="finish_previous",
+            tags=[one.tags.get("outcome", "")[:64]], settings=settings, reinit="finish_previous",
         )  # fmt: skip
         run.summary.update({**one.numbers, **one.tags})
         run.finish(exit_code=0 if one.ended else 1)

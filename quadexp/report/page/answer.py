@@ -1,4 +1,6 @@
-"""The question and its answer, made from the numbers: who flew, what the model buys, who is best, and real time.
+"""The question and its answer, made from the numbers: who flew, what is gained, who is best, and real time.
+
+A gain is credited to knowing the aerodynamics only between controllers that differ in nothing else (source.AIR).
 
 Success comes first. Errors are over the common flights (report/pairing.py). A best contestant is named only if it
 differs significantly from every other one and nobody flew more (report/winner.py).
@@ -19,6 +21,7 @@ QUESTION = (
 MOST_COUNTS = 6  # of "k of n" in the headline
 MOST_NAMES = 4  # of controllers with the same count
 VERY_SURE = 0.001  # probability that chance alone makes such a difference
+WHICH = "Which controller tracks best, by how much, and does it still run in real time?"
 ALONE = "How closely does it track, and does it run in real time?"
 
 
@@ -36,13 +39,13 @@ class Answer:
 
     @property
     def sentences(self) -> tuple[str, str]:
-        """Who flew and what the model buys; whether it runs in real time."""
+        """Who flew and what is gained; whether it runs in real time."""
         return f"{self.flown} {self.gain}".strip(), self.in_time
 
 
 def answer(comparison: Comparison) -> Answer:
     """The answer for any results: with or without a baseline, a winner, or a flight that ended well."""
-    question = QUESTION if len(comparison.order) > 1 else ALONE
+    question = ALONE if len(comparison.order) < 2 else QUESTION if comparison.of_the_air else WHICH
     gain = _capital(_gain(comparison))
     parts = (_flown(comparison), gain, _in_time(comparison), _sure(comparison), _note(comparison))
     return Answer(question, *map(typeset, parts))
@@ -100,15 +103,18 @@ def _gain(comparison: Comparison) -> str:
             f" {reduction} {'smaller' if less else 'larger'} ({both}; {chance}){rest}."
         )
     if not less:
+        nothing = "knowing the aerodynamics buys nothing: " if comparison.of_the_air else ""
         return (
-            f"{over}knowing the aerodynamics buys nothing: {spoken(lead)}{_standing(comparison)} has a {metric}"
-            f" {reduction} larger than {spoken(base)} ({both})."
+            f"{over}{nothing}{spoken(lead)}{_standing(comparison)} has a {metric} {reduction} larger than"
+            f" {spoken(base)} ({both})."
         )
-    return (
-        f"{over}knowing the aerodynamics cuts the {metric} by {reduction}:"
-        f" {spoken(lead)}{_standing(comparison)} tracks {1 / ratio.value:.3g} times closer than {spoken(base)}"
-        f" ({both}){rest}."
-    )
+    closer = f"tracks {1 / ratio.value:.3g} times closer than {spoken(base)} ({both}){rest}"
+    if comparison.of_the_air:
+        return (
+            f"{over}knowing the aerodynamics cuts the {metric} by {reduction}: {spoken(lead)}{_standing(comparison)}"
+            f" {closer}."
+        )
+    return f"{over}{spoken(lead)}{_standing(comparison)} {closer}: its {metric} is {reduction} smaller."
 
 
 def _apart(value: float, low: float, high: float) -> tuple[str, str]:
@@ -199,11 +205,9 @@ def _sure(comparison: Comparison) -> str:
         return f"How sure: {count(flights, 'flight')} each; nothing is compared with a baseline." if flights else ""
     one, (ratio, p) = comparison.overall[lead], comparison.to_base
     if not math.isfinite(p):
-        return (
-            f"How sure: not at all yet. {count(one.pairs, 'pair')} of flights cannot tell chance from a difference:"
-            " fly more seeds."
-        )
-    pairs = f"in {count(one.pairs, 'pair')} of flights with the same noise"
+        few = f"{count(one.units, 'seed')} cannot tell chance from a difference"
+        return f"How sure: not at all yet. {few}: fly more seeds."
+    pairs = f"in {count(one.units, 'seed')}, both with the same noise"
     if p >= 1 - comparison.confidence:
         return (
             f"How sure: not sure. If {spoken(lead)} and {spoken(base)} were equally good, chance alone would make a"

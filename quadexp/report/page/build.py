@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import functools
 import json
 import math
 import shlex
@@ -13,11 +12,12 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
-
 from quadexp import __version__
 from quadexp.errors import QuadexpError
-from quadexp.log.store import check_output, write_bytes, write_text
+from quadexp.files.names import file_name
+from quadexp.files.writer import check_output, write_text, written
+from quadexp.log.outcome import RULE
+from quadexp.messages import clean, script
 from quadexp.report.page import palette
 from quadexp.report.page.answer import answer
 from quadexp.report.page.drawing import MAX_COURSES, PageFigures, draw_page, draw_paper, shown_courses
@@ -29,7 +29,7 @@ from quadexp.report.page.source import TABLED, Comparison, read_comparison, spok
 from quadexp.report.pairing import condition_of
 from quadexp.report.result_rows import to_csv
 from quadexp.report.statistics_file import statistics_csv
-from quadexp.report.style import LOOKS
+from quadexp.report.style import LOOKS, Figure
 from quadexp.report.tables import TITLES
 from quadexp.report.text import duration, percent, typeset
 
@@ -59,20 +59,20 @@ def make_report(
     comparison = read_comparison(results, baseline=baseline)
     drawn = draw_page(comparison)
     page, left_out = render(comparison, drawn, _report_command(comparison, out, figures, baseline))
-    write_text(out, page)
-    written = {} if figures is None else _write_paper(Path(figures), draw_paper(comparison, drawn))
+    write_text(out, page, force=force)
+    drawings = {} if figures is None else _write_paper(Path(figures), draw_paper(comparison, drawn))
     made = answer(comparison)
     record = {"path": out, "bytes": len(page.encode()), "answer": list(made.sentences), "note": made.note}
-    return {**record, "left_out": left_out, "figures": written}
+    return {**record, "left_out": left_out, "figures": drawings}
 
 
 def _write_paper(folder: Path, figures: Mapping[str, Figure]) -> dict[str, Path]:
     """Figures as PDF; the same figures give the same bytes."""
-    written = {}
+    paths = {name: folder / f"{file_name(name)}.pdf" for name in figures}
     for name, figure in figures.items():
-        write = functools.partial(figure.savefig, format="pdf", metadata={"CreationDate": None})
-        written[name] = write_bytes(folder / f"{name}.pdf", write)
-    return written
+        with written(paths[name]) as file:
+            figure.savefig(file, format="pdf", metadata={"CreationDate": None})
+    return paths
 
 
 @dataclass(frozen=True)
@@ -92,16 +92,21 @@ class Extent:
 EXTENTS = (Extent(), Extent(BUDGET // 3), Extent(0), Extent(0, 1), Extent(0, 1, 200), Extent(0, 1, 40))
 
 
+def environment() -> Any:
+    """The settings of a page's template: what it prints passes through the escaper of HTML."""
+    from jinja2 import Environment
+
+    made = Environment(autoescape=True, finalize=lambda value: clean(value) if type(value) is str else value)
+    made.filters["typeset"] = typeset
+    return made
+
+
 def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[str, list[str]]:
     """The page, with less data if it would be too large, and what was left out.
 
     First fewer flights to replay, then none and no CSV inside, then only the main metric, then fewer conditions.
     """
-    from jinja2 import Environment
-
-    environment = Environment(autoescape=True, trim_blocks=False)
-    environment.filters["typeset"] = typeset
-    template = environment.from_string(_template("report.html.j2"))
+    template = environment().from_string(_template("report.html.j2"))
     light, dark = palette.css_blocks()
     bad = worst_rows(comparison)
     cases, every, downloads = choose_cases(comparison, bad), tables(comparison), _downloads(comparison)
@@ -134,6 +139,7 @@ def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[st
         "estimates": drawn.estimates,
         "flights": len(comparison.rows),
         "bad": sum(row["outcome"] != "ok" for row in comparison.rows),
+        "rule": RULE,
         "bad_shown": sum(row["outcome"] != "ok" for row in bad),
         "many_worlds": len(comparison.worlds) > 1,
         "origin": origin(comparison),
@@ -156,7 +162,7 @@ def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[st
             replay=bool(packed),
             winds=any("wind" in track for case in packed for track in case["tracks"]),
             told=any("estimate" in track for case in packed for track in case["tracks"]),
-            replay_json=json.dumps(packed, separators=(",", ":")).replace("<", "\\u003c"),
+            replay_json=script(packed),
             worst=worst(comparison, bad, {case: i for i, case in enumerate(kept)}),
             downloads=carried,
         )

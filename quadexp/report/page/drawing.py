@@ -9,9 +9,9 @@ from functools import partial
 from typing import Any
 
 import matplotlib
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from quadexp.log.outcome import UNFLOWN
 from quadexp.log.schema import Flight, describe
 from quadexp.report.page.palette import PAGE, PAPER, STYLE, inline_svg
 from quadexp.report.page.panels import (
@@ -33,6 +33,7 @@ from quadexp.report.page.panels import (
 from quadexp.report.page.power import Powered, battery_panel, end_of_charge, powered, rotor_columns, rotor_panel
 from quadexp.report.page.source import Comparison, spoken
 from quadexp.report.page.swept import Swept, swept_figures, swept_paper
+from quadexp.report.style import Figure
 from quadexp.report.text import number, percent
 
 SIZE = 3.9, 3.0  # inches, of a panel
@@ -122,7 +123,7 @@ def checkpoints(comparison: Comparison) -> list[Checkpoint]:
     """Checkpoints that flew, each once."""
     found: dict[str, str] = {}
     for row in comparison.rows:
-        if row["model"] and row["model"] not in found and row["outcome"] not in ("failed", "infeasible"):
+        if row["model"] and row["model"] not in found and row["outcome"] not in UNFLOWN:
             record = comparison.flight_record(row)
             found[row["model"]] = (record or {}).get("model_sha256", "")
     return [read_checkpoint(path, sha256) for path, sha256 in found.items()]
@@ -168,7 +169,7 @@ def estimated(comparison: Comparison) -> list[tuple[str, list[tuple[str, Flight]
     chosen: dict[tuple[str, str], dict[str, Mapping[str, Any]]] = {}
     for row in comparison.rows:
         identifies = "rls" in row["controller"] or row["controller"].startswith("literal")
-        if identifies and row["outcome"] not in ("failed", "infeasible"):
+        if identifies and row["outcome"] not in UNFLOWN:
             fastest = chosen.setdefault((row["plant"], row["trajectory"]), {})
             rival = fastest.setdefault(comparison.label(row), row)
             if (row["speed"] or 0) > (rival["speed"] or 0):

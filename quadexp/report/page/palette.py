@@ -6,7 +6,6 @@ Colours and markers of contestants are in report/style.py. Figures of the page a
 
 from __future__ import annotations
 
-import html
 import io
 import re
 from collections.abc import Mapping
@@ -14,10 +13,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import matplotlib
-from matplotlib.figure import Figure
 
+from quadexp.messages import html
 from quadexp.report import style
-from quadexp.report.style import HUES, MOST_VARIANTS, Look, shaded
+from quadexp.report.style import HUES, MOST_VARIANTS, Figure, Look, shaded
 
 # CSS variable -> (light, dark)
 TOKENS = {
@@ -123,7 +122,6 @@ STYLE: Any = {
     "ytick.minor.size": 0,
     "lines.linewidth": 1.6,
     "lines.markersize": 5,
-    "pdf.fonttype": 42,
 }
 _DROPPED = re.compile(r"<\?xml.*?\?>|<!DOCTYPE.*?>|<metadata>.*?</metadata>|<!--.*?-->", re.DOTALL)
 _ID = re.compile(r'(\bid="|xlink:href="#|url\(#)')
@@ -150,4 +148,4 @@ def inline_svg(figure: Figure, name: str, label: str, themed: Mapping[str, str] 
         text = _COLOUR.sub(lambda match: f"var(--{themed[match[0]]})" if match[0] in themed else match[0], text)
     text = _PATH.sub(lambda match: _DECIMALS.sub(r"\1", match[0]), text)
     text = re.sub(r"\s*\n\s*", "\n", text)
-    return text.replace("<svg ", f'<svg role="img" aria-label="{html.escape(label, quote=True)}" ', 1)
+    return text.replace("<svg ", f'<svg role="img" aria-label="{html(label)}" ', 1)

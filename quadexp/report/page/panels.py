@@ -272,13 +272,20 @@ def fit_panel(panel: Any, checkpoint: Checkpoint, output: OutputPosterior, palet
     model = checkpoint.model
     assert model is not None
     data = checkpoint.data
-    points = output.inducing if data is None else data.matrix(output.features)
-    x, mean, std, line, middle = curve(model, output, 0, points, CURVE_POINTS)
+    x, mean, std, line, middle = curve(model, output, 0, data, CURVE_POINTS)
     colour, other, grey = (palette.series[LOOKS[name][0] + "-0"] for name in ("gp_mpc", "linear drag", "nominal"))
     if data is not None:
         every = max(1, data.n_rows // DOTS)
-        target, _ = moved(model, output, 0, points[::every], data.matrix([output.output])[::every, 0], middle)
-        panel.plot(points[::every, 0], target, ".", color=grey, markersize=6, alpha=0.4, markeredgewidth=0)
+        target, _ = moved(model, output, 0, data)
+        panel.plot(
+            data.matrix(output.features[:1])[::every, 0],
+            target[::every],
+            ".",
+            color=grey,
+            markersize=6,
+            alpha=0.4,
+            markeredgewidth=0,
+        )
     panel.fill_between(x, mean - 2 * std, mean + 2 * std, color=colour, alpha=0.25, linewidth=0)
     panel.plot(x, mean, color=colour, linewidth=1.4)
     if line is not None:
@@ -294,8 +301,9 @@ def fit_panel(panel: Any, checkpoint: Checkpoint, output: OutputPosterior, palet
         symbol(output.output) + (f"  at {', '.join(held_at)}" if held_at else ""),
         fontweight="normal",
         color=palette.ink,
+        parse_math=True,
     )
-    panel.set_xlabel(axis_label(output.features[0]))
+    panel.set_xlabel(axis_label(output.features[0]), parse_math=True)
     panel.set_ylabel(f"residual ({unit(output.output)})")
     dress(panel, palette)
 
@@ -335,9 +343,9 @@ def estimate_panel(
     if math.isfinite(margin):
         panel.set_ylim(low - margin, high + margin)
     column = describe(name, "estimates")
-    panel.set_title(
-        f"{SYMBOLS[name]}  {column.description.removesuffix(', in use')}", fontweight="normal", color=palette.ink
-    )
+    title = f"{SYMBOLS[name]}  {column.description.removesuffix(', in use')}"
+    panel.set_title(title, fontweight="normal", color=palette.ink, parse_math=True)
     panel.set_xlabel("time (s)")
-    panel.set_ylabel(f"{SYMBOLS[name]}" + (f" ({column.unit})" if column.unit not in ("", "1") else ""))
+    unit_text = f" ({column.unit})" if column.unit not in ("", "1") else ""
+    panel.set_ylabel(f"{SYMBOLS[name]}{unit_text}", parse_math=True)
     dress(panel, palette)

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.log.schema import Flight
+from quadexp.log.signal import continuous
 from quadexp.report.page.palette import SHAPES
 from quadexp.report.page.panels import course_title
 from quadexp.report.page.source import Comparison, spoken
@@ -144,7 +145,7 @@ def _track(
 ) -> dict[str, Any]:
     t = t[t <= flight.t[-1] + 1e-9]
     error = _resample(flight, flight.stack(["p_x", "p_y", "p_z"]) - _reference(flight), t)
-    attitude = _resample(flight, _continuous(flight.stack(["q_w", "q_x", "q_y", "q_z"])), t)
+    attitude = _resample(flight, continuous(flight.stack(["q_w", "q_x", "q_y", "q_z"])), t)
     attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
     low, high = vehicle.get("thrust_min", 0.0), vehicle.get("thrust_max") or float(flight.input.max())
     thrust = np.clip((_resample(flight, flight.input, t) - low) / (high - low), 0, 1)
@@ -175,12 +176,6 @@ def _surroundings(flight: Flight, t: np.ndarray) -> dict[str, Any]:
         if (told != flight.stack(["p_x", "p_y", "p_z"])).any():
             found |= _integers("estimate", _resample(flight, told - _reference(flight), t))
     return found
-
-
-def _continuous(q: np.ndarray) -> np.ndarray:
-    """Quaternions without jumps of their sign."""
-    flips = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
-    return q * np.cumprod(np.concatenate([[1.0], flips]))[:, None]
 
 
 def _reference(flight: Flight) -> np.ndarray:

@@ -54,7 +54,7 @@ def scoreboard(comparison: Comparison) -> list[dict[str, Any]]:
                 "at": 4 + 92 * (math.log(mean) - low) / (high - low or 1.0) if mean > 0 else None,
                 "change": change[0],
                 "limits": change[1].strip(),
-                "p": probability(one.p_holm) if one else "",
+                "p": probability(one.p_holm) if one and one.testable else "",
                 "median": duration(comparison.time(label)),
                 "p99": duration(comparison.time(label, "p99")),
                 "ended": flights.text(),
@@ -189,7 +189,7 @@ def worst_rows(comparison: Comparison, most: int = WORST) -> list[Mapping[str, A
     """
 
     def badness(row: Mapping[str, Any]) -> tuple[Any, ...]:
-        ended = ("failed", "solver_failed", "lost", "infeasible", "ok")
+        ended = ("failed", "solver_failed", "lost", "left_corridor", "infeasible", "ok")
         order = ended.index(row["outcome"]) if row["outcome"] in ended else 0
         error = row["max_error"]
         return order, -(error if error is not None and math.isfinite(error) else 0.0)
@@ -218,7 +218,8 @@ def worst(
         about = {"largest": "", "at": "", "spark": ""}
         if flight is not None and error is not None:
             at = int(np.argmax(error))
-            about = {"largest": number(1e3 * error[at]), "at": f"{flight.t[at]:.1f}", "spark": _spark(error)}
+            where = "" if "thinned" in flight.metadata else f"{flight.t[at]:.1f}"
+            about = {"largest": number(1e3 * row["max_error"]), "at": where, "spark": _spark(error)}
         made.append(
             {
                 "label": comparison.label(row),

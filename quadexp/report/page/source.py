@@ -15,6 +15,7 @@ import numpy as np
 from quadexp.config.cells import Combinations, Grid
 from quadexp.errors import DataError, UsageError
 from quadexp.log.cell_store import CellStore
+from quadexp.log.outcome import UNFLOWN
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_metadata, read_table
 from quadexp.report.inference import Ratio
@@ -65,6 +66,10 @@ KNOWS = {
     "rls_feedback": "blade-element coefficients identified in flight",
     "static_feedback": "static thrust and torque only",
     "oracle_feedback": "the plant's own coefficients",
+}
+AIR = {  # baseline -> controllers that are the same but for what they know of the air
+    "nominal_mpc": {"linear_drag_mpc", "gp_mpc", "rls_mpc", "neural_mpc", "sum_mpc", "online_mpc", "streaming_gp_mpc"},
+    "static_feedback": {"rls_feedback", "oracle_feedback"},
 }
 BASELINES = ("nominal_mpc", "static_feedback")  # in this order, unless told
 
@@ -126,7 +131,7 @@ class Comparison:
     @cached_property
     def world(self) -> World:
         """The plant and vehicle with most controllers, then with most flights."""
-        flown = [row for row in self.rows if row["outcome"] not in ("failed", "infeasible")]
+        flown = [row for row in self.rows if row["outcome"] not in UNFLOWN]
 
         def size(world: World) -> tuple[int, int]:
             mine = [self.label(row) for row in flown if (row["plant"], row["vehicle"]) == world]
@@ -218,6 +223,13 @@ class Comparison:
         return None if self.ranking.least is None else self.labels[self.ranking.least]
 
     @property
+    def of_the_air(self) -> bool:
+        """Whether the lead differs from the baseline by what it knows of the air, and by nothing else."""
+        if self.lead is None or self.reference is None:
+            return False
+        return self.controllers[self.lead] in AIR.get(self.controllers[self.reference], ())
+
+    @property
     def alike(self) -> list[str]:
         """Rivals that are not distinguishable from the lead."""
         return [self.labels[one] for one in self.ranking.alike(self.confidence)]
@@ -240,11 +252,11 @@ class Comparison:
     @cached_property
     def to_base(self) -> tuple[Ratio, float]:
         """Error of the lead over the baseline's, and the p of no difference that every table shows: paired permutation
-        test, corrected by Holm for all contestants, so for the choice of the lead too; NaN where so few pairs cannot
+        test, corrected by Holm for all contestants, so for the choice of the lead too; NaN where so few seeds cannot
         show significance."""
         assert self.reference is not None and self.lead is not None
         one = self.overall[self.lead]
-        return self.to_bound(self.reference), one.p_holm if one.p_least < 1 - self.confidence else math.nan
+        return self.to_bound(self.reference), one.p_holm if one.testable else math.nan
 
     @cached_property
     def _flown(self) -> dict[Contestant, Flights]:

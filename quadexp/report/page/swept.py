@@ -7,16 +7,15 @@ is drawn on white in both themes. A figure of too many marks for a drawing becom
 from __future__ import annotations
 
 import base64
-import html
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import matplotlib
-from matplotlib.figure import Figure
 
 from quadexp.errors import UsageError
+from quadexp.messages import html
 from quadexp.report.axes.frame import SweepFrame
 from quadexp.report.axes.points import SUCCESS
 from quadexp.report.axes.save import figure_of
@@ -24,6 +23,7 @@ from quadexp.report.axes.view import View, automatic
 from quadexp.report.drawing import is_over_speed
 from quadexp.report.page.palette import PAGE, TOKENS, inline_svg
 from quadexp.report.page.source import TABLED, Comparison
+from quadexp.report.style import Figure
 
 LARGEST_DRAWING = 150_000  # characters of one figure as a drawing
 BUDGET = 500_000  # characters of all of them
@@ -110,4 +110,4 @@ def _picture(view: View, label: str) -> str:
     stream = io.BytesIO()
     figure_of(view).savefig(stream, format="png", dpi=DOTS)
     data = base64.b64encode(stream.getvalue()).decode()
-    return f'<img alt="{html.escape(label, quote=True)}" src="data:image/png;base64,{data}">'
+    return f'<img alt="{html(label)}" src="data:image/png;base64,{data}">'

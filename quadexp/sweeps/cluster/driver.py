@@ -20,7 +20,7 @@ from distributed import Client, Future
 from quadexp.errors import QuadexpError
 from quadexp.experiment.build import MODEL_FILE, input_files
 from quadexp.experiment.build_custom import source_hashes
-from quadexp.log.store import write_bytes
+from quadexp.files.writer import written
 from quadexp.provenance import identity
 from quadexp.sweeps.cluster.worker import CellRunner, InputFile, run_cell
 from quadexp.sweeps.engine import CellFailed, Task
@@ -137,7 +137,8 @@ class _Flights:
             return result
         row, content = result
         if content is not None:
-            write_bytes(task.path, lambda temporary: temporary.write_bytes(content))
+            with written(task.path) as file:
+                file.write(content)
         return row
 
     def _ship(self, task: Task) -> dict[str, tuple[str, bool]]:

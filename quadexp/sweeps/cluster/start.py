@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -119,7 +120,7 @@ def _ssh(config: DaskConfig, workers: int, stack: contextlib.ExitStack) -> Any:
             "dashboard_address": LOOPBACK,
         },
         scheduler_options={"dashboard": False, "dashboard_address": LOOPBACK, "port": 0, "protocol": protocol},
-        remote_python=f"{config.remote_python or sys.executable} -P",  # do not import from the current folder
+        remote_python=f"{shlex.quote(config.remote_python or sys.executable)} -P",  # -P: nothing of the current folder
         security=known,
     )
     return stack.enter_context(cluster)
@@ -152,7 +153,7 @@ def _slurm(config: SlurmConfig, workers: int) -> Any:
         queue=config.queue,
         account=config.account,
         interface=config.interface,
-        python=config.python,
+        python=config.python or shlex.quote(sys.executable),
         job_extra_directives=list(config.directives),
         job_script_prologue=[*(f"export {k}={v}" for k, v in ENVIRONMENT.items()), *config.prologue],
         worker_extra_args=["--memory-limit", "0", "--no-dashboard", "--dashboard-address", LOOPBACK],
