@@ -115,7 +115,7 @@ def asked_along_a_circle() -> Asked:
         asked.append((measurement, reference.window(k)))
         u, _ = controller.step(*asked[-1])
         x, force = plant.advance(x, u, controller.control_period, rng)
-        reading, speed = sensor.read(force, rng), plant.rotor_speed
+        reading, speed = sensor.read(force, rng.standard_normal(3)), plant.rotor_speed
     return asked
 
 

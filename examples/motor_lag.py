@@ -6,7 +6,6 @@ The rotors' thrusts are inner states of the plant, integrated with the 13 states
 """
 
 import casadi as ca
-import numpy as np
 
 from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.physics.drag import linear_drag_force
@@ -37,9 +36,9 @@ class MotorLagPlant(SimulatedPlant):
         one = ca.Function("motor_lag_step", [s, u, noise, parameters, dt], [after, reading])
         super().__init__(vehicle, Equations(one), step=step, backend="auto")
 
-    def initial(self):
+    def initial(self, thrust):
         """The inner states at the beginning of a flight: thrusts (n,), N."""
-        return np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust)
+        return thrust
 
     def residual(self):
         """What perfect_mpc is told: these equations as a Residual, as far as it can know them."""

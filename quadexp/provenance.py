@@ -42,7 +42,7 @@ DECIDING = (
     "learn/checkpoint.py", "learn/dataset.py", "learn/linear_drag.py",
     "learn/lumped.py", "learn/model.py", "learn/neural.py", "learn/regression.py", "learn/rls.py", "learn/rls_step.py",
     "learn/rows.py", "learn/samples.py", "learn/support.py", "learn/term_mean.py", "learn/terms.py",
-    "learn/thrust_curve.py", "learn/vehicle_model.py",
+    "learn/thrust_curve.py", "learn/vehicle_model.py", "log/outcome.py",
     "report/metrics.py",
 )  # fmt: skip
 SUFFIXES = (".py", ".c")

@@ -21,7 +21,8 @@ PACKAGE = ROOT / "quadexp"
 # quadexp (a room) or a file beside the rooms; rooms on one floor do not import each other.
 FLOORS = (
     ("",),  # the version
-    ("cache", "errors", "messages", "progress", "provenance"),
+    ("errors", "messages", "progress", "provenance"),
+    ("files",),
     ("compile", "config"),
     ("physics",),
     ("air", "log"),

@@ -24,7 +24,8 @@ from quadexp.errors import UsageError
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.fit import fit_checkpoint
-from quadexp.log.store import check_output, read_flight, read_metadata, read_table, write_flight, write_table
+from quadexp.files.writer import check_output
+from quadexp.log.store import read_flight, read_metadata, read_table, write_flight, write_table
 from quadexp.progress import Progress
 
 Place = str | os.PathLike[str]
@@ -44,7 +45,7 @@ def simulate(
     path = None if out is None else check_output(Path(out), force=force)
     flight = fly_one(config)
     if path is not None:
-        write_flight(path, flight)
+        write_flight(path, flight, force=force)
     return Flight.of(flight.columns, flight.metadata)
 
 
@@ -66,7 +67,7 @@ def collect(
     path = scratch / "residuals.parquet" if out is None else check_output(Path(out), force=force)
     given = [_file(one, scratch, f"flight_{i:03d}") for i, one in enumerate(flights)]
     with Shown("seconds of flight", progress) as shown:
-        collect_dataset(config, path, flights=given, progress=shown)
+        collect_dataset(config, path, flights=given, force=force, progress=shown)
     return Dataset.of(*read_table(path, "residuals"))
 
 

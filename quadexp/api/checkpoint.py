@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from quadexp.api import html
 from quadexp.errors import UsageError
 from quadexp.learn.checkpoint import load_model, load_report
+from quadexp.messages import html
 
 
 class Checkpoint:
@@ -64,7 +64,7 @@ class Checkpoint:
         if not isinstance(self.model, GPModel):
             raise UsageError(f"{self.path}: holds no Gaussian processes to draw")
         rows = ResidualDataset({str(name): data[name].to_numpy() for name in data}, {})
-        return html.displayed(fit_figure(self.model, rows))
+        return fit_figure(self.model, rows)
 
     def summary(self) -> list[str]:
         """Kind, vehicle, data, outputs and range of validity, in a few lines."""
@@ -77,4 +77,4 @@ class Checkpoint:
         return "\n".join(self.summary())
 
     def _repr_html_(self) -> str:
-        return html.preformatted(self.summary())
+        return f"<pre>{html(chr(10).join(self.summary()))}</pre>"

@@ -7,10 +7,9 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 
 from quadexp.physics.state import POSITION, STATE_COLUMNS
-from quadexp.report.style import COLOURS, STYLE
+from quadexp.report.style import COLOURS, STYLE, Figure
 
 GREY = "0.6"
 

@@ -15,12 +15,14 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 import numpy as np
 import pandas as pd
 
-from quadexp.api import html
 from quadexp.errors import UsageError
+from quadexp.files.writer import check_output
 from quadexp.log.cell_store import CellStore
+from quadexp.log.outcome import UNFLOWN
 from quadexp.log.schema import Flight as Log
 from quadexp.log.schema import describe
-from quadexp.log.store import check_output, read_flight, write_table
+from quadexp.log.store import read_flight, write_table
+from quadexp.messages import html
 
 if TYPE_CHECKING:
     from quadexp.report.axes.frame import SweepFrame
@@ -67,7 +69,8 @@ class Frame(pd.DataFrame):
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
         """Write it as a file that the commands read, and return its path. force: replace an existing file."""
         kind = self.record.get("kind") or self.kind
-        return write_table(check_output(Path(path), force=force), self.columns_as_arrays(), self.record, kind)
+        path = check_output(Path(path), force=force)
+        return write_table(path, self.columns_as_arrays(), self.record, kind, force=force)
 
     def summary(self) -> list[str]:
         """What it is, in a few lines."""
@@ -77,7 +80,7 @@ class Frame(pd.DataFrame):
         units = {name: unit for name, unit in self.attrs.get("units", {}).items() if unit != "1"}
         shown = pd.DataFrame(self).rename(columns=lambda name: f"{name} ({units[name]})" if name in units else name)
         table = shown.to_html(max_rows=SHOWN_ROWS, max_cols=SHOWN_COLUMNS, show_dimensions=True)
-        return html.preformatted(self.summary()) + table
+        return f"<pre>{html(chr(10).join(self.summary()))}</pre>" + table
 
 
 class Flight(Frame):
@@ -91,7 +94,7 @@ class Flight(Frame):
 
     @property
     def outcome(self) -> str:
-        """ "ok", "lost" or "solver_failed"."""
+        """ "ok", or what went wrong; see quadexp/log/outcome.py."""
         return str(self.record.get("outcome", "ok"))
 
     @property
@@ -115,7 +118,7 @@ class Flight(Frame):
         missing = [name for name in columns or ("t", "p_x", "p_y", "p_z", "v_x", "v_y", "v_z") if name not in self]
         if missing:
             raise UsageError(f"the flight has no column {missing[0]!r} to draw")
-        return html.displayed(over_time(self, columns) if columns else overview(self))
+        return over_time(self, columns) if columns else overview(self)
 
 
 class Dataset(Frame):
@@ -193,10 +196,10 @@ class Results(Frame):
             figure = error_against_speed(self.rows(), self._metric(metric), **options)
             if figure is None:
                 raise UsageError("no flight that ended well has a speed to draw its error against")
-            return html.displayed(figure)
+            return figure
         lines, panels = ([keys] if isinstance(keys, str) else keys for keys in (by, facet))
         made = view(frame, y=metric or self._metric(None), x=x, by=lines, facet=panels, kind=kind, **options)
-        return html.displayed(figure_of(made))
+        return figure_of(made)
 
     def _sweep_frame(self) -> SweepFrame:
         from quadexp.report.axes.frame import SweepFrame
@@ -209,7 +212,7 @@ class Results(Frame):
             raise UsageError(f"row {row}: the table has {len(self)} rows")
         if self._folder is None:
             raise UsageError("these results do not say where their flights lie; load them by qx.load(FOLDER)")
-        if self["outcome"].iloc[row] in ("infeasible", "failed", "invalid"):
+        if self["outcome"].iloc[row] in (*UNFLOWN, "invalid"):
             raise UsageError(f"row {row} was not flown: {self['cause'].iloc[row]}")
         flown = read_flight(CellStore(os.fspath(self._folder)).path(self["key"].iloc[row]))
         return Flight.of(flown.columns, flown.metadata)
@@ -239,8 +242,12 @@ class Tuning(Frame):
 
     @property
     def best(self) -> int:
-        """Place of the trial that was chosen."""
-        return int(self.attrs.get("best", self["value"].argmin()))
+        """Place in this table of the trial that was chosen, however it was sorted; UsageError where it is not there."""
+        least = self.loc[self["value"] == self["value"].min(), "trial"].min()
+        places = np.flatnonzero(self["trial"] == self.attrs.get("best", least))
+        if not len(places):
+            raise UsageError("the trial that was chosen is not among these rows")
+        return int(places[0])
 
     @property
     def choice(self) -> str:

@@ -17,7 +17,8 @@ from quadexp.config.compose import compose
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
-from quadexp.errors import UsageError
+from quadexp.control.readings import ReadingGate
+from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.build import (
     build_controller,
     build_trajectory,
@@ -27,7 +28,7 @@ from quadexp.experiment.build import (
 )
 from quadexp.experiment.build_world import build_world
 from quadexp.experiment.rollout import Renewal, SampledReference
-from quadexp.physics.state import N_STATE, RATE
+from quadexp.physics.state import RATE
 from quadexp.reference.base import Trajectory
 
 
@@ -49,14 +50,16 @@ class ControlLoop:
 
     controller: see quadexp/control/base.py. plant: the configured simulated vehicle (quadexp/world/base.py), for a
     loop without a real one; in a world its flight begins with `begin` (quadexp/world/world.py). period: s, between
-    steps. times: (k,), s, the control instants of the trajectory. record: StepRecord of the last step, None before the
-    first.
+    steps. times: (k,), s, the control instants of the trajectory. record: StepRecord of the last step that was made,
+    None before the first. failed: whether the last step was refused, or found no answer, so that its thrusts are those
+    of an earlier prediction.
     """
 
     def __init__(self, controller: Controller, trajectory: Trajectory, plant: Any) -> None:
         self.controller, self.plant, self.vehicle = controller, plant, controller.vehicle
         self.period = controller.control_period
         self.record: StepRecord | None = None
+        self._gate = ReadingGate(self.vehicle.n_rotors)
         self.follow(trajectory)
 
     @property
@@ -78,11 +81,6 @@ class ControlLoop:
         return min(max(round(t / self.period), 0), len(self._reference) - 1)
 
     @property
-    def failed(self) -> bool:
-        """Whether the last step found no answer, so that its thrusts are those of an earlier prediction."""
-        return self.record is not None and self.record.status == Status.FAILED
-
-    @property
     def rates(self) -> np.ndarray | None:
         """Body rates (3,) that an MPC predicts for its next node (rad/s), for stacks that take rates; None without."""
         mpc = getattr(self.controller, "mpc", None)
@@ -97,13 +95,16 @@ class ControlLoop:
         self.trajectory = trajectory
         self._reference = SampledReference(trajectory, self.controller)
         self._renewal = Renewal(round(self.controller.reference_period / self.period))
-        self._begun, self.record = False, None
+        self._begun, self.record, self.failed = False, None, False
+        self._gate.begin()
         self._prepared: tuple[int, Window] | None = None
 
     def reset(self, state: npt.ArrayLike | None = None, reference: Window | None = None) -> None:
         """Begin a flight in the state (13,), or where the reference starts; the first `step` does it unasked."""
         self.follow(self.trajectory)
-        self._begin(self.start if state is None else _state(state), reference or self._reference.window(0))
+        first = np.asarray(self.start if state is None else state, float)
+        first = self._gate.admit(Measurement(0.0, first, None, None)).state
+        self._begin(first, reference or self._reference.window(0))
 
     def _begin(self, state: np.ndarray, window: Window) -> None:
         self.controller.reset(state, window)
@@ -130,15 +131,20 @@ class ControlLoop:
         measured: state (13,), or a Measurement with accelerometer and rotor speeds, which identifying controllers need.
         t: s, since the start of the reference; that of the Measurement unless given. The reference is the one at the
         nearest control instant, and after its end the last. reference: of a planner of your own, for this step.
-        A step that fails says so in `failed`. Raises QuadexpError for a state that is not finite.
+        A step that fails says so in `failed`. Raises QuadexpError for readings that are not finite, with nothing
+        changed; the last good ones of accelerometer and rotor speeds are held for a while (control/readings.py).
         """
+        self.failed = True
         if not isinstance(measured, Measurement):
             if t is None:
                 raise UsageError("step: t is needed, the time since the start of the reference (s)")
-            measured = Measurement(t, _state(measured), None, None)
-        else:
-            measured = measured._replace(state=_state(measured.state), t=measured.t if t is None else t)
+            measured = Measurement(t, np.asarray(measured, float), None, None)
+        elif t is not None:
+            measured = measured._replace(t=t)
         k = self._instant(measured.t)
+        measured = self._gate.admit(measured)
+        if reference is not None and not all(np.isfinite(part).all() for part in reference):
+            raise QuadexpError(f"t={measured.t:g} s: the given reference is not finite")
         if not self._begun:
             self._begin(measured.state, reference or self._reference.window(k))
         if reference is None and self._renewal.due(k):
@@ -146,11 +152,5 @@ class ControlLoop:
         prepared, self._prepared = self._prepared, None
         window = prepared[1] if prepared and prepared[0] == k else self._reference.window(k)
         thrusts, self.record = self.controller.step(measured, reference or window)
+        self.failed = self.record.status == Status.FAILED
         return thrusts
-
-
-def _state(values: Any) -> np.ndarray:
-    state = np.asarray(values, float)
-    if state.shape != (N_STATE,):
-        raise UsageError(f"state: {state.shape} numbers are given, ({N_STATE},) are needed: p, q (w first), v, w")
-    return state

@@ -14,6 +14,7 @@ import typer
 
 from quadexp import __version__
 from quadexp.cli.bench import bench
+from quadexp.cli.cache import cache
 from quadexp.cli.check import check
 from quadexp.cli.files import animate, compare_two, export, report, show
 from quadexp.cli.fit import fit_drag, fit_gp, fit_nn
@@ -23,7 +24,7 @@ from quadexp.cli.importing import import_flights
 from quadexp.cli.new import new
 from quadexp.cli.plot import plot
 from quadexp.cli.results import results
-from quadexp.cli.terminal import fail, flush_output, output_failed, prepare
+from quadexp.cli.terminal import end, fail, output_failed, prepare
 from quadexp.cli.tune import tune
 from quadexp.cli.validate import validate
 
@@ -95,6 +96,7 @@ COMMANDS = {
     "tune": tune,
     "bench": bench,
     "new": new,
+    "cache": cache,
 }
 for name, command in COMMANDS.items():
     app.command(name)(command)
@@ -103,7 +105,7 @@ for name, command in COMMANDS.items():
 def main() -> None:
     """Entry point. Wrong options, too, give one line and exit code 2."""
     prepare()
-    sys.exit(flush_output(_run()))
+    end(_run())
 
 
 def _run() -> int:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from quadexp.cli.options import Conf, Format, Json, OptionalOut, Overrides
-from quadexp.cli.terminal import answered, console, format_of, guarded, say
+from quadexp.cli.terminal import answered, console, format_of, guarded, print_lines, say
 from quadexp.config.completion import groups
 
 SIZES = ("quick", "standard", "full")
@@ -104,8 +104,7 @@ def bench(
     if not answered(form, record, lambda: list(made.tables.values()), "bench"):
         for table in made.tables.values():
             console().print(table.rich())
-            for line in table.notes:
-                print(line)
-        print("\n".join(map(str, made.files.values())))
+            print_lines(table.notes)
+        print_lines(made.files.values())
     if made.failed:
         raise QuadexpError(f"{len(made.failed)} flights failed; the first: {made.failed[0]['cause']}")

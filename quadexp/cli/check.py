@@ -10,6 +10,7 @@ import typer
 from quadexp.cli.options import Conf, Format, Json
 from quadexp.cli.terminal import answered, console, format_of, guarded
 from quadexp.errors import DataError, QuadexpError, UsageError
+from quadexp.messages import printable
 
 COLOURS = {"blocking": "bold red", "warning": "yellow", "info": "dim"}
 
@@ -76,13 +77,14 @@ def check(
 
 def _load(paths: list[Path]) -> dict[Path, Any]:
     from quadexp.log.schema import Flight
-    from quadexp.log.store import read_table
+    from quadexp.log.store import check_whole, read_table
 
     loaded: dict[Path, Any] = {}
     for path in paths:
         if path in loaded:
             raise UsageError(f"{path}: given twice")
         loaded[path] = Flight(*read_table(path, "flight", required=("t",)))
+        check_whole(loaded[path].metadata, str(path))
     return loaded
 
 
@@ -122,7 +124,7 @@ def _print(loaded: dict[Path, Any], found: dict[str, list[Any]], drawn: dict[str
     for path, flight in loaded.items():
         findings = found[str(path)]
         length = float(flight.t[-1] - flight.t[0]) if len(flight) else 0.0
-        out.print(Text(f"{path}: {len(flight)} rows, {length:.1f} s"), soft_wrap=True)
+        out.print(Text(printable(f"{path}: {len(flight)} rows, {length:.1f} s")), soft_wrap=True)
         if findings:
             table = Table(show_edge=False, pad_edge=False, box=None, header_style="bold")
             for title in ("", "fault", "where", "measured", "allowed"):
@@ -130,12 +132,12 @@ def _print(loaded: dict[Path, Any], found: dict[str, list[Any]], drawn: dict[str
             for one in findings:
                 measured = one.measured + (f" - {one.advice}" if one.advice else "")
                 cells = (one.severity, one.name, one.where, measured, one.allowed)
-                table.add_row(*(Text(cell) for cell in cells), style=COLOURS[one.severity])
+                table.add_row(*(Text(printable(cell)) for cell in cells), style=COLOURS[one.severity])
             out.print(table)
         else:
             out.print("  nothing found")
         if str(path) in drawn:
-            out.print(Text(f"  {drawn[str(path)]}"), soft_wrap=True)
+            out.print(Text(printable(f"  {drawn[str(path)]}")), soft_wrap=True)
         out.print()
     counts = dict.fromkeys(COLOURS, 0)
     for findings in found.values():

@@ -66,12 +66,12 @@ def compare_two(
         from quadexp.report.axes.save import save_figure
         from quadexp.report.compare_picture import picture
 
-        save_figure(picture(report["kind"], [first, *others]), path)
+        save_figure(picture(report["kind"], [first, *others]), path, force=force)
     picked = {key: value for key, value in report.items() if key != "lines"} | ({"picture": path} if path else {})
     if not answered(form, picked, lambda: compare_tables(first, *others), "compare"):
         print_lines(report["lines"])
         if path:
-            print(path)
+            print_lines([path])
 
 
 @guarded
@@ -101,8 +101,7 @@ def report(
     made = make_report(results, out, figures=figures, baseline=baseline, force=force)
     if answered(form, made, lambda: _files({"page": made["path"], **made["figures"]}), "report"):
         return
-    print_lines([*made["answer"], made["note"]])
-    print("\n".join([*map(str, made["figures"].values()), str(made["path"])]))
+    print_lines([*made["answer"], made["note"], *made["figures"].values(), made["path"]])
 
 
 @guarded
@@ -138,7 +137,7 @@ def export(
     else:
         files = export_flight(flight, to, out or target, force=force)
     if not answered(form, {"format": to, "files": files}, lambda: _files(files), "export"):
-        print("\n".join(map(str, files.values())))
+        print_lines(files.values())
 
 
 def _files(files: Mapping[str, Path]) -> list[dict[str, Any]]:
@@ -167,4 +166,4 @@ def animate(
     form = format_of(format, json)
     made = draw(flights, out, rate=rate, begin=begin, end=end, force=force)
     if not answered(form, made, lambda: [single_values(made)], "animate"):
-        print(f"{made['frames']} frames, {made['duration']:.1f} s\n{made['path']}")
+        print_lines([f"{made['frames']} frames, {made['duration']:.1f} s", made["path"]])

@@ -88,7 +88,7 @@ def _fit(
 ) -> None:
     from quadexp.config.compose import compose
     from quadexp.experiment.fit import fit_checkpoint
-    from quadexp.log.store import check_output
+    from quadexp.files.writer import check_output
     from quadexp.progress import Progress
 
     config = compose(overrides or [], conf)
@@ -97,5 +97,4 @@ def _fit(
         report = fit_checkpoint(kind, config, dataset, path, force=force, progress=progress, **options)
     if answered(form, report, lambda: report["rows"], f"fit-{kind}"):
         return
-    print_lines(report["lines"])
-    print(path)
+    print_lines([*report["lines"], path])

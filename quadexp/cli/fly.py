@@ -13,6 +13,7 @@ import typer
 from quadexp.cli.options import Conf, Force, Format, Json, OptionalOut, Out, Overrides
 from quadexp.cli.terminal import answered, emit, format_of, guarded, print_lines, print_table, say, single_values
 from quadexp.errors import QuadexpError
+from quadexp.files.names import file_name
 
 FIGURES = 5  # of a usual sweep
 SAMPLED = 200  # cells that are looked at for what their flights import
@@ -41,7 +42,8 @@ def simulate(
     from quadexp.config.compose import compose
     from quadexp.experiment.build import unused_model
     from quadexp.experiment.evaluate import fly_one
-    from quadexp.log.store import check_output, write_flight
+    from quadexp.files.writer import check_output
+    from quadexp.log.store import write_flight
     from quadexp.report.margin_line import delays_note, world_note
     from quadexp.report.summary import flight_lines
 
@@ -49,7 +51,7 @@ def simulate(
     config = compose(overrides or [], conf)
     path = check_output(out or Path("runs") / f"{_flight_name(config)}.parquet", force=force)
     flight = fly_one(config)
-    write_flight(path, flight)
+    write_flight(path, flight, force=force)
     if note := unused_model([config]):
         say(f"note: {note}")
     row = flight.metadata["row"]
@@ -62,8 +64,7 @@ def simulate(
         say(f"note: {note}")
     if note := delays_note(flight.columns):
         say(f"note: {note}")
-    print_lines(flight_lines(flight.metadata))
-    print(path)
+    print_lines([*flight_lines(flight.metadata), path])
 
 
 @guarded
@@ -94,7 +95,7 @@ def collect(
     from quadexp.config.compose import session
     from quadexp.errors import UsageError
     from quadexp.experiment.collect import collect_dataset
-    from quadexp.log.store import check_output
+    from quadexp.files.writer import check_output
     from quadexp.progress import Progress
 
     form = format_of(format, json)
@@ -111,12 +112,11 @@ def collect(
         check_output(save_flights, force=force, folder=True)
     with Progress("seconds of flight") as progress:
         report = collect_dataset(
-            config, path, flights=flight or [], worlds=worlds, save_flights=save_flights, progress=progress
+            config, path, flights=flight or [], worlds=worlds, save_flights=save_flights, force=force, progress=progress
         )
     if answered(form, report, lambda: [single_values(report)], "collect"):
         return
-    print_lines(report["lines"])
-    print(path)
+    print_lines([*report["lines"], path])
 
 
 @guarded
@@ -208,7 +208,7 @@ def evaluate(
             flown=drawn.begin if figures else lambda rows, record: None,
         )
         files = dict(result.files) | drawn.end()
-    for note in filter(None, [unused_model(cell.config for cell in cells), *_low_paths(cells), *result.notes]):
+    for note in filter(None, [unused_model(cell.config for cell in cells), *_doubts(cells), *result.notes]):
         say(f"note: {note}")
     if figures and settings.figures != "standard":
         if settings.figures == "ladder":
@@ -247,14 +247,14 @@ def evaluate(
         if first.evaluate.figures == "ladder":  # a column for every controller in every world has no room
             from quadexp.report.ladder import ladder_table
 
-            print("\n".join(ladder_table(result.rows).lines()))
+            print_lines(ladder_table(result.rows).lines())
         elif first.evaluate.figures == "sun":  # a line for every ellipse has none either
             from quadexp.papers.sun.report import overview
 
-            print("\n".join(overview(result.rows).lines()))
+            print_lines(overview(result.rows).lines())
         else:
             print_table(result.table)
-        print(out)
+        print_lines([out])
     if result.invalid:
         from quadexp.report.notes import invalid_text
 
@@ -296,17 +296,18 @@ def _both(first: Callable[[float, float], None], second: Callable[[float, float]
     return call
 
 
-def _low_paths(cells: Sequence[Any]) -> list[str]:
-    """What is below the ground of the references of a sweep, as far as its first cells show."""
+def _doubts(cells: Sequence[Any]) -> list[str]:
+    """What references of a sweep are below the ground, and drag that its vehicles cannot have, as far as its first
+    cells show."""
     from quadexp.experiment.build import build_trajectory, build_vehicle
-    from quadexp.experiment.evaluate import below_ground
+    from quadexp.experiment.evaluate import below_ground, heavy_drag
 
     nodes: dict[Any, Any] = {}
     for config in (cell.config for cell in cells[:SAMPLED] if not cell.invalid):
         if config.trajectory.kind != "custom":  # which is a program of its own: built where it is flown
-            nodes.setdefault((config.trajectory, config.ground, config.vehicle), config)
-    found = (below_ground(c, build_trajectory(c.trajectory, build_vehicle(c.vehicle))) for c in nodes.values())
-    named = {line: None for line in found if line}
+            nodes.setdefault((config.trajectory, config.ground, config.vehicle, config.plant), config)
+    found = [below_ground(c, build_trajectory(c.trajectory, build_vehicle(c.vehicle))) for c in nodes.values()]
+    named = {line: None for line in (*found, *map(heavy_drag, nodes.values())) if line}
     return [*named][:3]
 
 
@@ -325,9 +326,9 @@ def _flight_name(config: Any) -> str:
     speed = getattr(config.trajectory, "speed", None)
     parts = [controller_name(config), config.trajectory.name, "" if speed is None else f"{speed:g}"]
     parts.append(f"seed{config.seed}" if config.seed else "")
-    return "_".join(part for part in parts if part)
+    return file_name("_".join(part for part in parts if part))
 
 
 def _results_name(given: list[str], config: Any, sweep: bool) -> str:
     experiments = [text.partition("=")[2] for text in given if text.startswith("experiment=")]
-    return experiments[-1] if experiments else "sweep" if sweep else _flight_name(config)
+    return file_name(experiments[-1] if experiments else "sweep" if sweep else _flight_name(config))

@@ -17,6 +17,15 @@ KINDS = "linear,quadratic,blade_element"
 SIGNAL = "Thrust signal: rotor_speed, motor_command, thrust_acceleration or u; default: the first in all."
 CURVE = "Terms of the thrust curve on motor commands; auto: chosen on flights left out, with the voltage."
 VOLTAGE = "Voltage the curve is stated at; 0: the voltage is not used."
+# Options that not every method has.
+OPTIONS = {
+    "rls": ("out", "force", "paper"),
+    "regression": (
+        "out", "force", "drag", "signal", "curve", "voltage", "exponent", "intercept", "per_rotor", "radius", "loss",
+        "figures",
+    ),
+    "delays": ("figure",),
+}  # fmt: skip
 
 
 def _regression(name: str, metavar: str | None, help: str) -> Any:
@@ -26,6 +35,7 @@ def _regression(name: str, metavar: str | None, help: str) -> Any:
 
 @guarded
 def identify(
+    context: typer.Context,
     flights: Annotated[list[Path], typer.Argument(metavar="FLIGHT...", help="Of `quadexp import` or `simulate`.")],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Where to write.")] = Path("data/estimates"),
     method: Annotated[
@@ -58,6 +68,9 @@ def identify(
     figure: Annotated[
         Path | None, typer.Option("--figure", metavar="FILE", help="delays: draw the search, as SVG and PNG.")
     ] = None,
+    verbose: Annotated[
+        bool, _regression("--verbose", None, "Print all that was found, as `quadexp show` does.")
+    ] = False,
     conf: Conf = None,
     force: Force = False,
     format: Format = None,
@@ -79,17 +92,16 @@ def identify(
 
     form = format_of(format, json)
     named = None if vehicle is None else configured_vehicle(vehicle, conf)
-    if method == "delays":
+    choice = choose_method(flights, method, named)
+    _check_options(context, choice.method)
+    if choice.method == "delays":
         from quadexp.experiment.identify_delays import identify_delays
 
         delays = identify_delays(flights, named, conf, figure)
         rows = [{**one, "overrides": " ".join(one["overrides"])} for one in delays["flights"]]
         if not answered(form, {"method": "delays", "flights": delays["flights"]}, lambda: rows, "identify"):
-            print("\n".join(delays["lines"]))
+            print_lines(delays["lines"])
         return
-    if figure is not None:
-        raise UsageError("identify --figure: is for --method delays")
-    choice = choose_method(flights, method, named)
     if choice.method == "rls":
         found = identify_files(flights, out, vehicle=vehicle, conf=conf, force=force, paper=paper)
         say(f"rls: {choice.reason}")
@@ -98,15 +110,12 @@ def identify(
         if answered(form, record, lambda: [row for flight in each for row in _of_flight(flight)], "identify"):
             return
         for path, one in found:
-            print_lines(one.lines())
-            print(path)
+            print_lines([*one.lines(), path])
         return
 
     from quadexp.experiment.identify_vehicle import identify_flights
     from quadexp.learn.vehicle_fit import FitSettings
 
-    if paper:
-        raise UsageError("identify --paper: is for --method rls")
     if curve not in CURVES:
         raise UsageError(f"identify --thrust-curve: '{curve}' is none of {', '.join(CURVES)}")
     settings = FitSettings(
@@ -116,12 +125,20 @@ def identify(
     )  # fmt: skip
     say(f"regression: {choice.reason}")
     report: dict[str, Any] = identify_flights(flights, out, named, settings, force=force, figures=figures, conf=conf)
-    record = {key: value for key, value in report.items() if key != "lines"}
+    record = {key: value for key, value in report.items() if key not in ("lines", "main")}
     models = report["models"].items()
     if answered(form, record, lambda: [{"model": name, **row} for name, rows in models for row in rows], "identify"):
         return
-    print_lines(report["lines"])
-    print(out)
+    print_lines([*report["lines" if verbose else "main"], out])
+
+
+def _check_options(context: typer.Context, method: str) -> None:
+    """Raise UsageError for an option on the command line that the method does not have."""
+    for option in context.command.params:
+        having = [other for other, names in OPTIONS.items() if option.name in names]
+        source = context.get_parameter_source(str(option.name))
+        if having and method not in having and source is not None and source.name == "COMMANDLINE":
+            raise UsageError(f"identify {option.opts[0]}: is for --method {' or '.join(having)}, not {method}")
 
 
 def _of_flight(record: Mapping[str, Any]) -> list[dict[str, Any]]:

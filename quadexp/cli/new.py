@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 import typer
 
 from quadexp.cli.options import Format, Json
-from quadexp.cli.terminal import answered, format_of, guarded
+from quadexp.cli.terminal import answered, format_of, guarded, print_lines
 from quadexp.errors import UsageError
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
@@ -30,7 +30,7 @@ class Template(NamedTuple):
 
 
 TEMPLATES = {
-    "vehicle": Template("hexacopter", "vehicle", module=False),
+    "vehicle": Template("quad_x", "vehicle", module=False),
     "trajectory": Template("helix", "trajectory", words="Helix"),
     "plant": Template("motor_lag", "plant", words="MotorLag"),
     "residual": Template("cubic_drag", "controller", "_mpc"),
@@ -54,7 +54,7 @@ def new(
     quadexp new trajectory spiral --to my_parts
     quadexp new residual flapping
     """
-    from quadexp.log.store import check_output, write_text
+    from quadexp.files.writer import check_output, write_text
 
     form = format_of(format, json)
     if part not in TEMPLATES:
@@ -66,7 +66,7 @@ def new(
     for path in texts:
         check_output(to / path)
     for path, text in texts.items():
-        write_text(to / path, text)
+        write_text(to / path, text, force=False)
     files = [to / path for path in texts]
     commands = [
         f"python -m pytest {shlex.quote(str(files[-1]))}",
@@ -75,7 +75,7 @@ def new(
     made = {"part": part, "name": name, "option": f"{template.group}={option}", "files": files, "commands": commands}
     if answered(form, made, lambda: [{"file": str(file)} for file in files], "new"):
         return
-    print("\n".join([*map(str, files), "", "test it, fly it, then make it yours:", *(f"    {c}" for c in commands)]))
+    print_lines([*files, "", "test it, fly it, then make it yours:", *(f"    {c}" for c in commands)])
 
 
 def examples_folder() -> Path:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from quadexp.cli.options import Force, Format, Json, Out
-from quadexp.cli.terminal import answered, format_of, guarded, say
+from quadexp.cli.terminal import answered, format_of, guarded, print_lines, say
 
 Keys = list[str] | None
 
@@ -61,7 +61,7 @@ def plot(
             raise UsageError(f"--where {where!r}: no flight fulfils it")
     options: Any = {"kind": kind, "confidence": float(frame.record.get("confidence", 0.95))}
     made = view(frame, y=y, x=x, by=_keys(by), facet=_keys(facet), **options)
-    save_view(made, path, title=f"{results.name}: {made.y_label}")
+    save_view(made, path, title=f"{results.name}: {made.y_label}", force=force)
     numbers = records(made)
     about = {"kind": made.kind, "x": made.x.key, "by": made.by, "facet": made.facet, "y": made.y}
     record = {"path": path, **about, "notes": [made.caption, *made.notes], "points": numbers}
@@ -69,7 +69,7 @@ def plot(
         return
     for note in made.notes:
         say(f"note: {note}")
-    print(path)
+    print_lines([path])
 
 
 def _keys(given: Keys) -> list[str] | None:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from quadexp.cli.options import Force, Format, Json
-from quadexp.cli.terminal import answered, console, emit, format_of, guarded, say
+from quadexp.cli.terminal import answered, console, emit, format_of, guarded, print_lines, say
 
 COLUMNS = ("trajectory", "speed", "plant", "controller", "model", "variant", "seed", "outcome", "mean_error", "rmse")
 FAILED_COLUMNS = ("trajectory", "speed", "plant", "controller", "model", "variant", "seed", "outcome", "cause")
@@ -71,6 +71,7 @@ def results(
     quadexp results results/table1 --verify
     """
     from quadexp.errors import UsageError
+    from quadexp.log.outcome import RULE
     from quadexp.report.flights_table import csv_of, flights_table
     from quadexp.report.flown_by import flown_by, flown_by_lines
     from quadexp.sweeps.results import prune as prune_results
@@ -117,6 +118,8 @@ def results(
         + "".join(f", {count} {outcome}" for outcome, count in sorted(counts.items()))
         + (f"; {unwanted} not of the last sweep (--prune)" if unwanted else "")
     )
+    if counts.keys() - {"ok"}:
+        say(RULE)
     if several:
         for line in flown_by_lines(total):
             say(line)
@@ -126,16 +129,16 @@ def _prune(done: Any, form: str) -> None:
     record = {"keys": done.keys, "bytes": done.size, "removed": done.removed}
     if not answered(form, record, lambda: [{"key": key, "removed": done.removed} for key in done.keys], "--prune"):
         state = "removed" if done.removed else "would be removed (--yes removes them)"
-        print(f"{len(done.keys)} cells, {done.size / 1e6:.1f} MB, {state}")
+        print_lines([f"{len(done.keys)} cells, {done.size / 1e6:.1f} MB, {state}"])
 
 
 def _page(frame: Any, names: list[str], path: Path, title: str, force: bool, opened: bool, form: str) -> None:
-    from quadexp.log.store import check_output, write_text
+    from quadexp.files.writer import check_output, write_text
     from quadexp.report.flights_table import page_of
 
-    write_text(check_output(path, force=force), page_of(frame, names, title))
+    write_text(check_output(path, force=force), page_of(frame, names, title), force=force)
     if not answered(form, {"path": path}, lambda: [{"path": path}], "--html"):
-        print(path)
+        print_lines([path])
     if opened:
         import webbrowser
 
@@ -153,13 +156,10 @@ def _verify(folder: Path, form: str) -> None:
     record = {"files": found.files, "wrong": found.wrong, "unhashed": found.unhashed}
     rows = [{"file": path, "what": what} for path, what in found.wrong.items()]
     if not answered(form, record, lambda: rows or [{"files": found.files, "wrong": 0}], "--verify"):
-        for path, what in found.wrong.items():
-            print(f"{path}: {what}")
+        print_lines(f"{path}: {what}" for path, what in found.wrong.items())
         if found.unhashed:
-            print(
-                f"{len(found.unhashed)} files are of an earlier version, without a hash: an edit would not be"
-                f" noticed there; the first: {found.unhashed[0]}"
-            )
-        print(f"{found.files} files, {len(found.wrong)} wrong")
+            earlier = f"{len(found.unhashed)} files are of an earlier version, without a hash"
+            print_lines([f"{earlier}: an edit would not be noticed there; the first: {found.unhashed[0]}"])
+        print_lines([f"{found.files} files, {len(found.wrong)} wrong"])
     if found.wrong:
         raise QuadexpError(f"{folder}: {len(found.wrong)} files do not hold what was written there")

@@ -15,19 +15,21 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 import typer
 
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.messages import CleanStream, clean, raw
+from quadexp.messages import CleanStream, clean, printable, raw
 
 if TYPE_CHECKING:
     from quadexp.report.table import Table
 
 FORMATS = ("text", "json", "csv", "markdown", "latex")
 PLAIN = {"\u00a0": " ", "\u202f": " ", "\u2013": "-", "\u2212": "-", "\u00b5": "u", "\u00b1": "+-", "\u00b7": "."}
-NO_MEMORY = re.compile("can't allocate memory|Cannot allocate memory|bad_alloc")  # messages of libraries
+NO_MEMORY = re.compile(
+    "can't allocate memory|Cannot allocate memory|failed to map segment|bad_alloc|malloc of size"
+)  # messages of libraries
 LONGEST = 900  # letters of a message: a value may be of any length
 # What is kept when a command is interrupted, and how to go on.
 AGAIN = "no file is left half written: run the same command again"
@@ -39,6 +41,7 @@ GO_ON = {
     "report": f"{AGAIN}, with --force where it had begun to write",
 }
 _signals: list[int] = []  # received signals that ask this process to end
+_spent: list[bool] = []  # whether the memory was not enough
 
 
 def prepare() -> None:
@@ -68,6 +71,14 @@ def _plain(error: UnicodeError) -> tuple[str | bytes, int]:
     if "\udc80" <= letter <= "\udcff":
         return bytes([ord(letter) - 0xDC00]), error.start + 1
     return PLAIN.get(letter, "?"), error.start + 1
+
+
+def end(code: int) -> NoReturn:
+    """End this process. Where the memory was not enough, what libraries would do at the end could crash: it is left."""
+    code = flush_output(code)
+    if _spent:
+        os._exit(code)
+    sys.exit(code)
 
 
 def flush_output(code: int) -> int:
@@ -108,6 +119,7 @@ def guarded(function: Callable[..., Any]) -> Callable[..., Any]:
             raise fail(system_error(error), 1) from error
         except Exception as error:
             if isinstance(error, MemoryError) or NO_MEMORY.search(str(error)):
+                _spent.append(True)
                 raise fail("not enough memory", 1) from error
             if _signals:  # the signal that a library has turned into an error of its own
                 raise _interrupted(function) from error
@@ -136,28 +148,28 @@ def fail(message: object, code: int) -> typer.Exit:
         import traceback
 
         traceback.print_exc()
-    text = " ".join(str(message).split())
+    text = printable(" ".join(str(message).split()))
     if len(text) > LONGEST:
         text = f"{text[: LONGEST * 2 // 3]} ... {text[-LONGEST // 3 :]}"
-    typer.secho(f"error: {clean(text)}", fg="red", file=raw(sys.stderr))
+    typer.secho(f"error: {text}", fg="red", file=raw(sys.stderr))
     return typer.Exit(code)
 
 
 def say(text: str) -> None:
-    """Print a message to the error stream, so that standard output holds results only."""
+    """Print a message, one line, to the error stream, so that standard output holds results only."""
+    text = printable(text)
     if sys.stderr.isatty():
         text = fitted(text, shutil.get_terminal_size().columns)
     print(text, file=sys.stderr, flush=True)
 
 
-def print_lines(lines: Iterable[str]) -> None:
-    """Print lines of text; on a terminal they are broken at blanks to its width, and go on below their text."""
-    if not sys.stdout.isatty():
-        print("\n".join(lines))
-        return
-    width = shutil.get_terminal_size().columns
+def print_lines(lines: Iterable[object]) -> None:
+    """Print texts, paths too, a line each; on a terminal they are broken at blanks to its width, and go on below their
+    text."""
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
     for line in lines:
-        print(fitted(line, width))
+        text = printable(line)
+        print(text if width is None or isinstance(line, Path) else fitted(text, width))
 
 
 def fitted(line: str, width: int) -> str:

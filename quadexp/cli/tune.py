@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import Annotated
 
 import typer
 
 from quadexp.cli.options import Conf, Force, Format, Json, OptionalOut, Overrides
-from quadexp.cli.terminal import answered, format_of, guarded
+from quadexp.cli.terminal import answered, format_of, guarded, print_lines
 from quadexp.config.completion import complete
 
 
@@ -73,11 +74,11 @@ def tune(
         )
     if answered(form, dict(found.record), found.rows, "tune"):
         return
-    print("\n".join(found.lines))
+    print_lines(found.lines)
     where = found.record["out"] if conf is None else conf
     if hidden(found.option):
-        print(f"{found.choice.split()[-1]} is an option already, which comes first: give --name, and run this again")
+        print_lines([f"{found.choice.split()[-1]} is an option already, which comes first: give --name, and run again"])
         return
     if conf is not None:
-        print(f"copy the file to {conf}/{found.option.parent.name} to fly it:")
-    print(f"fly it: quadexp simulate --conf {where} {found.choice}")
+        print_lines([f"copy the file to {conf}/{found.option.parent.name} to fly it:"])
+    print_lines([f"fly it: {shlex.join(['quadexp', 'simulate', '--conf', str(where), *found.choice.split()])}"])

@@ -73,4 +73,4 @@ def validate(
         return
     print_lines(report["lines"])
     if out:
-        print(out)
+        print_lines([out])

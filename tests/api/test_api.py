@@ -10,6 +10,7 @@ import os
 import pickle
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from tests.log.flights import straight_flight
 ROOT = Path(__file__).resolve().parents[2]
 INTERPRETED = ("controller.backend=interpreted", "plant.backend=interpreted")
 QUICK = ("trajectory=hover", "trajectory.duration=0.5", *INTERPRETED)
+MOVING = ("controller=nominal_mpc", "trajectory.acceleration=4", "trajectory.duration=2")
 TIMES = {"solve_time", "solve_time_median", "solve_time_p99", "solve_time_max"}
 
 
@@ -336,6 +338,15 @@ class TestLoop:
             again.append(one.step(far, t))
             other.step(other.start, t)
         np.testing.assert_array_equal(alone, again)
+
+    def test_flights_in_threads_are_those_of_one_after_the_other(self):
+        """Of equal settings and of others: what is kept between flights belongs to one thread."""
+        given = [("trajectory=ellipse", f"trajectory.speed={v}", *MOVING) for v in (3, 3, 4, 5)]
+        alone = [qx.simulate(*settings) for settings in given]
+        with ThreadPoolExecutor(4) as pool:
+            together = [*pool.map(lambda settings: qx.simulate(*settings), 2 * given)]
+        for one, other in zip(together, 2 * alone, strict=True):
+            same(one, other.arrays().columns)
 
     def test_a_window_of_ones_own_planner(self):
         """Hover at a point 20 cm away: the vehicle gets there."""

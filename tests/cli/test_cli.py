@@ -149,8 +149,7 @@ class TestMistakes:
         assert files(here) == ["file"]
 
     def test_no_compiler(self, here, monkeypatch):
-        for module in ("backend", "compiler"):
-            monkeypatch.setattr(f"quadexp.compile.{module}.compiler", lambda: None)
+        monkeypatch.setattr("quadexp.compile.compiler._words", list)
         arguments = ["trajectory=hover", "trajectory.duration=0.2", "--out", "a.parquet"]
         code, _, err = run("simulate", *arguments, "controller.backend=compiled")
         assert code == 2 and "no C compiler found" in err and files(here) == []
@@ -387,3 +386,23 @@ def test_the_record_holds_all_that_was_asked_for(here):
     run("simulate", *QUICK, "--out", "a.parquet")
     config = read_metadata("a.parquet")["config"]
     assert config["plant"]["linear_drag"] == [0.3, 0.3, 0.0] and config["seed"] == 0
+
+
+def test_a_command_that_had_too_little_memory_ends_at_once():
+    """What a library would do when Python ends could crash, after the line was said."""
+    code = (
+        "import atexit; from quadexp.cli import terminal\n"
+        "terminal.prepare(); atexit.register(print, 'at the end')\n"
+        "@terminal.guarded\n"
+        "def command(): raise {}\n"
+        "try: command()\n"
+        "except Exception as error: terminal.end(error.exit_code)"
+    )
+    for error, end in (
+        ("MemoryError", ""),
+        ("ImportError('libarrow.so: failed to map segment from shared object')", ""),
+        ("ValueError('x')", "at the end\n"),
+    ):
+        done = subprocess.run([sys.executable, "-c", code.format(error)], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout) == (1, end), done.stderr
+        assert done.stderr.count("\n") == 1 and ("not enough memory" in done.stderr) == (not end)

@@ -42,6 +42,7 @@ CALLS = {  # of each command: a call that answers with a table
              "--seeds", "1", "--flights", "2", "--out", "t"),
     "bench": ("bench", "--only", "--add", "board.parquet", "--out", "b"),
     "new": ("new", "vehicle", "mine_{}", "--to", "parts"),
+    "cache": ("cache",),
 }  # fmt: skip
 
 LONG = ("fit-gp", "fit-nn", "report")  # checked in two forms: what prints is the same for all

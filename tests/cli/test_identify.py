@@ -8,7 +8,10 @@ import json
 
 import numpy as np
 import pytest
+from typer.main import get_command
 
+from quadexp.cli.app import app
+from quadexp.cli.identify import OPTIONS
 from quadexp.learn.checkpoint import load_model
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_table, write_flight
@@ -100,7 +103,10 @@ def test_says_which_method_and_why(flight, logged, tmp_path):
 def test_logs_give_a_vehicle_model_with_intervals_and_figures(logged, tmp_path):
     out = tmp_path / "model"
     code, text, error = run("identify", *logged, "--out", out, "--drag", "linear")
-    assert code == 0, error
+    main = text.strip().splitlines()
+    assert code == 0 and [line.split()[0] for line in main[:4]] == ["regression", "thrust", "drag", "best"], error
+    assert all(line.startswith("note ") for line in main[4:-1]) and main[-1] == str(out)
+    code, text, error = run("identify", *logged, "--out", out, "--drag", "linear", "--verbose", "--force")
     lines = text.strip().splitlines()
     assert lines[-1] == str(out)
     assert lines[0].startswith("regression on 2 flights of known, 2000 samples, 20 s")
@@ -126,6 +132,20 @@ def test_regression_as_json_and_its_options(logged, tmp_path):
     assert d_x["low"] < d_x["value"] < d_x["high"] and d_x["unit"] == "1/s"
     code, _, error = run("identify", *logged, "--out", tmp_path / "m", "--no-figures")
     assert code == 2 and "exists already; pass --force" in error
+
+
+@pytest.mark.parametrize("method", OPTIONS)
+def test_options_of_other_methods_are_refused(logged, tmp_path, method):
+    """Of those that a method does not have, each alone; that no option is missing in the table shows the help."""
+    words = {"--out": tmp_path / "e", "--reference-voltage": 4, "--rotor-radius": 0.1}
+    switches = ("force", "paper", "per_rotor", "intercept", "figures")
+    flags = {one.name: one.opts[0] for one in get_command(app).commands["identify"].params}
+    for name in {name for names in OPTIONS.values() for name in names} - set(OPTIONS[method]):
+        value = [] if name in switches else [words.get(flags[name], "nonsense")]
+        code, _, error = run("identify", logged[0], "--method", method, flags[name], *value)
+        assert code == 2 and error.count("\n") == 1 and f"{flags[name]}: is for --method" in error
+    given = set(flags) - {name for names in OPTIONS.values() for name in names}
+    assert given == {"flights", "method", "vehicle", "conf", "verbose", "format", "json"}
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,15 @@ import pytest
 from typer.testing import CliRunner
 
 from quadexp.cli.app import app
-from quadexp.learn.checkpoint import save_model
+from quadexp.learn.checkpoint import load_model, save_model
+from quadexp.learn.gp_fit import fit_gp
+from quadexp.learn.linear_drag import fit_linear_drag
+from quadexp.learn.model import GPSettings
+from quadexp.learn.neural import NNSettings
+from quadexp.learn.nn_fit import fit_network
+from quadexp.learn.recorded import recorded_dataset
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
-from quadexp.log.store import write_flight
+from quadexp.log.store import read_flight, write_flight
 from tests.learn.recorded_flights import crazyflie, recorded_flight
 
 VEHICLE = crazyflie()
@@ -71,6 +77,22 @@ def test_leave_one_out_refits(folder):
     row = next(r for r in report["rows"] if r["predictor"] == "linear drag" and not r["thrust_tracked"])
     assert row["rms_z"] == pytest.approx(10.2 * ((0.005**2 + 0.035**2 + 0.04**2) / 3) ** 0.5, rel=0.15)
     assert {r["horizon"] for r in report["rollouts"]} == {0.2}
+
+
+def test_leave_one_out_refits_every_kind_of_model(folder):
+    """A Gaussian process, a drag fit and a network of the same flights, beside the identified vehicle."""
+    paths = [folder / f"{name}.parquet" for name in "abc"]
+    flights = [read_flight(path) for path in paths]
+    rows = recorded_dataset(flights, VEHICLE, load_model(folder / "vehicle").thrust, names=["a", "b", "c"])
+    small = NNSettings(hidden=(4,), max_iterations=20, features=("v_x", "v_y", "v_z"))
+    save_model(folder / "nn", fit_network(rows, small))
+    save_model(folder / "gp", fit_gp(rows, GPSettings(inducing=8)))
+    save_model(folder / "drag", fit_linear_drag(rows))
+    models = [folder / name for name in ("vehicle", "nn", "gp", "drag")]
+    done = run("validate", *models, "--flights", *paths, "--leave-one-out", "--json", "--horizons", "0.2")
+    assert done.exit_code == 0, done.stderr
+    errors = {row["predictor"]: row["rms"] for row in json.loads(done.stdout)["rows"] if row["thrust_tracked"]}
+    assert {"nominal", "linear drag", "nn", "gp", "drag"} <= errors.keys() and errors["drag"] < errors["nominal"]
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ def results(tmp_path_factory) -> pd.DataFrame:
     folder = tmp_path_factory.mktemp("torrente")
     quadexp(folder, "collect", "experiment=torrente_table1", "--out", "data/residuals.parquet")
     quadexp(folder, "fit-gp", "data/residuals.parquet", "gp=per_axis", "--out", "models/per_axis")
-    quadexp(folder, "fit-gp", "data/residuals.parquet", "--out", "models/best")
+    quadexp(folder, "fit-gp", "data/residuals.parquet", "gp=zero_mean", "--out", "models/best")
     grid = {
         "nominal": ["trajectory=circle", "trajectory.speed=4,8,12", "controller=nominal_mpc"],
         "lemniscate": ["trajectory=lemniscate", "trajectory.speed=4,5.66,8", "controller=nominal_mpc"],

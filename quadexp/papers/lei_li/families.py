@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from matplotlib.figure import Figure
-
 from quadexp.report.statistics import Statistic, compute_statistics
-from quadexp.report.style import entries, looks, plain_log, styled
+from quadexp.report.style import Figure, entries, looks, plain_log, styled
 from quadexp.report.table import Table
+from quadexp.report.tables import course_labels, plant_labels
 from quadexp.report.text import speed_text
 
 ORDER = (
@@ -26,18 +25,26 @@ Course = tuple[str, str]  # plant, trajectory
 
 
 def by_course(rows: Sequence[Row]) -> dict[Course, dict[float, dict[str, Statistic]]]:
-    """(plant, trajectory) -> speed, ascending -> controller -> statistic of the mean error."""
+    """(plant, trajectory with what else varies) -> speed, ascending -> label of a contestant -> statistic of the mean
+    error."""
     found: dict[Course, dict[float, dict[str, Statistic]]] = {}
-    for s in compute_statistics(rows, metrics=("mean_error",)):
-        found.setdefault((s.plant, s.trajectory), {}).setdefault(s.speed, {})[s.controller] = s
+    statistics = compute_statistics(rows, metrics=("mean_error",))
+    courses = course_labels((s.trajectory, s.setting) for s in statistics)
+    for s, label in zip(statistics, plant_labels(statistics), strict=True):
+        found.setdefault((s.plant, courses[s.trajectory, s.setting]), {}).setdefault(s.speed, {})[label] = s
     return {course: dict(sorted(speeds.items())) for course, speeds in found.items()}
+
+
+def _labels(courses: Mapping[Course, Mapping[float, Mapping[str, Statistic]]]) -> list[str]:
+    """Those of ORDER first."""
+    there = {name for speeds in courses.values() for found in speeds.values() for name in found}
+    return [*(name for name in ORDER if name in there), *sorted(there - set(ORDER))]
 
 
 def families_table(rows: Sequence[Row]) -> str:
     """Markdown: mean position error (mm) by condition and controller; bold by the rule of report/winner.py."""
     courses = by_course(rows)
-    flown = {row["controller"] for row in rows}
-    names = [name for name in ORDER if name in flown] + sorted(flown - set(ORDER))
+    names = _labels(courses)
     lines = [
         [plant, trajectory, speed_text(speed, ""), *(_cell(found.get(name)) for name in names)]
         for (plant, trajectory), speeds in courses.items()
@@ -72,11 +79,12 @@ def families_figure(rows: Sequence[Row]) -> Figure:
     size = (1.0 + 2.7 * len(trajectories), 0.9 + 2.6 * len(plants))
     figure = Figure(figsize=size, layout="constrained")
     panels = figure.subplots(len(plants), len(trajectories), sharey=True, squeeze=False)
-    look = looks(ORDER)
+    names = _labels(courses)
+    look = looks(names)
     for line, plant in zip(panels, plants, strict=True):
         for panel, trajectory in zip(line, trajectories, strict=True):
             speeds = courses.get((plant, trajectory), {})
-            for name in ORDER:
+            for name in names:
                 points = [(v, 1e3 * s.mean) for v, found in speeds.items() if (s := found.get(name)) and not s.failures]
                 if points:
                     panel.plot(*zip(*points, strict=True), label=name, linewidth=1.2, **look[name].points())
@@ -87,6 +95,6 @@ def families_figure(rows: Sequence[Row]) -> Figure:
     for panel in panels[-1]:
         panel.set_xlabel("trajectory.speed (m/s)")
     found = dict(zip(*reversed(entries(panels.flat)), strict=True))
-    names = [name for name in ORDER if name in found]
+    names = [name for name in names if name in found]
     figure.legend([found[name] for name in names], names, loc="outside lower center", ncols=4)
     return figure

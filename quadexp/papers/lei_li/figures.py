@@ -8,12 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from quadexp.log.schema import Flight
 from quadexp.physics.rotor import THETA
 from quadexp.report.metrics import position_error
-from quadexp.report.style import COLOURS, DASHES, GREY, entries, looks, plain_log, styled
+from quadexp.report.style import COLOURS, DASHES, GREY, Figure, entries, looks, plain_log, styled
 
 SYMBOLS = {"C_d0": "$C_{d0}$", "C_la": r"$C_{l\alpha}$ (1/rad)"} | {f"C_D{a}": f"$C_{{D{a}}}$" for a in "xyz"}
 QUIET_SHARE = 0.05  # of a flight, at its start: estimates jump and are not used for the limits of the panels
@@ -53,8 +52,10 @@ def running_mean_figure(flights: Mapping[str, Flight], title: str) -> Figure:
         errors = position_error(flight), flight["error_eta"]
         for panel, error in zip(panels, errors, strict=True):
             panel.plot(flight.t, np.cumsum(error) / count, label=name, **look[name].line())
-    panels[0].set(ylabel=r"running mean of $\|e_\xi\|$ (m)", title="position")
-    panels[1].set(ylabel=r"running mean of $\|e_\eta\|$ (rad)", title="attitude", yscale="log")
+    panels[0].set_ylabel(r"running mean of $\|e_\xi\|$ (m)", parse_math=True)
+    panels[1].set_ylabel(r"running mean of $\|e_\eta\|$ (rad)", parse_math=True)
+    panels[0].set(title="position")
+    panels[1].set(title="attitude", yscale="log")
     plain_log(panels[1].yaxis)
     for panel in panels:
         panel.set_xlabel("time (s)")
@@ -94,7 +95,7 @@ def parameter_figure(flights: Sequence[Flight], title: str) -> Figure:
             panel.plot(t, line, color=COLOURS[6], linewidth=0.7, alpha=0.7, label="one seed")
         panel.plot(t, values.mean(axis=0), color=COLOURS[2], label=f"mean of {len(flights)} seeds")
         panel.axhline(truth[name], color="#000000", linestyle="--", linewidth=1.0, label="truth")
-        panel.set_title(SYMBOLS[name])
+        panel.set_title(SYMBOLS[name], parse_math=True)
         late = np.concatenate([values[:, t > QUIET_SHARE * t[-1]].ravel(), [truth[name]]])
         low, high = late.min(), late.max()
         panel.set_ylim(low - 0.15 * (high - low), high + 0.15 * (high - low))

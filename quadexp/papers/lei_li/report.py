@@ -12,9 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.files.writer import write_text
 from quadexp.log.cell_store import CellStore
+from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_flight, write_text
+from quadexp.log.store import read_flight
 from quadexp.papers.lei_li import figures
 from quadexp.papers.lei_li.families import families_figure, families_table
 from quadexp.physics.rotor import THETA
@@ -51,11 +53,12 @@ TITLES = {
 
 def draw(kind: str, rows: Sequence[Mapping[str, Any]], out: str | Path) -> dict[str, str]:
     """Figures and tables of a sweep into <out>; returns name -> path. kind: "lei_li", "families" or "adaptation"."""
+    rows = [{**row, "outcome": "ok"} if row["outcome"] in COMPLETED else row for row in rows]  # no corridor there
     return {"lei_li": _examples, "families": _families, "adaptation": _adaptation}[kind](rows, Path(out))
 
 
 def _flown(rows: Iterable[Mapping[str, Any]], store: CellStore) -> list[tuple[Mapping[str, Any], Flight]]:
-    return [(row, read_flight(store.path(row["key"]))) for row in rows if row["outcome"] in ("ok", "lost")]
+    return [(row, read_flight(store.path(row["key"]), whole=True)) for row in rows if row["outcome"] in ("ok", "lost")]
 
 
 def _examples(rows: Sequence[Mapping[str, Any]], out: Path) -> dict[str, str]:
@@ -83,7 +86,9 @@ def _examples(rows: Sequence[Mapping[str, Any]], out: Path) -> dict[str, str]:
         files["table_identified"] = str(write_text(out / "identified.md", identified_table(identified)))
         made["example_induced_velocity"] = figures.induced_velocity_figure(identified[0], f"{title}: rls_feedback")
         made["example_parameters"] = figures.parameter_figure(identified, f"{title}: identified coefficients")
-    return files | {f"figure_{name}": str(save(figure, out / "figures" / name)) for name, figure in made.items()}
+    return files | {
+        f"figure_{name}": str(save(figure, out / "figures" / name, inside=out)) for name, figure in made.items()
+    }
 
 
 def expected_table(rows: Sequence[Mapping[str, Any]], heights: Mapping[str, float] | None = None) -> str:

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from quadexp.log.store import write_text
+from quadexp.files.writer import write_text
+from quadexp.log.outcome import COMPLETED
 from quadexp.papers.sun.as_logged import with_logged
 from quadexp.papers.sun.data import CRASHED, INFEASIBLE, Ellipse, Published, ellipses, published
 from quadexp.report.figures import save
-from quadexp.report.style import looks, plain_log, styled
+from quadexp.report.style import Figure, looks, plain_log, styled
 from quadexp.report.table import Table
 
 MASS, THRUST = 0.75, 4 * 8.5  # kg, N, of the vehicle
@@ -83,7 +83,7 @@ class Condition:
     def of(cls, rows: Iterable[Row]) -> Condition:
         """From the rows of its flights."""
         rows = list(rows)
-        lost = np.array([row["outcome"] != "ok" for row in rows])
+        lost = np.array([row["outcome"] not in COMPLETED for row in rows])  # by their box, not by a corridor
         position = np.array([row["rmse"] for row in rows], float)
         heading = np.degrees(np.array([row["heading_rmse"] for row in rows], float))
         logged = np.array([row.get("rmse_logged", float("nan")) for row in rows], float)

@@ -12,7 +12,7 @@ HERE = Path(__file__).parent
 
 @pytest.fixture
 def vehicle():
-    return qx.controller("vehicle=hexacopter", conf=HERE).vehicle
+    return qx.controller("vehicle=quad_x", conf=HERE).vehicle
 
 
 def test_equal_thrusts_hover_without_a_torque(vehicle):
@@ -46,6 +46,6 @@ def test_every_axis_can_be_turned_while_hovering(vehicle):
 
 
 def test_it_flies():
-    settings = ("vehicle=hexacopter", "trajectory=circle", "plant=ideal", "controller=nominal_mpc")
+    settings = ("vehicle=quad_x", "trajectory=circle", "plant=ideal", "controller=nominal_mpc")
     flight = qx.simulate(*settings, speed=4, conf=HERE)
     assert flight.outcome == "ok" and flight.metrics["mean_error"] < 2e-3  # m
