@@ -140,6 +140,9 @@ def test_the_figure_names_the_power_of_the_voltage(exponent, label):
     k, rng = 40, np.random.default_rng(0)
     signal, force = rng.uniform(0.2, 0.8, (k, 4)), rng.normal(size=(k, 3))
     same = np.zeros(k, int)
-    samples = Samples(np.arange(k) * 0.01, same, same, force, force, signal, np.full(k, 3.6), "motor_command", ("a",))
+    voltage, held = np.full(k, 3.6), np.zeros(k, bool)
+    samples = Samples(
+        np.arange(k) * 0.01, same, same, force, force, signal, voltage, "motor_command", ("a",), None, held
+    )
     for panel in thrust_figure(curve, samples).axes:
         assert panel.get_xlabel().endswith(f", times {label}")

@@ -68,15 +68,13 @@ class TestFlights:
         config = compose(["trajectory.speed=6", "plant.payload=0.2"])
         made = straight_flight(5, (0.3, 0.0, 0.0))
         made.columns["p_z"] = made["p_z"] + [0.0, 0.0, 0.5, 0.0, 0.0]
-        made.metadata.update(
-            describe(config, build_vehicle(config.vehicle), None), outcome="left_corridor", cause="too far"
-        )
+        made.metadata.update(describe(config, build_vehicle(config.vehicle), None), outcome="lost", cause="too far")
         made.metadata["row"] = result_row(config, made)
         write_flight(b, made)
         report = compare(a, b)
         assert report["configuration"] == {"plant.payload": [0.0, 0.2], "trajectory.speed": [4.0, 6.0]}
-        assert report["outcome"] == ["ok", "left_corridor"]
-        assert "outcome  ok -> left_corridor (too far)" in report["lines"]
+        assert report["outcome"] == ["ok", "lost"]
+        assert "outcome  ok -> lost (too far)" in report["lines"]
         assert report["metrics"]["peak_speed"]["relative"] == 0.0
         assert {key: math.isnan(value) for key, value in report["metrics"]["mean_error"].items()} == {
             "a": False, "b": True, "difference": True, "relative": True,
