@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 
 import numpy as np
 import pytest
@@ -13,6 +13,8 @@ import pytest
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ["QUADEXP_CACHE"] = os.path.join(tempfile.gettempdir(), f"quadexp-tests-{os.getuid()}")
 
+from quadexp.compile.compiler import compiler
+from quadexp.errors import QuadexpError
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
@@ -28,6 +30,26 @@ def pytest_terminal_summary(terminalreporter) -> None:
     if reasons:
         shown = "; ".join(f"{count} x {reason}" for reason, count in reasons.most_common())
         terminalreporter.write_line(f"{reasons.total()} skipped: {shown}")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup() -> Generator[None, None, None]:
+    return (yield from _skipped_where_it_cannot_compile())
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Generator[None, None, None]:
+    return (yield from _skipped_where_it_cannot_compile())
+
+
+def _skipped_where_it_cannot_compile() -> Generator[None, None, None]:
+    """Without a compiler a test that asks for compiled code is skipped, by what refuses it."""
+    try:
+        return (yield)
+    except QuadexpError as error:
+        if compiler() is None and "no C compiler found" in str(error):
+            pytest.skip("no C compiler")
+        raise
 
 
 @pytest.fixture(scope="session")

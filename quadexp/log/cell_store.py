@@ -101,7 +101,8 @@ class CellStore:
         except BaseException:
             for folder in (*self._folders(), self.folder, self.root):
                 with contextlib.suppress(OSError):  # it holds something
-                    folder.rmdir()
+                    if folder != self.folder or os.listdir(self.root) == [MARK]:  # which tells what a folder is
+                        folder.rmdir()
             raise
 
     def _folders(self) -> list[Path]:

@@ -17,9 +17,9 @@ NOTEBOOKS = sorted(path.stem for path in FOLDER.glob("*.ipynb"))
 
 
 def environment() -> dict[str, str]:
-    """Commands of this installation, the checkout's examples, and no colours in what is printed."""
+    """Commands of this installation, the checkout's examples, no colours in what is printed, lines of one width."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    return {"PATH": path, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "PY_COLORS": "0", "TERM": "dumb"}
+    return {"PATH": path, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "PY_COLORS": "0", "TERM": "dumb", "COLUMNS": "120"}
 
 
 def read(name: str) -> Any:
