@@ -141,8 +141,8 @@ class TestCorners:
         assert flight.outcome == "ok" and position_error(flight)[-1] < 0.05
 
     def test_34_m_above_the_reference(self):
-        """The printed law brakes in the wrong direction and strays, by 5 to 9 m over six seeds; with the cone it comes straight
-        down."""
+        """The printed law brakes in the wrong direction and strays, by 5 to 9 m over six seeds; with the cone it comes
+        straight down."""
         above = self.start(position=[0.0, 0.0, 84.0], velocity=[2.0, 0.0, 0.0])
         safe, printed = self.fly(above), self.fly(above, "controller.cone=false")
         assert safe.outcome in COMPLETED and position_error(safe)[-1] < 0.1 and safe["cone"].any()

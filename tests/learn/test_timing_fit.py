@@ -100,8 +100,8 @@ def test_the_lag_and_the_delay_are_found_by_what_remains(vehicle, clean, effects
     ids=["lag", "battery", "battery and spread"],
 )
 def test_rotor_speeds_say_what_the_rotors_delivered(vehicle, clean, effects):
-    """Whatever scale and voltage do; a late state is then told from late commands. A scale of c_t, which no speed shows,
-    stays in the residual."""
+    """Whatever scale and voltage do; a late state is then told from late commands. A scale of c_t, which no speed
+    shows, stays in the residual."""
     vehicle = replace(vehicle, thrust_coefficient=K)
     found, _ = fitted(vehicle, [*effects, StatedEstimate(delay=0.012)])
     assert found.timing.measured and found.timing.lag_of == "rotor_speed"

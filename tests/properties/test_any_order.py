@@ -22,6 +22,7 @@ from quadexp.learn.gp_fit import fit_gp
 from quadexp.learn.model import GPSettings
 from quadexp.learn.neural import NeuralModel
 from quadexp.log.outcome import COMPLETED
+from quadexp.sweeps.server import start_server
 from tests.learn.synthetic import synthetic_dataset
 from tests.properties import cells
 
@@ -54,8 +55,8 @@ def pairs_that_compose(count: int, models: str) -> list[tuple[list[str], Config]
 
 def flown_alone(configs: list[Config]) -> list[str]:
     """Each in a process that has flown nothing else."""
+    start_server()  # as the engine does: it stays for the tests that follow
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["tests.properties.cells"])
     with ProcessPoolExecutor(2, mp_context=context, max_tasks_per_child=1) as pool:
         return list(pool.map(cells.fingerprint, configs))
 

@@ -155,5 +155,5 @@ def test_in_flight_the_same_is_found_with_little_work_a_step(monkeypatch, name):
     assert abs(last.age - batch.age) < 2 * np.hypot(last.age_error, batch.age_error)
     errors = [last.dead_time_error, last.lag_error, batch.dead_time_error, batch.lag_error]
     late = [one.dead_time + one.lag for one in (last, batch)]  # which is known better than each
-    # of 24 flights, three worlds with eight seeds each, one differs by more than twice this norm: quad_bench's 42, by 2.15
+    # of 24 flights (three worlds, eight seeds) one differs by more than twice this norm: quad_bench's 42, by 2.15
     assert abs(late[0] - late[1]) < 2.5 * np.linalg.norm(errors)
