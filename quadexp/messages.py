@@ -25,7 +25,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 # Signs beyond ASCII that are not printed, such as marks of direction, are written out; blanks that this program sets,
@@ -114,12 +114,19 @@ def tracker_name(text: object) -> str:
 
 
 class CleanStream:
-    """A text stream that passes on no control character. raw: the wrapped stream, for text that this program styles."""
+    """A text stream that passes on no control character. raw: the wrapped stream, for text that this program styles.
+
+    before: is called before anything is printed.
+    """
+
+    before: Callable[[], None] | None = None
 
     def __init__(self, raw: Any) -> None:
         self.raw = raw
 
     def write(self, text: str) -> int:
+        if CleanStream.before is not None:
+            CleanStream.before()
         self.raw.write(clean(text))
         return len(text)
 
@@ -133,6 +140,8 @@ class CleanStream:
 
 def raw(stream: Any) -> Any:
     """The stream that a CleanStream wraps; any other stream itself."""
+    if CleanStream.before is not None:
+        CleanStream.before()
     return stream.raw if isinstance(stream, CleanStream) else stream
 
 

@@ -1,13 +1,76 @@
-"""Progress of long work on the error stream: a bar on a terminal, a line per 10 % elsewhere."""
+"""Progress of long work on the error stream: a bar on a terminal, a line per 10 % elsewhere.
+
+Where nothing is counted, a line on the terminal says what a command does, and since when; what is printed replaces it.
+"""
 
 from __future__ import annotations
 
+import shutil
 import sys
+import threading
+import time
 from collections.abc import Callable
 from types import TracebackType
 from typing import Any
 
-from quadexp.messages import CleanStream, raw
+from quadexp.messages import CleanStream, clean, printable, raw
+
+PATIENCE, AGAIN = 3.0, 0.5  # s, after which a command says what it does, and how often
+
+
+class Waiting:
+    """with Waiting("import"): a line "import: FILE (12 s)" on a terminal while it takes long; see `doing`."""
+
+    now: Waiting | None = None
+
+    def __init__(self, command: str) -> None:
+        self.command, self.what, self._began = command, "", time.monotonic()
+        self._ended, self._lock = threading.Event(), threading.RLock()
+        self._stream, self._shown = raw(sys.stderr), False
+
+    def __enter__(self) -> Waiting:
+        if sys.stderr is not None and sys.stderr.isatty():
+            Waiting.now, CleanStream.before = self, self.clear
+            threading.Thread(target=self._tick, daemon=True).start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.end()
+
+    def end(self) -> None:
+        """Say nothing from now on."""
+        self._ended.set()
+        self.clear()
+        if Waiting.now is self:
+            Waiting.now, CleanStream.before = None, None
+
+    def clear(self) -> None:
+        """Make room for what is printed."""
+        with self._lock:
+            if self._shown:
+                self._stream.write("\r\x1b[K")
+                self._stream.flush()
+                self._shown = False
+
+    def _tick(self) -> None:
+        wait = PATIENCE
+        while not self._ended.wait(wait):
+            wait = AGAIN
+            with self._lock:
+                if self._ended.is_set():
+                    return
+                what = f": {self.what}" if self.what else ""
+                text = f"{self.command}{what} ({time.monotonic() - self._began:.0f} s)"
+                width = shutil.get_terminal_size().columns - 1
+                self._stream.write(f"\r{clean(text)[:width]}\x1b[K")
+                self._stream.flush()
+                self._shown = True
+
+
+def doing(what: object) -> None:
+    """What the command that runs is about, for a user who waits."""
+    if Waiting.now is not None:
+        Waiting.now.what = printable(what)
 
 
 class Progress:
@@ -25,6 +88,8 @@ class Progress:
         self._said = 0
 
     def __enter__(self) -> Progress:
+        if Waiting.now is not None:
+            Waiting.now.end()  # what is counted says more
         if sys.stderr.isatty():
             from rich.console import Console
             from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn

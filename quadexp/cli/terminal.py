@@ -21,6 +21,7 @@ import typer
 
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.messages import CleanStream, clean, printable, raw
+from quadexp.progress import Waiting
 
 if TYPE_CHECKING:
     from quadexp.report.table import Table
@@ -106,7 +107,8 @@ def guarded(function: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(function)
     def command(*args: Any, **kwargs: Any) -> Any:
         try:
-            return function(*args, **kwargs)
+            with Waiting(function.__name__.partition("_")[0]):
+                return function(*args, **kwargs)
         except QuadexpError as error:
             raise fail(error, error.exit_code) from error
         except KeyboardInterrupt as error:

@@ -14,6 +14,7 @@ from typing import Any, overload
 
 from quadexp.config.schema import PRESETS, REMEDIES, WORLD, Config
 from quadexp.errors import ForbiddenValueError, UsageError
+from quadexp.progress import doing
 
 # Varied keys that the result table has a column for; the plant's column names the world around it too, but not a sensor
 # that is only an accelerometer.
@@ -142,7 +143,9 @@ def refuse_mistakes(cells: Iterable[Cell]) -> Iterator[Cell]:
     errors: dict[str, UsageError] = {}  # override -> why the first cell refused it
     accepted: Counter[str] = Counter()
     first, valid = None, False
-    for cell in cells:
+    for place, cell in enumerate(cells):
+        if place % 100 == 0:
+            doing(f"composing cell {place}")
         refused: frozenset[str] = frozenset()
         if isinstance(cell, InvalidCell) and cell.error is not None:
             first, refused = first or cell.error, cell.refused

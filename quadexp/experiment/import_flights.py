@@ -15,6 +15,7 @@ from quadexp.log.importers import Options, checked, import_log
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
 from quadexp.physics.vehicle import Vehicle
+from quadexp.progress import doing
 
 
 @dataclass
@@ -74,7 +75,8 @@ def import_files(
     named = None if vehicle is None else _vehicle(vehicle, conf)
     mapping = checked(options)
     seen: dict[str, str] = {}
-    for log, path in paths.items():
+    for place, (log, path) in enumerate(paths.items(), 1):
+        doing(f"{log}, {place} of {len(paths)}")
         try:
             flight, notes = import_log(log, named, options, mapping)
         except QuadexpError as error:

@@ -26,6 +26,7 @@ from quadexp.log.hashes import CONTENT_KEY, content_hash, sealed_bytes, sealed_v
 from quadexp.log.schema import Flight, describe
 from quadexp.messages import printable
 from quadexp.physics.state import STATE_COLUMNS
+from quadexp.progress import doing
 
 SCHEMA = 2
 LONG = 200_000  # rows of a table that is read column by column
@@ -190,6 +191,7 @@ def read_table(
     required: columns that must be there. finite: True, or the columns, that may hold neither NaN nor infinity.
     Raises UsageError or DataError with one line.
     """
+    doing(path)
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -20,6 +20,7 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
 from quadexp.files.writer import written
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
+from quadexp.progress import doing
 from quadexp.report.drawing import FORMATS
 from quadexp.report.metrics import SHOWN, mean_error, position_error
 from quadexp.report.pairing import Flights, is_flown
@@ -210,6 +211,7 @@ def path_figure(cells: Mapping[str, str], title: str, missing: Sequence[str]) ->
 @styled
 def save(figure: Figure, path: Path, inside: Path | None = None) -> Path:
     """Write a figure as SVG and PNG; returns the path of the SVG. inside: see `written`."""
+    doing(f"drawing {path.name}")
     for form in FORMATS:
         metadata = {"Date": None} if form == "svg" else None
         with written(path.with_suffix(f".{form}"), inside=inside) as file:

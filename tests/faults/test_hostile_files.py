@@ -301,11 +301,12 @@ def obeyed(text):
     return [c for c in text if (ord(c) < 32 and c not in "\n\t\r") or 127 <= ord(c) < 160 or c in "\u202e\u2028"]
 
 
-def on_a_terminal(*words):
-    """What a command sends to a terminal, without the colours that it sends on its own account there."""
+def on_a_terminal(*words, patience=3.0):
+    """What a command sends to a terminal. patience: s, after which it says what it does."""
     ours, theirs = pty.openpty()
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm-256color", "COLUMNS": "180"}
-    command = [sys.executable, "-c", START, *map(str, words)]
+    start = f"import quadexp.progress; quadexp.progress.PATIENCE = {patience}; {START}"
+    command = [sys.executable, "-c", start, *map(str, words)]
     process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, env=environment)
     os.close(theirs)
     out = b""
@@ -379,7 +380,8 @@ def test_a_terminal_gets_colours_and_nothing_else(evil):
     for words in (evil[0], evil[2], evil[3], evil[5]):
         text = on_a_terminal(*words)
         assert "\x1b[31mred" not in text, "a colour that the file asked for"
-        assert obeyed(re.sub(r"\x1b\[[0-9;]*m", "", text)) == [], (words, text)
+        own = r"\x1b\[[0-9;]*m|\r[^\x1b\r\n]*\x1b\[K"  # colours, and the line of who waits
+        assert obeyed(re.sub(own, "", text)) == [], (words, text)
 
 
 def test_clean_keeps_what_people_write():

@@ -35,7 +35,8 @@ FELT = 4.0  # time constants for which a command is followed
 BEGINS = 0.3  # s, after which the commands before the first are forgotten
 CLOCK = 10.0  # s, unit of time within the products
 N_AIR = 7
-KEPT = 25  # samples between two records of the sums, of which those nearest to the half are taken
+KEPT = 25  # samples between two records of the sums, of which that nearest to the half is taken; twice as many when
+MOST = 8  # records, none of which was made before the half, have become as many
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class Moments:
     """The sums of a flight; `add` every control instant. samples: taken so far.
 
     thrust, turning_x, turning_y: sums over `counted` samples. velocity, attitude: over `spans`, (3, ..) for the axes.
-    halves: (spans, velocity, attitude) of earlier instants.
+    halves: (spans, velocity, attitude) of earlier instants, at most MOST, one of them within an eighth of the half.
     """
 
     def __init__(self, vehicle: Vehicle, period: float) -> None:
@@ -94,7 +95,7 @@ class Moments:
         self._on_body = z[0].copy(order="F")
         self._begin = round(BEGINS / period)
         self.counted = 0
-        self.halves = [(0, self.velocity.copy(), self.attitude.copy())]
+        self.halves, self._apart = [(0, self.velocity.copy(), self.attitude.copy())], KEPT
 
     def add(self, t: float, state: np.ndarray, force: np.ndarray, command: np.ndarray) -> None:
         """Told state, (13,), and reading, (3,), at t (s), and the command that is sent then, (n,) (N)."""
@@ -139,8 +140,17 @@ class Moments:
                     z = self._on_body
                 for axis in range(3):
                     dger(1.0, z[:, axis], z[:, axis], a=total[axis].T, overwrite_a=True)
-        if counts and self.spans % KEPT == 0:
-            self.halves.append((self.spans, self.velocity.copy(), self.attitude.copy()))
+        if counts and self.spans % self._apart == 0:
+            self._keep_halves()
+
+    def _keep_halves(self) -> None:
+        """One more record, of a number that a flight of any length has."""
+        self.halves.append((self.spans, self.velocity.copy(), self.attitude.copy()))
+        while 2 * self.halves[1][0] <= self.spans:  # the half only grows
+            del self.halves[0]
+        if len(self.halves) > MOST:
+            self._apart *= 2
+            self.halves = [one for one in self.halves if one[0] % self._apart == 0]
 
     @property
     def spans(self) -> int:

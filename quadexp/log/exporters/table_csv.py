@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+from pyarrow.csv import WriteOptions, write_csv
 
-from quadexp.files.writer import check_output, write_text
+from quadexp.files.writer import check_output, write_text, written
 from quadexp.log.schema import Flight, describe
 from quadexp.messages import csv_line
 
@@ -29,10 +31,8 @@ def write(flight: Flight, path: Path, *, force: bool = True) -> dict[str, Path]:
 
 def write_columns(path: Path, columns: Mapping[str, Any], *, force: bool = True) -> Path:
     """Columns (each (k,)) as a CSV with one line of names; NaN is an empty cell."""
-    texts = [_texts(np.asarray(values)) for values in columns.values()]
-    lines = [csv_line(columns), *(",".join(row) for row in zip(*texts, strict=True))]
-    return write_text(path, "\n".join(lines) + "\n", force=force)
-
-
-def _texts(values: np.ndarray) -> list[str]:
-    return ["" if value != value else repr(value) for value in values.tolist()]
+    table = pa.table([pa.array(np.asarray(values), from_pandas=True) for values in columns.values()], [*columns])
+    with written(path, force=force) as file:
+        file.write(f"{csv_line(columns)}\n".encode())
+        write_csv(table, file, WriteOptions(include_header=False, quoting_style="none"))  # in blocks
+    return path

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.config.compose import compose
 from quadexp.control.delay import identified
-from quadexp.control.delay.moments import BEGINS, SPAN, Moments
+from quadexp.control.delay.moments import BEGINS, KEPT, MOST, SPAN, Moments
 from quadexp.control.delay.sent_commands import SentCommands
 from quadexp.control.delay.timing import Search, Stream, find_delays, moments_of
 from quadexp.experiment.build import build_vehicle
@@ -90,7 +90,7 @@ def test_what_a_shift_leaves_is_that_of_the_samples(vehicle, stream, shift):
 def test_half_the_samples_are_half_of_the_sums(vehicle, stream):
     """What is kept of an earlier instant is what a shorter flight has."""
     moments, part = moments_of(stream, vehicle), Moments(vehicle, PERIOD)
-    count, velocity, attitude = moments.halves[3]
+    count, velocity, attitude = moments.halves[1]
     for row in zip(stream.t, stream.state, stream.specific_force, stream.command, strict=True):
         part.add(float(row[0]), *row[1:])
         if part.spans == count:
@@ -101,6 +101,18 @@ def test_half_the_samples_are_half_of_the_sums(vehicle, stream):
             and count > 0
             and np.allclose(ours, theirs, rtol=1e-12, atol=1e-9)
         )
+
+
+def test_the_records_of_a_long_flight_are_as_many_as_of_a_short_one(vehicle, stream):
+    """At most MOST, and one near the half at every instant."""
+    moments = Moments(vehicle, PERIOD)
+    for k in range(20 * len(stream.t)):
+        row = k % len(stream.t)
+        moments.add(PERIOD * k, stream.state[row], stream.specific_force[row], stream.command[row])
+        half = moments.spans / 2
+        assert len(moments.halves) <= MOST
+        assert min(abs(count - half) for count, *_ in moments.halves) <= max(half / 8, KEPT)
+    assert moments.spans > 200 * KEPT
 
 
 WORLDS = {
