@@ -119,6 +119,7 @@ class GPKeys(Settings):
     max_exact_rows: Annotated[int, Setting("largest number of rows for gp.method=exact", "[10, 100000]", "rows")] = 1000
     holdout: Annotated[float, HOLDOUT] = 0.2
     refit: Annotated[bool, Setting("after the report, fit again to all flights")] = True
+    alternatives: Annotated[bool, Setting("where a fit is no better than drag, report what other features give")] = True
     max_iterations: Annotated[int, Setting("largest number of L-BFGS iterations", "[1, 10000]")] = 60
     jitter: Annotated[float, Setting("added to K_ZZ, relative to the signal variance", "(0, 1e-6]")] = 1e-8
     split: Annotated[

@@ -93,7 +93,7 @@ def _fit_gp(data: ResidualDataset, config: Config, progress: ProgressCallback) -
     if fit.test is not None and settings.split == "flight":
         from quadexp.learn.verdict import verdict
 
-        report["verdict"] = verdict(fit.held_out_model, fit.train, fit.test, settings)
+        report["verdict"] = verdict(fit.held_out_model, fit.train, fit.test, settings, search=settings.alternatives)
 
     def draw(folder: Path) -> dict[str, str]:
         from quadexp.report import fit_figures

@@ -5,14 +5,22 @@ Exact GP: log N(y | 0, K_XX + sigma_n^2 I). Sparse: Titsias' collapsed variation
     log N(y | 0, Q + sigma_n^2 I) - tr(K_XX - Q) / (2 sigma_n^2),        Q = K_XZ (K_ZZ + jitter sigma_f^2 I)^-1 K_ZX
 
 over all rows, maximised jointly over Z and the hyperparameters by L-BFGS. The fixed jitter adds independent noise to
-the inducing variables f(Z): the bound remains valid, and fit and prediction use the same model.
+the inducing variables f(Z): the bound remains valid, and fit and prediction use the same model. With L L' = K_ZZ +
+jitter, A = L^-1 K_ZX, S = A A' and b = A y, the two terms are
+
+    -1/2 [n log 2 pi + (n - M) log sigma_n^2 + log |S + sigma_n^2 I|
+          + (y'y - b' (S + sigma_n^2 I)^-1 b) / sigma_n^2 + (n sigma_f^2 - tr S) / sigma_n^2]
+
+S and b are sums over the rows, taken CHUNK at a time and computed again for the gradient: so many rows need no memory.
 """
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import gpytorch
 import numpy as np
@@ -20,10 +28,12 @@ import torch
 from linear_operator.utils.errors import NanError, NotPSDError
 from linear_operator.utils.warnings import NumericalWarning
 from scipy.optimize import minimize
+from torch.utils.checkpoint import checkpoint
 
 NOISE_FLOOR = 1e-8  # of the output's mean square
 EXACT_LIMIT = 5000  # rows up to which gpytorch uses a Cholesky factorisation instead of conjugate gradients
 FAILED = 1e10  # objective where the covariance cannot be factorised
+CHUNK = 10_000  # rows
 
 
 @dataclass(frozen=True)
@@ -33,25 +43,6 @@ class Hyperparameters:
     lengthscale: np.ndarray
     signal_variance: float
     noise_variance: float
-
-
-class InducingKernel(gpytorch.kernels.InducingPointKernel):
-    """gpytorch's sparse kernel with a fixed jitter (gpytorch adds jitter only where a factorisation fails)."""
-
-    def __init__(
-        self,
-        base_kernel: gpytorch.kernels.Kernel,
-        inducing_points: torch.Tensor,
-        likelihood: gpytorch.likelihoods.Likelihood,
-        jitter: float,
-    ) -> None:
-        super().__init__(base_kernel, inducing_points, likelihood)
-        self.jitter = jitter
-
-    @property
-    def _inducing_mat(self) -> torch.Tensor:
-        matrix = super()._inducing_mat
-        return matrix + self.jitter * self.base_kernel.outputscale * torch.eye(len(matrix), dtype=matrix.dtype)
 
 
 class GPRegression(gpytorch.models.ExactGP):
@@ -69,8 +60,8 @@ class GPRegression(gpytorch.models.ExactGP):
         super().__init__(torch.as_tensor(x), torch.as_tensor(y), likelihood)
         self.mean_module = gpytorch.means.ZeroMean()
         base = gpytorch.kernels.ScaleKernel(gpytorch.kernels.RBFKernel(ard_num_dims=x.shape[1]))
-        points = None if inducing is None else torch.tensor(inducing)
-        self.covar_module = base if points is None else InducingKernel(base, points, likelihood, jitter)
+        self.covar_module, self.jitter = base, jitter
+        self.points = None if inducing is None else torch.nn.Parameter(torch.tensor(inducing))
         self.double()
         base.base_kernel.lengthscale = torch.as_tensor(start.lengthscale)
         base.outputscale = torch.tensor(start.signal_variance, dtype=torch.float64)
@@ -83,7 +74,8 @@ class GPRegression(gpytorch.models.ExactGP):
     @property
     def inducing_points(self) -> np.ndarray:
         """Inducing points of the sparse GP, (M, d), scaled."""
-        return self.covar_module.inducing_points.detach().numpy().copy()
+        assert self.points is not None
+        return self.points.detach().numpy().copy()
 
     @property
     def hyperparameters(self) -> Hyperparameters:
@@ -95,8 +87,31 @@ class GPRegression(gpytorch.models.ExactGP):
 
     def objective(self) -> torch.Tensor:
         """Log marginal likelihood or its bound, per row."""
+        if self.points is not None:
+            return self._bound(self.points)
         marginal = gpytorch.mlls.ExactMarginalLogLikelihood(self.likelihood, self)
         return marginal(self(*self.train_inputs), self.train_targets)
+
+    def _bound(self, z: torch.Tensor) -> torch.Tensor:
+        """Titsias' bound per row; see the module."""
+        signal, noise = self.base.outputscale, self.likelihood.noise
+        eye, (x,), y = torch.eye(len(z), dtype=z.dtype), self.train_inputs, self.train_targets
+        lower = torch.linalg.cholesky(self.base(z).to_dense() + self.jitter * signal * eye)
+
+        def sums(x: torch.Tensor, y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+            a = torch.linalg.solve_triangular(lower, self.base(z, x).to_dense(), upper=False)
+            return a @ a.T, a @ y
+
+        chunks = list(zip(x.split(CHUNK), y.split(CHUNK), strict=True))
+        again = partial(checkpoint, sums, use_reentrant=False) if len(chunks) > 1 else sums
+        parts = [again(*chunk) for chunk in chunks]
+        s, b = (torch.stack(one).sum(dim=0) for one in zip(*parts, strict=True))
+        n, factor = len(x), torch.linalg.cholesky(s + noise * eye)
+        whitened = torch.linalg.solve_triangular(factor, b[:, None], upper=False)
+        quadratic = (y @ y - whitened.square().sum()) / noise
+        determinant = (n - len(z)) * noise.log() + 2 * factor.diagonal().log().sum()
+        trace = (n * signal - s.trace()) / noise
+        return -0.5 * (math.log(2 * math.pi) + (determinant + quadratic + trace).squeeze() / n)
 
 
 def maximise(model: GPRegression, iterations: int, report: Callable[[int], None] | None = None) -> float:
@@ -119,7 +134,7 @@ def maximise(model: GPRegression, iterations: int, report: Callable[[int], None]
         try:
             value = -model.objective()
             value.backward()
-        except (NotPSDError, NanError):
+        except (NotPSDError, NanError, torch.linalg.LinAlgError):
             return FAILED, np.zeros_like(flat)
         gradient = np.concatenate([p.grad.numpy().reshape(-1) for p in parameters])
         finite = bool(np.isfinite(value.item()) and np.all(np.isfinite(gradient)))

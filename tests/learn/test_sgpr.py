@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gpytorch
 import numpy as np
 import pytest
 import torch
@@ -27,6 +28,15 @@ def kernel(a, b, p):
     return p.signal_variance * np.exp(-0.5 * np.sum(scaled**2, axis=2))
 
 
+class InducingKernel(gpytorch.kernels.InducingPointKernel):
+    """gpytorch's sparse kernel with a fixed jitter (gpytorch adds jitter only where a factorisation fails)."""
+
+    @property
+    def _inducing_mat(self) -> torch.Tensor:
+        matrix = super()._inducing_mat
+        return matrix + JITTER * self.base_kernel.outputscale * torch.eye(len(matrix), dtype=matrix.dtype)
+
+
 def exported(points, alpha, factor, p) -> OutputPosterior:
     names = tuple(f"v_{axis}" for axis in "xyz"[: points.shape[1]])
     return OutputPosterior(
@@ -34,9 +44,11 @@ def exported(points, alpha, factor, p) -> OutputPosterior:
     )
 
 
+@pytest.mark.parametrize("chunk", [sgpr.CHUNK, 64])
 @pytest.mark.parametrize("m", [1, 7, 40])
-def test_objective_is_titsias_bound(m):
+def test_objective_is_titsias_bound(m, chunk, monkeypatch):
     """Titsias 2009, eq. 9: log N(y | 0, Q + s^2 I) - tr(K - Q) / (2 s^2), with the n x n matrices formed."""
+    monkeypatch.setattr(sgpr, "CHUNK", chunk)
     x, y, p = problem()
     z = x[:m] + 0.05
     q = kernel(x, z, p) @ np.linalg.solve(kernel(z, z, p) + JITTER * p.signal_variance * np.eye(m), kernel(z, x, p))
@@ -45,6 +57,24 @@ def test_objective_is_titsias_bound(m):
     model = sgpr.GPRegression(x, y, p, z, JITTER)
     model.train()
     assert model.objective().item() * len(x) == pytest.approx(bound, rel=1e-9)
+
+
+def test_the_gradient_of_the_bound_is_gpytorchs(monkeypatch):
+    """Of hyperparameters and inducing points, in chunks, against gpytorch's sparse kernel and marginal likelihood."""
+    monkeypatch.setattr(sgpr, "CHUNK", 64)
+    x, y, p = problem()
+    ours, theirs = (sgpr.GPRegression(x, y, p, x[:7] + 0.05, JITTER) for _ in range(2))
+    theirs.covar_module = InducingKernel(theirs.base, torch.tensor(x[:7] + 0.05), theirs.likelihood)
+    theirs.points = None
+    values = [model.train().objective() for model in (ours, theirs)]
+    assert values[0].item() == pytest.approx(values[1].item(), rel=1e-9)
+    for value in values:
+        value.backward()
+    np.testing.assert_allclose(ours.points.grad, theirs.covar_module.inducing_points.grad, rtol=1e-6, atol=1e-9)
+    for one, other in zip(ours.base.parameters(), theirs.base.parameters(), strict=True):
+        np.testing.assert_allclose(one.grad, other.grad, rtol=1e-6, atol=1e-9)
+    noise = [next(model.likelihood.parameters()).grad for model in (ours, theirs)]
+    np.testing.assert_allclose(*noise, rtol=1e-6, atol=1e-9)
 
 
 def test_bound_lies_below_the_marginal_likelihood_and_reaches_it_with_all_points():
@@ -64,11 +94,10 @@ def test_bound_lies_below_the_marginal_likelihood_and_reaches_it_with_all_points
 @pytest.mark.parametrize(("m", "d"), [(10, 1), (20, 1), (20, 3), (100, 1), (100, 2)])
 def test_exported_posterior_equals_gpytorch(m, d):
     """Mean and variance in plain numpy against gpytorch's own prediction in eval mode, to 1e-8."""
-    import gpytorch
-
     x, y, p = problem(n=1500, d=d)
     z = x[greedy_points(x, p.lengthscale, m)]
     model = sgpr.GPRegression(x, y, p, z, JITTER)
+    model.covar_module = InducingKernel(model.base, torch.tensor(z), model.likelihood)
     at = np.random.default_rng(1).uniform(-2.5, 2.5, (200, d))
     ours = posterior(
         exported(z, *sgpr.sparse_posterior(x, y, z, model.hyperparameters, JITTER), model.hyperparameters), at
