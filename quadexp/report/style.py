@@ -18,7 +18,9 @@ from typing import Any
 
 import matplotlib.figure
 from matplotlib.axis import Axis
+from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
@@ -78,9 +80,13 @@ class _Clean:
         return clean(self.made(*tick))
 
 
+MANY = 20_000  # points
+
+
 class Figure(matplotlib.figure.Figure):
     """A figure whose texts have no control character, and whose fonts are whole in PDF and PostScript (Type 42: systems
-    for submissions refuse Type 3). A notebook shows it, also where matplotlib.pyplot is not in use."""
+    for submissions refuse Type 3). A line of more than MANY points is pixels in a vector format, as that of an hour of
+    flight, which would be megabytes. A notebook shows it, also where matplotlib.pyplot is not in use."""
 
     def draw(self, renderer: Any) -> None:
         for axis in self.findobj(Axis):  # which makes its texts while it is drawn
@@ -93,6 +99,9 @@ class Figure(matplotlib.figure.Figure):
         super().draw(renderer)
 
     def savefig(self, *args: Any, **kwargs: Any) -> None:
+        for line in self.findobj(lambda one: isinstance(one, (Line2D, LineCollection))):
+            if len(line.get_xdata() if isinstance(line, Line2D) else line.get_paths()) > MANY:
+                line.set_rasterized(True)
         with matplotlib.rc_context({"pdf.fonttype": 42, "ps.fonttype": 42}):
             super().savefig(*args, **kwargs)
 
