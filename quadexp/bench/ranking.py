@@ -2,7 +2,8 @@
 
     rank of a flight      1 for the least error of those that ended well, ties share their mean rank; all that were lost
                           or not flown come after them, and share theirs
-    mean rank             mean over tasks and worlds, then over seeds; its interval is Student's t over the seeds
+    mean rank             mean over tasks and worlds, then over seeds; its interval is Student's t over six seeds or
+                          more: of three, whose ranks are few numbers, it held the mean in 90 % of 2,000 tables for 95
     told apart            by the paired permutation test of the seeds, p < 1 - confidence: six seeds can, fewer cannot
     place                 those not told apart, by the number of flights lost, from the entry that lost the fewest come
                           first, then those not told apart from the fewest of the rest; among them by mean rank
@@ -24,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.report.inference import Ratio, log_ratio, mean_interval, paired_permutation
+from quadexp.report.inference import NO_INTERVAL, Ratio, least_seeds, log_ratio, mean_interval, paired_permutation
 from quadexp.report.pairing import seed_means, whole
 
 Row = Mapping[str, Any]
@@ -77,7 +78,8 @@ def standings(
     for place, name in enumerate(order, 1):
         above = order[place - 2] if place > 1 else name
         apart = any(_apart(of[name] - of[above], confidence) for of in (losses, ranks))
-        limits = mean_interval(ranks[name], confidence, least=1.0)
+        few = len(ranks[name]) < least_seeds(1, confidence)
+        limits = NO_INTERVAL if few else mean_interval(ranks[name], confidence, least=1.0)
         mean = float(np.mean(ranks[name]))
         made.append((name, place, place > 1 and not apart, mean, limits.low, min(limits.high, len(order))))
     made += [(name, 0, False, math.nan, math.nan, math.nan) for name in entries if entries[name]["bound"]]

@@ -99,7 +99,8 @@ def test_a_sweep(tables, seeds, pattern, errors):
     print(f"{seeds} seeds, {pattern}, {errors}:", {name: round(n / tables, 4) for name, n in counts.items()})
     for name, level in (("pooled", 0.05), ("lines", 0.05), ("best", 0.025), ("marked", 0.025), ("sure", 0.001)):
         assert at_most(counts[name], tables, level), name
-    assert at_most(counts["missed"], max(counts["ratios"], 1), 0.05)
+    # the two ratios of a table share their baseline: as many independent ones as tables
+    assert at_most(counts["missed"] / 2, max(counts["ratios"] / 2, 1), 0.05)
 
 
 @pytest.mark.parametrize(("tables", "seeds", "cells"), cases([(2, 1), (6, 4)], [(s, c) for s in SEEDS for c in (1, 4)]))
