@@ -99,8 +99,9 @@ class Figure(matplotlib.figure.Figure):
         super().draw(renderer)
 
     def savefig(self, *args: Any, **kwargs: Any) -> None:
-        for line in self.findobj(lambda one: isinstance(one, (Line2D, LineCollection))):
-            if len(line.get_xdata() if isinstance(line, Line2D) else line.get_paths()) > MANY:
+        for line in self.findobj(Line2D) + self.findobj(LineCollection):
+            shown: Any = line
+            if len(shown.get_xdata() if isinstance(line, Line2D) else shown.get_paths()) > MANY:
                 line.set_rasterized(True)
         with matplotlib.rc_context({"pdf.fonttype": 42, "ps.fonttype": 42}):
             super().savefig(*args, **kwargs)
