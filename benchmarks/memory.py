@@ -38,7 +38,7 @@ def simulated(folder: Path, seconds: int, *overrides: str) -> str:
 
 def delays(folder: Path, seconds: int) -> Made:
     flight = simulated(folder, seconds, "controller.rate=200", "link=latency", "link.latency=0.02")
-    return ["identify", flight, "--method", "delays", "--out", f"models/{seconds}"], None
+    return ["identify", flight, "--method", "delays"], None
 
 
 def flight(folder: Path, seconds: int) -> Made:
