@@ -21,6 +21,7 @@ ASIDE = {
     "quadexp.files.writer": "how files are written",
     "quadexp.errors": "words",
     "quadexp.messages": "words",
+    "quadexp.progress": "words",
     "quadexp.provenance": "what is said of a flight",
     "quadexp.config": "empty",
     "quadexp.experiment": "empty",

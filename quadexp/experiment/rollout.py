@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from typing import Any, Protocol
@@ -30,6 +31,7 @@ from quadexp.world.world import World
 
 LOST_DISTANCE = 10.0  # m from the reference; beyond it a flight counts as lost
 TIME_RESOLUTION = 1e-9  # s; closer sampling times count as equal
+BLOCK = 4096  # control instants whose horizons are looked up at once
 INNER_STATES = ("rotor_speed", "induced_velocity")  # (n,) attributes of some plants, logged as columns
 
 
@@ -52,10 +54,15 @@ class SampledReference:
         self._trajectory, self._vehicle, self._backend = trajectory, controller.vehicle, controller.backend
         samples = int(np.floor(trajectory.duration / controller.control_period + 1e-6)) + 1
         self.t = np.arange(samples) * controller.control_period
-        times = self.t[:, None] + np.concatenate([[0.0], controller.node_times])
-        self._grid, where = np.unique(np.round(times / TIME_RESOLUTION).astype(np.int64), return_inverse=True)
-        where = where.reshape(times.shape)
-        self._now, self._where = where[:, 0], where[:, 1:]  # a horizon need not begin now
+        ahead = np.concatenate([[0.0], controller.node_times])  # a horizon need not begin now
+        where = np.empty((samples, len(ahead)), np.int64)
+        blocks = [slice(first, first + BLOCK) for first in range(0, samples, BLOCK)]
+        for block in blocks:
+            where[block] = np.round((self.t[block, None] + ahead) / TIME_RESOLUTION)
+        self._grid = np.unique(np.concatenate([np.unique(where[block]) for block in blocks]))
+        for block in blocks:
+            where[block] = np.searchsorted(self._grid, where[block])
+        self._now, self._where = where[:, 0], where[:, 1:]
         self._stride = _common_stride(self._where)
         flat = trajectory.flat_output(self.t)
         self._position = flat.position
@@ -133,8 +140,9 @@ class SampledReference:
 
 def _common_stride(where: np.ndarray) -> int:
     """The common step of all rows of indices, (k, N + 1); 0 where there is none."""
-    strides = np.unique(np.diff(where, axis=1))
-    return int(strides[0]) if len(strides) == 1 else 0
+    first = int(where[0, 1] - where[0, 0]) if where.shape[1] > 1 else 0
+    same = all((after - before == first).all() for before, after in itertools.pairwise(where.T))
+    return first if same else 0
 
 
 def fly(
