@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -9,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.air.adapting import adapting_drag, adapting_network, adapting_process, adapting_terms, from_zero
 from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
-from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.air.linear_drag import linear_drag_acceleration, linear_drag_residual
 from quadexp.air.neural import neural_residual
 from quadexp.air.online import Law, prior_belief, split_belief, update_function
 from quadexp.compile.backend import BufferedFunction, compiler, realise
@@ -117,6 +118,22 @@ def test_a_wide_prior_gives_plain_least_squares(vehicle, rng):
     for block, X in zip(adapting.blocks, designs(adapting, v, u), strict=True):
         plain = np.linalg.lstsq(X @ np.linalg.inv(block.root), y[:, block.axis], rcond=None)[0]
         assert np.allclose(learner.theta[block.at], plain, rtol=1e-5, atol=1e-6)
+
+
+def test_the_prior_of_drag_is_of_one_size_at_usual_speed_and_thrust(vehicle):
+    """Each weight alone, a standard deviation off its mean, adds s at 8 m/s along its axis in hover."""
+    s, hover = 0.7, np.full(vehicle.n_rotors, vehicle.mass * vehicle.gravity / vehicle.n_rotors)
+    adapting = adapting_drag(vehicle, linear_drag_residual(vehicle, [0.3, 0.4, 0.1], [0.1, 0.2, 0.3], 0.01), s)
+    assert [block.axis for block in adapting.blocks] == [0, 1, 2]
+    z = np.r_[8.0, 8.0, 8.0, np.zeros(3), hover]
+    for block in adapting.blocks:
+        np.testing.assert_array_equal(block.mean, adapting.residual.theta[block.at])
+        for place, deviation in zip(block.at, block.root, strict=True):
+            step = np.zeros(7)
+            step[block.at] = deviation
+            assert np.count_nonzero(step) == 1 and step[place] > 0
+            added = np.array(linear_drag_acceleration(ca.DM(z), ca.DM(step))).ravel()
+            assert abs(added[block.axis]) == pytest.approx(s) and np.count_nonzero(added) == 1
 
 
 def test_what_is_known_is_not_learned_again(vehicle, rng):

@@ -85,6 +85,20 @@ def test_transfer_functions(vehicle, frequency, inertia):
     assert abs(found - (1 - H * M) / (J * closed)) < 0.03 / J
 
 
+def test_a_settled_filter_is_at_rest(vehicle):
+    """What comes through is what went in, and the memory stays."""
+    keys, hover = INDIKeys(rate=300.0), np.full(vehicle.n_rotors, vehicle.hover_thrust)
+    law, rate = BufferedFunction(indi_function(vehicle, keys).expand()), np.array([0.3, -0.2, 1.0])
+    before = np.r_[rate, np.sqrt(hover)]
+    memory = settled_memory(keys, before)
+    given = {"wanted": hover, "rate": rate, "delivered": hover, "memory": memory, "before": before}
+    for name, value in given.items():
+        law.arguments[name][:] = value
+    law()
+    np.testing.assert_allclose(law.results["filtered"], before, rtol=1e-9)
+    np.testing.assert_allclose(law.results["memory_next"], memory, rtol=1e-7, atol=1e-12)
+
+
 def test_filters_that_differ_are_noticed(vehicle):
     """The rates through another low pass than the rotor speeds: the transfer function is another one."""
     b, a = butter(1, 6.0, fs=FAST.rate)
