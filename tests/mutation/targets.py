@@ -29,7 +29,7 @@ DELAYS = ("tests/control/delay", "tests/experiment/test_identify_delays.py", "te
 RESIDUAL = ("tests/air", "tests/properties/test_jacobians.py", "tests/world/test_blade_element.py")
 
 TARGETS: dict[str, tuple[str, ...]] = {
-    "quadexp/physics/rotation.py": MECHANICS,
+    "quadexp/physics/rotation.py": ("tests/physics/test_rotation.py", *MECHANICS),
     "quadexp/physics/rotor.py": (*AIR, "tests/air"),
     "quadexp/physics/rigid_body.py": MECHANICS,
     "quadexp/physics/integrator.py": MECHANICS,

@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.physics.rotation import conjugate, cross_matrix, exponential, logarithm, product, right_jacobian
+from quadexp.physics.rotation import (
+    air_velocity,
+    conjugate,
+    cross_matrix,
+    exponential,
+    logarithm,
+    product,
+    right_jacobian,
+)
 
 
 def number(expression) -> np.ndarray:
@@ -44,3 +52,18 @@ def test_products_and_cross_products():
     assert np.allclose(number(product(ca.DM(a), conjugate(ca.DM(a)))), [1, 0, 0, 0])
     u, v = rng.normal(size=(2, 3))
     assert np.allclose(number(cross_matrix(ca.DM(u))) @ v, np.cross(u, v))
+
+
+def test_velocity_relative_to_the_air_of_one_and_of_many(rng):
+    """Expressions, one sample and many, against scipy: R' (v - wind)."""
+    q = Rotation.random(6, rng=rng)
+    velocity, wind = rng.normal(size=(2, 6, 3))
+    rows = q.as_quat(scalar_first=True)
+    for blowing in (wind, None):
+        expected = q.inv().apply(velocity if blowing is None else velocity - blowing)
+        assert np.allclose(air_velocity(rows, velocity, blowing), expected, atol=1e-14)
+        for k in range(6):
+            one = rows[k], velocity[k], None if blowing is None else blowing[k]
+            assert np.allclose(air_velocity(*one), expected[k], atol=1e-14)
+            terms = [None if part is None else ca.DM(part) for part in one]
+            assert np.allclose(number(air_velocity(*terms)), expected[k], atol=1e-14)
