@@ -127,7 +127,7 @@ def thin(folder: CacheFolder, newest: Path) -> None:
 
 
 def clear(folder: CacheFolder) -> None:
-    """Remove all that is kept, by its names; what is there besides stays."""
+    """Remove every file of the cache, known by its name; other files in the folder stay."""
     for place in (folder.inside, folder.inside / CONFIGURATIONS):
         clean(place)
         for entry in os.scandir(place) if place.is_dir() else ():

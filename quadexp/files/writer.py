@@ -73,8 +73,8 @@ def written(
 ) -> Iterator[BinaryIO]:
     """A file, open for reading and writing, that becomes `path` on leaving without an error.
 
-    force: replace what is there. durable: flush it to the disk first. inside: folder above it, below which no link is
-    followed. Raises UsageError where `path` is taken (without force), WriteError where it cannot be written.
+    force: replace an existing file. durable: flush it to the disk first. inside: a folder above `path`, below which a
+    link is refused. Raises UsageError where `path` is taken (without force), WriteError where it cannot be written.
     """
     path = Path(path)
     try:
@@ -173,7 +173,7 @@ def clean(folder: Path) -> None:
 
 
 def unfollowed(name: str, flags: int) -> int:
-    """Opener of a lock file: a link is refused, and what is there is not emptied."""
+    """Opener of a lock file: refuses a link, and does not empty an existing file."""
     return os.open(name, (flags | os.O_NOFOLLOW) & ~os.O_TRUNC, 0o666)
 
 
