@@ -25,7 +25,8 @@ from rotorpy.vehicles.multirotor import Multirotor
 
 from benchmarks.machine import machine
 from quadexp.config.compose import compose
-from quadexp.experiment.build import build_plant, build_vehicle, unshared
+from quadexp.experiment.build import build_plant, build_vehicle
+from quadexp.experiment.kept import unshared
 
 PERIOD, CALLS, ROUNDS = 0.02, 20, 5
 

@@ -17,8 +17,7 @@ from benchmarks.machine import machine
 from quadexp.config.compose import compose
 from quadexp.control.base import Controller, Measurement
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle
-from quadexp.experiment.build_world import build_world
+from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world
 from quadexp.experiment.rollout import SampledReference
 
 ROWS = {

@@ -25,8 +25,6 @@ from benchmarks.machine import cores, machine, pin
 from benchmarks.step import make_residual
 from quadexp.air.adapting import adapting_terms
 from quadexp.config.compose import compose
-from quadexp.config.learned import AdaptKeys
-from quadexp.config.observers import DisturbanceObserverConfig, WindObserverConfig
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.delay.moments import Moments
 from quadexp.control.delay.prediction import Prediction
@@ -34,12 +32,11 @@ from quadexp.control.delay.strapdown import Strapdown
 from quadexp.control.delay.timing import Search
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
-from quadexp.control.mpc.online_mpc import AdaptingController
+from quadexp.control.mpc.online_mpc import AdaptingController, AdaptKeys
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.control.observers.disturbance import with_disturbance_observer
-from quadexp.control.observers.wind import with_wind_observer
-from quadexp.experiment.build import build_vehicle
-from quadexp.experiment.build_world import build_world
+from quadexp.control.observers.disturbance import DisturbanceObserver, with_disturbance_observer
+from quadexp.control.observers.wind import WindObserver, with_wind_observer
+from quadexp.experiment.build import build_vehicle, build_world
 from quadexp.experiment.rollout import SampledReference
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.circle import Circle
@@ -60,8 +57,8 @@ def contestants(vehicle: Vehicle) -> dict[str, Controller]:
             ModelPredictiveController(vehicle, residual, form, backend="compiled", disturbed=disturbed)
         )
 
-    disturbance, wind = DisturbanceObserverConfig(name="disturbance"), WindObserverConfig(name="wind")
-    still = WindObserverConfig(name="wind", targets=False)
+    disturbance, wind = DisturbanceObserver(name="disturbance"), WindObserver(name="wind")
+    still = WindObserver(name="wind", targets=False)
     return {
         f"{CASE}": mpc(disturbed=False),
         f"{CASE}, dead time predicted": mpc(disturbed=False, dead_time=0.02),

@@ -20,8 +20,9 @@ import pytest
 
 from quadexp.air.gaussian_process import gaussian_process_residual
 from quadexp.config.compose import compose
-from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, unshared
+from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import describe, result_row
+from quadexp.experiment.kept import unshared
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.learn.checkpoint import load_model, save_model
 from quadexp.learn.dataset import residual_dataset

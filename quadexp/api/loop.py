@@ -19,14 +19,9 @@ from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.readings import ReadingGate
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.experiment.build import (
-    build_controller,
-    build_trajectory,
-    build_vehicle,
-    find_model,
-    unshared,
-)
-from quadexp.experiment.build_world import build_world
+from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world
+from quadexp.experiment.checkpoints import find_model
+from quadexp.experiment.kept import unshared
 from quadexp.experiment.rollout import Renewal, SampledReference
 from quadexp.physics.state import RATE
 from quadexp.reference.base import Trajectory

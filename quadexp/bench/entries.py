@@ -14,8 +14,8 @@ from quadexp.bench.protocol import Family, Protocol
 from quadexp.config.compose import Composer
 from quadexp.config.schema import PRESETS, REMEDIES, Config, remedies
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_controller, build_vehicle, find_model, knows_plant
-from quadexp.experiment.build_world import build_world
+from quadexp.experiment.build import build_controller, build_vehicle, build_world
+from quadexp.experiment.checkpoints import find_model
 from quadexp.tune.preset import BY_HAND, provenance_of
 
 ALLOWED = ("controller", *PRESETS, "remedies", *REMEDIES)  # groups that an entry may set
@@ -66,7 +66,7 @@ def _entry(text: str, composer: Composer, protocol: Protocol, extra: Path | None
     config = composer.compose(given)
     name = " ".join(word.removeprefix("controller=") for word in given)
     settings, needed = _settings(given, protocol, extra), may_need_model(config)
-    return Entry(name, tuple(given), knows_plant(config.controller), settings, needed, needs_network(config))
+    return Entry(name, tuple(given), config.controller.knows_plant, settings, needed, needs_network(config))
 
 
 def _settings(given: Sequence[str], protocol: Protocol, extra: Path | None) -> str:

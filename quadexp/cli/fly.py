@@ -40,7 +40,7 @@ def simulate(
     quadexp simulate controller=gp_mpc trajectory=circle trajectory.speed=8 model=models/gp seed=0 --out runs/a.parquet
     """
     from quadexp.config.compose import compose
-    from quadexp.experiment.build import unused_model
+    from quadexp.experiment.checkpoints import unused_model
     from quadexp.experiment.evaluate import fly_one
     from quadexp.files.writer import check_output
     from quadexp.log.store import write_flight
@@ -176,7 +176,7 @@ def evaluate(
     if sweep and first.engine.kind == "local" and not (out / "results.parquet").exists():
         start_server(preload)  # which imports these while the modules that follow are imported here
 
-    from quadexp.experiment.build import unused_model
+    from quadexp.experiment.checkpoints import unused_model
     from quadexp.progress import Progress
     from quadexp.sweeps.cluster.engines import build_engine
     from quadexp.sweeps.engine import Workers
@@ -304,7 +304,7 @@ def _doubts(cells: Sequence[Any]) -> list[str]:
 
     nodes: dict[Any, Any] = {}
     for config in (cell.config for cell in cells[:SAMPLED] if not cell.invalid):
-        if config.trajectory.kind != "custom":  # which is a program of its own: built where it is flown
+        if is_own(config.trajectory):  # which is a program of its own: built where it is flown
             nodes.setdefault((config.trajectory, config.ground, config.vehicle, config.plant), config)
     found = [below_ground(c, build_trajectory(c.trajectory, build_vehicle(c.vehicle))) for c in nodes.values()]
     named = {line: None for line in (*found, *map(heavy_drag, nodes.values())) if line}
@@ -315,7 +315,7 @@ def _preload(cells: Sequence[Any], figures: bool) -> list[str]:
     """Modules that the processes of a sweep need."""
     from quadexp.sweeps.server import PRELOAD
 
-    kinds = {cell.config.trajectory.kind for cell in cells} | {cell.config.controller.kind for cell in cells}
+    kinds = {part.former_kind for cell in cells for part in (cell.config.trajectory, cell.config.controller)}
     found = [*PRELOAD, *(module for kind in sorted(kinds) for module in NEEDED.get(kind, ()))]
     return [*found, *DRAWING] if figures else found
 

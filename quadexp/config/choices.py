@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from quadexp.config.former import FORMER
 from quadexp.config.kept import KeptCompositions
 from quadexp.config.node import Node, node_of
 from quadexp.config.option_files import OptionFiles
 from quadexp.config.override import Given
-from quadexp.config.schema import BUNDLES, PRESETS, SCHEMA, SCHEMAS, Config
+from quadexp.config.part import TARGET, part_class
+from quadexp.config.schema import BUNDLES, CHOSEN, PRESETS, Config
 from quadexp.config.settings import declared, plain
 from quadexp.errors import UsageError
 
@@ -94,8 +96,11 @@ class Choices:
             content = self._composed_anew(name, chosen)
             self._kept.put(asked, content)
         found = {**plain(Config), **content} if name == "config" else content
-        options = {one.key: one.value for one in chosen}
-        return {key: node_of(key, value, options, source) for key, value in found.items()}
+        options = CHOSEN | {one.key: str(one.value) for one in chosen}
+        if name != "config":
+            group, _, option = name.partition("/")
+            options[group] = option
+        return {key: node_of(key, value, options.get(key, ""), source) for key, value in found.items()}
 
     def _composed_anew(self, name: str, chosen: Sequence[Given]) -> dict[str, Any]:
         from quadexp.config.hydra_files import composed_files
@@ -117,8 +122,8 @@ class Choices:
                     asked[group], presets[group] = f"{bundle}={options[bundle]}", option
         for group, option in presets.items():
             target = PRESETS[group]
-            kind = str(content[target].get(SCHEMA)).rpartition("/")[2]
-            known = declared(SCHEMAS[target][kind]) if kind in SCHEMAS[target] else {}
+            named = content[target].get(FORMER) or content[target].get(TARGET)
+            known = declared(part_class(target, named)) if named else {}
             for key in self._files.read(f"{group}/{option}"):
                 if known and key != "defaults" and key not in known:
                     given = f"{target}={options[target]}" if target in options else f"the {target}"

@@ -30,12 +30,15 @@ def groups(extra: Path | None = None) -> dict[str, list[str]]:
     return {group: sorted(options) for group, options in found.items() if options}
 
 
-def keys() -> dict[str, list[str]]:
-    """Every key that can be set, of whatever option, with its values where those are a few words."""
-    from quadexp.config.schema import SCHEMAS, Config
+def keys(group: str | None = None) -> dict[str, list[str]]:
+    """Every key that can be set, of whatever option, with its values where those are a few words. group: of one group
+    alone; only the classes of its parts are imported."""
+    from quadexp.config.option_files import OptionFiles
+    from quadexp.config.schema import PARTS, Config
     from quadexp.config.settings import declared
 
-    nodes: list[tuple[str, Any]] = [(f"{group}.", node) for group, made in SCHEMAS.items() for node in made.values()]
+    files, asked = OptionFiles(), [name for name in PARTS if group in (None, name)]
+    nodes: list[tuple[str, Any]] = [(f"{name}.", one) for name in asked for one in files.parts(name).values()]
     nodes.append(("", Config))
     found: dict[str, dict[str, None]] = {}
     while nodes:
@@ -43,7 +46,7 @@ def keys() -> dict[str, list[str]]:
         for name, one in declared(node).items():
             if one.node is not None:
                 nodes.append((f"{prefix}{name}.", one.node))
-            elif name not in ("kind", "options", "_target_"):
+            elif name not in ("options", "_target_"):
                 words = one.words or (("true", "false") if one.type is bool else ())
                 found.setdefault(prefix + name, {}).update(dict.fromkeys(words))
     return {key: list(words) for key, words in sorted(found.items())}
@@ -54,7 +57,8 @@ def complete(ctx: typer.Context, incomplete: str) -> list[str]:
     words = list(ctx.params.get("overrides") or [])
     extra = ctx.params.get("conf")
     options = groups(Path(extra) if extra else None)
-    values = keys() | options
+    said = " ".join([*words[-2:], incomplete])
+    values = keys(next((name for name in options if f"{name}." in said), "")) | options
     bare = False
     if not incomplete and words and words[-1] in values:
         key, value, bare = words[-1], "", True

@@ -26,7 +26,6 @@ from quadexp.errors import UsageError
 from quadexp.files.names import is_name
 from quadexp.messages import one_line, suggestion
 
-EACH = "each"  # of a grid under an experiment's `sweep:`, see _written_out
 KEPT = 50_000  # made nodes that are remembered at most
 EACH = "each"  # of a grid under an experiment's `sweep:`, see _written_out
 
@@ -34,12 +33,12 @@ EACH = "each"  # of a grid under an experiment's `sweep:`, see _written_out
 class Composer:
     """Composes configurations from conf/ and a user's own folder (extra); use `session`.
 
-    options(group): names of its options. having: see OptionFiles.
+    options(group): names of its options. having, part: see OptionFiles.
     """
 
     def __init__(self, extra: Path | None = None) -> None:
         files = OptionFiles(extra)
-        self.options, self.having = files.options, files.having
+        self.options, self.having, self.part = files.options, files.having, files.part_of
         self._groups = files.groups
         self._overrides = OverrideReader(files)
         self._choices = Choices(files)

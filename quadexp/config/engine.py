@@ -6,18 +6,17 @@ import shlex
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
-from quadexp.config.flight import Name
-from quadexp.config.settings import Setting, Settings
+from quadexp.config.part import Part
+from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
 
 
 @dataclass(frozen=True, kw_only=True)
-class EngineConfig(Settings):
+class EngineConfig(Part):
     """Where the flights run; number of workers and limits of time and memory are settings of `evaluate`."""
 
     prefix: ClassVar[str] = "engine."
 
-    name: Name
     kind: Annotated[Literal["local", "dask", "slurm"], Setting("where the flights run")] = "local"
 
 

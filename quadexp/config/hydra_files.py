@@ -22,9 +22,9 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from quadexp.config.former import former_nodes
 from quadexp.config.override import quoted
-from quadexp.config.schema import SCHEMA, SCHEMAS, conf_folder
-from quadexp.config.settings import REQUIRED, declared, plain
+from quadexp.config.schema import conf_folder
 from quadexp.errors import UsageError
 from quadexp.messages import one_line
 
@@ -39,8 +39,16 @@ def composed_files(name: str, chosen: Sequence[str], folders: Sequence[Path]) ->
         register_schemas()
         GlobalHydra.instance().clear()
         with hydra.initialize_config_dir(str(conf_folder()), **_VERSION):
-            content = OmegaConf.to_container(hydra.compose(name, overrides=[*chosen, f"hydra.searchpath=[{own}]"]))
+            overrides = [*chosen, f"hydra.searchpath=[{own}]"]
+            composed = hydra.compose(name, overrides=overrides, return_hydra_config=True)
+            options = dict(composed.hydra.runtime.choices)
+            content = OmegaConf.to_container(composed)
     assert isinstance(content, dict)
+    content.pop("hydra")
+    for key, value in content.items():
+        option = options.get(str(key)) or name.partition(f"{key}/")[2]
+        if isinstance(value, dict) and option:  # a part is named after its option, unless its file says otherwise
+            value.setdefault("name", option)
     return {str(key): value for key, value in content.items()}
 
 
@@ -71,19 +79,8 @@ def _one_line() -> Iterator[None]:
         raise UsageError(one_line(error)) from error
 
 
-def _required(schema: type) -> dict[str, Any]:
-    """What a schema says before any file: which values have to be given. Defaults are put below the files later, so
-    that an option may extend another one of another schema."""
-    found = {key: value for key, value in plain(schema).items() if value == REQUIRED}
-    nodes = {name: one.node for name, one in declared(schema).items() if one.node and not one.optional}
-    return found | {name: _required(node) for name, node in nodes.items() if node}
-
-
 @functools.cache
 def register_schemas() -> None:
-    """Make the schemas known to Hydra."""
-    for group, schemas in SCHEMAS.items():
-        for name, schema in schemas.items():
-            only = {one.name: one.words[0] for one in declared(schema).values() if len(one.words) == 1}
-            node = {**_required(schema), **only, SCHEMA: f"{group}/{name}"}
-            ConfigStore.instance().store(group=f"schema/{group}", name=name, node=node)
+    """Make the former names of parts known to Hydra."""
+    for (group, name), node in former_nodes().items():
+        ConfigStore.instance().store(group=f"schema/{group}", name=name, node=node)

@@ -6,8 +6,8 @@ import re
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, Literal
 
-from quadexp.config.flight import SEEDS
-from quadexp.config.settings import Setting, Settings, declared
+from quadexp.config.part import Part
+from quadexp.config.settings import SEEDS, Setting, Settings, declared
 from quadexp.errors import UsageError
 
 _FEATURE = re.compile(r"[vw]_[xyz]|u_\d+|thrust")
@@ -15,7 +15,7 @@ HOLDOUT = Setting("share of the flights held out of the fit, on which it is repo
 
 
 @dataclass(frozen=True, kw_only=True)
-class CollectConfig(Settings):
+class CollectConfig(Part):
     """How a data set is flown: flights of `flight_duration` until `duration` is reached, speeds spread evenly over
     [speed_min, speed_max]. mode: random (smooth random paths) or setpoints (jumps between random points).
     target, identified: of recorded flights; see quadexp/learn/recorded.py."""
@@ -129,7 +129,7 @@ class GPKeys(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GPConfig(GPKeys):
+class GPConfig(GPKeys, Part):
     """How the Gaussian processes are fitted; see quadexp/learn/gp_fit.py."""
 
     features: Annotated[GPFeatures, Setting("features of every output")] = field(default_factory=GPFeatures)
@@ -174,12 +174,12 @@ class NNKeys(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NNConfig(NNKeys):
+class NNConfig(NNKeys, Part):
     """How the neural network is made and trained; see quadexp/learn/nn_fit.py."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class DragConfig(Settings):
+class DragConfig(Part):
     """How linear drag is fitted; see quadexp/learn/linear_drag.py."""
 
     prefix: ClassVar[str] = "drag."

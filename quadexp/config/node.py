@@ -10,9 +10,11 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from quadexp.config.former import FORMER
 from quadexp.config.override import Given
+from quadexp.config.part import TARGET, part_class
 from quadexp.config.plain_data import REFERENCE, REFERENCES
-from quadexp.config.schema import SCHEMA, SCHEMAS, Config
+from quadexp.config.schema import BUNDLES, Config
 from quadexp.config.settings import declared, plain
 from quadexp.errors import UsageError
 from quadexp.messages import ending_in, suggestion
@@ -31,23 +33,25 @@ class Node(NamedTuple):
     references: tuple[str, ...]
 
 
-def node_of(name: str, content: Any, options: Mapping[str, Any], source: tuple[str, ...]) -> Node:
-    """A node with the defaults of its schema; UsageError where its option's file names none."""
+def node_of(name: str, content: Any, option: str, source: tuple[str, ...]) -> Node:
+    """A node with the defaults of its part; UsageError where its option's file names none.
+
+    option: that is chosen of the group, "" for what is no group.
+    """
     inner = declared(Config)[name].node if name in declared(Config) else None
     if inner is not None:
-        schema: type = inner
-    elif name in SCHEMAS:
-        known = SCHEMAS[name]
-        chosen = content.pop(SCHEMA, None) if isinstance(content, dict) else None
-        group, _, kind = str(chosen).partition("/")
-        if group != name or kind not in known:
-            option = f"{name}={options[name]}" if name in options else name
-            example = f"defaults: [/schema/{name}/{next(iter(known))}@_here_, _self_]"
-            others = f" (schemas of {name}: {', '.join(known)})" if len(known) > 1 else ""
-            raise UsageError(f"{option}: its file names no schema of {name}; let it begin with `{example}`{others}")
-        schema = known[kind]
-    else:
+        return Node(source, _filled(inner, content, f"{name}."), inner, references_in(content))
+    if not option or name in BUNDLES:
         return Node(source, content, None, references_in(content))
+    content = dict(content or {})
+    former = content.pop(FORMER, None)
+    target = former or content.pop(TARGET, None)
+    if target is None:
+        raise UsageError(
+            f"{name}={option}: its file names no class; let it begin with `{TARGET}: MODULE.CLASS`, or extend another"
+            f" option of {name}: `defaults: [OPTION, _self_]`"
+        )
+    schema = part_class(name, target)
     return Node(source, _filled(schema, content, f"{name}."), schema, references_in(content))
 
 

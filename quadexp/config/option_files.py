@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.config.completion import folders, groups
+from quadexp.config.former import former_nodes
+from quadexp.config.part import TARGET, Part, part_class
 from quadexp.config.plain_data import REFERENCE, REFERENCES, read_data
-from quadexp.config.schema import SCHEMAS
+from quadexp.config.schema import PARTS
 from quadexp.config.settings import declared
 from quadexp.errors import UsageError
 from quadexp.messages import MOST_NAMED, ending_in
@@ -71,23 +73,36 @@ class OptionFiles:
         pairs = [pair for one in chosen for pair in one.items()]
         return {str(key).removeprefix("override /"): str(value) for key, value in pairs}
 
+    def part_of(self, group: str, option: str) -> type[Part] | None:
+        """The class of an option's part; None where its file, and those that it extends, name none."""
+        content = self.read(f"{group}/{option}")
+        if TARGET in content:
+            return part_class(group, str(content[TARGET]))
+        extended = [str(one) for one in content.get("defaults") or () if isinstance(one, str) and one != "_self_"]
+        for other in extended:
+            schema = re.fullmatch(r"/schema/(\w+)/(\w+)@_here_", other)
+            if schema and (node := former_nodes().get((schema[1], schema[2]))):
+                return part_class(group, next(iter(node.values())))
+            if not schema and self.find(f"{group}/{other}") is not None:
+                return self.part_of(group, other)
+        return None
+
+    def parts(self, group: str) -> dict[str, type[Part]]:
+        """The classes of a group's parts, by option."""
+        found = {option: self.part_of(group, option) for option in self.options(group)}
+        return {option: one for option, one in found.items() if one is not None}
+
     def having(self, key: str) -> dict[str, list[str]]:
         """Dotted keys that are the given one or end in it -> the options, chosen or not, that have it."""
         found: dict[str, list[str]] = {}
-        for group, schemas in SCHEMAS.items():
-            named = {f"{group}.{name}" for schema in schemas.values() for name in declared(schema)}
+        for group in PARTS:
+            parts = self.parts(group)
+            named = {f"{group}.{name}" for one in parts.values() for name in declared(one)}
             for name in ending_in(key, sorted(named)) + ([key] if key in named else []):
-                kinds = {kind for kind, schema in schemas.items() if name.removeprefix(f"{group}.") in declared(schema)}
-                options = [f"{group}={one}" for one in self.options(group) if self._schema_of(group, one) in kinds]
+                local = name.removeprefix(f"{group}.")
+                options = [f"{group}={option}" for option, one in parts.items() if local in declared(one)]
                 found |= {name: options[:MOST_NAMED]} if options else {}
         return found
-
-    def _schema_of(self, group: str, option: str) -> str:
-        """The schema that an option's file names, "" where it names none itself."""
-        file = self.find(f"{group}/{option}")
-        text = file.read_text(encoding="utf-8", errors="replace") if file else ""
-        named = re.search(rf"/schema/{group}/(\w+)@", text)
-        return named[1] if named else ""
 
 
 def unreadable(path: Path, error: Exception) -> UsageError:

@@ -1,70 +1,18 @@
-"""The whole configuration: every node, and the schemas that the files in conf/ extend.
+"""The whole configuration: one part of every group, and single keys.
 
-What a key is stands with the settings (settings.py): flight.py, lei_li.py, foreign.py, custom.py, learning.py,
-engine.py. A file of conf/ states only what differs from the defaults there.
+Which groups there are, and which of them stand together, is said in conf/ itself.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from quadexp.config.adaptive import L1Config
-from quadexp.config.airframe import (
-    DisturbanceConfig,
-    FixedPayloadConfig,
-    GroundConfig,
-    SlungLoadConfig,
-    TruthConfig,
-)
-from quadexp.config.custom import (
-    CustomControllerConfig,
-    CustomPlantConfig,
-    CustomResidualMPCConfig,
-    CustomTrajectoryConfig,
-)
-from quadexp.config.delays import IdentifiedDelayConfig, PredictionConfig, StrapdownConfig
-from quadexp.config.dfbc import DFBCConfig
-from quadexp.config.engine import DaskConfig, EngineConfig, SlurmConfig
-from quadexp.config.flight import (
-    SEEDS,
-    CircleConfig,
-    ControllerConfig,
-    EllipseConfig,
-    FileConfig,
-    FromModelPlantConfig,
-    HoverConfig,
-    LemniscateConfig,
-    MPCConfig,
-    PlantConfig,
-    RandomConfig,
-    SimplifiedPlantConfig,
-    StepConfig,
-    TrajectoryConfig,
-    VehicleConfig,
-)
-from quadexp.config.foreign import DroneModelsPlantConfig, RotorPyPlantConfig
-from quadexp.config.inner import INDIConfig
-from quadexp.config.laws import CascadeConfig, GeometricConfig, RaptorConfig, RotorPySE3Config
-from quadexp.config.learned import OnlineMPCConfig, SumMPCConfig
-from quadexp.config.learning import CollectConfig, DragConfig, GPConfig, NNConfig
-from quadexp.config.lei_li import (
-    BladeElementPlantConfig,
-    FeedbackConfig,
-    LeiLiCircleConfig,
-    RectangleConfig,
-    RLSMPCConfig,
-    SensorConfig,
-)
-from quadexp.config.motors import ActuatorConfig, BatteryConfig, RotorLossConfig
-from quadexp.config.observers import DisturbanceObserverConfig, WindObserverConfig
-from quadexp.config.remedies import RemedyConfig
-from quadexp.config.sensing import EskfConfig, ImuGnssConfig, ImuMocapConfig
-from quadexp.config.settings import Setting, Settings
-from quadexp.config.wind import DrydenConfig, GustConfig, WindFileConfig
-from quadexp.config.world import ConstantWindConfig, LatencyConfig, StatedEstimateConfig, WorldPartConfig
+from quadexp.config.part import Part
+from quadexp.config.settings import SEEDS, Setting, Settings
 from quadexp.errors import UsageError
 
 
@@ -105,30 +53,30 @@ class Config(Settings):
     """The whole configuration. sweep: what `evaluate --sweep` varies (experiment files). world: the name of what is
     around the plant, for tables; see `world_name`."""
 
-    vehicle: VehicleConfig
-    plant: PlantConfig
-    truth: WorldPartConfig
-    payload: WorldPartConfig
-    wind: WorldPartConfig
-    external: WorldPartConfig
-    link: WorldPartConfig
-    actuator: ActuatorConfig
-    battery: WorldPartConfig
-    health: RotorLossConfig
-    ground: WorldPartConfig
-    sensor: WorldPartConfig
-    estimator: WorldPartConfig
-    trajectory: TrajectoryConfig
-    controller: ControllerConfig
-    observer: RemedyConfig
-    adaptive: RemedyConfig
-    inner: RemedyConfig
-    delay: RemedyConfig
-    collect: CollectConfig
-    gp: GPConfig
-    drag: DragConfig
-    nn: NNConfig
-    engine: EngineConfig
+    vehicle: Any
+    plant: Any
+    truth: Any
+    payload: Any
+    wind: Any
+    external: Any
+    link: Any
+    actuator: Any
+    battery: Any
+    health: Any
+    ground: Any
+    sensor: Any
+    estimator: Any
+    trajectory: Any
+    controller: Any
+    observer: Any
+    adaptive: Any
+    inner: Any
+    delay: Any
+    collect: Any
+    gp: Any
+    drag: Any
+    nn: Any
+    engine: Any
     evaluate: Annotated[EvaluateConfig, Setting("how a comparison is run and shown")] = field(
         default_factory=EvaluateConfig
     )
@@ -145,108 +93,40 @@ class Config(Settings):
     sweep: Any = None
 
 
-SCHEMA = "_schema_"  # key of a node that names its schema
+def conf_folder() -> Path:
+    """The configuration folder: beside the package when installed, above it in a checkout."""
+    here = Path(__file__).resolve().parent.parent
+    for folder in (here / "conf", here.parent / "conf"):
+        if (folder / "config.yaml").is_file():
+            return folder
+    raise UsageError(f"no conf/config.yaml beside {here}: the installation is incomplete")
 
-# Schemas by the name that conf/ files extend: `defaults: [/schema/trajectory/circle@_here_, _self_]`.
-SCHEMAS: dict[str, dict[str, type]] = {
-    "vehicle": {"rigid": VehicleConfig},
-    "plant": {
-        "simplified": SimplifiedPlantConfig,
-        "from_model": FromModelPlantConfig,
-        "blade_element": BladeElementPlantConfig,
-        "rotorpy": RotorPyPlantConfig,
-        "drone_models": DroneModelsPlantConfig,
-        "custom": CustomPlantConfig,
-    },
-    "truth": {"nominal": TruthConfig},
-    "payload": {"none": WorldPartConfig, "fixed": FixedPayloadConfig, "slung": SlungLoadConfig},
-    "wind": {
-        "none": WorldPartConfig,
-        "constant": ConstantWindConfig,
-        "gust": GustConfig,
-        "dryden": DrydenConfig,
-        "file": WindFileConfig,
-    },
-    "external": {"none": WorldPartConfig, "push": DisturbanceConfig},
-    "link": {"ideal": WorldPartConfig, "latency": LatencyConfig},
-    "actuator": {"motors": ActuatorConfig},
-    "battery": {"none": WorldPartConfig, "circuit": BatteryConfig},
-    "health": {"rotor_loss": RotorLossConfig},
-    "ground": {"none": WorldPartConfig, "cheeseman_bennett": GroundConfig},
-    "sensor": {"accelerometer": SensorConfig, "imu_mocap": ImuMocapConfig, "imu_gnss": ImuGnssConfig},
-    "estimator": {"none": StatedEstimateConfig, "eskf": EskfConfig},
-    "trajectory": {
-        "circle": CircleConfig,
-        "ellipse": EllipseConfig,
-        "lemniscate": LemniscateConfig,
-        "random": RandomConfig,
-        "hover": HoverConfig,
-        "step": StepConfig,
-        "file": FileConfig,
-        "rectangle": RectangleConfig,
-        "lei_li_circle": LeiLiCircleConfig,
-        "custom": CustomTrajectoryConfig,
-    },
-    "controller": {
-        "mpc": MPCConfig,
-        "feedback": FeedbackConfig,
-        "dfbc": DFBCConfig,
-        "rls_mpc": RLSMPCConfig,
-        "sum_mpc": SumMPCConfig,
-        "online_mpc": OnlineMPCConfig,
-        "geometric": GeometricConfig,
-        "cascade": CascadeConfig,
-        "raptor": RaptorConfig,
-        "rotorpy_se3": RotorPySE3Config,
-        "custom": CustomControllerConfig,
-        "custom_residual_mpc": CustomResidualMPCConfig,
-    },
-    "observer": {
-        "none": RemedyConfig,
-        "disturbance": DisturbanceObserverConfig,
-        "wind": WindObserverConfig,
-    },
-    "adaptive": {"none": RemedyConfig, "l1": L1Config},
-    "inner": {"none": RemedyConfig, "indi": INDIConfig},
-    "delay": {
-        "none": RemedyConfig,
-        "strapdown": StrapdownConfig,
-        "prediction": PredictionConfig,
-        "identified": IdentifiedDelayConfig,
-    },
-    "collect": {"flights": CollectConfig},
-    "gp": {"sparse": GPConfig},
-    "drag": {"linear": DragConfig},
-    "nn": {"mlp": NNConfig},
-    "engine": {"local": EngineConfig, "dask": DaskConfig, "slurm": SlurmConfig},
-}
 
-# Groups of the world around an airframe, in the order in which a command meets them; see quadexp/world/effect.py.
-WORLD = (
-    "truth",
-    "payload",
-    "wind",
-    "external",
-    "link",
-    "actuator",
-    "battery",
-    "health",
-    "ground",
-    "sensor",
-    "estimator",
-)
+_CHOICE = re.compile(r"^ *- (?:override /)?(\w+): (\w+)", re.MULTILINE)
+_PACKAGE = re.compile(r"^# @package (\w+)", re.MULTILINE)
 
-# Groups of remedies around a controller, the one nearest to it first; see quadexp/control/wrapped.py.
-REMEDIES = ("observer", "adaptive", "inner", "delay")
 
+def _said(name: str) -> str:
+    return (conf_folder() / f"{name}.yaml").read_text(encoding="utf-8")
+
+
+# The option that config.yaml takes of every group, in its order.
+CHOSEN = {group: option for group, option in _CHOICE.findall(_said("config")) if option != "null"}
+_PACKAGES = {group: _PACKAGE.findall(_said(f"{group}/{option}")) for group, option in CHOSEN.items()}
 # Groups whose options choose those of several others, and set values of theirs.
-BUNDLES = {"world": WORLD, "remedies": REMEDIES}
-
+BUNDLES = {
+    group: tuple(part for part, _ in _CHOICE.findall(_said(f"{group}/{CHOSEN[group]}")))
+    for group, package in _PACKAGES.items()
+    if package == ["_global_"]
+}
+WORLD = BUNDLES["world"]  # around an airframe, in the order in which a command meets them; see quadexp/world/effect.py
+REMEDIES = BUNDLES["remedies"]  # around a controller, the one nearest to it first; see quadexp/control/part.py
 # Groups of presets, and the group whose values their options set (`# @package controller`).
-PRESETS = {"horizon": "controller", "motor": "controller"}
+PRESETS = {group: package[0] for group, package in _PACKAGES.items() if package and group not in BUNDLES}
+PARTS = tuple(group for group, package in _PACKAGES.items() if not package)  # the groups whose options stand for a part
 
 
-def remedies(config: Config) -> dict[str, RemedyConfig]:
+def remedies(config: Config) -> dict[str, Part]:
     """The remedies that do something, by group, the one nearest to the controller first."""
     parts = {group: getattr(config, group) for group in REMEDIES}
     return {group: one for group, one in parts.items() if not one.idle}
@@ -257,10 +137,10 @@ def controller_name(config: Config) -> str:
     return "+".join([config.controller.name, *(one.name for one in remedies(config).values())])
 
 
-def world_parts(config: Config) -> dict[str, WorldPartConfig]:
+def world_parts(config: Config) -> dict[str, Part]:
     """The parts of the world that do something, by group; a sensor that is only an accelerometer is none."""
     parts = {group: getattr(config, group) for group in WORLD}
-    return {group: one for group, one in parts.items() if one.effect and not one.idle}
+    return {group: one for group, one in parts.items() if not one.idle}
 
 
 def world_name(config: Config, bundle: str, bundled: Mapping[str, Any]) -> str:
@@ -273,12 +153,3 @@ def world_name(config: Config, bundle: str, bundled: Mapping[str, Any]) -> str:
         return "clean"
     own = [f"{group}={getattr(config, group).name}" for group in WORLD if getattr(config, group) != bundled[group]]
     return ",".join(own if bundle == "clean" else [bundle, *own])
-
-
-def conf_folder() -> Path:
-    """The configuration folder: beside the package when installed, above it in a checkout."""
-    here = Path(__file__).resolve().parent.parent
-    for folder in (here / "conf", here.parent / "conf"):
-        if (folder / "config.yaml").is_file():
-            return folder
-    raise UsageError(f"no conf/config.yaml beside {here}: the installation is incomplete")

@@ -17,7 +17,7 @@ import functools
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, asdict, dataclass, fields
+from dataclasses import MISSING, Field, dataclass, fields
 from types import NoneType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -33,17 +33,28 @@ _INTERVAL = re.compile(r"([\[(])\s*(\S+?),\s*(\S+?)\s*([\])])")
 _WORDS = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
 
 Triple = tuple[float, float, float]
+SEEDS = "[0, 4294967295]"  # interval of every seed
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What a value means, the interval it must lie in (of a list: each number), its unit, and whether it names a thing,
-    as one printable line."""
+    """What a value means, the interval it must lie in (of a list: each number), its unit, whether it names a thing, as
+    one printable line, and whether the noise of a flight is another with another value: a key of a vehicle, plant or
+    trajectory that came after the first flights were stored says no."""
 
     meaning: str
     interval: str = ""
     unit: str = ""
     names: bool = False
+    noise: bool = True
+
+
+# Settings that several parts have.
+Name = Annotated[str, Setting("name in tables and figures", names=True, noise=False)]
+Backend = Annotated[
+    Literal["auto", "compiled", "interpreted"],
+    Setting("C code compiled once and kept, CasADi's interpreter, or compiled where there is a compiler", noise=False),
+]
 
 
 @dataclass(frozen=True)
@@ -124,13 +135,18 @@ def _declared(node: type) -> dict[str, Declared]:
     return found
 
 
+def keys_of(node: type) -> list[str]:
+    """Names of the keys of a class; of the root also the groups. An object's fields besides its settings are none."""
+    return list(declared(node)) if getattr(node, "prefix", "") else [f.name for f in fields(node)]
+
+
 def made(node: type[S], values: Mapping[str, Any], prefix: str | None = None) -> S:
     """Settings from plain values, as they are in a configuration file.
 
     Raises UsageError where there is no such key, a value is missing, or a value is none that is allowed.
     """
     prefix = getattr(node, "prefix", "") if prefix is None else prefix
-    names = [f.name for f in fields(node)]
+    names = keys_of(node)
     for name in values:
         if name not in names:
             raise UsageError(f"{prefix}{name}: no such key{suggestion(str(name), names)}")
@@ -160,9 +176,8 @@ def _lacking(node: type, values: Mapping[str, Any], prefix: str) -> list[str]:
 
 def plain(node: type) -> dict[str, Any]:
     """The defaults of a class as a configuration file would state them; REQUIRED where there is none."""
-    names = [f.name for f in fields(node)]
     found: dict[str, Any] = {}
-    for name in names:
+    for name in keys_of(node):
         one = declared(node).get(name)
         if one and one.node and not one.optional:
             found[name] = plain(one.node)
@@ -178,10 +193,10 @@ def part(node: type[S], settings: Any, **others: Any) -> S:
     return node(**found | others)
 
 
-def record(settings: Any) -> dict[str, Any]:
+def record(settings: Settings) -> dict[str, Any]:
     """Settings as plain dictionaries and lists, for files and hashes."""
-    found: dict[str, Any] = lists(asdict(settings))
-    return found
+    values = {name: getattr(settings, name) for name in keys_of(type(settings))}
+    return {name: record(value) if isinstance(value, Settings) else lists(value) for name, value in values.items()}
 
 
 def lists(value: Any) -> Any:
@@ -201,7 +216,7 @@ def _checked(key: str, value: Any, one: Declared) -> Any:
         raise ForbiddenValueError(f"{key}={value}: must be one of {', '.join(one.words)}")
     if one.length and len(value) != one.length and not _is_rows(one.type):
         raise ForbiddenValueError(f"{key}={_shown(value)}: must be a list of {one.length} numbers")
-    if one.setting.names and not is_name(value):
+    if one.setting.names and value and not is_name(value):
         raise ForbiddenValueError(f"{key}={value!r}: must be one printable line")
     interval, unit = one.setting.interval, one.setting.unit
     for item in value if isinstance(value, tuple) else [value] if interval else ():

@@ -21,15 +21,15 @@ a matched disturbance too. Where u leaves the limits, desaturation.py decides. W
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
 from quadexp.air.base import N_OUTPUTS, Residual
 from quadexp.compile.backend import BufferedFunction, realise_together, resolve
-from quadexp.config.adaptive import L1Keys
-from quadexp.config.settings import part
+from quadexp.config.settings import Setting, Settings, part
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.belief import Belief
 from quadexp.control.laws.desaturation import prioritised
@@ -37,6 +37,7 @@ from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.mpc.online_mpc import AdaptingController
 from quadexp.control.mpc.rls_mpc import IdentifyingController
 from quadexp.control.observers.observer import air_of, known_delay, parameters_of
+from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
@@ -47,6 +48,47 @@ from quadexp.physics.vehicle import Vehicle
 
 ERROR, DISTURBANCE, FILTERED = slice(0, 6), slice(6, 12), slice(12, 18)  # of the memory: z~; s_F, s_tau; y
 LOGGED = ("l1_force_x", "l1_force_y", "l1_force_z", "l1_torque_x", "l1_torque_y", "l1_torque_z")
+
+
+@dataclass(frozen=True, kw_only=True)
+class L1Keys(Settings):
+    """Predictor, low pass and limits of L1 adaptive augmentation; see quadexp/control/l1.py."""
+
+    prefix: ClassVar[str] = "adaptive."
+
+    velocity_pole: Annotated[
+        float, Setting("a_v: rate at which the error of the predicted velocity decays", "(0, 1000]", "1/s")
+    ] = 1.0
+    rate_pole: Annotated[
+        float, Setting("a_w: rate at which the error of the predicted body rate decays", "(0, 1000]", "1/s")
+    ] = 1.0
+    bandwidth: Annotated[
+        float,
+        Setting(
+            "w_co: cutoff of the low pass between estimate and command. With motors that lag by tau a third to a fifth"
+            " of 1/tau; far above it the loop is unstable",
+            "(0, 1000]",
+            "rad/s",
+        ),
+    ] = 10.0
+    force_limit: Annotated[float, Setting("largest thrust that is added or taken away", "[0, 10]", "of the weight")] = (
+        1.0
+    )
+    torque_limit: Annotated[
+        float, Setting("largest angular acceleration that is added about each body axis", "[0, 1e4]", "rad/s^2")
+    ] = 50.0
+    motor_lag: Annotated[
+        float | None,
+        Setting("time constant of the rotors in the predictor; null: what the controller knows", "[0, 0.5]", "s"),
+    ] = None
+    dead_time: Annotated[
+        float | None,
+        Setting("delay of the commands in the predictor; null: what the controller knows", "[0, 0.5]", "s"),
+    ] = None
+    unmatched: Annotated[
+        bool,
+        Setting("tell the controller the lateral force, which rotors cannot cancel, through the same low pass"),
+    ] = False
 
 
 class L1Controller(WrappedController):
@@ -202,3 +244,10 @@ def _predictor(vehicle: Vehicle, keys: L1Keys, period: float) -> ca.Function:
     lateral = ca.mtimes(R, ca.vertcat(filtered[:2], 0))
     outputs = [ca.vertcat(error, s_F, s_tau, filtered), body, lateral]
     return ca.Function("l1_predictor", [x, x_last, thrust, memory, air, air_last], ca.cse(outputs))
+
+
+@dataclass(frozen=True, kw_only=True)
+class L1(L1Keys, Remedy):
+    """L1 adaptive augmentation (Hanover et al. 2022, Wu et al. 2023)."""
+
+    remedy: ClassVar[str] = "quadexp.control.l1:l1"

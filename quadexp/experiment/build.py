@@ -1,244 +1,248 @@
-"""From a configuration to the things it names: vehicle, plant, trajectory, residual model, controller.
+"""From a configuration to what it names: each part is made in its turn, and handed what it asks for.
 
-What is costly is made once per thread and kept: a worker flies many cells with few controllers. What is kept has a
-memory, and buffers that compiled code works on, so its thread is its only owner; a flight begins by resetting it.
+vehicle -> world (plant and effects) -> trajectory, controller with its model of the air -> remedies around it
 """
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import importlib
-import threading
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, replace
+import inspect
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any
 
-from quadexp.config.flight import ControllerConfig, FileConfig, MPCConfig, PlantConfig, TrajectoryConfig, VehicleConfig
-from quadexp.config.learned import OnlineMPCConfig
-from quadexp.config.lei_li import FeedbackConfig, RLSMPCConfig, SensorConfig
-from quadexp.config.schema import Config, remedies, world_parts
-from quadexp.config.settings import part
-from quadexp.config.world import WorldPartConfig
-from quadexp.errors import DataError, UsageError
-from quadexp.experiment import build_custom, build_foreign, build_identified, build_laws, build_lei_li
-from quadexp.experiment.identity import digest
+from quadexp.config.part import OWN, Given, Part, imported
+from quadexp.config.schema import WORLD, Config, remedies, world_parts
+from quadexp.errors import UsageError
+from quadexp.experiment.checkpoints import ModelFile, load_checkpoint, model_hash, model_residual, residuals
 from quadexp.experiment.inputs import located
+from quadexp.experiment.kept import keep
 from quadexp.physics.plausible import plausible
 from quadexp.physics.vehicle import Vehicle
 
-T = TypeVar("T")
-# Kind -> module of quadexp.reference and class: only the one that is flown is imported, some need half of SciPy.
-TRAJECTORIES = {
-    "circle": ("circle", "Circle"),
-    "ellipse": ("ellipse", "Ellipse"),
-    "lemniscate": ("lemniscate", "Lemniscate"),
-    "random": ("random_polynomial", "RandomPolynomial"),
-    "hover": ("hover", "Hover"),
-    "step": ("step", "Step"),
-    "file": ("from_file", "FileTrajectory"),
-    "rectangle": ("rectangle", "Rectangle"),
-    "lei_li_circle": ("lei_li_circle", "LeiLiCircle"),
-}
-MODEL_FILE = "model.json"
-KEPT = 64  # things kept at most, the one not used for longest goes: a sweep over plants makes a plant a cell
-BELIEVERS = {"observer", "adaptive"}  # groups of remedies that tell an MPC of disturbances, see control.belief
-WITHIN_LIMITS = ("random", "file")  # kinds of trajectory that are timed by the limits of the vehicle
-
-# How to make the checkpoint that a residual needs.
-MAKERS = {
-    "linear_drag": "quadexp fit-drag DATASET --out models/drag",
-    "gaussian_process": "quadexp fit-gp DATASET --out models/gp",
-    "neural": "quadexp fit-nn DATASET --out models/nn",
-}
+# What of a seam is looked for, so that something else is refused before the flight and not in it.
+SEAMS = {
+    "trajectory": ("duration", "peak_speed", "flat_output"),
+    "plant": ("vehicle", "reset", "advance", "residual"),
+    "controller": (
+        "vehicle", "control_period", "node_times", "reference_period", "residual", "backend", "name", "source",
+        "forget", "reset", "step", "log",
+    ),
+}  # fmt: skip
 
 
-class _Kept(threading.local):
-    def __init__(self) -> None:
-        self.things: dict[str, Any] = {}
+def build_vehicle(config: Vehicle) -> Vehicle:
+    """The vehicle; raises UsageError where one of its numbers is no multirotor's."""
+    return keep(["vehicle", config.recorded()], lambda: plausible(config))
 
 
-_kept = _Kept()
-
-
-def keep(record: Any, make: Callable[[], T]) -> T:
-    """What this thread made before of an equal record, else a new one."""
-    key, things = digest(record), _kept.things
-    made = things.pop(key) if key in things else make()
-    while len(things) >= KEPT:
-        del things[next(iter(things))]
-    things[key] = made
-    return made
-
-
-@contextlib.contextmanager
-def unshared() -> Iterator[None]:
-    """What is built inside is new, and nobody else gets it: parts have states, such as what a controller identified."""
-    kept, _kept.things = _kept.things, {}
-    try:
-        yield
-    finally:
-        _kept.things = kept
-
-
-@dataclass(frozen=True)
-class ModelFile:
-    """A checkpoint folder and the hash of its content; of a sum, all folders with "+" between, and those as parts."""
-
-    path: str
-    sha256: str
-    parts: tuple[ModelFile, ...] = ()
-
-    @property
-    def files(self) -> tuple[ModelFile, ...]:
-        """The single checkpoints."""
-        return self.parts or (self,)
-
-
-def build_vehicle(config: VehicleConfig) -> Vehicle:
-    """The vehicle; raises UsageError where the numbers describe none, or one of them is no multirotor's."""
-    return keep(["vehicle", asdict(config)], lambda: part(Vehicle, plausible(config)))
-
-
-def build_plant(vehicle: Vehicle, config: PlantConfig, believed: Vehicle | None = None) -> Any:
+# ----------------------------------------------------------------------------------------------------------- the world
+def build_plant(vehicle: Vehicle, config: Any, believed: Vehicle | None = None) -> Any:
     """The simulated truth.
 
     vehicle: that is flown. believed: the one that controllers, and a model identified from flights, are made for, where
     it is another.
     """
-    if believed is not None and hasattr(config, "model"):
-        record = [*plant_record(vehicle, config), believed.fingerprint]
-        return keep(record, lambda: build_identified.identified_plant(vehicle, config, believed))
-    makers = {
-        "simplified": _simplified_plant,
-        "blade_element": build_lei_li.blade_element_plant,
-        "custom": build_custom.custom_plant,
-        "from_model": build_identified.identified_plant,
-        "rotorpy": build_foreign.rotorpy_plant,
-        "drone_models": build_foreign.drone_models_plant,
-    }
-    return keep(plant_record(vehicle, config), lambda: makers[config.kind](vehicle, config))
+    believed = believed or vehicle
+
+    def plant_model(path: str, kind: str) -> Any:
+        model_hash(path)
+        return model_residual(believed, Path(path), kind)
+
+    given = Given(vehicle=vehicle, believed=believed, plant_model=plant_model)
+    of_model = [believed.fingerprint] if hasattr(config, "model") else []
+    return keep([*plant_record(vehicle, config), *of_model], lambda: checked("plant", config, config.build(given)))
 
 
-def plant_record(vehicle: Vehicle, config: PlantConfig) -> list[Any]:
+def plant_record(vehicle: Vehicle, config: Any) -> list[Any]:
     """What decides a plant."""
-    content = build_identified.model_hash(config.model) if hasattr(config, "model") else ""
-    return ["plant", vehicle.fingerprint, asdict(config), content]
+    content = model_hash(config.model) if hasattr(config, "model") else ""
+    return ["plant", vehicle.fingerprint, config.recorded(), content]
 
 
-def _simplified_plant(vehicle: Vehicle, config: Any) -> Any:
-    from quadexp.world.simplified import PlantEffects, SimplifiedPlant
+def build_world(config: Config, vehicle: Vehicle) -> Any:
+    """The plant in its world; the plant itself where no part of the world does anything.
 
-    return SimplifiedPlant(vehicle, part(PlantEffects, config), step=config.step, backend=config.backend)
-
-
-def build_sensor(config: WorldPartConfig) -> Any:
-    """What the controller measures specific force with; None for a perfect accelerometer, and for sensors that are
-    effects (see build_world)."""
-    if not isinstance(config, SensorConfig):
-        return None
-    bias, noise = config.accelerometer_bias, config.accelerometer_noise
-    if not any(bias) and not any(noise):
-        return None
-    from quadexp.world.accelerometer import Accelerometer
-
-    return Accelerometer(bias, noise)
-
-
-def build_trajectory(config: TrajectoryConfig, vehicle: Vehicle | None = None) -> Any:
-    """The trajectory; raises UsageError or DataError where its numbers or its file describe none.
-
-    vehicle: whose limits decide how fast a path is flown, for the kinds that follow them (random, file); they raise
-    UsageError without it. A custom trajectory never sees it.
+    vehicle: the one that controllers believe in.
+    Raises UsageError where the plant is none of the shared integrator, which the effects need.
     """
-    if config.kind == "custom":
-        return build_custom.custom_trajectory(config)
-    others: dict[str, Any] = {}
-    if isinstance(config, FileConfig):
-        others["path"] = str(located(config.path))
-    if config.kind in WITHIN_LIMITS:
-        if vehicle is None:
-            raise UsageError(f"trajectory={config.name}: is timed by the limits of a vehicle, and none was given")
-        others["vehicle"] = None if config.allow_infeasible else vehicle
-    module, name = TRAJECTORIES[config.kind]
+    parts = world_parts(config)
+    believed = build_plant(vehicle, config.plant)
+    if not parts:
+        return believed
+    from quadexp.world.integrator import SimulatedPlant
+    from quadexp.world.world import World
+
+    _check_one_lag(config, believed)
+    effects, true_vehicle = build_effects(vehicle, *parts.values())
+    read = [hashlib.sha256(Path(one.path).read_bytes()).hexdigest() for one in effects if hasattr(one, "path")]
+    given = {group: one.recorded() for group, one in parts.items()}
+    record = ["world", plant_record(vehicle, config.plant), given, read]
 
     def make() -> Any:
-        return part(getattr(importlib.import_module(f"quadexp.reference.{module}"), name), config, **others)
+        flown = _with_drag(config)
+        same = true_vehicle is vehicle and flown is config.plant
+        airframe = believed if same else build_plant(true_vehicle, flown, vehicle)
+        if not isinstance(airframe, SimulatedPlant) or type(airframe).advance is not SimulatedPlant.advance:
+            raise UsageError(
+                f"{config.world}: needs a plant that is a SimulatedPlant (quadexp/world/integrator.py);"
+                f" plant={config.plant.name} has an `advance` of its own, and flies without"
+            )
+        return World(airframe, effects, believed)
 
-    if config.kind != "random":
-        return make()
-    within = others["vehicle"] and others["vehicle"].fingerprint
-    return keep(["trajectory", asdict(config), within], make)  # its polynomials are costly, and the same for all
+    return keep(record, make)
 
 
-def find_model(config: Config) -> ModelFile | None:
-    """The checkpoint that the controller will fly with, or None where it needs none.
+def build_effects(vehicle: Vehicle, *parts: Any) -> tuple[list[Any], Vehicle]:
+    """The effects of parts of a world, and the vehicle that is flown in it.
 
-    Raises UsageError where it needs one and there is none: a controller never flies with less than its name says.
+    vehicle: the one that controllers believe in. Raises UsageError where a file is missing, or the flown vehicle could
+    not hover.
     """
-    controller, needed = config.controller, _learned(config)
-    if not needed:
-        return None
-    if len(needed) > 1:
-        return _several(config, needed)
-    (residual,) = needed
-    candidates = [config.model] if config.model else list(controller.models)
-    for candidate in candidates:
-        file = Path(candidate) / MODEL_FILE
-        if file.is_file():
-            return ModelFile(candidate, hashlib.sha256(file.read_bytes()).hexdigest())
-    maker = MAKERS[residual]
-    if config.model:
-        raise UsageError(f"model={config.model}: no checkpoint there ({controller.name} needs one; make it: {maker})")
-    looked = " or ".join(candidates) or "nowhere"
-    raise UsageError(f"{controller.name} needs a model and none is in {looked}: give model=PATH, or make one: {maker}")
+    effects = [_with_located_file(one) for one in parts]
+    for effect in effects:
+        vehicle = effect.true_vehicle(vehicle)
+    return effects, vehicle
 
 
-def _learned(config: Config) -> list[str]:
-    """Kinds of the models of the controller that come from a checkpoint."""
-    residual = getattr(config.controller, "residual", "none")
-    return [kind for kind in ((residual,) if isinstance(residual, str) else residual) if kind in MAKERS]
+def build_sensor(config: Any) -> Any:
+    """What the controller measures specific force with; None for a perfect accelerometer, and for sensors that are
+    effects."""
+    return config.build() if hasattr(config, "build") else None
 
 
-def _several(config: Config, kinds: list[str]) -> ModelFile:
-    """The checkpoints of a sum, one folder of controller.models for each."""
-    controller = config.controller
-    if config.model:
-        raise UsageError(f"model={config.model}: {controller.name} sums several models; set controller.models=[..]")
-    if len(controller.models) != len(kinds):
-        raise UsageError(f"controller.models: {controller.name} needs one folder for each of {', '.join(kinds)}")
-    found = []
-    for kind, folder in zip(kinds, controller.models, strict=True):
-        file = Path(folder) / MODEL_FILE
-        if not file.is_file():
-            raise UsageError(f"controller.models: no checkpoint in {folder} for {kind}; make one: {MAKERS[kind]}")
-        found.append(ModelFile(folder, hashlib.sha256(file.read_bytes()).hexdigest()))
-    together = hashlib.sha256("".join(one.sha256 for one in found).encode()).hexdigest()
-    return ModelFile("+".join(one.path for one in found), together, tuple(found))
+def _with_located_file(part: Any) -> Any:
+    """The part with its file as it lies on this machine; UsageError where there is none."""
+    if not hasattr(part, "path"):
+        return part
+    if not (path := located(part.path)).is_file():
+        raise UsageError(f"{part.prefix}path: there is no file {str(part.path)!r}")
+    return replace(part, path=str(path))
 
 
-def unused_model(configs: Iterable[Config]) -> str:
-    """Where `model` is given and no controller takes one, in one line; "" otherwise. In a sweep over controllers
-    `model` is for those that take one."""
-    without: dict[str, str] = {}
-    for config in configs:
-        if config.model is None or _learned(config):
-            return ""
-        without[config.controller.name] = config.model
-    if not without:
-        return ""
-    names = " and ".join(without) if len(without) < 3 else f"none of {', '.join(without)}"
-    verb = "takes a model" if len(without) > 2 else "take no model" if len(without) == 2 else "takes no model"
-    return f"{names} {verb}: model={next(iter(without.values()))} is not used"
+def _check_one_lag(config: Config, plant: Any) -> None:
+    """Raise UsageError where the plant's own lag and that of the actuator would act one after the other."""
+    own = getattr(config.plant, "motor_lag", 0.0)
+    if not max(getattr(config.actuator, f"time_constant_{way}", 0.0) for way in ("up", "down")):
+        return
+    remedy = "the actuator's time constants to 0"
+    if own:
+        raise UsageError(
+            f"plant.motor_lag={own:g} and actuator={config.actuator.name}: both let the rotors lag; set"
+            f" plant.motor_lag=0, or {remedy}"
+        )
+    if lag := getattr(plant, "loop_lag", 0.0):
+        raise UsageError(
+            f"plant={config.plant.name} and actuator={config.actuator.name}: both let the rotors lag, the plant's own"
+            f" motors by {1e3 * lag:.0f} ms; set {remedy} (actuator.time_constant_up=0 actuator.time_constant_down=0)"
+        )
+
+
+def _with_drag(config: Config) -> Any:
+    """The plant with `truth.drag` times its drag and lift. Raises UsageError where it has none of these settings."""
+    factor, names = getattr(config.truth, "drag", 1.0), ("linear_drag", "quadratic_drag")
+    if factor == 1.0:
+        return config.plant
+    if not all(hasattr(config.plant, name) for name in (*names, "lift")):
+        raise UsageError(
+            f"truth.drag={factor:g}: scales the drag of plant=simplified and its presets; plant={config.plant.name} has"
+            " no such coefficients"
+        )
+    scaled: dict[str, Any] = {name: tuple(factor * k for k in getattr(config.plant, name)) for name in names}
+    return replace(config.plant, **scaled, lift=factor * config.plant.lift)
+
+
+# ------------------------------------------------------------------------------------- trajectory, controller, remedies
+def build_trajectory(config: Any, vehicle: Vehicle | None = None) -> Any:
+    """The trajectory; raises UsageError or DataError where its numbers or its file describe none.
+
+    vehicle: whose limits decide how fast a path is flown, for the kinds that follow them; they raise UsageError
+    without it.
+    """
+
+    def make() -> Any:
+        return checked("trajectory", config, _with_located_file(config).build(vehicle))
+
+    if not config.follows_limits or hasattr(config, "path"):
+        return make()
+    within = None if config.allow_infeasible or vehicle is None else vehicle.fingerprint
+    return keep(["trajectory", config.recorded(), within], make)  # its polynomials are costly, and the same for all
+
+
+def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
+    """The controller inside its remedies; one is kept for every (configuration, model), and begins anew with every
+    flight."""
+    controller, around = config.controller, remedies(config)
+    told = [config.plant.recorded(), [*world_parts(config)]]
+    believed = told if controller.knows_plant else model.sha256 if model else ""
+    record = ["controller", vehicle.fingerprint, controller.recorded(), believed]
+    record += [{group: one.recorded() for group, one in around.items()}]
+
+    def residual(*kinds: str) -> Any:
+        return build_residual(kinds, vehicle, plant, model)
+
+    given = Given(
+        vehicle=vehicle,
+        plant=plant,
+        remedies=tuple(around.values()),
+        residual=residual,
+        residuals=lambda kinds: residuals(kinds, vehicle, model),
+        checkpoint=lambda index: load_checkpoint(vehicle, model.files[index]) if model else None,
+    )
+
+    def make() -> Any:
+        built = checked("controller", controller, controller.build(given))
+        for one in around.values():
+            try:
+                built = one.around(built)
+            except UsageError as error:
+                raise UsageError(f"controller={controller.name}: {error}") from None
+        return built
+
+    return keep(record, make)
+
+
+def build_residual(kinds: tuple[str, ...], vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
+    """What a controller believes of the air: nothing, the plant's own equations, or what checkpoints hold, summed."""
+    if kinds == ("none",):
+        from quadexp.air.none import no_residual
+
+        return no_residual(vehicle)
+    if kinds == ("plant",):
+        plant.reset()  # as things stand before any change in flight
+        return plant.residual()
+    parts = residuals(kinds, vehicle, model)
+    if len(parts) == 1:
+        return parts[0]
+    from quadexp.air.sum import sum_residual
+
+    return sum_residual(parts)
+
+
+def check_remedies(config: Config, vehicle: Vehicle, plant: Any) -> None:
+    """Raise UsageError where a remedy needs what neither vehicle nor world measure, nor the other parts know."""
+    around = tuple(remedies(config).values())
+    for one in around:
+        one.check(vehicle, plant, config.controller, around)
+
+
+# ------------------------------------------------------------------------------------------------------ what decides it
+def checked(seam: str, part: Part, made: Any) -> Any:
+    """What a part made; UsageError where it lacks what its seam asks for."""
+    lacking = [name for name in SEAMS[seam] if not hasattr(made, name)]
+    if lacking:
+        target = getattr(part, "_target_", f"{type(part).__module__}.{type(part).__qualname__}")
+        key = f"{seam}._target_={target}"
+        raise UsageError(f"{key}: made no {seam}, a {type(made).__name__} without {', '.join(lacking)}")
+    return made
 
 
 def input_hashes(config: Config, model: ModelFile | None) -> dict[str, str]:
     """Content hash of every file that a flight reads."""
     hashes = {"model": model.sha256} if model else {}
-    hashes |= build_custom.source_hashes(config)
+    hashes |= source_hashes(config)
     if hasattr(config.plant, "model"):
-        hashes["plant"] = build_identified.model_hash(config.plant.model)
+        hashes["plant"] = model_hash(config.plant.model)
     for group, path in input_files(config).items():
         if not Path(path).is_file():
             raise UsageError(f"{group}.path={path}: no such file")
@@ -248,138 +252,19 @@ def input_hashes(config: Config, model: ModelFile | None) -> dict[str, str]:
 
 def input_files(config: Config) -> dict[str, str]:
     """Files besides checkpoints that a flight reads, by the group whose key `path` names them."""
-    named = {group: getattr(getattr(config, group), "path", None) for group in ("trajectory", "wind")}
+    named = {group: getattr(getattr(config, group), "path", None) for group in ("trajectory", *WORLD)}
     return {group: path for group, path in named.items() if path is not None}
 
 
-def build_residual(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
-    """What the controller believes of the air: nothing, the plant's own equations, or a checkpoint."""
-    from quadexp.air.none import no_residual
-
-    kind: Any = cast(MPCConfig, config.controller).residual
-    if not isinstance(kind, str):
-        from quadexp.air.sum import sum_residual
-
-        return sum_residual(residual_parts(kind, vehicle, model))
-    if kind == "none":
-        return no_residual(vehicle)
-    if kind == "plant":
-        plant.reset()  # as things stand before any change in flight
-        return plant.residual()
-    if kind == "custom":
-        return build_custom.custom_residual(vehicle, config.controller)
-    assert model is not None
-    return residual_from_file(kind, vehicle, model)
-
-
-def residual_parts(kinds: Iterable[str], vehicle: Vehicle, model: ModelFile | None) -> list[Any]:
-    """The residuals of a sum, each from its own checkpoint."""
-    files = iter(model.files if model else ())
-    return [residual_from_file(kind, vehicle, next(files)) for kind in kinds]
-
-
-def residual_from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
-    """The residual of a checkpoint."""
-    return keep(["residual", kind, vehicle.fingerprint, model.sha256], lambda: _from_file(kind, vehicle, model))
-
-
-def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
-    from quadexp.air.gaussian_process import gaussian_process_residual
-    from quadexp.air.linear_drag import linear_drag_residual
-    from quadexp.air.neural import neural_residual
-    from quadexp.learn.model import GPModel
-    from quadexp.learn.neural import NeuralModel
-
-    checkpoint = load_checkpoint(vehicle, model)
-    if kind == "linear_drag":
-        drag = checkpoint.linear_drag
-        residual = linear_drag_residual(vehicle, drag.drag, drag.intercept, drag.thrust_gain, source=model.path)
-        return replace(residual, ranges=drag.feature_range)
-    if kind == "neural":
-        if not isinstance(checkpoint, NeuralModel):
-            raise UsageError(f"{model.path}: holds no network, {MAKERS[kind]} makes one")
-        return replace(neural_residual(vehicle, checkpoint.network, model.path), ranges=checkpoint.feature_range)
-    if not isinstance(checkpoint, GPModel):
-        raise UsageError(f"{model.path}: holds no Gaussian process, {MAKERS[kind]} makes one")
-    residual = gaussian_process_residual(
-        vehicle, checkpoint.outputs, checkpoint.mean_parameters, model.path, mean_terms=checkpoint.mean_terms
-    )
-    return replace(residual, ranges=checkpoint.feature_range)
-
-
-def load_checkpoint(vehicle: Vehicle, model: ModelFile) -> Any:
-    """The fitted model of a checkpoint. Raises DataError where it is of another vehicle, or has changed."""
-    from quadexp.learn.checkpoint import load_model
-
-    folder = located(model.path)
-    if hashlib.sha256((folder / MODEL_FILE).read_bytes()).hexdigest() != model.sha256:
-        raise DataError(f"{model.path}: has changed since this run began")
-    return load_model(folder, vehicle=vehicle)
-
-
-def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
-    """The controller; one is kept for every (configuration, model), and begins anew with every flight."""
-    controller = config.controller
-    told = [asdict(config.plant), [*world_parts(config)]]
-    believed = told if knows_plant(controller) else model.sha256 if model else ""
-    record = ["controller", vehicle.fingerprint, asdict(controller), believed]
-    around = {group: asdict(one) for group, one in remedies(config).items()}
-
-    def make() -> Any:
-        if controller.kind == "custom":
-            return build_custom.custom_controller(vehicle, controller)
-        settings = controller_settings(controller)
-        if controller.kind in build_laws.LAWS:
-            residual = build_residual(config, vehicle, plant, model) if hasattr(controller, "residual") else None
-            return build_laws.law(vehicle, controller, residual)
-        if controller.kind == "feedback":
-            return build_lei_li.feedback_controller(cast(FeedbackConfig, controller), settings, vehicle, plant)
-        if controller.kind == "rls_mpc":
-            return build_lei_li.identifying_mpc(cast(RLSMPCConfig, controller), settings, vehicle)
-        if isinstance(controller, OnlineMPCConfig):
-            from quadexp.experiment.build_learned import online_mpc
-
-            *others, last = controller.residual
-            known, files = residual_parts(others, vehicle, model), model.files if model else ()
-            own = None
-            if last in MAKERS:
-                own = residual_from_file(last, vehicle, files[-1]), load_checkpoint(vehicle, files[-1])
-            return online_mpc(controller, settings, vehicle, known, own)
-        from quadexp.control.mpc.controller import PredictiveController
-        from quadexp.control.mpc.mpc import ModelPredictiveController
-
-        residual, backend = build_residual(config, vehicle, plant, model), cast(MPCConfig, controller).backend
-        told_more = bool(BELIEVERS & {*around})
-        if around.get("observer", {}).get("air_walk"):
-            from quadexp.air.scaled import scaled_residual
-
-            residual = scaled_residual(residual)
-        mpc = ModelPredictiveController(vehicle, residual, settings, backend=backend, disturbed=told_more)
-        return PredictiveController(mpc)
-
-    if not around:
-        return keep(record, make)
-    from quadexp.experiment.build_remedies import with_remedies
-
-    return keep([*record, around], lambda: with_remedies(make(), config))
-
-
-def knows_plant(config: ControllerConfig) -> bool:
-    """Whether the controller is told the plant's own equations or coefficients."""
-    if config.kind == "feedback":
-        return build_lei_li.variant(cast(FeedbackConfig, config)).parameters == "true"
-    return getattr(config, "residual", "none") == "plant"
-
-
-def controller_settings(config: ControllerConfig) -> Any:
-    """The controller's settings, None for a law in closed form and the user's own class; raises UsageError where they
-    contradict each other."""
-    if config.kind == "custom" or config.kind in build_laws.LAWS:
-        return None
-    if config.kind == "feedback":
-        from quadexp.control.feedback.settings import FeedbackSettings
-
-        return part(FeedbackSettings, config)
-    from quadexp.control.mpc.settings import MPCSettings
-
-    return part(MPCSettings, config)
+def source_hashes(config: Config) -> dict[str, str]:
+    """sha256 of the file of every part that is a user's own, by "<group> source": one that was edited is flown anew."""
+    hashes = {}
+    for group in ("plant", "trajectory", "controller", *WORLD, *remedies(config)):
+        part = getattr(config, group)
+        named = getattr(part, "_target_", None)
+        if named is None and type(part).__module__.partition(".")[0] == OWN:
+            continue
+        module = inspect.getmodule(type(part) if named is None else imported(group, named))
+        file = getattr(module, "__file__", None)
+        hashes[f"{group} source"] = hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""
+    return hashes

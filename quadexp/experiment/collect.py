@@ -23,8 +23,8 @@ import numpy as np
 
 from quadexp.config.schema import WORLD, Config
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.experiment.build import build_vehicle, find_model
-from quadexp.experiment.build_identified import load_identified
+from quadexp.experiment.build import build_vehicle
+from quadexp.experiment.checkpoints import find_model, load_identified
 from quadexp.experiment.evaluate import build_loop, describe, thrust_excess
 from quadexp.experiment.identity import digest, flight_record
 from quadexp.learn.dataset import ResidualDataset, as_told, residual_dataset

@@ -14,15 +14,14 @@ from quadexp.config.schema import Config, controller_name
 from quadexp.config.settings import record
 from quadexp.errors import UsageError
 from quadexp.experiment.build import (
-    ModelFile,
     build_controller,
     build_sensor,
     build_trajectory,
     build_vehicle,
-    find_model,
+    build_world,
+    check_remedies,
 )
-from quadexp.experiment.build_remedies import check_needs
-from quadexp.experiment.build_world import build_world
+from quadexp.experiment.checkpoints import ModelFile, find_model
 from quadexp.experiment.identity import digest, flight_entropy, flight_record
 from quadexp.experiment.loop_margins import loop_margins
 from quadexp.experiment.outside import outside_data
@@ -169,7 +168,7 @@ def build_loop(config: Config, model: ModelFile | None) -> Loop:
     """What a configuration flies with. Raises InfeasibleError where the loop is not stable at hover."""
     vehicle = build_vehicle(config.vehicle)
     plant = build_world(config, vehicle)
-    check_needs(config, vehicle, plant)
+    check_remedies(config, vehicle, plant)
     controller = build_controller(config, vehicle, plant, model)
     margins = loop_margins(controller, config.plant, plant)
     if unstable := instability(config, margins, vehicle, plant, model):

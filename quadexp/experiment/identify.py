@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadexp.config.flight import VehicleConfig
 from quadexp.config.settings import made
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
@@ -142,4 +141,4 @@ def _recorded(flight: Flight, path: Path) -> Vehicle:
     if not record:
         raise DataError(f"{path}: has no record of its vehicle: pass --vehicle NAME")
     current = {former: name for name, former in FORMER_NAMES.items()}  # flights of earlier versions
-    return build_vehicle(made(VehicleConfig, {current.get(key, key): value for key, value in record.items()}))
+    return build_vehicle(made(Vehicle, {current.get(key, key): value for key, value in record.items()}))

@@ -7,16 +7,11 @@ import json
 from typing import Any
 
 from quadexp.config.schema import WORLD, Config, remedies
-from quadexp.config.settings import record
+from quadexp.config.settings import declared
 from quadexp.physics.vehicle import FORMER_NAMES
 
-FLIGHT_GROUPS = (
-    "vehicle",
-    "plant",
-    "sensor",
-    "trajectory",
-    "controller",
-)  # determine one flight, together with model and seed
+# Groups that determine one flight, together with the world, the remedies, model and seed.
+FLIGHT_GROUPS = ("vehicle", "plant", "sensor", "trajectory", "controller")
 
 
 def canonical(value: Any) -> str:
@@ -32,25 +27,24 @@ def digest(value: Any) -> str:
 def flight_record(config: Config) -> dict[str, Any]:
     """The part of a configuration that determines one flight, as a dictionary; parts of the world and remedies
     that do nothing are left out."""
-    nodes = {group: record(getattr(config, group)) for group in FLIGHT_GROUPS}
+    nodes = {group: getattr(config, group).recorded() for group in FLIGHT_GROUPS}
     world = {group: getattr(config, group) for group in WORLD if group not in nodes}
-    nodes |= {group: record(part) for group, part in world.items() if not part.idle}
-    nodes |= {group: record(part) for group, part in remedies(config).items()}
+    nodes |= {group: part.recorded() for group, part in world.items() if not part.idle}
+    nodes |= {group: part.recorded() for group, part in remedies(config).items()}
     return {**nodes, "model": config.model, "seed": config.seed}
 
 
 def flight_entropy(config: Config) -> int:
     """Seed of the noise of one flight: from trajectory, plant, vehicle and seed, NOT from controller or model.
 
-    Flights of different controllers have the same noise, so comparisons are paired. Keys that do not affect the noise
-    (names, paths of files, back end, permission of infeasible references, end of a flight, lift) are excluded: one that
-    comes later to a plant or a trajectory must be among them, or flights get other noise than before. So are the parts
-    of the world: each has a stream of its own, which is the same whatever the others do.
+    Flights of different controllers have the same noise, so comparisons are paired. Keys that do not decide noise say
+    so where they are declared (`noise=False`). The parts of the world are none of it: each has a stream of its own,
+    which is the same whatever the others do.
     """
     nodes = flight_record(config)
-    aside = {"name", "backend", "allow_infeasible", "lost_distance", "lost_box", "lift", "path"}
-    parts = [
-        {FORMER_NAMES.get(k, k): v for k, v in nodes[group].items() if k not in aside and v is not None}
-        for group in ("vehicle", "plant", "trajectory")
-    ]
+    parts = []
+    for group in ("vehicle", "plant", "trajectory"):
+        keys = declared(type(getattr(config, group)))
+        deciding = {k: v for k, v in nodes[group].items() if v is not None and (k not in keys or keys[k].setting.noise)}
+        parts.append({FORMER_NAMES.get(k, k): v for k, v in deciding.items()})
     return int(digest(["noise", *parts, config.seed]), 16)

@@ -7,13 +7,12 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from quadexp.config.flight import PlantConfig
 from quadexp.physics.state import ATTITUDE, N_STATE
 
 _known: WeakKeyDictionary[Any, dict[tuple[float, float], dict[str, Any]]] = WeakKeyDictionary()  # flown many times
 
 
-def loop_margins(controller: Any, config: PlantConfig, plant: Any = None) -> dict[str, Any] | None:
+def loop_margins(controller: Any, config: Any, plant: Any = None) -> dict[str, Any] | None:
     """{delay, lag, early} (s), see quadexp.control.mpc.margins; None for what is no MPC of this program.
 
     Then what is predicted, {dead_time, motor_lag, age}, age of the state by the delay remedies; what the plant's

@@ -12,7 +12,8 @@ from typing import Any
 
 from quadexp.config.schema import Config
 from quadexp.errors import UsageError
-from quadexp.experiment.build import ModelFile, build_controller
+from quadexp.experiment.build import build_controller
+from quadexp.experiment.checkpoints import ModelFile
 from quadexp.experiment.loop_margins import unmodelled
 from quadexp.physics.vehicle import Vehicle
 

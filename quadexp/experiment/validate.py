@@ -12,7 +12,7 @@ import numpy as np
 from quadexp.config.schema import Config
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
-from quadexp.experiment.build_identified import load_identified
+from quadexp.experiment.checkpoints import load_identified
 from quadexp.files.writer import check_output, write_text
 from quadexp.learn.gp_fit import fit_gp
 from quadexp.learn.model import GPModel, GPSettings

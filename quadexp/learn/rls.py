@@ -10,24 +10,58 @@ clipping is rarely needed.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from quadexp.air.blade_element import require_rotor
 from quadexp.compile.backend import BufferedFunction, realise, resolve
-from quadexp.config.lei_li import RLSKeys
+from quadexp.config.settings import Setting, Settings, part
 from quadexp.errors import UsageError
 from quadexp.learn.rls_step import AXES, rls_step_function
-from quadexp.physics.rotor import C_LA, THETA, BladeCoefficients
+from quadexp.physics.rotor import C_LA, THETA, BladeCoefficients, BladeKeys
 from quadexp.physics.vehicle import Vehicle
 
 SLOWEST = 1.0  # rad/s; samples with a slower rotor are skipped (the advance ratio is not defined there)
 
 
 @dataclass(frozen=True)
-class RLSSettings(RLSKeys):
-    """How the estimators are started and weighted (see RLSKeys). printed_coefficients: the misprinted cross terms."""
+class RLSSettings(Settings):
+    """How the estimators are started and weighted; the defaults are the paper's, with clipping.
+
+    printed_coefficients: the misprinted cross terms.
+    """
+
+    prefix: ClassVar[str] = "controller.rls."
+
+    covariance: Annotated[
+        float, Setting("initial covariance P_0 as a multiple of the identity, where relative_std is null", "(0, 1e9]")
+    ] = 50.0
+    relative_std: Annotated[
+        float | None,
+        Setting(
+            "standard deviation of the initial values, which gives P_0; null: see covariance",
+            "(0, 100]",
+            "of the initial values",
+        ),
+    ] = None
+    noise: Annotated[float, Setting("assumed standard deviation of the accelerometer", "(0, 100]", "m/s^2")] = 1.0
+    forgetting: Annotated[float, Setting("forgetting factor; 1 forgets nothing", "[0.5, 1]")] = 1.0
+    lift_weight: Annotated[
+        float,
+        Setting("weight of the z axis in the combined estimate of C_la; x and y share the rest", "[0, 1]"),
+    ] = 1.0
+    gauss_newton: Annotated[bool, Setting("include the induced velocity in the derivative of the z equation")] = False
+    rotor_range: Annotated[
+        tuple[float, float],
+        Setting("bounds of the estimates of C_d0 and C_la where they are used", "(0, 100]", "of the initial values"),
+    ] = (0.5, 4.0)
+    drag_range: Annotated[
+        tuple[float, float], Setting("bounds of the estimate of C_D where it is used", "[0, 100]")
+    ] = (0.0, 0.2)
+    clip: Annotated[
+        bool, Setting("clip the estimates to their bounds where they are used; clipped samples are counted")
+    ] = True
 
     printed_coefficients: bool = False
 
@@ -35,6 +69,25 @@ class RLSSettings(RLSKeys):
     def scaled(cls, noise: float = 0.05, relative_std: float = 0.5, **others: Any) -> RLSSettings:
         """P_0 and sigma in the units of the problem: first values good to relative_std, readings to noise (m/s^2)."""
         return cls(noise=noise, relative_std=relative_std, **others)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identification(RLSSettings, BladeKeys):
+    """Identification in flight, as a controller is configured. profile_drag, lift_slope, body_drag: first values.
+    relative_std: if given, P_0 is the square of relative_std times the first values, else covariance times identity.
+    change_threshold: mean square prediction error, over that of the noise, at which P goes back to P_0."""
+
+    change_threshold: Annotated[
+        float | None,
+        Setting(
+            "ratio of the mean square prediction error to the noise variance at which P is reset to P_0; null: never",
+            "(1, 1e9]",
+        ),
+    ] = None
+
+    def build(self, vehicle: Vehicle, backend: str) -> BladeElementRLS:
+        """The estimators, before a flight."""
+        return BladeElementRLS(vehicle, part(BladeCoefficients, self), part(RLSSettings, self), backend=backend)
 
 
 class BladeElementRLS:

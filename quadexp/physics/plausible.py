@@ -25,8 +25,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadexp.config.flight import VehicleConfig
 from quadexp.errors import UsageError
+from quadexp.physics.vehicle import Vehicle
 
 LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254}
 MOMENTS = {"g m^2": 1e-3, "kg cm^2": 1e-4, "kg mm^2": 1e-6, "g cm^2": 1e-7, "g mm^2": 1e-9}
@@ -43,7 +43,7 @@ class Ratio(NamedTuple):
     meant: Mapping[str, float]
 
 
-def plausible(vehicle: VehicleConfig) -> VehicleConfig:
+def plausible(vehicle: Vehicle) -> Vehicle:
     """The same vehicle; raises UsageError where a number of it is none of a multirotor."""
     for one in _ratios(vehicle):
         if not one.low <= one.number <= one.high:
@@ -54,7 +54,7 @@ def plausible(vehicle: VehicleConfig) -> VehicleConfig:
     return vehicle
 
 
-def _ratios(vehicle: VehicleConfig) -> Iterator[Ratio]:
+def _ratios(vehicle: Vehicle) -> Iterator[Ratio]:
     mass, thrust, k, rotor = vehicle.mass, vehicle.thrust_max, vehicle.thrust_coefficient, vehicle.rotor
     arm, n = float(np.linalg.norm(vehicle.rotor_position, axis=1).max()), len(vehicle.rotor_position)
     heavy, name = mass / arm**3, "mass / arm^3 (kg/m^3)"

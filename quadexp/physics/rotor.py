@@ -7,21 +7,30 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 import numpy as np
 
-from quadexp.config.flight import RotorConfig
-from quadexp.config.lei_li import BladeElementEffects, BladeKeys
+from quadexp.config.settings import Setting, Settings, Triple
 
 THETA = ("C_d0", "C_la", "C_Dx", "C_Dy", "C_Dz")  # order of the coefficients in a vector
 C_D0, C_LA, C_DX, C_DY, C_DZ = range(5)
-IDLE_SPEED = BladeElementEffects.rotor_speed_min  # rad/s; the model is not defined for stopped rotors
+IDLE_SPEED = 50.0  # rad/s; the model is not defined for stopped rotors
 STANDING = 1e-6  # rad/s; slower rotors count as stopped; in still air all their forces vanish
 
 
 @dataclass(frozen=True)
-class RotorGeometry(RotorConfig):
-    """Geometry of every rotor of a vehicle, and the air density (see RotorConfig)."""
+class RotorGeometry(Settings):
+    """Shape of every rotor of a vehicle, and the density of the air."""
+
+    prefix: ClassVar[str] = "vehicle.rotor."
+
+    radius: Annotated[float, Setting("radius of the rotor disc", "[0.001, 10]", "m")]
+    chord: Annotated[float, Setting("chord of a blade", "(0, 1]", "m")]
+    twist: Annotated[float, Setting("pitch angle of a blade, constant over the radius", "(0, 1.57]", "rad")]
+    air_density: Annotated[float, Setting("density of the air", "(0, 10]", "kg/m^3")]
+    reference_area: Annotated[float, Setting("area that the airframe's drag coefficients refer to", "(0, 100]", "m^2")]
+    blades: Annotated[int, Setting("blades of a rotor", "[1, 20]")] = 2
 
     @property
     def blade_density(self) -> float:
@@ -32,6 +41,21 @@ class RotorGeometry(RotorConfig):
     def momentum_factor(self) -> float:
         """2 rho pi r^2 (kg/m), of the momentum theory (17)."""
         return 2 * self.air_density * math.pi * self.radius**2
+
+
+@dataclass(frozen=True)
+class BladeKeys(Settings):
+    """Aerodynamic coefficients of rotors and airframe; see quadexp/physics/rotor.py."""
+
+    lift_slope: Annotated[
+        float, Setting("lift slope C_la of the blades; in controller.rls the initial value", "(0, 20]", "1/rad")
+    ]
+    profile_drag: Annotated[
+        float, Setting("profile drag C_d0 of the blades; in controller.rls the initial value", "(0, 10]")
+    ]
+    body_drag: Annotated[
+        Triple, Setting("drag coefficients C_D of the airframe; in controller.rls the initial values", "[0, 10]")
+    ]
 
 
 @dataclass(frozen=True)

@@ -14,27 +14,59 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from typing import Annotated, ClassVar
 
 import numpy as np
 
-from quadexp.config.flight import VehicleConfig
-from quadexp.config.settings import part
+from quadexp.config.part import Part
+from quadexp.config.settings import Setting, Triple
 from quadexp.errors import UsageError
 from quadexp.physics.rotor import RotorGeometry
 
-GRAVITY = VehicleConfig.gravity  # m/s^2
+GRAVITY = 9.81  # m/s^2
 # The largest principal moment of a rigid body is at most the sum of the other two; measured moments may exceed that
 # slightly (those of Lei & Li 2017 by 1.2 %).
 INERTIA_TOLERANCE = 0.02
 FORMER_NAMES = {"thrust_coefficient": "static_thrust"}  # used in hashes, so that existing files keep theirs
 
 
-@dataclass(frozen=True)
-class Vehicle(VehicleConfig):
-    """Physical parameters of a multirotor (see VehicleConfig for each with its unit and range).
+@dataclass(frozen=True, kw_only=True)
+class Vehicle(Part):
+    """Physical parameters of a multirotor.
 
     Raises UsageError where the parameters are not those of a rigid body, or the vehicle cannot be controlled.
     """
+
+    prefix: ClassVar[str] = "vehicle."
+
+    mass: Annotated[float, Setting("mass, without a payload", "(0, 100]", "kg")]
+    inertia: Annotated[tuple[Triple, Triple, Triple], Setting("inertia matrix, rows, kg m^2")]
+    rotor_position: Annotated[
+        tuple[Triple, ...],
+        Setting("position of every rotor in the body frame, m, in the order of the inputs u_0, u_1, ..."),
+    ]
+    rotor_spin: Annotated[
+        tuple[float, ...],
+        Setting(
+            "sign of each rotor's reaction torque about +z_body; -1 for a rotor that turns counter-clockwise seen from"
+            " above",
+            "[-1, 1]",
+        ),
+    ]
+    torque_coefficient: Annotated[float, Setting("reaction torque of a rotor divided by its thrust", "[0, 1]", "m")]
+    thrust_min: Annotated[float, Setting("least thrust that can be commanded", "[0, 1000]", "N per rotor")]
+    thrust_max: Annotated[float, Setting("largest thrust that can be commanded", "(0, 1000]", "N per rotor")]
+    rate_max: Annotated[float, Setting("largest body rate that a reference may ask for", "(0, 100]", "rad/s")]
+    gravity: Annotated[float, Setting("gravitational acceleration", "(0, 100]", "m/s^2")] = GRAVITY
+    rotor: Annotated[RotorGeometry | None, Setting("shape of the rotors, for blade-element models")] = None
+    thrust_coefficient: Annotated[
+        float | None,
+        Setting(
+            "k of the static thrust curve u = k w^2 (w: rotor speed); null where no model needs it",
+            "(0, 1]",
+            "N s^2",
+        ),
+    ] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -87,7 +119,7 @@ class Vehicle(VehicleConfig):
         """`rotor`, for a model that needs it. Raises UsageError where there is none."""
         if self.rotor is None:
             raise self._without_rotor()
-        return part(RotorGeometry, self.rotor)
+        return self.rotor
 
     @property
     def static_thrust_coefficient(self) -> float:

@@ -6,12 +6,31 @@ held, with all derivatives zero. One that goes on for the horizon of a controlle
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
+from quadexp.config.part import Part
+from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
+from quadexp.physics.vehicle import Vehicle
+
+SPEED = Setting(
+    "nominal speed (circle, lemniscate; `quadexp simulate` prints the peak speed), or largest speed of the path"
+    " (random,"
+    " waypoints without t), reduced where the vehicle's limits do not allow it; the column `speed` of tables",
+    "(0, 60]",
+    "m/s",
+)
+MARGIN = Setting(
+    "control authority that the reference leaves unused, as a share: of the range between the hover thrust and the"
+    " thrust"
+    " limits, and of the largest body rate",
+    "[0, 0.9]",
+)
+RADIUS = Setting("radius of the circle, half width of the lemniscate", "(0, 1000]", "m")
+DURATION = Setting("length of the flight", "(0, 3600]", "s")
 
 N_DERIVATIVES = 5  # position, velocity, acceleration, jerk, snap
 
@@ -43,6 +62,56 @@ class Trajectory(Protocol):
 
     def flat_output(self, t: np.ndarray) -> FlatOutput:
         """Flat output at the times t, (k,) (s); held outside 0 .. duration."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrajectoryPart(Part):
+    """What every trajectory has, as an option of the configuration.
+
+    allow_infeasible: fly a reference although it asks for more than the vehicle has.
+    lost_distance: a flight ends as lost when the vehicle is further (m) from the reference. lost_box: or when it leaves
+    the box around the whole reference, widened by this (m).
+    """
+
+    prefix: ClassVar[str] = "trajectory."
+
+    allow_infeasible: Annotated[
+        bool,
+        Setting(
+            "also fly a reference that needs more collective thrust than the vehicle has; trajectory=random: at the"
+            " asked speed, without regard to the vehicle's limits",
+            noise=False,
+        ),
+    ] = False
+    lost_distance: Annotated[
+        float,
+        Setting(
+            "a flight ends as lost when the vehicle is further than this from the reference",
+            "(0, 1e6]",
+            "m",
+            noise=False,
+        ),
+    ] = 10.0
+    lost_box: Annotated[
+        float | None,
+        Setting(
+            "a flight also ends as lost when the vehicle leaves the box around the whole reference, widened by this on"
+            " every side; null: no box",
+            "(0, 1e6]",
+            "m",
+            noise=False,
+        ),
+    ] = None
+    follows_limits: ClassVar[bool] = False
+
+    def build(self, vehicle: Vehicle | None) -> Any:
+        """The trajectory, for a flight by a vehicle; None: by any. One that follows_limits is timed by the limits of
+        the vehicle, and raises UsageError without it."""
+        if not self.follows_limits:
+            return replace(self)
+        if vehicle is None:
+            raise UsageError(f"trajectory={self.name}: is timed by the limits of a vehicle, and none was given")
+        return replace(self, vehicle=None if self.allow_infeasible else vehicle)  # type: ignore[call-arg]  # its own
 
 
 def end_of(trajectory: Trajectory) -> float:

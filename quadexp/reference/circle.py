@@ -21,6 +21,8 @@ class Circle(ProfiledPath):
     The peak speed is v + .273 a. Arguments: see ProfiledPath.
     """
 
+    former_kind = "circle"
+
     @property
     def peak_speed(self) -> float:
         return self.profile.peak_speed

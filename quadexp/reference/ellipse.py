@@ -10,23 +10,42 @@ World ENU (m). V: speed at t = 0, the end of the minor axis; a: centripetal acce
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
 
-from quadexp.config.flight import EllipseKeys
+from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
-from quadexp.reference.base import N_DERIVATIVES, FlatOutput, flat_output_held
+from quadexp.reference.base import DURATION, N_DERIVATIVES, FlatOutput, TrajectoryPart, flat_output_held
 
 LONGEST_HORIZON = 10.0  # s, for which the ellipse goes on behind the flight
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ellipse(EllipseKeys):
-    """An ellipse; settings: see EllipseKeys. Raises UsageError where a number is out of range.
+class Ellipse(TrajectoryPart):
+    """An ellipse. Raises UsageError where a number is out of range.
 
     clipped: references stay within the vehicle's limits, where a controller only tries to follow. counts_heading: the
     heading is prescribed also where flat outputs leave it free.
     """
+
+    former_kind = "ellipse"
+
+    speed: Annotated[float, Setting("V: speed at the ends of the minor axis, where it begins", "(0, 60]", "m/s")] = 10.0
+    acceleration: Annotated[
+        float, Setting("a: centripetal acceleration at the ends of the major axis", "(0, 1000]", "m/s^2")
+    ] = 20.0
+    ratio: Annotated[float, Setting("n: major axis divided by the minor one", "[1, 100]")] = 1.0
+    plane: Annotated[Literal["horizontal", "vertical"], Setting("plane of the ellipse")] = "horizontal"
+    heading: Annotated[
+        Literal["auto", "centre", "constant"],
+        Setting(
+            "towards the centre, or along x; auto: towards the centre in the horizontal plane, constant in the vertical"
+            " one, where y_body stays across the plane through inverted flight"
+        ),
+    ] = "auto"
+    height: Annotated[float, Setting("height of the centre, world", "[-1000, 1000]", "m")] = 5.0
+    duration: Annotated[float, DURATION] = 20.0
 
     clipped = True
     counts_heading = True

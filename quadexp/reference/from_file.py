@@ -15,17 +15,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from quadexp.config.flight import FileKeys
+from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.base import (
+    MARGIN,
     N_DERIVATIVES,
+    SPEED,
     FlatOutput,
     Trajectory,
+    TrajectoryPart,
     flat_output_held,
     hold_outside,
     sampled_peak_speed,
@@ -39,20 +43,29 @@ POWERS = (0.5, 0.75, 1.0)  # 0.5 suits a limited acceleration, 1 a limited speed
 
 
 @dataclass(frozen=True, kw_only=True)
-class FileTrajectory(FileKeys):
-    """The track or the waypoints in a CSV or TUM file; it is read when first used. Settings: see FileKeys.
+class FileTrajectory(TrajectoryPart):
+    """The track or the waypoints in a CSV or TUM file; it is read when first used.
 
     vehicle: its limits apply to waypoints without times; None: no limits.
     Raises UsageError for a missing file, for contradicting times and speed, or where the limits allow no flight;
     DataError (with the line number) for a file without positions.
     """
 
-    vehicle: Vehicle | None = None
+    former_kind = "file"
+    follows_limits = True
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not Path(self.path).is_file():
-            raise UsageError(f"trajectory.path: there is no file {str(self.path)!r}")
+    path: Annotated[
+        str,
+        Setting(
+            "sampled track: CSV with the columns t, p_x, p_y, p_z, optionally yaw, or TUM; waypoints: CSV with the"
+            " columns x, y, z, optionally t and yaw",
+            noise=False,
+        ),
+    ]
+    speed: Annotated[float | None, SPEED] = None
+    margin: Annotated[float, MARGIN] = 0.25
+
+    vehicle: Vehicle | None = None
 
     @property
     def duration(self) -> float:

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from quadexp.config.flight import HoverKeys
-from quadexp.reference.base import N_DERIVATIVES, FlatOutput
+from quadexp.config.settings import Setting, Triple
+from quadexp.reference.base import DURATION, N_DERIVATIVES, FlatOutput, TrajectoryPart
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hover(HoverKeys):
-    """A constant position and heading; settings: see HoverKeys. Raises UsageError where one is out of range."""
+class Hover(TrajectoryPart):
+    """A constant position and heading. Raises UsageError where one is out of range."""
+
+    former_kind = "hover"
+
+    position: Annotated[Triple, Setting("position to hold, world", "[-1e6, 1e6]", "m")] = (0.0, 0.0, 1.0)
+    yaw: Annotated[float, Setting("heading", "[-7, 7]", "rad")] = 0.0
+    duration: Annotated[float, DURATION] = 5.0
 
     @property
     def peak_speed(self) -> float:

@@ -8,25 +8,42 @@ The acceleration is that of the path.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from quadexp.config.lei_li import LeiLiCircleKeys
-from quadexp.reference.base import N_DERIVATIVES, FlatOutput, flat_output_held, hold_outside
-from quadexp.reference.rectangle import NORTH, resting
+from quadexp.config.settings import Setting
+from quadexp.reference.base import (
+    DURATION,
+    N_DERIVATIVES,
+    RADIUS,
+    FlatOutput,
+    TrajectoryPart,
+    flat_output_held,
+    hold_outside,
+)
+from quadexp.reference.rectangle import HEIGHT, NORTH, Start, resting
 
 START_POSITION = (0.0, 0.0, 0.0)  # ENU, m: the centre of the circle, on the ground
 START_EULER = (0.0, 0.0, 90.0)  # roll, pitch, yaw of FLU in ENU, deg
 
 
 @dataclass(frozen=True, kw_only=True)
-class LeiLiCircle(LeiLiCircleKeys):
+class LeiLiCircle(TrajectoryPart):
     """A circle with two speeds, clockwise seen from above, started at its southernmost point.
 
-    Settings: see LeiLiCircleKeys; the fast half of a lap takes half as long as the slow one. start: "printed", the
-    paper's initial state (at rest in the middle of the circle, on the ground), or "reference".
-    Raises UsageError where a number is out of range.
+    The fast half of a lap takes half as long as the slow one. start: "printed", the
+     paper's initial state (at rest in the middle of the circle, on the ground), or "reference".
+     Raises UsageError where a number is out of range.
     """
+
+    former_kind = "lei_li_circle"
+
+    radius: Annotated[float, RADIUS] = 28.0
+    slow_half: Annotated[float, Setting("duration of the slow half of a lap", "(0, 3600]", "s")] = 20.0
+    duration: Annotated[float, DURATION] = 60.0
+    height: Annotated[float, HEIGHT] = 5.0
+    start: Start = "printed"
 
     @property
     def peak_speed(self) -> float:

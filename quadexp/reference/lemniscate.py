@@ -31,6 +31,8 @@ class Lemniscate(ProfiledPath):
     The peak speed is up to sqrt(2) (v + .273 a), see peak_speed. Arguments: see ProfiledPath.
     """
 
+    former_kind = "lemniscate"
+
     @cached_property
     def peak_speed(self) -> float:
         return sampled_peak_speed(self)

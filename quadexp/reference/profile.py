@@ -17,12 +17,13 @@ Every section has the form th'' = c_0 + c_1 cos(k tau), which integrates and dif
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from quadexp.config.flight import CircleKeys
+from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
-from quadexp.reference.base import N_DERIVATIVES, check_finite, check_positive
+from quadexp.reference.base import N_DERIVATIVES, RADIUS, SPEED, TrajectoryPart, check_finite, check_positive
 
 RAMP = 2.0  # s, from rest to full acceleration
 TURN = 4.0  # s, from full acceleration to full deceleration
@@ -99,12 +100,19 @@ class SpeedProfile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProfiledPath(CircleKeys):
+class ProfiledPath(TrajectoryPart):
     """A closed path at constant height from (radius, 0, height), with the path angle of the profile.
 
-    Settings: see CircleKeys. yaw: heading held, rad; None: free, body yaw rate zero (Torrente et al. 2021).
-    Raises UsageError where the numbers are out of range or speed / acceleration is below 2 s.
+    yaw: heading held, rad; None: free, body yaw rate zero (Torrente et al. 2021).
+     Raises UsageError where the numbers are out of range or speed / acceleration is below 2 s.
     """
+
+    speed: Annotated[float, SPEED]
+    acceleration: Annotated[
+        float, Setting("acceleration from rest to the nominal speed, and deceleration at the end", "(0, 50]", "m/s^2")
+    ] = 1.0
+    radius: Annotated[float, RADIUS] = 5.0
+    height: Annotated[float, Setting("height of the path, world", "[-1000, 1000]", "m")] = 1.0
 
     yaw: float | None = None
 

@@ -23,14 +23,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from quadexp.config.flight import RandomKeys
+from quadexp.config.settings import SEEDS, Setting
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
-from quadexp.reference.base import FlatOutput, check_finite
+from quadexp.reference.base import MARGIN, SPEED, FlatOutput, TrajectoryPart, check_finite
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
@@ -47,13 +47,25 @@ N_PATH = 100  # points for measuring the path's extent
 
 
 @dataclass(frozen=True, kw_only=True)
-class RandomPolynomial(RandomKeys):
-    """A random closed path; the same seed gives the same path for any speed and vehicle. Settings: see RandomKeys.
+class RandomPolynomial(TrajectoryPart):
+    """A random closed path; the same seed gives the same path for any speed and vehicle.
 
     vehicle: its limits apply, and lower the speed where they require it; None: no limits.
     yaw: constant heading, rad; None: free, body yaw rate zero.
     Raises UsageError where a number is out of range, or where the vehicle cannot fly the path at any speed.
     """
+
+    former_kind = "random"
+    follows_limits = True
+
+    speed: Annotated[float, SPEED]
+    margin: Annotated[float, MARGIN] = 0.25
+    seed: Annotated[int, Setting("seed of the random path", SEEDS)] = 0
+    keypoints: Annotated[int, Setting("number of random points that the path passes through", "[4, 200]", "points")] = (
+        10
+    )
+    extent: Annotated[float, Setting("edge of the cube that the keypoints are drawn in", "(0, 1000]", "m")] = 6.0
+    clearance: Annotated[float, Setting("height of the lowest keypoint, world", "[-1000, 1000]", "m")] = 1.0
 
     yaw: float | None = None
     vehicle: Vehicle | None = None

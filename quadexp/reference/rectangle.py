@@ -7,13 +7,28 @@ here in ENU, x east and y north. Heading north, acceleration zero everywhere, co
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadexp.config.lei_li import RectangleKeys
+from quadexp.config.settings import Setting
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION
-from quadexp.reference.base import N_DERIVATIVES, FlatOutput, flat_output_held, hold_outside
+from quadexp.reference.base import (
+    DURATION,
+    N_DERIVATIVES,
+    SPEED,
+    FlatOutput,
+    TrajectoryPart,
+    flat_output_held,
+    hold_outside,
+)
+
+HEIGHT = Setting("height of the path, world", "(0, 1000]", "m")
+Start = Annotated[
+    Literal["printed", "reference"],
+    Setting("where the flight starts: as printed in the paper, or on the reference"),
+]
 
 NORTH = np.pi / 2  # yaw, rad
 # xi_0 = (.2, -.2, -.1) m NED, eta_0 = (1, -1, 5) deg, at rest
@@ -22,12 +37,19 @@ START_EULER = (1.0, 1.0, 85.0)  # roll, pitch, yaw of FLU in ENU, deg
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rectangle(RectangleKeys):
+class Rectangle(TrajectoryPart):
     """A square flown once, started and ended at its south-west corner, clockwise seen from above.
 
-    Settings: see RectangleKeys. start: "printed", the paper's initial state (on the ground, at rest, slightly turned),
-    or "reference". Raises UsageError where a number is out of range.
+    start: "printed", the paper's initial state (on the ground, at rest, slightly turned),
+     or "reference". Raises UsageError where a number is out of range.
     """
+
+    former_kind = "rectangle"
+
+    speed: Annotated[float, SPEED] = 5.0
+    duration: Annotated[float, DURATION] = 60.0
+    height: Annotated[float, HEIGHT] = 5.0
+    start: Start = "printed"
 
     @property
     def peak_speed(self) -> float:

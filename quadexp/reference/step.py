@@ -6,20 +6,30 @@ The jump cannot be flown; it tests a controller far from its reference.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from quadexp.config.flight import StepKeys
+from quadexp.config.settings import Setting, Triple
 from quadexp.errors import UsageError
-from quadexp.reference.base import N_DERIVATIVES, FlatOutput
+from quadexp.reference.base import DURATION, N_DERIVATIVES, FlatOutput, TrajectoryPart
 
 
 @dataclass(frozen=True, kw_only=True)
-class Step(StepKeys):
-    """A jump of the set-point; settings: see StepKeys.
+class Step(TrajectoryPart):
+    """A jump of the set-point.
 
     Raises UsageError where a point is malformed or step_time does not lie in 0 .. duration.
     """
+
+    former_kind = "step"
+
+    start: Annotated[
+        Triple, Setting("set-point before the step, where the flight starts, world", "[-1e6, 1e6]", "m")
+    ] = (0.0, 0.0, 1.0)
+    target: Annotated[Triple, Setting("set-point after the step, world", "[-1e6, 1e6]", "m")] = (1.0, 0.0, 1.0)
+    step_time: Annotated[float, Setting("time of the step", "[0, 3600]", "s")] = 1.0
+    duration: Annotated[float, DURATION] = 5.0
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -21,7 +21,6 @@ import numpy as np
 from scipy.interpolate import PPoly
 from scipy.optimize import brentq
 
-from quadexp.config.flight import RandomKeys
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.base import N_DERIVATIVES, FlatOutput, flat_output_held, hold_outside
@@ -30,7 +29,7 @@ from quadexp.reference.minimum_snap import largest_speed
 from quadexp.reference.motion import Air, allocation_inverse, flat_motion
 from quadexp.reference.time_grid import TimeGrid
 
-MARGIN = RandomKeys.margin
+MARGIN = 0.25  # unless another is asked for
 SPEED = "speed"  # the limit where the requested speed is reached first
 STEPS, FEWEST, MOST = 64, 16, 30_000  # grid points: per mean piece, least per piece, most in total
 DOUBLINGS = 60  # of the factor, before the limits are considered unreachable

@@ -17,7 +17,7 @@ from pebble import ProcessPool
 
 from quadexp.config.schema import Config
 from quadexp.errors import ModuleError, UsageError, WriteError, stops_all
-from quadexp.experiment.build import ModelFile
+from quadexp.experiment.checkpoints import ModelFile
 from quadexp.sweeps.child import GONE, cause, start_pool, stop_pool
 from quadexp.sweeps.server import PRELOAD, without_main
 

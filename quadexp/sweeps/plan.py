@@ -3,24 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from quadexp.config.cells import Cell, refuse_mistakes
-from quadexp.config.flight import TrajectoryConfig, VehicleConfig
 from quadexp.config.schema import world_parts
-from quadexp.config.world import WorldPartConfig
 from quadexp.errors import UsageError
-from quadexp.experiment.build import (
-    ModelFile,
-    build_trajectory,
-    build_vehicle,
-    controller_settings,
-    find_model,
-    input_hashes,
-    knows_plant,
-)
-from quadexp.experiment.build_world import build_effects
+from quadexp.experiment.build import build_effects, build_trajectory, build_vehicle, input_hashes
+from quadexp.experiment.checkpoints import ModelFile, find_model
 from quadexp.experiment.identity import canonical, digest, flight_record
 from quadexp.sweeps.keys import cell_key, condition
 
@@ -80,7 +70,6 @@ def check_jobs(jobs: Iterable[Job]) -> dict[str, str]:
         checks: tuple[tuple[Any, ...], ...] = (
             (build_vehicle, config.vehicle),
             (_build_trajectory, config.trajectory, config.vehicle),
-            (controller_settings, config.controller),
             (_build_effects, config.vehicle, *world_parts(config).values()),
         )
         for check, *nodes in checks:
@@ -115,15 +104,15 @@ def flying_order(jobs: Sequence[Job]) -> list[Job]:
 def _builds(job: Job) -> tuple[str, str]:
     """What a worker builds for a cell: the structure that is compiled, and the controller with its numbers."""
     config = job.cell.config
-    vehicle, controller = asdict(config.vehicle), asdict(config.controller)
+    vehicle, controller = config.vehicle.recorded(), config.controller.recorded()
     structure = canonical([vehicle, [controller.get(name) for name in STRUCTURE]])
-    known = asdict(config.plant) if knows_plant(config.controller) else job.model and job.model.sha256
+    known = config.plant.recorded() if config.controller.knows_plant else job.model and job.model.sha256
     return structure, canonical([structure, controller, known])
 
 
-def _build_effects(vehicle: VehicleConfig, *parts: WorldPartConfig) -> Any:
+def _build_effects(vehicle: Any, *parts: Any) -> Any:
     return build_effects(build_vehicle(vehicle), *parts)
 
 
-def _build_trajectory(trajectory: TrajectoryConfig, vehicle: VehicleConfig) -> Any:
+def _build_trajectory(trajectory: Any, vehicle: Any) -> Any:
     return build_trajectory(trajectory, build_vehicle(vehicle))

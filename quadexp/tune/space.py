@@ -102,7 +102,7 @@ def default_space(config: Config, extra: Path | None = None) -> list[str]:
     found: list[str] = []
     nodes: dict[str, Any] = {"controller": config.controller, **remedies(config)}
     for group, node in nodes.items():
-        names = list(dict.fromkeys([node.name, getattr(node, "kind", node.name)]))
+        names = list(dict.fromkeys([node.name, node.former_kind or node.name]))
         space = _space_file(names, extra)
         if space is None and group == "controller":
             raise UsageError(

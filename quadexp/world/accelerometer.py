@@ -8,10 +8,40 @@ F / m is the specific force, what an accelerometer at the centre of mass feels: 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
+from quadexp.config.part import Part
+from quadexp.config.settings import Setting, Triple
 from quadexp.errors import UsageError
+
+
+@dataclass(frozen=True, kw_only=True)
+class AccelerometerPart(Part):
+    """What the controller measures with: an accelerometer with bias and white noise; all else is perfect."""
+
+    prefix = "sensor."
+
+    accelerometer_bias: Annotated[Triple, Setting("constant error of the specific force", "[-100, 100]", "m/s^2")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
+    accelerometer_noise: Annotated[
+        Triple, Setting("standard deviation of the white noise on the specific force", "[0, 100]", "m/s^2")
+    ] = (0.0, 0.0, 0.0)
+
+    @property
+    def idle(self) -> bool:
+        """See Part: it is no imperfection of the world, whose parts name a world."""
+        return True
+
+    def build(self) -> Accelerometer | None:
+        """What is read with; None for a perfect accelerometer."""
+        if not any(self.accelerometer_bias) and not any(self.accelerometer_noise):
+            return None
+        return Accelerometer(self.accelerometer_bias, self.accelerometer_noise)
 
 
 @dataclass(frozen=True)

@@ -29,12 +29,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Annotated, Any, ClassVar, Literal
 
 import casadi as ca
 import numpy as np
 
-from quadexp.config.motors import ActuatorKeys
+from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import decayed, time_constant_towards
@@ -44,13 +44,54 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
 from quadexp.world.rotor_columns import first_rotor_column, rotor_column, rotor_column_factor, rotor_column_names
 
+LAG = "time constant of the rotors that have to turn {}; 0: none"
+
 NO_LAG = 1e-9  # s, in place of 0: the decay over any step is then exactly 0
 N_FIXED = 5  # parameters without I_p and factors
 
 
-@dataclass(frozen=True)
-class Actuator(ActuatorKeys, Effect):
-    """See ActuatorKeys."""
+@dataclass(frozen=True, kw_only=True)
+class Actuator(Effect):
+    """Motors with a lag, limits of their speed, and rotors that differ."""
+
+    prefix: ClassVar[str] = "actuator."
+
+    time_constant_up: Annotated[float, Setting(LAG.format("faster"), "[0, 1]", "s")] = 0.0
+    time_constant_down: Annotated[float, Setting(LAG.format("slower"), "[0, 1]", "s")] = 0.0
+    lag_of: Annotated[
+        Literal["rotor_speed", "thrust"],
+        Setting("what follows its command with the lag; controller.motor_lag is that of the thrust"),
+    ] = "rotor_speed"
+    rotor_speed_min: Annotated[
+        float | None,
+        Setting("least speed of the rotors; null: none; needs vehicle.thrust_coefficient", "[0, 1e5]", "rad/s"),
+    ] = None
+    rotor_speed_max: Annotated[
+        float | None,
+        Setting("largest speed of the rotors; null: none; needs vehicle.thrust_coefficient", "(0, 1e5]", "rad/s"),
+    ] = None
+    rotor_scale_std: Annotated[
+        float,
+        Setting("relative standard deviation of each rotor's thrust at its speed, drawn once a flight", "[0, 0.5]"),
+    ] = 0.0
+    flight_scale_std: Annotated[
+        float,
+        Setting("relative standard deviation of all rotors' thrust at their speeds, drawn once a flight", "[0, 0.5]"),
+    ] = 0.0
+    rotor_inertia: Annotated[
+        float,
+        Setting(
+            "of a rotor and its motor's bell about their axis; needs vehicle.thrust_coefficient", "[0, 1]", "kg m^2"
+        ),
+    ] = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        low, high = self.rotor_speed_min, self.rotor_speed_max
+        if low is not None and high is not None and low >= high:
+            raise UsageError(
+                f"actuator.rotor_speed_min={low:g}: must be less than actuator.rotor_speed_max={high:g} rad/s"
+            )
 
     stage = "actuator"
 
@@ -124,6 +165,12 @@ class Actuator(ActuatorKeys, Effect):
     def _thrust(self, y: Expression) -> Expression:
         """k W^2 (n,) (N)."""
         return y**2 if self.lag_of == "rotor_speed" else y
+
+    @property
+    def idle(self) -> bool:
+        """See WorldPartConfig."""
+        numbers = (self.time_constant_up, self.time_constant_down, self.rotor_scale_std, self.flight_scale_std)
+        return not any((*numbers, self.rotor_inertia)) and self.rotor_speed_min is None and self.rotor_speed_max is None
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,12 @@ import casadi as ca
 import numpy as np
 from scipy.special import ndtri
 
+from quadexp.config.settings import Setting
 from quadexp.physics.expression import Expression
+
+RATE = "[0.1, 8000]"  # interval of a sensor's rate, Hz
+SHARE = Setting("share of the fixes that are lost", "[0, 0.99]")
+OUTAGE = Setting("mean length of an outage; 0: every fix is lost or not by itself", "[0, 3600]", "s")
 
 N_CLOCK = 2  # [fixes since the last one was due, whether fixes are being lost]
 N_SAMPLING = 3  # parameters: rate (Hz), thresholds of a standard normal number at which an outage begins, ends

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Protocol
 
 import numpy as np
 
 from quadexp.air.base import Residual
+from quadexp.config.part import Given, Part
+from quadexp.config.settings import Backend, Setting
 from quadexp.physics.vehicle import Vehicle
+
+PAYLOAD_MASS = Setting(
+    "point mass at the centre of mass, unknown to controllers that are not told the plant's equations", "[0, 100]", "kg"
+)
+FORCE_DENSITY = Setting("spectral density of the white noise on the force, each axis", "[0, 10]", "N/sqrt(Hz)")
+TORQUE_DENSITY = Setting("spectral density of the white noise on the torque, each axis", "[0, 10]", "N m/sqrt(Hz)")
 
 
 class Plant(Protocol):
@@ -31,3 +40,19 @@ class Plant(Protocol):
     def residual(self) -> Residual:
         """The plant's own deterministic equations as a residual: what a perfectly informed controller would believe."""
         ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantPart(Part):
+    """What every plant has, as an option of the configuration."""
+
+    prefix: ClassVar[str] = "plant."
+
+    step: Annotated[
+        float, Setting("largest integration step; a control period is divided evenly", "[1e-5, 0.02]", "s")
+    ] = 1e-3
+    backend: Backend = "auto"
+
+    def build(self, given: Given) -> Any:
+        """The simulated truth that flies given.vehicle, a Plant. given: see Given."""
+        raise NotImplementedError

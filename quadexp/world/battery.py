@@ -14,12 +14,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
-from quadexp.config.motors import BatteryKeys
+from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
 from quadexp.physics.battery import (
     OperatingPoint,
@@ -48,9 +48,37 @@ PARAMETERS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Battery(BatteryKeys, Effect):
-    """See BatteryKeys."""
+@dataclass(frozen=True, kw_only=True)
+class Battery(Effect):
+    """An equivalent circuit of lithium-polymer cells in series; see quadexp/physics/battery.py."""
+
+    prefix: ClassVar[str] = "battery."
+
+    cells: Annotated[int, Setting("cells in series", "[1, 24]", "cells")] = 4
+    capacity: Annotated[float, Setting("charge of the full battery", "(0, 1000]", "Ah")] = 1.5
+    state_of_charge: Annotated[float, Setting("when a flight begins; 1: full", "(0, 1]")] = 1.0
+    resistance: Annotated[float, Setting("in series, of the whole battery", "[0, 10]", "Ohm")] = 0.02
+    rc_resistance: Annotated[float, Setting("of the RC pair", "[0, 10]", "Ohm")] = 0.012
+    rc_time_constant: Annotated[float, Setting("of the RC pair", "(0, 1e4]", "s")] = 20.0
+    hover_power: Annotated[
+        float, Setting("electrical power of all rotors in hover; goes with thrust^(3/2)", "[0, 1e4]", "W per kg")
+    ] = 150.0
+    electronics: Annotated[float, Setting("power of everything else", "[0, 1e4]", "W")] = 5.0
+    thrust_exponent: Annotated[
+        float, Setting("k of thrust ~ (V / reference_voltage)^k at a fixed throttle", "[0, 4]")
+    ] = 2.0
+    reference_voltage: Annotated[
+        float | None,
+        Setting(
+            "at which thrusts are as commanded; null: the voltage in hover when the flight begins", "(0, 200]", "V"
+        ),
+    ] = None
+    compensation: Annotated[
+        bool, Setting("the flight stack gives more throttle as the voltage falls, up to the full one")
+    ] = False
+    cutoff_voltage: Annotated[
+        float, Setting("below this the electronics stop and the flight is over", "[0, 4]", "V per cell")
+    ] = 2.5
 
     stage = "battery"
 

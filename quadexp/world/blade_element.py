@@ -14,21 +14,29 @@ solution wherever there is one and says where there is not: then `advance` raise
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
 
 import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual, feature_names
 from quadexp.air.blade_element import blade_element_correction, require_rotor, residual_from_correction
-from quadexp.config.lei_li import BladeElementEffects
+from quadexp.config.part import Given
+from quadexp.config.settings import Setting, part
 from quadexp.errors import ModelDomainError, UsageError
 from quadexp.physics.induced_velocity import REASONS, Defined
-from quadexp.physics.rotor import C_D0, STANDING, BladeCoefficients
+from quadexp.physics.rotor import C_D0, STANDING, BladeCoefficients, BladeKeys
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
-from quadexp.world.blade_element_equations import BladeElementModel, checked_equations, fast_equations
+from quadexp.world.base import PlantPart
+from quadexp.world.blade_element_equations import (
+    BladeElementEffects,
+    BladeElementModel,
+    checked_equations,
+    fast_equations,
+)
 from quadexp.world.integrator import Equations, SimulatedPlant
 
 
@@ -43,6 +51,55 @@ class PlantChange:
     payload: float | None = None
     lift_scale: tuple[float, ...] | None = None
     profile_drag_scale: float | None = None
+
+
+CHANGES = ("payload", "lift_scale", "profile_drag_scale")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BladeElement(BladeElementEffects, BladeKeys, PlantPart):
+    """Lei & Li's plant. schedule: changes in flight, each {t: s, payload: kg,
+    lift_scale: [one factor a rotor], profile_drag_scale: factor}, all but t optional."""
+
+    former_kind = "blade_element"
+    method: Annotated[
+        Literal["euler", "rk4"], Setting("explicit Euler as in Lei & Li 2017, or Runge-Kutta of fourth order")
+    ]
+    schedule: Annotated[
+        tuple[Any, ...],
+        Setting(
+            "changes in flight, each {t: s, payload: kg, lift_scale: [a factor per rotor], profile_drag_scale: factor}"
+        ),
+    ] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for change in self.schedule:
+            unknown = sorted({*change} - {"t", *CHANGES}) if isinstance(change, Mapping) else [str(change)]
+            if unknown or "t" not in change:
+                found = f"unknown {unknown[0]!r}" if unknown else "no t"
+                raise UsageError(f"plant.schedule: {found}; each change is {{t: s, {', '.join(CHANGES)}}}")
+
+    def build(self, given: Given) -> BladeElementPlant:
+        """See PlantPart; UsageError where the vehicle has no rotors of known shape."""
+        if given.vehicle.rotor is None:
+            raise UsageError(
+                f"plant={self.name}: vehicle={given.vehicle.name} has no vehicle.rotor (its rotors' shape);"
+                " vehicle=lei_li has"
+            )
+        changes = []
+        for change in self.schedule:
+            values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in change.items()}
+            changes.append(PlantChange(**values))
+        return BladeElementPlant(
+            given.vehicle,
+            part(BladeCoefficients, self),
+            part(BladeElementEffects, self),
+            step=self.step,
+            method=self.method,
+            schedule=changes,
+            backend=self.backend,
+        )
 
 
 class BladeElementPlant(SimulatedPlant):

@@ -13,23 +13,53 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, reduce
+from typing import Annotated, ClassVar
 
 import casadi as ca
 
-from quadexp.config.lei_li import BladeElementEffects
+from quadexp.config.settings import Setting, Settings
 from quadexp.physics.blade_element import ADOPTED, PRINTED, CrossTerms, aerodynamic_wrench, rotor_flow
 from quadexp.physics.expression import Expression
 from quadexp.physics.induced_velocity import Balance, balance, newton, solution_function, starting_point
 from quadexp.physics.rigid_body import body_features, state_derivative
-from quadexp.physics.rotor import C_LA, STANDING, THETA
+from quadexp.physics.rotor import C_LA, IDLE_SPEED, STANDING, THETA
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
+from quadexp.world.base import PAYLOAD_MASS
 from quadexp.world.integrator import STEP_INPUTS, Equations, integrate
 
 FIRST_ITERATIONS = 6  # Newton steps at the beginning of a period
 ITERATIONS = 2  # Newton steps at every later evaluation
 ROUGH_ITERATIONS = 4  # Newton steps at the first evaluation of a step, where wind and thrusts jump between steps
 LARGEST_CHANGE = 1e-5  # m/s, of the last Newton step; the error left is of the order of its square
+
+
+@dataclass(frozen=True)
+class BladeElementEffects(Settings):
+    """What differs from the paper's plant, or the options it has."""
+
+    prefix: ClassVar[str] = "plant."
+
+    printed_coefficients: Annotated[
+        bool, Setting("use the cross terms of equations (14) and (15) with their misprints, for comparison only")
+    ] = False
+    rotor_local_velocity: Annotated[
+        bool, Setting("the air velocity at each rotor includes the body rates: v + w x r in place of v")
+    ] = False
+    motor_lag: Annotated[float, Setting("time constant of the rotor speeds; 0: no lag", "[0, 1]", "s")] = 0.0
+    rotor_speed_min: Annotated[
+        float,
+        Setting(
+            "idle speed of the rotors; with 0 they may stop, which the model can describe in still air only",
+            "[0, 1000]",
+            "rad/s",
+        ),
+    ] = IDLE_SPEED
+    rotor_speed_max: Annotated[
+        float | None, Setting("largest speed of the rotors; null: no limit", "(0, 1e5]", "rad/s")
+    ] = None
+    thrust_limits: Annotated[bool, Setting("clip commands to the vehicle's thrust limits (the paper does not)")] = False
+    payload: Annotated[float, PAYLOAD_MASS] = 0.0
 
 
 @dataclass(frozen=True)

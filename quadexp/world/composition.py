@@ -159,7 +159,7 @@ class _Parts:
 
     def __init__(self, equations: Equations, effects: tuple[Effect, ...], layout: Layout, vehicle: Vehicle) -> None:
         self._equations, self._effects, self._layout, self._vehicle = equations, effects, layout, vehicle
-        self._kind: Any = ca.MX if any(effect.kind is ca.MX for effect in effects) else ca.SX
+        self._kind: Any = ca.MX if any(effect.symbols == "MX" for effect in effects) else ca.SX
         # Effects whose inner states change from step to step, and those that only use them in the steps.
         self.moving = [i for i, effect in enumerate(effects) if effect.has("advance")]
         acting = [i for i, one in enumerate(effects) if any(map(one.has, ("wind", "thrusts", "wrench")))]

@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from quadexp.config.world import ConstantWindKeys
+from quadexp.config.settings import Setting, Triple
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
 
 
-@dataclass(frozen=True)
-class ConstantWind(ConstantWindKeys, Effect):
-    """See ConstantWindKeys. parameters: velocity (3,), world (m/s)."""
+@dataclass(frozen=True, kw_only=True)
+class MeanWind(Effect):
+    """Air that moves at one velocity, and what subclasses add to it."""
 
     stage = "wind"
+    prefix = "wind."
+
+    velocity: Annotated[Triple, Setting("velocity of the air, world", "[-50, 50]", "m/s")] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConstantWind(MeanWind):
+    """The same wind everywhere and at all times. parameters: velocity (3,), world (m/s)."""
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
         """See Effect.sizes."""

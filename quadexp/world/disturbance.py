@@ -10,15 +10,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
-from quadexp.config.airframe import DisturbanceKeys
+from quadexp.config.settings import Setting, Triple
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
+
+ZERO = (0.0, 0.0, 0.0)
 
 
 def active_share(t: Expression, step: Expression, start: Expression, end: Expression) -> Expression:
@@ -26,9 +28,19 @@ def active_share(t: Expression, step: Expression, start: Expression, end: Expres
     return ca.fmax(ca.fmin(t + step, end) - ca.fmax(t, start), 0) / step
 
 
-@dataclass(frozen=True)
-class Disturbance(DisturbanceKeys, Effect):
-    """See DisturbanceKeys. parameters: force (3,), world (N); torque (3,), body (N m); onset and end (s)."""
+@dataclass(frozen=True, kw_only=True)
+class Disturbance(Effect):
+    """A force and a torque from outside.
+
+    Parameters: force (3,), world (N); torque (3,), body (N m); onset and end (s).
+    """
+
+    prefix: ClassVar[str] = "external."
+
+    force: Annotated[Triple, Setting("force at the centre of mass, world", "[-1000, 1000]", "N")] = ZERO
+    torque: Annotated[Triple, Setting("torque, body", "[-1000, 1000]", "N m")] = ZERO
+    onset: Annotated[float, Setting("when they begin to act", "[0, 14400]", "s")] = 0.0
+    duration: Annotated[float | None, Setting("how long they act; null: to the end", "(0, 14400]", "s")] = None
 
     stage = "external"
 

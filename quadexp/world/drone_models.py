@@ -19,19 +19,23 @@ drone-models: MIT licence, M. Rath and M. Schuck, University of Toronto (utiasDS
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from quadexp.air.base import Residual, feature_names, symbolic_residual
-from quadexp.config.foreign import DroneModelsKeys
+from quadexp.config.part import Given
+from quadexp.config.settings import Setting, Settings, Triple, part
 from quadexp.errors import UsageError
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.expression import Expression
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
+from quadexp.world.base import PlantPart
 from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, RotorSpeedPlant, integrate
 
 THRUST, TORQUE, UP, DOWN, DRAG, INERTIA = (
@@ -40,6 +44,53 @@ THRUST, TORQUE, UP, DOWN, DRAG, INERTIA = (
 N_PARAMETERS = 14
 RPM = math.pi / 30  # rad/s
 OTHER_ROTOR = 0.1  # of the thrust per rotor speed squared in hover: more is another vehicle's
+
+
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class DroneModelsKeys(Settings):
+    """Rotors and drag of the first-principles model of drone-models 0.1, with the numbers of its cf2x_L250."""
+
+    prefix: ClassVar[str] = "plant."
+
+    thrust_curve: Annotated[
+        Triple, Setting("rpm2thrust: thrust of a rotor as a polynomial of its rpm, N, N/rpm, N/rpm^2", "[-1, 1]")
+    ] = (0.0, -5.382196214637237e-7, 2.4582929831265485e-10)
+    torque_curve: Annotated[
+        Triple,
+        Setting("rpm2torque: reaction torque as a polynomial of the rpm, N m, N m/rpm, N m/rpm^2", "[-1, 1]"),
+    ] = (0.0, 1.410454111996297e-9, 1.4592584373980652e-12)
+    spin_up: Annotated[
+        Pair,
+        Setting(
+            "rotor_dyn_coef: rpm' per command minus rpm, and per difference of squares, 1/s, 1/(rpm s)", "[0, 1e4]"
+        ),
+    ] = (7.355623702172756, 0.0)
+    spin_down: Annotated[Pair, Setting("the same where the command is below the speed, 1/s, 1/(rpm s)", "[0, 1e4]")] = (
+        0.0,
+        0.00024443862952110715,
+    )
+    linear_drag: Annotated[Triple, Setting("drag force per velocity, body axes (drag_matrix)", "[0, 100]", "N s/m")] = (
+        0.01471782,
+        0.01471782,
+        0.01277641,
+    )
+    propeller_inertia: Annotated[
+        float, Setting("of one propeller about its axis (prop_inertia)", "[0, 1]", "kg m^2")
+    ] = 34.52e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class DroneModels(DroneModelsKeys, PlantPart):
+    """drone-models' first-principles equations."""
+
+    former_kind = "drone_models"
+
+    def build(self, given: Given) -> DroneModelsPlant:
+        """See PlantPart."""
+        return DroneModelsPlant(given.vehicle, part(DroneModelsKeys, self), step=self.step, backend=self.backend)
 
 
 class DroneModelsPlant(RotorSpeedPlant):

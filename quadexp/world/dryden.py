@@ -36,16 +36,18 @@ import math
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
 
-from quadexp.config.wind import DrydenKeys
+from quadexp.config.settings import Setting, Triple
+from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.state import VELOCITY
 from quadexp.physics.vehicle import Vehicle
-from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
+from quadexp.world.constant_wind import MeanWind
+from quadexp.world.effect import Clock, Moment, Sizes, Start
 from quadexp.world.streams import NEVER, TICK, Ticking
 
 FOOT = 0.3048  # m
@@ -105,14 +107,58 @@ def turbulence(filters: Expression, intensity: Expression) -> Expression:
     return intensity * ca.vertcat(filters[0], across, vertical)
 
 
-@dataclass(frozen=True)
-class Dryden(DrydenKeys, Effect):
-    """See DrydenKeys. inner: filter states (5,); the wind with which the control period begins and what each of its
+@dataclass(frozen=True, kw_only=True)
+class Dryden(MeanWind):
+    """A mean wind and turbulence after Dryden.
+
+    Inner: filter states (5,); the wind with which the control period begins and what each of its
     ticks adds (3, 1 + k), world (m/s), column by column, and when each tick is (k,) (s).
 
     parameters: mean wind (3,), world (m/s); axes (9,), column by column; intensity (3,) (m/s); scale lengths (3,) (m);
     least and largest airspeed at which the turbulence passes (m/s); how long a wind is held (s).
     """
+
+    intensity: Annotated[
+        Triple | None,
+        Setting(
+            "standard deviations along the mean wind, across and vertical; null: by altitude and wind_at_6m",
+            "[0, 50]",
+            "m/s",
+        ),
+    ] = None
+    wind_at_6m: Annotated[
+        float | None,
+        Setting(
+            "wind speed 6 m over the ground that sets the intensity; null: that of the mean wind", "[0, 50]", "m/s"
+        ),
+    ] = None
+    altitude: Annotated[
+        float,
+        Setting("height over the ground that sets scale lengths, and intensities by wind_at_6m", "[3.048, 304.8]", "m"),
+    ] = 6.096
+    length: Annotated[
+        Triple | None,
+        Setting("scale lengths along, across and vertical; null: by altitude", "[0.01, 10000]", "m"),
+    ] = None
+    airspeed: Annotated[
+        float | None,
+        Setting(
+            "speed at which the turbulence passes; null: the vehicle's own through the mean wind, by control period",
+            "[0.01, 100]",
+            "m/s",
+        ),
+    ] = None
+    airspeed_min: Annotated[
+        float,
+        Setting("least of the vehicle's own airspeed that counts: air does not stand frozen", "[0.01, 100]", "m/s"),
+    ] = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.intensity is not None and self.wind_at_6m is not None:
+            raise UsageError(
+                f"wind.wind_at_6m={self.wind_at_6m:g}: wind.intensity is given too; one of the two sets the intensity"
+            )
 
     stage = "wind"
 

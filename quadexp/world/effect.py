@@ -20,6 +20,7 @@ from typing import Any, ClassVar, NamedTuple
 import casadi as ca
 import numpy as np
 
+from quadexp.config.part import Part
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
@@ -111,15 +112,16 @@ class Readings(NamedTuple):
 Told = dict[str, ca.MX]  # readings by name: "state" (13,), "specific_force" (3,), and what sensors add for estimators
 
 
-class Effect:
+@dataclass(frozen=True, kw_only=True)
+class Effect(Part):
     """Base of all effects: does nothing. A subclass overrides the hooks that it needs.
 
-    stage: one of STAGES. kind: of the expressions that its hooks can be written in; ca.MX for what SX cannot say, such
-    as an interpolation table. loop_delay, loop_lag: s, what it adds to the loop, for the loop's margins.
+    stage: one of STAGES. symbols: "SX" or "MX", the expressions that its hooks can be written in; MX for what SX cannot
+    say, such as an interpolation table. loop_delay, loop_lag: s, what it adds to the loop, for the loop's margins.
     """
 
     stage: ClassVar[str]
-    kind: ClassVar[type] = ca.SX
+    symbols: ClassVar[str] = "SX"
 
     @property
     def part(self) -> str:

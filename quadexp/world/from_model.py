@@ -11,14 +11,49 @@ density, held for 0.5 ms whatever the integration step (see Held in streams.py).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
 import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
+from quadexp.config.part import Given
+from quadexp.config.settings import Setting
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
+from quadexp.world.base import FORCE_DENSITY, TORQUE_DENSITY, PlantPart
 from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, SimulatedPlant, integrate
+
+
+@dataclass(frozen=True, kw_only=True)
+class FromModel(PlantPart):
+    """A model identified from flights as the truth; see quadexp/world/from_model.py. model: its checkpoint folder."""
+
+    former_kind = "from_model"
+    model: Annotated[str, Setting("checkpoint folder of the model that is taken as the truth")]
+    residual: Annotated[
+        Literal["best", "linear", "quadratic", "blade_element", "gaussian_process"],
+        Setting(
+            "which model of an identified vehicle; best: the one that identification chose; not used where the"
+            " checkpoint is a Gaussian process"
+        ),
+    ] = "best"
+    force_noise_density: Annotated[float, FORCE_DENSITY] = 0.0
+    torque_noise_density: Annotated[float, TORQUE_DENSITY] = 0.0
+
+    def build(self, given: Given) -> FromModelPlant:
+        """See PlantPart; the model was fitted to given.believed."""
+        return FromModelPlant(
+            given.vehicle,
+            given.plant_model(self.model, self.residual),
+            model_mass=None if given.believed is given.vehicle else given.believed.mass,
+            step=self.step,
+            force_noise_density=self.force_noise_density,
+            torque_noise_density=self.torque_noise_density,
+            backend=self.backend,
+        )
 
 
 class FromModelPlant(SimulatedPlant):

@@ -7,16 +7,38 @@ A receiver's errors are not white in truth: those of position wander over minute
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
 import casadi as ca
 import numpy as np
 
-from quadexp.config.sensing import GnssKeys
+from quadexp.config.part import Part
+from quadexp.config.settings import Setting, Triple
 from quadexp.physics.expression import Expression
 from quadexp.physics.state import POSITION, VELOCITY
-from quadexp.world.aid import Aid, Innovation
+from quadexp.world.aid import OUTAGE, RATE, SHARE, Aid, Innovation
 from quadexp.world.eskf import D_POSITION, D_VELOCITY
 
 PLACES = [*D_POSITION, *D_VELOCITY]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GnssKeys(Part):
+    """Position and velocity from satellites; see quadexp/world/gnss.py."""
+
+    prefix: ClassVar[str] = "sensor."
+
+    gnss_rate: Annotated[float, Setting("fixes a second, at most imu_rate", RATE, "Hz")] = 10.0
+    gnss_delay: Annotated[float, Setting("between the fix's time and the fix at hand", "[0, 2]", "s")] = 0.1
+    gnss_position_noise: Annotated[
+        Triple, Setting("standard deviation of the position, east, north, up; white", "(0, 100]", "m")
+    ] = (0.0085, 0.0085, 0.015)
+    gnss_velocity_noise: Annotated[
+        Triple, Setting("standard deviation of the velocity, east, north, up; white", "(0, 100]", "m/s")
+    ] = (0.05, 0.05, 0.05)
+    gnss_dropout: Annotated[float, SHARE] = 0.01
+    gnss_outage: Annotated[float, OUTAGE] = 0.5
 
 
 def gnss(keys: GnssKeys) -> Aid:

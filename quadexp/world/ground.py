@@ -10,12 +10,12 @@ for, acts along z_body at the rotor; its speed does not change.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
-from quadexp.config.airframe import GroundKeys
+from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
@@ -46,12 +46,24 @@ def ground_wrench(
     return ca.mtimes(R, ca.vertcat(0, 0, ca.sum1(added))), torque
 
 
-@dataclass(frozen=True)
-class GroundEffect(GroundKeys, Effect):
-    """See GroundKeys. parameters: positions of the rotors (3 n,), radius, height of the ground, limit of height (m).
+@dataclass(frozen=True, kw_only=True)
+class GroundEffect(Effect):
+    """The ground beneath the rotors.
+
+    Parameters: positions of the rotors (3 n,), radius, height of the ground, limit of height (m).
 
     Raises UsageError at the beginning of a flight where no radius is known.
     """
+
+    prefix: ClassVar[str] = "ground."
+
+    height: Annotated[float, Setting("height of the ground, world", "[-1000, 1000]", "m")] = 0.0
+    height_max: Annotated[
+        float, Setting("height of a rotor over the ground above which the ground has no effect", "(0, 1000]", "m")
+    ] = 2.0
+    rotor_radius: Annotated[
+        float | None, Setting("radius of a rotor; null: vehicle.rotor.radius", "[0.001, 10]", "m")
+    ] = None
 
     stage = "ground"
 

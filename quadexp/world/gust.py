@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
 
-from quadexp.config.wind import GustKeys
+from quadexp.config.settings import Setting, Triple
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
-from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
+from quadexp.world.constant_wind import MeanWind
+from quadexp.world.effect import Clock, Moment, Sizes, Start
 
 
 def one_minus_cosine(t: Expression, start: Expression, duration: Expression, amplitude: Expression) -> Expression:
@@ -29,9 +30,22 @@ def one_minus_cosine(t: Expression, start: Expression, duration: Expression, amp
     return amplitude / 2 * (1 - ca.cos(2 * math.pi * share))
 
 
-@dataclass(frozen=True)
-class Gust(GustKeys, Effect):
-    """See GustKeys. parameters: mean wind (3,) and amplitude (3,), world (m/s), onset and duration (s)."""
+@dataclass(frozen=True, kw_only=True)
+class Gust(MeanWind):
+    """A mean wind and one gust of one-minus-cosine shape.
+
+    Parameters: mean wind (3,) and amplitude (3,), world (m/s), onset and duration (s).
+    """
+
+    amplitude: Annotated[Triple, Setting("velocity that the gust adds at its peak, world", "[-50, 50]", "m/s")] = (
+        5.0,
+        0.0,
+        0.0,
+    )
+    onset: Annotated[float, Setting("when the gust begins", "[0, 14400]", "s")] = 2.0
+    duration: Annotated[
+        float, Setting("how long it lasts: its length over the airspeed it is met at", "[0.01, 14400]", "s")
+    ] = 2.0
 
     stage = "wind"
 

@@ -9,15 +9,30 @@ world axes: its east component tells the error of heading at every attitude, and
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
 import casadi as ca
 import numpy as np
 
-from quadexp.config.sensing import HeadingKeys
+from quadexp.config.part import Part
+from quadexp.config.settings import Setting
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE
-from quadexp.world.aid import Aid, Innovation
+from quadexp.world.aid import RATE, Aid, Innovation
 from quadexp.world.eskf import D_ATTITUDE
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeadingKeys(Part):
+    """North from a magnetometer; see quadexp/world/heading.py."""
+
+    prefix: ClassVar[str] = "sensor."
+
+    heading_rate: Annotated[float, Setting("readings a second, at most imu_rate", RATE, "Hz")] = 50.0
+    heading_delay: Annotated[float, Setting("between the reading's time and the reading at hand", "[0, 1]", "s")] = 0.0
+    heading_noise: Annotated[float, Setting("standard deviation of the heading; white", "(0, 3]", "rad")] = 0.035
 
 
 def heading(keys: HeadingKeys) -> Aid:

@@ -12,19 +12,49 @@ has the standard deviation s / sqrt(h) in a mean over h. The model of noise is t
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
 import casadi as ca
 import numpy as np
 
-from quadexp.config.sensing import ImuKeys
+from quadexp.config.part import Part
+from quadexp.config.settings import Setting
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import conjugate, exponential, logarithm, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, VELOCITY
+from quadexp.world.aid import RATE
 
 N_READING = 6  # [a_m, w_m]
 N_BIAS = 6  # [b_a, b_g]
 N_NOISE = N_READING + N_BIAS
 N_DENSITIES = 4
 FORCE, TURN = slice(0, 3), slice(3, 6)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImuKeys(Part):
+    """An accelerometer and a gyroscope; see quadexp/world/imu.py."""
+
+    prefix: ClassVar[str] = "sensor."
+
+    imu_rate: Annotated[
+        float, Setting("readings a second; the next whole number of them in a control period", RATE, "Hz")
+    ] = 200.0
+    accelerometer_noise_density: Annotated[
+        float, Setting("white noise of the specific force", "[0, 10]", "m/s^2/sqrt(Hz)")
+    ] = 2e-3
+    gyroscope_noise_density: Annotated[float, Setting("white noise of the rates", "[0, 10]", "rad/s/sqrt(Hz)")] = (
+        1.6968e-4
+    )
+    accelerometer_bias_std: Annotated[
+        float, Setting("standard deviation of the bias that is drawn for a flight, each axis", "[0, 10]", "m/s^2")
+    ] = 0.05
+    gyroscope_bias_std: Annotated[
+        float, Setting("standard deviation of the bias that is drawn for a flight, each axis", "[0, 1]", "rad/s")
+    ] = 0.005
+    accelerometer_bias_walk: Annotated[float, Setting("random walk of the bias", "[0, 10]", "m/s^3/sqrt(Hz)")] = 3e-3
+    gyroscope_bias_walk: Annotated[float, Setting("random walk of the bias", "[0, 1]", "rad/s^2/sqrt(Hz)")] = 1.9393e-5
 
 
 def densities(keys: ImuKeys) -> np.ndarray:

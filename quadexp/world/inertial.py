@@ -22,17 +22,16 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from quadexp.config.sensing import GnssKeys, HeadingKeys, ImuKeys, MotionCaptureKeys
 from quadexp.errors import UsageError
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world import imu
 from quadexp.world.aid import N_CLOCK, N_SAMPLING, Aid, sample
 from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
-from quadexp.world.gnss import gnss
-from quadexp.world.heading import heading
-from quadexp.world.imu import FORCE, N_BIAS, N_DENSITIES
-from quadexp.world.motion_capture import motion_capture
+from quadexp.world.gnss import GnssKeys, gnss
+from quadexp.world.heading import HeadingKeys, heading
+from quadexp.world.imu import FORCE, N_BIAS, N_DENSITIES, ImuKeys
+from quadexp.world.motion_capture import MotionCaptureKeys, motion_capture
 from quadexp.world.streams import TICK, Drawn, Held, Sampled
 
 WALK = 0.02  # s, see Held

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
-from quadexp.config.world import LatencyKeys
+from quadexp.config.settings import Setting
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
@@ -27,9 +27,17 @@ from quadexp.world.streams import NEVER, Sampled
 ROUNDING = 1e-11  # s, by which a command may come before or after a step and count as coming with it
 
 
-@dataclass(frozen=True)
-class Latency(LatencyKeys, Effect):
-    """See LatencyKeys."""
+@dataclass(frozen=True, kw_only=True)
+class Latency(Effect):
+    """Commands that arrive late, or not at all."""
+
+    prefix: ClassVar[str] = "link."
+
+    latency: Annotated[float, Setting("least time between a command and its thrust", "[0, 0.5]", "s")] = 0.0
+    jitter: Annotated[
+        float, Setting("what a command may take longer, uniform from command to command", "[0, 0.5]", "s")
+    ] = 0.0
+    drop: Annotated[float, Setting("probability that a command is lost; the last one holds", "[0, 1)")] = 0.0
 
     stage = "link"
 

@@ -8,15 +8,37 @@ A filter compares p_m - p and Log(q* o q_m), which to first order are the errors
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
 import casadi as ca
 import numpy as np
 
-from quadexp.config.sensing import MotionCaptureKeys
+from quadexp.config.part import Part
+from quadexp.config.settings import Setting
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import conjugate, exponential, logarithm, product
 from quadexp.physics.state import ATTITUDE, POSITION
-from quadexp.world.aid import Aid, Innovation
+from quadexp.world.aid import OUTAGE, RATE, SHARE, Aid, Innovation
 from quadexp.world.eskf import D_ATTITUDE, D_POSITION, D_VELOCITY
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionCaptureKeys(Part):
+    """Position and attitude from cameras; see quadexp/world/motion_capture.py."""
+
+    prefix: ClassVar[str] = "sensor."
+
+    pose_rate: Annotated[float, Setting("poses a second, at most imu_rate", RATE, "Hz")] = 100.0
+    pose_delay: Annotated[float, Setting("between the exposure and the pose at hand", "[0, 1]", "s")] = 0.01
+    pose_position_noise: Annotated[float, Setting("standard deviation of the position, each axis", "(0, 10]", "m")] = (
+        1e-3
+    )
+    pose_attitude_noise: Annotated[
+        float, Setting("standard deviation of the attitude, about each body axis", "(0, 1]", "rad")
+    ] = 5e-3
+    pose_dropout: Annotated[float, SHARE] = 0.01
+    pose_outage: Annotated[float, OUTAGE] = 0.05
 
 
 def motion_capture(keys: MotionCaptureKeys) -> Aid:

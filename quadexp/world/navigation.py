@@ -19,13 +19,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadexp.config.sensing import EskfKeys
+from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
@@ -44,12 +44,23 @@ VARIANCES = tuple(f"est_var_{kind}_{axis}" for kind in ("p", "v", "theta", "bias
 
 
 @dataclass(frozen=True, kw_only=True)
-class Navigation(EskfKeys, Effect):
+class Navigation(Effect):
     """The filter that joins the readings of a world's inertial sensors.
 
     inner states: nominal state (16,), upper triangle of the covariance (120,), queue (e, d): of each reading the IMU's
-    and, for each aid, whether there is a fix, and the fix. Readings of before the flight have the interval zero.
-    """
+    and, for each aid, whether there is a fix, and the fix. Readings of before the flight have the interval zero."""
+
+    prefix: ClassVar[str] = "estimator."
+
+    process_factor: Annotated[
+        float, Setting("factor on the standard deviations of the IMU's noise that the filter believes", "(0, 1000]")
+    ] = 1.0
+    measurement_factor: Annotated[
+        float, Setting("factor on the standard deviations of the aids' noise that the filter believes", "(0, 1000]")
+    ] = 1.0
+    warm_up: Annotated[
+        float, Setting("how long the vehicle has stood, with the filter running, when a flight begins", "[0, 600]", "s")
+    ] = 10.0
 
     stage = "estimator"
 

@@ -8,24 +8,50 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
-from quadexp.config.motors import RotorLossKeys
+from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
 from quadexp.world.rotor_columns import first_rotor_column, rotor_column, rotor_column_factor, rotor_column_names
 
+FAILURE = ("rotor", "t", "factor")
+
 ROUNDING = 1e-9  # s; a loss at the beginning of a step acts in it
 
 
-@dataclass(frozen=True)
-class RotorLoss(RotorLossKeys, Effect):
-    """See RotorLossKeys."""
+@dataclass(frozen=True, kw_only=True)
+class RotorLoss(Effect):
+    """Rotors that lose part of their thrust."""
+
+    prefix: ClassVar[str] = "health."
+
+    losses: Annotated[
+        tuple[Any, ...],
+        Setting("{rotor: number from 0, t: s, factor: share of its thrust that it has from then on} each"),
+    ] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for loss in self.losses:
+            if not isinstance(loss, Mapping) or {*loss} != {*FAILURE}:
+                found = sorted(loss) if isinstance(loss, Mapping) else loss
+                raise UsageError(f"health.losses: {found}; each loss is {{rotor: number, t: s, factor: 0 .. 1}}")
+            numbers = [loss[name] for name in FAILURE]
+            if not all(isinstance(one, int | float) and not isinstance(one, bool) for one in numbers):
+                raise UsageError(f"health.losses: rotor, t and factor are {numbers}, all must be numbers")
+            if int(loss["rotor"]) != loss["rotor"] or loss["rotor"] < 0:
+                raise UsageError(f"health.losses: rotor {loss['rotor']}: must be a rotor's number, from 0")
+            if not 0 <= loss["factor"] <= 2 or not 0 <= loss["t"] < float("inf"):
+                raise UsageError(
+                    f"health.losses: t {loss['t']} and factor {loss['factor']}: t must not be negative, the factor in"
+                    " [0, 2]"
+                )
 
     stage = "health"
 
@@ -64,3 +90,8 @@ class RotorLoss(RotorLossKeys, Effect):
     def advance(self, at: Moment) -> Expression:
         """See Effect.advance."""
         return rotor_column(self.thrusts(at), at.parameters[0])
+
+    @property
+    def idle(self) -> bool:
+        """See WorldPartConfig."""
+        return not self.losses

@@ -19,11 +19,15 @@ with Aerodynamics for Education and Research", arXiv 2306.04485.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
 import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual, feature_names, symbolic_residual
-from quadexp.config.foreign import RotorPyKeys
+from quadexp.config.part import Given
+from quadexp.config.settings import Setting, Settings, Triple, part
 from quadexp.errors import UsageError
 from quadexp.physics.blade_element import TINY_SPEED
 from quadexp.physics.expression import Expression
@@ -31,6 +35,7 @@ from quadexp.physics.motor import lagging_rk4_step
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.physics.vehicle import Vehicle
+from quadexp.world.base import PlantPart
 from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, RotorSpeedPlant
 
 PARASITIC, ROTOR_DRAG, INFLOW, LIFT, FLAPPING, LAG, SPEED_MIN, SPEED_MAX = slice(0, 3), 3, 4, 5, 6, 7, 8, 9
@@ -38,6 +43,46 @@ AIR = slice(0, 7)
 N_PARAMETERS = 10
 SLOWEST = 0.01  # share of rotor_speed_max, below which a controller believes that rotors do not go: w = sqrt(u / k) has
 # no slope at u = 0
+
+
+@dataclass(frozen=True)
+class RotorPyKeys(Settings):
+    """Air and motors of RotorPy 3.0's Multirotor (Folk et al. 2023), with the numbers of its Hummingbird."""
+
+    prefix: ClassVar[str] = "plant."
+
+    aero: Annotated[
+        bool, Setting("forces and torques of the air; false: thrust and reaction torque of the rotors alone")
+    ] = True
+    parasitic_drag: Annotated[
+        Triple, Setting("drag of the airframe per |v| v, body axes (c_Dx, c_Dy, c_Dz)", "[0, 100]", "N s^2/m^2")
+    ] = (0.5e-2, 0.5e-2, 1e-2)
+    rotor_drag: Annotated[
+        float, Setting("in-plane drag of a rotor per speed of rotor and air (k_d)", "[0, 1]", "kg/rad")
+    ] = 1.19e-4
+    inflow_drag: Annotated[
+        float, Setting("thrust lost to the flow along the rotor's axis, per speed of both (k_z)", "[0, 1]", "kg/rad")
+    ] = 2.32e-4
+    translational_lift: Annotated[
+        float, Setting("thrust gained by a rotor per square of the flow in its plane (k_h)", "[0, 1]", "kg/m")
+    ] = 3.39e-3
+    flapping: Annotated[
+        float, Setting("flapping moment of a rotor per speed of rotor and air (k_flap)", "[0, 1]", "kg m/rad")
+    ] = 0.0
+    motor_lag: Annotated[float, Setting("time constant of the rotor speeds (tau_m); 0: none", "[0, 1]", "s")] = 0.005
+    rotor_speed_min: Annotated[float, Setting("least rotor speed", "[0, 1e5]", "rad/s")] = 0.0
+    rotor_speed_max: Annotated[float, Setting("largest rotor speed", "(0, 1e5]", "rad/s")] = 1500.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorPy(RotorPyKeys, PlantPart):
+    """RotorPy's equations."""
+
+    former_kind = "rotorpy"
+
+    def build(self, given: Given) -> RotorPyPlant:
+        """See PlantPart."""
+        return RotorPyPlant(given.vehicle, part(RotorPyKeys, self), step=self.step, backend=self.backend)
 
 
 class RotorPyPlant(RotorSpeedPlant):

@@ -15,29 +15,75 @@ that of Sun et al. 2022, zero by default.
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
+from typing import Annotated, ClassVar
 
 import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual, feature_names, symbolic_residual
-from quadexp.config.flight import SimplifiedKeys
+from quadexp.config.part import Given
+from quadexp.config.settings import Setting, Settings, Triple, part
 from quadexp.physics.drag import linear_drag_force, quadratic_drag_force
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import thrust_loss
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
+from quadexp.world.base import FORCE_DENSITY, PAYLOAD_MASS, TORQUE_DENSITY, PlantPart
 from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, SimulatedPlant, integrate
 
 
 @dataclass(frozen=True)
-class PlantEffects(SimplifiedKeys):
-    """What acts on the vehicle besides its rotors and gravity (see SimplifiedKeys); all zero is the ideal plant."""
+class PlantEffects(Settings):
+    """What acts on the vehicle besides its rotors and gravity, with the values of Torrente et al. 2021: their noise is
+    an amplitude per step of 0.5 ms; as a spectral density it is amplitude * sqrt(0.0005 s). All zero: the ideal plant.
+    """
+
+    prefix: ClassVar[str] = "plant."
+
+    linear_drag: Annotated[Triple, Setting("linear drag coefficients, body axes", "[0, 100]", "N s/m")] = (
+        0.3,
+        0.3,
+        0.0,
+    )
+    quadratic_drag: Annotated[Triple, Setting("quadratic drag coefficients, body axes", "[0, 100]", "N s^2/m^2")] = (
+        0.08,
+        0.08,
+        0.08,
+    )
+    motor_loss: Annotated[
+        float,
+        Setting(
+            "thrust lost by the motors at full thrust, as a share; the loss is proportional to the thrust squared",
+            "[0, 1)",
+        ),
+    ] = 0.1 / 1.3**2
+    motor_noise_density: Annotated[
+        float,
+        Setting(
+            "spectral density of the white noise on the normalised thrust, at full thrust; proportional to the root of"
+            " the thrust",
+            "[0, 1]",
+            "1/sqrt(Hz)",
+        ),
+    ] = 4.47213595499958e-4
+    force_noise_density: Annotated[float, FORCE_DENSITY] = 1.118033988749895e-4
+    torque_noise_density: Annotated[float, TORQUE_DENSITY] = 1.118033988749895e-4
+    payload: Annotated[float, PAYLOAD_MASS] = 0.0
+    lift: Annotated[
+        float,
+        Setting(
+            "k of the force k (v_x^2 + v_y^2) along z_body, v the velocity in body axes",
+            "[0, 100]",
+            "N s^2/m^2",
+            noise=False,
+        ),
+    ] = 0.0
 
     @classmethod
     def none(cls) -> PlantEffects:
         """The ideal plant: what the nominal model says is what happens."""
-        return cls((0.0,) * 3, (0.0,) * 3, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return cls(ZERO, ZERO, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     @property
     def noisy(self) -> bool:
@@ -49,10 +95,22 @@ class PlantEffects(SimplifiedKeys):
         return np.hstack(astuple(self)).astype(float)
 
 
+ZERO = (0.0, 0.0, 0.0)
 N_EFFECTS = 12
 LINEAR_DRAG, QUADRATIC_DRAG, LOSS, MOTOR_NOISE, FORCE_NOISE, TORQUE_NOISE, PAYLOAD, LIFT = (
     slice(0, 3), slice(3, 6), 6, 7, 8, 9, 10, 11,
 )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simplified(PlantEffects, PlantPart):
+    """Torrente's simplified simulation."""
+
+    former_kind = "simplified"
+
+    def build(self, given: Given) -> SimplifiedPlant:
+        """See PlantPart."""
+        return SimplifiedPlant(given.vehicle, part(PlantEffects, self), step=self.step, backend=self.backend)
 
 
 class SimplifiedPlant(SimulatedPlant):

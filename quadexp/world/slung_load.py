@@ -17,19 +17,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from quadexp.config.airframe import SlungLoadKeys
+from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
-from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
-from quadexp.world.true_vehicle import with_payload
+from quadexp.world.effect import Clock, Moment, Sizes, Start
+from quadexp.world.true_vehicle import Payload, with_payload
 
 STABLE = 0.5  # largest step times angular frequency of the cable; Verlet's method is stable below 2
 
@@ -49,7 +49,7 @@ class Cable(NamedTuple):
     gravity: Any
 
 
-def cable(keys: SlungLoadKeys, gravity: float) -> Cable:
+def cable(keys: SlungLoad, gravity: float) -> Cable:
     """The cable that some settings describe, under gravity (m/s^2)."""
     stiffness = keys.mass * gravity / (keys.stretch * keys.length)
     damping = 2 * keys.damping * math.sqrt(stiffness * keys.mass)
@@ -107,13 +107,22 @@ def _vector(values: Any) -> Expression:
     return ca.DM(values) if isinstance(values, tuple) else values
 
 
-@dataclass(frozen=True)
-class SlungLoad(SlungLoadKeys, Effect):
-    """See SlungLoadKeys. inner: position (3,) (m) and velocity (3,) (m/s) of the load, world. parameters: of its Cable.
+@dataclass(frozen=True, kw_only=True)
+class SlungLoad(Payload):
+    """A point mass on a cable.
+
+    Inner: position (3,) (m) and velocity (3,) (m/s) of the load, world. parameters: of its Cable.
 
     Raises UsageError where the vehicle cannot carry it, and at the start of a flight whose integration steps are too
     long for the cable.
     """
+
+    length: Annotated[float, Setting("length of the cable, unstretched", "[0.05, 100]", "m")] = 1.0
+    stretch: Annotated[
+        float, Setting("share of its length that the payload at rest stretches the cable", "[1e-5, 0.5]")
+    ] = 0.002
+    damping: Annotated[float, Setting("damping ratio of the oscillation along the cable", "[0, 2]")] = 0.1
+    drag: Annotated[float, Setting("drag of the payload per velocity squared", "[0, 100]", "N s^2/m^2")] = 0.0
 
     stage = "external"
 

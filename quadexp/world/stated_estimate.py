@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, ClassVar, Literal
 
 import casadi as ca
 import numpy as np
 
-from quadexp.config.world import StatedEstimateKeys
+from quadexp.config.settings import Setting
 from quadexp.physics.rotation import left_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -27,10 +27,25 @@ AXES = 12  # of the noise: position, velocity, attitude, rate
 ROUNDING = 1e-6  # of an integration step, by which a delay may differ from whole steps and count as such
 
 
-@dataclass(frozen=True)
-class StatedEstimate(StatedEstimateKeys, Effect):
-    """See StatedEstimateKeys. Inner states: the true states of the last `delay`, the oldest first. parameters: standard
-    deviations of position, velocity, attitude and rate, (4,)."""
+@dataclass(frozen=True, kw_only=True)
+class StatedEstimate(Effect):
+    """The truth with stated noise and delay.
+
+    Inner states: the true states of the last `delay`, the oldest first. parameters: standard
+    deviations of position, velocity, attitude and rate, (4,).
+    """
+
+    prefix: ClassVar[str] = "estimator."
+
+    position_noise: Annotated[float, Setting("standard deviation of the position, per axis", "[0, 10]", "m")] = 0.0
+    velocity_noise: Annotated[float, Setting("standard deviation of the velocity, per axis", "[0, 10]", "m/s")] = 0.0
+    attitude_noise: Annotated[float, Setting("standard deviation of the attitude, per axis", "[0, 1]", "rad")] = 0.0
+    rate_noise: Annotated[float, Setting("standard deviation of the body rate, per axis", "[0, 10]", "rad/s")] = 0.0
+    delay: Annotated[float, Setting("age of the state that is told", "[0, 0.5]", "s")] = 0.0
+    gyro: Annotated[
+        Literal["late", "fresh"],
+        Setting("body rate that is told: as old as the rest of the state, or that of now, as a gyroscope's is"),
+    ] = "late"
 
     stage = "estimator"
 
@@ -71,3 +86,9 @@ class StatedEstimate(StatedEstimateKeys, Effect):
             rate[RATE] + noise[9:],
         )
         return ca.vec(kept[:, 1:]), told | {"state": noisy}
+
+    @property
+    def idle(self) -> bool:
+        """See WorldPartConfig."""
+        noise = (self.position_noise, self.velocity_noise, self.attitude_noise, self.rate_noise)
+        return not any((*noise, self.delay))

@@ -17,18 +17,22 @@ plant itself, experiment/build_world.py):
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
-from quadexp.config.airframe import PayloadKeys, TruthKeys
+from quadexp.config.settings import Setting, Triple
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
+
+FACTOR = "[0.1, 10]"
+POINT = "[-10, 10]"
+ZERO = (0.0, 0.0, 0.0)
 
 
 def with_factors(vehicle: Vehicle, mass: float, inertia: np.ndarray, center_of_mass: np.ndarray) -> Vehicle:
@@ -70,9 +74,26 @@ def coefficient_allocation(vehicle: Vehicle, thrust_factor: float, torque_factor
     return np.array([thrust, thrust, thrust, turn])[:, None] * vehicle.allocation
 
 
-@dataclass(frozen=True)
-class TrueVehicle(TruthKeys, Effect):
-    """See TruthKeys. parameters: coefficient_allocation (4 n,), column by column."""
+@dataclass(frozen=True, kw_only=True)
+class TrueVehicle(Effect):
+    """The true vehicle, by factors of the one that controllers believe in.
+
+    Parameters: coefficient_allocation (4 n,), column by column.
+    """
+
+    prefix: ClassVar[str] = "truth."
+
+    mass: Annotated[float, Setting("factor on the mass", FACTOR)] = 1.0
+    inertia: Annotated[Triple, Setting("factors on the moments of inertia about x, y, z", FACTOR)] = (1.0, 1.0, 1.0)
+    center_of_mass: Annotated[
+        Triple, Setting("where the true centre of mass lies from the believed one, body; rotors stay", "[-1, 1]", "m")
+    ] = ZERO
+    thrust_coefficient: Annotated[float, Setting("factor on the thrust that a rotor gives at a command", FACTOR)] = 1.0
+    torque_coefficient: Annotated[float, Setting("factor on the reaction torque per thrust", "[0, 10]")] = 1.0
+    drag: Annotated[
+        float,
+        Setting("factor on the plant's drag coefficients and lift; for plant=simplified and its presets", "[0, 10]"),
+    ] = 1.0
 
     stage = "truth"
 
@@ -94,10 +115,28 @@ class TrueVehicle(TruthKeys, Effect):
         wrench = ca.mtimes(ca.reshape(at.parameters, 4, at.thrust.numel()), at.thrust)
         return ca.mtimes(rotation_matrix(at.x[ATTITUDE]), ca.vertcat(0, 0, wrench[0])), wrench[1:]
 
+    @property
+    def idle(self) -> bool:
+        """See WorldPartConfig."""
+        factors = (self.mass, *self.inertia, self.thrust_coefficient, self.torque_coefficient, self.drag)
+        return set(factors) == {1.0} and not any(self.center_of_mass)
 
-@dataclass(frozen=True)
-class FixedPayload(PayloadKeys, Effect):
-    """See PayloadKeys."""
+
+@dataclass(frozen=True, kw_only=True)
+class Payload(Effect):
+    """A point mass that the vehicle carries."""
+
+    prefix: ClassVar[str] = "payload."
+
+    mass: Annotated[float, Setting("mass of the payload", "[0.001, 100]", "kg")] = 0.2
+    point: Annotated[
+        Triple, Setting("where it is fixed, or its cable, from the true vehicle's centre of mass, body", POINT, "m")
+    ] = ZERO
+
+
+@dataclass(frozen=True, kw_only=True)
+class FixedPayload(Payload):
+    """A payload fixed to the airframe."""
 
     stage = "truth"
 

@@ -12,12 +12,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from typing import Annotated, ClassVar
 
 import casadi as ca
 import numpy as np
 
-from quadexp.config.wind import WindFileKeys
-from quadexp.errors import DataError, UsageError
+from quadexp.config.settings import Setting
+from quadexp.errors import DataError
 from quadexp.physics.expression import Expression
 from quadexp.world.effect import Effect, Moment
 
@@ -42,20 +43,21 @@ class WindRecord:
         return table(ca.fmin(ca.fmax(t, self.t[0]), self.t[-1]))
 
 
-@dataclass(frozen=True)
-class WindFromFile(WindFileKeys, Effect):
-    """See WindFileKeys; the file is read when first used.
+@dataclass(frozen=True, kw_only=True)
+class WindFromFile(Effect):
+    """A wind that was recorded.
 
     Raises UsageError for a missing file, DataError for one without wind.
     """
 
-    stage = "wind"
-    kind = ca.MX
+    prefix: ClassVar[str] = "wind."
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not Path(self.path).is_file():
-            raise UsageError(f"wind.path: there is no file {self.path!r}")
+    path: Annotated[
+        str, Setting("CSV or Parquet file with the columns t (s), wind_x, wind_y, wind_z (m/s, world); a flight is one")
+    ]
+
+    stage = "wind"
+    symbols = "MX"
 
     @cached_property
     def record(self) -> WindRecord:

@@ -11,7 +11,7 @@ import pytest
 
 from quadexp.config.completion import complete, groups, keys
 from quadexp.config.compose import session
-from quadexp.config.schema import SCHEMAS
+from quadexp.config.schema import PARTS
 
 
 def typed(*words, conf=None):
@@ -59,7 +59,7 @@ def test_a_folder_of_ones_own(tmp_path):
 def test_every_key_offered_can_be_set_with_some_option():
     found = set()
     with session() as composer:
-        for group in SCHEMAS:
+        for group in PARTS:
             for option in composer.options(group):
                 extra = {"file": [f"{group}.path=x"], "from_model": ["plant.model=x"]}.get(option, [])
                 found |= set(flat(asdict(composer.compose([f"{group}={option}", *extra]))))

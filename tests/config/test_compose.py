@@ -13,7 +13,8 @@ from omegaconf import OmegaConf
 from quadexp.config.completion import groups
 from quadexp.config.compose import compose, expand, session
 from quadexp.config.hydra_files import register_schemas
-from quadexp.config.schema import SCHEMAS, EvaluateConfig, conf_folder
+from quadexp.config.part import part_class
+from quadexp.config.schema import PARTS, EvaluateConfig, conf_folder
 from quadexp.config.settings import plain, record
 from quadexp.errors import UsageError
 from quadexp.experiment.identity import digest, flight_entropy
@@ -43,12 +44,13 @@ def hydra_composes(overrides):
     with session(), hydra.initialize_config_dir(str(conf_folder()), version_base="1.3"):
         options = groups()  # a value that no file states is added, because defaults are the schemas'
         given = [text if text.partition("=")[0] in options else f"++{text}" for text in overrides]
-        composed = hydra.compose("config", overrides=given)
-        schemas = {group: SCHEMAS[group][composed[group]._schema_.split("/")[1]] for group in SCHEMAS}
+        composed = hydra.compose("config", overrides=given, return_hydra_config=True)
+        chosen = dict(composed.hydra.runtime.choices)
         composed = OmegaConf.to_container(composed)
-        for group, schema in schemas.items():
-            del composed[group]["_schema_"]
-            composed[group] = over(plain(schema), composed[group])
+        del composed["hydra"]
+        for group in PARTS:
+            part = part_class(group, composed[group].pop("_target_"))
+            composed[group] = over(plain(part), {"name": chosen[group]} | composed[group])
         whole = over({"evaluate": plain(EvaluateConfig), "model": None, "seed": 0, "sweep": None}, composed)
         whole["world"] = "clean"  # a name, which is made when all is composed
         return OmegaConf.to_container(OmegaConf.create(whole), resolve=True)
@@ -68,11 +70,11 @@ def test_the_quick_way_equals_hydras(overrides):
 
 def test_every_option_of_every_group_composes():
     with session() as composer:
-        for group in SCHEMAS:
+        for group in PARTS:
             for option in composer.options(group):
                 extra = {"file": [f"{group}.path=x"], "from_model": ["plant.model=x"]}.get(option, [])
                 config = composer.compose([f"{group}={option}", *extra])
-                assert isinstance(getattr(config, group), tuple(SCHEMAS[group].values()))
+                assert isinstance(getattr(config, group), composer.part(group, option))
 
 
 def test_every_experiment_expands():
@@ -287,11 +289,14 @@ class TestOwnFolder:
             ),
             ("name: racer\n\tmass: 1.0\n", r"vehicle/racer.yaml, line 2, column 1: not valid YAML: found "),
             (b"name: \xff\n", r"vehicle/racer.yaml: not valid YAML: 'utf-8' codec"),
-            ("name: racer\nmass: 1.0\n", "vehicle=racer: its file names no schema of vehicle; let it begin with"),
+            (
+                "name: racer\nmass: 1.0\n",
+                "vehicle=racer: its file names no class; let it begin with `_target_: MODULE.CLASS`",
+            ),
             ("- name\n", "racer.yaml: must be a mapping"),
-            ("", "vehicle=racer: its file names no schema of vehicle"),
+            ("", "vehicle=racer: its file names no class"),
             ("defaults: [/schema/plant/ideal@_here_]\n", "Could not load 'schema/plant/ideal'"),
-            ("defaults: [/schema/plant/simplified@_here_]\n", "vehicle=racer: its file names no schema of vehicle"),
+            ("defaults: [/schema/plant/simplified@_here_]\n", "vehicle=racer: its file names no class"),
             (
                 "defaults: [/schema/vehicle/rigid@_here_, _self_]\nname: racer\nmass: 1.0\nrate_max: 9.0\n",
                 (

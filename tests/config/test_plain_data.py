@@ -74,8 +74,8 @@ def test_references_end(folder, text):
     refused(["trajectory=mine"], folder)
     chain = [
         f"trajectory.name={'x' * 900}",
-        "trajectory.kind=${trajectory.name}${trajectory.name}",
-        "model=${trajectory.kind}",
+        "controller.name=${trajectory.name}${trajectory.name}",
+        "model=${controller.name}",
     ]
     assert "too long to be referred to" in refused(chain, folder)
 

@@ -15,16 +15,20 @@ import yaml
 
 import quadexp
 from quadexp.config.compose import compose
-from quadexp.config.flight import MPCKeys
-from quadexp.config.schema import SCHEMAS, Config, conf_folder
+from quadexp.config.option_files import OptionFiles
+from quadexp.config.part import TARGET, part_class
+from quadexp.config.schema import PARTS, Config, conf_folder
 from quadexp.config.settings import REQUIRED, Setting, Settings, declared, inside, lists, plain
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
-from quadexp.experiment.build import controller_settings
 
 PACKAGE = Path(quadexp.__file__).parent
 CONFIGURED = {"physics", "air", "reference", "learn", "world", "control"}  # rooms of what a configuration describes
-SET_BY_THE_SCHEMA = {"kind"}  # a schema gives its own value to what its base declares
+OF_THE_OBJECT = {
+    "yaw",
+    "vehicle",
+    "printed_coefficients",
+}  # what a part that is the object itself is given besides its keys
 # Dataclasses that share three or more names with a node and configure nothing: why.
 NOT_SETTINGS = {
     "SpeedProfile": "a function of three numbers, made by the path that has them",
@@ -52,7 +56,7 @@ ALL = dataclasses_of_the_package()
 
 def nodes() -> dict[str, type]:
     """Every node of the configuration, those inside others too, by its schema or key."""
-    waiting = {f"{group}/{name}": node for group, made in SCHEMAS.items() for name, node in made.items()}
+    waiting = {f"{group}/{one.__name__}": one for group in PARTS for one in OptionFiles().parts(group).values()}
     waiting[""] = Config
     found = {}
     while waiting:
@@ -67,13 +71,13 @@ NODES = nodes()
 
 def test_the_search_finds_settings_and_what_they_configure():
     names = {one.__name__ for one in ALL}
-    assert {"MPCSettings", "Vehicle", "Circle", "PlantEffects", "GPSettings", "MPCConfig", *NOT_SETTINGS} <= names
+    assert {"MPCSettings", "Vehicle", "Circle", "PlantEffects", "GPSettings", "MPC", *NOT_SETTINGS} <= names
     assert len(NODES) > 25
 
 
 @pytest.mark.parametrize("one", [one for one in ALL if issubclass(one, Settings)], ids=lambda one: one.__name__)
 def test_a_name_is_declared_by_one_class_of_a_hierarchy(one):
-    for name in {f.name for f in dataclasses.fields(one)} - SET_BY_THE_SCHEMA:
+    for name in {f.name for f in dataclasses.fields(one)}:
         places = [base.__name__ for base in one.__mro__ if name in base.__dict__.get("__annotations__", {})]
         assert len(places) == 1, f"{one.__name__}.{name} is declared by {' and by '.join(places)}"
 
@@ -93,7 +97,7 @@ def test_nothing_declares_the_settings_of_a_node_again():
 @pytest.mark.parametrize("name", NODES)
 def test_every_key_has_a_type_a_meaning_and_a_number_its_range(name):
     node = NODES[name]
-    aside = {"name", "kind", "sweep", "world", *SCHEMAS} if name == "" else {"kind"}
+    aside = {"sweep", "world", *PARTS} if name == "" else OF_THE_OBJECT
     assert {f.name for f in dataclasses.fields(node)} - aside == declared(node).keys() - aside
     for key, one in declared(node).items():
         assert isinstance(one.setting, Setting) and one.setting.meaning, key
@@ -116,21 +120,20 @@ def stated(content: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 def holds_anyway(group: str, option: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """What an option would be without what its own file states, and that."""
     content = yaml.safe_load((conf_folder() / group / f"{option}.yaml").read_text()) or {}
-    values: dict[str, Any] = {}
+    target, values = content.pop(TARGET, None), {}
     for default in content.pop("defaults", []):
-        if default.startswith("/schema/"):
-            schema = default.removeprefix(f"/schema/{group}/").partition("@")[0]
-            values = stated(plain(SCHEMAS[group][schema])) | values
-        elif default != "_self_":
+        if default != "_self_":
             inherited, own = holds_anyway(group, default)
             values |= inherited | own
+    if target is not None:
+        values = stated(plain(part_class(group, target))) | values
     return values, stated(content)
 
 
 # Vehicles are measured: their files are complete.
 OPTIONS = [
     (group, file.stem)
-    for group in SCHEMAS
+    for group in PARTS
     if group != "vehicle"
     for file in sorted((conf_folder() / group).glob("*.yaml"))
 ]
@@ -140,18 +143,9 @@ OPTIONS = [
 def test_a_file_states_only_what_differs(group, option):
     anyway, own = holds_anyway(group, option)
     again = {key: value for key, value in own.items() if lists(anyway.get(key, REQUIRED)) == value}
+    assert own.get("name") != option or "name" in anyway, "a part is named after its option"
     assert not again, f"conf/{group}/{option}.yaml states again what holds anyway"
-    assert own.keys() - anyway.keys() <= {"kind"}
-
-
-def test_what_is_configured_has_the_values_of_the_configuration():
-    config = compose(["controller.nodes=17", "controller.attitude_weight=[0,1,2,3]"]).controller
-    settings = controller_settings(config)
-    assert type(settings) is MPCSettings
-    assert {name: getattr(settings, name) for name in declared(MPCKeys)} == {
-        name: getattr(config, name) for name in declared(MPCKeys)
-    }
-    assert settings.nodes == 17 and settings.attitude_weight == (0.0, 1.0, 2.0, 3.0)
+    assert own.keys() <= anyway.keys()
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,9 @@ from scipy.signal import butter
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.config.compose import compose
-from quadexp.config.inner import INDIKeys
 from quadexp.control.base import Measurement, Window
 from quadexp.control.delivered import DeliveredThrust
-from quadexp.control.indi.law import indi_function, settled_memory
+from quadexp.control.indi.law import INDIKeys, indi_function, settled_memory
 from quadexp.control.indi.loop import INDI
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_vehicle

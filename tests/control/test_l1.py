@@ -7,13 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from quadexp.config.adaptive import L1Keys
 from quadexp.config.compose import compose
-from quadexp.config.laws import GeometricKeys
 from quadexp.control.base import Measurement
-from quadexp.control.l1 import LOGGED, L1Controller
+from quadexp.control.l1 import LOGGED, L1Controller, L1Keys
 from quadexp.control.laws.explicit import ExplicitController
-from quadexp.control.laws.geometric import GeometricController
+from quadexp.control.laws.geometric import GeometricController, GeometricKeys
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.errors import UsageError
@@ -213,7 +211,7 @@ def test_it_knows_what_its_controller_knows():
     config = compose(
         ["controller=perfect_mpc", "adaptive=l1", "controller.dead_time=0.03", "controller.motor_lag=0.02"]
     )
-    from quadexp.experiment.build_world import build_world
+    from quadexp.experiment.build import build_world
 
     vehicle = build_vehicle(config.vehicle)
     controller = build_controller(config, vehicle, build_world(config, vehicle), None)

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from quadexp.air.base import Residual, symbolic_residual
 from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.air.scaled import scaled_residual
-from quadexp.config.observers import DisturbanceObserverConfig, WindObserverConfig
 from quadexp.control.base import Measurement, Window
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.controller import PredictiveController
@@ -21,10 +20,10 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.observers import disturbance as disturbance_module
 from quadexp.control.observers import observer as observer_module
 from quadexp.control.observers import wind as wind_module
-from quadexp.control.observers.disturbance import with_disturbance_observer
+from quadexp.control.observers.disturbance import DisturbanceObserver, with_disturbance_observer
 from quadexp.control.observers.observer import COLUMNS
 from quadexp.control.observers.scaled_force import N_SCALED_STATE, SURPRISE, scaled_force_update
-from quadexp.control.observers.wind import with_wind_observer
+from quadexp.control.observers.wind import WindObserver, with_wind_observer
 from quadexp.errors import UsageError
 from quadexp.experiment.rollout import SampledReference
 from quadexp.physics.integrator import rk4_step
@@ -83,11 +82,11 @@ def mpc_of(vehicle, residual, backend="auto", **settings) -> PredictiveControlle
 
 
 def disturbance(controller, **settings):
-    return with_disturbance_observer(controller, DisturbanceObserverConfig(name="disturbance", **settings))
+    return with_disturbance_observer(controller, DisturbanceObserver(name="disturbance", **settings))
 
 
 def wind(controller, **settings):
-    return with_wind_observer(controller, WindObserverConfig(name="wind", **settings))
+    return with_wind_observer(controller, WindObserver(name="wind", **settings))
 
 
 def flown(truth, observer, reference, steps, noise=0.0, rng=None):
@@ -567,7 +566,7 @@ def test_estimates_stay_within_their_limits(vehicle):
 
 def test_the_bandwidth_of_an_anemometer(vehicle):
     """Drag slopes of a fitted model, by differences, in both directions of both horizontal axes."""
-    residual, config = make_residual("gp_with_mean", vehicle), WindObserverConfig(name="w", noise=(0.2, 0.4, 1.0))
+    residual, config = make_residual("gp_with_mean", vehicle), WindObserver(name="w", noise=(0.2, 0.4, 1.0))
     slopes = np.zeros((2, 2))
     for axis in (0, 1):
         for k, airspeed in enumerate((-5.0, 5.0)):

@@ -162,7 +162,7 @@ WORLD = [
     StatedEstimate(position_noise=0.01, velocity_noise=0.03, attitude_noise=0.01, rate_noise=0.05, delay=0.006),
     Actuator(time_constant_up=0.01, time_constant_down=0.02, rotor_scale_std=0.02),
     Battery(capacity=0.1),
-    RotorLoss(({"rotor": 1, "t": 0.31, "factor": 0.95},)),
+    RotorLoss(losses=({"rotor": 1, "t": 0.31, "factor": 0.95},)),
 ]
 
 

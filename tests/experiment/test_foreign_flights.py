@@ -6,8 +6,7 @@ import pytest
 
 from quadexp.config.compose import compose
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle
-from quadexp.experiment.build_world import build_world
+from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.fit import fit_checkpoint

@@ -12,9 +12,7 @@ import pytest
 from quadexp.config.compose import compose
 from quadexp.config.schema import controller_name
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_vehicle
-from quadexp.experiment.build_remedies import check_needs
-from quadexp.experiment.build_world import build_world
+from quadexp.experiment.build import build_vehicle, build_world, check_remedies
 from quadexp.experiment.evaluate import fly_one
 
 WORLD = ["trajectory=hover", "trajectory.duration=0.3", "external=push", "external.force=[0.5,-0.3,-0.4]"]
@@ -126,9 +124,9 @@ def test_a_scale_needs_the_thrusts_of_its_time(given, needed):
     vehicle = build_vehicle(config.vehicle)
     plant = build_world(config, vehicle)
     if needed is None:
-        check_needs(config, vehicle, plant)
+        check_remedies(config, vehicle, plant)
         return
     with pytest.raises(UsageError, match=f"^{needed}: a scale is found from rotor speeds"):
-        check_needs(config, vehicle, plant)
+        check_remedies(config, vehicle, plant)
     with pytest.raises(UsageError, match=needed):
         fly_one(config)

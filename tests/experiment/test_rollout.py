@@ -8,8 +8,8 @@ import pytest
 import quadexp as qx
 from quadexp.air.none import no_residual
 from quadexp.config.compose import compose
-from quadexp.config.dfbc import DFBCKeys
 from quadexp.control.dfbc.controller import DFBC
+from quadexp.control.dfbc.law import DFBCKeys
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.evaluate import fly_one

@@ -9,10 +9,10 @@ from quadexp.api.loop import controller
 from quadexp.config.compose import compose, expand
 from quadexp.config.schema import WORLD, world_parts
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_controller, build_plant, build_vehicle, unshared
-from quadexp.experiment.build_world import build_world
+from quadexp.experiment.build import build_controller, build_plant, build_vehicle, build_world
 from quadexp.experiment.evaluate import InfeasibleError, fly_one, generator
 from quadexp.experiment.identity import flight_entropy, flight_record
+from quadexp.experiment.kept import unshared
 from quadexp.physics.state import POSITION, STATE_COLUMNS
 from quadexp.report.margin_line import world_note
 from quadexp.report.metrics import flight_metrics

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 
 from quadexp.cli.fly import _flight_name, _results_name
 from quadexp.config.compose import compose, expand
-from quadexp.config.flight import HoverConfig
 from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.files.names import NAMED, file_name, is_name
 from quadexp.learn.checkpoint import load_model, save_model
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, write_flight, write_table
+from quadexp.reference.hover import Hover
 from quadexp.report.drawing import FigureFolder
 from quadexp.sweeps.results import prune, select
 from quadexp.sweeps.sweep import run_sweep
@@ -81,7 +81,7 @@ def test_a_sweep_writes_nothing_outside_its_folder(tmp_path):
 def test_a_name_is_one_printable_line(name, tmp_path):
     """Wherever it is read: from the configuration, a flight, a table of results, a checkpoint."""
     with pytest.raises(UsageError, match="one printable line"):
-        HoverConfig(name=name)
+        Hover(name=name)
     if not name or "\ud800" in name:
         return
     flight = write_flight(tmp_path / "a.parquet", straight_flight(config={"trajectory": {"name": name}}))

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from quadexp.config.compose import compose, session
-from quadexp.experiment.build import build_vehicle
-from quadexp.experiment.build_world import build_world
+from quadexp.experiment.build import build_vehicle, build_world
 from quadexp.experiment.evaluate import fly_one
 from quadexp.log.schema import Flight
 from quadexp.papers.sun.as_logged import RECORDED_AFTER, logged_rmse, with_logged

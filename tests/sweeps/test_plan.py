@@ -11,7 +11,8 @@ from quadexp.config.cells import Cells
 from quadexp.config.compose import compose, expand, session
 from quadexp.config.schema import WORLD, Config
 from quadexp.errors import UsageError
-from quadexp.experiment.build import find_model, input_hashes
+from quadexp.experiment.build import input_hashes
+from quadexp.experiment.checkpoints import find_model
 from quadexp.experiment.identity import FLIGHT_GROUPS
 from quadexp.log.store import read_table, write_table
 from quadexp.sweeps import keys as cell_keys

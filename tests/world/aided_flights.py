@@ -10,7 +10,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.compile.backend import BufferedFunction, realise
-from quadexp.config.sensing import EskfKeys
 from quadexp.physics.state import N_STATE, POSITION, VELOCITY
 from quadexp.world.effect import Clock, Readings, Start
 from quadexp.world.eskf import N_COVARIANCE, N_ERROR, N_NOMINAL
@@ -63,14 +62,14 @@ class AidedRun:
     def __init__(
         self,
         sensors: InertialSensors,
-        settings: EskfKeys | None = None,
+        settings: Navigation | None = None,
         *,
         period: float = 0.01,
         steps: int = 10,
         backend: str = "interpreted",
     ) -> None:
         self.clock = Clock(period, steps)
-        self.sensors, self.filter = sensors, Navigation(**asdict(settings or EskfKeys(warm_up=0.0))).among([sensors])
+        self.sensors, self.filter = sensors, Navigation(**asdict(settings or Navigation(warm_up=0.0))).among([sensors])
         self.behind = self.filter.horizon(self.clock)
         self.function = BufferedFunction(realise(_period(self.sensors, self.filter, self.clock), backend))
 

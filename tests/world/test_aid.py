@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.config.sensing import GnssKeys, HeadingKeys, MotionCaptureKeys
 from quadexp.world import eskf
 from quadexp.world.aid import Aid, sample
-from quadexp.world.gnss import gnss
-from quadexp.world.heading import heading
-from quadexp.world.motion_capture import motion_capture
+from quadexp.world.gnss import GnssKeys, gnss
+from quadexp.world.heading import HeadingKeys, heading
+from quadexp.world.motion_capture import MotionCaptureKeys, motion_capture
 from tests.states import random_state
 
 AIDS = [motion_capture(MotionCaptureKeys()), gnss(GnssKeys()), heading(HeadingKeys())]

@@ -135,7 +135,7 @@ def test_motors_battery_and_loss_act_one_after_another(lei_li):
     effects = [
         Actuator(time_constant_up=0.01, time_constant_down=0.01, rotor_scale_std=0.05),
         Battery(reference_voltage=15.0),
-        RotorLoss(({"rotor": 3, "t": 0.0, "factor": 0.8},)),
+        RotorLoss(losses=({"rotor": 3, "t": 0.0, "factor": 0.8},)),
     ]
     world = World(ideal(lei_li), effects)
     u = np.full(4, 1.2 * lei_li.hover_thrust)

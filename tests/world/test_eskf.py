@@ -8,16 +8,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from quadexp.config.sensing import EskfKeys, GnssKeys, HeadingKeys, MotionCaptureKeys
 from quadexp.errors import UsageError
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.world import eskf
 from quadexp.world.effect import Clock
-from quadexp.world.gnss import gnss
-from quadexp.world.heading import heading
+from quadexp.world.gnss import GnssKeys, gnss
+from quadexp.world.heading import HeadingKeys, heading
 from quadexp.world.inertial import ImuGnss, ImuMocap
-from quadexp.world.motion_capture import motion_capture
-from quadexp.world.navigation import KNOWN, correction, prediction
+from quadexp.world.motion_capture import MotionCaptureKeys, motion_capture
+from quadexp.world.navigation import KNOWN, Navigation, correction, prediction
 from tests.world import plain_ekf
 from tests.world.aided_flights import GRAVITY, AidedRun, errors, full, motion, standing
 
@@ -254,7 +253,7 @@ def test_at_first_the_errors_are_drawn_from_the_first_covariance():
 @both_sensors
 def test_after_standing_the_errors_are_those_of_the_covariance(make):
     """At once, of 100 flights that begin at any heading, with the biases that the sensors have anyway."""
-    run, found = AidedRun(make(), EskfKeys()), []
+    run, found = AidedRun(make(), Navigation()), []
     for seed in range(100):
         states = standing(np.arange(11))
         states[:, 3:7] = Rotation.from_euler("z", 0.1 * seed).as_quat(scalar_first=True)
@@ -275,7 +274,7 @@ def test_standing_is_what_the_filter_itself_makes_of_standing(make):
     none = {"pose_dropout": 0.0, "pose_delay": 0.0} if make is ImuMocap else {"gnss_dropout": 0.0, "gnss_delay": 0.0}
     states = standing(np.arange(0, 5 + 1e-9, 1e-3))
     stood = AidedRun(make(**still, **none)).go(states, seed=3)
-    at_once = AidedRun(make(**still, **none), EskfKeys(warm_up=5.0)).go(states[:11])
+    at_once = AidedRun(make(**still, **none), Navigation(warm_up=5.0)).go(states[:11])
     first = full(at_once.at_first[None, 16 : KNOWN.stop])[0]
     assert np.allclose(np.diag(first), np.diag(stood.covariance[-1]), rtol=5e-3, atol=0)
 
@@ -287,8 +286,8 @@ def test_the_rates_told_are_without_the_gyroscopes_bias():
 
 
 def test_factors_scale_what_the_filter_believes_and_nothing_else():
-    settings = EskfKeys(process_factor=2.0, measurement_factor=3.0)
-    plain, changed = (AidedRun(ImuMocap(), one).filter.believed(GRAVITY) for one in (EskfKeys(), settings))
+    settings = Navigation(process_factor=2.0, measurement_factor=3.0)
+    plain, changed = (AidedRun(ImuMocap(), one).filter.believed(GRAVITY) for one in (Navigation(), settings))
     assert np.allclose(changed / plain, [1, 2, 2, 2, 2, 3, 3])
 
 

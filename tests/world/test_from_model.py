@@ -7,7 +7,7 @@ import pytest
 
 from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.errors import UsageError
-from quadexp.experiment.build_identified import model_residual
+from quadexp.experiment.checkpoints import model_residual
 from quadexp.learn.checkpoint import save_model
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
 from quadexp.world.from_model import FromModelPlant

@@ -21,7 +21,7 @@ WORLDS = {
     "motors": [Actuator(time_constant_up=0.0125, time_constant_down=0.025, rotor_scale_std=0.03)],
     "battery": [Battery(capacity=0.2)],
     "compensated": [Battery(capacity=0.2, compensation=True)],
-    "loss": [RotorLoss(({"rotor": 2, "t": 0.5, "factor": 0.9},))],
+    "loss": [RotorLoss(losses=({"rotor": 2, "t": 0.5, "factor": 0.9},))],
 }
 
 

@@ -32,7 +32,10 @@ def flown(vehicle, effects, observe, rate, step, seconds=3.0):
 PARTS = {
     "plant": ([ROUGH], lambda world, x: x[[*range(*VELOCITY.indices(13)), *range(*RATE.indices(13))]]),
     "wind": ([ROUGH, Dryden(velocity=(4.0, 0.0, 0.0), airspeed=8.0)], lambda world, x: world.inner[-3:]),
-    "estimate": ([ROUGH, StatedEstimate(0.1, 0.2, 0.0, 0.3)], lambda world, x: (world.measured - x)[[0, 1, 7, 8, 10]]),
+    "estimate": (
+        [ROUGH, StatedEstimate(position_noise=0.1, velocity_noise=0.2, rate_noise=0.3)],
+        lambda world, x: (world.measured - x)[[0, 1, 7, 8, 10]],
+    ),
     "walk": ([ROUGH, ImuMocap(accelerometer_bias_walk=0.1)], lambda world, x: world.inner[:3]),
 }
 

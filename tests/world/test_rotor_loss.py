@@ -24,7 +24,7 @@ def test_a_loss_is_a_scaled_command_from_its_time_on(vehicle, kind):
     by_hand[:, 0] *= 0.9
     by_hand[5:10, 2] *= 0.7
     by_hand[10:, 2] *= 0.5
-    flown = fly(World(airframe(kind, vehicle), [RotorLoss(losses)]), x, u)[0]
+    flown = fly(World(airframe(kind, vehicle), [RotorLoss(losses=losses)]), x, u)[0]
     assert np.abs(flown - fly(airframe(kind, vehicle), x, by_hand)[0]).max() < 1e-9
     assert np.abs(flown - fly(airframe(kind, vehicle), x, u)[0])[-1].max() > 0.01
 
@@ -35,7 +35,7 @@ def test_a_loss_within_a_period_is_exact_on_the_integration_steps(vehicle):
     u = [np.full(vehicle.n_rotors, vehicle.hover_thrust)]
 
     def speed(t):
-        return fly(World(plant, [RotorLoss(({"rotor": 1, "t": t, "factor": 0.0},))]), x, u)[0][-1, 10:]
+        return fly(World(plant, [RotorLoss(losses=({"rotor": 1, "t": t, "factor": 0.0},))]), x, u)[0][-1, 10:]
 
     whole, part, none = speed(0.0), speed(0.005), speed(PERIOD)
     assert np.linalg.norm(part - none) / np.linalg.norm(whole - none) == pytest.approx(0.75, rel=0.02)
@@ -52,10 +52,10 @@ def test_a_loss_within_a_period_is_exact_on_the_integration_steps(vehicle):
 )
 def test_wrong_losses_are_refused(losses, words):
     with pytest.raises(UsageError, match=words):
-        RotorLoss(losses)
+        RotorLoss(losses=losses)
 
 
 def test_a_rotor_that_is_not_there_is_refused(vehicle):
-    world = World(airframe("from_model", vehicle), [RotorLoss(({"rotor": 4, "t": 1.0, "factor": 0.5},))])
+    world = World(airframe("from_model", vehicle), [RotorLoss(losses=({"rotor": 4, "t": 1.0, "factor": 0.5},))])
     with pytest.raises(UsageError, match="has rotors 0 to 3"):
         world.columns(PERIOD)

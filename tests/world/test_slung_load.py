@@ -7,15 +7,14 @@ import numpy as np
 import pytest
 from scipy.special import ellipk
 
-from quadexp.config.airframe import SlungLoadKeys
 from quadexp.errors import UsageError
-from quadexp.world.slung_load import advanced, cable, cable_force, cable_torque, check_step, hanging
+from quadexp.world.slung_load import SlungLoad, advanced, cable, cable_force, cable_torque, check_step, hanging
 
 G = 9.81
 
 
 def made(mass, length, **keys):
-    return cable(SlungLoadKeys(mass=mass, length=length, **keys), G)
+    return cable(SlungLoad(mass=mass, length=length, **keys), G)
 
 
 LEVEL = np.r_[np.zeros(3), 1, np.zeros(9)]

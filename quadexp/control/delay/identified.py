@@ -16,13 +16,13 @@ it of loses the vehicle. Columns: delay_known (0, 1), delay_time, delay_dead_tim
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
 
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
-from quadexp.config.delays import IdentifiedDelayConfig
+from quadexp.config.settings import Setting
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.delay.moments import Moments
 from quadexp.control.delay.prediction import STEP, Prediction, prediction_on
@@ -34,6 +34,7 @@ from quadexp.control.mpc.dead_time import DeadTimePredictor
 from quadexp.control.mpc.motor_lead import MotorLead
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
 from quadexp.control.mpc.settings import MPCSettings
+from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, innermost, layers
 from quadexp.errors import UsageError
 
@@ -51,7 +52,7 @@ class Identified(WrappedController):
 
     in_margins = True
 
-    def __init__(self, inner: Controller, config: IdentifiedDelayConfig) -> None:
+    def __init__(self, inner: Controller, config: IdentifiedPart) -> None:
         super().__init__(inner)
         self._core: Any = innermost(inner)
         self._own, self._config = self._core.settings, config
@@ -223,20 +224,37 @@ def soft(settings: MPCSettings, dead_time: float) -> MPCSettings:
     return replace(settings, first_node=0.0, horizon=horizon, position_weight=(x, y, z), dead_time=dead_time)
 
 
-def around(controller: Controller, config: IdentifiedDelayConfig) -> Controller:
-    """The controller with delays that are found in flight. Raises UsageError where it is no MPC of this program, or is
-    told of delays itself."""
-    core = innermost(controller)
-    if type(core) is not PredictiveController:
-        raise UsageError(
-            f"delay={config.name}: this controller is no MPC whose grid can follow what is found; find the delays"
-            " with `quadexp identify --method delays FLIGHT` and give them: delay=prediction or delay=strapdown"
-        )
-    if controller.control_period != core.control_period:
-        raise UsageError(f"delay={config.name}: not around an inner loop with a rate of its own; give delay.time")
-    if core.settings.dead_time or core.settings.known_lag:
-        raise UsageError(
-            f"delay={config.name}: finds dead time and lag itself; controller.dead_time, controller.motor_lag and"
-            " controller.motor_lead must be 0"
-        )
-    return Identified(controller, config)
+@dataclass(frozen=True, kw_only=True)
+class IdentifiedPart(Remedy):
+    """Delays that are found in flight."""
+
+    prefix = "delay."
+    finds_delays = True
+
+    after: Annotated[
+        float,
+        Setting(
+            "time of the flight in which delays are looked for at first; then again until all are known, and once more"
+            " each time that the flight is half as long again, until they are known well",
+            "[2, 60]",
+            "s",
+        ),
+    ] = 3.0
+    assumed: Annotated[float, Setting("dead time that is predicted until they are known", "[0, 0.1]", "s")] = 0.03
+
+    def around(self, controller: Any) -> Identified:
+        """See Remedy. Raises UsageError where the controller is no MPC of this program, or is told of delays itself."""
+        core = innermost(controller)
+        if type(core) is not PredictiveController:
+            raise UsageError(
+                f"delay={self.name}: this controller is no MPC whose grid can follow what is found; find the delays"
+                " with `quadexp identify --method delays FLIGHT` and give them: delay=prediction or delay=strapdown"
+            )
+        if controller.control_period != core.control_period:
+            raise UsageError(f"delay={self.name}: not around an inner loop with a rate of its own; give delay.time")
+        if core.settings.dead_time or core.settings.known_lag:
+            raise UsageError(
+                f"delay={self.name}: finds dead time and lag itself; controller.dead_time, controller.motor_lag and"
+                " controller.motor_lead must be 0"
+            )
+        return Identified(controller, self)

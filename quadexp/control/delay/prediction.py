@@ -15,7 +15,8 @@ time at which its command begins to act: phi goes on over the dead time, under t
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -23,9 +24,10 @@ import numpy as np
 from quadexp.air.base import Residual
 from quadexp.air.none import no_residual
 from quadexp.compile.backend import BufferedFunction, realise, resolve
-from quadexp.config.delays import PredictionConfig
+from quadexp.config.settings import Setting
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.delay.sent_commands import SETTLED, SentCommands
+from quadexp.control.delay.strapdown import KnownDelay
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.wrapped import WrappedController, innermost, layers, thrust_at_start
 from quadexp.physics.integrator import rk4_step_with_input
@@ -128,15 +130,6 @@ class Prediction(WrappedController):
         self._arguments["dt"][:], self._shown = starts - ends, late
 
 
-def around(controller: Controller, config: PredictionConfig) -> Controller:
-    """The controller behind a prediction of its measurements by its own model."""
-    settings = getattr(innermost(controller), "settings", None)
-    told = [getattr(settings, name, 0.0) for name in ("dead_time", "known_lag")]
-    given = (config.dead_time, config.motor_lag)
-    dead_time, lag = (own if one is None else one for one, own in zip(given, told, strict=True))
-    return Prediction(controller, config.time, dead_time, lag)
-
-
 _built: dict[tuple[Any, ...], ca.Function] = {}
 
 
@@ -174,3 +167,29 @@ def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) 
     q = state[ATTITUDE]
     now = ca.vertcat(state[: ATTITUDE.start], q / ca.norm_2(q), state[VELOCITY] + wind, state[VELOCITY.stop :])
     return ca.Function("delay_prediction", [*arguments.values()], [now], [*arguments], ["now"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictionPart(KnownDelay):
+    """A late state is brought to now by the controller's model."""
+
+    dead_time: Annotated[
+        float | None,
+        Setting(
+            "dead time of commands; null: what the controller predicts itself; one that is no MPC is told the state and"
+            " the reference after it",
+            "[0, 0.5]",
+            "s",
+        ),
+    ] = None
+    motor_lag: Annotated[
+        float | None, Setting("time constant of the rotors; null: what the controller knows itself", "[0, 0.5]", "s")
+    ] = None
+
+    def around(self, controller: Any) -> Prediction:
+        """See Remedy: the controller behind a prediction of its measurements by its own model."""
+        settings = getattr(innermost(controller), "settings", None)
+        told = [getattr(settings, name, 0.0) for name in ("dead_time", "known_lag")]
+        given = (self.dead_time, self.motor_lag)
+        dead_time, lag = (own if one is None else one for one, own in zip(given, told, strict=True))
+        return Prediction(controller, self.time, dead_time, lag)

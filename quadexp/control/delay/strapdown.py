@@ -17,18 +17,29 @@ the part of it that is younger than tau.
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
-from quadexp.config.delays import StrapdownConfig
+from quadexp.config.settings import Setting
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.mpc.mpc import StepRecord
+from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController
 from quadexp.physics.rotation import exponential, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownDelay(Remedy):
+    """How old the state is that the controller is told."""
+
+    prefix: ClassVar[str] = "delay."
+
+    time: Annotated[float, Setting("age of the measured state that is made good", "[0, 0.5]", "s")] = 0.01
 
 
 class Strapdown(WrappedController):
@@ -82,11 +93,6 @@ class Strapdown(WrappedController):
         return self._now.copy()
 
 
-def around(controller: Controller, config: StrapdownConfig) -> Controller:
-    """The controller behind a strapdown propagation of its measurements."""
-    return Strapdown(controller, config.time)
-
-
 _built: dict[tuple[Any, ...], ca.Function] = {}
 
 
@@ -127,3 +133,10 @@ def propagation(periods: int, gravity: float, period: float) -> ca.Function:
 def _turn(first: ca.SX, last: ca.SX, duration: ca.SX) -> ca.SX:
     """Rotation vector (3,) (rad) of a body rate that goes linearly from first to last (rad/s) in a duration (s)."""
     return duration / 2 * (first + last) + duration**2 / 12 * ca.cross(first, last)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StrapdownPart(KnownDelay):
+    """A late state is brought to now by gyroscope and accelerometer."""
+
+    remedy = "quadexp.control.delay.strapdown:around"

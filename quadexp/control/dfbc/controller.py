@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise, resolve
-from quadexp.config.dfbc import DFBCKeys
+from quadexp.config.part import Given
+from quadexp.config.settings import Backend, part
 from quadexp.control.base import Measurement, Window
 from quadexp.control.belief import Belief, no_belief
 from quadexp.control.delivered import DeliveredThrust
-from quadexp.control.dfbc.law import law_function
+from quadexp.control.dfbc.law import DFBCKeys, law_function
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
+from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.physics.vehicle import Vehicle
 
 
@@ -78,3 +82,16 @@ def _law(vehicle: Vehicle, keys: DFBCKeys, model: Residual, backend: str) -> ca.
     if key not in _built:
         _built[key] = realise(law_function(vehicle, keys, model, compiled=backend == "compiled"), backend)
     return _built[key]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlatnessBased(DFBCKeys, ControllerPart):
+    """Flatness-based control (Sun et al. 2022). residual: its model of the air."""
+
+    former_kind = "dfbc"
+    backend: Backend = "auto"
+    residual: Annotated[Literal["none", "linear_drag", "gaussian_process", "plant"], RESIDUAL] = "none"
+
+    def build(self, given: Given) -> Any:
+        """See ControllerPart."""
+        return DFBC(given.vehicle, part(DFBCKeys, self), given.residual(*self.kinds), backend=self.backend)

@@ -26,10 +26,13 @@ World ENU, body FLU, SI.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
 import casadi as ca
 
 from quadexp.air.base import N_OUTPUTS, Residual
-from quadexp.config.dfbc import DFBCKeys
+from quadexp.config.settings import Setting, Settings, Triple
 from quadexp.control.allocation import allocation
 from quadexp.control.belief import N_BELIEF
 from quadexp.physics.expression import Expression
@@ -37,9 +40,59 @@ from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
+WRENCH_WEIGHT = Setting(
+    "weight of the squared error of collective thrust (N^-2) and of roll, pitch, yaw torque ((N m)^-2) where the rotors"
+    " cannot give all of them",
+    "(0, 1e6]",
+)
+Wrench = tuple[float, float, float, float]
+TILT_FIRST: Wrench = (0.001, 10.0, 10.0, 0.1)  # of Sun et al. 2022
+
 AT_LIMIT = 1e-9  # of the thrust range
 OPPOSITE = 1e-6  # least 1 + r_z: a tilt error of 180 degrees has no axis
 SMALL = 1e-9  # of a length, below which a direction is not determined
+
+
+@dataclass(frozen=True, kw_only=True)
+class DFBCKeys(Settings):
+    """Gains with the values of Sun et al. 2022, Table I; see quadexp/control/dfbc/law.py."""
+
+    prefix: ClassVar[str] = "controller."
+
+    rate: Annotated[float, Setting("control rate", "[1, 2000]", "Hz")] = 300.0
+    position_gain: Annotated[Triple, Setting("acceleration per position error, world axes", "[0, 1e4]", "1/s^2")] = (
+        10.0,
+        10.0,
+        10.0,
+    )
+    velocity_gain: Annotated[Triple, Setting("acceleration per velocity error, world axes", "[0, 1e4]", "1/s")] = (
+        6.0,
+        6.0,
+        6.0,
+    )
+    tilt_gain: Annotated[float, Setting("angular acceleration per tilt error", "[0, 1e5]", "1/s^2")] = 150.0
+    yaw_gain: Annotated[float, Setting("angular acceleration per yaw error", "[0, 1e5]", "1/s^2")] = 3.0
+    rate_gain: Annotated[Triple, Setting("angular acceleration per body rate error", "[0, 1e4]", "1/s")] = (
+        20.0,
+        20.0,
+        8.0,
+    )
+    wrench_weight: Annotated[Wrench, WRENCH_WEIGHT] = TILT_FIRST
+    allocation: Annotated[
+        Literal["exact", "clip"],
+        Setting("exact: thrusts of the least weighted error within the limits; clip: each clipped by itself"),
+    ] = "exact"
+    inverted: Annotated[
+        Literal["continuous", "printed"],
+        Setting(
+            "upside down, continuous: the side of y_body that is nearer to the present one; printed: turned by 180"
+            " degrees where the rotors' axis passes the horizon"
+        ),
+    ] = "continuous"
+    least_thrust: Annotated[
+        float,
+        Setting("thrust, as a share of the weight, below which body rates are fed forward as at this one", "(0, 1]"),
+    ] = 0.07
 
 
 def law_function(vehicle: Vehicle, keys: DFBCKeys, residual: Residual, *, compiled: bool) -> ca.Function:

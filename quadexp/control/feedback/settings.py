@@ -2,18 +2,64 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from typing import Annotated, Any, ClassVar, Literal
 
-from quadexp.config.lei_li import FeedbackKeys
+import numpy as np
+
+from quadexp.config.part import Given
+from quadexp.config.settings import Backend, Setting, Settings, Triple, part
+from quadexp.control.part import ControllerPart
+from quadexp.errors import UsageError
+from quadexp.learn.rls import Identification
+from quadexp.physics.rotor import THETA
 
 
 @dataclass(frozen=True)
-class FeedbackSettings(FeedbackKeys):
-    """Gains, observer and safety options (see FeedbackKeys for each with its unit and range).
+class FeedbackSettings(Settings):
+    """Gains, observer and safety options, with the values of Lei & Li 2017.
 
     *_proportional, *_derivative: diagonals of K_p (1/s^2) and K_d (1/s). cone: keep the desired thrust in the cone that
     a multirotor can hold: an upward demand of at least thrust_share_min m g, tilted by at most tilt_max.
     """
+
+    prefix: ClassVar[str] = "controller."
+
+    rate: Annotated[float, Setting("control rate", "[1, 1000]", "Hz")] = 100.0
+    position_proportional: Annotated[Triple, Setting("gain on the position error", "[0, 1000]", "1/s^2")] = (
+        0.3,
+        0.3,
+        0.3,
+    )
+    position_derivative: Annotated[Triple, Setting("gain on the velocity error", "[0, 1000]", "1/s")] = (0.9, 0.9, 0.9)
+    attitude_proportional: Annotated[Triple, Setting("gain on the error of the Euler angles", "[0, 1000]", "1/s^2")] = (
+        0.8,
+        0.8,
+        0.8,
+    )
+    attitude_derivative: Annotated[Triple, Setting("gain on the error of the Euler rates", "[0, 1000]", "1/s")] = (
+        2.4,
+        2.4,
+        2.4,
+    )
+    observer_bandwidth: Annotated[
+        float,
+        Setting(
+            "bandwidth of the high-gain observer (36), which differentiates the desired angles", "(0, 1000]", "rad/s"
+        ),
+    ] = 6.0
+    cone: Annotated[bool, Setting("limit the desired thrust by thrust_share_min and tilt_max (the paper does not)")] = (
+        True
+    )
+    thrust_share_min: Annotated[
+        float, Setting("least upward component of the desired thrust", "(0, 1]", "of the weight")
+    ] = 0.3
+    tilt_max: Annotated[float, Setting("largest tilt of the desired thrust", "(0, 1.57]", "rad")] = math.radians(60.0)
+    rotor_speed_min: Annotated[float, Setting("least rotor speed that is commanded", "[0, 1000]", "rad/s")] = 50.0
+    inner_iterations: Annotated[
+        int, Setting("iterations of the fixed point, in variants that do not use the last sample's values", "[1, 1000]")
+    ] = 50
 
     @property
     def control_period(self) -> float:
@@ -52,3 +98,40 @@ VARIANTS: dict[str, Variant] = {
     "rls_noH": Variant(hub=False),
     "static_H": replace(_NOTHING, hub=True, allocation="vehicle", parameters="true"),
 }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Feedback(FeedbackSettings, ControllerPart):
+    """Compensated feedback. variant: what is compensated, and from where."""
+
+    former_kind = "feedback"
+    variant: Annotated[
+        Literal["rls", "static", "literal", "nocomp_statid", "oracle", "oracle_impl", "rls_noH", "static_H"],
+        Setting("what is compensated, and the source of the coefficients; see docs/lei_li.md"),
+    ]
+    backend: Backend = "auto"
+    rls: Annotated[Identification, Setting("recursive least squares in flight")]
+
+    @property
+    def knows_plant(self) -> bool:
+        """See ControllerPart."""
+        return VARIANTS[self.variant].parameters == "true"
+
+    def build(self, given: Given) -> Any:
+        """See ControllerPart; UsageError where it is to know coefficients that the plant does not have."""
+        from quadexp.control.feedback.aerodynamics import IdentifiedCoefficients, KnownCoefficients
+        from quadexp.control.feedback.controller import FeedbackController
+
+        variant = VARIANTS[self.variant]
+        aerodynamics: Any
+        if variant.parameters == "none":
+            aerodynamics = KnownCoefficients(np.zeros(len(THETA)), "the vehicle's thrust map")
+        elif variant.parameters == "identified":
+            estimator = self.rls.build(given.vehicle, self.backend)
+            aerodynamics = IdentifiedCoefficients(estimator, self.rls.change_threshold)
+        elif hasattr(given.plant, "coefficients"):
+            aerodynamics = KnownCoefficients(given.plant.coefficients.parameters(), "plant equations")
+        else:
+            raise UsageError(f"{self.name}: knows the plant's blade-element coefficients; plant=blade_element has them")
+        settings = part(FeedbackSettings, self)
+        return FeedbackController(given.vehicle, settings, variant, aerodynamics, backend=self.backend)

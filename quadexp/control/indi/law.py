@@ -19,17 +19,67 @@ so that a constant d_tau and a wrong J leave no steady error of alpha, as long a
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
 import casadi as ca
 import numpy as np
 from scipy.signal import butter
 
-from quadexp.config.inner import INDIKeys
+from quadexp.config.settings import Setting, Settings
 from quadexp.control.allocation import allocation
+from quadexp.control.dfbc.law import TILT_FIRST, WRENCH_WEIGHT, Wrench
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 
 NEWTON_STEPS = 5  # of (35) with I_p, from the filtered speeds; quadratic convergence
+
+
+@dataclass(frozen=True, kw_only=True)
+class INDIKeys(Settings):
+    """Incremental nonlinear dynamic inversion with the values of Sun et al. 2022; see quadexp/control/indi/law.py."""
+
+    prefix: ClassVar[str] = "inner."
+
+    rate: Annotated[
+        float, Setting("rate of the loop, a whole multiple of the controller's rate", "[1, 10000]", "Hz")
+    ] = 300.0
+    cutoff: Annotated[
+        float,
+        Setting(
+            "cut-off of the Butterworth filter of body rates and rotor speeds, below half the rate", "(0, 5000]", "Hz"
+        ),
+    ] = 12.0
+    allocation: Annotated[
+        Literal["clip", "exact"],
+        Setting("clip: each thrust clipped by itself; exact: the least weighted error within the limits"),
+    ] = "clip"
+    wrench_weight: Annotated[Wrench, WRENCH_WEIGHT] = TILT_FIRST
+    rotor_inertia: Annotated[
+        float,
+        Setting(
+            "of a rotor and motor about its axis, whose acceleration turns the vehicle; 0: neglected; needs"
+            " vehicle.thrust_coefficient",
+            "[0, 1]",
+            "kg m^2",
+        ),
+    ] = 0.0
+    spin_up_time: Annotated[
+        float,
+        Setting(
+            "time in which a rotor is thought to reach its command, for rotor_inertia: its time constant (Tal and"
+            " Karaman 2021); 0: one period of the loop, as Sun et al. 2022 print it",
+            "[0, 1]",
+            "s",
+        ),
+    ] = 0.03
+    motor_lag: Annotated[
+        float, Setting("time constant of the thrusts, where rotor speeds are not measured", "[0, 1]", "s")
+    ] = 0.0
+    dead_time: Annotated[
+        float, Setting("delay of the commands, where rotor speeds are not measured", "[0, 0.5]", "s")
+    ] = 0.0
 
 
 def indi_function(vehicle: Vehicle, keys: INDIKeys) -> ca.Function:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
-from quadexp.config.inner import INDIConfig, INDIKeys
-from quadexp.config.settings import part
+from quadexp.config.settings import Backend, part
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.delivered import DeliveredThrust
-from quadexp.control.indi.law import indi_function, settled_memory
+from quadexp.control.indi.law import INDIKeys, indi_function, settled_memory
 from quadexp.control.multirate import MultiRate
+from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.physics.state import RATE
@@ -52,7 +54,7 @@ class INDI(MultiRate):
         return thrust
 
 
-def with_indi(controller: Controller, config: INDIConfig) -> INDI:
+def with_indi(controller: Controller, config: INDIPart) -> INDI:
     """The controller inside an INDI loop.
 
     Raises UsageError where the rates do not fit, or an observer inside finds the torque that the loop removes too.
@@ -71,3 +73,14 @@ def with_indi(controller: Controller, config: INDIConfig) -> INDI:
 @lru_cache(maxsize=16)
 def _law(vehicle: Vehicle, keys: INDIKeys, backend: str) -> ca.Function:
     return realise(indi_function(vehicle, keys), backend)
+
+
+@dataclass(frozen=True, kw_only=True)
+class INDIPart(INDIKeys, Remedy):
+    """An INDI rate loop."""
+
+    backend: Backend = "auto"
+
+    def around(self, controller: Any) -> INDI:
+        """See Remedy."""
+        return with_indi(controller, self)

@@ -30,17 +30,21 @@ control_allocator (sequential desaturation); equations taken, code our own. Worl
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
 from quadexp.compile.backend import realise, resolve
-from quadexp.config.laws import CascadeKeys
+from quadexp.config.part import Given
+from quadexp.config.settings import Backend, Setting, Settings, Triple, part
 from quadexp.control.base import Window
 from quadexp.control.laws.attitude import attitude_of
 from quadexp.control.laws.desaturation import held, prioritised
-from quadexp.control.laws.explicit import ExplicitController
+from quadexp.control.laws.explicit import ExplicitController, Rate
+from quadexp.control.part import ControllerPart
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -50,6 +54,77 @@ RATE_ERROR = math.radians(400.0)  # rad/s, at which the rate loop no longer inte
 SATURATED = 1e-9  # share of a wanted torque that the mixer leaves out, from which on an axis counts as saturated
 MEMORY = {"velocity_integral": 3, "velocity": 3, "acceleration": 3, "rate_integral": 3, "rate": 3, "turning": 3}
 LOGGED = tuple(f"{name}_{axis}" for name in ("velocity_integral", "rate_integral") for axis in "xyz")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CascadeKeys(Settings):
+    """Gains and limits of a flight stack's cascade, PX4's defaults where they have a physical unit; see
+    quadexp/control/laws/cascade.py."""
+
+    prefix: ClassVar[str] = "controller."
+
+    rate: Rate = 200.0
+    position_proportional: Annotated[Triple, Setting("wanted velocity per position error", "[0, 100]", "1/s")] = (
+        0.95,
+        0.95,
+        1.0,
+    )
+    velocity_proportional: Annotated[Triple, Setting("acceleration per velocity error", "[0, 100]", "1/s")] = (
+        1.8,
+        1.8,
+        4.0,
+    )
+    velocity_integral: Annotated[Triple, Setting("rate of the integral per velocity error", "[0, 100]", "1/s^2")] = (
+        0.4,
+        0.4,
+        2.0,
+    )
+    velocity_derivative: Annotated[Triple, Setting("acceleration per filtered acceleration", "[0, 10]")] = (
+        0.2,
+        0.2,
+        0.0,
+    )
+    attitude_proportional: Annotated[
+        Triple, Setting("wanted rate per attitude error: roll, pitch, yaw", "[0, 100]", "1/s")
+    ] = (6.5, 6.5, 2.8)
+    yaw_weight: Annotated[float, Setting("weight of yaw against tilt in the attitude error", "[0, 1]")] = 0.4
+    rate_proportional: Annotated[
+        Triple, Setting("angular acceleration per rate error: roll, pitch, yaw", "[0, 1000]", "1/s")
+    ] = (20.0, 20.0, 8.0)
+    rate_integral: Annotated[
+        Triple, Setting("rate of the integral per rate error: roll, pitch, yaw", "[0, 10000]", "1/s^2")
+    ] = (27.0, 27.0, 4.0)
+    rate_derivative: Annotated[Triple, Setting("angular acceleration per filtered angular acceleration", "[0, 10]")] = (
+        0.4,
+        0.4,
+        0.0,
+    )
+    velocity_cutoff: Annotated[float, Setting("cutoff of the filter on the acceleration", "(0, 1000]", "Hz")] = 5.0
+    rate_cutoff: Annotated[float, Setting("cutoff of the filter on the angular acceleration", "(0, 1000]", "Hz")] = 30.0
+    velocity_limit: Annotated[Triple, Setting("largest wanted velocity: horizontal, up, down", "(0, 100]", "m/s")] = (
+        20.0,
+        10.0,
+        10.0,
+    )
+    tilt_limit: Annotated[float, Setting("largest wanted tilt", "(0, 1.57]", "rad")] = 1.4
+    rate_limit: Annotated[Triple, Setting("largest wanted body rates", "(0, 100]", "rad/s")] = (10.0, 10.0, 5.0)
+    thrust_least: Annotated[float, Setting("least wanted collective thrust", "(0, 1]", "of the weight")] = 0.2
+    horizontal_margin: Annotated[
+        float, Setting("thrust kept for the horizontal where the vertical needs all", "[0, 1]", "of the largest thrust")
+    ] = 0.3
+    decoupled: Annotated[
+        bool, Setting("the tilt assumes a vertical specific force of g, so that the vertical does not change it")
+    ] = True
+    rate_integral_limit: Annotated[
+        Triple, Setting("largest integral of the rate loop, angular acceleration", "[0, 1e4]", "rad/s^2")
+    ] = (40.0, 40.0, 40.0)
+    airmode: Annotated[bool, Setting("thrust may be raised where roll and pitch need it")] = False
+    yaw_margin: Annotated[
+        float, Setting("thrust that yaw may take away at the upper limit", "[0, 1]", "of the range")
+    ] = 0.15
+    rate_feedforward: Annotated[
+        bool, Setting("add the reference's body rates to the wanted ones; flight stacks take none but the yaw rate")
+    ] = False
 
 
 class CascadeController(ExplicitController):
@@ -183,3 +258,15 @@ def wanted_rate(R: Expression, R_d: Expression, keys: CascadeKeys) -> Expression
     sign = ca.if_else(reduced[0] * c < 0, -1, 1)
     proportional = np.array(keys.attitude_proportional) / [1, 1, weight if weight > 1e-4 else 1]
     return 2 * sign * ca.DM(proportional) * error
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cascade(CascadeKeys, ControllerPart):
+    """The cascade of P and PID loops of a flight stack, fed with position, velocity, acceleration and yaw."""
+
+    former_kind = "cascade"
+    backend: Backend = "auto"
+
+    def build(self, given: Given) -> Any:
+        """See ControllerPart."""
+        return CascadeController(given.vehicle, part(CascadeKeys, self), backend=self.backend)

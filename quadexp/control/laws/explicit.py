@@ -9,18 +9,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, resolve
+from quadexp.config.settings import Setting
 from quadexp.control.base import Measurement, Window
 from quadexp.control.belief import no_belief
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.physics.vehicle import Vehicle
+
+Rate = Annotated[float, Setting("control rate", "[1, 1000]", "Hz")]
 
 NO_BELIEF = np.hstack([*no_belief()])  # force, torque, wind, thrust scale, air scale
 

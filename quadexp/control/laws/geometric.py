@@ -31,18 +31,22 @@ World ENU, body FLU, SI.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated, Any, ClassVar, Literal
 
 import casadi as ca
 import numpy as np
 
 from quadexp.air.base import N_OUTPUTS, Residual
 from quadexp.compile.backend import realise, resolve
-from quadexp.config.laws import GeometricKeys
+from quadexp.config.part import Given
+from quadexp.config.settings import Backend, Setting, Settings, Triple, part
 from quadexp.control.belief import N_BELIEF, Belief
 from quadexp.control.laws.attitude import attitude_distance, attitude_error, moving_attitude
 from quadexp.control.laws.desaturation import clipped, held, prioritised
-from quadexp.control.laws.explicit import ExplicitController
+from quadexp.control.laws.explicit import ExplicitController, Rate
+from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -51,6 +55,55 @@ from quadexp.physics.vehicle import Vehicle
 E_X, E_Z = ca.DM([1, 0, 0]), ca.DM([0, 0, 1])
 FORCE, TORQUE, WIND, SCALE, AIR = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10  # of a belief, (11,)
 LOGGED = ("psi",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeometricKeys(Settings):
+    """Gains and options of geometric tracking; see quadexp/control/laws/geometric.py."""
+
+    prefix: ClassVar[str] = "controller."
+
+    rate: Rate = 100.0
+    position_bandwidth: Annotated[
+        Triple, Setting("w of the position loop, world axes: k_x = m w^2, k_v = 2 m damping w", "[0, 100]", "rad/s")
+    ] = (4.0, 4.0, 4.0)
+    position_damping: Annotated[float, Setting("damping ratio of the position loop", "[0, 10]")] = 0.9
+    attitude_bandwidth: Annotated[
+        Triple,
+        Setting("w of roll, pitch and yaw: k_R = J w^2, k_w = 2 J damping w", "[0, 1000]", "rad/s"),
+    ] = (14.0, 14.0, 6.0)
+    attitude_damping: Annotated[float, Setting("damping ratio of the attitude loop", "[0, 10]")] = 0.9
+    rates: Annotated[
+        Literal["exact", "reference", "none"],
+        Setting(
+            "desired body rate and its derivative: exact: of the desired attitude, as Lee et al. have it; reference:"
+            " those of the reference, without what feedback adds; none: zero"
+        ),
+    ] = "reference"
+    priority: Annotated[
+        Literal["tilt", "equal"],
+        Setting("where rotors reach their limits: tilt before thrust before yaw, or each rotor clipped by itself"),
+    ] = "tilt"
+    force_adaptation: Annotated[
+        float,
+        Setting(
+            "gain of the estimate of a constant acceleration (Goodarzi et al. 2015); 0: none", "[0, 1000]", "1/s^2"
+        ),
+    ] = 0.0
+    torque_adaptation: Annotated[
+        float,
+        Setting("gain of the estimate of a constant angular acceleration; 0: none", "[0, 1e5]", "1/s^2"),
+    ] = 0.0
+    position_share: Annotated[
+        float, Setting("c_1: share of the position error in the adaptation", "[0, 100]", "1/s")
+    ] = 2.0
+    attitude_share: Annotated[
+        float, Setting("c_2: share of the attitude error in the adaptation", "[0, 1000]", "1/s")
+    ] = 7.0
+    force_limit: Annotated[float, Setting("largest acceleration that is adapted", "[0, 100]", "m/s^2")] = 5.0
+    torque_limit: Annotated[float, Setting("largest angular acceleration that is adapted", "[0, 1e4]", "rad/s^2")] = (
+        50.0
+    )
 
 
 class GeometricController(ExplicitController):
@@ -208,3 +261,18 @@ def _reference_derivatives(
 def _in_ball(vector: Expression, radius: float) -> Expression:
     """The vector (3,), shortened to the radius where it is longer."""
     return vector * radius / ca.fmax(ca.norm_2(vector), max(radius, 1e-12))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Geometric(GeometricKeys, ControllerPart):
+    """Geometric tracking on SE(3) (Lee, Leok, McClamroch 2010). residual: its model of the air."""
+
+    former_kind = "geometric"
+    residual: Annotated[Literal["none", "linear_drag", "gaussian_process", "plant"], RESIDUAL] = "none"
+    backend: Backend = "auto"
+
+    def build(self, given: Given) -> Any:
+        """See ControllerPart."""
+        return GeometricController(
+            given.vehicle, part(GeometricKeys, self), given.residual(*self.kinds), backend=self.backend
+        )

@@ -18,18 +18,21 @@ World ENU, body FLU, SI.
 from __future__ import annotations
 
 import importlib
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
 from quadexp.compile.backend import realise, resolve
-from quadexp.config.laws import RaptorKeys
+from quadexp.config.part import Given
+from quadexp.config.settings import Backend, Setting, Settings, part
 from quadexp.control.base import Window
 from quadexp.control.laws.attitude import heading_of
 from quadexp.control.laws.desaturation import held
 from quadexp.control.laws.explicit import ExplicitController
+from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
@@ -41,6 +44,21 @@ PLACES = np.radians([-45.0, -135.0, 135.0, 45.0])  # front right, back right, ba
 SPINS = np.array([-1.0, 1.0, -1.0, 1.0])
 NEAR = np.radians(25.0)  # of a place: rotors of a stretched X
 PACKAGE = "foundation_policy"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RaptorKeys(Settings):
+    """What the policy is shown; see quadexp/control/laws/raptor.py."""
+
+    prefix: ClassVar[str] = "controller."
+
+    rate: Annotated[float, Setting("control rate; the policy was trained at 100 Hz", "[1, 1000]", "Hz")] = 100.0
+    position_limit: Annotated[
+        float, Setting("largest position error that the policy is shown, each axis", "(0, 100]", "m")
+    ] = 0.5
+    velocity_limit: Annotated[
+        float, Setting("largest velocity error that the policy is shown, each axis", "(0, 100]", "m/s")
+    ] = 1.0
 
 
 class RaptorController(ExplicitController):
@@ -137,3 +155,15 @@ def evaluated(made: Any, observation: Expression, hidden: Expression) -> tuple[E
 def _matrix(values: np.ndarray) -> ca.DM:
     values = np.asarray(values, float)
     return ca.DM(values.ravel() if 1 in values.shape else values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Raptor(RaptorKeys, ControllerPart):
+    """RAPTOR, a learned policy for all quadrotors (Eschmann et al. 2025), of the package foundation-policy."""
+
+    former_kind = "raptor"
+    backend: Backend = "auto"
+
+    def build(self, given: Given) -> Any:
+        """See ControllerPart."""
+        return RaptorController(given.vehicle, part(RaptorKeys, self), backend=self.backend)

@@ -10,19 +10,36 @@ from __future__ import annotations
 
 import importlib
 import time
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from quadexp.config.laws import RotorPySE3Keys
+from quadexp.config.part import Given
+from quadexp.config.settings import Setting, Settings, Triple, part
 from quadexp.control.base import Measurement, Window
+from quadexp.control.laws.explicit import Rate
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
+from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
 AIR = ("c_Dx", "c_Dy", "c_Dz", "k_d", "k_z", "k_flap", "tau_m", "rotor_speed_min", "rotor_speed_max")  # not used
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorPySE3Keys(Settings):
+    """Gains of RotorPy's SE3 controller, its own defaults; see quadexp/control/laws/rotorpy_se3.py."""
+
+    prefix: ClassVar[str] = "controller."
+
+    rate: Rate = 100.0
+    position_proportional: Annotated[Triple, Setting("kp_pos", "[0, 1000]", "1/s^2")] = (6.5, 6.5, 15.0)
+    position_derivative: Annotated[Triple, Setting("kd_pos", "[0, 1000]", "1/s")] = (4.0, 4.0, 9.0)
+    attitude_proportional: Annotated[float, Setting("kp_att", "[0, 1e5]", "1/s^2")] = 310.0
+    attitude_derivative: Annotated[float, Setting("kd_att", "[0, 1e4]", "1/s")] = 57.0
 
 
 class RotorPySE3Controller:
@@ -90,3 +107,14 @@ def _controller(given: dict[str, Any]) -> Any:
             'controller=rotorpy_se3: needs the package rotorpy: pip install "quadexp[controllers]"'
         ) from None
     return module.SE3Control(given)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorPySE3(RotorPySE3Keys, ControllerPart):
+    """RotorPy's SE3Control (Folk, Paulos, Kumar 2023), the code of the package rotorpy itself."""
+
+    former_kind = "rotorpy_se3"
+
+    def build(self, given: Given) -> Any:
+        """See ControllerPart."""
+        return RotorPySE3Controller(given.vehicle, part(RotorPySE3Keys, self))

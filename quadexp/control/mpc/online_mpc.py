@@ -8,7 +8,8 @@ others are known. The reference's attitudes and thrusts are recomputed with the 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -17,14 +18,66 @@ from quadexp.air.base import Residual
 from quadexp.air.online import Law, prior_belief, update_function
 from quadexp.air.sum import sum_residual
 from quadexp.compile.backend import BufferedFunction, realise
-from quadexp.config.learned import AdaptKeys
+from quadexp.config.part import Given
+from quadexp.config.settings import Setting, Settings, part
 from quadexp.control.base import Measurement, Window
 from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
+from quadexp.control.mpc.part import LEARNED, PredictivePart, check_models
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.wrapped import thrust_at_start
+from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
+
+FEATURES = (*LEARNED, "terms")  # models that are linear in some of their parameters
+
+
+@dataclass(frozen=True)
+class AdaptKeys(Settings):
+    """How weights adapt in flight; see quadexp/air/online.py."""
+
+    prefix: ClassVar[str] = "controller.adapt."
+
+    law: Annotated[
+        Literal["bayes", "rls", "composite"],
+        Setting(
+            "bayes: Kalman filter with a pull to the prior; rls: recursive least squares with forgetting; composite:"
+            " bayes with the tracking error, Neural-Fly's law"
+        ),
+    ] = "bayes"
+    memory: Annotated[
+        float,
+        Setting("time constant of forgetting; for rls of the forgetting factor exp(-dt / memory)", "(0, 1e9]", "s"),
+    ] = 10.0
+    noise: Annotated[
+        float, Setting("standard deviation of a sample of the residual acceleration", "(0, 100]", "m/s^2")
+    ] = 0.1
+    deviation: Annotated[
+        float,
+        Setting("prior standard deviation of the acceleration that the weights can add, roughly", "(0, 100]", "m/s^2"),
+    ] = 0.8
+    fit_prior: Annotated[
+        bool, Setting("of a Gaussian process: take the signal variance of its fit in place of deviation")
+    ] = False
+    start: Annotated[
+        Literal["model", "zero"],
+        Setting("first weights, to which they return without data: those of the checkpoint, or zero"),
+    ] = "model"
+    fitc: Annotated[
+        bool,
+        Setting("of a Gaussian process: count what the inducing points do not know as noise (FITC), not variational"),
+    ] = False
+    every: Annotated[
+        int, Setting("control periods between two samples that are used; more than 1 where their noise is coloured",
+                     "[1, 1000]", "periods")
+    ] = 1  # fmt: skip
+    tracking: Annotated[
+        float, Setting("of law=composite: weight of the tracking error in the adaptation", "[0, 1e6]", "s^2 m^-2")
+    ] = 10.0
+    tracking_rate: Annotated[
+        float, Setting("of law=composite: Lambda of the tracking error (v - v_r) + Lambda (p - p_r)", "[0, 100]", "1/s")
+    ] = 1.0
 
 
 class AdaptingController(PredictiveController):
@@ -120,3 +173,61 @@ class AdaptingController(PredictiveController):
     def _take(self) -> None:
         self._weights[...] = self.theta
         self.mpc.set_parameters(self._all)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnlineMPC(PredictivePart):
+    """MPC whose model adapts in flight.
+
+    residual: summed models, of which the last one adapts. models: one folder for each that comes from a checkpoint.
+    """
+
+    former_kind = "online_mpc"
+    residual: Annotated[tuple[str, ...], Setting("summed models; the weights of the last one adapt")]
+    reference_period: Annotated[
+        float, Setting("time between new references from the adapted model; 0: never", "[0, 3600]", "s")
+    ] = 1.0
+    adapt: Annotated[AdaptKeys, Setting("how the weights adapt")]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_models("controller.residual", self.residual, FEATURES)
+        if "terms" in self.residual[:-1]:
+            raise UsageError(
+                "controller.residual: terms have no fitted values, so they can only be the last, adapting one"
+            )
+
+    def build(self, given: Given) -> Any:
+        """See ControllerPart."""
+        from quadexp.air.adapting import adapting_terms, from_zero
+
+        *others, last = self.residual
+        for key in ("fit_prior", "fitc"):
+            if getattr(self.adapt, key) and last != "gaussian_process":
+                has = "fitted signal variance" if key == "fit_prior" else "inducing points"
+                raise UsageError(f"controller.adapt.{key}: {last} has no {has}, a Gaussian process has")
+        if last in LEARNED:
+            adapting = self._adapting(last, given)
+        else:
+            adapting = adapting_terms(given.vehicle, self.adapt.deviation)
+        if self.adapt.start == "zero":
+            adapting = from_zero(adapting)
+        return AdaptingController(
+            given.vehicle,
+            given.residuals(others),
+            adapting,
+            part(MPCSettings, self),
+            self.adapt,
+            reference_period=self.reference_period,
+            backend=self.backend,
+        )
+
+    def _adapting(self, kind: str, given: Given) -> Adapting:
+        from quadexp.air.adapting import adapting_drag, adapting_network, adapting_process
+
+        residual, checkpoint = given.residuals(self.residual)[-1], given.checkpoint(-1)
+        if kind == "linear_drag":
+            return adapting_drag(given.vehicle, residual, self.adapt.deviation)
+        if kind == "neural":
+            return adapting_network(residual, checkpoint.network, self.adapt.deviation)
+        return adapting_process(residual, checkpoint.outputs, None if self.adapt.fit_prior else self.adapt.deviation)

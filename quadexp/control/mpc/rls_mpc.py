@@ -7,16 +7,23 @@ too; they are recomputed with the newest coefficients every reference_period, wh
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from quadexp.air.base import Residual
+from quadexp.config.part import Given
+from quadexp.config.settings import Setting, part
 from quadexp.control.base import Measurement, Window
 from quadexp.control.feedback.aerodynamics import IdentifiedCoefficients
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
+from quadexp.control.mpc.part import PredictivePart
+from quadexp.control.mpc.settings import MPCSettings
+from quadexp.control.part import RESIDUAL
 from quadexp.control.wrapped import thrust_at_start
+from quadexp.learn.rls import Identification
 
 # Changes of (C_d0, C_la, C_D) for which the reference is recomputed: each is about 0.05 m/s^2 at 10 m/s.
 NOTABLE = np.array([0.004, 0.015, 0.004, 0.004, 0.004])
@@ -72,3 +79,27 @@ class IdentifyingController(PredictiveController):
     def log(self) -> dict[str, float]:
         """See Controller.log: the coefficients in use."""
         return self.identified.log()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RLSMPC(PredictivePart):
+    """MPC whose blade-element model is identified in flight.
+    reference_period: s between new references from the identified coefficients; 0: never."""
+
+    former_kind = "rls_mpc"
+    residual: Annotated[Literal["blade_element"], RESIDUAL] = "blade_element"
+    reference_period: Annotated[
+        float,
+        Setting("time between new references from the identified coefficients; 0: never", "[0, 3600]", "s"),
+    ]
+    rls: Annotated[Identification, Setting("recursive least squares in flight")]
+
+    def build(self, given: Given) -> Any:
+        """See ControllerPart."""
+        from quadexp.air.blade_element import blade_element_residual
+
+        estimator = self.rls.build(given.vehicle, self.backend)
+        identified = IdentifiedCoefficients(estimator, self.rls.change_threshold)
+        residual = blade_element_residual(given.vehicle, estimator.initial, identified.source)
+        mpc = ModelPredictiveController(given.vehicle, residual, part(MPCSettings, self), backend=self.backend)
+        return IdentifyingController(mpc, identified, self.reference_period)

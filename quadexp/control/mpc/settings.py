@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from quadexp.config.flight import MPCKeys
+from quadexp.config.settings import Setting, Settings, Triple
 from quadexp.errors import UsageError
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -15,13 +16,120 @@ SAMPLES = 2  # of the reference in a node, where its thrust within nodes counts:
 
 
 @dataclass(frozen=True)
-class MPCSettings(MPCKeys):
-    """Horizon, weights and iteration limits (see MPCKeys for each with its unit and range).
+class MPCSettings(Settings):
+    """Horizon, weights and iteration limits, with the values of Torrente et al. 2021.
 
     The weight of a node is proportional to its length. *_weight: diagonal of Q, on deviations in SI units.
     input_weight: diagonal of R, on thrusts divided by thrust_max. terminal_weight: factor on Q at the last node.
     Raises UsageError where control period, first node and mean node period do not fit together.
     """
+
+    prefix: ClassVar[str] = "controller."
+
+    horizon: Annotated[float, Setting("length of the prediction horizon", "(0, 10]", "s")] = 1.0
+    nodes: Annotated[int, Setting("number of intervals of the horizon", "[2, 200]", "nodes")] = 10
+    first_node: Annotated[
+        float,
+        Setting(
+            "length of the first interval, from which the others grow; 0: equal intervals, as published. A short first"
+            " interval reduces the tracking error and the margin for delays that the controller does not know",
+            "[0, 10]",
+            "s",
+        ),
+    ] = 0.0
+    input_hold: Annotated[
+        Literal["command", "deviation"],
+        Setting(
+            "what the prediction keeps constant within an interval: the command, as published, or its deviation from"
+            " the reference's thrust; then long intervals cost no accuracy on the reference"
+        ),
+    ] = "command"
+    dead_time: Annotated[
+        float,
+        Setting(
+            "known delay between a command and its thrust; the state is predicted over it with the commands already"
+            " sent."
+            " Includes the time constant of any lag that motor_lag does not model",
+            "[0, 0.5]",
+            "s",
+        ),
+    ] = 0.0
+    motor_lag: Annotated[
+        float,
+        Setting(
+            "known time constant of the rotor thrusts, which then are states of the model; 0: no lag", "[0, 0.5]", "s"
+        ),
+    ] = 0.0
+    motor_lead: Annotated[
+        float,
+        Setting(
+            "time constant of the rotors' first-order lag that is inverted behind the MPC, which plans without it;"
+            " cheaper than motor_lag; 0: none",
+            "[0, 0.5]",
+            "s",
+        ),
+    ] = 0.0
+    rate: Annotated[float, Setting("control rate", "[1, 1000]", "Hz")] = 50.0
+    position_weight: Annotated[
+        Triple, Setting("weight of the squared position error, world axes, m^-2", "[0, 1e6]")
+    ] = (
+        10.0,
+        10.0,
+        10.0,
+    )
+    attitude_weight: Annotated[
+        tuple[float, float, float, float],
+        Setting(
+            "weight of the squared components of the attitude error, a quaternion with w first; see attitude_error",
+            "[0, 1e6]",
+        ),
+    ] = (0.0, 0.1, 0.1, 0.1)
+    attitude_error: Annotated[
+        Literal["plain", "body", "world"],
+        Setting(
+            "plain: q - q_ref as in the paper's code, so that the effect of unequal weights depends on the heading;"
+            " body:"
+            " the rotation q_ref^-1 o q, whose weights act on roll, pitch and yaw errors; world: q o q_ref^-1, whose"
+            " weights act on turns about the world's axes"
+        ),
+    ] = "plain"
+    velocity_weight: Annotated[
+        Triple, Setting("weight of the squared velocity error, world axes, s^2 m^-2", "[0, 1e6]")
+    ] = (
+        0.05,
+        0.05,
+        0.05,
+    )
+    rate_weight: Annotated[Triple, Setting("weight of the squared body rate error, s^2", "[0, 1e6]")] = (
+        0.05,
+        0.05,
+        0.05,
+    )
+    input_weight: Annotated[float, Setting("weight of the squared thrust error divided by thrust_max", "(0, 1e6]")] = (
+        0.1
+    )
+    terminal_weight: Annotated[
+        float,
+        Setting(
+            "factor on the weights of the state at the last node; 0: no terminal cost, as in the paper's code",
+            "[0, 1e6]",
+        ),
+    ] = 0.0
+    feedforward: Annotated[
+        bool, Setting("compute the reference attitude, rates and thrusts with the controller's model of the air")
+    ] = True
+    initial_iterations: Annotated[
+        int,
+        Setting(
+            "largest number of SQP iterations before the first input: 20 with full steps, then with a line search until"
+            " converged; every later control step makes one iteration",
+            "[1, 1000]",
+        ),
+    ] = 400
+    distance_limit: Annotated[
+        float,
+        Setting("largest position error that the MPC acts on; a larger one is reduced to this length", "(0, 1e6]", "m"),
+    ] = 10.0
 
     def __post_init__(self) -> None:
         super().__post_init__()

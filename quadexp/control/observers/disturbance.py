@@ -18,19 +18,20 @@ with both poles of the error at z = exp(-b T). The torque: control.observers.tor
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
-from quadexp.config.observers import DisturbanceObserverConfig, DisturbanceObserverKeys
+from quadexp.config.settings import Setting
 from quadexp.control.base import Controller
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.observers.observer import (
     Observer,
+    ObserverPart,
     Update,
     air_of,
     arguments,
@@ -44,6 +45,7 @@ from quadexp.control.observers.scaled_force import (
     scaled_force_update,
 )
 from quadexp.control.observers.torque import N_TORQUE_SETTINGS, N_TORQUE_STATE, torque_settings, torque_update
+from quadexp.control.part import ControllerPart, Remedy
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
 from quadexp.physics.rigid_body import body_features
@@ -56,7 +58,7 @@ N_FORCE_STATE = 7  # a^, v^, P
 N_FORCE_SETTINGS = 8
 
 
-def with_disturbance_observer(controller: Controller, config: DisturbanceObserverConfig) -> Observer:
+def with_disturbance_observer(controller: Controller, config: DisturbanceObserver) -> Observer:
     """The controller with a disturbance observer; raises UsageError where it cannot be told of a disturbance."""
     inner = believer(controller, config.name)
     for key in ("scale_walk", "air_walk"):
@@ -94,7 +96,7 @@ def with_disturbance_observer(controller: Controller, config: DisturbanceObserve
     return Observer(inner, Update(function, settings, begin, (cautious, partial(begin, scales=False))), config)
 
 
-def disturbance_settings(config: DisturbanceObserverKeys, period: float) -> np.ndarray:
+def disturbance_settings(config: DisturbanceObserver, period: float) -> np.ndarray:
     """The numbers that the update takes: [q, r, gain on v^, gain on a^ from v, limit, variances that the
     scales of thrust and air gain in a step, gain of what the filter of the scales leaves] and those of the torque."""
     z, r = float(np.exp(-config.force_bandwidth * period)), config.force_noise**2
@@ -151,3 +153,73 @@ def disturbance_function(
     state = ca.vertcat(found, P, rest) if scaled else ca.vertcat(force, estimate, P)
     results = [ca.vertcat(state, rates), belief]
     return ca.Function("disturbance_observer", [*a.values()], results, [*a], ["s_next", "belief"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class DisturbanceObserver(ObserverPart):
+    """Force and torque beyond the model."""
+
+    source: Annotated[
+        Literal["accelerometer", "velocity"],
+        Setting("what the force is found from: the accelerometer, or the velocity where there is none"),
+    ] = "accelerometer"
+    force_bandwidth: Annotated[float, Setting("bandwidth of the estimated force", "(0, 1000]", "rad/s")] = 25.0
+    force_noise: Annotated[
+        float,
+        Setting(
+            "standard deviation of the accelerometer's readings from the model; only its ratio to the initial one"
+            " matters, for how fast the first estimates are",
+            "(0, 1000]",
+            "m/s^2",
+        ),
+    ] = 0.1
+    force_initial: Annotated[
+        float, Setting("standard deviation of the force over the mass when a flight begins", "[0, 1000]", "m/s^2")
+    ] = 3.0
+    force_limit: Annotated[float, Setting("largest estimated force over the mass", "(0, 1000]", "m/s^2")] = 15.0
+    scale_walk: Annotated[
+        float,
+        Setting(
+            "how fast the thrust scale changes, which is estimated beside the force: standard deviation that it gains"
+            " in a second; 0: it is not estimated",
+            "[0, 1]",
+        ),
+    ] = 0.0
+    scale_initial: Annotated[
+        float, Setting("standard deviation of the thrust scale when a flight begins", "[0, 1]")
+    ] = 0.3
+    air_walk: Annotated[
+        float,
+        Setting(
+            "how fast the scale of the air's force (of drag) changes, likewise; for controllers that know drag;"
+            " 0: it is not estimated",
+            "[0, 10]",
+        ),
+    ] = 0.0
+    air_initial: Annotated[float, Setting("standard deviation of the air's scale when a flight begins", "[0, 10]")] = (
+        1.0
+    )
+
+    @property
+    def scales_air(self) -> bool:
+        """See Remedy."""
+        return self.air_walk > 0
+
+    def around(self, controller: Any) -> Observer:
+        """See Remedy."""
+        return with_disturbance_observer(controller, self)
+
+    def check(self, vehicle: Vehicle, plant: Any, controller: ControllerPart, others: tuple[Remedy, ...]) -> None:
+        """See Remedy. A scale of the thrust or of the air is the ratio of two forces at one time. Where motors lag, the
+        thrusts of that time are known from rotor speeds, or from a lag and a dead time that are told or found."""
+        lag = getattr(plant, "loop_lag", 0.0)
+        told = [getattr(part, key, None) for part in (self, controller) for key in ("motor_lag", "dead_time")]
+        if vehicle.thrust_coefficient is not None or not lag or any(told) or any(one.finds_delays for one in others):
+            return
+        for key in ("scale_walk", "air_walk"):
+            if getattr(self, key) > 0:
+                raise UsageError(
+                    f"observer.{key}: a scale is found from rotor speeds, which need vehicle.thrust_coefficient, and"
+                    f" vehicle={vehicle.name} has none; its motors lag by {1e3 * lag:.0f} ms here: give the"
+                    f" coefficient, or observer.motor_lag and observer.dead_time, or observer.{key}=0"
+                )

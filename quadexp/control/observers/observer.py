@@ -10,7 +10,8 @@ parameters of the controller's model of the air. It runs from the second instant
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -18,7 +19,7 @@ import numpy as np
 from quadexp.air.base import Residual
 from quadexp.air.none import no_residual
 from quadexp.compile.backend import BufferedFunction, realise
-from quadexp.config.observers import ObserverKeys
+from quadexp.config.settings import Setting
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.belief import Belief, no_belief
 from quadexp.control.delivered import Delays, DeliveredThrust
@@ -28,6 +29,7 @@ from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.mpc.online_mpc import AdaptingController
 from quadexp.control.mpc.rls_mpc import IdentifyingController
+from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, innermost, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
@@ -39,6 +41,42 @@ COLUMNS = (
     "observer_thrust_scale",
     "observer_air_scale",
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObserverPart(Remedy):
+    """What every observer has."""
+
+    prefix = "observer."
+    believes = True
+
+    torque_bandwidth: Annotated[
+        float,
+        Setting("bandwidth of the estimated torque, from the measured body rates; 0: no torque", "[0, 1000]", "rad/s"),
+    ] = 15.0
+    torque_limit: Annotated[
+        float, Setting("largest estimated torque on an axis, over its inertia", "(0, 1e6]", "rad/s^2")
+    ] = 100.0
+    targets: Annotated[
+        bool,
+        Setting(
+            "recompute attitudes and thrusts of the reference so that they hold the path under what is estimated; an"
+            " MPC with weights on them keeps an offset otherwise"
+        ),
+    ] = True
+    dead_time: Annotated[
+        float | None,
+        Setting(
+            "delay between a command and its thrust with which the delivered thrusts are computed where rotor speeds"
+            " are not measured; null: the controller's",
+            "[0, 0.5]",
+            "s",
+        ),
+    ] = None
+    motor_lag: Annotated[
+        float | None,
+        Setting("time constant of the rotors, likewise; null: the controller's", "[0, 0.5]", "s"),
+    ] = None
 
 
 class Update(NamedTuple):
@@ -62,7 +100,7 @@ class Observer(WrappedController):
     of its steps.
     """
 
-    def __init__(self, inner: Controller, update: Update, config: ObserverKeys) -> None:
+    def __init__(self, inner: Controller, update: Update, config: ObserverPart) -> None:
         super().__init__(inner)
         self.finds_torque = config.torque_bandwidth > 0
         told = {"dead_time": config.dead_time, "known_lag": config.motor_lag}

@@ -18,16 +18,18 @@ what can be done.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
-from quadexp.config.observers import WindObserverConfig, WindObserverKeys
+from quadexp.config.settings import Setting, Triple
 from quadexp.control.base import Controller
 from quadexp.control.observers.observer import (
     Observer,
+    ObserverPart,
     Update,
     air_of,
     arguments,
@@ -50,7 +52,7 @@ CAUTIOUS_NOISE = 3.0  # m/s^2, of the z axis where the time of the thrusts is no
 TYPICAL_AIRSPEED = 5.0  # m/s, at which the drag slope is taken
 
 
-def with_wind_observer(controller: Controller, config: WindObserverConfig) -> Observer:
+def with_wind_observer(controller: Controller, config: WindObserver) -> Observer:
     """The controller with a wind observer.
 
     Raises UsageError where it cannot be told of a wind, or its model has too little drag to measure one.
@@ -83,7 +85,7 @@ def with_wind_observer(controller: Controller, config: WindObserverConfig) -> Ob
     return Observer(inner, update, config)
 
 
-def wind_settings(config: WindObserverKeys, period: float) -> np.ndarray:
+def wind_settings(config: WindObserver, period: float) -> np.ndarray:
     """The numbers that the update takes: variances of a step's walks and of readings, limits, gain of the force; those
     of the torque."""
     walks = [config.wind_walk**2 * period, config.scale_walk**2 * period]
@@ -93,7 +95,7 @@ def wind_settings(config: WindObserverKeys, period: float) -> np.ndarray:
 
 
 def wind_bandwidth(
-    vehicle: Vehicle, residual: Residual, theta: np.ndarray, config: WindObserverKeys, period: float
+    vehicle: Vehicle, residual: Residual, theta: np.ndarray, config: WindObserver, period: float
 ) -> float:
     """Bandwidth of the estimated wind on the worse horizontal body axis (rad/s), where it hovers in a breeze."""
     slopes = []
@@ -145,3 +147,52 @@ def wind_function(vehicle: Vehicle, residual: Residual, period: float, backend: 
     belief = ca.vertcat(vehicle.mass * force, torque, air[:3], 1 + air[3], 1)
     results = [ca.vertcat(air, ca.vec(P), force, rates), belief]
     return ca.Function("wind_observer", [*a.values()], results, [*a], ["s_next", "belief"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class WindObserver(ObserverPart):
+    """Wind from the drag that it causes."""
+
+    noise: Annotated[
+        Triple,
+        Setting(
+            "standard deviation of the accelerometer's readings from the model, body axes; a large one on z, where"
+            " thrust that comes late or is scaled would be taken for wind",
+            "(0, 1000]",
+            "m/s^2",
+        ),
+    ] = (0.1, 0.1, 3.0)
+    force_bandwidth: Annotated[
+        float,
+        Setting("bandwidth of the force that the wind leaves unexplained; 0: none", "[0, 1000]", "rad/s"),
+    ] = 25.0
+    wind_walk: Annotated[
+        float, Setting("how fast the wind changes: standard deviation that it gains in a second", "[0, 100]", "m/s")
+    ] = 1.5
+    wind_initial: Annotated[
+        float, Setting("standard deviation of the wind when a flight begins, and the largest later", "(0, 100]", "m/s")
+    ] = 4.0
+    wind_limit: Annotated[float, Setting("largest estimated wind", "(0, 100]", "m/s")] = 25.0
+    scale_walk: Annotated[
+        float,
+        Setting(
+            "how fast the thrust scale changes: standard deviation that it gains in a second; 0: it is not estimated",
+            "[0, 1]",
+        ),
+    ] = 0.005
+    scale_initial: Annotated[
+        float, Setting("standard deviation of the thrust scale when a flight begins", "[0, 1]")
+    ] = 0.05
+    least_bandwidth: Annotated[
+        float,
+        Setting(
+            "bandwidth of the estimated wind below which the vehicle's drag is too little to measure it, and the"
+            " controller is refused",
+            "[0, 1000]",
+            "rad/s",
+        ),
+    ] = 1.0
+
+    def around(self, controller: Any) -> Observer:
+        """See Remedy."""
+        return with_wind_observer(controller, self)

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.config.flight import EllipseKeys
 from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
@@ -32,7 +31,7 @@ def logged_rmse(flight: Flight) -> float:
     if not len(flight):
         return float("nan")
     config = flight.metadata["config"]
-    given = {one.name: config["trajectory"][one.name] for one in fields(EllipseKeys)}
+    given = {one.name: config["trajectory"][one.name] for one in fields(Ellipse)}
     late = config.get("estimator", {}).get("delay", 0.0)
     t = np.maximum(flight.t + late - RECORDED_AFTER, 0.0)  # of the reference with which this position is recorded
     wanted = Ellipse(**given).flat_output(t).position[:, 0]

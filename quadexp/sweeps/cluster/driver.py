@@ -18,8 +18,8 @@ from typing import Any
 from distributed import Client, Future
 
 from quadexp.errors import QuadexpError
-from quadexp.experiment.build import MODEL_FILE, input_files
-from quadexp.experiment.build_custom import source_hashes
+from quadexp.experiment.build import input_files, source_hashes
+from quadexp.experiment.checkpoints import MODEL_FILE
 from quadexp.files.writer import written
 from quadexp.provenance import identity
 from quadexp.sweeps.cluster.worker import CellRunner, InputFile, run_cell

@@ -16,7 +16,7 @@ from distributed import WorkerPlugin, get_worker
 
 from quadexp.config.plugins import own_folders
 from quadexp.errors import QuadexpError
-from quadexp.experiment.build_custom import source_hashes
+from quadexp.experiment.build import source_hashes
 from quadexp.experiment.inputs import use_copies
 from quadexp.provenance import identity
 from quadexp.sweeps.child import GONE, cause, start_pool, stop_pool

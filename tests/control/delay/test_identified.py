@@ -12,8 +12,7 @@ from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_controller, build_vehicle
-from quadexp.experiment.build_world import build_world
+from quadexp.experiment.build import build_controller, build_vehicle, build_world
 from quadexp.experiment.evaluate import fly_one
 from quadexp.report.margin_line import delays_note
 from tests.air.models import make_residual

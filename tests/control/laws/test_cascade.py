@@ -8,8 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.config.compose import compose
-from quadexp.config.laws import CascadeKeys
-from quadexp.control.laws.cascade import CascadeController, wanted_rate, wanted_thrust, wanted_velocity
+from quadexp.control.laws.cascade import CascadeController, CascadeKeys, wanted_rate, wanted_thrust, wanted_velocity
 from quadexp.experiment.evaluate import fly_one
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from tests.control.laws.flown import Body, at_rest, fly, hovering, rotation, vehicle_of

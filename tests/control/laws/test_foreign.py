@@ -9,8 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.config.compose import compose
-from quadexp.config.laws import RaptorKeys, RotorPySE3Keys
 from quadexp.control.base import Measurement
+from quadexp.control.laws.raptor import RaptorKeys
+from quadexp.control.laws.rotorpy_se3 import RotorPySE3Keys
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import fly_one
 from quadexp.physics.state import POSITION, RATE, VELOCITY

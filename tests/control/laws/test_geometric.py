@@ -7,10 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.config.compose import compose
-from quadexp.config.laws import GeometricKeys
 from quadexp.control.base import Measurement
 from quadexp.control.belief import Belief
-from quadexp.control.laws.geometric import GeometricController
+from quadexp.control.laws.geometric import GeometricController, GeometricKeys
 from quadexp.experiment.evaluate import fly_one
 from quadexp.physics.state import POSITION, RATE, VELOCITY
 from quadexp.reference.base import FlatOutput

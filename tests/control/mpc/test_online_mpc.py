@@ -9,14 +9,13 @@ from quadexp.air.adapting import adapting_drag, adapting_terms
 from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.air.sum import sum_residual
 from quadexp.config.compose import compose
-from quadexp.config.learned import AdaptKeys
 from quadexp.control.base import Measurement
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
-from quadexp.control.mpc.online_mpc import AdaptingController
+from quadexp.control.mpc.online_mpc import AdaptingController, AdaptKeys
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
-from quadexp.experiment.build import find_model
+from quadexp.experiment.checkpoints import find_model
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.physics.state import POSITION, STATE_COLUMNS

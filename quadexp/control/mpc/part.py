@@ -1,0 +1,73 @@
+"""The MPC as an option of the configuration: its settings, its model of the air, and how it is made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from quadexp.config.part import Given
+from quadexp.config.settings import Backend, Setting, part
+from quadexp.control.mpc.settings import MPCSettings
+from quadexp.control.part import RESIDUAL, ControllerPart
+from quadexp.errors import UsageError
+
+LEARNED = ("linear_drag", "gaussian_process", "neural")  # models from checkpoints
+PARTS = Setting("models that are added to the rigid body in the prediction, and summed")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictivePart(MPCSettings, ControllerPart):
+    """What every MPC has, whatever its model of the air."""
+
+    former_kind = "mpc"
+    backend: Backend = "auto"
+    allow_unstable: Annotated[
+        bool, Setting("fly although the plant's own lag or delay makes the loop unstable at hover")
+    ] = False
+
+    def build(self, given: Given) -> Any:
+        """See ControllerPart."""
+        from quadexp.control.mpc.controller import PredictiveController
+        from quadexp.control.mpc.mpc import ModelPredictiveController
+
+        residual = self.model(given)
+        if any(one.scales_air for one in given.remedies):
+            from quadexp.air.scaled import scaled_residual
+
+            residual = scaled_residual(residual)
+        told = any(one.believes for one in given.remedies)
+        settings = part(MPCSettings, self)
+        return PredictiveController(
+            ModelPredictiveController(given.vehicle, residual, settings, backend=self.backend, disturbed=told)
+        )
+
+    def model(self, given: Given) -> Any:
+        """Its model of the air, a Residual."""
+        return given.residual(*self.kinds)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MPC(PredictivePart):
+    """Model predictive control (Torrente et al. 2021). residual: its model of the air."""
+
+    residual: Annotated[Literal["none", "linear_drag", "gaussian_process", "neural", "plant"], RESIDUAL]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SumMPC(PredictivePart):
+    """MPC with a sum of models; `models` holds one checkpoint folder for each of them."""
+
+    former_kind = "sum_mpc"
+    residual: Annotated[tuple[str, ...], PARTS]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_models("controller.residual", self.residual, LEARNED)
+
+
+def check_models(key: str, parts: tuple[str, ...], allowed: tuple[str, ...]) -> None:
+    for one in parts:
+        if one not in allowed:
+            raise UsageError(f"{key}: unknown model {one!r}; allowed are {', '.join(allowed)}")
+    if not parts:
+        raise UsageError(f"{key}=[]: at least one of {', '.join(allowed)}")

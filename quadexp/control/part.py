@@ -1,0 +1,72 @@
+"""What options of controllers and of remedies have in common; a controller's part stands with its law.
+
+A remedy is put around a controller against errors of its model, delays and disturbances; see control/wrapped.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+from quadexp.config.part import Given, Part
+from quadexp.config.settings import Setting
+
+RESIDUAL = Setting("model that is added to the rigid body in the prediction")
+# Models that are fitted, and the command that makes their checkpoint.
+MAKERS = {
+    "linear_drag": "quadexp fit-drag DATASET --out models/drag",
+    "gaussian_process": "quadexp fit-gp DATASET --out models/gp",
+    "neural": "quadexp fit-nn DATASET --out models/nn",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControllerPart(Part):
+    """What every controller has, as an option of the configuration."""
+
+    prefix: ClassVar[str] = "controller."
+
+    models: Annotated[
+        tuple[str, ...], Setting("checkpoint folders that are tried, in this order, when `model` is not given")
+    ] = ()
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of its models of the air, which are summed."""
+        kinds: str | tuple[str, ...] = getattr(self, "residual", "none")
+        return (kinds,) if isinstance(kinds, str) else kinds
+
+    @property
+    def learned(self) -> tuple[str, ...]:
+        """Those of them that come from a checkpoint."""
+        return tuple(kind for kind in self.kinds if kind in MAKERS)
+
+    @property
+    def knows_plant(self) -> bool:
+        """Whether it is told the plant's own equations or coefficients."""
+        return "plant" in self.kinds
+
+    def build(self, given: Given) -> Any:
+        """The Controller of given.vehicle. Raises UsageError where it lacks what it needs."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remedy(Part):
+    """A remedy. believes: whether it tells the controller of disturbances, see control/belief.py. finds_delays: whether
+    it finds dead time and lag in flight."""
+
+    believes: ClassVar[bool] = False
+    finds_delays: ClassVar[bool] = False
+
+    @property
+    def scales_air(self) -> bool:
+        """Whether it finds a scale of the controller's model of the air."""
+        return False
+
+    def around(self, controller: Any) -> Any:
+        """The controller inside the remedy. Raises UsageError where it cannot be put around this controller."""
+        raise NotImplementedError
+
+    def check(self, vehicle: Any, plant: Any, controller: ControllerPart, others: tuple[Remedy, ...]) -> None:
+        """Raise UsageError where it needs what neither vehicle nor world measure, nor the other parts know."""
