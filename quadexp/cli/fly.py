@@ -304,7 +304,7 @@ def _doubts(cells: Sequence[Any]) -> list[str]:
 
     nodes: dict[Any, Any] = {}
     for config in (cell.config for cell in cells[:SAMPLED] if not cell.invalid):
-        if is_own(config.trajectory):  # which is a program of its own: built where it is flown
+        if config.trajectory.shipped:  # which is a program of its own: built where it is flown
             nodes.setdefault((config.trajectory, config.ground, config.vehicle, config.plant), config)
     found = [below_ground(c, build_trajectory(c.trajectory, build_vehicle(c.vehicle))) for c in nodes.values()]
     named = {line: None for line in (*found, *map(heavy_drag, nodes.values())) if line}

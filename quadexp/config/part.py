@@ -44,6 +44,11 @@ class Part(Settings):
         """Whether it does nothing: a flight is what it would be without this part."""
         return False
 
+    @property
+    def shipped(self) -> bool:
+        """Whether it is of this program, and not a user's own."""
+        return type(self).__module__.partition(".")[0] == OWN and not hasattr(self, TARGET)
+
     def recorded(self) -> dict[str, Any]:
         """Its settings as plain data, for files and hashes."""
         return record(self) | ({"kind": self.former_kind} if self.former_kind else {})

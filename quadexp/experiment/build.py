@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from quadexp.config.part import OWN, Given, Part, imported
+from quadexp.config.part import TARGET, Given, Part, imported
 from quadexp.config.schema import WORLD, Config, remedies, world_parts
 from quadexp.errors import UsageError
 from quadexp.experiment.checkpoints import ModelFile, load_checkpoint, model_hash, model_residual, residuals
@@ -261,8 +261,8 @@ def source_hashes(config: Config) -> dict[str, str]:
     hashes = {}
     for group in ("plant", "trajectory", "controller", *WORLD, *remedies(config)):
         part = getattr(config, group)
-        named = getattr(part, "_target_", None)
-        if named is None and type(part).__module__.partition(".")[0] == OWN:
+        named = getattr(part, TARGET, None)
+        if part.shipped:
             continue
         module = inspect.getmodule(type(part) if named is None else imported(group, named))
         file = getattr(module, "__file__", None)

@@ -48,7 +48,7 @@ def test_a_changed_file_is_composed_anew(cache, composed, tmp_path):
     folder = tmp_path / "mine"
     (folder / "trajectory").mkdir(parents=True)
     file = folder / "trajectory" / "slow.yaml"
-    for speed in (1.5, 2.5, 1.5):
+    for speed in (2.5, 3.5, 2.5):
         file.write_text(f"defaults: [circle, _self_]\nname: slow\nspeed: {speed}\n")
         assert compose(["trajectory=slow"], folder).trajectory.speed == speed
     assert len(composed) == 2  # the third is the first again

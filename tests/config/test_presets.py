@@ -91,7 +91,7 @@ def test_composed_as_hydra_itself_does(others, horizon):
 
 
 def test_what_has_no_horizon_takes_none():
-    assert compose(["controller=rls_feedback", "horizon=published"]).controller.kind == "feedback"
+    assert compose(["controller=rls_feedback", "horizon=published"]).controller.former_kind == "feedback"
     for others in ([], ["experiment=families"]):
         with pytest.raises(
             UsageError, match=r"^horizon=precise: sets controller\.\w+, which controller=rls_feedback does"
