@@ -71,10 +71,11 @@ def part_class(key: str, target: str) -> type[Part]:
     ModuleError, or UsageError where there is none of that name.
     """
     found = imported(key, target)
+    said = f"{key}.{TARGET}={target}"
     if not (isinstance(found, type) and issubclass(found, Part)):
-        raise UsageError(
-            f"{key}.{TARGET}={target}: is no part: it must be a class derived from quadexp.config.part.Part"
-        )
+        raise UsageError(f"{said}: is no part: it must be a class derived from quadexp.config.part.Part")
+    if found.prefix not in ("", f"{key}."):
+        raise UsageError(f"{said}: is a part of {found.prefix.rstrip('.')}, not of {key}")
     return found
 
 
