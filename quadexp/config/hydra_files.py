@@ -46,7 +46,7 @@ def composed_files(name: str, chosen: Sequence[str], folders: Sequence[Path]) ->
     assert isinstance(content, dict)
     content.pop("hydra")
     for key, value in content.items():
-        option = options.get(str(key)) or name.partition(f"{key}/")[2]
+        option = options.get(str(key)) or name.partition(str(key) + "/")[2]
         if isinstance(value, dict) and option:  # a part is named after its option, unless its file says otherwise
             value.setdefault("name", option)
     return {str(key): value for key, value in content.items()}

@@ -126,7 +126,7 @@ PRESETS = {group: package[0] for group, package in _PACKAGES.items() if package 
 PARTS = tuple(group for group, package in _PACKAGES.items() if not package)  # the groups whose options stand for a part
 
 
-def remedies(config: Config) -> dict[str, Part]:
+def remedies(config: Config) -> dict[str, Any]:
     """The remedies that do something, by group, the one nearest to the controller first."""
     parts = {group: getattr(config, group) for group in REMEDIES}
     return {group: one for group, one in parts.items() if not one.idle}

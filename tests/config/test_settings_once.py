@@ -24,11 +24,8 @@ from quadexp.errors import UsageError
 
 PACKAGE = Path(quadexp.__file__).parent
 CONFIGURED = {"physics", "air", "reference", "learn", "world", "control"}  # rooms of what a configuration describes
-OF_THE_OBJECT = {
-    "yaw",
-    "vehicle",
-    "printed_coefficients",
-}  # what a part that is the object itself is given besides its keys
+# What a part that is the object itself is given besides its keys.
+OF_THE_OBJECT = {"yaw", "vehicle", "printed_coefficients", "inertial"}
 # Dataclasses that share three or more names with a node and configure nothing: why.
 NOT_SETTINGS = {
     "SpeedProfile": "a function of three numbers, made by the path that has them",
