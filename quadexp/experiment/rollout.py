@@ -20,7 +20,7 @@ from quadexp.experiment.compiled_flight import CompiledFlight, covers
 from quadexp.log.outcome import CORRIDOR, corridor
 from quadexp.log.schema import Flight
 from quadexp.physics.rotation import heading, heading_rate
-from quadexp.physics.state import ATTITUDE, POSITION, RATE, STATE_COLUMNS, VELOCITY, input_columns
+from quadexp.physics.state import ATTITUDE, POSITION, RATE, STATE_COLUMNS, VELOCITY, in_motion, input_columns
 from quadexp.reference.base import Trajectory
 from quadexp.reference.feasibility import clipped
 from quadexp.reference.flatness import Reference, flat_reference
@@ -125,7 +125,7 @@ class SampledReference:
     def first_thrust(self) -> np.ndarray | None:
         """Rotor thrusts (n,) (N) with which a flight begins, where the reference begins in motion; else None."""
         state, thrust = self.at(0)
-        return np.clip(thrust, self._vehicle.thrust_min, self._vehicle.thrust_max) if state[VELOCITY].any() else None
+        return np.clip(thrust, self._vehicle.thrust_min, self._vehicle.thrust_max) if in_motion(state) else None
 
     def along(self) -> tuple[np.ndarray, np.ndarray]:
         """States (k, 13) and inputs (k, n) at the control instants."""

@@ -19,7 +19,7 @@ import numpy as np
 
 from quadexp.learn.samples import rotor_columns
 from quadexp.log.schema import Flight
-from quadexp.physics.state import input_columns
+from quadexp.physics.state import N_STATE, STATE_COLUMNS, in_motion, input_columns
 from quadexp.physics.vehicle import Vehicle
 
 NO_LAG = 1e-12  # s, in place of 0: what is left after a step of it is 0
@@ -124,11 +124,22 @@ class HeldCommands:
 
 
 def held_commands(flight: Flight, vehicle: Vehicle, timing: Timing) -> HeldCommands:
-    """The commands of a flight; before the first a simulated one hovers, of a recorded one it is not known."""
+    """The commands of a flight, and before the first what the rotors gave when it began."""
     command = flight.stack(input_columns(vehicle.n_rotors)).astype(float)
-    recorded = flight.metadata.get("recorded", False)
-    first = command[0] if recorded else np.full(vehicle.n_rotors, vehicle.hover_thrust)
-    return HeldCommands(np.asarray(flight.t, float), command, timing, first)
+    return HeldCommands(np.asarray(flight.t, float), command, timing, _before(flight, vehicle, command[0]))
+
+
+def _before(flight: Flight, vehicle: Vehicle, command: np.ndarray) -> np.ndarray:
+    """Thrusts (n,) (N) before the first command acts: of a recorded flight they are not known; a simulated one begins
+    with those of its reference where that begins in motion (experiment.rollout), else in hover."""
+    if flight.metadata.get("recorded", False):
+        return command
+    columns = [f"ref_{name}" for name in (*STATE_COLUMNS, *input_columns(vehicle.n_rotors))]
+    if all(name in flight.columns for name in columns):
+        state, thrust = np.split(flight.stack(columns)[0].astype(float), [N_STATE])
+        if in_motion(state):
+            return np.clip(thrust, vehicle.thrust_min, vehicle.thrust_max)
+    return np.full(vehicle.n_rotors, vehicle.hover_thrust)
 
 
 def mean_thrust(flight: Flight, vehicle: Vehicle, timing: Timing) -> np.ndarray:

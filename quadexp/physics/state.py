@@ -8,11 +8,14 @@ World frame ENU (z up), body frame FLU (x forward, y left, z up). Quaternion bod
 
 from __future__ import annotations
 
+import numpy as np
+
 POSITION = slice(0, 3)  # world, m
 ATTITUDE = slice(3, 7)  # body to world, w first
 VELOCITY = slice(7, 10)  # world, m/s
 RATE = slice(10, 13)  # body, rad/s
 N_STATE = 13
+AT_REST = 1e-6  # m/s; a path that begins at rest is slower by rounding errors only
 
 STATE_COLUMNS = (
     "p_x", "p_y", "p_z",
@@ -25,3 +28,8 @@ STATE_COLUMNS = (
 def input_columns(n_rotors: int) -> tuple[str, ...]:
     """Names of the input columns, `u_0` .. `u_{n-1}`."""
     return tuple(f"u_{i}" for i in range(n_rotors))
+
+
+def in_motion(state: np.ndarray) -> bool:
+    """Whether a state (13,) has a velocity."""
+    return bool(np.abs(state[VELOCITY]).max() > AT_REST)

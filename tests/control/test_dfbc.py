@@ -141,6 +141,18 @@ def test_the_error_of_attitude_by_quaternions(vehicle):
         assert found == pytest.approx(u, abs=1e-8)
 
 
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_the_error_of_tilt_at_its_ends(vehicle, rng, sense):
+    """Zero at the axis that is asked for, half a turn opposite to it, also where rounding takes its cosine past 1."""
+    dfbc = controller(vehicle, position_gain=(0.0, 0.0, 0.0), velocity_gain=(0.0, 0.0, 0.0))
+    for turn in Rotation.random(40, random_state=rng.integers(1000)):
+        x = np.r_[np.zeros(3), turn.as_quat(scalar_first=True), np.zeros(6)]
+        axis, path = turn.as_matrix()[:, 2], np.zeros((3, 5))
+        path[:, 2] = sense * 12.0 * axis - [0, 0, vehicle.gravity]
+        commanded(dfbc, x, path.T, np.zeros(3), np.full(4, 3.0))
+        assert dfbc.log()["error_tilt"] == pytest.approx(0 if sense > 0 else np.pi, abs=1e-7)
+
+
 def flown(vehicle, dfbc, world, duration=8.0):
     reference = SampledReference(Hover(position=(0, 0, 1), duration=duration), dfbc)
     return fly(world, dfbc, reference, np.random.default_rng(0))

@@ -129,6 +129,18 @@ def test_what_rotors_can_cancel_is_cancelled_and_what_they_cannot_is_only_estima
     assert np.abs(told[-1, POSITION]).max() < 2e-3
 
 
+@pytest.mark.parametrize("name", ["torrente", "lei_li", "crazyflie"])
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_it_adds_no_more_thrust_than_its_limit(name, sense):
+    """A fifth of the weight, of the three fifths that are missing or too much."""
+    vehicle = vehicle_of(name)
+    weight, inner = vehicle.mass * vehicle.gravity, Held(vehicle, 0.01, np.full(4, vehicle.hover_thrust))
+    body = Body(vehicle, lambda t: np.array([0, 0, -0.6 * sense * weight]))
+    controller = L1Controller(inner, L1Keys(force_limit=0.2))
+    _, commands = fly(body, controller, at_rest(), 0.3, lambda t: hovering(vehicle))
+    assert (commands[-1] - inner.thrust).sum() == pytest.approx(0.2 * sense * weight, rel=1e-9)
+
+
 def test_the_predictor_sees_the_command_as_it_was_clipped():
     """A base beyond what the rotors give: nothing is missing, so nothing is estimated."""
     vehicle, period = vehicle_of("torrente"), 0.01

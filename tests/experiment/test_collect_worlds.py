@@ -39,12 +39,24 @@ def test_a_lag_goes_into_the_data_set_and_its_report(lagging):
     assert left(data) < 0.5 * left(commanded)
 
 
+def test_the_rotors_of_a_flight_begin_as_its_data_believe(lagging):
+    """In the first 100 ms, three time constants, about as much is left as later on."""
+    (data, _), _ = lagging
+    remains, first = remaining(data), data.matrix(["t"])[:, 0] < 0.1
+    assert first.sum() > 5 and np.std(remains[first]) < 1.5 * np.std(remains[~first])
+
+
 def left(data):
-    """rms of what v_z, its square and the thrust leave of a_z (m/s^2)."""
+    """rms of `remaining`."""
+    return np.std(remaining(data))
+
+
+def remaining(data):
+    """What v_z, its square and the thrust leave of a_z (m/s^2)."""
     v, thrust = data.matrix(["v_z"])[:, 0], data.matrix(["thrust"])[:, 0]
     terms = np.stack([np.ones_like(v), v, v * np.abs(v), thrust, thrust**2], axis=1)
     target = data.matrix(["a_z"])[:, 0]
-    return np.std(target - terms @ np.linalg.lstsq(terms, target, rcond=None)[0])
+    return target - terms @ np.linalg.lstsq(terms, target, rcond=None)[0]
 
 
 def test_a_checkpoint_says_what_its_data_were(lagging, tmp_path):

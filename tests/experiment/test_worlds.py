@@ -225,6 +225,15 @@ def test_rotors_begin_with_the_thrusts_of_a_reference_in_motion(given):
     np.testing.assert_allclose(speeds, np.sqrt(thrusts / k), rtol=1e-9)
 
 
+def test_rotors_begin_in_hover_where_a_path_begins_at_rest_but_for_rounding():
+    """A random path, whose first thrusts turn it already."""
+    config = compose([*HUMMINGBIRD, "actuator=lag_30ms", "trajectory=random", "seed=1", *INTERPRETED])
+    flight, vehicle = fly_one(config), build_vehicle(config.vehicle)
+    assert np.abs(flight.stack([f"ref_u_{i}" for i in range(4)])[0] / vehicle.hover_thrust - 1).max() > 0.1
+    speeds = flight.stack([f"rotor_speed_{i}" for i in range(4)])[0]
+    np.testing.assert_allclose(speeds, np.sqrt(vehicle.hover_thrust / vehicle.static_thrust_coefficient), rtol=1e-9)
+
+
 def test_a_battery_begins_with_the_current_that_the_thrusts_take():
     """The voltage of the first instant is where the next one's goes on."""
     given = [*IN_MOTION, "trajectory.duration=0.1", "controller=dfbc", "battery=sag", "plant=ideal"]

@@ -8,6 +8,7 @@ from scipy.integrate import cumulative_trapezoid, solve_ivp
 
 from quadexp.learn.rotor_thrust import HeldCommands, Timing, mean_thrust, measured_thrust
 from quadexp.log.schema import Flight
+from quadexp.physics.state import STATE_COLUMNS, input_columns
 
 DT = 0.02
 
@@ -65,6 +66,27 @@ def test_without_lag_a_delay_shifts_the_commands(rng, vehicle):
     half = mean_thrust(flight_of(t, u), vehicle, Timing(delay=DT / 2))
     assert half[1:] == pytest.approx((u[:-2] + u[1:-1]) / 2, rel=1e-9)
     assert np.array_equal(mean_thrust(flight_of(t, u), vehicle, Timing()), u[:-1])
+
+
+@pytest.mark.parametrize(
+    ("speed", "recorded", "before"),
+    [(3.0, False, "reference"), (1e-12, False, "hover"), (None, False, "hover"), (3.0, True, "command")],
+)
+def test_a_flight_begins_with_what_its_rotors_gave(rng, vehicle, speed, recorded, before):
+    """In motion the thrusts of its reference within their limits; the mean over a held command u, from y on, is
+    u + (y - u) (1 - exp(-dt / tau)) tau / dt."""
+    t, u = commands(rng)
+    lag, reference = 0.03, np.array([2.0, -3.0, 25.0, 4.0])
+    columns = {}
+    if speed is not None:
+        first = np.r_[np.zeros(3), 1, np.zeros(3), speed, np.zeros(5), reference]
+        names = [f"ref_{name}" for name in (*STATE_COLUMNS, *input_columns(4))]
+        columns = {name: np.full(len(t), value) for name, value in zip(names, first, strict=True)}
+    flight = flight_of(t, u, **columns)
+    flight.metadata["recorded"] = recorded
+    y = {"reference": [2.0, 0.0, 20.0, 4.0], "hover": np.full(4, vehicle.hover_thrust), "command": u[0]}[before]
+    share = (1 - np.exp(-DT / lag)) * lag / DT
+    assert mean_thrust(flight, vehicle, Timing(lag, lag))[0] == pytest.approx(u[0] + (y - u[0]) * share, abs=1e-12)
 
 
 def test_measured_thrusts_correct_a_model_that_is_wrong(rng, lei_li):

@@ -25,6 +25,14 @@ def test_tilt_takes_f_to_the_specific_force(rng):
     np.testing.assert_allclose(frame.into_frame(vector), rotation.inv().apply(vector.T).T, atol=1e-13)
 
 
+def test_upside_down_the_tilt_is_half_a_turn_about_y():
+    """Straight down no horizontal axis is distinguished: x and z change their signs, and nothing its length."""
+    frame = tilt(np.array([[0.0], [0.0], [-5.0]]), np.zeros((2, 1)))
+    np.testing.assert_allclose(frame.force[:, 0], [0, 0, 5])
+    np.testing.assert_allclose(frame.into_frame(np.array([[1.0], [2.0], [3.0]]))[:, 0], [-1, 2, -3])
+    np.testing.assert_allclose(np.linalg.norm(frame.body_quaternion(np.array([0.7])), axis=0), 1)
+
+
 def test_body_quaternion_is_tilt_then_twist(rng):
     frame = tilt(*some(rng))
     w, x, y = frame.quaternion

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from quadexp.config.compose import compose
 from quadexp.control.delay import identified
 from quadexp.control.delay.moments import BEGINS, KEPT, MOST, SPAN, Moments
 from quadexp.control.delay.sent_commands import SentCommands
-from quadexp.control.delay.timing import Search, Stream, find_delays, moments_of
+from quadexp.control.delay.timing import LARGEST, SMALL_STEP, Search, Stream, find_delays, moments_of
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.identify_delays import told
@@ -62,6 +62,47 @@ def test_a_cost_by_sums_is_that_of_the_samples(vehicle, stream, at):
         left = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
         cost += len(y) * np.log(np.sqrt(np.mean(left**2)))
     assert search.cost(np.array(at)) == pytest.approx(cost, rel=1e-6)
+
+
+def following(stream, vehicle, dead_time, lag) -> Stream:
+    """The same, with the thrust of its commands in the reading of z but for noise of 0.01 m/s^2."""
+    sent, late = SentCommands(4, PERIOD, dead_time + 8 * lag), []
+    sent.reset(stream.command[0])
+    weights = sent.weights(np.array([[0.0, 0.0]]), dead_time, lag)[0]
+    for command in stream.command:
+        late.append(weights @ sent.values.sum(axis=1) / vehicle.mass)
+        sent.record(command)
+    force = stream.specific_force.copy()
+    force[:, 2] = late + 0.01 * np.random.default_rng(1).standard_normal(len(late))
+    return replace(stream, specific_force=force)
+
+
+@pytest.mark.parametrize("at", [(0.021, 0.03, 0.004), (0.013, 0.024, 0.004)])
+def test_the_slopes_of_the_cost_are_its_derivatives(vehicle, stream, at):
+    """Along dead time and lag, where the thrust follows the commands but for 0.01 m/s^2: 8 ms off the truth, and on it.
+
+    Against central differences of the cost. Taken at the end of their step of 1 ms the slopes would be off by what the
+    step changes them by, the normal matrix times it; they are held to a tenth of that."""
+    search, found, h = Search(moments_of(following(stream, vehicle, 0.013, 0.024), vehicle)), np.empty(2), 1e-5
+    for i, step in enumerate(h * np.eye(3)[:2]):
+        found[i] = (search.cost(np.array(at) + step) - search.cost(np.array(at) - step)) / (2 * h)
+    slopes = search._slopes(np.array(at), (0, 1))
+    with pytest.raises(StopIteration) as ended:
+        while True:
+            next(slopes)
+    cost, gradient, normal = ended.value.value
+    assert cost == pytest.approx(search.cost(np.array(at)))
+    assert (np.abs(gradient - found) < 0.1 * SMALL_STEP * np.diag(normal)).all()
+
+
+def test_every_candidate_is_within_the_limits(vehicle, stream, monkeypatch):
+    """Up to the step of a difference; also where a dead time and a lag, and so each alone, are nearly the largest."""
+    tried, search = [], Search(moments_of(following(stream, vehicle, 0.06, 0.03), vehicle))
+    cost = search.cost
+    monkeypatch.setattr(search, "cost", lambda at: (tried.append(at.copy()), cost(at))[1])
+    found = search.all()
+    assert (np.array(tried) >= 0).all() and (np.array(tried) <= LARGEST + SMALL_STEP + 1e-12).all()
+    assert found.dead_time == pytest.approx(0.06, abs=2e-3) and found.lag == pytest.approx(0.03, abs=2e-3)
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.013, 0.02, 0.071])

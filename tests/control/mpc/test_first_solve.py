@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.config.compose import compose
 from quadexp.control.mpc.active_set import Status
-from quadexp.control.mpc.first_solve import rollout_function
+from quadexp.control.mpc.first_solve import ARMIJO, FirstSolve, rollout_function
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
@@ -109,6 +109,46 @@ def test_the_cost_of_a_rollout_is_the_problem_s(vehicle, rng, error):
     weights = np.vstack([Q, 1.7 * Q[0]])
     expected = (weights * deviation**2).sum() + (R * (U - U_ref) ** 2).sum()
     assert float(cost) == pytest.approx(expected / 2, rel=1e-9)
+
+
+def at_hover(vehicle):
+    """The first solve of a controller that has converged at hover, and the inputs (N, n) there."""
+    controller = ModelPredictiveController(vehicle, make_residual("none", vehicle), backend="interpreted")
+    state = np.tile(np.r_[np.zeros(3), 1, np.zeros(9)], (len(controller.node_times), 1))
+    hover = np.full((len(state) - 1, vehicle.n_rotors), vehicle.hover_thrust)
+    controller.reset(state[0], state, hover)
+    controller.command(state[0], state, hover)
+    rollout = rollout_function(vehicle, controller.residual, controller.settings.nodes)
+    return FirstSolve(rollout, controller._step, controller._direction), controller, hover
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
+def test_it_begins_at_the_guess_of_the_least_cost(vehicle, order):
+    """At hover, which costs nothing; then R (1 N)^2 for every input and what the climb costs, then what is infinite."""
+    solve, controller, hover = at_hover(vehicle)
+    guesses = [hover, hover + 1.0, np.full_like(hover, np.nan)]
+    assert solve.cost(guesses[0]) == pytest.approx(0, abs=1e-20) and solve.cost(guesses[2]) == np.inf
+    R = controller.settings.thrust_weight(vehicle)
+    assert solve.cost(guesses[1]) > len(hover) * R.sum() / 2
+    found = solve.solve([guesses[i] for i in order], 0)
+    assert np.array_equal(controller.prediction[1], hover) and found.kkt < 1e-9
+
+
+@pytest.mark.parametrize("kept", [0.5, 2.0])
+def test_a_step_keeps_its_share_of_the_promised_decrease(vehicle, monkeypatch, kept):
+    """J(U + a d) = J - kept ARMIJO a |d|_R^2 up to a = 1/8, and no decrease beyond: 1/8 is taken where kept > 1."""
+    solve, controller, hover = at_hover(vehicle)
+    d, R = np.linspace(-1.0, 1.0, hover.size).reshape(hover.shape), controller.settings.thrust_weight(vehicle)
+    slope = (R * d**2).sum()
+
+    def cost(inputs):
+        length = (inputs - hover)[0, 0] / d[0, 0]
+        return 7.0 - kept * ARMIJO * length * slope * (length < 0.126)
+
+    monkeypatch.setattr(solve, "cost", cost)
+    length, lower = solve._search(hover, d, 7.0)
+    assert length == (0.125 if kept > 1 else 0.0)
+    assert lower == pytest.approx(7.0 - kept * ARMIJO * length * slope, rel=1e-15)
 
 
 @pytest.mark.parametrize("error", ["plain", "body"])

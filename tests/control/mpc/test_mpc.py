@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.control.mpc import mpc
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
@@ -142,6 +143,22 @@ def test_a_step_without_bounds_says_so(vehicle):
     controller.reset(HOVER, state, thrust)
     record = controller.command(HOVER, state, thrust)[1]
     assert (record.status, record.sweeps, record.active) == (Status.RICCATI, 0, 0)
+
+
+def test_a_line_search_without_bounds_says_so_and_ends_where_full_steps_do(vehicle, monkeypatch):
+    """Near hover, after one full step instead of twenty: the same stationary point, no exchange, no active bound."""
+    x, answers = HOVER.copy(), []
+    x[3:7], x[7:10] = (np.cos(0.02), np.sin(0.02), 0, 0), (0.04, -0.03, 0.02)
+    for full_steps in (20, 1):
+        monkeypatch.setattr(mpc, "PLAIN_ITERATIONS", full_steps)
+        controller = ModelPredictiveController(vehicle, make_residual("none", vehicle), backend="interpreted")
+        state, thrust = hover_reference(controller, vehicle)
+        controller.reset(x, state, thrust)
+        answers.append(controller.command(x, state, thrust))
+        assert (controller._first_solve is not None) == (full_steps == 1)
+    (full, _), (searched, record) = answers
+    assert searched == pytest.approx(full, abs=1e-5)
+    assert (record.status, record.sweeps, record.active) == (Status.RICCATI, 0, 0) and record.converged
 
 
 def test_quaternion_sign_does_not_matter(vehicle):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.control.mpc.targets import held_targets
+from quadexp.control.mpc.targets import LEAST, held_targets
 
 
 def targets(vehicle, rotation, specific, push):
@@ -34,6 +34,15 @@ def test_they_hold_the_path(vehicle, rng):
         wanted = rotation.as_matrix()[:, 2] * specific - push
         axis, thrust = targets(vehicle, rotation, specific, push)
         assert axis * thrust == pytest.approx(wanted, abs=1e-6)
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5, 0.75])
+def test_next_to_no_specific_force_is_followed_by_its_share(vehicle, share):
+    """A force across the rotors' axis, of a share of LEAST: the axis is turned to share * across + (1 - share) * up."""
+    across, specific = share * LEAST * vehicle.gravity, 12.0
+    axis, thrust = targets(vehicle, Rotation.identity(), specific, np.array([-across, 0, specific]))
+    assert axis == pytest.approx(np.array([share, 0, 1 - share]) / np.hypot(share, 1 - share), abs=1e-9)
+    assert thrust == pytest.approx(across, abs=1e-9)
 
 
 def test_their_rates_are_those_of_their_attitudes(vehicle):
