@@ -34,10 +34,10 @@ FORMATS = {
     "nanobench": "CSV of the NanoBench set",
     "blackbird": "HDF5 of the Blackbird set",
     "ulog": "PX4",
-    "px4csv": "folder of CSVs, one a topic, as ulog2csv and `quadexp export` write them",
+    "px4csv": "folder of CSVs, one a topic, as ulog2csv writes them",
     "csv": "delimited text, or HDF5, by --mapping",
     "rosbag": "ROS 1 and ROS 2; needs [logs]",
-    "quadexp": "what this program wrote: Parquet, csv, tum, mcap",
+    "quadexp": "what this program wrote: Parquet, csv, tum",
 }
 _KINDS = {  # what a file's content may be for a --log-format
     "nanobench": ("text",), "blackbird": ("hdf5",), "ulog": ("ulog",), "px4csv": ("px4csv",),

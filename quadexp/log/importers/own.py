@@ -1,4 +1,4 @@
-"""What this program wrote, back as a flight: Parquet, csv, mcap, by the record in it or beside it. Nothing is resampled
+"""What this program wrote, back as a flight: Parquet and csv, by the record in it or beside it. Nothing is resampled
 or cropped. A csv with the names of a flight's columns and no record beside it, and tum, are logs like any other.
 """
 
@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.extras import missing_package
 from quadexp.log.importers.raw import QUANTITIES, ROTORS, Crop, RawLog, clean_stream, columns_of
 from quadexp.log.importers.table import Table, open_table
 from quadexp.log.schema import FLIGHT_COLUMNS, Flight, describe
@@ -42,12 +41,8 @@ def read_own(path: Path, kind: str) -> Flight | RawLog:
     if kind == "parquet":
         columns, record = read_table(path, "flight", required=("t",))
         return Flight(columns, record)
-    if kind == "mcap":
-        return _mcap(path)
-    if kind == "rerun":
-        raise DataError(
-            f"{path}: a Rerun recording is for looking at and cannot be read back: import the flight's Parquet"
-        )
+    if kind in ("mcap", "rerun"):
+        raise DataError(f"{path}: an export is for looking at and cannot be read back: import the flight's Parquet")
     table = open_table(path, "text")
     if is_tum(table):
         return _tum(table)
@@ -105,27 +100,3 @@ def is_own_mcap(path: Path) -> bool:
     """Whether an MCAP file is one that this program wrote."""
     with open(path, "rb") as file:
         return b"quadexp " in file.read(256)
-
-
-def _mcap(path: Path) -> Flight:
-    try:
-        from mcap.reader import make_reader
-    except ImportError:
-        raise missing_package(path, "mcap", "viz") from None
-    samples, record = [], {}
-    try:
-        with open(path, "rb") as file:
-            reader = make_reader(file)
-            for _, _, message in reader.iter_messages(topics="/flight"):
-                samples.append(json.loads(message.data))
-            for item in reader.iter_metadata():
-                if item.name == "quadexp":
-                    record = json.loads(item.metadata["record"])
-    except Exception as error:  # the reader, struct and the decompressors have no ancestor in common
-        raise DataError(f"{path}: damaged or truncated ({type(error).__name__}: {first_line(error)})") from None
-    if not samples or not isinstance(samples[0], dict) or "t" not in samples[0]:
-        raise DataError(f"{path}: has no samples on /flight")
-    if any(not isinstance(one, dict) or one.keys() != samples[0].keys() for one in samples):
-        raise DataError(f"{path}: samples with different columns on /flight")
-    columns = {name: np.array([one[name] for one in samples], float) for name in samples[0]}
-    return Flight(_typed(columns), record)

@@ -74,11 +74,10 @@ _WORLD = ("position", "velocity", "wind", "reference_position", "reference_veloc
 _BODY_VELOCITY = 3  # vehicle_odometry.velocity_frame: body, FRD
 
 
-def read_topics(path: Path, topics: Topics, parameters: Mapping[str, float], *, exported: bool = False) -> RawLog:
-    """Streams of one log.
+def read_topics(path: Path, topics: Topics, parameters: Mapping[str, float]) -> RawLog:
+    """Streams of one log. parameters: of the vehicle, as logged.
 
-    parameters: of the vehicle, as logged. exported: whether this program wrote the topics, so that actuator_outputs are
-    thrusts (N) in the vehicle's own order. Raises DataError where there is neither attitude nor motion.
+    Raises DataError where there is neither attitude nor motion.
     """
     log = RawLog("ulog", {}, "px4")
     used: dict[str, str] = {}
@@ -97,7 +96,7 @@ def read_topics(path: Path, topics: Topics, parameters: Mapping[str, float], *, 
                 log.streams[name] = _turned(name, stream, found)
                 used[name] = topic
                 break
-    _motors(path, log, topics, parameters, exported, used)
+    _motors(path, log, topics, parameters, used)
     if not {"position", "attitude", "velocity", "rate", "acceleration"} & set(log.streams):
         there = ", ".join(sorted(topics)[:10]) or "none"
         raise DataError(
@@ -192,21 +191,7 @@ def _velocity_to_world(log: RawLog) -> None:
     log.streams["velocity"] = Stream(body.t, R.apply(body.values))
 
 
-def _motors(
-    path: Path, log: RawLog, topics: Topics, parameters: Mapping[str, float], exported: bool, used: dict[str, str]
-) -> None:
-    if exported:
-        topic = next(iter(topics.get("actuator_outputs", [])), None)
-        if topic is not None:
-            fields = tuple(sorted((f for f in topic if f.startswith("output[")), key=lambda f: int(f[7:-1])))
-            stream = _stream(path, "actuator_outputs", topic, fields, log.notes)
-            if stream is not None:
-                log.streams["rotor_thrust"] = stream
-                used["rotor_thrust"] = "actuator_outputs"
-        commands = _rotor_stream(path, log, topics, "actuator_motors", "control")
-        if commands is not None:
-            log.streams["motor_command"], used["motor_command"] = commands, "actuator_motors"
-        return
+def _motors(path: Path, log: RawLog, topics: Topics, parameters: Mapping[str, float], used: dict[str, str]) -> None:
     most = _rotor_count(parameters)
     for name, field in (("actuator_motors", "control"), ("actuator_outputs", "output")):
         found = _rotor_stream(path, log, topics, name, field, most)
