@@ -16,13 +16,13 @@ from quadexp.log.importers.bad_rows import MODES, without_bad_rows
 from quadexp.log.importers.detect import detect
 from quadexp.log.importers.mapped import read_mapped
 from quadexp.log.importers.mapping_reader import Mapping, load_mapping
-from quadexp.log.importers.offsets import REFERENCES, align_streams, find_offsets
 from quadexp.log.importers.own import is_own_mcap, is_own_table, read_own
 from quadexp.log.importers.px4_csv import read_px4_csv
 from quadexp.log.importers.raw import RawLog
 from quadexp.log.importers.rosbag import read_rosbag
 from quadexp.log.importers.table import open_table
 from quadexp.log.importers.ulog import read_ulog
+from quadexp.log.offsets import REFERENCES, align_streams, find_offsets
 from quadexp.log.schema import Flight
 from quadexp.log.signal import Stream
 from quadexp.log.units import mounting_matrix
@@ -179,7 +179,7 @@ def ready_mappings() -> list[Mapping]:
 
 
 def _offsets(path: Path, log: RawLog, align: bool) -> tuple[dict[str, Any], list[str]]:
-    found = find_offsets(log)
+    found = find_offsets(log.streams)
     notes = [
         f"time offset: {name} {1e3 * o.seconds:+.1f} ms behind {behind} (standard error {1e3 * o.error:.2g} ms,"
         f" correlation {o.correlation:.2f})" + (", removed" if align and behind in REFERENCES else "")
@@ -187,7 +187,7 @@ def _offsets(path: Path, log: RawLog, align: bool) -> tuple[dict[str, Any], list
         if o.certain
     ]
     if align:
-        align_streams(log, found)
+        align_streams(log.streams, found)
     record = {
         name: {"seconds": o.seconds, "error": o.error if np.isfinite(o.error) else None,
                "correlation": o.correlation, "certain": o.certain, "behind": behind,

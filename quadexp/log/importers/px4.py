@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.importers.mapped import turn_attitude
+from quadexp.log.importers.mapped import turn_attitude, with_attitude
 from quadexp.log.importers.raw import RawLog, clean_stream
 from quadexp.log.signal import Stream, increasing
 from quadexp.log.units import axes_matrix
@@ -183,12 +183,8 @@ def _body_velocity(topics: Topics, used: dict[str, str]) -> bool:
 
 def _velocity_to_world(log: RawLog) -> None:
     """A velocity in FRD was turned as if it were NED: turn it back, into FLU, and by the attitude into the world."""
-    from quadexp.log.importers.mapped import with_attitude
-
-    stream = log.streams["velocity"]
-    body = Stream(stream.t, stream.values @ NED @ FRD.T)
-    body, R = with_attitude(log, "velocity", body)
-    log.streams["velocity"] = Stream(body.t, R.apply(body.values))
+    stream, R = with_attitude(log.streams, "velocity")
+    log.streams["velocity"] = Stream(stream.t, R.apply(stream.values @ NED @ FRD.T))
 
 
 def _motors(path: Path, log: RawLog, topics: Topics, parameters: Mapping[str, float], used: dict[str, str]) -> None:

@@ -229,7 +229,7 @@ def _choose(path: Path, log: RawLog, found: _Found) -> None:
             path, f"{quantity} ({rows.topic})", t[order][later], values[order][later], log.notes
         )
     if "velocity" in chosen and chosen["velocity"].in_body and "attitude" in log.streams:
-        stream, R = with_attitude(log, "velocity", log.streams["velocity"])
+        stream, R = with_attitude(log.streams, "velocity")
         log.streams["velocity"] = Stream(stream.t, R.apply(stream.values))
     log.about["topics"] = {quantity: rows.topic for quantity, rows in chosen.items()}
 
