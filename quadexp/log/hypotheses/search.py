@@ -127,12 +127,12 @@ class Trial:
     windows: Windows
     before: Agreements
     after: Agreements
-    beside: float = 0.0  # what a mount that is left besides explains (log units)
+    besides: float = 0.0  # what a mount that is left besides claims (log units)
 
     @property
     def value(self) -> float:
         """By how much the candidate raises E, less what it claims (log units)."""
-        return evidence(self.after) - evidence(self.before) + self.beside - PER_COST * self.candidate.cost
+        return evidence(self.after) - evidence(self.before) - self.besides - PER_COST * self.candidate.cost
 
     @property
     def better(self) -> list[str]:
@@ -279,10 +279,9 @@ def _under_a_mount(windows: Windows, before: Agreements, likely: list[Candidate]
         if trial is None or mount is None:
             continue
         both = agreements(mount.apply(trial.windows), trial.after, "f")
-        more = evidence(both) - evidence(trial.after) - PER_COST * mount.cost
-        judged = Trial(one, trial.windows, before, both)
-        if trial.value + more > alone + 2 * MARGIN and judged.plausible():
-            found.append(Trial(one, trial.windows, before, trial.after, more))
+        judged = Trial(one, trial.windows, before, both, PER_COST * mount.cost)
+        if judged.value > alone + 2 * MARGIN and judged.plausible():
+            found.append(judged)
     return found
 
 
