@@ -23,9 +23,9 @@ from quadexp.log.hypotheses.candidates import READINGS, Candidate, flow
 from quadexp.log.hypotheses.search import MARGIN, PER_COST, agreement, explain
 from quadexp.log.hypotheses.windows import FLOOR, Windows, changes, pairs
 from quadexp.log.importers.columns import Match, Table
-from quadexp.log.importers.detect import detect
 from quadexp.log.importers.mapping_reader import PLACES
 from quadexp.log.importers.names import groups, numbered_quaternion, unit_of
+from quadexp.log.importers.readers import reader_of
 from quadexp.log.importers.table import numbers, open_table
 from quadexp.log.signal import continuous
 from quadexp.log.signal.crop import runs
@@ -105,10 +105,11 @@ class Description:
 def describe_log(path: Path) -> Description:
     """Propose a mapping for a table. Raises DataError for what is none, or has no clock."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        kind = detect(path)
-        if kind not in ("text", "hdf5"):
-            raise DataError(f"{path}: {kind} says itself what its fields are and needs no mapping: import it as it is")
-        names, data = numbers(open_table(path, kind))
+        if (reader := reader_of(path)) not in ("csv", "quadexp"):
+            raise DataError(
+                f"{path}: {reader} says itself what its fields are and needs no mapping: import it as it is"
+            )
+        names, data = numbers(table_ := open_table(path))
         clock, time = _clock(path, names, data)
         t = data[:, clock] * SECONDS[time.value["unit"]]
         good = np.isfinite(t)
@@ -123,7 +124,7 @@ def describe_log(path: Path) -> Description:
         made.others()
     fields = {"time": time, **{key: made.fields[key] for key in ("world", "body") if key in made.fields}, **made.fields}
     fields["crop"] = Proposal("auto", 0.9, "ground phases at the ends are cut off where there are any")
-    return Description(path, kind, fields)
+    return Description(path, "hdf5" if table_.hdf5 else "text", fields)
 
 
 def _clock(path: Path, names: list[str], data: np.ndarray) -> tuple[int, Proposal]:

@@ -48,7 +48,16 @@ class _Rows:
     in_body: bool = False
 
 
-def read_rosbag(path: Path) -> RawLog:
+ABOUT = "ROS 1 and ROS 2; needs [logs]"
+MAGIC = (b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
+
+
+def recognises(path: Path, head: bytes | None) -> int:
+    """A file of ROS 1 or of ROS 2; a folder of ROS 2. An MCAP of our own is surer to be that (quadexp.py)."""
+    return int((path / "metadata.yaml").is_file() if head is None else head.startswith(MAGIC))
+
+
+def read(path: Path, named: str) -> RawLog:
     """Streams of a bag (a file of ROS 1, a folder or MCAP of ROS 2). Raises DataError."""
     try:
         from rosbags.highlevel import AnyReader

@@ -15,7 +15,14 @@ from quadexp.log.importers.table import open_table
 _NAME = re.compile(rf"(?:.*_)?({'|'.join(sorted(TOPICS, key=len, reverse=True))})_(\d+)")
 
 
-def read_px4_csv(path: Path) -> RawLog:
+ABOUT = "folder of CSVs, one a topic, as ulog2csv writes them"
+
+
+def recognises(path: Path, head: bytes | None) -> int:
+    return 2 * (head is None and any(path.glob("*_vehicle_*_0.csv")))
+
+
+def read(path: Path, named: str) -> RawLog:
     """Streams of a folder of topics. Raises DataError."""
     if any(
         "thrust of rotor" in file.read_text(encoding="utf-8", errors="replace") for file in path.glob("*_about.json")
@@ -27,7 +34,7 @@ def read_px4_csv(path: Path) -> RawLog:
         found = _NAME.fullmatch(file.stem)
         if found is None or file.stat().st_size == 0:
             continue
-        table = open_table(file, "text")
+        table = open_table(file)
         if "timestamp" not in table.columns:
             raise DataError(f"{file}: no column 'timestamp' (it has {', '.join(table.columns[:6])}, ...)")
         topics.setdefault(found[1], []).append(table.read(table.columns, notes))
