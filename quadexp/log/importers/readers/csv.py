@@ -1,4 +1,4 @@
-"""Tables of numbers, delimited text or HDF5, by the ready mapping whose columns they have (importing.py: by --mapping)."""
+"""Tables of numbers, text or HDF5, by the ready mapping whose columns they have (by --mapping: importing.py)."""
 
 from __future__ import annotations
 
