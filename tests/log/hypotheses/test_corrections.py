@@ -63,7 +63,7 @@ def broken(flight: Flight, one: Candidate) -> Flight:
 
         def made(x: np.ndarray, name: str = name, beside: dict = beside) -> np.ndarray:
             probe = {key: beside.get(key, np.zeros_like(values)) for key, values in streams.items()}
-            probe[name] = np.broadcast_to(x, streams[name].shape)
+            probe[name] = np.broadcast_to(x, streams[name].shape).copy()
             return one.apply(Windows(t, probe)).streams[name][0]
 
         offset = made(np.zeros(width)) if name != "q" else 0.0
