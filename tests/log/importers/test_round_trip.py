@@ -163,3 +163,28 @@ def test_rosbag(tmp_path, version):
     for prefix, values in (("p", f.p), ("v", f.v), ("w", f.w), ("acc", f.acc)):
         np.testing.assert_allclose(flight.stack([f"{prefix}_{a}" for a in "xyz"]), values, atol=1e-5, err_msg=prefix)
     assert flight.metadata["source"]["topics"]["position"] == "/drone/odometry"
+
+
+def test_what_messages_hold():
+    """Fields by the type of a message: electrical speeds, a twist in the body, an IMU that knows no attitude."""
+    from types import SimpleNamespace as Message
+
+    from quadexp.log.importers.readers.rosbag import _fields, _take
+
+    def taken(kind: str, message: Message) -> dict:
+        found: dict = {}
+        _take(found, _fields(kind), "/topic", 1.0, message)
+        return {quantity: topics["/topic"] for quantity, topics in found.items()}
+
+    x, q = Message(x=1.0, y=2.0, z=3.0), Message(w=1.0, x=0.0, y=0.0, z=0.0)
+    esc = taken("mavros_msgs/msg/ESCStatus", Message(esc_status=[Message(rpm=-60)] * 4))
+    assert list(esc) == ["rotor_speed"] and esc["rotor_speed"].values == [pytest.approx([2 * np.pi] * 4)]
+    twist = Message(header=Message(frame_id="base_link"), twist=Message(linear=x, angular=x))
+    made = taken("geometry_msgs/msg/TwistStamped", twist)
+    assert made["velocity"].in_body and made["rate"].values == [[1.0, 2.0, 3.0]]
+    imu = Message(angular_velocity=x, linear_acceleration=x, orientation=q, orientation_covariance=[-1.0])
+    assert set(taken("sensor_msgs/msg/Imu", imu)) == {"rate", "acceleration"}
+    state = Message(pose=Message(position=x, orientation=q), velocity=Message(linear=x, angular=x), motors=[1.0] * 4)
+    made = taken("agiros_msgs/msg/QuadState", state)
+    assert set(made) == {"position", "attitude", "velocity", "rate", "rotor_speed"} and not made["velocity"].in_body
+    assert taken("std_msgs/msg/String", Message(data="")) == {}
