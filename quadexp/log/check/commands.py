@@ -53,12 +53,12 @@ def check_commands(flight: Flight, vehicle: Vehicle | None) -> tuple[list[Findin
         low, high, unit = allowed
         finite = np.where(np.isfinite(values), values, low)
         slack = ROUNDING * (high - low)
-        outside = (finite < low - slack) | (finite > high + slack)
+        outside = np.asarray((finite < low - slack) | (finite > high + slack))
         if outside.any():
-            mask = outside.any(axis=1)
+            mask, of_rotor = np.asarray(outside.any(axis=1)), np.asarray(outside.any(axis=0))
             impossible |= mask
             start, stop = max(runs(mask), key=lambda run: run[1] - run[0])
-            columns = " ".join(name for name, bad in zip(names, outside.any(axis=0), strict=True) if bad)
+            columns = " ".join(name for name, bad in zip(names, of_rotor, strict=True) if bad)
             text = f"{finite[outside].min():.4g} to {finite[outside].max():.4g}{unit} in {mask.sum()} samples"
             where, when = f"{columns}, {place(start, stop, flight.t)} longest", span(flight.t, start, stop)
             text_allowed = f"{low:g}..{high:.4g}{unit}"

@@ -35,7 +35,7 @@ def check_dead(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Find
     if not bend.shape[1]:
         return [], dead
     found = []
-    for start, stop in runs((bend <= limit).all(axis=1)):
+    for start, stop in runs(np.asarray((bend <= limit).all(axis=1))):
         low, high = max(0, start - m), min(len(t), stop + m)  # the line goes on to where its ends are
         kink = max(float((bend[part] / usual).max(initial=0.0)) for part in (slice(low, start), slice(stop, stop + m)))
         if t[high - 1] - t[low] >= LEAST and kink > KINK:

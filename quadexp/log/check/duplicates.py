@@ -43,7 +43,9 @@ def check_duplicates(flights: Mapping[str, Flight]) -> dict[str, list[Finding]]:
     seen: list[tuple[str, _Trace]] = []
     for name, flight in flights.items():
         trace = _trace(flight)
-        for other, earlier in seen if trace is not None else ():
+        if trace is None:
+            continue
+        for other, earlier in seen:
             alike = _compare(trace, earlier)
             if alike is not None:
                 text, where = f"{alike} {other}", f"all samples, {trace.t[0]:.2f}..{trace.t[-1]:.2f} s"
@@ -51,7 +53,7 @@ def check_duplicates(flights: Mapping[str, Flight]) -> dict[str, list[Finding]]:
                 allowed = f"residual over signal {ALIKE:g}"
                 found[name] = [Finding("duplicate", "blocking", where, text, allowed, advice)]
                 break
-        seen += [] if trace is None else [(name, trace)]
+        seen.append((name, trace))
     return found
 
 

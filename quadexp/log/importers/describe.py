@@ -122,7 +122,8 @@ def describe_log(path: Path) -> Description:
         made.frames()
         made.rotors()
         made.others()
-    fields = {"time": time, **{key: made.fields[key] for key in ("world", "body") if key in made.fields}, **made.fields}
+    frames = [key for key in ("world", "body") if key in made.fields]
+    fields = {"time": time} | {key: made.fields[key] for key in frames} | made.fields
     fields["crop"] = Proposal("auto", 0.9, "ground phases at the ends are cut off where there are any")
     return Description(path, "hdf5" if table_.hdf5 else "text", fields)
 
@@ -269,10 +270,12 @@ class _Proposals:
         """Unit of an accelerometer from its mean size, which in flight is about that of gravity."""
         size = float(np.linalg.norm(self.table.means[:, force.columns], axis=1).mean())
         written, factors = self.written(force.columns), UNITS["acceleration"]
-        near = {**{unit: 9.81 / factor for unit, factor in factors.items()}, **{n: n for n in COUNTS_PER_G}}
+        near: dict[str | float, float] = {unit: 9.81 / factor for unit, factor in factors.items()}
+        near |= {count: count for count in COUNTS_PER_G}
         unit = min(near, key=lambda name: abs(np.log(max(size, 1e-9) / near[name])))
         sure = SURE if abs(np.log(max(size, 1e-9) / near[unit])) < 0.4 else GUESS
-        why, factor, lines = f"its mean size is {size:.4g}", factors.get(unit, 0.0), {"unit": unit}
+        why, factor = f"its mean size is {size:.4g}", factors.get(str(unit), 0.0)
+        lines: dict[str, Any] = {"unit": unit}
         if unit in COUNTS_PER_G and written not in factors:
             lines, factor, why = {"unit": "g", "scale": 1 / near[unit]}, factors["g"] / near[unit], f"{why}: counts a g"
             sure = min(sure, 0.75)
@@ -316,7 +319,7 @@ class _Proposals:
                 lines = {**old.value, **(said or {})}
                 self.fields[key] = Proposal(lines, max(sure, old.confidence), f"{old.why}; {text}")
             else:
-                about = WORLDS[said][0] if key == "world" else "where the thrust points along z"
+                about = WORLDS[str(said)][0] if key == "world" else "where the thrust points along z"
                 self.fields[key] = Proposal(said, sure, f"{about}; {text}")
         if "velocity" in best.correction:
             self.fields["velocity"].value["frame"] = "body"
@@ -421,7 +424,7 @@ class _Proposals:
         value, columns = self.fields["rate"].value, self.places["rate"]
         w = self.table.x[:, columns] * UNITS["rate"][value["unit"]]
         for one in self.lines:
-            lines = {key: one.correction[key] for key in ("body", "rate") if key in one.correction}
+            lines = {key: value for key, value in one.correction.items() if key in ("body", "rate")}
             alone = Candidate("", "w", "", lines)
             w = alone.apply(Windows(self.table.t[None], {"w": w[None]})).streams["w"][0] if lines else w
         return w

@@ -33,7 +33,7 @@ class Reader(Protocol):
 @cache
 def readers() -> dict[str, Reader]:
     """Every format."""
-    return {one.name: import_module(f"{__name__}.{one.name}") for one in iter_modules(__path__)}  # type: ignore[misc]
+    return {one.name: import_module(f"{__name__}.{one.name}") for one in iter_modules(__path__)}
 
 
 def reader_of(path: Path) -> str:
