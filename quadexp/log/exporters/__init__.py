@@ -1,4 +1,4 @@
-"""Flights in other programs' formats: one module a format, `write(flight, path, force=...)` says what it wrote."""
+"""Flights in other programs' formats: one function a format, `write(flight, path, force=...)`, says what it wrote."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from quadexp.log.store import read_flight
 
 @dataclass(frozen=True)
 class Format:
-    """module: where `write(flight, path) -> files` stands. suffix: of the file. about: for help."""
+    """module and function: write(flight, path) -> files. suffix: of the file. about: for help."""
 
     module: str
     suffix: str
     about: str
+    function: str = "write"
 
 
 FORMATS = {
-    "csv": Format("table_csv", ".csv", "every column, with units and the record beside it as JSON"),
-    "tum": Format("tum", ".tum", "poses flown and wanted, for evo and other trajectory tools"),
+    "csv": Format("text", ".csv", "every column, with units and the record beside it as JSON", "write_columns"),
+    "tum": Format("text", ".tum", "poses flown and wanted, for evo and other trajectory tools", "write_poses"),
     "mcap": Format("mcap_file", ".mcap", "poses, transforms and every column, for Foxglove; needs [viz]"),
     "rerun": Format("rerun_file", ".rrd", "a recording for the Rerun viewer; needs [viz]"),
 }
@@ -49,5 +50,5 @@ def export_flight(
     if not len(loaded):
         raise UsageError(f"{source}: holds no samples ({loaded.outcome}), there is nothing to export")
     check_output(target, force=force)
-    write: Callable[..., dict[str, Path]] = import_module(f"{__name__}.{chosen.module}").write
+    write: Callable[..., dict[str, Path]] = getattr(import_module(f"{__name__}.{chosen.module}"), chosen.function)
     return write(loaded, target, force=force)

@@ -109,7 +109,7 @@ def describe_log(path: Path) -> Description:
             raise DataError(
                 f"{path}: {reader} says itself what its fields are and needs no mapping: import it as it is"
             )
-        names, data = numbers(table_ := open_table(path))
+        names, data = numbers(opened := open_table(path))
         clock, time = _clock(path, names, data)
         t = data[:, clock] * SECONDS[time.value["unit"]]
         good = np.isfinite(t)
@@ -125,7 +125,7 @@ def describe_log(path: Path) -> Description:
     frames = [key for key in ("world", "body") if key in made.fields]
     fields = {"time": time} | {key: made.fields[key] for key in frames} | made.fields
     fields["crop"] = Proposal("auto", 0.9, "ground phases at the ends are cut off where there are any")
-    return Description(path, "hdf5" if table_.hdf5 else "text", fields)
+    return Description(path, opened.format, fields)
 
 
 def _clock(path: Path, names: list[str], data: np.ndarray) -> tuple[int, Proposal]:

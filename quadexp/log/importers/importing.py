@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
-from quadexp.log.importers.assemble import Assembled, assemble
+from quadexp.log.importers.assemble import assemble
 from quadexp.log.importers.bad_rows import MODES, without_bad_rows
 from quadexp.log.importers.mapped import read_mapped
 from quadexp.log.importers.mapping_reader import Mapping, load_mapping
@@ -73,11 +73,11 @@ def _import(path: Path, vehicle: Vehicle | None, options: Options, mapping: Mapp
         return _mended(log, vehicle, options)
     _unmount(path, log, options)
     offsets, found = _offsets(path, log, options.align)
-    made = assemble(path, log, vehicle, rate=options.rate, cropping=options.crop)
+    columns, derived = assemble(path, log, vehicle, rate=options.rate, cropping=options.crop)
     log.streams.clear()  # a long log is held once
-    metadata = _metadata(path, log, made, vehicle, offsets)
-    flight, left_out = _mended(Flight(made.columns, metadata), vehicle, options, made.derived)
-    return flight, [*made.notes, *found, *left_out]
+    metadata = _metadata(path, log, vehicle, offsets)
+    flight, left_out = _mended(Flight(columns, metadata), vehicle, options, derived)
+    return flight, [*log.notes, *found, *left_out]
 
 
 def _refuse_changes(path: Path, flight: Flight, vehicle: Vehicle | None, options: Options) -> None:
@@ -127,8 +127,8 @@ def read_log(path: Path, form: str, mapping: Mapping | None) -> RawLog | Flight:
     if mapping is None:
         return readers()[kind].read(path, form)
     table = open_table(path) if kind in TABLES else None
-    if table is None or mapping.format != ("hdf5" if table.hdf5 else "text"):
-        kind = kind if table is None else "hdf5" if table.hdf5 else "text"
+    if table is None or mapping.format != table.format:
+        kind = kind if table is None else table.format
         raise DataError(f"{path}: its content is {kind}, the mapping {mapping.name} is for {mapping.format}")
     return read_mapped(table, mapping)
 
@@ -157,28 +157,12 @@ def _offsets(path: Path, log: RawLog, align: bool) -> tuple[dict[str, Any], list
     return record, notes
 
 
-def _metadata(
-    path: Path, log: RawLog, made: Assembled, vehicle: Vehicle | None, offsets: dict[str, Any]
-) -> dict[str, Any]:
+def _metadata(path: Path, log: RawLog, vehicle: Vehicle | None, offsets: dict[str, Any]) -> dict[str, Any]:
+    source = {"file": path.name, "sha256": digest(path), "format": log.format, "mapping": log.mapping}
     metadata: dict[str, Any] = {
-        "name": path.stem,
-        "outcome": "ok",
-        "recorded": True,
-        "source": {
-            "file": path.name,
-            "sha256": digest(path),
-            "format": log.format,
-            "mapping": log.mapping,
-            "rate": made.rate,
-            "rates": made.rates,
-            "resampled": made.resampled,
-            "offsets": offsets,
-            "cropped": list(made.cropped),
-            **log.about,
-        },
-        "versions": versions(),
-        "provenance": provenance(),
-    }
+        "name": path.stem, "outcome": "ok", "recorded": True, "source": source | {"offsets": offsets} | log.about,
+        "versions": versions(), "provenance": provenance(),
+    }  # fmt: skip
     if vehicle is not None:
         metadata["vehicle"] = {"name": vehicle.name, "fingerprint": vehicle.fingerprint}
         metadata["config"] = {"vehicle": asdict(vehicle)}

@@ -30,19 +30,24 @@ FRD = axes_matrix("body", "FRD", "")
 RPM = 2 * np.pi / 60
 MOST_ROTORS = 12
 QUAD_X = ("front_right", "back_left", "front_left", "back_right")
-_XYZ = tuple(f"xyz[{i}]" for i in range(3))
-_Q = tuple(f"q[{i}]" for i in range(4))
+
+
+def _array(name: str, length: int = 3) -> tuple[str, ...]:
+    return tuple(f"{name}[{i}]" for i in range(length))
+
+
+_XYZ, _Q = _array("xyz"), _array("q", 4)
 # quantity -> [(topic, fields)], best first.
 SOURCES: dict[str, list[tuple[str, tuple[str, ...]]]] = {
     "position": [
         ("vehicle_local_position", ("x", "y", "z")),
-        ("vehicle_odometry", ("position[0]", "position[1]", "position[2]")),
+        ("vehicle_odometry", _array("position")),
         ("vehicle_odometry", ("x", "y", "z")),
         ("vehicle_local_position_groundtruth", ("x", "y", "z")),
     ],
     "velocity": [
         ("vehicle_local_position", ("vx", "vy", "vz")),
-        ("vehicle_odometry", ("velocity[0]", "velocity[1]", "velocity[2]")),
+        ("vehicle_odometry", _array("velocity")),
         ("vehicle_odometry", ("vx", "vy", "vz")),
         ("vehicle_local_position_groundtruth", ("vx", "vy", "vz")),
     ],
@@ -50,13 +55,13 @@ SOURCES: dict[str, list[tuple[str, tuple[str, ...]]]] = {
     "rate": [
         ("vehicle_angular_velocity", _XYZ),
         ("vehicle_attitude", ("rollspeed", "pitchspeed", "yawspeed")),
-        ("sensor_combined", ("gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]")),
-        ("vehicle_odometry", ("angular_velocity[0]", "angular_velocity[1]", "angular_velocity[2]")),
+        ("sensor_combined", _array("gyro_rad")),
+        ("vehicle_odometry", _array("angular_velocity")),
         ("vehicle_odometry", ("rollspeed", "pitchspeed", "yawspeed")),
         ("vehicle_angular_velocity_groundtruth", _XYZ),
     ],
     "acceleration": [
-        ("sensor_combined", tuple(f"accelerometer_m_s2[{i}]" for i in range(3))),
+        ("sensor_combined", _array("accelerometer_m_s2")),
         ("vehicle_acceleration", _XYZ),
     ],
     "battery_voltage": [("battery_status", ("voltage_v",)), ("battery_status", ("voltage_filtered_v",))],

@@ -38,6 +38,11 @@ class Table:
     hdf5: bool = False
     encoding: str = "utf-8"
 
+    @property
+    def format(self) -> str:
+        """As a mapping calls it."""
+        return "hdf5" if self.hdf5 else "text"
+
     def read(self, names: Sequence[str], notes: list[str], rows: int | None = None) -> dict[str, np.ndarray]:
         """Columns by name, each (k,), NaN where a cell is empty. rows: the first so many only.
 

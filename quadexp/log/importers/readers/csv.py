@@ -24,7 +24,7 @@ def read(path: Path, named: str) -> RawLog:
     table = open_table(path)
     for mapping in ready_mappings():
         if named in ("auto", "csv", mapping.name) and set(mapping.signature) <= set(table.columns):
-            if mapping.format == ("hdf5" if table.hdf5 else "text"):
+            if mapping.format == table.format:
                 log = read_mapped(table, mapping)
                 log.format = mapping.name
                 return log
