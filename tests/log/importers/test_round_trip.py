@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
 from quadexp.log.exporters import export_flight
-from quadexp.log.importers import Options, import_log
+from quadexp.log.importers import Options, import_log, readers
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
 from tests.log.importers import logs
@@ -61,6 +62,28 @@ def test_exports_for_looking_at_are_refused_by_name(flown, tmp_path):
     for name in ("made.mcap", "px4"):
         with pytest.raises(DataError, match="import the flight's Parquet"):
             import_log(tmp_path / name, None, Options())
+
+
+def test_a_module_in_readers_is_a_format(tmp_path, monkeypatch):
+    """Nothing else has to be written for a new format of logs."""
+    (tmp_path / "blackbox.py").write_text(
+        "import numpy as np\nfrom quadexp.log.importers.raw import RawLog\nfrom quadexp.log.signal import Stream\n"
+        "ABOUT = 'made up'\n"
+        "def recognises(path, head): return 2 * (head or b'').startswith(b'BLACKBOX')\n"
+        "def read(path, named):\n"
+        "    return RawLog('blackbox', {'rate': Stream(np.arange(50) / 50, np.ones((50, 3)))})\n"
+    )
+    (tmp_path / "a.bin").write_bytes(b"BLACKBOX\x00\x01")
+    with pytest.raises(DataError, match="neither text nor csv"):
+        import_log(tmp_path / "a.bin", None, Options())
+    monkeypatch.setattr(readers, "__path__", [*readers.__path__, str(tmp_path)])
+    readers.readers.cache_clear()
+    try:
+        flight, _ = import_log(tmp_path / "a.bin", None, Options())
+        assert flight.metadata["source"]["format"] == "blackbox" and (flight["w_z"] == 1).all()
+    finally:
+        readers.readers.cache_clear()
+        sys.modules.pop("quadexp.log.importers.readers.blackbox", None)
 
 
 def test_parquet_is_taken_as_it_is(flown):
