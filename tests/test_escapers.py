@@ -20,7 +20,7 @@ from quadexp import messages
 from quadexp.cli.terminal import print_lines
 from quadexp.config.engine import SlurmConfig
 from quadexp.errors import UsageError
-from quadexp.log.hypotheses.hypothesis import flow
+from quadexp.log.hypotheses.candidates import flow
 from quadexp.report.sortable import Column, sortable_page
 from quadexp.report.style import Figure, plain_log, styled
 from quadexp.report.table import _MARKS, Table

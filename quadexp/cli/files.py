@@ -108,7 +108,7 @@ def report(
 def export(
     flight: Annotated[Path, typer.Argument(help="A flight of `quadexp simulate` or of a sweep, or a results folder.")],
     to: Annotated[
-        str, typer.Option("--to", metavar="FORMAT", help="csv, tum, px4csv, mcap, rerun; of results mlflow or wandb.")
+        str, typer.Option("--to", metavar="FORMAT", help="csv, tum, mcap, rerun; of results mlflow or wandb.")
     ],
     target: Annotated[Path | None, typer.Argument(metavar="[OUT]", help="Where to write, as --out.")] = None,
     out: OptionalOut = None,
@@ -121,7 +121,7 @@ def export(
 
     \b
     quadexp export runs/a.parquet --to rerun --out a.rrd
-    quadexp export runs/a.parquet --to px4csv --out a_px4
+    quadexp export runs/a.parquet --to csv --out a.csv
     quadexp export results/table1 --to mlflow mlruns
     """
     from quadexp.errors import UsageError

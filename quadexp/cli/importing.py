@@ -12,7 +12,8 @@ from quadexp.cli.options import Conf, Force, Format, Json
 from quadexp.cli.terminal import FORMATS, answered, emit, format_of, guarded, print_lines, say
 from quadexp.errors import QuadexpError, UsageError
 
-LOG_FORMATS = ("auto", "nanobench", "blackbird", "ulog", "px4csv", "csv", "rosbag", "quadexp")
+_READERS = (Path(__file__).parents[1] / "log" / "importers" / "readers").glob("[a-z]*.py")
+LOG_FORMATS = ("auto", *sorted(file.stem for file in _READERS), "nanobench", "blackbird")
 _FORMATS = f"Of the log: {', '.join(LOG_FORMATS[:-1])} or {LOG_FORMATS[-1]}."
 
 

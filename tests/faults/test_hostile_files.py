@@ -159,7 +159,7 @@ def test_hdf5_that_declares_what_it_does_not_hold(tmp_path):
             file.create_dataset(name, shape=(100_000_000,), dtype="f8", chunks=(1_000_000,), fillvalue=1.0)
     assert path.stat().st_size < 100_000
     with pytest.raises(DataError, match=r"log.h5: . declares 100000000 rows: too many to be a log, or damaged"):
-        open_table(path, "hdf5").read(["t", "x"], [])
+        open_table(path).read(["t", "x"], [])
     done = apart("import", "--describe", path, before=MEMORY.format(path=str(tmp_path / "peak")))
     assert "Traceback" not in done.stderr and int((tmp_path / "peak").read_text()) < LIMIT
 

@@ -72,54 +72,6 @@ def test_tum_is_read_by_what_reads_tum(flight, path, tmp_path):
     np.testing.assert_allclose(again.flat_output(flight.t).position[:, 0], flight.stack(names[1:4]), atol=1e-9)
 
 
-class TestPX4:
-    @pytest.fixture
-    def topics(self, path, tmp_path):
-        files = export_flight(path, "px4csv", tmp_path / "log")
-        assert files["vehicle_attitude"].name == "log_vehicle_attitude_0.csv"
-        return {name: read_csv(file) for name, file in files.items() if file.suffix == ".csv"}
-
-    def test_topics_and_time(self, flight, topics):
-        assert set(topics) == {
-            "vehicle_local_position", "vehicle_local_position_setpoint", "vehicle_attitude",
-            "vehicle_angular_velocity", "actuator_outputs", "sensor_combined",
-        }  # fmt: skip
-        for topic in topics.values():
-            np.testing.assert_allclose(topic["timestamp"], 1e6 * flight.t, atol=0.5)
-
-    def test_position_is_north_east_down(self, flight, topics):
-        for name, prefix in (("vehicle_local_position", ""), ("vehicle_local_position_setpoint", "ref_")):
-            topic = topics[name]
-            np.testing.assert_array_equal(topic["x"], flight[f"{prefix}p_y"])
-            np.testing.assert_array_equal(topic["y"], flight[f"{prefix}p_x"])
-            np.testing.assert_array_equal(topic["z"], -flight[f"{prefix}p_z"])
-            np.testing.assert_array_equal(topic["vz"], -flight[f"{prefix}v_z"])
-
-    def test_attitude_turns_body_down_into_world_down(self, flight, topics):
-        q = np.column_stack([topics["vehicle_attitude"][f"q[{i}]"] for i in range(4)])
-        assert q[0, 0] >= 0 and np.all(np.sum(q[1:] * q[:-1], axis=1) > 0)
-        enu = Rotation.from_quat(flight.stack(["q_w", "q_x", "q_y", "q_z"]), scalar_first=True)
-        ned = Rotation.from_quat(q, scalar_first=True)
-        for frd, flu in (([1, 0, 0], [1, 0, 0]), ([0, 1, 0], [0, -1, 0]), ([0, 0, 1], [0, 0, -1])):
-            east, north, up = enu.apply(flu).T
-            np.testing.assert_allclose(ned.apply(frd), np.column_stack([north, east, -up]), atol=1e-12)
-
-    def test_heading_is_from_north(self, topics):
-        # yaw 2.9 rad from east (ENU, counter-clockwise) is pi/2 - 2.9 from north (clockwise)
-        assert topics["vehicle_local_position"]["heading"][0] == pytest.approx(np.pi / 2 - 2.9, abs=1e-12)
-
-    def test_rates_force_and_thrust(self, flight, topics):
-        for i, sign in enumerate((1, -1, -1)):
-            axis = "xyz"[i]
-            np.testing.assert_array_equal(topics["vehicle_angular_velocity"][f"xyz[{i}]"], sign * flight[f"w_{axis}"])
-            sensor = topics["sensor_combined"]
-            np.testing.assert_array_equal(sensor[f"gyro_rad[{i}]"], sign * flight[f"w_{axis}"])
-            np.testing.assert_array_equal(sensor[f"accelerometer_m_s2[{i}]"], sign * flight[f"acc_{axis}"])
-        np.testing.assert_array_equal(topics["sensor_combined"]["gyro_integral_dt"][1:], 20000)
-        for i in range(4):
-            np.testing.assert_array_equal(topics["actuator_outputs"][f"output[{i}]"], flight[f"u_{i}"])
-
-
 def test_mcap_loses_nothing(flight, path, tmp_path):
     reader = pytest.importorskip("mcap.reader")
     made = export_flight(path, "mcap", tmp_path / "a.mcap")["mcap"]
@@ -178,6 +130,8 @@ def test_a_missing_extra_is_one_clear_line(form, package, path, tmp_path, monkey
 def test_refusals(path, tmp_path):
     with pytest.raises(UsageError, match="--to bag: no such format; there are csv, tum"):
         export_flight(path, "bag")
+    with pytest.raises(UsageError, match="--to px4csv: went: --to csv"):
+        export_flight(path, "px4csv")
     (tmp_path / "a.csv").write_text("precious")
     with pytest.raises(UsageError, match="--force"):
         export_flight(path, "csv")
@@ -191,4 +145,4 @@ def test_beside_the_flight_unless_told(path):
         "csv": {"csv", "about"},
         "tum": {"tum", "reference"},
     }
-    assert (path.parent / "a.tum").exists() and set(FORMATS) == {"csv", "tum", "px4csv", "mcap", "rerun"}
+    assert (path.parent / "a.tum").exists() and set(FORMATS) == {"csv", "tum", "mcap", "rerun"}

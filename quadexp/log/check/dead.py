@@ -28,63 +28,54 @@ def check_dead(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Find
     step = float(np.median(np.diff(t))) if len(t) > 2 else 0.0
     m = max(1, round(STEP / step)) if step > 0 else 0
     names = [name for name in "pv" if name in streams]
-    if not m or len(t) < 20 * m:
+    if not m or len(t) < 20 * m or not names:
         return [], dead
-    bends = [_bend(streams[name], t, m) for name in names]
-    known = [one for one in bends if one is not None]
-    if not known:
+    x = np.concatenate([streams[name] for name in names], axis=1)
+    bend, usual, limit = _bend(x, t, m)
+    if not bend.shape[1]:
         return [], dead
-    straight = np.ones(len(t), bool)
-    for bend, limit, _ in known:
-        straight &= (bend <= limit).all(axis=1)
     found = []
-    for start, stop in runs(straight):
+    for start, stop in runs(np.asarray((bend <= limit).all(axis=1))):
         low, high = max(0, start - m), min(len(t), stop + m)  # the line goes on to where its ends are
-        around = [slice(max(0, start - m), start), slice(stop, stop + m)]
-        kink = max(float((bend[part] / usual).max(initial=0.0)) for bend, _, usual in known for part in around)
+        kink = max(float((bend[part] / usual).max(initial=0.0)) for part in (slice(low, start), slice(stop, stop + m)))
         if t[high - 1] - t[low] >= LEAST and kink > KINK:
             dead[low:high] = True
             found.append((low, high))
     if not found:
         return [], dead
     start, stop = max(found, key=lambda run: run[1] - run[0])
-    still = all(np.ptp(streams[name][start:stop], axis=0).max() == 0 for name in names)
-    lost = [name for name in "qwf" if name in streams and _flat(streams[name][start + 1 : stop - 1])]
-    what = "stands still" if still else "is a straight line"
+    what = "stands still" if np.ptp(x[start:stop], axis=0).max() == 0 else "is a straight line"
     several = f", {len(found)} such stretches" if len(found) > 1 else ""
     text = f"the state {what} for {t[stop - 1] - t[start]:.2f} s ({dead.mean():.1%} of the samples{several})"
     text += ": nothing was logged, values were filled in"
-    columns = ", ".join(f"{'acc' if name == 'f' else name}_*" for name in [*names, *lost])
     severity = "blocking" if dead.mean() > BLOCKS else "warning"
-    when = f"{columns}, {place(start, stop, t)}"
-    return [Finding("dead_logger", severity, when, text, f"{LEAST:g} s", CUT, span(t, start, stop))], dead
+    where = f"{', '.join(f'{name}_*' for name in names)}, {place(start, stop, t)}"
+    return [Finding("dead_logger", severity, where, text, f"{LEAST:g} s", CUT, span(t, start, stop))], dead
 
 
-def _bend(x: np.ndarray, t: np.ndarray, m: int) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Second differences over m samples, (k, columns); up to which one counts as zero, and the usual one, (columns,).
+def _bend(x: np.ndarray, t: np.ndarray, m: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Second differences over m samples, (k, columns); the usual one, and up to which one counts as zero, (columns,).
 
-    A line may have been drawn over the times or over the samples. Columns that never bend are left out; None where no
-    column could tell.
+    A line may have been drawn over the times or over the samples. Columns that cannot tell are left out: those that
+    never bend, and those whose last digit is too coarse.
     """
     bend = np.full(x.shape, np.inf)
     first, middle, last = x[: -2 * m], x[m:-m], x[2 * m :]
-    place = ((t[m:-m] - t[: -2 * m]) / np.maximum(t[2 * m :] - t[: -2 * m], 1e-9))[:, None]
-    by_time, by_row = (np.abs(first + share * (last - first) - middle) for share in (place, 0.5))
-    bend[m:-m] = 2 * np.minimum(by_time, by_row)
+    share = ((t[m:-m] - t[: -2 * m]) / np.maximum(t[2 * m :] - t[: -2 * m], 1e-9))[:, None]
+    bend[m:-m] = 2 * np.minimum(*(np.abs(first + s * (last - first) - middle) for s in (share, 0.5)))
     bend[~np.isfinite(bend)] = np.inf
-    kept, limits, usual = [], [], []
+    kept, usual, limit = [], [], []
     for i, column in enumerate(x.T):
         inner = bend[m:-m, i]
         inner = inner[np.isfinite(inner) & (inner > 1e-12 * max(1e-12, np.nanmax(np.abs(column))))]
         if len(inner) < 10:
             continue
         size, digit = float(np.median(inner)), _digit(column)
-        if 4.2 * digit > ROUNDED * size:
-            continue
-        kept.append(i)
-        usual.append(size)
-        limits.append(max(STRAIGHT * size, 4.2 * digit))
-    return (bend[:, kept], np.array(limits), np.array(usual)) if kept else None
+        if 4.2 * digit <= ROUNDED * size:
+            kept.append(i)
+            usual.append(size)
+            limit.append(max(STRAIGHT * size, 4.2 * digit))
+    return bend[:, kept], np.array(usual), np.array(limit)
 
 
 def _digit(column: np.ndarray) -> float:
@@ -94,11 +85,3 @@ def _digit(column: np.ndarray) -> float:
         if np.abs(part * 10**places - np.round(part * 10**places)).max(initial=1.0) < 1e-6 * 10**places * 1e-3:
             return 10.0**-places
     return 0.0
-
-
-def _flat(values: np.ndarray) -> bool:
-    """Whether a sensor repeats one value, or runs along a line, through these samples."""
-    if len(values) < 4:
-        return False
-    bend = np.abs(np.diff(values, 2, axis=0))
-    return bool(bend.max() <= 1e-6 * max(1e-9, float(np.abs(values).max())))

@@ -1,7 +1,7 @@
 """One flight under two names: the same bytes, the same samples, or the same motion cropped, shifted or resampled.
 
 Two flights of one trajectory look alike; the noise of their sensors does not. So what is compared is what changes
-quickest, the body rates and specific force (velocity and attitude where there is neither), on one 20 Hz clock: the lag
+quickest, the body rates and specific force (velocity and position where there is neither), on one 20 Hz clock: the lag
 of the highest correlation of their differences, then the residual after alignment over the common stretch.
 """
 
@@ -27,13 +27,14 @@ COARSE = 0.7  # correlation that is worth a closer look
 
 
 class _Trace(NamedTuple):
+    """values: (k, 3 streams) at t (k,), on one clock, of mean zero and size one. config: what a simulation was of."""
+
     t: np.ndarray
     values: np.ndarray
-    change: np.ndarray
     streams: str
     digest: str
     source: str
-    made: str
+    config: str
 
 
 def check_duplicates(flights: Mapping[str, Flight]) -> dict[str, list[Finding]]:
@@ -47,63 +48,52 @@ def check_duplicates(flights: Mapping[str, Flight]) -> dict[str, list[Finding]]:
         for other, earlier in seen:
             alike = _compare(trace, earlier)
             if alike is not None:
-                measured, start, stop = alike
-                where = f"all samples, {start:.2f}..{stop:.2f} s"
+                text, where = f"{alike} {other}", f"all samples, {trace.t[0]:.2f}..{trace.t[-1]:.2f} s"
                 advice = f"leave it out, or keep it on the same side of a split as {other}"
-                text = f"{measured} {other}"
-                found.setdefault(name, []).append(
-                    Finding("duplicate", "blocking", where, text, f"residual over signal {ALIKE:g}", advice)
-                )
+                allowed = f"residual over signal {ALIKE:g}"
+                found[name] = [Finding("duplicate", "blocking", where, text, allowed, advice)]
                 break
         seen.append((name, trace))
     return found
 
 
 def _trace(flight: Flight) -> _Trace | None:
-    t = np.asarray(flight.t, float)
-    usable = increasing(t)
-    names = [name for name in "wfvp" if all(column in flight.columns for column in STREAMS[name])]
-    values = {name: flight.stack(STREAMS[name]).astype(float) for name in names}
-    digest = hashlib.sha256()
-    for name in sorted(names):
-        digest.update(np.ascontiguousarray(values[name]).tobytes())
-    source = str((flight.metadata.get("source") or {}).get("sha256", ""))
-    made = "" if flight.metadata.get("recorded") else str(flight.metadata.get("provenance", {}).get("config_hash", ""))
-    chosen = [name for name in names if name in ("wf" if {"w", "f"} & set(names) else "vp")]
+    usable = increasing(flight.t)
+    values = {n: flight.stack(STREAMS[n]).astype(float) for n in "wfvp" if set(STREAMS[n]) <= set(flight.columns)}
+    chosen = "".join(name for name in ("wf" if {"w", "f"} & set(values) else "vp") if name in values)
     try:
-        common = resample({name: Stream(t[usable], values[name][usable]) for name in chosen}, RATE, quaternions=())
+        streams = {name: Stream(flight.t[usable], values[name][usable]) for name in chosen}
+        common = resample(streams, RATE, quaternions=())
     except DataError:
         return None
-    longest = np.argmax(np.bincount(common.segment))
-    samples = common.segment == longest
-    data = np.concatenate([_unit(common.values[name][samples]) for name in chosen], axis=1)
-    if len(data) < LEAST * RATE:
+    samples = common.segment == np.argmax(np.bincount(common.segment))
+    centred = [common.values[name][samples] - common.values[name][samples].mean(axis=0) for name in chosen]
+    if samples.sum() < LEAST * RATE:
         return None
-    change = np.diff(data, axis=0)
-    return _Trace(common.t[samples], data, change, "".join(chosen), digest.hexdigest(), source, made)
+    digest = hashlib.sha256(b"".join(np.ascontiguousarray(values[name]).tobytes() for name in sorted(values)))
+    source = str((flight.metadata.get("source") or {}).get("sha256", ""))
+    config = (
+        "" if flight.metadata.get("recorded") else str(flight.metadata.get("provenance", {}).get("config_hash", ""))
+    )
+    data = np.concatenate([x / max(float(np.sqrt(np.mean(x * x))), 1e-9) for x in centred], axis=1)
+    return _Trace(common.t[samples], data, chosen, digest.hexdigest(), source, config)
 
 
-def _unit(x: np.ndarray) -> np.ndarray:
-    """Normalised to mean zero and variance one over all axes, so that units do not matter."""
-    x = x - x.mean(axis=0)
-    return x / max(float(np.sqrt(np.mean(x * x))), 1e-9)
-
-
-def _compare(a: _Trace, b: _Trace) -> tuple[str, float, float] | None:
+def _compare(a: _Trace, b: _Trace) -> str | None:
+    """How two flights are the same, or None."""
     if a.source and a.source == b.source:
-        return "made from the same file, to the last byte, as", float(a.t[0]), float(a.t[-1])
+        return "made from the same file, to the last byte, as"
     if a.digest == b.digest:
-        return "the same numbers to the last digit as", float(a.t[0]), float(a.t[-1])
-    if a.streams != b.streams or (a.made and b.made and a.made != b.made):
+        return "the same numbers to the last digit as"
+    if a.streams != b.streams or (a.config and b.config and a.config != b.config):
         return None
-    lag, height = _best_lag(a.change, b.change)
+    lag, height = _best_lag(np.diff(a.values, axis=0), np.diff(b.values, axis=0))
     if height < COARSE:
         return None
-    shift, residual, start, stop = _align(a, b, lag)
+    shift, residual = _align(a, b, lag)
     if residual > ALIKE:
         return None
-    text = f"the same motion, {shift:+.3f} s apart on their own clocks (residual over signal {residual:.3f}), as"
-    return text, float(a.t[start]), float(a.t[stop - 1])
+    return f"the same motion, {shift:+.3f} s apart on their own clocks (residual over signal {residual:.3f}), as"
 
 
 def _best_lag(x: np.ndarray, y: np.ndarray) -> tuple[int, float]:
@@ -121,21 +111,20 @@ def _best_lag(x: np.ndarray, y: np.ndarray) -> tuple[int, float]:
     return int(lags[best]), float(value[best])
 
 
-def _align(a: _Trace, b: _Trace, lag: int) -> tuple[float, float, int, int]:
-    """Shift of b's clock against a's (s), residual over signal, and the samples of a in common."""
+def _align(a: _Trace, b: _Trace, lag: int) -> tuple[float, float]:
+    """Shift of b's clock against a's (s), and residual over signal."""
     from scipy.interpolate import CubicSpline
 
     start, stop = max(0, -lag) + 2, min(len(a.values), len(b.values) - lag) - 2
     spline = CubicSpline(np.arange(len(b.values)), b.values)
-    samples = np.arange(start, stop)
-    best = (np.inf, 0.0)
-    for fraction in np.linspace(-1, 1, 41):
-        moved = spline(samples + lag + fraction)
+
+    def residual(fraction: float) -> float:
+        moved = spline(np.arange(start, stop) + lag + fraction)
         parts = [_left(a.values[start:stop, k : k + 3], moved[:, k : k + 3]) for k in range(0, moved.shape[1], 3)]
-        best = min(best, (float(np.sqrt(np.mean(parts))), float(fraction)))
-    residual, fraction = best
-    shift = float(b.t[0] + (start + lag + fraction) / RATE - a.t[start])
-    return shift, residual, start, stop
+        return float(np.sqrt(np.mean(parts)))
+
+    best = min(np.linspace(-1, 1, 41), key=residual)
+    return float(b.t[0] + (start + lag + best) / RATE - a.t[start]), residual(best)
 
 
 def _left(x: np.ndarray, y: np.ndarray) -> float:

@@ -31,7 +31,6 @@ EXPLAINS = 0.3  # of an axis' variance that the best order must explain
 MARGIN = 0.15  # of the variance, by which it must beat the order given, and the next best
 RANK = 0.05  # of the largest singular value: directions in which the rotors did not move
 MOST_ROWS = 15_000
-AXES = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True)
@@ -40,10 +39,6 @@ class Motion:
 
     torque: np.ndarray
     thrust: np.ndarray
-
-    @property
-    def seconds(self) -> float:
-        return len(self.torque) / RATE
 
 
 @dataclass(frozen=True)
@@ -60,18 +55,20 @@ class Verdict:
     flights: int = 1
 
     @property
-    def wrong_order(self) -> bool:
-        tilt = slice(0, 2)
-        return bool(
-            self.order != tuple(range(len(self.order)))
-            and self.best[tilt].min() > EXPLAINS
-            and self.best[tilt].mean() - self.given[tilt].mean() > MARGIN
-        )
-
-    @property
     def sure(self) -> bool:
         """Whether the flights moved enough to tell the order."""
         return bool(self.best[:2].min() > EXPLAINS)
+
+    @property
+    def wrong_order(self) -> bool:
+        other = self.order != tuple(range(len(self.order)))
+        return bool(other and self.sure and self.best[:2].mean() - self.given[:2].mean() > MARGIN)
+
+
+def signal_kind(flight: Flight) -> str:
+    """Which of the flight's rotor signals is used."""
+    signals = command_columns(flight)
+    return next((name for name in ("rotor_speed", "u", "motor_command") if name in signals), "")
 
 
 def motion_of(
@@ -81,43 +78,28 @@ def motion_of(
 
     w: (k, 3) rad/s, body FLU, in place of the flight's own. bad: samples not to be used, (k,).
     """
-    signals = command_columns(flight)
-    if not signals or (w is None and any(f"w_{axis}" not in flight.columns for axis in "xyz")):
-        return None
     kind = signal_kind(flight)
-    if len(signals[kind]) != vehicle.n_rotors:
+    names = command_columns(flight).get(kind, [])
+    if len(names) != vehicle.n_rotors or (w is None and not {"w_x", "w_y", "w_z"} <= set(flight.columns)):
         return None
     t = np.asarray(flight.t, float)
     w = flight.stack(["w_x", "w_y", "w_z"]).astype(float) if w is None else w
-    u = flight.stack(signals[kind]).astype(float)
-    good = np.ones(len(t), bool) if bad is None else ~bad
-    good &= np.isfinite(t) & np.isfinite(w).all(axis=1) & np.isfinite(u).all(axis=1)
-    high = np.quantile(u[good], 0.999) if good.any() else 0.0
-    u = np.clip(u, 0.0, high) if kind == "u" else np.clip(u, 0.0, high) ** 2
+    u = flight.stack(names).astype(float)
+    good = np.isfinite(t) & np.isfinite(w).all(axis=1) & np.isfinite(u).all(axis=1)
+    good &= True if bad is None else ~bad
+    u = np.clip(u, 0.0, np.quantile(u[good], 0.999) if good.any() else 0.0) ** (1 if kind == "u" else 2)
     segment = np.asarray(flight.columns.get("segment", np.zeros(len(t))))
-    torques, thrusts = [], []
+    parts = []
     for start, stop in runs(good):
-        for part in np.split(np.arange(start, stop), np.flatnonzero(_breaks(t, segment, start, stop)) + 1):
-            made = stretch(t[part], w[part], u[part], vehicle.inertia_matrix)
-            if made is not None:
-                torques.append(made[0])
-                thrusts.append(made[1])
-    if not torques:
+        step = np.diff(t[start:stop])
+        usual = np.median(step[step > 0]) if (step > 0).any() else 1.0
+        breaks = (step <= 0) | (step > 5 * usual) | (np.diff(segment[start:stop]) != 0)
+        for part in np.split(np.arange(start, stop), np.flatnonzero(breaks) + 1):
+            parts.append(stretch(t[part], w[part], u[part], vehicle.inertia_matrix))
+    known = [part for part in parts if part is not None]
+    if sum(len(torque) for torque, _ in known) < LEAST_SECONDS * RATE:
         return None
-    torque, thrust = np.concatenate(torques), np.concatenate(thrusts, axis=1)
-    return Motion(torque, thrust) if len(torque) >= LEAST_SECONDS * RATE else None
-
-
-def signal_kind(flight: Flight) -> str:
-    """Which of the flight's rotor signals is used."""
-    signals = command_columns(flight)
-    return next(name for name in ("rotor_speed", "u", "motor_command") if name in signals)
-
-
-def _breaks(t: np.ndarray, segment: np.ndarray, start: int, stop: int) -> np.ndarray:
-    step = np.diff(t[start:stop])
-    usual = np.median(step[step > 0]) if (step > 0).any() else 1.0
-    return (step <= 0) | (step > 5 * usual) | (np.diff(segment[start:stop]) != 0)
+    return Motion(np.concatenate([one for one, _ in known]), np.concatenate([one for _, one in known], axis=1))
 
 
 def stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
@@ -127,7 +109,7 @@ def stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, J: np.ndarray) -> tuple
     """
     from scipy.ndimage import gaussian_filter1d
 
-    if len(t) < 20 or t[-1] - t[0] < 2 / SLOWEST * 0.5 or np.median(np.diff(t)) > 0.03:
+    if len(t) < 20 or t[-1] - t[0] < 1 / SLOWEST or np.median(np.diff(t)) > 0.03:
         return None
     fine = max(RATE, min(1 / np.median(np.diff(t)), 500.0))
     grid = np.arange(t[0], t[-1], 1 / fine)
@@ -143,13 +125,12 @@ def stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, J: np.ndarray) -> tuple
     rate = at(w)
     smooth = gaussian_filter1d(rate, scale / BAND, axis=0)
     torque = band(np.gradient(rate, grid, axis=0)) @ J + band(np.cross(smooth, smooth @ J))
-    step, edge = max(1, round(fine / RATE)), int(0.2 * fine)
-    kept = slice(edge, len(grid) - edge, step)
+    edge = int(0.2 * fine)
+    kept = slice(edge, len(grid) - edge, max(1, round(fine / RATE)))
     if len(grid[kept]) < 20:
         return None
     thrust = np.stack([band(at(u, lag))[kept] for lag in LAGS])
-    torque = torque[kept]
-    return torque - torque.mean(axis=0), thrust - thrust.mean(axis=1, keepdims=True)
+    return torque[kept] - torque[kept].mean(axis=0), thrust - thrust.mean(axis=1, keepdims=True)
 
 
 def judge(motions: Sequence[Motion], vehicle: Vehicle) -> Verdict | None:
@@ -160,31 +141,21 @@ def judge(motions: Sequence[Motion], vehicle: Vehicle) -> Verdict | None:
     thrust = np.concatenate([s * one.thrust for s, one in zip(scales, motions, strict=True)], axis=1)
     seconds = len(torque) / RATE
     part = slice(None, None, max(1, len(torque) // MOST_ROWS))
-    torque, thrust = torque[part], thrust[:, part]
-    if seconds < LEAST_SECONDS or not (np.mean(torque**2, axis=0) > 0).all():
+    if seconds < LEAST_SECONDS or not (np.mean(torque[part] ** 2, axis=0) > 0).all():
         return None
-    fit = Fit(torque, thrust)
-    pattern = vehicle.allocation[1:]
-    given = fit.explained(pattern)
-    n = vehicle.n_rotors
+    fit, pattern, n = Fit(torque[part], thrust[:, part]), vehicle.allocation[1:], vehicle.n_rotors
     orders = list(permutations(range(n))) if n <= 4 else _matched(fit, pattern)
-    shares = np.array([fit.explained(_reordered(pattern, order)) for order in orders])
-    tilt = shares[:, :2].mean(axis=1)
-    ranked = np.argsort(-tilt)
-    first = int(ranked[0])
-    own = next((i for i, order in enumerate(orders) if order == tuple(range(n))), None)
-    if own is not None and tilt[own] > tilt[first] - 1e-9:
-        first = own
-    order, best = tuple(int(i) for i in orders[first]), shares[first]
-    rest = [tilt[i] for i in range(len(orders)) if i != first]
-    clear = n > 4 or not rest or bool(tilt[first] - max(rest) > MARGIN)
-    best = best.copy()
+    shares = {order: fit.explained(_reordered(pattern, order)) for order in orders}
+    tilt = {order: float(share[:2].mean()) for order, share in shares.items()}
+    own = tuple(range(n))
+    order = max(orders, key=lambda one: tilt[one] + 1e-9 * (one == own))
+    rest = [value for one, value in tilt.items() if one != order]
+    clear = n > 4 or not rest or tilt[order] - max(rest) > MARGIN
     against = fit.explained(-_reordered(pattern, order))[2]
-    spin = 0
-    if abs(best[2] - against) > MARGIN:
-        spin = 1 if best[2] > against else -1
+    best = shares[order].copy()
+    spin = int(np.sign(best[2] - against)) if abs(best[2] - against) > MARGIN else 0
     best[2] = max(best[2], against)
-    return Verdict(order, spin, given, best, clear, seconds, len(motions))
+    return Verdict(order, spin, fit.explained(pattern), best, clear, seconds, len(motions))
 
 
 def _reordered(pattern: np.ndarray, order: Sequence[int]) -> np.ndarray:
@@ -212,30 +183,24 @@ class Fit:
     def columns(self) -> tuple[np.ndarray, np.ndarray]:
         """Torque of each rotor's signal, (3, n), by regression at the lag that explains most, and the share of each
         axis' variance that it explains, (3,); directions in which the rotors hardly moved are left out."""
-        best, found = np.full(3, -1.0), np.zeros(self.cross.shape[1:])
+        fits = []
         for cross, gram in zip(self.cross, self.gram, strict=True):
-            inverse = np.linalg.pinv(gram, rcond=RANK**2, hermitian=True)
-            made = cross @ inverse
-            shares = np.sum(made * cross, axis=1) / self.power
-            if shares.mean() > best.mean():
-                best, found = shares, made
-        return found, best
+            made = cross @ np.linalg.pinv(gram, rcond=RANK**2, hermitian=True)
+            fits.append((made, np.sum(made * cross, axis=1) / self.power))
+        return max(fits, key=lambda one: one[1].mean())
 
 
 def _matched(fit: Fit, pattern: np.ndarray) -> list[tuple[int, ...]]:
     """The order given and the one whose columns a regression comes nearest to, with either spin."""
     from scipy.optimize import linear_sum_assignment
 
-    found, _ = fit.columns()
-    n = pattern.shape[1]
-    orders = [tuple(range(n))]
-    found = found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-300)
-    wanted = pattern / np.maximum(np.linalg.norm(pattern, axis=1, keepdims=True), 1e-300)
+    found, wanted = (
+        x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300) for x in (fit.columns()[0], pattern)
+    )
+    orders = [tuple(range(pattern.shape[1]))]
     for yaw in (1.0, -1.0, 0.0):
-        weight = np.array([1.0, 1.0, yaw])
-        likeness = (wanted * weight[:, None]).T @ found
-        _, chosen = linear_sum_assignment(-likeness)
-        orders.append(tuple(int(i) for i in chosen))
+        likeness = (wanted * np.array([[1.0], [1.0], [yaw]])).T @ found
+        orders.append(tuple(int(i) for i in linear_sum_assignment(-likeness)[1]))
     return list(dict.fromkeys(orders))
 
 
@@ -245,25 +210,22 @@ def rotor_findings(verdict: Verdict | None, kind: str, vehicle: Vehicle) -> list
         return []
     where = f"{kind}_* against w_*"
     over = f"over {verdict.seconds:.0f} s" + (f" of {verdict.flights} flights" if verdict.flights > 1 else "")
-    shares = ", ".join(f"{name} {s:.0%}" for name, s in zip(AXES[:2], verdict.given[:2], strict=True))
     found = []
     if verdict.wrong_order:
+        given, best = ((f"roll {x[0]:.0%}, pitch {x[1]:.0%}") for x in (verdict.given, verdict.best))
         order = ", ".join(map(str, verdict.order))
-        better = ", ".join(f"{name} {s:.0%}" for name, s in zip(AXES[:2], verdict.best[:2], strict=True))
-        text = f"in the order of {vehicle.name} the rotors explain {shares} of the angular acceleration {over};"
+        text = f"in the order of {vehicle.name} the rotors explain {given} of the angular acceleration {over};"
+        text += f" with the columns {order} as rotors 0, 1, ...: {best}"
+        advice = "give the `layout` of the log's motors in the mapping"
         if verdict.clear:
-            text += f" with the columns {order} as rotors 0, 1, ...: {better}"
-            advice = f"give the mapping's columns in the order {order}, or the `layout` of the log's motors"
+            advice += f", or its columns in the order {order}"
         else:
-            text += f" with the columns {order}: {better}, but others come near"
-            advice = "give the `layout` of the log's motors in the mapping"
+            text += ", but others come near"
         severity = "blocking" if verdict.clear else "warning"
         found.append(Finding("rotor_order", severity, where, text, f"{MARGIN:.0%} less than another order", advice))
     if verdict.spin < 0:
-        text = (
-            f"the yaw acceleration is opposite to what {vehicle.name}'s rotors say {over} ({verdict.best[2]:.0%} of it"
-        )
-        text += " explained with every spin reversed)"
+        text = f"the yaw acceleration is opposite to what {vehicle.name}'s rotors say {over}"
+        text += f" ({verdict.best[2]:.0%} of it explained with every spin reversed)"
         advice = "reverse rotor_spin in the vehicle's file, or the order of the motors if that is where it comes from"
         found.append(Finding("rotor_spin", "blocking", where, text, "the vehicle's spin directions", advice))
     return found

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from quadexp.log.finding import LEAVE_OUT, Finding, place, span
-from quadexp.log.hypotheses.hypothesis import COLUMNS, KEYS
+from quadexp.log.hypotheses.candidates import COLUMNS, KEYS
 from quadexp.log.hypotheses.windows import STREAMS, attitude_rate
 from quadexp.log.signal.crop import runs
 
-NORM = 0.01  # of a quaternion: what rounding to two digits leaves
-NORM_BLOCKS = 0.1
+NORM, NORM_BLOCKS = 0.01, 0.1  # of a quaternion: what rounding to two digits leaves
 FROZEN = 0.2  # s
 LEAST_ROWS = 8
 MOVES = 0.05  # rad/s or m/s: what a frozen sensor would have had to see
@@ -24,66 +21,45 @@ SPIKE_FLOOR = {"p": 0.05, "v": 0.5, "w": 8.0, "f": 30.0}
 
 
 def check_finite(columns: dict[str, np.ndarray], t: np.ndarray) -> list[Finding]:
-    """Columns with NaN or infinity."""
-    found = []
+    """Columns with NaN or infinity; those that fail in the same samples as one finding."""
+    alike: dict[bytes, tuple[np.ndarray, list[str]]] = {}
     for name, values in columns.items():
-        if name == "t" or values.dtype.kind != "f":
-            continue
-        bad = ~np.isfinite(values)
-        if not bad.any():
-            continue
+        bad = ~np.isfinite(values) if values.dtype.kind == "f" and name != "t" else np.zeros(len(t), bool)
+        if bad.any():
+            alike.setdefault(bad.tobytes(), (bad, []))[1].append(name)
+    found = []
+    for bad, names in alike.values():
         bursts = runs(bad)
         start, stop = max(bursts, key=lambda run: run[1] - run[0])
         text = f"{bad.sum()} values in {len(bursts)} {'run' if len(bursts) == 1 else 'runs'}"
-        where = f"{name}, {place(start, stop, t)}"
+        where = f"{' '.join(names)}, {place(start, stop, t)}"
         found.append(Finding("not_finite", "blocking", where, text, "none", span=span(t, start, stop)))
-    return _gathered(found)
-
-
-def _gathered(found: list[Finding]) -> list[Finding]:
-    """Columns that fail alike, as one finding."""
-    groups: dict[tuple[Any, ...], list[str]] = {}
-    for one in found:
-        column, _, place = one.where.partition(", ")
-        groups.setdefault((one.name, one.severity, place, one.measured, one.allowed, one.span), []).append(column)
-    return [
-        Finding(name, severity, f"{' '.join(columns)}, {place}", measured, allowed, span=when)
-        for (name, severity, place, measured, allowed, when), columns in groups.items()
-    ]
+    return found
 
 
 def check_quaternion(q: np.ndarray, t: np.ndarray) -> list[Finding]:
-    """Norm and sign of quaternions (k, 4)."""
-    off = np.abs(np.linalg.norm(q, axis=1) - 1)
-    off = np.where(np.isfinite(off), off, 0)
-    found = []
-    if off.max(initial=0) > NORM:
-        start, stop = max(runs(off > NORM), key=lambda run: run[1] - run[0])
-        text = f"norm off by {off.max():.3g}, {np.mean(off > NORM):.2%} of the samples by more than allowed"
-        severity = "blocking" if off.max() > NORM_BLOCKS else "warning"
-        where = f"q_*, {place(start, stop, t)}"
-        found.append(Finding("quaternion_norm", severity, where, text, f"{NORM:g}", span=span(t, start, stop)))
-    flips = np.flatnonzero(np.sum(q[1:] * q[:-1], axis=1) < -0.5)
-    if len(flips):
-        text = f"the sign flips {len(flips)} times (the same attitude)"
-        where = f"q_*, {place(flips[0] + 1, flips[0] + 2, t)} first"
-        found.append(Finding("quaternion_sign", "info", where, text, "none where it is interpolated"))
-    return found
+    """Norm of quaternions (k, 4)."""
+    off = np.abs(np.nan_to_num(np.linalg.norm(q, axis=1), nan=1.0, posinf=1.0) - 1)
+    if off.max(initial=0) <= NORM:
+        return []
+    start, stop = max(runs(off > NORM), key=lambda run: run[1] - run[0])
+    text = f"norm off by {off.max():.3g}, {np.mean(off > NORM):.2%} of the samples by more than allowed"
+    severity = "blocking" if off.max() > NORM_BLOCKS else "warning"
+    where = f"q_*, {place(start, stop, t)}"
+    return [Finding("quaternion_norm", severity, where, text, f"{NORM:g}", span=span(t, start, stop))]
 
 
 def check_repeats(columns: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Finding], np.ndarray]:
     """Samples that occur twice, time aside; and a mask of the first of each, (k,)."""
-    names = [name for name in columns if name != "t" and name != "segment" and columns[name].dtype.kind in "fiu"]
+    names = [name for name in columns if name not in ("t", "segment") and columns[name].dtype.kind in "fiu"]
     kept = np.ones(len(t), bool)
     if not names or len(t) < LEAST_ROWS:
         return [], kept
     number = _row_numbers([columns[name] for name in names])
     _, first, inverse = np.unique(number, return_index=True, return_inverse=True)
     again = first[inverse.ravel()] < np.arange(len(t))
-    stuck = np.zeros(len(t), bool)
     for start, stop in runs(np.concatenate([[False], number[1:] == number[:-1]])):
-        stuck[start:stop] = stop - start >= LEAST_ROWS  # all sensors frozen, or nothing moves: see check_frozen
-    again &= ~stuck
+        again[start:stop] &= stop - start < LEAST_ROWS  # else all sensors froze, or nothing moves: see check_frozen
     if again.sum() < 2:
         return [], kept
     start, stop = max(runs(again), key=lambda run: run[1] - run[0])
@@ -113,32 +89,30 @@ def check_frozen(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Fi
     moving = _moving(streams, t)
     for name, values in streams.items():
         same = np.concatenate([[False], (values[1:] == values[:-1]).all(axis=1)])
-        stuck, worst, total = np.zeros(len(t), bool), None, 0
-        for start, stop in runs(same):
-            if stop - start + 1 >= least and np.mean(moving[name][start - 1 : stop]) > MOVES:
-                stuck[start - 1 : stop] = True
-                total += 1
-                if worst is None or stop - start > worst[1] - worst[0] - 1:
-                    worst = (start - 1, stop)
-        axes, proved = ([], False) if total else _dead(name, values, streams, t)
-        if worst is not None:
-            masks[name] = stuck
-            text = f"one value for {t[worst[1] - 1] - t[worst[0]]:.2f} s while the vehicle moves, {total} times"
-            share = stuck.mean()
-            severity = "blocking" if share > 0.02 else "warning"
-            text += f" ({share:.1%} of the samples)"
-            where = f"{COLUMNS[name]}, {place(*worst, t)}"
-            when = span(t, *worst)
+        stuck = [
+            (start - 1, stop) for start, stop in runs(same)
+            if stop - start + 1 >= least and np.mean(moving[name][start - 1 : stop]) > MOVES
+        ]  # fmt: skip
+        if stuck:
+            mask = masks[name] = np.zeros(len(t), bool)
+            for start, stop in stuck:
+                mask[start:stop] = True
+            worst = max(stuck, key=lambda run: run[1] - run[0])
+            text = f"one value for {t[worst[1] - 1] - t[worst[0]]:.2f} s while the vehicle moves, {len(stuck)} times"
+            text += f" ({mask.mean():.1%} of the samples)"
+            severity = "blocking" if mask.mean() > 0.02 else "warning"
+            where, when = f"{COLUMNS[name]}, {place(*worst, t)}", span(t, *worst)
             found.append(Finding("frozen_sensor", severity, where, text, f"{FROZEN:g} s", LEAVE_OUT, when))
-        elif axes:
+            continue
+        axes, proved = _still_axes(name, values, streams, t)
+        if axes:
             columns = " ".join(STREAMS[name][i] for i in axes)
             text = "one value throughout while " + ("the vehicle moves along it" if proved else "the others change")
-            severity = "blocking" if proved else "warning"
-            found.append(Finding("frozen_sensor", severity, columns, text, f"{FROZEN:g} s"))
+            found.append(Finding("frozen_sensor", "blocking" if proved else "warning", columns, text, f"{FROZEN:g} s"))
     return found, masks
 
 
-def _dead(name: str, values: np.ndarray, streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[int], bool]:
+def _still_axes(name: str, values: np.ndarray, streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[int], bool]:
     """Axes that never change though others of the sensor do, and whether another stream moves along one of them.
 
     A simulated flight in a plane has such axes, and its attitude too: nothing is wrong with it.
@@ -146,48 +120,39 @@ def _dead(name: str, values: np.ndarray, streams: dict[str, np.ndarray], t: np.n
     still = np.ptp(values, axis=0) == 0
     if name == "q" or still.all() or not still.any():
         return [], False
-    axes = np.flatnonzero(still)
+    axes = [int(i) for i in np.flatnonzero(still)]
     twin = {"p": "v", "v": "p", "w": "q"}.get(name)
     if twin not in streams:
-        return ([int(i) for i in axes], False) if name != "f" or values[0, axes].any() else ([], False)
+        return (axes if name != "f" or values[0, axes].any() else []), False
     part = slice(None, None, max(1, len(t) // MOST_ROWS))
-    own, other = t[part], streams[twin][part]
+    other = streams[twin][part]
     if name == "v":
-        other = np.diff(other, axis=0) / np.diff(own)[:, None]
+        other = np.diff(other, axis=0) / np.diff(t[part])[:, None]
     elif name == "w":
-        other = attitude_rate(own, other)
-    moving = [int(i) for i in axes if np.sqrt(np.nanmean(other[:, i] ** 2)) > MOVES]
+        other = attitude_rate(t[part], other)
+    moving = [i for i in axes if np.sqrt(np.nanmean(other[:, i] ** 2)) > MOVES]
     return moving, bool(moving)
 
 
 def _moving(streams: dict[str, np.ndarray], t: np.ndarray) -> dict[str, np.ndarray]:
     """Rate and speed of the vehicle (rad/s, m/s), (k,), from the streams other than the named one."""
-    step = np.maximum(np.diff(t), 1e-9)
+    zero = np.zeros(len(t))
 
     def change(x: np.ndarray, sign: float = 1.0) -> np.ndarray:
-        """Length of x_k+1 - sign x_k, column by column: a long flight is not copied."""
+        """Length of x_k+1 - sign x_k over the step, column by column: a long flight is not copied."""
         total = np.zeros(len(t))
         for column in x.T:
             total[:-1] += (column[1:] - sign * column[:-1]) ** 2
+        total[:-1] /= np.maximum(np.diff(t), 1e-9) ** 2
         return np.nan_to_num(np.sqrt(total))
 
-    speed = {}
-    if "v" in streams:
-        speed["v"] = np.nan_to_num(_length(streams["v"]))
+    motion = {name: np.nan_to_num(_length(streams[name])) for name in "vw" if name in streams}
     if "p" in streams:
-        speed["p"] = change(streams["p"])
-        speed["p"][:-1] /= step
-    turning = {}
-    if "w" in streams:
-        turning["w"] = np.nan_to_num(_length(streams["w"]))
+        motion["p"] = change(streams["p"])
     if "q" in streams:  # twice the chord of half the angle
-        turning["q"] = 2 * np.minimum(change(streams["q"]), change(streams["q"], -1.0))
-        turning["q"][:-1] /= step
-    zero = np.zeros(len(t))
-    linear = {name: sum((x for key, x in speed.items() if key != name), zero) for name in "pv"}
-    angular = {name: sum((x for key, x in turning.items() if key != name), zero) for name in "qw"}
-    every = sum(speed.values(), zero) + sum(turning.values(), zero)
-    return {**linear, **angular, "f": every}
+        motion["q"] = 2 * np.minimum(change(streams["q"]), change(streams["q"], -1.0))
+    twins = {name: motion.get(twin, zero) for name, twin in zip("pvqw", "vpwq", strict=True)}
+    return {**twins, "f": sum(motion.values(), zero)}
 
 
 def _length(x: np.ndarray) -> np.ndarray:
@@ -209,32 +174,34 @@ def check_spikes(
             continue
         size = _length(np.where(np.isfinite(values), values, 0))
         beyond = size > limit.get(name, np.inf)
-        excess = np.where(beyond, size, 0)
-        bad, away, threshold = beyond.copy(), [], []
-        for own in values.T:
-            filled = np.where(np.isfinite(own), own, 0)
+        away, worst = (
+            np.where(beyond, size, 0.0),
+            (0.0, 0, 0.0, 0.0),
+        )  # in thresholds; of one axis: that, axis, size, limit
+        bad, row = beyond.copy(), 0
+        for axis, column in enumerate(values.T):
+            filled = np.where(np.isfinite(column), column, 0)
             apart = np.abs(filled - median_filter(filled, size=7, mode="nearest"))
-            threshold.append(max(SPIKE * 1.4826 * float(np.median(apart)), SPIKE_FLOOR[name]))
-            away.append(apart.astype(np.float32))
-            bad |= apart > threshold[-1]
+            threshold = max(SPIKE * 1.4826 * float(np.median(apart)), SPIKE_FLOOR[name])
+            bad |= apart > threshold
+            k = int(np.argmax(away + apart / threshold))
+            if (value := float(away[k] + apart[k] / threshold)) > worst[0]:
+                worst, row = (value, axis, float(apart[k]), threshold), k
         if not bad.any():
             continue
         masks[name] = bad
-        share = bad.mean()
-        worst = int(np.argmax(excess + np.max([a / h for a, h in zip(away, threshold, strict=True)], axis=0)))
-        start, stop = next(run for run in runs(bad) if run[0] <= worst < run[1])
-        if beyond[worst]:
-            axis = int(np.argmax(np.abs(np.nan_to_num(values[worst]))))
-            text = f"magnitude {size[worst]:.4g}, {STREAMS[name][axis]} {values[worst, axis]:.4g}"
-            allowed = f"magnitude {limit[name]:.3g}"
+        start, stop = next(run for run in runs(bad) if run[0] <= row < run[1])
+        _, axis, apart_by, threshold = worst
+        if beyond[row]:
+            axis = int(np.argmax(np.abs(np.nan_to_num(values[row]))))
+            text, allowed = f"magnitude {size[row]:.4g}, {STREAMS[name][axis]}", f"magnitude {limit[name]:.3g}"
+            text += f" {values[row, axis]:.4g}"
         else:
-            axis = int(np.argmax([a[worst] / h for a, h in zip(away, threshold, strict=True)]))
-            text = f"{values[worst, axis]:.4g}, {away[axis][worst]:.3g} from its neighbours"
-            allowed = f"{threshold[axis]:.3g} from the neighbours"
-        column = STREAMS[name][axis]
+            text = f"{values[row, axis]:.4g}, {apart_by:.3g} from its neighbours"
+            allowed = f"{threshold:.3g} from the neighbours"
         many = max(LEAST_OUTLIERS, MANY_OUTLIERS * len(t))
         severity = "blocking" if bad.sum() > many or beyond.sum() > max(2, 0.0005 * len(t)) else "warning"
-        where = f"{column}, {place(start, stop, t)}"
-        text, name = f"{text}; {bad.sum()} samples ({share:.2%})", f"{KEYS[name]}_outlier"
-        found.append(Finding(name, severity, where, text, allowed, LEAVE_OUT, span(t, start, stop)))
+        where, when = f"{STREAMS[name][axis]}, {place(start, stop, t)}", span(t, start, stop)
+        text += f"; {bad.sum()} samples ({bad.mean():.2%})"
+        found.append(Finding(f"{KEYS[name]}_outlier", severity, where, text, allowed, LEAVE_OUT, when))
     return found, masks

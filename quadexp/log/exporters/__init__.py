@@ -1,4 +1,4 @@
-"""Flights in other programs' formats: one module a format, `write(flight, path, force=...)` says what it wrote."""
+"""Flights in other programs' formats: one function a format, `write(flight, path, force=...)`, says what it wrote."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ from quadexp.log.store import read_flight
 
 @dataclass(frozen=True)
 class Format:
-    """module: where `write(flight, path) -> files` stands. suffix: of the file; "" for a folder. about: for help."""
+    """module and function: write(flight, path) -> files. suffix: of the file. about: for help."""
 
     module: str
     suffix: str
     about: str
+    function: str = "write"
 
 
 FORMATS = {
-    "csv": Format("table_csv", ".csv", "every column, with units and the record beside it as JSON"),
-    "tum": Format("tum", ".tum", "poses flown and wanted, for evo and other trajectory tools"),
-    "px4csv": Format("px4_csv", "", "a CSV a topic, as ulog2csv writes them: NED, FRD, microseconds"),
+    "csv": Format("text", ".csv", "every column, with units and the record beside it as JSON", "write_columns"),
+    "tum": Format("text", ".tum", "poses flown and wanted, for evo and other trajectory tools", "write_poses"),
     "mcap": Format("mcap_file", ".mcap", "poses, transforms and every column, for Foxglove; needs [viz]"),
     "rerun": Format("rerun_file", ".rrd", "a recording for the Rerun viewer; needs [viz]"),
 }
+GONE = {"px4csv": "went: --to csv has every column with unit and frame; NED and FRD are (y, x, -z) and (x, -y, -z)"}
 
 
 def export_flight(
@@ -35,17 +36,19 @@ def export_flight(
 ) -> dict[str, Path]:
     """Write a flight file in another format; returns name -> file.
 
-    out: file, or folder for px4csv; beside the flight unless given.
+    out: file; beside the flight unless given.
     Raises UsageError for an unknown format, an extra that is not installed, or a path that cannot be written.
     """
+    if form in GONE:
+        raise UsageError(f"--to {form}: {GONE[form]}")
     if form not in FORMATS:
         raise UsageError(f"--to {form}: no such format; there are {', '.join(FORMATS)}")
     chosen = FORMATS[form]
     source = Path(flight)
-    target = Path(out) if out is not None else source.with_suffix(chosen.suffix or f".{form}")
+    target = Path(out) if out is not None else source.with_suffix(chosen.suffix)
     loaded = read_flight(source)
     if not len(loaded):
         raise UsageError(f"{source}: holds no samples ({loaded.outcome}), there is nothing to export")
-    check_output(target, force=force, folder=not chosen.suffix)
-    write: Callable[..., dict[str, Path]] = import_module(f"{__name__}.{chosen.module}").write
+    check_output(target, force=force)
+    write: Callable[..., dict[str, Path]] = getattr(import_module(f"{__name__}.{chosen.module}"), chosen.function)
     return write(loaded, target, force=force)

@@ -1,33 +1,35 @@
-"""The search: which hypotheses make the streams of a flight agree with one another.
+"""The search: which candidates make the streams of a flight agree with one another, and by how much.
 
-The score of a hypothesis is the log likelihood of the relations' residuals, each axis with a variance of its own,
+The evidence is the log likelihood of the relations' residuals, each axis with a variance of its own, of INDEPENDENT
+windows (the errors of a sensor last: more windows of one flight do not tell more),
 
-    J = sum over relations and axes of log(r^2 + floor^2),
+    E = -INDEPENDENT / 2 sum over relations and axes of log(r^2 + floor^2)         (log units),
 
-r the root mean square residual of the smaller nine tenths (spikes are another check's business). A hypothesis is taken
-when it lowers J by more than `LEAST_GAIN` and leaves what it changed in agreement; then the search goes on with the
-mended flight, so that faults in several streams are named one by one.
+r the root mean square residual of the smaller nine tenths (spikes are another check's business). A candidate is taken
+when it raises E by more than MARGIN and leaves what it changed in agreement; then the search goes on with the mended
+flight, so that faults in several streams are named one by one. Where the next best candidate lies less than MARGIN
+behind, both are named, and which one holds is asked for.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
+from quadexp.errors import DataError
 from quadexp.log.finding import LEAVE_OUT, Finding
-from quadexp.log.hypotheses.hypothesis import COLUMNS, Hypothesis, clock_hypothesis, hypotheses, scale_hypotheses
-from quadexp.log.hypotheses.mounting import mounting_hypotheses
-from quadexp.log.hypotheses.windows import SIDES, STREAMS, Pair, Windows, pairs
+from quadexp.log.hypotheses.candidates import COLUMNS, Candidate, candidates, clock_candidate, scale_candidates
+from quadexp.log.hypotheses.mounting import mounting_candidates
+from quadexp.log.hypotheses.windows import SIDES, Pair, Windows, pairs
 
+INDEPENDENT = 60
+MARGIN = 10.0  # log units: clean flights of every kind at hand stay below 2
+PER_COST = 4.5  # log units a unit of cost: a candidate that claims more must explain more
 KEPT = 0.9  # share of the windows that a residual is taken over
-LEAST_GAIN = 0.35  # clean flights of every kind at hand stay below 0.06
-TIE = 0.15  # of J a unit of cost: a hypothesis that claims more must explain more
 MOST_FAULTS = 4
-MOST_LEFT = 0.4  # of a misfit: a hypothesis that leaves as much names no fault
-CLEARLY = 0.3  # of J, by which a fault must explain more than a turned sensor does
-FEW, FINALISTS = 100, 10  # every hypothesis is tried on so many windows first, the best ones on all
+MOST_LEFT = 0.4  # of a misfit: a candidate that leaves as much names no fault
+FEW, FINALISTS = 100, 10  # every candidate is tried on so many windows first, the best ones on all
 STRAY = 12.0  # robust standard deviations
 STRAY_FLOOR = {"acceleration_outlier": 8.0, "rate_outlier": 4.0}  # m/s^2 and rad/s, means over a window
 MOVING = 2.0  # floors that a stream must move by to be compared
@@ -51,7 +53,8 @@ WORDS = {
 class Agreement:
     """Of one relation: residual, signal, (3,), both root mean square; correlation and gain over its moving axes.
 
-    size: root mean square of the expected side, its mean (gravity) included.
+    size: root mean square of the expected side, its mean (gravity) included. evidence: log units. excess: squared
+    residual beyond the floor, in floors.
     """
 
     relation: str
@@ -61,227 +64,246 @@ class Agreement:
     gain: float
     floor: float
     size: float
+    evidence: float
+    excess: float
 
-    @cached_property
-    def score(self) -> float:
-        return WEIGHT.get(self.relation, 1.0) * float(np.sum(np.log(self.residual**2 + self.floor**2)))
+    @property
+    def left(self) -> float:
+        return float(np.sqrt(np.sum(self.residual**2)))
 
     @property
     def ratio(self) -> float:
         """Residual over signal, the floor taken off: 0 perfect, 1 unrelated, 2 reversed."""
-        excess = np.sqrt(np.maximum(0.0, np.sum(self.residual**2) - 3 * self.floor**2))
+        excess = np.sqrt(max(0.0, self.left**2 - 3 * self.floor**2))
         return float(excess / max(np.sqrt(np.sum(self.signal**2)), self.floor))
-
-    @property
-    def excess(self) -> float:
-        """Squared residual beyond the floor, in floors."""
-        return WEIGHT.get(self.relation, 1.0) * max(0.0, float(np.sum(self.residual**2)) / self.floor**2 - 3.0)
 
     @property
     def words(self) -> str:
         what, unit = WORDS[self.relation]
-        r, s = np.sqrt(np.sum(self.residual**2)), np.sqrt(np.sum(self.signal**2))
-        return f"{what}: differs by {r:.3g} {unit} rms of {s:.3g}"
+        return f"{what}: differs by {self.left:.3g} {unit} rms of {np.sqrt(np.sum(self.signal**2)):.3g}"
 
 
 Agreements = dict[str, Agreement]  # by relation
 
 
-def agreement(pair: Pair) -> Agreement:
-    """Compare the two sides of a relation over the smaller nine tenths of its windows."""
+def agreement(pair: Pair, floor: float | None = None) -> Agreement:
+    """Compare the two sides of a relation over the smaller nine tenths of its windows. floor: other than the usual."""
     gap = pair.found - pair.expected
     half, most = len(gap) // 2, int(KEPT * (len(gap) - 1))
     scale = np.maximum(np.partition(np.abs(gap), half, axis=0)[half], 1e-9)
-    size = np.einsum("ni,ni,i->n", gap, gap, scale**-2)
-    kept = size <= np.partition(size, most)[most]
+    apart = np.einsum("ni,ni,i->n", gap, gap, scale**-2)
+    kept = apart <= np.partition(apart, most)[most]
     gap, expected, found = gap[kept], pair.expected[kept], pair.found[kept]
     a, b = expected - expected.mean(axis=0), found - found.mean(axis=0)
     spread, n = np.einsum("ni,ni->i", a, a), len(gap)
     aa, bb = float(spread.sum()), float(np.vdot(b, b))
     correlation = float(np.vdot(a, b)) / np.sqrt(aa * bb) if aa * bb > 0 else 0.0
     gain = float(np.sqrt(bb / aa) * np.sign(correlation)) if aa * bb > 0 else 1.0
-    residual = np.sqrt(np.einsum("ni,ni->i", gap, gap) / n)
+    square = np.einsum("ni,ni->i", gap, gap) / n
+    weight, floor = WEIGHT.get(pair.relation, 1.0), floor or pair.floor
+    evidence = -INDEPENDENT / 2 * weight * float(np.sum(np.log(square + floor**2)))
+    excess = weight * max(0.0, float(square.sum()) / floor**2 - 3.0)
     size = float(np.sqrt(np.vdot(expected, expected) / n))
-    return Agreement(pair.relation, residual, np.sqrt(spread / n), float(correlation), gain, pair.floor, size)
+    return Agreement(
+        pair.relation, np.sqrt(square), np.sqrt(spread / n), float(correlation), gain, floor, size, evidence, excess
+    )
 
 
 def agreements(windows: Windows, known: Agreements | None = None, changed: str = "tpqvwf") -> Agreements:
     """Of every relation; those that have none of the streams `changed` are taken from `known`."""
-    return {**(known or {}), **{pair.relation: agreement(pair) for pair in pairs(windows, touching=changed)}}
+    return {**(known or {}), **{pair.relation: agreement(pair) for pair in pairs(windows, changed)}}
 
 
-def total(found: Agreements) -> float:
-    """J."""
-    return sum(one.score for one in found.values())
+def evidence(found: Agreements) -> float:
+    """E (log units)."""
+    return sum(one.evidence for one in found.values())
 
 
 @dataclass(frozen=True)
-class Explained:
-    """A hypothesis that was taken, and what it did to the relations it touches."""
+class Trial:
+    """A candidate that was tried: the windows mended by it, and how well their streams agree before and after."""
 
-    hypothesis: Hypothesis
+    candidate: Candidate
+    windows: Windows
     before: Agreements
     after: Agreements
-
-    def finding(self) -> Finding:
-        touched = [
-            name
-            for name, one in self.before.items()
-            if np.sum(one.residual**2) > 1.3 * np.sum(self.after[name].residual ** 2)
-        ] or list(self.before)
-        name = max(touched, key=lambda relation: self.before[relation].score - self.after[relation].score)
-        _, unit = WORDS[name]
-        rest = np.sqrt(np.sum(self.after[name].residual ** 2))
-        one = self.hypothesis
-        text = f"{one.text}: {self.before[name].words}, by {rest:.3g} {unit} once that is corrected"
-        allowed = "SI units, world ENU, body FLU, quaternion body to world with w first"
-        return Finding(one.name, one.severity, one.where, text, allowed, one.advice, correction=one.correction)
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A hypothesis that was tried. value: by how much it lowers J, its cost taken off; left: share of the misfit of the
-    relations it betters that stays."""
-
-    value: float
-    hypothesis: Hypothesis
-    windows: Windows
-    after: Agreements
-    left: float
+    besides: float = 0.0  # what a mount that is left besides claims (log units)
 
     @property
-    def blocks(self) -> bool:
-        return self.hypothesis.severity == "blocking"
+    def value(self) -> float:
+        """By how much the candidate raises E, less what it claims (log units)."""
+        return evidence(self.after) - evidence(self.before) - self.besides - PER_COST * self.candidate.cost
+
+    @property
+    def better(self) -> list[str]:
+        """Relations that it betters."""
+        return [name for name, one in self.after.items() if one.evidence > self.before[name].evidence + 3.0]
+
+    @property
+    def left(self) -> float:
+        """Share of the misfit beyond what sensors differ by, root mean square, that stays in the relations bettered."""
+        was, stays = (sum(found[name].excess for name in self.better) for found in (self.before, self.after))
+        return float(np.sqrt(stays / was)) if was > 0 else 1.0
+
+    def shrinks(self, share: float, names: list[str]) -> bool:
+        """Whether of one of these relations less than this share of the residual is left."""
+        return any(self.after[name].left < share * self.before[name].left for name in names if name in self.after)
+
+    def plausible(self) -> bool:
+        """A candidate must make two moving streams agree, not only make both small, and make no relation worse."""
+        fault, better, after = self.candidate.fault, self.better, self.after
+        if any(one.evidence < self.before[name].evidence - 30.0 for name, one in after.items()):
+            return False
+        if fault in ("scale", "clock_scale") and not self.shrinks(TELLING, ["velocity", "rate"]):
+            return False  # a slope due to noise
+        if fault == "units" and not self._more_than_nothing():
+            return False
+        unusual = fault in ("axis_swap", "sign_flip", "units") and all(name.startswith("thrust") for name in better)
+        if unusual and not self.shrinks(CLEAR, better):
+            return False
+        return any(after[name].ratio < DISAGREE and after[name].size > MOVING * after[name].floor for name in better)
+
+    def _more_than_nothing(self) -> bool:
+        """Whether a stream in another unit explains more than the same stream set to zero does."""
+        zero = {name: 0.0 * self.windows.streams[name] for name in self.candidate.streams if name in "pvwf"}
+        silent = Windows(self.windows.t, {**self.windows.streams, **zero})
+        nothing = _without_own(self.candidate, agreements(silent, self.before, self.candidate.streams), self.before)
+        return not zero or evidence(self.after) - evidence(nothing) > MARGIN
+
+    def finding(self, rival: Trial | None) -> Finding:
+        """rival: the next best candidate, where it lies less than MARGIN behind."""
+        one = self.candidate
+        gain = {name: self.after[name].evidence - self.before[name].evidence for name in self.better or self.before}
+        name = max(gain, key=lambda relation: gain[relation])
+        rest, unit = self.after[name].left, WORDS[name][1]
+        text = f"{one.text}: {self.before[name].words}, by {rest:.3g} {unit} once that is corrected"
+        advice = "correct the mapping of the import: " + ", ".join(f"`{line}`" for line in one.lines)
+        advice += f"; or import {one.options}" if one.options else ""
+        if rival is not None:
+            text += (
+                f"; but {rival.candidate.where}: {rival.candidate.text}, is {self.value - rival.value:.1f} log units"
+            )
+            text += f" less likely only ({MARGIN:g} are sure)"
+            advice += f"; decide between this and {', '.join(rival.candidate.lines)}, which the data do not"
+        allowed = "SI units, world ENU, body FLU, quaternion body to world with w first"
+        return Finding(one.fault, one.severity, one.where, text, allowed, advice, correction=one.correction)
 
 
-def explain(windows: Windows) -> tuple[list[Explained], Windows, list[Finding]]:
-    """The hypotheses that explain the flight, best first; the windows after them; a misfit that none explains.
+def explain(windows: Windows) -> tuple[list[Candidate], Windows, list[Finding]]:
+    """The candidates that explain the flight, best first; the windows after them; and the findings, a misfit that none
+    explains among them.
 
-    A turned sensor is the first hypothesis: another one is taken only where it explains the flight clearly better. One
+    A turned sensor is the first candidate: another one is taken only where it explains the flight clearly better. One
     that would block and leaves MOST_LEFT of the misfit or more is not taken.
     """
-    taken: list[Explained] = []
+    taken: list[Candidate] = []
+    findings: list[Finding] = []
     before = agreements(windows)
     clock = _clock(before)
-    if clock is not None:
-        changed = clock.apply(windows)
-        after = agreements(changed)
-        if _telling(before, after):
-            taken.append(Explained(clock, before, after))
-            windows, before = changed, after
-    while before and not _settled(before) and len(taken) < MOST_FAULTS:
-        found = _candidates(windows, before, taken)
-        named = [one for one in found if one.left < MOST_LEFT or not one.blocks]
+    tried = None if clock is None else _tried(clock, windows, before)
+    named = [tried] if tried is not None and tried.shrinks(TELLING, ["velocity", "rate"]) else []
+    while before and len(taken) < MOST_FAULTS:
         if not named:
-            return taken, windows, [_unexplained(found[0], before)] if found else []
+            if all((one.residual < 0.7 * one.floor).all() for one in before.values()):  # there is nothing to explain
+                break
+            found = _ranked(windows, before, taken)
+            named = [one for one in found if one.left < MOST_LEFT or not one.candidate.blocks]
+            if found and not named:
+                findings.append(_unexplained(found[0]))
+        if not named:
+            break
         best = named[0]
-        mount = next((one for one in named if one.hypothesis.name == "mounting"), None)
-        if mount is not None and not mount.blocks and mount.value > best.value - CLEARLY:
+        mount = next((one for one in named if one.candidate.fault == "mounting"), None)
+        if mount is not None and not mount.candidate.blocks and mount.value > best.value - MARGIN:
             best = mount
-        taken.append(Explained(best.hypothesis, before, best.after))
-        windows = best.windows
+        rivals = [
+            one for one in named if one is not best and one.candidate.fault != "mounting" and one.candidate.blocks
+        ]
+        close = bool(rivals) and best.candidate.blocks and best.value - rivals[0].value < MARGIN
+        findings.append(best.finding(rivals[0] if close else None))
+        taken.append(best.candidate)
+        windows, named = best.windows, []
         before = agreements(windows)
-    return taken, windows, []
+    return taken, windows, findings
 
 
-def _candidates(windows: Windows, before: Agreements, taken: list[Explained]) -> list[Candidate]:
-    """Hypotheses that may be taken next, the best first."""
-    done = {(one.hypothesis.streams, one.hypothesis.name) for one in taken[-1:]}
-    done |= {(streams, "mounting") for one in taken if one.hypothesis.name == "mounting" for streams in ("f", "w", "wf")
-             if set(streams) & set(one.hypothesis.streams)}  # fmt: skip
-    present = frozenset(name for name in STREAMS if getattr(windows, name) is not None)
-    every = [one for one in (*hypotheses(present), *_scales(before)) if (one.streams, one.name) not in done]
+def _tried(one: Candidate, windows: Windows, before: Agreements) -> Trial | None:
+    """None where it cannot be done."""
+    try:
+        changed = one.apply(windows)
+    except DataError:
+        return None
+    return Trial(one, changed, before, _without_own(one, agreements(changed, before, one.streams), before))
+
+
+def _without_own(one: Candidate, after: Agreements, before: Agreements) -> Agreements:
+    """Of two streams changed alike, their relation says nothing."""
+    return {**after, "velocity": before["velocity"]} if one.streams == "pv" else after
+
+
+def _ranked(windows: Windows, before: Agreements, taken: list[Candidate]) -> list[Trial]:
+    """Candidates that may be taken next, the best first."""
+    done = {(one.streams, one.fault) for one in taken[-1:]}
+    turned = {stream for one in taken if one.fault == "mounting" for stream in one.streams}
+    every = [*candidates(frozenset(windows.streams)), *_scales(before)]
     few = windows.every(max(1, len(windows.t) // FEW))
     known = agreements(few)
-    coarse = [_tried(one, few, known)[0] for one in every]
-    likely = [every[i] for i in np.argsort(coarse)[::-1][:FINALISTS] if coarse[i] > 0]
-    likely += [one for one in mounting_hypotheses(windows) if (one.streams, one.name) not in done]
-    found = []
-    for one in likely:
-        value, changed, after = _tried(one, windows, before)
-        if one.name == "scale" and not _telling(before, after):
-            continue
-        if one.name == "units" and not _more_than_nothing(one, windows, before, after):
-            continue
-        if value > LEAST_GAIN and _plausible(one, before, after):
-            found.append(Candidate(value, one, changed, after, _left(before, after)))
-    if not any(one.blocks and one.left < MOST_LEFT for one in found):
+    coarse = [trial for one in every if (one.streams, one.fault) not in done and (trial := _tried(one, few, known))]
+    best = sorted((trial for trial in coarse if trial.value > 0), key=lambda trial: -trial.value)
+    likely = [trial.candidate for trial in best[:FINALISTS]]
+    mounts = [one for one in mounting_candidates(windows) if not set(one.streams) & turned]
+    trials = [trial for one in (*likely, *mounts) if (trial := _tried(one, windows, before)) is not None]
+    found = [trial for trial in trials if trial.value > MARGIN and trial.plausible()]
+    if not any(one.candidate.blocks and one.left < MOST_LEFT for one in found):
         found += _under_a_mount(windows, before, likely, max((one.value for one in found), default=0.0))
-    best = max((one.value for one in found if one.hypothesis.name != "mounting"), default=-np.inf)
-    found = [one for one in found if one.hypothesis.name != "mounting" or not one.blocks or one.value > best + CLEARLY]
+    best_other = max((one.value for one in found if one.candidate.fault != "mounting"), default=-np.inf)
+    found = [
+        one for one in found
+        if one.candidate.fault != "mounting" or not one.candidate.blocks or one.value > best_other + MARGIN
+    ]  # fmt: skip
     return sorted(found, key=lambda one: -one.value)
 
 
-def _under_a_mount(windows: Windows, before: Agreements, likely: list[Hypothesis], alone: float) -> list[Candidate]:
+def _under_a_mount(windows: Windows, before: Agreements, likely: list[Candidate], alone: float) -> list[Trial]:
     """Faults of a sensor that is turned besides: each is judged with the turn that is left once it is mended too.
 
-    alone: what the best single hypothesis explains; two must explain clearly more.
+    alone: what the best single candidate explains; two must explain clearly more.
     """
     found = []
     for one in likely:
-        if one.severity != "blocking" or one.name in ("mounting", "scale") or not set("pvqf") & set(one.streams):
+        if one.fault == "scale" or not set("pvqf") & set(one.streams):
             continue
-        changed = one.apply(windows)
-        known = agreements(changed, before, one.streams)
-        turns = (turn for turn in mounting_hypotheses(changed) if turn.streams == "f" and turn.severity != "blocking")
-        mount = next(turns, None)
-        if mount is None:
+        trial = _tried(one, windows, before)
+        turns = [] if trial is None else mounting_candidates(trial.windows)
+        mount = next((turn for turn in turns if turn.streams == "f" and not turn.blocks), None)
+        if trial is None or mount is None:
             continue
-        after = agreements(mount.apply(changed), known, "f")
-        value = total(before) - total(after) - TIE * (one.cost + mount.cost)
-        if value > alone + CLEARLY + LEAST_GAIN and _plausible(one, before, after):
-            found.append(Candidate(value, one, changed, known, _left(before, after)))
+        both = agreements(mount.apply(trial.windows), trial.after, "f")
+        judged = Trial(one, trial.windows, before, both, PER_COST * mount.cost)
+        if judged.value > alone + 2 * MARGIN and judged.plausible():
+            found.append(judged)
     return found
 
 
-def _left(before: Agreements, after: Agreements) -> float:
-    """Share of the misfit beyond what sensors differ by, root mean square, that stays in the relations bettered."""
-    better = _better(before, after)
-    was, stays = (sum(found[name].excess for name in better) for found in (before, after))
-    return float(np.sqrt(stays / was)) if was > 0 else 1.0
-
-
-def _better(before: Agreements, after: Agreements) -> list[str]:
-    return [name for name in after if after[name].score < before[name].score - 0.1]
-
-
-def _unexplained(best: Candidate, before: Agreements) -> Finding:
-    """A misfit that no hypothesis explains, as a finding without a cause."""
-    name = max(best.after, key=lambda relation: before[relation].score - best.after[relation].score)
+def _unexplained(best: Trial) -> Finding:
+    """A misfit that no candidate explains, as a finding without a cause."""
+    name = max(best.after, key=lambda relation: best.after[relation].evidence - best.before[relation].evidence)
     columns = ", ".join(COLUMNS[stream] for stream in SIDES[name])
-    one = best.hypothesis
-    text = f"{before[name].words}; the nearest hypothesis ({one.where}: {one.text}) leaves {best.left:.0%} of it,"
+    one = best.candidate
+    text = f"{best.before[name].words}; the nearest hypothesis ({one.where}: {one.text}) leaves {best.left:.0%} of it,"
     return Finding("misfit", "warning", columns, f"{text} so none is named", f"{MOST_LEFT:.0%}")
 
 
-def _tried(one: Hypothesis, windows: Windows, before: Agreements) -> tuple[float, Windows, Agreements]:
-    """By how much a hypothesis lowers J, less what it claims; the windows after it and how well they agree."""
-    changed = one.apply(windows)
-    after = agreements(changed, before, one.streams)
-    if one.streams == "pv":  # of two streams changed alike, their relation says nothing
-        after["velocity"] = before["velocity"]
-    return total(before) - total(after) - TIE * one.cost, changed, after
-
-
-def _more_than_nothing(one: Hypothesis, windows: Windows, before: Agreements, after: Agreements) -> bool:
-    """Whether a stream in another unit explains more than the same stream set to zero does."""
-    zero = {name: 0.0 * windows.of(name) for name in one.streams if name in "pvwf"}
-    nothing = agreements(windows.having(**zero), before, one.streams)
-    if one.streams == "pv":
-        nothing["velocity"] = before["velocity"]
-    return not zero or total(nothing) - total(after) > LEAST_GAIN
-
-
-def _scales(found: Agreements) -> tuple[Hypothesis, ...]:
+def _scales(found: Agreements) -> tuple[Candidate, ...]:
     """Factors between two streams that are otherwise alike."""
     for relation, streams, least in (("velocity", "vp", 0.015), ("rate", "wq", 0.05)):
         one = found.get(relation)
         if one is not None and one.correlation > ALIKE:
-            return scale_hypotheses(one.gain, streams) if abs(one.gain - 1) > least else ()
+            return scale_candidates(one.gain, streams) if abs(one.gain - 1) > least else ()
     return ()
 
 
-def _clock(found: Agreements) -> Hypothesis | None:
+def _clock(found: Agreements) -> Candidate | None:
     """A clock that runs wrong: velocity against dp/dt and rates against the attitude are off by one factor.
 
     Where the gyro is too noisy to say by how much it is off, a small factor is put down to the clock as well: scales
@@ -289,44 +311,16 @@ def _clock(found: Agreements) -> Hypothesis | None:
     """
     velocity, rate = found.get("velocity"), found.get("rate")
     if velocity is None:
-        if rate is None or rate.correlation < 0.995 or abs(rate.gain - 1) < 0.03:
-            return None
-        return clock_hypothesis(rate.gain) if abs(rate.gain / np.degrees(1) - 1) > 0.1 else None
+        sure = rate is not None and rate.correlation > 0.995 and abs(rate.gain - 1) > 0.03
+        degrees = rate is not None and abs(rate.gain / np.degrees(1) - 1) < 0.1
+        return clock_candidate(rate.gain) if rate is not None and sure and not degrees else None
     if velocity.correlation < ALIKE or abs(velocity.gain - 1) < 0.015:
         return None
     size = np.log(velocity.gain)
-    if rate is None or rate.correlation < 0.7:
-        return clock_hypothesis(velocity.gain) if abs(size) < 0.15 else None
-    share = np.log(rate.gain) / size
-    if rate.correlation > ALIKE or abs(size) > 0.3:
-        return clock_hypothesis(velocity.gain) if 0.5 < share < 1.5 else None
-    return clock_hypothesis(velocity.gain)
-
-
-def _settled(found: Agreements) -> bool:
-    """Whether every relation holds to within what its sensors differ by, on every axis: there is nothing to explain."""
-    return all((one.residual < 0.7 * one.floor).all() for one in found.values())
-
-
-def _plausible(one: Hypothesis, before: Agreements, after: Agreements) -> bool:
-    """A hypothesis must make two moving streams agree, not only make both small, and must make no relation worse."""
-    better = _better(before, after)
-    worse = [name for name in after if after[name].score > before[name].score + 1.0]
-    odd = one.name in ("axis_swap", "sign_flip", "units") and all(name.startswith("thrust") for name in better)
-    if worse or (odd and not _smaller(CLEAR, before, after, better)):
-        return False
-    return any(after[name].ratio < DISAGREE and after[name].size > MOVING * after[name].floor for name in better)
-
-
-def _telling(before: Agreements, after: Agreements) -> bool:
-    """Whether a factor removes most of a residual; a slope due to noise does not."""
-    return _smaller(TELLING, before, after, [name for name in ("velocity", "rate") if name in after])
-
-
-def _smaller(share: float, before: Agreements, after: Agreements, names: list[str]) -> bool:
-    """Whether of one of these relations less than this share of the residual is left."""
-    left = [np.sum(after[name].residual ** 2) < share**2 * np.sum(before[name].residual ** 2) for name in names]
-    return any(left)
+    alike = abs(size) < 0.15
+    if rate is not None and rate.correlation > 0.7:
+        alike = 0.5 < np.log(rate.gain) / size < 1.5 or not (rate.correlation > ALIKE or abs(size) > 0.3)
+    return clock_candidate(velocity.gain) if alike else None
 
 
 def stray(windows: Windows) -> list[tuple[Finding, np.ndarray]]:
@@ -356,7 +350,7 @@ def stray(windows: Windows) -> list[tuple[Finding, np.ndarray]]:
 
 
 def disagreements(windows: Windows) -> list[Finding]:
-    """Relations that no hypothesis explains."""
+    """Relations that no candidate explains."""
     found = []
     for one in agreements(windows).values():
         moving = np.sqrt(np.sum(one.signal**2)) > 2 * one.floor

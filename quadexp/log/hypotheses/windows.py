@@ -15,8 +15,9 @@ where there is none, the body x and y components of R^T (a + g e_z) are small (d
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -38,49 +39,26 @@ SIDES = {
 # What clean logs differ by, root mean square over an axis: a motion capture of 0.1 mm and its filtered velocity, a
 # hobby gyro's vibration averaged over a window, an attitude wrong by 2 degrees (0.35 m/s^2) and, without an
 # accelerometer, the drag of a fast flight.
-FLOOR = {"velocity": 0.02, "rate": 0.05, "force": 0.3, "force (p)": 0.3, "thrust": 1.5}
+FLOOR = {"velocity": 0.02, "rate": 0.05, "push": 1.5, "force": 0.3, "force (p)": 0.3, "thrust": 1.5, "thrust (p)": 1.5}
 UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
 class Windows:
-    """t: (n, 2m + 1) s. p, q, v, w, f: (n, 2m + 1, .) or None: position, attitude, velocity, rate, specific force.
-
-    A window is two halves of m steps each. rotation: (n, 2m + 1, 3, 3), R(q), or None.
-    """
+    """t: (n, 2m + 1) s. streams: p, q, v, w, f by letter, those that there are: (n, 2m + 1, 3 or 4), position,
+    attitude, velocity, rate, specific force. A window is two halves of m steps each."""
 
     t: np.ndarray
-    p: np.ndarray | None = None
-    q: np.ndarray | None = None
-    v: np.ndarray | None = None
-    w: np.ndarray | None = None
-    f: np.ndarray | None = None
-    rotation: np.ndarray | None = None
+    streams: Mapping[str, np.ndarray]
 
-    @classmethod
-    def of_streams(cls, t: np.ndarray, streams: dict[str, np.ndarray]) -> Windows:
-        """t: (n, l). streams: (n, l, .) by letter."""
-        rotation = rotation_matrices(streams["q"]) if "q" in streams else None
-        return cls(t=t, **streams, rotation=rotation)
-
-    def of(self, name: str) -> np.ndarray:
-        """A stream, or the rotation, that the caller knows to be there."""
-        values: np.ndarray | None = getattr(self, name)
-        if values is None:
-            raise ValueError(f"these windows have no {name}")
-        return values
+    @cached_property
+    def rotation(self) -> np.ndarray:
+        """R(q), (n, 2m + 1, 3, 3)."""
+        return rotation_matrices(self.streams["q"])
 
     def every(self, step: int) -> Windows:
         """Every step-th window."""
-        found = {name: getattr(self, name) for name in ("t", *STREAMS, "rotation")}
-        kept: dict[str, Any] = {name: None if x is None else x[::step] for name, x in found.items()}
-        return Windows(**kept)
-
-    def having(self, **changes: Any) -> Windows:
-        """A copy with some streams replaced; R(q) follows q."""
-        if "q" in changes:
-            changes["rotation"] = rotation_matrices(changes["q"])
-        return replace(self, **changes)
+        return Windows(self.t[::step], {name: values[::step] for name, values in self.streams.items()})
 
 
 @dataclass(frozen=True)
@@ -90,13 +68,16 @@ class Pair:
     relation: str
     expected: np.ndarray
     found: np.ndarray
-    floor: float
+
+    @property
+    def floor(self) -> float:
+        return FLOOR[self.relation]
 
 
-def cut(t: np.ndarray, streams: dict[str, np.ndarray], starts: np.ndarray, half: int) -> Windows:
+def cut(t: np.ndarray, streams: Mapping[str, np.ndarray], starts: np.ndarray, half: int) -> Windows:
     """Windows of 2 half + 1 samples that begin at the samples `starts`."""
     samples = starts[:, None] + np.arange(2 * half + 1)
-    return Windows.of_streams(t[samples], {name: streams[name][samples] for name in STREAMS if name in streams})
+    return Windows(t[samples], {name: streams[name][samples] for name in STREAMS if name in streams})
 
 
 def window_starts(t: np.ndarray, good: np.ndarray, segment: np.ndarray | None = None) -> tuple[np.ndarray, int]:
@@ -118,6 +99,51 @@ def window_starts(t: np.ndarray, good: np.ndarray, segment: np.ndarray | None = 
     return first, half
 
 
+def pairs(windows: Windows, touching: str = "tpqvwf") -> list[Pair]:
+    """Every relation that the streams at hand allow and that has one of the streams `touching`."""
+    t, streams = windows.t, windows.streams
+    p, q, v, w, f = (streams.get(name) for name in "pqvwf")
+
+    def wanted(relation: str) -> bool:
+        return "t" in touching or bool(set(SIDES[relation]) & set(touching))
+
+    made = []
+    if p is not None and v is not None and wanted("velocity"):
+        made.append(Pair("velocity", changes(t, p), means(t, v)))
+    if q is not None and w is not None and wanted("rate"):
+        middle = (w[:, 1:] + w[:, :-1]) / 2
+        made.append(Pair("rate", _weighted(t, attitude_rate(t, q)), _weighted(t, middle)))
+    if f is not None and wanted("push"):
+        read = means(t, f)
+        made.append(Pair("push", np.abs(read) * UP + read * (1 - UP), read))
+    if q is None or (v is None and p is None) or not set(touching) & set("tpvqf"):
+        return made
+    push = None if f is None else np.einsum("nlij,nlj->nli", windows.rotation, f)
+    half = t.shape[1] // 2
+    if v is not None and wanted("force"):
+        turn = np.concatenate([windows.rotation[:, (a + b) // 2] for a, b in halves(t)])
+        seen = None if push is None else means(t, push)
+        made.append(_forces("", turn, changes(t, v), seen))
+    if p is not None and wanted("force (p)"):
+        first, second = ((t[:, b] - t[:, a])[:, None] for a, b in halves(t))
+        change = (p[:, -1] - p[:, half]) / second - (p[:, half] - p[:, 0]) / first
+        since = t - t[:, half : half + 1]
+        triangle = np.maximum(0.0, 1 - np.abs(since) / np.where(since < 0, first, second))[..., None]
+        length = (first + second) / 2
+        seen = None if push is None else np.trapezoid(push * triangle, t[..., None], axis=1) / length
+        made.append(_forces(" (p)", windows.rotation[:, half], change / length, seen))
+    return made
+
+
+def _forces(of: str, turn: np.ndarray, acceleration: np.ndarray, push: np.ndarray | None) -> Pair:
+    """Force, or thrust where no accelerometer read a push: rotors push along +z, so that components beside +z have no
+    counterpart. turn: R, (n, 3, 3). acceleration, push: world, (n, 3)."""
+    expected = np.einsum("nij,ni->nj", turn, acceleration + GRAVITY * UP)
+    if push is None:
+        return Pair(f"thrust{of}", expected, np.abs(expected) * UP)
+    return Pair(f"force{of}", expected, np.einsum("nij,ni->nj", turn, push))
+
+
 def halves(t: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
     """First and last sample of both halves of windows t (n, 2m + 1)."""
     half = t.shape[1] // 2
@@ -126,7 +152,7 @@ def halves(t: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
 
 def means(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Means of x (n, l, m) over both halves of the windows by the trapezoidal rule, (2n, m)."""
-    return np.concatenate([mean(t, x, a, b) for a, b in halves(t)])
+    return _weighted(t, (x[:, 1:] + x[:, :-1]) / 2)
 
 
 def changes(t: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -134,79 +160,11 @@ def changes(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     return np.concatenate([(x[:, b] - x[:, a]) / (t[:, b] - t[:, a])[:, None] for a, b in halves(t)])
 
 
-def body_rate(t: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Means of the body rate that an attitude q (n, l, 4) has over both halves of the windows, (2n, 3) (rad/s)."""
-    return _weighted(t, attitude_rate(t, q))
-
-
 def _weighted(t: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Means over both halves of what is given between the samples, (n, l - 1, 3)."""
+    """Means over both halves of what is given between the samples, (n, l - 1, m)."""
     weight = np.diff(t, axis=1)[..., None]
     parts = [slice(a, b) for a, b in halves(t)]
     return np.concatenate([np.sum(x[:, s] * weight[:, s], axis=1) / np.sum(weight[:, s], axis=1) for s in parts])
-
-
-def pairs(windows: Windows, up: np.ndarray = UP, touching: str = "tpqvwf") -> list[Pair]:
-    """Every relation that the streams at hand allow and that has one of the streams `touching`.
-
-    up: direction of up in the world, (3,).
-    """
-    one = windows
-
-    def wanted(relation: str) -> bool:
-        return "t" in touching or bool(set(SIDES[relation]) & set(touching))
-
-    half = one.t.shape[1] // 2
-    found = []
-    if one.p is not None and one.v is not None and wanted("velocity"):
-        found.append(Pair("velocity", changes(one.t, one.p), means(one.t, one.v), FLOOR["velocity"]))
-    if one.q is not None and one.w is not None and wanted("rate"):
-        middle = (one.w[:, 1:] + one.w[:, :-1]) / 2
-        found.append(Pair("rate", body_rate(one.t, one.q), _weighted(one.t, middle), FLOOR["rate"]))
-    if one.f is not None and wanted("push"):
-        read = means(one.t, one.f)
-        found.append(Pair("push", np.abs(read) * UP + read * (1 - UP), read, FLOOR["thrust"]))
-    if one.q is None or (one.v is None and one.p is None) or not set(touching) & set("tpvqf"):
-        return found
-    push = None if one.f is None else np.einsum("nlij,nlj->nli", one.of("rotation"), one.f)
-    if one.v is not None and wanted("force"):
-        change = changes(one.t, one.v) + GRAVITY * up
-        turn = np.concatenate([one.of("rotation")[:, (a + b) // 2] for a, b in halves(one.t)])
-        expected = np.einsum("nij,ni->nj", turn, change)
-        if push is None:
-            found.append(_thrust("thrust", expected))
-        else:
-            seen = means(one.t, push)
-            found.append(Pair("force", expected, np.einsum("nij,ni->nj", turn, seen), FLOOR["force"]))
-    if one.p is not None and wanted("force (p)"):
-        first, second = ((one.t[:, b] - one.t[:, a])[:, None] for a, b in halves(one.t))
-        change = (one.p[:, -1] - one.p[:, half]) / second - (one.p[:, half] - one.p[:, 0]) / first
-        change = change / ((first + second) / 2) + GRAVITY * up
-        turn = one.of("rotation")[:, half]
-        expected = np.einsum("nij,ni->nj", turn, change)
-        if push is None:
-            found.append(_thrust("thrust (p)", expected))
-        else:
-            since = one.t - one.t[:, half : half + 1]
-            triangle = np.maximum(0.0, 1 - np.abs(since) / np.where(since < 0, first, second))[..., None]
-            seen = np.trapezoid(push * triangle, one.t[..., None], axis=1) / ((first + second) / 2)
-            found.append(Pair("force (p)", expected, np.einsum("nij,ni->nj", turn, seen), FLOOR["force (p)"]))
-    return found
-
-
-def _thrust(relation: str, expected: np.ndarray) -> Pair:
-    """Rotors push along +z: components beside +z or below zero have no counterpart on the found side."""
-    along = np.stack([0 * expected[:, 0], 0 * expected[:, 1], np.abs(expected[:, 2])], axis=-1)
-    return Pair(relation, expected, along, FLOOR["thrust"])
-
-
-def mean(t: np.ndarray, x: np.ndarray, a: int, b: int) -> np.ndarray:
-    """Mean of x (n, l, m) from sample a to b by the trapezoidal rule, (n, m)."""
-    step = np.diff(t[:, a : b + 1], axis=1)
-    weight = np.zeros((len(t), b - a + 1))
-    weight[:, :-1] += step
-    weight[:, 1:] += step
-    return np.einsum("nl,nli->ni", weight / (2 * step.sum(axis=1, keepdims=True)), x[:, a : b + 1])
 
 
 def rotation_matrices(q: np.ndarray) -> np.ndarray:

@@ -5,6 +5,6 @@ read(path) -> RawLog (streams in SI, ENU, FLU, each on its own clock) -> assembl
 
 from __future__ import annotations
 
-from quadexp.log.importers.importing import FORMATS, Options, checked, import_log
+from quadexp.log.importers.importing import Options, checked, import_log
 
-__all__ = ["FORMATS", "Options", "checked", "import_log"]
+__all__ = ["Options", "checked", "import_log"]

@@ -5,7 +5,6 @@ A log whose streams share one uniform clock keeps its numbers to the last bit.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -32,28 +31,16 @@ MOST_EMPTY = 20.0  # times as long as what has data: more is no gap, but a clock
 LONGEST = 7 * 86400.0  # s
 
 
-@dataclass
-class Assembled:
-    """columns: of the flight. start, end: cut out of the log (s, from its start). rates: of every stream (Hz).
+def assemble(
+    path: Path, log: RawLog, vehicle: Vehicle | None, *, rate: float | None, cropping: bool
+) -> tuple[dict[str, np.ndarray], bool]:
+    """Columns of a flight: a log brought to one clock of `rate` (Hz; None: its own), in the vehicle's order of rotors.
+    And whether the velocity is the derivative of the position.
 
-    derived: whether the velocity is the derivative of the position.
+    cropping: whether to cut ground phases off as the log's mapping says. What was done is added to the notes and to
+    what there is to say about the log. Raises DataError where too little is left.
     """
-
-    columns: dict[str, np.ndarray]
-    rate: float
-    cropped: tuple[float, float]
-    rates: dict[str, float]
-    notes: list[str] = field(default_factory=list)
-    resampled: bool = False
-    derived: bool = False
-
-
-def assemble(path: Path, log: RawLog, vehicle: Vehicle | None, *, rate: float | None, cropping: bool) -> Assembled:
-    """Bring a log to one clock of `rate` (Hz; None: its own), in the vehicle's order of rotors.
-
-    cropping: whether to cut ground phases off as the log's mapping says. Raises DataError where too little is left.
-    """
-    notes = list(log.notes)
+    notes = log.notes
     streams = {name: Stream(s.t, s.values) for name, s in log.streams.items() if len(s.t) >= 2}
     notes += [f"{name}: one row only: left out" for name in log.streams if name not in streams]
     _short_ones_out(streams, notes)
@@ -94,7 +81,8 @@ def assemble(path: Path, log: RawLog, vehicle: Vehicle | None, *, rate: float | 
     columns["t"] = columns["t"] - columns["t"][0]
     _, columns["segment"] = np.unique(columns["segment"] + _breaks(kept), return_inverse=True)
     columns["segment"] = columns["segment"].astype(np.int32)
-    return Assembled(columns, float(rate), (t0, t1), rates, notes, own is None or given, derived)
+    log.about |= {"rate": float(rate), "rates": rates, "resampled": own is None or given, "cropped": [t0, t1]}
+    return columns, derived
 
 
 def _short_ones_out(streams: dict[str, Stream], notes: list[str]) -> None:

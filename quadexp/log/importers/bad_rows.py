@@ -36,7 +36,7 @@ def without_bad_rows(
     counts: dict[str, int] = {}
     total, length = 0, len(flight)
     for _ in range(ROUNDS):
-        _, masks = inspect_flight(flight, vehicle)
+        _, masks, _ = inspect_flight(flight, vehicle)
         bad = np.zeros(len(flight), bool)
         for mask in masks.values():
             bad |= mask

@@ -9,40 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.config.schema import conf_folder
 from quadexp.errors import DataError, UsageError
-from quadexp.log.importers.assemble import Assembled, assemble
+from quadexp.log.importers.assemble import assemble
 from quadexp.log.importers.bad_rows import MODES, without_bad_rows
-from quadexp.log.importers.detect import detect
 from quadexp.log.importers.mapped import read_mapped
 from quadexp.log.importers.mapping_reader import Mapping, load_mapping
-from quadexp.log.importers.offsets import REFERENCES, align_streams, find_offsets
-from quadexp.log.importers.own import is_own_mcap, is_own_table, read_own
-from quadexp.log.importers.px4_csv import read_px4_csv
 from quadexp.log.importers.raw import RawLog
-from quadexp.log.importers.rosbag import read_rosbag
+from quadexp.log.importers.readers import reader_of, readers
+from quadexp.log.importers.readers.csv import ready_mappings
 from quadexp.log.importers.table import open_table
-from quadexp.log.importers.ulog import read_ulog
+from quadexp.log.offsets import REFERENCES, align_streams, find_offsets
 from quadexp.log.schema import Flight
 from quadexp.log.signal import Stream
 from quadexp.log.units import mounting_matrix
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
 
-FORMATS = {
-    "auto": "by content",
-    "nanobench": "CSV of the NanoBench set",
-    "blackbird": "HDF5 of the Blackbird set",
-    "ulog": "PX4",
-    "px4csv": "folder of CSVs, one a topic, as ulog2csv and `quadexp export` write them",
-    "csv": "delimited text, or HDF5, by --mapping",
-    "rosbag": "ROS 1 and ROS 2; needs [logs]",
-    "quadexp": "what this program wrote: Parquet, csv, tum, mcap",
-}
-_KINDS = {  # what a file's content may be for a --log-format
-    "nanobench": ("text",), "blackbird": ("hdf5",), "ulog": ("ulog",), "px4csv": ("px4csv",),
-    "csv": ("text", "hdf5"), "rosbag": ("rosbag", "mcap"), "quadexp": ("parquet", "text", "mcap", "rerun"),
-}  # fmt: skip
+TABLES = ("csv", "quadexp")  # formats that a mapping may be given for
 
 
 @dataclass
@@ -63,8 +46,8 @@ class Options:
 
 def checked(options: Options) -> Mapping | None:
     """The mapping that the options name; raises UsageError where the request itself is wrong."""
-    if options.format not in FORMATS:
-        raise UsageError(f"--log-format {options.format}: no such format; there are {', '.join(FORMATS)}")
+    if options.format not in (known := ("auto", *ready(), *readers())):
+        raise UsageError(f"--log-format {options.format}: no such format; there are {', '.join(known)}")
     mapping = None if options.mapping is None else load_mapping(options.mapping)
     if mapping is None and options.format == "csv":
         raise UsageError("--log-format csv: needs --mapping FILE; `quadexp import --describe LOG` proposes one")
@@ -84,20 +67,17 @@ def import_log(
 
 
 def _import(path: Path, vehicle: Vehicle | None, options: Options, mapping: Mapping | None) -> tuple[Flight, list[str]]:
-    kind = detect(path)
-    if options.format != "auto" and kind not in _KINDS[options.format]:
-        raise DataError(f"{path}: its content is {kind}, not --log-format {options.format}")
-    log = read_log(path, kind, options.format, mapping)
+    log = read_log(path, options.format, mapping)
     if isinstance(log, Flight):
         _refuse_changes(path, log, vehicle, options)
         return _mended(log, vehicle, options)
     _unmount(path, log, options)
     offsets, found = _offsets(path, log, options.align)
-    made = assemble(path, log, vehicle, rate=options.rate, cropping=options.crop)
+    columns, derived = assemble(path, log, vehicle, rate=options.rate, cropping=options.crop)
     log.streams.clear()  # a long log is held once
-    metadata = _metadata(path, log, made, vehicle, offsets)
-    flight, left_out = _mended(Flight(made.columns, metadata), vehicle, options, made.derived)
-    return flight, [*made.notes, *found, *left_out]
+    metadata = _metadata(path, log, vehicle, offsets)
+    flight, left_out = _mended(Flight(columns, metadata), vehicle, options, derived)
+    return flight, [*log.notes, *found, *left_out]
 
 
 def _refuse_changes(path: Path, flight: Flight, vehicle: Vehicle | None, options: Options) -> None:
@@ -138,48 +118,28 @@ def _unmount(path: Path, log: RawLog, options: Options) -> None:
         log.about.setdefault("mounting", {})[name] = list(angles)
 
 
-def read_log(path: Path, kind: str, form: str, mapping: Mapping | None) -> RawLog | Flight:
-    """Streams of one log by the reader of its kind; a Flight where the file holds one as it is."""
-    if mapping is not None:
-        if kind != mapping.format:
-            raise DataError(f"{path}: its content is {kind}, the mapping {mapping.name} is for {mapping.format}")
-        return read_mapped(open_table(path, kind), mapping)
-    if kind in ("parquet", "rerun") or form == "quadexp" or (kind == "mcap" and is_own_mcap(path)):
-        return read_own(path, kind)
-    if kind in ("text", "hdf5"):
-        return _table(path, kind, form)
-    return {"ulog": read_ulog, "px4csv": read_px4_csv}.get(kind, read_rosbag)(path)
+def read_log(path: Path, form: str, mapping: Mapping | None) -> RawLog | Flight:
+    """Streams of one log by the reader that recognises it; a Flight where the file holds one as it is."""
+    kind = reader_of(path)
+    asked = "csv" if form in ready() else form
+    if asked not in ("auto", kind) and not (mapping is not None and {asked, kind} <= set(TABLES)):
+        raise DataError(f"{path}: its content is {kind}, not --log-format {form}")
+    if mapping is None:
+        return readers()[kind].read(path, form)
+    table = open_table(path) if kind in TABLES else None
+    if table is None or mapping.format != table.format:
+        kind = kind if table is None else table.format
+        raise DataError(f"{path}: its content is {kind}, the mapping {mapping.name} is for {mapping.format}")
+    return read_mapped(table, mapping)
 
 
-def _table(path: Path, kind: str, form: str) -> RawLog | Flight:
-    """A table by the ready mapping whose columns it has."""
-    table = open_table(path, kind)
-    if form == "auto" and kind == "text" and is_own_table(table):
-        return read_own(path, kind)
-    known = ready_mappings()
-    chosen = [m for m in known if m.name == form] if form in ("nanobench", "blackbird") else known
-    for mapping in chosen:
-        if mapping.format == kind and set(mapping.signature) <= set(table.columns):
-            log = read_mapped(table, mapping)
-            log.format = mapping.name
-            return log
-    if form in ("nanobench", "blackbird"):
-        missing = [name for name in chosen[0].signature if name not in table.columns]
-        raise DataError(f"{path}: not of {form}: no column {missing[0]!r} (it has {', '.join(table.columns[:8])}, ...)")
-    raise DataError(
-        f"{path}: a table of unknown origin ({', '.join(table.columns[:6])}, ...): pass --mapping FILE;"
-        f" `quadexp import --describe {path.name}` proposes one"
-    )
-
-
-def ready_mappings() -> list[Mapping]:
-    """The mappings of conf/import/, most particular first."""
-    found = [load_mapping(file) for file in sorted((conf_folder() / "import").glob("*.yaml"))]
-    return sorted((m for m in found if m.signature), key=lambda m: -len(m.signature))
+def ready() -> list[str]:
+    """Formats that are a ready mapping of tables."""
+    return [mapping.name for mapping in ready_mappings()]
 
 
 def _offsets(path: Path, log: RawLog, align: bool) -> tuple[dict[str, Any], list[str]]:
-    found = find_offsets(log)
+    found = find_offsets(log.streams)
     notes = [
         f"time offset: {name} {1e3 * o.seconds:+.1f} ms behind {behind} (standard error {1e3 * o.error:.2g} ms,"
         f" correlation {o.correlation:.2f})" + (", removed" if align and behind in REFERENCES else "")
@@ -187,7 +147,7 @@ def _offsets(path: Path, log: RawLog, align: bool) -> tuple[dict[str, Any], list
         if o.certain
     ]
     if align:
-        align_streams(log, found)
+        align_streams(log.streams, found)
     record = {
         name: {"seconds": o.seconds, "error": o.error if np.isfinite(o.error) else None,
                "correlation": o.correlation, "certain": o.certain, "behind": behind,
@@ -197,28 +157,12 @@ def _offsets(path: Path, log: RawLog, align: bool) -> tuple[dict[str, Any], list
     return record, notes
 
 
-def _metadata(
-    path: Path, log: RawLog, made: Assembled, vehicle: Vehicle | None, offsets: dict[str, Any]
-) -> dict[str, Any]:
+def _metadata(path: Path, log: RawLog, vehicle: Vehicle | None, offsets: dict[str, Any]) -> dict[str, Any]:
+    source = {"file": path.name, "sha256": digest(path), "format": log.format, "mapping": log.mapping}
     metadata: dict[str, Any] = {
-        "name": path.stem,
-        "outcome": "ok",
-        "recorded": True,
-        "source": {
-            "file": path.name,
-            "sha256": digest(path),
-            "format": log.format,
-            "mapping": log.mapping,
-            "rate": made.rate,
-            "rates": made.rates,
-            "resampled": made.resampled,
-            "offsets": offsets,
-            "cropped": list(made.cropped),
-            **log.about,
-        },
-        "versions": versions(),
-        "provenance": provenance(),
-    }
+        "name": path.stem, "outcome": "ok", "recorded": True, "source": source | {"offsets": offsets} | log.about,
+        "versions": versions(), "provenance": provenance(),
+    }  # fmt: skip
     if vehicle is not None:
         metadata["vehicle"] = {"name": vehicle.name, "fingerprint": vehicle.fingerprint}
         metadata["config"] = {"vehicle": asdict(vehicle)}

@@ -37,14 +37,18 @@ def read_mapped(table: Table, mapping: Mapping) -> RawLog:
         for other in list(mapping.entries.values())[i + 1 :]:
             later |= {*other.columns, *([other.clock.column] if other.clock else [])}
         columns = {key: value for key, value in columns.items() if key in later}  # a long log fits in memory once
-    turn_to_frame(log, mapping.entries)
+    log.streams = turned_to_frame(log.streams, mapping.entries)
     for correction in mapping.corrections:
-        factor = correction.clock.factor
-        for name, entry in correction.entries.items():
-            t, values = log.streams[name]
-            log.streams[name] = convert(name, entry, Stream(t if factor == 1.0 else t * factor, values))
-        turn_to_frame(log, correction.entries)
+        log.streams = corrected(log.streams, correction)
     return log
+
+
+def corrected(streams: dict[str, Stream], correction: Mapping) -> dict[str, Stream]:
+    """Streams in SI, ENU and FLU, mended by lines of a mapping of which they are the log."""
+    factor, made = correction.clock.factor, {}
+    for name, (t, values) in streams.items():
+        made[name] = convert(name, correction.entries[name], Stream(t if factor == 1.0 else t * factor, values))
+    return turned_to_frame(made, correction.entries)
 
 
 def convert(name: str, entry: Entry, stream: Stream) -> Stream:
@@ -70,7 +74,7 @@ def attitude(entry: Entry, values: np.ndarray) -> np.ndarray:
         q = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=1)).as_quat(scalar_first=True)
     else:
         values = values if (entry.factor == 1.0).all() else values * entry.factor
-        q = values[:, [entry.order.index(axis) for axis in "wxyz"]]
+        q = values if entry.order == "wxyz" else values[:, [entry.order.index(axis) for axis in "wxyz"]]
     if entry.inverse:
         q = q * np.array([1.0, -1.0, -1.0, -1.0])
     return turn_attitude(q, entry.world, entry.axes)
@@ -90,36 +94,38 @@ def turn_attitude(q: np.ndarray, world: np.ndarray, body: np.ndarray) -> np.ndar
     return multiply(multiply(w, q), b)
 
 
-def turn_to_frame(log: RawLog, entries: dict[str, Entry]) -> None:
+def turned_to_frame(streams: dict[str, Stream], entries: dict[str, Entry]) -> dict[str, Stream]:
     """Velocities that the log has in the body go to the world, rates and accelerations to the body, accelerations to
     specific force."""
-    velocity, rate, acceleration = (entries.get(name) for name in ("velocity", "rate", "acceleration"))
-    if velocity is not None and velocity.in_body:
-        stream, R = with_attitude(log, "velocity", log.streams["velocity"])
-        log.streams["velocity"] = Stream(stream.t, R.apply(stream.values))
-    if rate is not None and not rate.in_body:
-        stream, R = with_attitude(log, "rate", log.streams["rate"])
-        log.streams["rate"] = Stream(stream.t, R.apply(stream.values, inverse=True))
-    if acceleration is not None and not acceleration.in_body:
-        stream, R = with_attitude(log, "acceleration", log.streams["acceleration"])
-        gravity = np.array([0.0, 0.0, GRAVITY if acceleration.coordinate else 0.0])
-        log.streams["acceleration"] = Stream(stream.t, R.apply(stream.values + gravity, inverse=True))
-    elif acceleration is not None and acceleration.coordinate:
-        stream, R = with_attitude(log, "acceleration", log.streams["acceleration"])
-        up = R.apply(np.array([0.0, 0.0, GRAVITY]), inverse=True)
-        log.streams["acceleration"] = Stream(stream.t, stream.values + up)
+    made = dict(streams)
+    for name, entry in entries.items():
+        if name == "velocity" and entry.in_body:
+            stream, R = with_attitude(streams, name)
+            made[name] = Stream(stream.t, R.apply(stream.values))
+        elif name == "rate" and not entry.in_body:
+            stream, R = with_attitude(streams, name)
+            made[name] = Stream(stream.t, R.apply(stream.values, inverse=True))
+        elif name == "acceleration" and (entry.coordinate or not entry.in_body):
+            stream, R = with_attitude(streams, name)
+            gravity = np.array([0.0, 0.0, GRAVITY if entry.coordinate else 0.0])
+            if entry.in_body:
+                made[name] = Stream(stream.t, stream.values + R.apply(gravity, inverse=True))
+            else:
+                made[name] = Stream(stream.t, R.apply(stream.values + gravity, inverse=True))
+    return made
 
 
-def with_attitude(log: RawLog, name: str, stream: Stream) -> tuple[Stream, Rotation]:
+def with_attitude(streams: dict[str, Stream], name: str) -> tuple[Stream, Rotation]:
     """The attitude at the times of a stream, and the stream as far as there is one."""
-    if "attitude" not in log.streams:
+    stream = streams[name]
+    if "attitude" not in streams:
         raise DataError(f"{name} has to be turned between world and body, but the log has no attitude")
-    q = log.streams["attitude"]
+    q = streams["attitude"]
     norm = np.linalg.norm(q.values, axis=1)
     if not (norm > 1e-6).all():
         raise DataError(f"attitude: a quaternion of length zero at row {int(np.argmin(norm))}")
     R = Rotation.from_quat(q.values, scalar_first=True)
-    if len(q.t) == len(stream.t) and (q.t == stream.t).all():
+    if len(q.t) == len(stream.t) and (q.t is stream.t or (q.t == stream.t).all()):
         return stream, R
     inside = (stream.t >= q.t[0]) & (stream.t <= q.t[-1])
     if len(q.t) < 2 or not inside.any():

@@ -139,6 +139,11 @@ def load_mapping(path: Path) -> Mapping:
     return _Reader(path, _lines(root)).mapping(values)
 
 
+def correction(lines: dict[str, Any], widths: Mapped[str, int]) -> Mapping:
+    """Lines of `corrections` as a mapping. widths: columns by quantity, of the streams that they mend."""
+    return _Reader(Path("correction"), {}).correction(lines, widths)
+
+
 def _lines(node: Any, prefix: str = "") -> dict[str, int]:
     """Dotted key -> line."""
     import yaml
@@ -206,10 +211,13 @@ class _Reader:
                 if key not in ("world", "body"):
                     own = [name for name in _OWN.get(key, ()) if name != "layout"]
                     reader.known(key, lines, ("unit", "scale", *(["frame"] if key != "time" else []), *own))
-            columns = {name: list(columns_of(name, len(entry.columns))) for name, entry in entries.items()}
-            streams = {name: {"columns": columns[name], **one.get(name, {})} for name in entries}
-            made.append(reader.mapping({**one, **streams, "time": {"column": "t", **one.get("time", {})}}))
+            made.append(reader.correction(one, {name: len(entry.columns) for name, entry in entries.items()}))
         return tuple(made)
+
+    def correction(self, lines: dict[str, Any], widths: Mapped[str, int]) -> Mapping:
+        """Lines as a mapping of which streams in SI, ENU and FLU are the log. widths: columns by quantity."""
+        streams = {name: {"columns": list(columns_of(name, n)), **lines.get(name, {})} for name, n in widths.items()}
+        return self.mapping({**lines, **streams, "time": {"column": "t", **lines.get("time", {})}})
 
     def axes(self, kind: str, frame: Any, key: str = "") -> np.ndarray:
         return axes_matrix(kind, frame, self.at(key or kind))

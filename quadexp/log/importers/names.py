@@ -19,24 +19,19 @@ class Hint(NamedTuple):
 
 
 _UNIT = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]\s*$")
-# Written units -> ours; "1/s" and the like are left.
-_UNITS = {
-    "s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns",
-    "m": "m", "cm": "cm", "mm": "mm", "m/s": "m/s", "m s^-1": "m/s", "ms^-1": "m/s", "cm/s": "cm/s",
-    "rad/s": "rad/s", "rad s^-1": "rad/s", "deg/s": "deg/s", "dps": "deg/s", "°/s": "deg/s", "g": "g", "gs": "g",
-    "m/s^2": "m/s^2", "m/s/s": "m/s^2", "m/s2": "m/s^2", "m/s²": "m/s^2", "m s^-2": "m/s^2", "mg": "mg",
-    "rad": "rad", "deg": "deg", "degrees": "deg", "°": "deg", "v": "V", "volt": "V", "mv": "mV", "cv": "cV",
-    "dv": "dV", "erpm": "erpm",
-    "rpm": "rpm", "hz": "Hz", "n": "N", "mn": "mN",
-}  # fmt: skip
-_SUFFIX = re.compile(
-    r"[_ ](rads|radps|rad_s|degs|degps|deg_s|dps|deg|rad|mps2|mps|rpm|ns|us|usec|ms|sec|s|g|mss|volts?|mv)$"
-)
+# Units at the end of a name -> ours; those in brackets may be written in more ways. "1/s" and the like are left.
 _SUFFIXES = {
     "rads": "rad/s", "radps": "rad/s", "rad_s": "rad/s", "degs": "deg/s", "degps": "deg/s", "deg_s": "deg/s",
     "dps": "deg/s", "deg": "deg", "rad": "rad", "mps2": "m/s^2", "mss": "m/s^2", "mps": "m/s", "rpm": "rpm", "ns": "ns",
     "us": "us", "usec": "us", "ms": "ms", "sec": "s", "s": "s", "g": "g", "volt": "V", "volts": "V", "mv": "mV",
 }  # fmt: skip
+_UNITS = _SUFFIXES | {
+    "secs": "s", "seconds": "s", "µs": "us", "m": "m", "cm": "cm", "mm": "mm", "m/s": "m/s", "m s^-1": "m/s",
+    "ms^-1": "m/s", "cm/s": "cm/s", "rad/s": "rad/s", "rad s^-1": "rad/s", "deg/s": "deg/s", "°/s": "deg/s", "gs": "g",
+    "m/s^2": "m/s^2", "m/s/s": "m/s^2", "m/s2": "m/s^2", "m/s²": "m/s^2", "m s^-2": "m/s^2", "mg": "mg",
+    "degrees": "deg", "°": "deg", "v": "V", "cv": "cV", "dv": "dV", "erpm": "erpm", "hz": "Hz", "n": "N", "mn": "mN",
+}  # fmt: skip
+_SUFFIX = re.compile(rf"[_ ]({'|'.join(sorted(_SUFFIXES, key=len, reverse=True))})$")
 NOT_MEASURED = re.compile(
     r"(^|[^a-z])(des|desired|ref|reference|sp|setpoint|set|target|ctrltarget|cmd|err|error|bias|cov|covariance|var|std"
     r"|model|res|residual|controller|pid|integral|raw|mag|baro|dmot|snap|jerk|stick|rccommand|axis[pidf]+|debug)"

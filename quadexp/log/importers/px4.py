@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.importers.mapped import turn_attitude
+from quadexp.log.importers.mapped import turn_attitude, with_attitude
 from quadexp.log.importers.raw import RawLog, clean_stream
 from quadexp.log.signal import Stream, increasing
 from quadexp.log.units import axes_matrix
@@ -30,19 +30,24 @@ FRD = axes_matrix("body", "FRD", "")
 RPM = 2 * np.pi / 60
 MOST_ROTORS = 12
 QUAD_X = ("front_right", "back_left", "front_left", "back_right")
-_XYZ = tuple(f"xyz[{i}]" for i in range(3))
-_Q = tuple(f"q[{i}]" for i in range(4))
+
+
+def _array(name: str, length: int = 3) -> tuple[str, ...]:
+    return tuple(f"{name}[{i}]" for i in range(length))
+
+
+_XYZ, _Q = _array("xyz"), _array("q", 4)
 # quantity -> [(topic, fields)], best first.
 SOURCES: dict[str, list[tuple[str, tuple[str, ...]]]] = {
     "position": [
         ("vehicle_local_position", ("x", "y", "z")),
-        ("vehicle_odometry", ("position[0]", "position[1]", "position[2]")),
+        ("vehicle_odometry", _array("position")),
         ("vehicle_odometry", ("x", "y", "z")),
         ("vehicle_local_position_groundtruth", ("x", "y", "z")),
     ],
     "velocity": [
         ("vehicle_local_position", ("vx", "vy", "vz")),
-        ("vehicle_odometry", ("velocity[0]", "velocity[1]", "velocity[2]")),
+        ("vehicle_odometry", _array("velocity")),
         ("vehicle_odometry", ("vx", "vy", "vz")),
         ("vehicle_local_position_groundtruth", ("vx", "vy", "vz")),
     ],
@@ -50,13 +55,13 @@ SOURCES: dict[str, list[tuple[str, tuple[str, ...]]]] = {
     "rate": [
         ("vehicle_angular_velocity", _XYZ),
         ("vehicle_attitude", ("rollspeed", "pitchspeed", "yawspeed")),
-        ("sensor_combined", ("gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]")),
-        ("vehicle_odometry", ("angular_velocity[0]", "angular_velocity[1]", "angular_velocity[2]")),
+        ("sensor_combined", _array("gyro_rad")),
+        ("vehicle_odometry", _array("angular_velocity")),
         ("vehicle_odometry", ("rollspeed", "pitchspeed", "yawspeed")),
         ("vehicle_angular_velocity_groundtruth", _XYZ),
     ],
     "acceleration": [
-        ("sensor_combined", tuple(f"accelerometer_m_s2[{i}]" for i in range(3))),
+        ("sensor_combined", _array("accelerometer_m_s2")),
         ("vehicle_acceleration", _XYZ),
     ],
     "battery_voltage": [("battery_status", ("voltage_v",)), ("battery_status", ("voltage_filtered_v",))],
@@ -74,11 +79,10 @@ _WORLD = ("position", "velocity", "wind", "reference_position", "reference_veloc
 _BODY_VELOCITY = 3  # vehicle_odometry.velocity_frame: body, FRD
 
 
-def read_topics(path: Path, topics: Topics, parameters: Mapping[str, float], *, exported: bool = False) -> RawLog:
-    """Streams of one log.
+def read_topics(path: Path, topics: Topics, parameters: Mapping[str, float]) -> RawLog:
+    """Streams of one log. parameters: of the vehicle, as logged.
 
-    parameters: of the vehicle, as logged. exported: whether this program wrote the topics, so that actuator_outputs are
-    thrusts (N) in the vehicle's own order. Raises DataError where there is neither attitude nor motion.
+    Raises DataError where there is neither attitude nor motion.
     """
     log = RawLog("ulog", {}, "px4")
     used: dict[str, str] = {}
@@ -97,7 +101,7 @@ def read_topics(path: Path, topics: Topics, parameters: Mapping[str, float], *, 
                 log.streams[name] = _turned(name, stream, found)
                 used[name] = topic
                 break
-    _motors(path, log, topics, parameters, exported, used)
+    _motors(path, log, topics, parameters, used)
     if not {"position", "attitude", "velocity", "rate", "acceleration"} & set(log.streams):
         there = ", ".join(sorted(topics)[:10]) or "none"
         raise DataError(
@@ -184,29 +188,11 @@ def _body_velocity(topics: Topics, used: dict[str, str]) -> bool:
 
 def _velocity_to_world(log: RawLog) -> None:
     """A velocity in FRD was turned as if it were NED: turn it back, into FLU, and by the attitude into the world."""
-    from quadexp.log.importers.mapped import with_attitude
-
-    stream = log.streams["velocity"]
-    body = Stream(stream.t, stream.values @ NED @ FRD.T)
-    body, R = with_attitude(log, "velocity", body)
-    log.streams["velocity"] = Stream(body.t, R.apply(body.values))
+    stream, R = with_attitude(log.streams, "velocity")
+    log.streams["velocity"] = Stream(stream.t, R.apply(stream.values @ NED @ FRD.T))
 
 
-def _motors(
-    path: Path, log: RawLog, topics: Topics, parameters: Mapping[str, float], exported: bool, used: dict[str, str]
-) -> None:
-    if exported:
-        topic = next(iter(topics.get("actuator_outputs", [])), None)
-        if topic is not None:
-            fields = tuple(sorted((f for f in topic if f.startswith("output[")), key=lambda f: int(f[7:-1])))
-            stream = _stream(path, "actuator_outputs", topic, fields, log.notes)
-            if stream is not None:
-                log.streams["rotor_thrust"] = stream
-                used["rotor_thrust"] = "actuator_outputs"
-        commands = _rotor_stream(path, log, topics, "actuator_motors", "control")
-        if commands is not None:
-            log.streams["motor_command"], used["motor_command"] = commands, "actuator_motors"
-        return
+def _motors(path: Path, log: RawLog, topics: Topics, parameters: Mapping[str, float], used: dict[str, str]) -> None:
     most = _rotor_count(parameters)
     for name, field in (("actuator_motors", "control"), ("actuator_outputs", "output")):
         found = _rotor_stream(path, log, topics, name, field, most)

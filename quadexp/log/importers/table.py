@@ -20,6 +20,7 @@ from quadexp.log.store import first_line
 
 HEAD = 1 << 18  # bytes looked at for header and delimiter
 LONGEST_LINE = 1 << 16
+TEXT_SHARE = 0.97  # of the first bytes that must be printable for a file to be text
 MOST_VALUES = 1 << 30  # numbers read from one file at most: 8 GB would not fit beside what is made of them
 DESCRIBED_ROWS = 300_000
 DESCRIBED_COLUMNS = 400  # looked at for a mapping
@@ -37,6 +38,11 @@ class Table:
     hdf5: bool = False
     encoding: str = "utf-8"
 
+    @property
+    def format(self) -> str:
+        """As a mapping calls it."""
+        return "hdf5" if self.hdf5 else "text"
+
     def read(self, names: Sequence[str], notes: list[str], rows: int | None = None) -> dict[str, np.ndarray]:
         """Columns by name, each (k,), NaN where a cell is empty. rows: the first so many only.
 
@@ -50,9 +56,22 @@ class Table:
         return _read_hdf5(self, wanted, rows) if self.hdf5 else _read_text(self, wanted, notes, rows)
 
 
-def open_table(path: Path, kind: str) -> Table:
-    """The table in a file. kind: "text" or "hdf5". Raises DataError."""
-    return _open_hdf5(path) if kind == "hdf5" else _open_text(path)
+def kind_of(path: Path, head: bytes) -> str:
+    """ "hdf5", "text", or "" for what is no table, by the first bytes. Raises DataError for text that is none to us."""
+    if head.startswith(b"\x89HDF\r\n\x1a\n"):
+        return "hdf5"
+    if head.startswith(b"version https://git-lfs"):
+        raise DataError(f"{path}: a pointer of Git LFS, not the log itself: fetch it with `git lfs pull`")
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise DataError(f"{path}: text in UTF-16; save it as UTF-8")
+    printable = sum(byte in b"\t\n\r" or 32 <= byte < 127 or byte >= 160 for byte in head)
+    return "text" if b"\x00" not in head and printable >= TEXT_SHARE * len(head) else ""
+
+
+def open_table(path: Path) -> Table:
+    """The table in a file. Raises DataError."""
+    with open(path, "rb") as file:
+        return _open_hdf5(path) if kind_of(path, file.read(8)) == "hdf5" else _open_text(path)
 
 
 # ------------------------------------------------------------------------------------------------------------ text

@@ -9,6 +9,7 @@ from quadexp.config.compose import compose
 from quadexp.experiment.evaluate import fly_one
 from quadexp.log.check import check_flight, check_flights
 from quadexp.log.schema import Flight
+from tests.log.imitated import imitated
 
 from .faults import FAULTS, NANOBENCH, inject, nanobench
 
@@ -130,6 +131,15 @@ def test_two_flights_of_one_path_are_no_duplicates(flights):
 def test_two_faults_at_once_are_both_named(flights):
     both = inject(inject(flights["simulated"], "acceleration_in_g"), "gyro_axes_swapped")
     assert {one.name for one in check_flight(both) if one.blocks} == {"units", "axis_swap"}
+
+
+@pytest.mark.parametrize(("speed", "asks"), [(0.3, True), (8.0, False)])
+def test_it_asks_where_the_data_do_not_decide(speed, asks):
+    """A gyro whose y is reversed: where nothing pushes sideways, the accelerometer's may be reversed as well."""
+    flight = imitated(5, "torrente", duration=12, speed=speed, busy=min(1.0, speed))
+    (found,) = [one for one in check_flight(inject(flight, "gyro_axis_flipped")) if one.blocks]
+    assert found.correction == {"rate": {"frame": "body x -y z"}}
+    assert ("decide between" in found.advice) == asks == ("log units" in found.measured)
 
 
 def test_without_some_streams(flights):

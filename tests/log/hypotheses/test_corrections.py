@@ -1,7 +1,7 @@
 """What check prints mends the import: a fault goes into a sound log, its correction into the mapping, and all is well.
 
-The fault of a hypothesis is the inverse of its transformation, found numerically: every one of them is affine in the
-values of a stream. The correction takes another way back: through the printed text, the YAML reader and the importer.
+The fault of a candidate is the inverse of its correction, found numerically: every one of them is affine in the values
+of a stream. The correction takes the way of a user back: through the printed text, the YAML reader and the importer.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import yaml
 
 from quadexp.errors import UsageError
 from quadexp.experiment.import_flights import import_files
-from quadexp.log.hypotheses.hypothesis import (
-    Hypothesis,
-    clock_hypothesis,
+from quadexp.log.hypotheses.candidates import (
+    Candidate,
+    candidates,
+    clock_candidate,
     flow,
-    hypotheses,
     merged,
-    scale_hypotheses,
+    scale_candidates,
 )
 from quadexp.log.hypotheses.windows import STREAMS, Windows
 from quadexp.log.importers import Options
@@ -34,26 +34,26 @@ from tests.log.importers.logs import write_csv
 from tests.log.importers.test_bad_rows import MAPPING
 
 EVERY = [
-    *hypotheses(frozenset("pqvwf")),
-    *map(clock_hypothesis, (1e3, 1.05, 0.5)),  # microseconds are refused by the import itself
-    *scale_hypotheses(1.3, "vp"),
+    *candidates(frozenset("pqvwf")),
+    *map(clock_candidate, (1e3, 1.05, 0.5)),  # microseconds are refused by the import itself
+    *scale_candidates(1.3, "vp"),
 ]
-TURNS = [one for one in EVERY if one.name in ("axis_swap", "sign_flip", "z_down") and one.streams != "q"]
+TURNS = [one for one in EVERY if one.fault in ("axis_swap", "sign_flip", "z_down") and one.streams != "q"]
 # One of every fault and stream; all of them are in the slow test.
-OTHERS = list({(one.name, one.streams): one for one in EVERY if one not in TURNS}.values())
+OTHERS = list({(one.fault, one.streams): one for one in EVERY if one not in TURNS}.values())
 
 
-def named(one: Hypothesis) -> str:
-    return f"{one.name}-{one.streams}-{one.text}"
+def named(one: Candidate) -> str:
+    return f"{one.fault}-{one.streams}-{one.text}"
 
 
-def broken(flight: Flight, one: Hypothesis) -> Flight:
+def broken(flight: Flight, one: Candidate) -> Flight:
     """The flight that the hypothesis's transformation makes this one of."""
     columns = {key: values.copy() for key, values in flight.columns.items()}
     streams = {name: flight.stack(names)[None] for name, names in STREAMS.items()}
     t = flight.t[None]
     if one.streams == "t":
-        gain = t[0, -1] / one.apply(Windows.of_streams(t, streams)).t[0, -1]
+        gain = t[0, -1] / one.apply(Windows(t, streams)).t[0, -1]
         return Flight({**columns, "t": gain * columns["t"]}, flight.metadata)
     fixed = {name: values for name, values in streams.items() if name not in one.streams}
     for name in one.streams:
@@ -63,8 +63,8 @@ def broken(flight: Flight, one: Hypothesis) -> Flight:
 
         def made(x: np.ndarray, name: str = name, beside: dict = beside) -> np.ndarray:
             probe = {key: beside.get(key, np.zeros_like(values)) for key, values in streams.items()}
-            probe[name] = np.broadcast_to(x, streams[name].shape)
-            return getattr(one.apply(Windows.of_streams(t, probe)), name)[0]
+            probe[name] = np.broadcast_to(x, streams[name].shape).copy()
+            return one.apply(Windows(t, probe)).streams[name][0]
 
         offset = made(np.zeros(width)) if name != "q" else 0.0
         matrix = np.stack([made(axis) - offset for axis in np.eye(width)], axis=-1)
@@ -96,7 +96,7 @@ def corrected(mapping: str, findings: list) -> str:
     return f"{mapping}\ncorrections: {flow(steps)}\n"
 
 
-def mends(folder, flight: Flight, one: Hypothesis, change: Callable[[str, list], str] = corrected) -> None:
+def mends(folder, flight: Flight, one: Candidate, change: Callable[[str, list], str] = corrected) -> None:
     log = write_csv(folder / "log.csv", dict(broken(flight, one).columns))
     _, findings = imported(folder, log, MAPPING)
     found = [finding for finding in blocking(findings) if finding.correction]  # the others are symptoms, and go
@@ -128,7 +128,7 @@ def test_so_do_those_of_axes(flights, tmp_path, k):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("vehicle", "seed"), [("blackbird", 310), ("lei_li", 311), ("crazyflie", 312)])
-def test_every_hypothesis_on_one_of_three_vehicles(tmp_path, vehicle, seed):
+def test_every_candidate_on_one_of_three_vehicles(tmp_path, vehicle, seed):
     flight = imitated(seed, vehicle, duration=12)
     wrong = []
     for one in EVERY[seed - 310 :: 3]:

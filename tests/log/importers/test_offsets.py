@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.log.importers.offsets import find_offsets
-from quadexp.log.importers.raw import RawLog
+from quadexp.log.offsets import find_offsets
 from quadexp.log.signal import Stream
 from tests.log.importers import logs
 
@@ -16,7 +15,7 @@ def truth():
     return logs.truth(40.0, 100.0, seed=1)
 
 
-def log_of(f: logs.Truth, delay: float, noise: float, rng: np.random.Generator) -> RawLog:
+def log_of(f: logs.Truth, delay: float, noise: float, rng: np.random.Generator) -> dict[str, Stream]:
     """Gyro and accelerometer late by `delay`; noise 1: of a hobby IMU and of a filtered motion capture."""
 
     def late(values: np.ndarray, size: float) -> np.ndarray:
@@ -27,7 +26,7 @@ def log_of(f: logs.Truth, delay: float, noise: float, rng: np.random.Generator) 
         "attitude": f.q, "velocity": f.v + noise * rng.normal(0, 0.01, f.v.shape),
         "rate": late(f.w, 0.05), "acceleration": late(f.acc, 0.5), "motor_command": f.command,
     }  # fmt: skip
-    return RawLog("made", {name: Stream(f.t, values) for name, values in streams.items()})
+    return {name: Stream(f.t, values) for name, values in streams.items()}
 
 
 @pytest.mark.parametrize("noise", [0.0, 1.0])
@@ -44,7 +43,7 @@ def test_known_delays_of_a_flight_with_drag(truth, rng, delay, noise):
 
 def test_without_the_velocity_drag_may_pass_for_a_delay(truth, rng):
     log = log_of(truth, 0.0, 0.0, rng)
-    del log.streams["velocity"]
+    del log["velocity"]
     assert not find_offsets(log)["acceleration", "motor_command"].certain
 
 
@@ -55,5 +54,5 @@ def test_drift_is_no_motion(rng):
     q = np.stack([np.cos(drift / 2), 0 * t, 0 * t, np.sin(drift / 2)], axis=1)
     w = np.stack([rng.normal(0, 2e-3, len(t)) for _ in "xyz"], axis=1) + 1e-3 * np.sin(0.1 * t)[:, None]
     streams = {"attitude": q, "rate": w, "acceleration": [0, 0, 9.81] + rng.normal(0, 0.05, (len(t), 3))}
-    log = RawLog("made", {name: Stream(t, values) for name, values in streams.items()})
+    log = {name: Stream(t, values) for name, values in streams.items()}
     assert not any(one.certain for one in find_offsets(log).values())

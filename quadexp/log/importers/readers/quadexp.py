@@ -1,4 +1,4 @@
-"""What this program wrote, back as a flight: Parquet, csv, mcap, by the record in it or beside it. Nothing is resampled
+"""What this program wrote, back as a flight: Parquet and csv, by the record in it or beside it. Nothing is resampled
 or cropped. A csv with the names of a flight's columns and no record beside it, and tum, are logs like any other.
 """
 
@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.log.extras import missing_package
 from quadexp.log.importers.raw import QUANTITIES, ROTORS, Crop, RawLog, clean_stream, columns_of
-from quadexp.log.importers.table import Table, open_table
+from quadexp.log.importers.table import Table, kind_of, open_table
 from quadexp.log.schema import FLIGHT_COLUMNS, Flight, describe
 from quadexp.log.store import first_line, read_table
 
@@ -21,9 +20,38 @@ INTEGERS = {"status": np.int8, "sweeps": np.int16, "active": np.int16, "unconver
 TUM_HEADERS = ("t x y z qx qy qz qw", "timestamp tx ty tz qx qy qz qw", "timestamp x y z qx qy qz qw")
 
 
-def is_own_table(table: Table) -> bool:
-    """Whether text is a csv or tum export: only columns of a flight, or the eight of a pose."""
-    return _is_csv(table) or is_tum(table)
+ABOUT = "what this program wrote: Parquet, csv, tum"
+FOR_LOOKING_AT = (b"\x89MCAP0\r\n", b"RRF2", b"RRIO")  # exports that are not read back
+
+
+def recognises(path: Path, head: bytes | None) -> int:
+    if head is None:
+        return 0
+    if head.startswith((b"PAR1", *FOR_LOOKING_AT[1:])) or (
+        head.startswith(FOR_LOOKING_AT) and b"quadexp " in head[:256]
+    ):
+        return 2
+    if kind_of(path, head) != "text":
+        return 0
+    table = open_table(path)
+    return 2 * (_is_csv(table) or _is_tum(table))
+
+
+def read(path: Path, named: str) -> Flight | RawLog:
+    """A flight as it was written; a RawLog from tum, and from a csv without its record. Raises DataError."""
+    with open(path, "rb") as file:
+        head = file.read(8)
+    if head.startswith(FOR_LOOKING_AT):
+        raise DataError(f"{path}: an export is for looking at and cannot be read back: import the flight's Parquet")
+    if head.startswith(b"PAR1"):
+        columns, record = read_table(path, "flight", required=("t",))
+        return Flight(columns, record)
+    table = open_table(path)
+    if _is_tum(table):
+        return _tum(table)
+    notes: list[str] = []
+    columns, beside = table.read(table.columns, notes), _record(path)
+    return _streams(path, columns, notes) if beside is None else Flight(_typed(columns), beside)
 
 
 def _is_csv(table: Table) -> bool:
@@ -31,31 +59,10 @@ def _is_csv(table: Table) -> bool:
     return {"t", "p_x", "q_w"} <= set(columns) and all(c in FLIGHT_COLUMNS or describe(c).unit for c in columns)
 
 
-def is_tum(table: Table) -> bool:
+def _is_tum(table: Table) -> bool:
     """Whether a table is a trajectory in the TUM format: eight columns, by their names or by none."""
     names = " ".join(table.columns)
     return len(table.columns) == 8 and table.delimiter == " " and (names in TUM_HEADERS or names == "0 1 2 3 4 5 6 7")
-
-
-def read_own(path: Path, kind: str) -> Flight | RawLog:
-    """A flight as it was written; a RawLog from tum, and from a csv without its record. Raises DataError."""
-    if kind == "parquet":
-        columns, record = read_table(path, "flight", required=("t",))
-        return Flight(columns, record)
-    if kind == "mcap":
-        return _mcap(path)
-    if kind == "rerun":
-        raise DataError(
-            f"{path}: a Rerun recording is for looking at and cannot be read back: import the flight's Parquet"
-        )
-    table = open_table(path, "text")
-    if is_tum(table):
-        return _tum(table)
-    if not _is_csv(table):
-        raise DataError(f"{path}: not written by quadexp: columns {', '.join(table.columns[:6])}, ...")
-    notes: list[str] = []
-    columns, beside = table.read(table.columns, notes), _record(path)
-    return _streams(path, columns, notes) if beside is None else Flight(_typed(columns), beside)
 
 
 def _streams(path: Path, columns: dict[str, np.ndarray], notes: list[str]) -> RawLog:
@@ -99,33 +106,3 @@ def _tum(table: Table) -> RawLog:
     if " ".join(table.columns) == TUM_HEADERS[0]:
         log.crop = Crop("none")
     return log
-
-
-def is_own_mcap(path: Path) -> bool:
-    """Whether an MCAP file is one that this program wrote."""
-    with open(path, "rb") as file:
-        return b"quadexp " in file.read(256)
-
-
-def _mcap(path: Path) -> Flight:
-    try:
-        from mcap.reader import make_reader
-    except ImportError:
-        raise missing_package(path, "mcap", "viz") from None
-    samples, record = [], {}
-    try:
-        with open(path, "rb") as file:
-            reader = make_reader(file)
-            for _, _, message in reader.iter_messages(topics="/flight"):
-                samples.append(json.loads(message.data))
-            for item in reader.iter_metadata():
-                if item.name == "quadexp":
-                    record = json.loads(item.metadata["record"])
-    except Exception as error:  # the reader, struct and the decompressors have no ancestor in common
-        raise DataError(f"{path}: damaged or truncated ({type(error).__name__}: {first_line(error)})") from None
-    if not samples or not isinstance(samples[0], dict) or "t" not in samples[0]:
-        raise DataError(f"{path}: has no samples on /flight")
-    if any(not isinstance(one, dict) or one.keys() != samples[0].keys() for one in samples):
-        raise DataError(f"{path}: samples with different columns on /flight")
-    columns = {name: np.array([one[name] for one in samples], float) for name in samples[0]}
-    return Flight(_typed(columns), record)

@@ -13,8 +13,8 @@ ROS is ENU and FLU already (REP 103). Several topics of one kind: estimate befor
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +48,16 @@ class _Rows:
     in_body: bool = False
 
 
-def read_rosbag(path: Path) -> RawLog:
+ABOUT = "ROS 1 and ROS 2; needs [logs]"
+MAGIC = (b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
+
+
+def recognises(path: Path, head: bytes | None) -> int:
+    """A file of ROS 1 or of ROS 2; a folder of ROS 2. An MCAP of our own is surer to be that (quadexp.py)."""
+    return int((path / "metadata.yaml").is_file() if head is None else head.startswith(MAGIC))
+
+
+def read(path: Path, named: str) -> RawLog:
     """Streams of a bag (a file of ROS 1, a folder or MCAP of ROS 2). Raises DataError."""
     try:
         from rosbags.highlevel import AnyReader
@@ -60,8 +69,7 @@ def read_rosbag(path: Path) -> RawLog:
     try:
         source = path.parent if path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file() else path
         with AnyReader([source], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            takers = {c.msgtype: taker for c in reader.connections if (taker := _taker(c.msgtype)) is not None}
-            wanted = [c for c in reader.connections if c.msgtype in takers]
+            wanted = [c for c in reader.connections if _fields(c.msgtype)]
             if not wanted:
                 there = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections})[:8]) or "none"
                 raise DataError(f"no topic of pose, motion, IMU or motors; topics: {there}")
@@ -70,7 +78,7 @@ def read_rosbag(path: Path) -> RawLog:
                 raise DataError(f"declares {declared} messages: too many for its size, or for any log")
             for connection, stamp, raw in reader.messages(connections=wanted):
                 message = reader.deserialize(raw, connection.msgtype)
-                takers[connection.msgtype](found, connection.topic, _time(message, stamp), message)
+                _take(found, _fields(connection.msgtype), connection.topic, _time(message, stamp), message)
     except QuadexpError as error:
         raise DataError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
     except Exception as error:  # readers of bags, decompressors and databases raise what they like
@@ -91,119 +99,85 @@ def _time(message: Any, stamp: int) -> float:
 
 
 _Found = dict[str, dict[str, _Rows]]  # quantity -> topic -> its rows
-_Taker = Callable[[_Found, str, float, Any], None]
+_Fields = tuple[tuple[str, str], ...]  # (quantity, where it stands in a message), the first that there is of a quantity
+_SPEEDS: _Fields = tuple(
+    ("rotor_speed", name)
+    for name in ("rpm", "motor_rpm", "rpms", "motor_speeds", "rotor_speeds", "speeds", "motors", "motor_speed")
+)
+_MESSAGES: tuple[tuple[str, _Fields], ...] = (  # type -> what it holds
+    (r".*/Odometry", (("position", "pose.pose.position"), ("attitude", "pose.pose.orientation"),
+                      ("velocity", "twist.twist.linear"), ("rate", "twist.twist.angular"))),
+    (r"geometry_msgs/(msg/)?Pose(WithCovariance)?Stamped",
+     (("position", "pose.pose.position"), ("position", "pose.position"), ("attitude", "pose.pose.orientation"),
+      ("attitude", "pose.orientation"))),
+    (r"geometry_msgs/(msg/)?TransformStamped",
+     (("position", "transform.translation"), ("attitude", "transform.rotation"))),
+    (r"geometry_msgs/(msg/)?Twist(WithCovariance)?Stamped",
+     (("velocity", "twist.twist.linear"), ("velocity", "twist.linear"), ("rate", "twist.twist.angular"),
+      ("rate", "twist.angular"))),
+    (r"sensor_msgs/(msg/)?Imu",
+     (("rate", "angular_velocity"), ("acceleration", "linear_acceleration"), ("attitude", "orientation"))),
+    (r"sensor_msgs/(msg/)?BatteryState", (("battery_voltage", "voltage"),)),
+    (r".*/Actuators",
+     (("rotor_speed", "angular_velocities"), ("rotor_speed", "velocity"), ("motor_command", "normalized"))),
+    (r".*/(ESCStatus|ESCTelemetry)", (("rotor_speed", "esc_status.rpm"), ("rotor_speed", "esc_telemetry.rpm"))),
+    (r".*/(QuadState|QuadStateEstimate|QuadrotorState)",  # pose, velocity (twist in the world) and motors in one
+     (("position", "pose.position"), ("attitude", "pose.orientation"), ("velocity", "velocity.linear"),
+      ("rate", "velocity.angular"), ("rotor_speed", "motors"))),
+    (r".*/\w*(RPM|Rpm|MotorSpeed|RotorSpeed|MotorSpeeds|EscFeedback)s?", _SPEEDS),
+)  # fmt: skip
+_WIDTHS = {"position": 3, "velocity": 3, "rate": 3, "acceleration": 3, "attitude": 4, "battery_voltage": 1}
 
 
-def _put(found: _Found, quantity: str, topic: str, t: float, values: list[float], *, in_body: bool = False) -> None:
-    rows = found.setdefault(quantity, {}).setdefault(topic, _Rows(topic, in_body=in_body))
-    if not rows.values or len(values) == len(rows.values[0]):
-        rows.t.append(t)
-        rows.values.append(values)
+@cache
+def _fields(kind: str) -> _Fields:
+    return next((fields for pattern, fields in _MESSAGES if re.fullmatch(pattern, kind)), ())
 
 
-def _xyz(v: Any) -> list[float]:
-    return [float(v.x), float(v.y), float(v.z)]
+def _take(found: _Found, fields: _Fields, topic: str, t: float, message: Any) -> None:
+    """Put what a message holds to its rows."""
+    done = set()
+    for quantity, place in fields:
+        values = _values(message, place)
+        count = len(values)
+        fits = count == _WIDTHS[quantity] if quantity in _WIDTHS else 3 <= count <= MOST_ROTORS
+        if quantity in done or not fits or (place == "orientation" and not _is_known(message, values)):
+            continue
+        done.add(quantity)
+        in_body = quantity == "velocity" and _in_body(topic, message)
+        rows = found.setdefault(quantity, {}).setdefault(topic, _Rows(topic, in_body=in_body))
+        if not rows.values or count == len(rows.values[0]):
+            rows.t.append(t)
+            rows.values.append(values)
 
 
-def _wxyz(q: Any) -> list[float]:
-    return [float(q.w), float(q.x), float(q.y), float(q.z)]
+def _values(message: Any, place: str) -> list[float]:
+    """Numbers at a place of a message, quaternions w first, speeds in rad/s; empty where there are none."""
+    item: Any = message
+    for name in place.split("."):
+        item = [getattr(one, name, 0.0) for one in item] if isinstance(item, list) else getattr(item, name, None)
+    if item is not None and hasattr(item, "x"):
+        return [float(getattr(item, axis)) for axis in ("wxyz" if hasattr(item, "w") else "xyz")]
+    values = np.atleast_1d(np.asarray([] if item is None else item)).ravel()
+    if values.dtype.kind not in "fiu":
+        return []
+    return [RPM * abs(float(v)) for v in values] if "rpm" in place else [float(v) for v in values]
 
 
-def _pose(found: _Found, topic: str, t: float, position: Any, orientation: Any) -> None:
-    _put(found, "position", topic, t, _xyz(position))
-    _put(found, "attitude", topic, t, _wxyz(orientation))
+def _is_known(message: Any, q: list[float]) -> bool:
+    """Whether an IMU says its attitude."""
+    return abs(sum(x * x for x in q) - 1) < 1e-2 and message.orientation_covariance[0] >= 0
 
 
-def _odometry(found: _Found, topic: str, t: float, m: Any) -> None:
-    _pose(found, topic, t, m.pose.pose.position, m.pose.pose.orientation)
-    world = m.child_frame_id == m.header.frame_id and m.child_frame_id != ""
-    _put(found, "velocity", topic, t, _xyz(m.twist.twist.linear), in_body=not world)
-    _put(found, "rate", topic, t, _xyz(m.twist.twist.angular))
-
-
-def _pose_stamped(found: _Found, topic: str, t: float, m: Any) -> None:
-    pose = m.pose.pose if hasattr(m.pose, "pose") else m.pose
-    _pose(found, topic, t, pose.position, pose.orientation)
-
-
-def _transform(found: _Found, topic: str, t: float, m: Any) -> None:
-    _pose(found, topic, t, m.transform.translation, m.transform.rotation)
-
-
-def _twist(found: _Found, topic: str, t: float, m: Any) -> None:
-    twist = m.twist.twist if hasattr(m.twist, "twist") else m.twist
-    body = bool(BODY_FRAME.search(m.header.frame_id)) and "local" not in topic.rsplit("/", 1)[-1]
-    _put(found, "velocity", topic, t, _xyz(twist.linear), in_body=body or "body" in topic)
-    _put(found, "rate", topic, t, _xyz(twist.angular))
-
-
-def _imu(found: _Found, topic: str, t: float, m: Any) -> None:
-    _put(found, "rate", topic, t, _xyz(m.angular_velocity))
-    _put(found, "acceleration", topic, t, _xyz(m.linear_acceleration))
-    q = _wxyz(m.orientation)
-    if abs(sum(x * x for x in q) - 1) < 1e-2 and m.orientation_covariance[0] >= 0:
-        _put(found, "attitude", topic, t, q)
-
-
-def _battery(found: _Found, topic: str, t: float, m: Any) -> None:
-    _put(found, "battery_voltage", topic, t, [float(m.voltage)])
-
-
-def _actuators(found: _Found, topic: str, t: float, m: Any) -> None:
-    for name, quantity in (
-        ("angular_velocities", "rotor_speed"),
-        ("velocity", "rotor_speed"),
-        ("normalized", "motor_command"),
-    ):
-        values = [float(v) for v in getattr(m, name, [])]
-        if 3 <= len(values) <= MOST_ROTORS:
-            _put(found, quantity, topic, t, values)
-
-
-def _esc(found: _Found, topic: str, t: float, m: Any) -> None:
-    items = getattr(m, "esc_status", None) or getattr(m, "esc_telemetry", None) or []
-    if 3 <= len(items) <= MOST_ROTORS:
-        _put(found, "rotor_speed", topic, t, [RPM * abs(float(item.rpm)) for item in items])
-
-
-def _state(found: _Found, topic: str, t: float, m: Any) -> None:
-    """A quadrotor's state in one message (agilicopter and the like): pose, velocity (twist in the world), motors."""
-    _pose(found, topic, t, m.pose.position, m.pose.orientation)
-    twist = getattr(m, "velocity", None)
-    if twist is not None and hasattr(twist, "linear"):
-        _put(found, "velocity", topic, t, _xyz(twist.linear))
-        _put(found, "rate", topic, t, _xyz(twist.angular))
-    motors = [float(v) for v in getattr(m, "motors", [])]
-    if 3 <= len(motors) <= MOST_ROTORS:
-        _put(found, "rotor_speed", topic, t, motors)
-
-
-def _speeds(found: _Found, topic: str, t: float, m: Any) -> None:
-    """Any message of rotor speeds: an array called rpm, motor_rpm, speeds, ..."""
-    for name in ("rpm", "motor_rpm", "rpms", "motor_speeds", "rotor_speeds", "speeds", "motors", "motor_speed"):
-        values = np.atleast_1d(np.asarray(getattr(m, name, []))).ravel()
-        if 3 <= len(values) <= MOST_ROTORS and values.dtype.kind in "fiu":
-            factor = RPM if "rpm" in name else 1.0
-            _put(found, "rotor_speed", topic, t, (factor * np.abs(values.astype(float))).tolist())
-            return
-
-
-_TAKERS: list[tuple[re.Pattern[str], _Taker]] = [
-    (re.compile(r".*/Odometry"), _odometry),
-    (re.compile(r"geometry_msgs/(msg/)?Pose(WithCovariance)?Stamped"), _pose_stamped),
-    (re.compile(r"geometry_msgs/(msg/)?TransformStamped"), _transform),
-    (re.compile(r"geometry_msgs/(msg/)?Twist(WithCovariance)?Stamped"), _twist),
-    (re.compile(r"sensor_msgs/(msg/)?Imu"), _imu),
-    (re.compile(r"sensor_msgs/(msg/)?BatteryState"), _battery),
-    (re.compile(r".*/Actuators"), _actuators),
-    (re.compile(r".*/(ESCStatus|ESCTelemetry)"), _esc),
-    (re.compile(r".*/(QuadState|QuadStateEstimate|QuadrotorState)"), _state),
-    (re.compile(r".*/\w*(RPM|Rpm|MotorSpeed|RotorSpeed|MotorSpeeds|EscFeedback)s?"), _speeds),
-]
-
-
-def _taker(kind: str) -> _Taker | None:
-    return next((taker for pattern, taker in _TAKERS if pattern.fullmatch(kind)), None)
+def _in_body(topic: str, message: Any) -> bool:
+    """Whether a velocity is in the body: an odometry is in the frame of its child, a twist where its frame says."""
+    if hasattr(message, "child_frame_id"):
+        return not message.child_frame_id or message.child_frame_id != message.header.frame_id
+    if not hasattr(message, "twist"):
+        return False
+    return "body" in topic or (
+        bool(BODY_FRAME.search(message.header.frame_id)) and "local" not in topic.rsplit("/", 1)[-1]
+    )
 
 
 def _choose(path: Path, log: RawLog, found: _Found) -> None:
@@ -229,7 +203,7 @@ def _choose(path: Path, log: RawLog, found: _Found) -> None:
             path, f"{quantity} ({rows.topic})", t[order][later], values[order][later], log.notes
         )
     if "velocity" in chosen and chosen["velocity"].in_body and "attitude" in log.streams:
-        stream, R = with_attitude(log, "velocity", log.streams["velocity"])
+        stream, R = with_attitude(log.streams, "velocity")
         log.streams["velocity"] = Stream(stream.t, R.apply(stream.values))
     log.about["topics"] = {quantity: rows.topic for quantity, rows in chosen.items()}
 

@@ -23,7 +23,14 @@ _SIZES = {"int8_t": 1, "uint8_t": 1, "bool": 1, "char": 1, "int16_t": 2, "uint16
           "float": 4, "int64_t": 8, "uint64_t": 8, "double": 8}  # fmt: skip
 
 
-def read_ulog(path: Path) -> RawLog:
+ABOUT = "PX4"
+
+
+def recognises(path: Path, head: bytes | None) -> int:
+    return 2 * (head or b"").startswith(b"ULog\x01\x12\x35")
+
+
+def read(path: Path, named: str) -> RawLog:
     """Streams of a ULog. Raises DataError where it is damaged beyond use or has no topic of a flight."""
     size = path.stat().st_size
     if size > LARGEST:
