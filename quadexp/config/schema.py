@@ -27,7 +27,7 @@ from quadexp.config.custom import (
 )
 from quadexp.config.delays import IdentifiedDelayConfig, PredictionConfig, StrapdownConfig
 from quadexp.config.dfbc import DFBCConfig
-from quadexp.config.engine import DaskConfig, EngineConfig, SlurmConfig
+from quadexp.config.engine import DaskConfig, EngineConfig, JobsConfig
 from quadexp.config.flight import (
     SEEDS,
     CircleConfig,
@@ -218,7 +218,7 @@ SCHEMAS: dict[str, dict[str, type]] = {
     "gp": {"sparse": GPConfig},
     "drag": {"linear": DragConfig},
     "nn": {"mlp": NNConfig},
-    "engine": {"local": EngineConfig, "dask": DaskConfig, "slurm": SlurmConfig},
+    "engine": {"local": EngineConfig, "dask": DaskConfig, "jobs": JobsConfig},
 }
 
 # Groups of the world around an airframe, in the order in which a command meets them; see quadexp/world/effect.py.
