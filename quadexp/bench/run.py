@@ -18,10 +18,10 @@ from quadexp.bench.board import (
     read_board,
     update_markdown,
     write_board,
+    write_page,
 )
 from quadexp.bench.entries import Entry, configs_of, field, read_entries, why_not
 from quadexp.bench.models import make_model, make_network
-from quadexp.bench.page import write_page
 from quadexp.bench.protocol import LATEST, Protocol, check_lock, check_size, read_protocol, with_fewer_seeds
 from quadexp.bench.ranking import Row
 from quadexp.config.cells import Cell

@@ -13,26 +13,13 @@ from typing import Any
 
 from quadexp.messages import html
 from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_flown, is_invalid
+from quadexp.report.plain_page import plain_page, scrolled
 from quadexp.report.table import Table
 from quadexp.report.tables import TITLES, course_labels
 from quadexp.report.text import number, shown, speed_text
 
 MOST_LINES = 60  # of the table on the page
 SO_FAR = "Means over the flights that ended well so far; the table of results compares common flights only."
-PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">{again}
-<link rel="icon" href="data:,"><title>{title} - quadexp sweep</title>
-<style>
-:root{{color-scheme:light dark;font:16px/1.5 system-ui,sans-serif}}
-body{{max-width:72rem;margin:0 auto;padding:1.2rem}}h1{{font-size:1.4rem;overflow-wrap:anywhere}}
-progress{{width:100%}}div{{overflow-x:auto}}
-table{{border-collapse:collapse;font-variant-numeric:tabular-nums}}caption{{text-align:left;font-weight:600}}
-th,td{{padding:.25rem .7rem;border-bottom:1px solid;white-space:nowrap}}
-</style></head>
-<body><main><h1>{title}</h1><p data-state="{state}">{progress}</p>
-<progress max="{total}" value="{done}" aria-label="Flights"></progress>
-<div>{table}</div></main></body></html>
-"""
 
 
 @dataclass
@@ -124,13 +111,12 @@ def page(live: Live, seconds: float) -> str:
     table = live.table()
     more = len(table.rows) - 1 - MOST_LINES
     notes = [*table.notes, *([f"{more} more lines are not shown."] if more > 0 else [])]
-    running = live.state == "running"
-    return PAGE.format(
-        again=f'<meta http-equiv="refresh" content="{seconds:g}">' if running else "",
-        title=html(live.title),
-        state=html(live.state.partition(" ")[0].rstrip(":")),
-        progress=html(live.progress_text()),
-        total=live.total,
-        done=live.done,
-        table=Table(table.columns, table.rows[: MOST_LINES + 1], table.title, head=1, notes=notes).html(),
+    part = Table(table.columns, table.rows[: MOST_LINES + 1], table.title, head=1, notes=notes)
+    state = html(live.state.partition(" ")[0].rstrip(":"))
+    body = (
+        f'<p data-state="{state}">{html(live.progress_text())}</p>'
+        f'<progress max="{live.total}" value="{live.done}" aria-label="Flights"></progress>'
+        f"{scrolled(part)}"
     )
+    again = f'<meta http-equiv="refresh" content="{seconds:g}">' if live.state == "running" else ""
+    return plain_page(f"{live.title} - quadexp sweep", body, again)
