@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -22,8 +22,9 @@ from quadexp.experiment.build import (
 )
 from quadexp.experiment.build_world import build_effects
 from quadexp.experiment.identity import canonical, digest, flight_record
-from quadexp.sweeps.keys import cell_key, condition
+from quadexp.sweeps.sweep_table import condition
 
+SCHEMA = 1  # version of what a cell is; with a higher number every older cell is unknown
 BUILDS_AT_ONCE = 32  # compiled structures that every worker surely keeps, see experiment.build.KEPT
 FILES = ("trajectory", "plant", "wind")  # groups, beside the controller, whose settings may name a file
 INVALID = "invalid"  # outcome of a cell whose settings contradict each other
@@ -69,6 +70,15 @@ def plan_cells(cells: Iterable[Cell]) -> dict[str, Job]:
         if key not in jobs:
             jobs[key] = Job(key, digest(condition(record)), cell, model)
     return jobs
+
+
+def cell_key(record: Mapping[str, Any], inputs: Mapping[str, str]) -> str:
+    """Key of one flight, the name of its file: sha256 of everything that decides it, 20 hex digits.
+
+    record: of the flight, see identity.flight_record. inputs: content hash of every file that it reads
+    (checkpoint, trajectory file, the user's own sources).
+    """
+    return digest([SCHEMA, "evaluate", condition(record), sorted(inputs.items())])
 
 
 def check_jobs(jobs: Iterable[Job]) -> dict[str, str]:
