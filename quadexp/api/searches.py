@@ -32,7 +32,7 @@ def tune(
     """Choose settings of a controller by flights, as `quadexp tune`.
 
     settings, keywords: the cells of a trial, lists as in `sweep`. vary: "KEY=LOW..HIGH" for each setting to tune,
-    ":log" after it for a log scale; () for the space of conf/tune. flights: budget of all trials. seeds: of a trial,
+    ":log" after it for a log scale; () for its default space. flights: budget of all trials. seeds: of a trial,
     unless seed= is given. delay_margin: least one of the loop (s). search_seed: of the search's own draws. batch:
     trials drawn together. name: of the option that is found. out: a folder, where a search goes on that was
     interrupted; else the options are kept for as long as the table.

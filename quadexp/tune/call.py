@@ -32,10 +32,10 @@ def tune(
 ) -> Tuned:
     """Search settings of a controller with a budget of flights, write the option that was found, and return it.
 
-    overrides: of the cells of a trial, several values as in a sweep. vary: KEY=LOW..HIGH of each setting; those of
-    conf/tune by default. flights: budget. seeds: of a trial, where overrides give none. delay_margin: least one (s),
-    for an MPC. seed: of the search. batch: trials drawn together. name: of the option. figure: whether to draw the
-    search. out: a folder, tuned/CONTROLLER by default. conf: a configuration folder of your own. force: begin anew.
+    overrides: of the cells of a trial, several values as in a sweep. vary: KEY=LOW..HIGH of each setting;
+    its default space otherwise. flights: budget. seeds: of a trial, where overrides give none. delay_margin: least
+    one (s), for an MPC. seed: of the search. batch: trials drawn together. name: of the option. figure: whether to draw
+    the search. out: a folder, tuned/CONTROLLER by default. conf: a configuration folder of your own. force: begin anew.
     progress: numbers of flights done and of all.
     Raises UsageError before anything is flown.
     """
