@@ -18,8 +18,6 @@ from rich.console import Console
 
 from quadexp import messages
 from quadexp.cli.terminal import print_lines
-from quadexp.config.engine import SlurmConfig
-from quadexp.errors import UsageError
 from quadexp.log.hypotheses.candidates import flow
 from quadexp.report.sortable import Column, sortable_page
 from quadexp.report.style import Figure, plain_log, styled
@@ -184,16 +182,6 @@ def test_fonts_are_whole(form):
     figure.savefig(stream, format=form, **({"metadata": {"Creator": None}} if form == "pdf" else {}))
     content = stream.getvalue()
     assert b"/FontType 42" in content if form == "eps" else b"/Type3" not in content and b"/FontFile2" in content
-
-
-@pytest.mark.parametrize("name", ["queue", "account", "walltime", "shared", "interface", "python"])
-@pytest.mark.parametrize("value", ["gpu\nrm -rf /", "a b", "$(id)", "a;b", "`id`", "a'b", ""])
-def test_the_script_of_a_job_takes_words_only(name, value):
-    with pytest.raises(UsageError, match=f"engine.{name}="):
-        SlurmConfig(name="slurm", **{name: value})
-    SlurmConfig(name="slurm", shared="/scratch/me", queue="gpu,long", walltime="1-02:00:00")
-    with pytest.raises(UsageError, match="one line"):
-        SlurmConfig(name="slurm", directives=("--mem=1G\nrm -rf /",))
 
 
 EVIL = "\n47 files, 0 wrong\x1b[31m$\\frac$|=cmd|'`<b>\\input{x}"

@@ -32,15 +32,15 @@ def tune(
     """Choose settings of a controller by flights, as `quadexp tune`.
 
     settings, keywords: the cells of a trial, lists as in `sweep`. vary: "KEY=LOW..HIGH" for each setting to tune,
-    ":log" after it for a log scale; () for the space of conf/tune. flights: budget of all trials. seeds: of a trial,
+    ":log" after it for a log scale; () for its default space. flights: budget of all trials. seeds: of a trial,
     unless seed= is given. delay_margin: least one of the loop (s). search_seed: of the search's own draws. batch:
     trials drawn together. name: of the option that is found. out: a folder, where a search goes on that was
     interrupted; else the options are kept for as long as the table.
     Returns a row a trial, the first one as it was; `choice` names what was found, `settings` what it changes.
     Raises UsageError where the budget does not pay two trials, or several controllers are asked for.
     """
+    from quadexp.tune.call import HISTORY
     from quadexp.tune.call import tune as search
-    from quadexp.tune.result import HISTORY
 
     folder = Scratch() if out is None else Path(out)
     with Shown("flights", progress) as shown:
@@ -81,7 +81,7 @@ def bench(
     its cause, and counts as lost.
     """
     from quadexp.bench.board import FILE
-    from quadexp.bench.call import bench as fly
+    from quadexp.bench.run import bench as fly
 
     folder = Scratch() if out is None else Path(out)
     with Shown("flights", progress) as shown:
@@ -90,7 +90,7 @@ def bench(
             conf=conf_folder(conf), progress=shown,
             controllers=[controllers] if isinstance(controllers, str) else list(controllers),
             add=[Path(add)] if isinstance(add, (str, os.PathLike)) else [Path(one) for one in add],
-            **({} if protocol is None else {"version": protocol}),
+            version=protocol,
         )  # fmt: skip
     table = Leaderboard.of(*read_table(Path(folder) / FILE, "leaderboard"), folder)
     failed = [f"{len(made.failed)} flights failed; the first: {made.failed[0]['cause']}"] if made.failed else []

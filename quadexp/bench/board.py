@@ -9,14 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.bench.protocol import SHORT
+from quadexp.bench.protocol import SHORT, Protocol
 from quadexp.bench.ranking import Row, Standing, standings
 from quadexp.errors import UsageError
 from quadexp.files.writer import write_text
 from quadexp.log.store import read_table, read_text, write_table
+from quadexp.messages import html
 from quadexp.provenance import provenance
+from quadexp.report.flown_by import flown_by_lines
 from quadexp.report.inference import least_seeds
 from quadexp.report.metrics import SHOWN
+from quadexp.report.plain_page import paragraph, plain_page, scrolled
 from quadexp.report.result_rows import from_columns, to_columns
 from quadexp.report.table import Table
 from quadexp.report.text import count, duration, listed, number, too_few
@@ -179,3 +182,18 @@ def update_markdown(path: Path, text: str) -> Path:
         raise UsageError(f"{path}: has no marks to write between: {BEGIN} and {END}")
     before, rest = old.split(BEGIN, 1)
     return write_text(path, f"{before}{BEGIN}\n\n{text}\n{END}{rest.split(END, 1)[1]}")
+
+
+def write_page(path: Path, rows: Sequence[Row], protocol: Protocol, notes: Sequence[str] = ()) -> Path:
+    """Write the leaderboard as one page that opens offline."""
+    entries, metric = {row["entry"] for row in rows}, protocol.metric
+    size = f"size {rows[0]['size']}, protocol v{protocol.version} ({protocol.sha256[:SHORT]})"
+    parts = [paragraph(f"{len(entries)} entries, {count(len(rows), 'flight')}, {size}."), paragraph(RULE)]
+    for name, own in families_of(rows).items():
+        what = f"{protocol.families[name].what}." if name in protocol.families else ""
+        board = board_table(own, metric=metric, baseline=protocol.baseline)
+        worlds, tasks = (error_table(own, metric=metric, by=by) for by in (("world",), ("task", "world")))
+        parts += [f"<h2>{html(name)}</h2>", paragraph(what), *map(scrolled, (board, worlds, tasks))]
+    origin = [f"Protocol: sha256 {protocol.sha256}", *flown_by_lines(rows), *notes]
+    body = "\n".join([*parts, "<h2>Provenance</h2>", *map(paragraph, origin)])
+    return write_text(path, plain_page(f"Leaderboard, protocol v{protocol.version}", body))

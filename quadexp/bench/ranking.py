@@ -29,7 +29,6 @@ from quadexp.report.inference import NO_INTERVAL, Ratio, least_seeds, log_ratio,
 from quadexp.report.pairing import seed_means, whole
 
 Row = Mapping[str, Any]
-Cell = tuple[str, str, int]  # task, world, seed
 
 
 @dataclass(frozen=True)
@@ -65,81 +64,87 @@ def standings(
 
     rows: with entry, settings, bound, task, world, seed beside those of a result; every entry has all cells.
     """
-    entries = {row["entry"]: row for row in rows}
-    by_cell: dict[Cell, dict[str, Row]] = {}
+    entries = {str(row["entry"]): row for row in rows}
+    names, places = list(entries), {name: i for i, name in enumerate(entries)}
+    cells = {cell: k for k, cell in enumerate(dict.fromkeys(map(_cell, rows)))}
+    errors, steps = np.full((2, len(names), len(cells)), np.inf)  # m, inf for a lost flight; s
     for row in rows:
-        by_cell.setdefault((row["task"], row["world"], int(row["seed"])), {})[row["entry"]] = row
-    ranked = [name for name, row in entries.items() if not row["bound"]]
-    ranks = _seed_ranks(by_cell, ranked, metric)
-    losses = {name: _losses(by_cell, name, metric) for name in entries}
-    lost = {name: int(losses[name].sum()) for name in entries}
-    made = []
-    order = _order(losses, ranks, confidence)
-    for place, name in enumerate(order, 1):
-        above = order[place - 2] if place > 1 else name
-        apart = any(_apart(of[name] - of[above], confidence) for of in (losses, ranks))
-        few = len(ranks[name]) < least_seeds(1, confidence)
-        limits = NO_INTERVAL if few else mean_interval(ranks[name], confidence, least=1.0)
-        mean = float(np.mean(ranks[name]))
-        made.append((name, place, place > 1 and not apart, mean, limits.low, min(limits.high, len(order))))
-    made += [(name, 0, False, math.nan, math.nan, math.nan) for name in entries if entries[name]["bound"]]
-    found = [
-        Standing(
-            name,
-            str(entries[name]["settings"]),
-            place,
-            level,
-            len(by_cell),
-            lost[name],
-            rank,
-            low,
-            high,
-            *_of_least(by_cell, name, ranked, metric),
-            *_against(by_cell, name, baseline, metric, confidence),
-            _step(by_cell, name),
+        at = places[row["entry"]], cells[_cell(row)]
+        errors[at], steps[at] = _error(row, metric), float(row["solve_time_median"])
+    of_seed: dict[int, list[int]] = {}  # the cells of each seed
+    for cell in sorted(cells):
+        of_seed.setdefault(cell[2], []).append(cells[cell])
+    ranked = [i for i, name in enumerate(names) if not entries[name]["bound"]]
+    ranks, lost = cell_ranks(errors[ranked]), ~np.isfinite(errors)
+    seed_ranks = {
+        i: np.array([np.mean(own[k]) for k in of_seed.values()]) for i, own in zip(ranked, ranks, strict=True)
+    }
+    seed_losses = np.array([[own[k].sum() for k in of_seed.values()] for own in lost])
+    order = _order(seed_losses, seed_ranks, confidence)
+    least = np.min(errors[ranked], axis=0, initial=np.inf)
+    found = []
+    for i, name in enumerate(names):
+        place, level, rank, limits = 0, False, math.nan, NO_INTERVAL
+        if i in seed_ranks:
+            place = 1 + order.index(i)
+            above = order[max(place - 2, 0)]
+            apart = any(_apart(of[i] - of[above], confidence) for of in (seed_losses, seed_ranks))
+            level, rank = place > 1 and not apart, float(np.mean(seed_ranks[i]))
+            if len(of_seed) >= least_seeds(1, confidence):
+                limits = mean_interval(seed_ranks[i], confidence, least=1.0)
+        ratios = _log_ratios(errors[i], least)
+        other = errors[places[baseline]] if baseline in places and name != baseline else np.full(len(cells), np.inf)
+        against = {((task, world), seed): float(value)
+                   for (task, world, seed), value in zip(cells, _log_ratios(errors[i], other), strict=True)
+                   if not math.isnan(value)}  # fmt: skip
+        times = steps[i][np.isfinite(steps[i])]
+        found.append(
+            Standing(
+                entry=name,
+                settings=str(entries[name]["settings"]),
+                place=place,
+                level=level,
+                flights=len(cells),
+                lost=int(lost[i].sum()),
+                rank=rank,
+                rank_low=limits.low,
+                rank_high=min(limits.high, len(order)),
+                least=_geometric(ratios),
+                least_cells=int(np.isfinite(ratios).sum()),
+                ratio=log_ratio(seed_means(against), confidence),
+                ratio_cells=len(whole(against.keys())) if against else 0,
+                step=float(np.median(times)) if len(times) else math.nan,
+            )
         )
-        for name, place, level, rank, low, high in made
-    ]
     return sorted(found, key=lambda one: (one.bound, one.place, one.lost, one.least))
 
 
-def cell_ranks(cell: Mapping[str, Row], names: Sequence[str], metric: str) -> dict[str, float]:
-    """The ranks of one cell; see the module."""
-    values = np.array([_error(cell[name], metric) for name in names])  # inf for lost
-    below = (values[None, :] < values[:, None]).sum(axis=1)
-    same = (values[None, :] == values[:, None]).sum(axis=1)
-    return dict(zip(names, below + (same + 1) / 2, strict=True))
+def cell_ranks(errors: np.ndarray) -> np.ndarray:
+    """The rank of every entry in every cell, (entries, cells); see the module. errors: inf for a lost flight."""
+    below = (errors[None] < errors[:, None]).sum(axis=1)
+    same = (errors[None] == errors[:, None]).sum(axis=1)
+    ranks: np.ndarray = below + (same + 1) / 2
+    return ranks
 
 
-def _seed_ranks(by_cell: Mapping[Cell, Mapping[str, Row]], names: Sequence[str], metric: str) -> dict[str, np.ndarray]:
-    """Entry -> mean rank of each seed, (seeds,)."""
-    found: dict[int, list[dict[str, float]]] = {}
-    for (_, _, seed), cell in sorted(by_cell.items()):
-        found.setdefault(seed, []).append(cell_ranks(cell, names, metric))
-    return {name: np.array([np.mean([one[name] for one in cells]) for cells in found.values()]) for name in names}
-
-
-def _losses(by_cell: Mapping[Cell, Mapping[str, Row]], name: str, metric: str) -> np.ndarray:
-    """Number of flights of each seed that did not end well, (seeds,)."""
-    found: dict[int, int] = {}
-    for (_, _, seed), cell in sorted(by_cell.items()):
-        found[seed] = found.get(seed, 0) + (not math.isfinite(_error(cell[name], metric)))
-    return np.array(list(found.values()))
-
-
-def _order(losses: Mapping[str, np.ndarray], ranks: Mapping[str, np.ndarray], confidence: float) -> list[str]:
-    """Names by place; see the module."""
-    rest = sorted(ranks, key=lambda name: (int(losses[name].sum()), float(np.mean(ranks[name]))))
-    order: list[str] = []
+def _order(losses: np.ndarray, ranks: Mapping[int, np.ndarray], confidence: float) -> list[int]:
+    """Entries by place; see the module. losses: of each entry and seed. ranks: entry -> mean rank of each seed."""
+    rest = sorted(ranks, key=lambda i: (int(losses[i].sum()), float(np.mean(ranks[i]))))
+    order: list[int] = []
     while rest:
-        alike = [name for name in rest if not _apart(losses[name] - losses[rest[0]], confidence)]
-        order += sorted(alike, key=lambda name: float(np.mean(ranks[name])))
-        rest = [name for name in rest if name not in alike]
+        alike = [i for i in rest if not _apart(losses[i] - losses[rest[0]], confidence)]
+        order += sorted(alike, key=lambda i: float(np.mean(ranks[i])))
+        rest = [i for i in rest if i not in alike]
     return order
 
 
 def _apart(differences: np.ndarray, confidence: float) -> bool:
     return paired_permutation(differences) < 1 - confidence
+
+
+def _cell(row: Row) -> tuple[str, str, int]:
+    """Task, world, seed."""
+    return row["task"], row["world"], int(row["seed"])
 
 
 def _error(row: Row, metric: str) -> float:
@@ -148,31 +153,13 @@ def _error(row: Row, metric: str) -> float:
     return value if math.isfinite(value) else math.inf
 
 
-def _of_least(
-    by_cell: Mapping[Cell, Mapping[str, Row]], name: str, ranked: Sequence[str], metric: str
-) -> tuple[float, int]:
-    logs = []
-    for cell in by_cell.values():
-        least, own = min((_error(cell[one], metric) for one in ranked), default=math.inf), _error(cell[name], metric)
-        if math.isfinite(own) and math.isfinite(least) and own > 0 and least > 0:
-            logs.append(math.log(own / least))
-    return math.exp(float(np.mean(logs))) if logs else math.nan, len(logs)
+def _log_ratios(own: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """ln(own / other) of each cell, NaN where one was lost or is zero."""
+    both = np.isfinite(own) & np.isfinite(other) & (own > 0) & (other > 0)
+    return np.array([math.log(a / b) if good else math.nan for a, b, good in zip(own, other, both, strict=True)])
 
 
-def _against(
-    by_cell: Mapping[Cell, Mapping[str, Row]], name: str, baseline: str, metric: str, confidence: float
-) -> tuple[Ratio, int]:
-    logs: dict[tuple[tuple[str, str], int], float] = {}
-    for (task, world, seed), cell in by_cell.items():
-        if name == baseline or baseline not in cell:
-            continue
-        own, other = _error(cell[name], metric), _error(cell[baseline], metric)
-        if math.isfinite(own) and math.isfinite(other) and own > 0 and other > 0:
-            logs[(task, world), seed] = math.log(own / other)
-    return log_ratio(seed_means(logs), confidence), len(whole(logs.keys())) if logs else 0
-
-
-def _step(by_cell: Mapping[Cell, Mapping[str, Row]], name: str) -> float:
-    times = [float(cell[name]["solve_time_median"]) for cell in by_cell.values()]
-    known = [time for time in times if math.isfinite(time)]
-    return float(np.median(known)) if known else math.nan
+def _geometric(logs: np.ndarray) -> float:
+    """Geometric mean of what the logarithms are of, NaN for none."""
+    known = logs[np.isfinite(logs)]
+    return math.exp(float(np.mean(known))) if len(known) else math.nan

@@ -18,23 +18,26 @@ from quadexp.bench.board import (
     read_board,
     update_markdown,
     write_board,
+    write_page,
 )
 from quadexp.bench.entries import Entry, configs_of, field, read_entries, why_not
 from quadexp.bench.models import make_model, make_network
-from quadexp.bench.page import write_page
 from quadexp.bench.protocol import LATEST, Protocol, check_lock, check_size, read_protocol, with_fewer_seeds
 from quadexp.bench.ranking import Row
 from quadexp.config.cells import Cell
-from quadexp.config.compose import Composer
+from quadexp.config.compose import Composer, session
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.log.cell_store import CellStore
 from quadexp.report.table import Table
+from quadexp.sweeps.cluster.engines import opened
 from quadexp.sweeps.engine import CellFunction, Engine
 from quadexp.sweeps.plan import plan_cells
 from quadexp.sweeps.sweep import SweepInterrupted, fly_cells
 
 PAGE, MODELS = "leaderboard.html", "models"
+SETTABLE = ("engine", "evaluate")
+CALLS = 64  # flights that an entry has at least in the larger sizes
 
 
 @dataclass(frozen=True)
@@ -52,63 +55,68 @@ class Leaderboard:
         return [row for row in self.rows if row["outcome"] == "failed"]
 
 
-def run_bench(
-    composer: Composer,
-    out: Path,
+def bench(
+    overrides: Sequence[str] = (),
     *,
-    size: str,
+    size: str = "quick",
     controllers: Sequence[str] = (),
     only: bool = False,
     add: Sequence[Path] = (),
     seeds: int = 0,
-    version: int = LATEST,
-    extra: Path | None = None,
+    version: int | None = None,
+    out: Path | None = None,
+    conf: Path | None = None,
     page: Path | None = None,
     target: Path | None = None,
-    engine: Engine | None = None,
     function: CellFunction = evaluate_cell,
     isolate: bool = True,
     progress: Callable[[int, int], None] = lambda done, total: None,
     say: Callable[[str], None] = lambda text: None,
 ) -> Leaderboard:
-    """Fly what is missing of the protocol, and write the leaderboard.
+    """Fly what is missing of the protocol, write the leaderboard, and return it.
 
-    controllers: entries beside the field; only: without the field. add: other leaderboards whose rows take part.
-    seeds: only the first ones of the size; 0: all. extra: the --conf folder. page: where to write it. target: a
-    Markdown file to write the tables into.
+    overrides: of the engine and its limits, such as "evaluate.workers=1". controllers: entries beside the field; only:
+    without the field. add: other leaderboards whose rows take part. seeds: only the first ones of the size; 0: all.
+    version: of the protocol, None for the latest. out: a folder, results/bench_SIZE by default. conf: a configuration
+    folder of your own. page: where to write it. target: a Markdown file to write the tables into. function: flies a
+    cell. isolate: False flies in this process. progress: numbers of flights done and of all.
     Raises UsageError before anything is flown; also where results of different protocols meet.
     """
-    protocol = read_protocol(version)
-    check_size(protocol, size)
-    check_lock(protocol, composer)
-    protocol, called = with_fewer_seeds(protocol, size, seeds)
-    added = [(path, read_board(path)) for path in add]
-    for path, rows in added:
-        check_alike(rows, protocol.sha256, called, str(path))
-    mine = read_entries(controllers, composer, protocol, extra)
-    entries = [*read_entries([] if only else field(), composer, protocol, extra), *mine]
-    entries = list({entry.name: entry for entry in entries}.values())
-    if not entries and not added:
-        raise UsageError("--only: nobody takes part; give --controller NAME, or --add FILE")
-    store = CellStore(out)
-    store.open()
-    with store.emptied(), store.lock():
-        store.clean()
-        try:
-            cells, notes = _cells(entries, protocol, size, composer, out / MODELS, say)
-            _check_takes_part(mine, cells, notes)
-            rows = _fly(cells, store, engine, function, isolate, progress)
-        except KeyboardInterrupt:
-            raise SweepInterrupted("what is flown is kept; run the same command to continue") from None
-        finally:
+    for text in overrides:
+        if text.partition("=")[0].partition(".")[0] not in SETTABLE:
+            raise UsageError(f"{text!r}: what is flown is the protocol's; only {' and '.join(SETTABLE)} can be set")
+    out = out or Path("results") / f"bench_{size}"
+    with session(conf) as composer, opened(composer.compose(overrides), CALLS) as engine:
+        protocol = read_protocol(LATEST if version is None else version)
+        check_size(protocol, size)
+        check_lock(protocol, composer)
+        protocol, called = with_fewer_seeds(protocol, size, seeds)
+        added = [(path, read_board(path)) for path in add]
+        for path, rows in added:
+            check_alike(rows, protocol.sha256, called, str(path))
+        mine = read_entries(controllers, composer, protocol, conf)
+        entries = [*read_entries([] if only else field(), composer, protocol, conf), *mine]
+        entries = list({entry.name: entry for entry in entries}.values())
+        if not entries and not added:
+            raise UsageError("--only: nobody takes part; give --controller NAME, or --add FILE")
+        store = CellStore(out)
+        store.open()
+        with store.emptied(), store.lock():
             store.clean()
-        rows = [
-            {**row, "protocol": protocol.version, "protocol_sha256": protocol.sha256, "size": called} for row in rows
-        ]
-        for path, more in added:
-            rows = joined(rows, more, str(path)) if rows else list(more)
-        check_cells(rows, str(out))
-        return _write(rows, protocol, out, page, target, notes)
+            try:
+                cells, notes = _cells(entries, protocol, size, composer, out / MODELS, say)
+                _check_takes_part(mine, cells, notes)
+                rows = _fly(cells, store, engine, function, isolate, progress)
+            except KeyboardInterrupt:
+                raise SweepInterrupted("what is flown is kept; run the same command to continue") from None
+            finally:
+                store.clean()
+            made_by = {"protocol": protocol.version, "protocol_sha256": protocol.sha256, "size": called}
+            rows = [{**row, **made_by} for row in rows]
+            for path, more in added:
+                rows = joined(rows, more, str(path)) if rows else list(more)
+            check_cells(rows, str(out))
+            return _write(rows, protocol, out, page, target, notes)
 
 
 @dataclass(frozen=True)

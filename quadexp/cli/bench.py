@@ -75,8 +75,7 @@ def bench(
     quadexp bench --controller geometric --conf examples --out results/mine
     quadexp bench --size standard --only --controller my_controller --conf my_conf --add docs/leaderboard.parquet
     """
-    from quadexp.bench.call import bench as fly
-    from quadexp.bench.protocol import LATEST
+    from quadexp.bench.run import bench as fly
     from quadexp.errors import QuadexpError
     from quadexp.progress import Progress
 
@@ -89,7 +88,7 @@ def bench(
             only=only,
             add=add or [],
             seeds=seeds,
-            version=LATEST if protocol is None else protocol,
+            version=protocol,
             page=page,
             target=markdown,
             out=out,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -136,11 +136,9 @@ def evaluate(
     keep_old: Annotated[bool, typer.Option("--keep-old", help="Keep them in the table, beside new ones.")] = False,
     force: Force = False,
     watch: Annotated[
-        bool, typer.Option("--watch", help="Show the sweep while it runs: a table here, and a page on this machine.")
+        bool, typer.Option("--watch", help="Show the sweep while it runs: a table here, and a page in a file.")
     ] = False,
-    port: Annotated[
-        int | None, typer.Option("--port", min=0, max=65535, help="Port of the page of --watch; 0: any that is free.")
-    ] = None,
+    port: Annotated[str | None, typer.Option("--port", hidden=True)] = None,
     format: Format = None,
     json: Json = False,
 ) -> None:
@@ -161,8 +159,10 @@ def evaluate(
 
     if refly and keep_old:
         raise UsageError("--refly and --keep-old: give one of them")
-    if (watch or port is not None) and not (watch and sweep):
-        raise UsageError("--watch is for a sweep, and --port for --watch: add --sweep --watch")
+    if port is not None:
+        raise UsageError("--port: is no more: the page of --watch is a file in the folder of results; leave it out")
+    if watch and not sweep:
+        raise UsageError("--watch is for a sweep: add --sweep")
     form = format_of(format, json)
     given = list(overrides or [])
     with session(conf) as composer:
@@ -184,15 +184,15 @@ def evaluate(
     from quadexp.sweeps.sweep import run_sweep
 
     settings = first.evaluate
-    watching = _watching(out, settings.metric, port) if watch else None
+    watching = _watching(out, settings.metric) if watch else None
     with (
         watching or contextlib.nullcontext(),
         Workers(settings.workers, settings.memory or None, preload, calls=FIGURES if figures else 1) as processes,
         SweepFigures(out, processes if sweep else None, settings.metric, settings.confidence) as drawn,
-        Progress("flights", _table_so_far(watching)) as progress,
+        Progress("flights", (lambda: watching.shot().table().rich()) if watching else None) as progress,
     ):
         if watching:
-            say(f"watch it at {watching.url}")
+            say(f"watch it in a browser: {watching.path}")
         result = run_sweep(
             cells,
             out,
@@ -203,7 +203,7 @@ def evaluate(
             force=force,
             old="refly" if refly else "keep" if keep_old else "ask",
             isolate=sweep,
-            progress=progress if watching is None else _both(watching.progress, progress),
+            progress=progress if watching is None else watching.before(progress),
             landed=watching.landed if watching else lambda row: None,
             flown=drawn.begin if figures else lambda rows, record: None,
         )
@@ -270,30 +270,10 @@ def evaluate(
         raise typer.Exit(1)
 
 
-def _watching(out: Path, metric: str, port: int | None) -> Any:
+def _watching(out: Path, metric: str) -> Any:
     from quadexp.sweeps.watch import Watch
 
-    return Watch(out, metric, port or 0)
-
-
-def _table_so_far(watching: Any) -> Callable[[], Any] | None:
-    if watching is None:
-        return None
-
-    def made() -> Any:
-        from quadexp.report.live import live_table
-
-        return live_table(watching.shot())
-
-    return made
-
-
-def _both(first: Callable[[float, float], None], second: Callable[[float, float], None]) -> Any:
-    def call(done: float, total: float) -> None:
-        first(done, total)
-        second(done, total)
-
-    return call
+    return Watch(out, metric)
 
 
 def _doubts(cells: Sequence[Any]) -> list[str]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from quadexp.config.former import FORMER
+from quadexp.config.former_options import FORMER
 from quadexp.config.kept import KeptCompositions
 from quadexp.config.node import Node, node_of
 from quadexp.config.option_files import OptionFiles

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import shlex
-from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar, Literal
 
 from quadexp.config.part import Part
 from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
+
+CERTIFICATES = ("tls_ca", "tls_cert", "tls_key")
+Wait = Annotated[float, Setting("time without any worker after which the sweep stops", "(0, 604800]", "s")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,106 +19,50 @@ class EngineConfig(Part):
 
     prefix: ClassVar[str] = "engine."
 
-    kind: Annotated[Literal["local", "dask", "slurm"], Setting("where the flights run")] = "local"
+    kind: ClassVar[str] = "local"
 
 
 @dataclass(frozen=True, kw_only=True)
-class ClusterConfig(EngineConfig):
-    """What all clusters share. tls: encrypt and authenticate with certificates, which are made for the sweep unless
-    given; without it anybody who reaches the scheduler can run code as the user."""
+class DaskConfig(EngineConfig):
+    """A Dask cluster: started on this machine, or that of the scheduler at `address`, with the certificates that it was
+    given."""
 
-    tls: Annotated[
-        bool,
-        Setting(
-            "encrypt and authenticate with certificates, made for the sweep unless given; false: others can run code"
-        ),
-    ] = True
-    tls_ca: Annotated[str | None, Setting("file of the certificate authority")] = None
-    tls_cert: Annotated[str | None, Setting("file of the certificate")] = None
-    tls_key: Annotated[str | None, Setting("file of the certificate's key")] = None
-    wait: Annotated[float, Setting("time without any worker after which the sweep stops", "(0, 604800]", "s")] = 60.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        given = [value for value in (self.tls_ca, self.tls_cert, self.tls_key) if value is not None]
-        if given and len(given) < 3:
-            raise UsageError("engine.tls_ca, engine.tls_cert and engine.tls_key: give all three, or none")
-        if given and not self.tls:
-            raise UsageError("engine.tls=false: contradicts the certificates that are given; leave one of them out")
-
-
-@dataclass(frozen=True, kw_only=True)
-class DaskConfig(ClusterConfig):
-    """A Dask cluster: started on this machine, the scheduler at `address`, or workers on `hosts` over SSH (the first
-    host also runs the scheduler)."""
-
-    kind: Annotated[Literal["dask"], Setting("where the flights run")] = "dask"
+    kind = "dask"
     address: Annotated[
         str | None,
         Setting("address of a running scheduler, such as tls://head:8786; null: start a cluster on this machine"),
     ] = None
-    hosts: Annotated[
-        tuple[str, ...], Setting("hosts that run workers, started over SSH; the first also runs the scheduler")
-    ] = ()
-    remote_python: Annotated[str | None, Setting("Python interpreter of the hosts; null: the same path as here")] = None
+    tls_ca: Annotated[str | None, Setting("file of the certificate authority of that scheduler")] = None
+    tls_cert: Annotated[str | None, Setting("file of the certificate")] = None
+    tls_key: Annotated[str | None, Setting("file of the certificate's key")] = None
+    wait: Wait = 60.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.address and self.hosts:
-            raise UsageError("engine.address and engine.hosts: give one of them")
-        if self.address:
-            self._check_address(self.address)
-
-    def _check_address(self, address: str) -> None:
-        """A scheduler that somebody else started: certificates are given, or going without them is asked for."""
-        encrypted = address.startswith("tls://")
-        if encrypted and not self.tls:
-            raise UsageError(f"engine.address={address}: contradicts engine.tls=false; leave that out")
-        if self.tls and not encrypted:
+        given = [name for name in CERTIFICATES if getattr(self, name) is not None]
+        encrypted = self.address is not None and self.address.startswith("tls://")
+        if self.address and not self.address.startswith(("tls://", "tcp://")):
+            raise UsageError(f"engine.address={self.address}: must begin with tls://, or with tcp:// if not encrypted")
+        if encrypted and len(given) < len(CERTIFICATES):
             raise UsageError(
-                f"engine.address={address}: is not encrypted; give a tls:// address with its certificates, or"
-                " engine.tls=false, with which everybody who reaches that scheduler can run code as you"
+                f"engine.address={self.address}: needs engine.tls_ca, engine.tls_cert and engine.tls_key, as the"
+                " scheduler was given them"
             )
-        if self.tls and self.tls_ca is None:
-            raise UsageError(
-                f"engine.address={address}: needs engine.tls_ca, engine.tls_cert and engine.tls_key, as the scheduler"
-                " was given them"
-            )
+        if given and not encrypted:
+            raise UsageError(f"engine.{given[0]}: is of a scheduler at engine.address=tls://...; leave it out")
 
 
 @dataclass(frozen=True, kw_only=True)
-class SlurmConfig(ClusterConfig):
-    """Jobs of a Slurm cluster, `evaluate.workers` of them, one worker each.
+class JobsConfig(EngineConfig):
+    """Jobs of a queueing system, `evaluate.workers` of them with one worker each, submitted by dask-jobqueue.
 
-    job_memory: GB that is asked for. walltime: of a job, hh:mm:ss. queue, account, directives: as `sbatch` takes them.
-    prologue: lines of shell before the worker starts. shared: folder that all nodes see, for certificates and logs.
-    interface: network interface by which nodes reach the scheduler. python: of the nodes.
+    options: arguments of its SLURMCluster, PBSCluster, ...: queue, account, memory, walltime, interface, python,
+    job_extra_directives, job_script_prologue, shared_temp_directory. They become the shell script of a job.
     """
 
-    kind: Annotated[Literal["slurm"], Setting("where the flights run")] = "slurm"
-    queue: Annotated[str | None, Setting("partition, as sbatch takes it")] = None
-    account: Annotated[str | None, Setting("account, as sbatch takes it")] = None
-    walltime: Annotated[str, Setting("time limit of a job, hh:mm:ss")] = "01:00:00"
-    job_memory: Annotated[float, Setting("memory requested for a job; one worker per job", "[0.5, 4096]", "GB")] = 2.0
-    directives: Annotated[tuple[str, ...], Setting("more options of sbatch")] = ()
-    prologue: Annotated[tuple[str, ...], Setting("lines of shell before a worker starts")] = ()
-    shared: Annotated[
-        str | None,
-        Setting("folder that all nodes see, for certificates and logs; needed with engine.tls"),
-    ] = None
-    interface: Annotated[str | None, Setting("network interface by which nodes reach the scheduler")] = None
-    python: Annotated[str | None, Setting("Python interpreter of the nodes; null: the same path as here")] = None
-
-    def __post_init__(self) -> None:
-        """What stands in the script of a job is a word of the shell, or one line: only `prologue` is shell."""
-        super().__post_init__()
-        for name in ("queue", "account", "walltime", "shared", "interface", "python", "tls_ca", "tls_cert", "tls_key"):
-            value = getattr(self, name)
-            if value is not None and shlex.quote(value) != value:
-                raise UsageError(
-                    f"engine.{name}={value!r}: must be one word of letters, digits and @%+=:,./-_: it stands in the"
-                    " script of a job"
-                )
-        for directive in self.directives:
-            if not directive.isprintable():
-                raise UsageError(f"engine.directives={directive!r}: each must be one line")
+    kind = "jobs"
+    system: Annotated[Literal["slurm", "pbs", "lsf", "sge"], Setting("queueing system")] = "slurm"
+    options: Annotated[dict[str, Any], Setting("what dask-jobqueue is given, such as {queue: short, memory: 3GB}")] = (
+        field(default_factory=dict)
+    )
+    wait: Wait = 3600.0

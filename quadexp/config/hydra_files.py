@@ -22,7 +22,7 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from quadexp.config.former import former_nodes
+from quadexp.config.former_options import former_nodes
 from quadexp.config.override import quoted
 from quadexp.config.schema import conf_folder
 from quadexp.errors import UsageError

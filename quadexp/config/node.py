@@ -10,7 +10,8 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from quadexp.config.former import FORMER
+from quadexp.config.former import refuse_former
+from quadexp.config.former_options import FORMER
 from quadexp.config.override import Given
 from quadexp.config.part import TARGET, part_class
 from quadexp.config.plain_data import REFERENCE, REFERENCES
@@ -65,6 +66,7 @@ def _filled(schema: type, content: Mapping[str, Any], prefix: str) -> dict[str, 
     found = plain(schema)
     for key, value in content.items():
         if key not in found:
+            refuse_former(f"{prefix}{key}")
             raise UsageError(f"{prefix}{key}: no such key{suggestion(str(key), list(found))}")
         inner = declared(schema)[key].node if key in declared(schema) else None
         filled = inner is not None and isinstance(value, Mapping)
@@ -132,6 +134,7 @@ def check_key(content: Any, key: str, having: Callable[[str], dict[str, list[str
     root, parts = content, key.split(".")
     for i, part in enumerate(parts):
         if not isinstance(content, dict) or part not in content:
+            refuse_former(key)
             here = [*map(str, root), "experiment"]
             everywhere = [*_keys(root), *here]
             if isinstance(content, dict) and i > 0:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.config.completion import folders, groups
-from quadexp.config.former import former_nodes
+from quadexp.config.former_options import former_nodes
 from quadexp.config.part import TARGET, Part, part_class
 from quadexp.config.plain_data import REFERENCE, REFERENCES, read_data
 from quadexp.config.schema import PARTS

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from quadexp.config.former import refuse_former
 from quadexp.config.option_files import OptionFiles
 from quadexp.config.override import Given, plain_override, quoted
 from quadexp.errors import UsageError
@@ -12,15 +13,15 @@ from quadexp.messages import suggestion
 
 # Keys that hold a path.
 PATHS = {
-    "model", "plant.model", "trajectory.path", "wind.path", "collect.identified", "engine.shared", "engine.python",
-    "engine.remote_python", "engine.tls_ca", "engine.tls_cert", "engine.tls_key",
+    "model", "plant.model", "trajectory.path", "wind.path", "collect.identified", "engine.tls_ca",
+    "engine.tls_cert", "engine.tls_key",
 }  # fmt: skip
 HYDRA = {  # how a key of Hydra itself begins -> what does that here
     "hydra.sweep.": "--out names the folder of a sweep",
     "hydra.run.": "--out names where a flight is written",
     "hydra.job.": "--out names what is written",
-    "hydra/launcher": "engine=local, dask or slurm says where a sweep is flown",
-    "hydra.launcher": "engine=local, dask or slurm says where a sweep is flown, evaluate.workers on how many processes",
+    "hydra/launcher": "engine=local, dask or jobs says where a sweep is flown",
+    "hydra.launcher": "engine=local, dask or jobs says where a sweep is flown, evaluate.workers on how many processes",
     "hydra/sweeper": "evaluate --sweep flies every combination",
     "hydra.sweeper": "evaluate --sweep flies every combination",
     "hydra.searchpath": "--conf names a folder of configuration",
@@ -104,5 +105,6 @@ class OverrideReader:
         if given.value is None and given.key == "experiment":
             return
         if given.value not in options:
+            refuse_former(f"{given.key}={given.value}")
             hint = suggestion(str(given.value), options)
             raise UsageError(f"{given.key}={given.value}: no such {given.key}{hint}")

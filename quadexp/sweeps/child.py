@@ -15,11 +15,10 @@ import resource
 import signal
 import sys
 import time
-from collections.abc import Iterable, Sequence
-from concurrent.futures import CancelledError, Future, InvalidStateError, TimeoutError, wait
+from collections.abc import Sequence
+from concurrent.futures import CancelledError, Future, TimeoutError, wait
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from typing import Any
 
 from pebble import ProcessExpired, ProcessPool
 from pebble.pool.base_pool import Task
@@ -64,15 +63,6 @@ def start_pool(
             pool.join()
         raise
     return pool
-
-
-def stop_pool(pool: ProcessPool, under_way: Iterable[Future[Any]]) -> None:
-    """End a pool with whatever it does. Calls under way raise CancelledError: a stopped pool leaves them pending."""
-    pool.stop()
-    pool.join()
-    for future in under_way:
-        with contextlib.suppress(InvalidStateError):  # it has ended
-            future.set_exception(CancelledError("its processes were stopped"))
 
 
 def _check_program(asked: Future[dict[str, str]]) -> None:

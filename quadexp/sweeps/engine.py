@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+import threading
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, InvalidStateError, wait
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -18,7 +19,7 @@ from pebble import ProcessPool
 from quadexp.config.schema import Config
 from quadexp.errors import ModuleError, UsageError, WriteError, stops_all
 from quadexp.experiment.checkpoints import ModelFile
-from quadexp.sweeps.child import GONE, cause, start_pool, stop_pool
+from quadexp.sweeps.child import GONE, cause, start_pool
 from quadexp.sweeps.server import PRELOAD, without_main
 
 ATTEMPTS = 2  # for a cell whose process died or took too long
@@ -95,16 +96,25 @@ class Workers:
 
     workers: how many at most, 0 for one a core. memory: GB that each may take, None for no limit. preload: modules that
     their server imports once (server.py), if it does not run yet. calls: how many there will be at least; no more
-    processes start than there are calls.
+    processes start than there are calls. folders: those in which `_target_` may name modules, None for those of this
+    process. Threads may share it.
     """
 
     def __init__(
-        self, workers: int = 0, memory: float | None = None, preload: Sequence[str] = PRELOAD, calls: int = 1
+        self,
+        workers: int = 0,
+        memory: float | None = None,
+        preload: Sequence[str] = PRELOAD,
+        calls: int = 1,
+        folders: Sequence[str] | None = None,
     ) -> None:
         self._most, self._memory, self._preload, self._calls = workers or default_workers(), memory, preload, calls
+        self._folders = folders
         self._pool: ProcessPool | None = None
         self._under_way: set[Future[Any]] = set()
         self._hidden = contextlib.ExitStack()
+        self._lock = threading.RLock()  # of the pool and the calls under way
+        self._ended = False
 
     def __enter__(self) -> Workers:
         self._hidden.enter_context(without_main())
@@ -115,31 +125,51 @@ class Workers:
         self._hidden.close()
 
     def stop(self) -> None:
-        """End the processes, with whatever they are doing; see stop_pool."""
-        pool, self._pool = self._pool, None
-        if pool is not None:
-            stop_pool(pool, self._under_way)
-        self._under_way.clear()
+        """End the processes, with whatever they are doing: calls under way raise CancelledError."""
+        with self._lock:
+            pool, self._pool = self._pool, None
+            if pool is not None:
+                pool.stop()
+                pool.join()
+            for future in self._under_way:  # a stopped pool leaves them pending
+                with contextlib.suppress(InvalidStateError):  # it has ended
+                    future.set_exception(CancelledError("its processes were stopped"))
+            self._under_way.clear()
+
+    def end(self) -> None:
+        """Stop, and begin no other call."""
+        with self._lock:
+            self._ended = True
+            self.stop()
 
     def call(
         self, function: Callable[..., Any], *arguments: Any, timeout: float | None = None, calls: int = 1
     ) -> Future[Any]:
         """Begin a call. timeout: s it may take (monotonic). calls: how many there will be.
 
-        Raises QuadexpError where the processes import another quadexp than this one.
+        Raises QuadexpError where the processes import another quadexp than this one, CancelledError after the end.
         """
-        self._check()
-        if self._pool is None:
-            preload = [*self._preload, function.__module__]
-            self._pool = start_pool(min(self._most, max(calls, self._calls)), self._memory, preload)
-        found: Future[Any] = self._pool.schedule(function, args=arguments, timeout=timeout)
-        self._under_way.add(found)
-        return found
+        with self._lock:
+            if self._ended:
+                raise CancelledError("its processes were ended")
+            self._check()
+            if self._pool is None:
+                preload = [*self._preload, function.__module__]
+                self._pool = start_pool(min(self._most, max(calls, self._calls)), self._memory, preload, self._folders)
+            found: Future[Any] = self._pool.schedule(function, args=arguments, timeout=timeout)
+            self._under_way.add(found)
+            return found
 
     def _check(self) -> None:
         """Give up a pool that does not work any more: a thread of it ends where the server dies while it forks."""
-        if self._pool is not None and not self._pool.active:
-            self.stop()
+        with self._lock:
+            if self._pool is not None and not self._pool.active:
+                self.stop()
+
+    def result(self, function: Callable[..., Any], *arguments: Any, timeout: float | None = None) -> Any:
+        """Of one call, which is tried once more where its process dies or it takes too long."""
+        ((_, ended),) = self._calls_of(function, {"": arguments}, timeout)
+        return ended.result()
 
     def run(
         self, function: Callable[..., Any], jobs: Mapping[str, tuple[Any, ...]], *, timeout: float | None = None
@@ -150,31 +180,39 @@ class Workers:
         A call that raises fails at once (it would raise again); one whose process dies or that takes too long is tried
         once more. Leaving the iterator early, or an interrupt, stops every process.
         """
-        waiting = [(key, arguments, ATTEMPTS) for key, arguments in jobs.items()][::-1]  # the next one last
-        running: dict[Future[Any], tuple[str, tuple[Any, ...], int]] = {}
+        ended = False
         try:
-            while waiting or running:
-                while waiting and len(running) < QUEUED * min(self._most, len(jobs)):
-                    job = waiting.pop()
-                    running[self.call(function, *job[1], timeout=timeout, calls=len(jobs))] = job
-                ended = wait(running, timeout=CHECKED, return_when=FIRST_COMPLETED).done
-                if not ended:
-                    self._check()
-                self._under_way -= ended
-                for future in ended:
-                    key, arguments, attempts = running.pop(future)
-                    try:
-                        yield key, future.result()
-                    except GONE as error:
-                        if attempts > 1:
-                            waiting.append((key, arguments, attempts - 1))
-                        else:
-                            yield key, CellFailed(cause(error, timeout))
-                    except Exception as error:
-                        yield key, CellFailed.of(error, timeout)
+            for key, future in self._calls_of(function, jobs, timeout):
+                try:
+                    yield key, future.result()
+                except Exception as error:
+                    yield key, CellFailed.of(error, timeout)
+            ended = True
         finally:
-            if waiting or running:
+            if not ended:
                 self.stop()
+
+    def _calls_of(
+        self, function: Callable[..., Any], jobs: Mapping[str, tuple[Any, ...]], timeout: float | None
+    ) -> Iterator[tuple[str, Future[Any]]]:
+        """Key and future of every job, as they end for good."""
+        waiting = [(key, ATTEMPTS) for key in jobs][::-1]  # the next one last
+        running: dict[Future[Any], tuple[str, int]] = {}
+        while waiting or running:
+            while waiting and len(running) < QUEUED * min(self._most, len(jobs)):
+                key, attempts = waiting.pop()
+                running[self.call(function, *jobs[key], timeout=timeout, calls=len(jobs))] = key, attempts
+            ended = wait(running, timeout=CHECKED, return_when=FIRST_COMPLETED).done
+            if not ended:
+                self._check()
+            with self._lock:
+                self._under_way -= ended
+            for future in ended:
+                key, attempts = running.pop(future)
+                if attempts > 1 and isinstance(future.exception(), GONE):
+                    waiting.append((key, attempts - 1))
+                else:
+                    yield key, future
 
 
 def run_cells(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,8 +12,9 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_effects, build_trajectory, build_vehicle, input_hashes
 from quadexp.experiment.checkpoints import ModelFile, find_model
 from quadexp.experiment.identity import canonical, digest, flight_record
-from quadexp.sweeps.keys import cell_key, condition
+from quadexp.sweeps.sweep_table import condition
 
+SCHEMA = 1  # version of what a cell is; with a higher number every older cell is unknown
 BUILDS_AT_ONCE = 32  # compiled structures that every worker surely keeps, see experiment.build.KEPT
 FILES = ("trajectory", "plant", "wind")  # groups, beside the controller, whose settings may name a file
 INVALID = "invalid"  # outcome of a cell whose settings contradict each other
@@ -59,6 +60,15 @@ def plan_cells(cells: Iterable[Cell]) -> dict[str, Job]:
         if key not in jobs:
             jobs[key] = Job(key, digest(condition(record)), cell, model)
     return jobs
+
+
+def cell_key(record: Mapping[str, Any], inputs: Mapping[str, str]) -> str:
+    """Key of one flight, the name of its file: sha256 of everything that decides it, 20 hex digits.
+
+    record: of the flight, see identity.flight_record. inputs: content hash of every file that it reads
+    (checkpoint, trajectory file, the user's own sources).
+    """
+    return digest([SCHEMA, "evaluate", condition(record), sorted(inputs.items())])
 
 
 def check_jobs(jobs: Iterable[Job]) -> dict[str, str]:

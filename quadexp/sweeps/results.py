@@ -20,8 +20,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import FAILURES
 from quadexp.report.axes.frame import SweepFrame, read_value
 from quadexp.report.axes.where import chosen
-from quadexp.sweeps.keys import condition
-from quadexp.sweeps.sweep_table import RESULTS, Row, open_results, read_rows, table_row, write_results
+from quadexp.sweeps.sweep_table import RESULTS, Row, condition, open_results, read_rows, table_row, write_results
 
 WANTED = "wanted"  # beside the columns of a result row: whether the last sweep asked for the cell
 # What a sweep makes of its rows.

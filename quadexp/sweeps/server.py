@@ -26,15 +26,13 @@ PRELOAD = (
     "quadexp.control.mpc.controller", "quadexp.world.simplified",
 )  # fmt: skip
 
-ORPHANS = "quadexp.sweeps.orphans"
-
 
 def start_server(preload: Sequence[str] = PRELOAD) -> None:
     """Start the server, which then imports `preload`; it is not waited for. One that runs already is left as it is.
 
     Its children search for modules where this process does, and use one thread of linear algebra.
     """
-    multiprocessing.get_context("forkserver").set_forkserver_preload(list(dict.fromkeys([ORPHANS, *preload])))
+    multiprocessing.get_context("forkserver").set_forkserver_preload(list(dict.fromkeys(preload)))
     with undisturbed(), same_imports(), one_thread():
         resource_tracker.ensure_running()  # unblocks what it blocked, so it goes first
         # Inherited: the server and its children end with this process, not by the Ctrl-C that reaches the group.

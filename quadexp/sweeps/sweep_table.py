@@ -38,6 +38,11 @@ OPTIONAL = ("speed", "reference_residual", "outside_data")  # numbers that not e
 Row = dict[str, Any]
 
 
+def condition(record: Mapping[str, Any]) -> dict[str, Any]:
+    """The part of a flight's record that was asked for: without the places where a checkpoint was looked for."""
+    return {**record, "controller": {k: v for k, v in record["controller"].items() if k != "models"}}
+
+
 def open_results(out: str | Path) -> CellStore:
     """The cells of a folder of results; raises UsageError where there are none."""
     store = CellStore(out)

@@ -1,21 +1,57 @@
-"""One call that tunes a controller and writes what was found: what `quadexp tune` does."""
+"""One call that tunes a controller and writes what was found: the option, the history as Parquet, and its figure."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+import quadexp
 from quadexp.config.compose import session
+from quadexp.config.schema import controller_name
+from quadexp.errors import UsageError
+from quadexp.experiment.evaluate import evaluate_cell
+from quadexp.log.store import write_table
+from quadexp.provenance import libraries, provenance, sources
+from quadexp.report.metrics import SHOWN
+from quadexp.report.text import number
 from quadexp.sweeps.cluster.engines import opened
-from quadexp.sweeps.plan import plan_cells
-from quadexp.tune.result import Tuned, clear, trials_of
-from quadexp.tune.result import tune as search
-from quadexp.tune.search import SEEDS, Request, cells_of, with_seeds
-from quadexp.tune.space import read_axes
+from quadexp.sweeps.engine import CellFunction
+from quadexp.tune.preset import check_name, options_of, write_preset
+from quadexp.tune.search import JOURNAL, SEEDS, Request, Search, Trial, best_of, cells_of, with_seeds
+from quadexp.tune.space import Axis, overrides, read_axes, settings_of
+
+HISTORY = "history.parquet"
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """trials: all, the first one as it was. best: place of the best. choice: overrides that choose what was found.
+    option: its file. record: for --json. lines: what is printed. axes: what was varied."""
+
+    trials: Sequence[Trial]
+    best: int
+    choice: str
+    option: Path
+    record: Mapping[str, Any]
+    lines: Sequence[str]
+    axes: Sequence[Axis] = ()
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row a trial: its error (m), lost flights and settings, and whether it is the best."""
+        return [
+            {"trial": i, "error": trial.worth.error, "lost": trial.worth.lost, "best": i == self.best}
+            | {axis.name: number for axis, number in zip(self.axes, trial.numbers, strict=True)}
+            for i, trial in enumerate(self.trials)
+        ]
 
 
 def tune(
-    overrides: Sequence[str] = (),
+    given: Sequence[str] = (),
     *,
     vary: Sequence[str] = (),
     flights: int = 200,
@@ -28,26 +64,120 @@ def tune(
     out: Path | None = None,
     conf: Path | None = None,
     force: bool = False,
+    function: CellFunction = evaluate_cell,
+    isolate: bool = True,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Tuned:
     """Search settings of a controller with a budget of flights, write the option that was found, and return it.
 
-    overrides: of the cells of a trial, several values as in a sweep. vary: KEY=LOW..HIGH of each setting; those of
-    conf/tune by default. flights: budget. seeds: of a trial, where overrides give none. delay_margin: least one (s),
-    for an MPC. seed: of the search. batch: trials drawn together. name: of the option. figure: whether to draw the
-    search. out: a folder, tuned/CONTROLLER by default. conf: a configuration folder of your own. force: begin anew.
+    given: overrides of the cells of a trial, several values as in a sweep. vary: KEY=LOW..HIGH of each setting; its
+    default space otherwise. flights: budget. seeds: of a trial, where none are given. delay_margin: least one (s), for
+    an MPC. seed: of the search. batch: trials drawn together. name: of the option. figure: whether to draw the search.
+    out: a folder, tuned/CONTROLLER by default. conf: a configuration folder of your own. force: begin anew; the flights
+    are kept, for they are named by what they are. function: flies a cell. isolate: False flies in this process.
     progress: numbers of flights done and of all.
-    Raises UsageError before anything is flown.
+    Raises UsageError before anything is flown; see also Search.run.
     """
     with session(conf) as composer:
-        given = with_seeds(overrides, seeds)
-        cells = plan_cells(cells_of(composer, given))
-        first = next(iter(cells.values())).cell.config
-        trials_of(flights, len(cells))
+        given = with_seeds(given, seeds)
+        cells = cells_of(composer, given)
+        first = cells[0].config
         axes = tuple(read_axes(vary, first, conf))
         request = Request(tuple(given), axes, first.evaluate.metric, delay_margin, seed, batch)
         out = out or Path("tuned") / first.controller.name
-        if force:
-            clear(out)
         with opened(first, len(cells)) as engine:
-            return search(composer, request, out, flights, name=name, figure=figure, engine=engine, progress=progress)
+            search = Search(composer, request, out, engine=engine, function=function, isolate=isolate)
+            each = search.flights
+            if flights < 2 * each:
+                raise UsageError(
+                    f"--flights {flights}: a trial takes {each} flights, so {2 * each} are needed at least"
+                )
+            options = options_of(given, first)
+            check_name(options, name)
+            for file in (JOURNAL, f"{JOURNAL}.lock") if force else ():
+                (out / file).unlink(missing_ok=True)
+            trials = search.run(flights // each, progress)
+        best = best_of(trials)
+        history = _write_history(out, request, search, trials)
+        found = composer.expand([*given, *overrides(axes, trials[best].numbers)], check=False).sound()[0].config
+        about = _about(request, search, trials, best)
+        choice, option = write_preset(out, composer, options, found, about, name)
+    if figure:
+        from quadexp.tune.figure import draw_history
+
+        draw_history(trials, request, each, out / "history")
+    before, after = (settings_of(axes, trial.numbers) for trial in (trials[0], trials[best]))
+    settings = {key: (before[key], after[key]) for key in before}
+    record = {"out": out, **about, "choice": choice, "option": option, "settings": settings, "history": history}
+    lines = _lines(request, search, trials, best)
+    width = max(map(len, settings))
+    lines += [f"  {key:<{width}}  {_short(old)} -> {_short(new)}" for key, (old, new) in settings.items()]
+    return Tuned(trials, best, choice, option, record, [*lines, str(option)], axes)
+
+
+def _short(value: Any) -> str:
+    return f"[{', '.join(f'{x:.4g}' for x in value)}]" if isinstance(value, list) else f"{value:.4g}"
+
+
+def _lines(request: Request, search: Search, trials: Sequence[Trial], best: int) -> list[str]:
+    spent = len(trials) * search.flights
+    title = f"{controller_name(search.config)}: {len(trials)} trials of {search.flights} flights, {spent} in all"
+
+    def line(what: str, trial: Trial) -> str:
+        factor, unit = SHOWN[request.metric]
+        margin = f", delay margin {1e3 * trial.worth.margin:.0f} ms" if np.isfinite(trial.worth.margin) else ""
+        error = number(factor * trial.worth.error)
+        return f"  {what}  {error} {unit}, {trial.worth.lost} of {search.flights} flights lost{margin}"
+
+    lines = [title, line("before", trials[0]), line("tuned ", trials[best])]
+    if best == 0:
+        lines.append("  nothing better was found: the settings stay as they were")
+    return lines
+
+
+def _write_history(out: Path, request: Request, search: Search, trials: Sequence[Trial]) -> Path:
+    values = [trial.worth.value for trial in trials]
+    columns: dict[str, Any] = {
+        "trial": np.arange(len(trials)),
+        "flights": search.flights * np.arange(1, len(trials) + 1),
+        "value": np.array(values),
+        "best": np.minimum.accumulate(values),
+        "error": np.array([trial.worth.error for trial in trials]),
+        "lost": np.array([trial.worth.lost for trial in trials]),
+        "margin": np.array([trial.worth.margin for trial in trials]),
+    }
+    for i, axis in enumerate(request.axes):
+        columns[axis.name] = np.array([float(trial.numbers[i]) for trial in trials])
+    record = {"request": request.record(), "cells": list(request.given), "provenance": provenance()}
+    return write_table(out / HISTORY, columns, record, "tuning")
+
+
+def fingerprint(trials: Sequence[Sequence[float]]) -> str:
+    """Hash of the numbers and the value of every trial, 20 hex digits: what a history holds, and an option names."""
+    return hashlib.sha256(np.array(trials, float).tobytes()).hexdigest()[:20]
+
+
+def _about(
+    request: Request,
+    search: Search,
+    trials: Sequence[Trial],
+    best: int,
+) -> dict[str, Any]:
+    """The provenance of an option. Nothing in it depends on time or machine."""
+    first, last = trials[0].worth, trials[best].worth
+    return {
+        "cells": [text for text in request.given if not text.startswith(("engine", "evaluate."))],
+        "space": [axis.text() for axis in request.axes],
+        "budget": f"{len(trials) * search.flights} flights: {len(trials)} trials of {search.flights}",
+        "flights": len(trials) * search.flights,
+        "metric": request.metric,
+        **({"least delay margin": request.least_margin} if request.least_margin else {}),
+        "seeds": search.seeds,
+        **({"model": search.models} if search.models else {}),
+        "search": f"Optuna TPE, seed {request.seed}, batch {request.batch}",
+        "before": f"{first.error:.6g} m, {first.lost} lost",
+        "tuned": f"{last.error:.6g} m, {last.lost} lost, trial {best}",
+        "program": f"quadexp {quadexp.__version__}, sources {sources()}",
+        "libraries": libraries(),
+        "trials": fingerprint([[*trial.numbers, trial.worth.value] for trial in trials]),
+    }

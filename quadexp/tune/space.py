@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_args
 
@@ -97,17 +98,17 @@ def read_axes(texts: Sequence[str], config: Config, extra: Path | None = None) -
 
 
 def default_space(config: Config, extra: Path | None = None) -> list[str]:
-    """The axes of the files tune/NAME.yaml, by name or kind of the controller, and by name of each remedy. A range that
-    does not contain the present value is left out: a decade up and down of it is taken."""
+    """The axes of spaces.yaml, or of the user's tune/NAME.yaml, by name or kind of the controller, and by name of each
+    remedy. A range that does not contain the present value is left out: a decade up and down is taken."""
     found: list[str] = []
     nodes: dict[str, Any] = {"controller": config.controller, **remedies(config)}
     for group, node in nodes.items():
         names = list(dict.fromkeys([node.name, node.former_kind or node.name]))
-        space = _space_file(names, extra)
+        space = _space(names, extra)
         if space is None and group == "controller":
             raise UsageError(
-                f"{node.name}: no default space to tune it in (conf/{SPACES}/{names[-1]}.yaml): give"
-                " --vary KEY=LOW..HIGH, or such a file in your --conf folder"
+                f"{node.name}: no default space to tune it in: give --vary KEY=LOW..HIGH, or a file"
+                f" {SPACES}/{names[-1]}.yaml in your --conf folder"
             )
         for key, rule in (space or {}).items():
             name = f"{group}.{key}"
@@ -122,9 +123,10 @@ def _contains(name: str, rule: str, config: Config) -> bool:
     return low <= start <= high
 
 
-def _space_file(names: Sequence[str], extra: Path | None) -> Mapping[str, Any] | None:
+def _space(names: Sequence[str], extra: Path | None) -> Mapping[str, Any] | None:
     import yaml
 
+    shipped = yaml.safe_load((files("quadexp.tune") / "spaces.yaml").read_text(encoding="utf-8"))
     for name in names:
         for folder in reversed(folders(extra)):
             path = folder / SPACES / f"{name}.yaml"
@@ -137,6 +139,8 @@ def _space_file(names: Sequence[str], extra: Path | None) -> Mapping[str, Any] |
             if not isinstance(content, dict):
                 raise UsageError(f"{path}: must be a mapping {{key: LOW..HIGH}}")
             return content
+        if name in shipped:
+            return dict(shipped[name])
     return None
 
 

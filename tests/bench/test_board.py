@@ -16,8 +16,8 @@ from quadexp.bench.board import (
     read_board,
     update_markdown,
     write_board,
+    write_page,
 )
-from quadexp.bench.page import write_page
 from quadexp.bench.protocol import read_protocol
 from quadexp.errors import UsageError
 from quadexp.log.store import write_table

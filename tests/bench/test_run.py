@@ -43,9 +43,8 @@ class Counted:
 
 def run(out, controllers, conf=None, **options):
     function = Counted()
-    with session(conf) as composer:
-        chosen = {"size": "quick", "only": True, "extra": conf, "isolate": False, **options}
-        made = bench.run_bench(composer, out, controllers=controllers, function=function, **chosen)
+    chosen = {"only": True, "conf": conf, "isolate": False, **options}
+    made = bench.bench(out=out, controllers=controllers, function=function, **chosen)
     return made, function.flown
 
 

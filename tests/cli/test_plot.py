@@ -223,7 +223,7 @@ class TestHydra:
         ("given", "said"),
         [
             ("hydra.sweep.dir=x", "'hydra.sweep.dir=x': not a key of this program; --out names the folder of a sweep"),
-            ("hydra/launcher=joblib", "engine=local, dask or slurm says where a sweep is flown"),
+            ("hydra/launcher=joblib", "engine=local, dask or jobs says where a sweep is flown"),
             ("hydra.launcher.n_jobs=4", "evaluate.workers on how many processes"),
             ("hydra/sweeper=optuna", "evaluate --sweep flies every combination"),
             ("trajectory.speed=interval(4,8)", "not a list of values; use commas, range, choice or glob"),

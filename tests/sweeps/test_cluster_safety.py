@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import socket
-import stat
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import pytest
@@ -99,34 +96,50 @@ def answers_http(host, port):
             return False
 
 
-@pytest.mark.parametrize("tls", [None, "engine.tls=false"])
-def test_who_runs_code_on_a_cluster_of_this_machine(tls, tmp_path, capfd):
-    """Without a word: certificates. Only where going without is asked for by name does the attack do anything, which
-    also shows that it is one."""
-    mark = tmp_path / "mark"
-    (tmp_path / "intruder.py").write_text(INTRUDER)
+def test_nobody_else_runs_code_on_a_cluster_of_this_machine(tmp_path, capfd):
+    """The attack that does something to a scheduler without certificates (the next test) does nothing here."""
     addresses, ports, said = set(), [], []
 
     def intrude(done, total):
-        if done != 2:
-            return
-        addresses.update(listening())
-        ports.extend(str(port) for host, port in addresses if not answers_http(host, port))  # a web page runs nothing
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        command = [sys.executable, str(tmp_path / "intruder.py"), str(mark), *ports]
-        said.append(subprocess.run(command, env=environment, capture_output=True, text=True, timeout=900, cwd=tmp_path))
+        if done == 2:
+            addresses.update(listening())
+            ports.extend(str(port) for host, port in addresses if not answers_http(host, port))  # a page runs nothing
+            said.append(intrusion(tmp_path, ports))
 
-    engine = build_engine(compose(["engine=dask", "evaluate.workers=1", *([tls] if tls else [])]))
+    engine = build_engine(compose(["engine=dask", "evaluate.workers=1"]))
     result = run_sweep(expand([GRID]), tmp_path / "r", function=cells.slow_cell, engine=engine, progress=intrude)
     assert result.flown == 12 and not result.not_flown
     assert len(ports) >= 3, "scheduler, nanny, worker"
     assert {host for host, _ in addresses} == {"127.0.0.1"}, "the dashboard too listens on the loopback only"
-    intruder = os.getuid() or NOBODY
-    assert said[0].stdout.splitlines()[-1:] == [f"tried {len(ports)} as {intruder}"], said[0].stderr
-    open_to_all = tls == "engine.tls=false"
-    assert mark.exists() == open_to_all, f"code of another user was run as {mark.read_text()}" if mark.exists() else ""
+    assert said == [[f"tried {len(ports)} as {os.getuid() or NOBODY}"]]
+    mark = tmp_path / "mark"
+    assert not mark.exists(), f"code of another user was run as {mark.read_text()}"
+    assert "warning: " not in capfd.readouterr().err
+
+
+def test_an_address_without_certificates_is_warned_of_and_everybody_runs_code_there(tmp_path, capfd):
+    cluster, said = Cluster(tmp_path / "cluster", workers=1), []
+    engine = build_engine(compose(["engine=dask", f"engine.address={cluster.address}"]))
+    port = cluster.address.rpartition(":")[2]
+    try:
+        run_sweep(
+            expand(["seed=range(4)"]), tmp_path / "r", function=cells.slow_cell, engine=engine,
+            progress=lambda done, total: said.append(intrusion(tmp_path, [port])) if done == 1 else None,
+        )  # fmt: skip
+    finally:
+        cluster.stop()
+    assert said == [[f"tried 1 as {os.getuid() or NOBODY}"]] and (tmp_path / "mark").exists()
     warnings = [line for line in capfd.readouterr().err.splitlines() if line.startswith("warning: ")]
-    assert len(warnings) == open_to_all and all("engine.tls=false" in line for line in warnings)
+    assert len(warnings) == 1 and cluster.address in warnings[0]
+
+
+def intrusion(folder, ports):
+    """The last line of an intruder that tries these ports, and writes to `mark` where its code is run."""
+    (folder / "intruder.py").write_text(INTRUDER)
+    command = [sys.executable, str(folder / "intruder.py"), str(folder / "mark"), *ports]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=900, cwd=folder)
+    return done.stdout.splitlines()[-1:] or [done.stderr]
 
 
 @pytest.fixture
@@ -169,12 +182,11 @@ def test_a_scheduler_that_runs_already(certificate, tmp_path):
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        (["engine.address=tcp://127.0.0.1:1"], "is not encrypted; give a tls:// address .* or engine.tls=false"),
-        (["engine.address=head:8786"], "is not encrypted"),
+        (["engine.address=head:8786"], "must begin with tls://, or with tcp:// if not encrypted"),
         (["engine.address=tls://127.0.0.1:1"], "needs engine.tls_ca, engine.tls_cert and engine.tls_key"),
-        (["engine.address=tls://127.0.0.1:1", "engine.tls=false"], "contradicts engine.tls=false"),
-        (["engine.tls=false", "engine.tls_ca=a", "engine.tls_cert=b", "engine.tls_key=c"], "contradicts the certif"),
-        (["engine.tls_ca=a"], "give all three"),
+        (["engine.address=tls://127.0.0.1:1", "engine.tls_ca=a"], "needs engine.tls_ca, engine.tls_cert"),
+        (["engine.address=tcp://127.0.0.1:1", "engine.tls_ca=a"], "engine.tls_ca: is of a scheduler at .*tls://"),
+        (["engine.tls_key=a"], "engine.tls_key: is of a scheduler at engine.address=tls://"),
     ],
 )
 def test_a_request_without_a_clear_answer(given, says):
@@ -185,109 +197,15 @@ def test_a_request_without_a_clear_answer(given, says):
 
 def test_a_key_that_others_may_read(certificate, tmp_path):
     certificate["tls_key"].chmod(0o640)
-    engine = build_engine(compose(["engine=dask", *overrides(certificate)]))
+    engine = build_engine(compose(["engine=dask", "engine.address=tls://127.0.0.1:1", *overrides(certificate)]))
     with pytest.raises(UsageError, match=r"key.pem: others may read or change it: chmod go="):
         run_sweep(expand([GRID]), tmp_path / "r", function=cells.quick_cell, engine=engine)
 
 
-@pytest.mark.parametrize("shared", [None, "open"])
-def test_slurm_needs_a_folder_for_certificates_that_nobody_else_writes_to(shared, tmp_path):
-    folder = tmp_path / "open"
-    folder.mkdir()
-    folder.chmod(0o1777)
-    given = [f"engine.shared={folder}"] if shared else []
-    engine = build_engine(compose(["engine=slurm", *given]))
-    with pytest.raises(UsageError, match="others may write there" if shared else "engine.shared=FOLDER"):
-        run_sweep(expand([GRID]), tmp_path / "r", function=cells.quick_cell, engine=engine)
-
-
-@pytest.mark.parametrize("engine", ["dask", pytest.param("slurm", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("engine", ["dask", pytest.param("jobs", marks=pytest.mark.slow)])
 def test_without_cryptography_nothing_is_flown(engine, tmp_path):
     """One line and exit code 2, not a cluster without certificates."""
     command = ("evaluate", "--sweep", *FLY[1:], f"engine={engine}", "--out", tmp_path / "r")
     done = apart(*command, before="import sys; sys.modules['cryptography'] = None")
     assert done.returncode == 2 and f"engine={engine} needs cryptography" in one_line(done)
     assert "pip install 'quadexp[cluster]'" in done.stderr and not (tmp_path / "r").exists()
-
-
-class TestHostsOverSSH:
-    """A real SSH connection, to a server of this machine that runs what it is told to."""
-
-    @pytest.fixture
-    def home(self, tmp_path, monkeypatch):
-        """A home whose SSH configuration leads to the server."""
-        asyncssh = pytest.importorskip("asyncssh", reason="the extra `cluster` is not installed")
-        home = tmp_path / "home"
-        (home / ".ssh").mkdir(parents=True, mode=0o700)
-        mine, theirs = (asyncssh.generate_private_key("ssh-ed25519") for _ in range(2))
-        mine.write_private_key(home / ".ssh" / "id_ed25519")
-        mine.write_public_key(home / ".ssh" / "id_ed25519.pub")
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "HOME": str(home), "OMP_NUM_THREADS": "1"}
-
-        async def obey(process):
-            child = await asyncio.create_subprocess_shell(
-                process.command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
-            )
-            try:
-                await process.redirect(stdin=child.stdin, stdout=child.stdout, stderr=child.stderr)
-                ended = {asyncio.ensure_future(child.wait()), asyncio.ensure_future(process.channel.wait_closed())}
-                await asyncio.wait(ended, return_when=asyncio.FIRST_COMPLETED)
-                if child.returncode is not None:
-                    process.exit(child.returncode)
-            finally:
-                if child.returncode is None:
-                    child.terminate()
-                    await child.wait()
-
-        async def serve(ready, done):
-            server = await asyncssh.create_server(
-                asyncssh.SSHServer, "127.0.0.1", 0, server_host_keys=[theirs], process_factory=obey, encoding=None,
-                authorized_client_keys=str(home / ".ssh" / "id_ed25519.pub"),
-            )  # fmt: skip
-            port = server.get_port()
-            (home / ".ssh" / "config").write_text(f"Host *\n  Port {port}\n  IdentityFile {home}/.ssh/id_ed25519\n")
-            public = theirs.export_public_key().decode().strip()
-            (home / ".ssh" / "known_hosts").write_text(f"[127.0.0.1]:{port} {public}\n")
-            ready.set()
-            while not done.is_set():
-                await asyncio.sleep(0.1)
-            server.close()
-            await server.wait_closed()
-
-        ready, done = threading.Event(), threading.Event()
-        thread = threading.Thread(target=lambda: asyncio.run(serve(ready, done)), daemon=True)
-        thread.start()
-        assert ready.wait(30)
-        monkeypatch.setenv("HOME", str(home))
-        yield home
-        done.set()
-        thread.join(30)
-
-    @pytest.mark.slow
-    def test_their_certificate_is_made_handed_out_and_taken_back(self, home, tmp_path):
-        pattern = f"quadexp-{32 * '[0-9a-f]'}"
-        before = set(Path("/tmp").glob(pattern))
-        seen, addresses = [], set()
-
-        def look(done, total):
-            if done == 2:
-                folders = set(Path("/tmp").glob(pattern)) - before
-                seen.extend((path, stat.S_IMODE(path.stat().st_mode)) for path in folders)
-                seen.extend((path, stat.S_IMODE(path.stat().st_mode)) for f in folders for path in f.iterdir())
-                addresses.update((host, answers_http(host, port)) for host, port in listening())
-
-        engine = build_engine(compose(["engine=dask", "engine.hosts=[127.0.0.1]", "evaluate.workers=1"]))
-        away = run_sweep(expand([GRID]), tmp_path / "away", function=cells.slow_cell, engine=engine, progress=look)
-        assert away.flown == 12 and not away.not_flown
-        assert [(path.name.partition("-")[0], mode) for path, mode in seen] == [("quadexp", 0o700), ("tls.pem", 0o600)]
-        assert not any(path.exists() for path, _ in seen), "the key is left behind"
-        same_results(run_sweep(expand([GRID]), tmp_path / "home_r", function=cells.quick_cell, workers=1), away)
-        assert {host for host, answers in addresses if answers} == {"127.0.0.1"}, "web pages beyond the loopback"
-        assert {host for host, _ in addresses} != {"127.0.0.1"}, "the scheduler is to be reached from other hosts"
-
-    def test_a_host_that_cannot_be_reached(self, home, tmp_path):
-        (home / ".ssh" / "known_hosts").write_text("")
-        engine = build_engine(compose(["engine=dask", "engine.hosts=[127.0.0.1]"]))
-        with pytest.raises(QuadexpError, match=r"engine.hosts: 127.0.0.1: .*trusted") as error:
-            run_sweep(expand([GRID]), tmp_path / "r", function=cells.quick_cell, engine=engine)
-        assert "\n" not in str(error.value)

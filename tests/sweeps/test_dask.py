@@ -54,7 +54,7 @@ def on(cluster, **options):
 
 
 def at(address, **options):
-    config = compose(["engine=dask", f"engine.address={address}", "engine.tls=false"]).engine
+    config = compose(["engine=dask", f"engine.address={address}"]).engine
     return DaskEngine(lambda: open_cluster(config, 1), **options)
 
 
@@ -239,7 +239,7 @@ def left_on(cluster):
 
 
 class TestMistakes:
-    @pytest.mark.parametrize("engine", ["dask", "slurm"])
+    @pytest.mark.parametrize("engine", ["dask", "jobs"])
     def test_the_extra_is_missing(self, monkeypatch, engine):
         monkeypatch.setitem(sys.modules, "distributed", None)
         with pytest.raises(UsageError, match=r"needs distributed, .* pip install 'quadexp\[cluster\]'"):
@@ -248,11 +248,11 @@ class TestMistakes:
     @pytest.mark.parametrize(
         ("overrides", "says"),
         [
+            (["engine.address=tcp://127.0.0.1:1"], "engine.address=tcp://127.0.0.1:1 cannot be had"),
             (
-                ["engine.tls=false", "engine.address=tcp://127.0.0.1:1"],
-                "engine.address=tcp://127.0.0.1:1 cannot be had",
+                ["engine.address=tls://127.0.0.1:1", "engine.tls_ca=a", "engine.tls_cert=b", "engine.tls_key=c"],
+                "tls_ca=a: no such file",
             ),
-            (["engine.tls_ca=a", "engine.tls_cert=b", "engine.tls_key=c"], "tls_ca=a: no such file"),
         ],
     )
     def test_one_line_says_what_is_wrong(self, overrides, says, tmp_path, monkeypatch):

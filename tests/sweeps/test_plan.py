@@ -15,7 +15,7 @@ from quadexp.experiment.build import input_hashes
 from quadexp.experiment.checkpoints import find_model
 from quadexp.experiment.identity import FLIGHT_GROUPS
 from quadexp.log.store import read_table, write_table
-from quadexp.sweeps import keys as cell_keys
+from quadexp.sweeps import plan
 from quadexp.sweeps.plan import plan_cells
 from quadexp.sweeps.results import select
 from tests.sweeps.test_sweep import fly, key_of
@@ -26,7 +26,7 @@ OPTIONS = [
     ["vehicle=lei_li", "plant=blade_element", "controller=rls_feedback", "trajectory=rectangle"],
     ["trajectory=random", "plant=ideal", "controller=perfect_mpc"],
     ["trajectory=step", "engine=dask"],
-    ["trajectory=hover", "engine=slurm"],
+    ["trajectory=hover", "engine=jobs"],
     ["truth.mass=1.2", "payload=slung", "wind=dryden", "external=push", "ground=cheeseman_bennett"],
     ["payload=fixed", "wind=file", "wind.path=wind.csv"],
     ["wind=gust", "truth.inertia=[1.1,1,1]"],
@@ -121,13 +121,13 @@ def test_another_content_of_a_wind_file_is_another_cell(tmp_path):
 
 def test_a_new_schema_makes_every_cell_new(monkeypatch):
     before = plan_cells(expand(["seed=0"]))
-    monkeypatch.setattr(cell_keys, "SCHEMA", 99)
+    monkeypatch.setattr(plan, "SCHEMA", 99)
     assert plan_cells(expand(["seed=0"])).keys().isdisjoint(before)
 
 
 @pytest.mark.parametrize(
     "setting",
-    ["engine=dask", "engine=slurm", "evaluate.workers=1", "evaluate.memory=1", "evaluate.metric=rmse", "gp=full"],
+    ["engine=dask", "engine=jobs", "evaluate.workers=1", "evaluate.memory=1", "evaluate.metric=rmse", "gp=full"],
 )
 def test_an_irrelevant_setting_flies_nothing(tmp_path, setting):
     fly(expand(["seed=range(3)"]), tmp_path / "r")

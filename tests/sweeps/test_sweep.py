@@ -18,10 +18,9 @@ from quadexp.errors import UsageError
 from quadexp.experiment.identity import flight_record
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, read_table
-from quadexp.sweeps import keys as cell_keys
+from quadexp.sweeps import plan
 from quadexp.sweeps.engine import LocalEngine
-from quadexp.sweeps.keys import cell_key
-from quadexp.sweeps.plan import flying_order, plan_cells
+from quadexp.sweeps.plan import cell_key, flying_order, plan_cells
 from quadexp.sweeps.results import select
 from quadexp.sweeps.sweep import SweepInterrupted, run_sweep
 from quadexp.sweeps.verify import verify_results
@@ -84,7 +83,7 @@ class TestKeys:
     def test_a_new_schema_makes_every_cell_new(self, monkeypatch):
         config = expand([])[0].config
         before = key_of(config)
-        monkeypatch.setattr(cell_keys, "SCHEMA", 99)
+        monkeypatch.setattr(plan, "SCHEMA", 99)
         assert key_of(config) != before
 
     def test_cells_that_are_one_flight_are_flown_once(self):

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from quadexp import provenance
-from quadexp.config.compose import compose, expand
+from quadexp.config.compose import expand
 from quadexp.config.plugins import own_folders
 from quadexp.errors import QuadexpError
 from quadexp.experiment.evaluate import program_record
@@ -218,24 +218,3 @@ class TestDask:
         (row,) = result.rows
         assert row["outcome"] == "failed"
         assert f"the name parts_of_test is taken by {tmp_path / 'theirs' / 'parts_of_test.py'}" in row["cause"]
-
-    def test_jobs_of_slurm_do_not_import_from_the_folder_they_start_in(self, tmp_path, monkeypatch):
-        """The script that is submitted is run here in such a folder, up to its worker."""
-        pytest.importorskip("dask_jobqueue")
-        from quadexp.sweeps.cluster.engines import build_engine
-
-        programs = tmp_path / "programs"
-        programs.mkdir()
-        script, seen = tmp_path / "script", tmp_path / "seen"
-        (programs / "sbatch").write_text(f"#!/bin/sh\nfor last; do :; done\ncp $last {script}\necho no >&2; exit 1\n")
-        (programs / "python").write_text(f'#!/bin/sh\n{sys.executable} -c "import sys; print(sys.path)" > {seen}\n')
-        for program in programs.iterdir():
-            program.chmod(0o755)
-        monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
-        overrides = ["engine=slurm", f"engine.python={programs / 'python'}", "engine.interface=lo", "engine.tls=false"]
-        engine = build_engine(compose([*overrides, "engine.walltime=00:01:00"]))
-        with pytest.raises(QuadexpError, match="Slurm takes no such job"):
-            run_sweep(expand([*SHORT, "seed=0"]), tmp_path / "r", engine=engine)
-        environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
-        subprocess.run(["bash", str(script)], cwd=tmp_path, env=environment, check=True)
-        assert "''" not in seen.read_text() and str(tmp_path) not in seen.read_text()

@@ -12,6 +12,7 @@ from quadexp.config.schema import REMEDIES
 from quadexp.config.settings import record
 from quadexp.errors import UsageError
 from quadexp.log.store import read_metadata, read_table
+from quadexp.tune.call import fingerprint, tune
 from quadexp.tune.preset import (
     check_name,
     default_name,
@@ -21,22 +22,22 @@ from quadexp.tune.preset import (
     read_provenance,
     write_preset,
 )
-from quadexp.tune.result import fingerprint, tune
-from quadexp.tune.search import FIRST_SEED, Request, with_seeds
-from quadexp.tune.space import read_axes
+from quadexp.tune.search import FIRST_SEED
 from tests.docs.commands import ROOT
 from tests.tune.parts import HOVER, WeightCell
 
-GIVEN = with_seeds([*HOVER, "controller=perfect_mpc", "horizon=precise", "controller.rate=100"])
+GIVEN = [*HOVER, "controller=perfect_mpc", "horizon=precise", "controller.rate=100"]
+WEIGHT = "controller.position_weight=1..1000:log"
 
 
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory):
     out = tmp_path_factory.mktemp("tuned") / "t"
-    with session() as composer:
-        axes = read_axes(["controller.position_weight=1..1000:log"], composer.expand(GIVEN)[0].config)
-        request = Request(tuple(GIVEN), tuple(axes))
-        return out, tune(composer, request, out, 9, function=WeightCell(), isolate=False)
+    return out, weighed(out)
+
+
+def weighed(out):
+    return tune(GIVEN, vary=[WEIGHT], flights=9, out=out, function=WeightCell(), isolate=False)
 
 
 def test_the_option_flies_what_was_found(tuned):
@@ -57,7 +58,7 @@ def test_the_budget_is_counted_in_flights(tuned):
     columns, _ = read_table(out / "history.parquet", "tuning")
     assert columns["flights"].tolist() == [2, 4, 6, 8] and columns["trial"].tolist() == [0, 1, 2, 3]
     assert columns["best"].tolist() == [min(columns["value"][: k + 1]) for k in range(4)]
-    assert read_metadata(out / "history.parquet")["request"]["space"] == ["controller.position_weight=1..1000:log"]
+    assert read_metadata(out / "history.parquet")["request"]["space"] == [WEIGHT]
     assert (out / "history.svg").is_file()
 
 
@@ -83,9 +84,7 @@ def test_where_it_comes_from_stands_in_its_file(tuned):
 def test_the_same_search_writes_the_same_bytes(tuned, tmp_path):
     out = tuned[0]
     shutil.copytree(out, tmp_path / "u", ignore=shutil.ignore_patterns("journal*", "*.yaml"))
-    with session() as composer:
-        axes = read_axes(["controller.position_weight=1..1000:log"], composer.expand(GIVEN)[0].config)
-        tune(composer, Request(tuple(GIVEN), tuple(axes)), tmp_path / "u", 9, function=WeightCell(), isolate=False)
+    weighed(tmp_path / "u")
     option = "controller/perfect_mpc_tuned.yaml"
     assert (out / option).read_bytes() == (tmp_path / "u" / option).read_bytes()
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from quadexp.config.compose import session
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.log.store import read_table
 from quadexp.sweeps.sweep import SweepInterrupted
-from quadexp.tune.result import tune
-from quadexp.tune.search import FIRST_SEED, Request, best_of
-from quadexp.tune.space import read_axes
+from quadexp.tune.call import tune
+from quadexp.tune.search import FIRST_SEED, best_of
 from tests.tune.parts import BEST, HOVER, WeightCell, open_loop, same, search
 
 BOTH = ("controller.position_weight=1..1000:log", "controller.nodes=5..20")
@@ -116,14 +114,18 @@ def test_seeds_are_not_those_of_evaluations(whole):
 def test_a_controller_of_the_users_own_is_tuned_to_what_is_known_to_be_best(tmp_path):
     """Real flights: with 0.2 kg more than the 1 kg that is believed, thrust without feedback must be 1.2 times larger,
     and z is off by (share / 1.2 - 1) g t^2 / 2 otherwise."""
-    with session(open_loop(tmp_path / "mine")) as composer:
-        given = ["controller=open_loop", "plant=ideal", *HOVER, "payload=fixed", "payload.mass=0.2", "seed=7"]
-        axes = read_axes(["controller.options.share=0.8..2"], composer.compose(given))
-        found = tune(composer, Request(tuple(given), tuple(axes)), tmp_path / "t", 20, isolate=False, figure=False)
-        (share,) = found.trials[found.best].numbers
-        assert share == pytest.approx(1.2, abs=0.03)
-        off = sum(abs(1.0 / 1.2 - 1) * 9.81 * (0.02 * k) ** 2 / 2 for k in range(26)) / 26
-        assert found.trials[0].worth.error == pytest.approx(off, rel=1e-6)
+    found = tuned(tmp_path, "payload=fixed", "payload.mass=0.2", flights=20)
+    (share,) = found.trials[found.best].numbers
+    assert share == pytest.approx(1.2, abs=0.03)
+    off = sum(abs(1.0 / 1.2 - 1) * 9.81 * (0.02 * k) ** 2 / 2 for k in range(26)) / 26
+    assert found.trials[0].worth.error == pytest.approx(off, rel=1e-6)
+
+
+def tuned(folder, *more, **options):
+    """A search of the share of that controller."""
+    given = ["controller=open_loop", "plant=ideal", *HOVER, *more, "seed=7"]
+    own = {"vary": ["controller.options.share=0.8..2"], "conf": open_loop(folder / "mine"), "out": folder / "t"}
+    return tune(given, **own, isolate=False, figure=False, **options)
 
 
 def test_a_least_delay_margin_is_kept(tmp_path):
@@ -137,9 +139,5 @@ def test_a_least_delay_margin_is_kept(tmp_path):
 
 
 def test_a_margin_is_asked_of_an_mpc_only(tmp_path):
-    with session(open_loop(tmp_path / "mine")) as composer:
-        given = ["controller=open_loop", "plant=ideal", *HOVER, "seed=7"]
-        axes = read_axes(["controller.options.share=0.8..2"], composer.compose(given))
-        request = Request(tuple(given), tuple(axes), least_margin=0.05)
-        with pytest.raises(UsageError, match="none is known of open_loop, which is no MPC"):
-            tune(composer, request, tmp_path / "t", 4, isolate=False)
+    with pytest.raises(UsageError, match="none is known of open_loop, which is no MPC"):
+        tuned(tmp_path, delay_margin=0.05, flights=4)

@@ -6,13 +6,14 @@ import contextlib
 import importlib
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
-from quadexp.config.engine import ClusterConfig, DaskConfig, SlurmConfig
+from quadexp.config.engine import DaskConfig, JobsConfig
 from quadexp.config.schema import Config
 from quadexp.errors import UsageError
 from quadexp.sweeps.engine import Engine, LocalEngine, Workers, default_workers
 
-EXTRA = "pip install 'quadexp[cluster]'"
+NEEDED = {"dask": ("distributed", "cryptography"), "jobs": ("distributed", "cryptography", "dask_jobqueue")}
 
 
 def build_engine(config: Config, processes: Workers | None = None) -> Engine:
@@ -21,20 +22,16 @@ def build_engine(config: Config, processes: Workers | None = None) -> Engine:
     processes: of this machine, in which it may fly; None for some of its own.
     Raises UsageError where a package that it needs is not installed.
     """
-    settings = config.evaluate
+    settings, engine = config.evaluate, config.engine
     memory = settings.memory or None
-    engine = config.engine
-    if not isinstance(engine, ClusterConfig):
+    if not isinstance(engine, DaskConfig | JobsConfig):
         return LocalEngine(settings.workers, settings.timeout, memory, processes)
-    needed = ["distributed"]
-    needed += ["cryptography"] if engine.tls else []
-    needed += ["dask_jobqueue"] if isinstance(engine, SlurmConfig) else []
-    needed += ["asyncssh"] if isinstance(engine, DaskConfig) and engine.hosts else []
-    for name in needed:
+    for name in NEEDED[engine.kind]:
         try:
             importlib.import_module(name)
         except ImportError:
-            raise UsageError(f"engine={engine.name} needs {name}, which is not (wholly) installed: {EXTRA}") from None
+            extra = "pip install 'quadexp[cluster]'"
+            raise UsageError(f"engine={engine.name} needs {name}, which is not (wholly) installed: {extra}") from None
     from quadexp.sweeps.cluster.driver import DaskEngine
     from quadexp.sweeps.cluster.start import open_cluster
 
@@ -43,25 +40,14 @@ def build_engine(config: Config, processes: Workers | None = None) -> Engine:
 
 
 @contextlib.contextmanager
-def open_engine(config: Config, processes: Workers | None = None) -> Iterator[Engine]:
-    """The same engine for several rounds of flights: its cluster is opened once, and ends with the context."""
-    engine = build_engine(config, processes)
-    if isinstance(engine, LocalEngine):
-        yield engine
-        return
-    from quadexp.sweeps.cluster.driver import DaskEngine
-
-    assert isinstance(engine, DaskEngine)
-    with engine.open() as client:
-        yield replace(engine, open=lambda: contextlib.nullcontext(client))
-
-
-@contextlib.contextmanager
 def opened(config: Config, calls: int) -> Iterator[Engine]:
-    """The engine with processes of its own on this machine, which end with the context. calls: flights at least."""
+    """The engine for several rounds of flights: its processes, or its cluster, are started once and end with the
+    context. calls: flights at least."""
     settings = config.evaluate
-    with (
-        Workers(settings.workers, settings.memory or None, calls=calls) as processes,
-        open_engine(config, processes) as engine,
-    ):
-        yield engine
+    with Workers(settings.workers, settings.memory or None, calls=calls) as processes:
+        engine: Any = build_engine(config, processes)
+        if isinstance(engine, LocalEngine):
+            yield engine
+            return
+        with engine.open() as client:
+            yield replace(engine, open=lambda: contextlib.nullcontext(client))

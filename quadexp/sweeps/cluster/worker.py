@@ -6,9 +6,7 @@ import multiprocessing
 import os
 import shutil
 import tempfile
-import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import CancelledError, Future, wait
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +17,7 @@ from quadexp.errors import QuadexpError
 from quadexp.experiment.build import source_hashes
 from quadexp.experiment.inputs import use_copies
 from quadexp.provenance import identity
-from quadexp.sweeps.child import GONE, cause, start_pool, stop_pool
-from quadexp.sweeps.engine import ATTEMPTS, CHECKED, CellFailed, Task
-from quadexp.sweeps.server import PRELOAD
+from quadexp.sweeps.engine import CellFailed, Task, Workers
 
 FOLDER = "quadexp-"  # prefix of the names of a worker's temporary folders
 
@@ -47,63 +43,22 @@ class CellRunner(WorkerPlugin):
                 "this worker may not have children: start it with DASK_DISTRIBUTED__WORKER__DAEMON=False in its"
                 " environment, or with --no-nanny"
             )
-        self._workers = worker.state.nthreads
+        threads = worker.state.nthreads
         self._folder = tempfile.mkdtemp(prefix=FOLDER, dir=worker.local_directory)
-        self._pool: Any = None
-        self._lock = threading.Lock()  # of the three below
-        self._flying: set[Future[Any]] = set()
-        self._ended = False
+        self._processes = Workers(threads, self._memory, calls=threads, folders=self._folders)
 
     def teardown(self, worker: Any) -> None:
-        """End the cells that still fly: of a sweep whose driver was killed. Their threads must not wait for ever, and
-        a stopped pool leaves its futures pending."""
-        with self._lock:
-            self._ended = True
-            self._stop()
+        """End the cells that still fly: of a sweep whose driver was killed. Their threads must not wait for ever."""
+        self._processes.end()
         shutil.rmtree(self._folder, ignore_errors=True)
-
-    def _check(self) -> None:
-        """As Workers of sweeps.engine."""
-        if self._pool is not None and not self._pool.active:
-            self._stop()
-
-    def _stop(self) -> None:
-        pool, self._pool = self._pool, None
-        if pool is not None:
-            stop_pool(pool, self._flying)
 
     def fly(self, function: Callable[..., Any], task: Task, copies: Mapping[str, str], parts: Mapping[str, str]) -> Any:
         """(row, content of the cell's file), or CellFailed."""
         arguments = (function, task.config, task.model, task.key, self._folder, copies, parts)
-        for attempt in range(ATTEMPTS):
-            try:
-                return self._result(function, arguments)
-            except GONE as error:
-                if attempt == ATTEMPTS - 1:
-                    return CellFailed(cause(error, self._timeout))
-            except Exception as error:
-                return CellFailed.of(error, self._timeout)
-        raise AssertionError
-
-    def _result(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-        """Of the call in a child process. Raises CancelledError where the sweep ends before it."""
-        with self._lock:
-            if self._ended:
-                raise CancelledError("the sweep has ended")
-            self._check()
-            if self._pool is None:
-                preload = [*PRELOAD, function.__module__]
-                self._pool = start_pool(self._workers, self._memory, preload, self._folders)
-            future = self._pool.schedule(child_cell, args=arguments, timeout=self._timeout)
-            self._flying.add(future)
         try:
-            while not wait([future], CHECKED).done:
-                with self._lock:
-                    self._check()
-            return future.result()
-        finally:
-            with self._lock:
-                self._flying.discard(future)
+            return self._processes.result(child_cell, *arguments, timeout=self._timeout)
+        except Exception as error:
+            return CellFailed.of(error, self._timeout)
 
 
 class InputFile(WorkerPlugin):
