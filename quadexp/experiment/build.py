@@ -284,27 +284,11 @@ def residual_from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
 
 
 def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
-    from quadexp.air.gaussian_process import gaussian_process_residual
-    from quadexp.air.linear_drag import linear_drag_residual
-    from quadexp.air.neural import neural_residual
-    from quadexp.learn.model import GPModel
-    from quadexp.learn.neural import NeuralModel
-
     checkpoint = load_checkpoint(vehicle, model)
-    if kind == "linear_drag":
-        drag = checkpoint.linear_drag
-        residual = linear_drag_residual(vehicle, drag.drag, drag.intercept, drag.thrust_gain, source=model.path)
-        return replace(residual, ranges=drag.feature_range)
-    if kind == "neural":
-        if not isinstance(checkpoint, NeuralModel):
-            raise UsageError(f"{model.path}: holds no network, {MAKERS[kind]} makes one")
-        return replace(neural_residual(vehicle, checkpoint.network, model.path), ranges=checkpoint.feature_range)
-    if not isinstance(checkpoint, GPModel):
-        raise UsageError(f"{model.path}: holds no Gaussian process, {MAKERS[kind]} makes one")
-    residual = gaussian_process_residual(
-        vehicle, checkpoint.outputs, checkpoint.mean_parameters, model.path, mean_terms=checkpoint.mean_terms
-    )
-    return replace(residual, ranges=checkpoint.feature_range)
+    checkpoint = checkpoint.linear_drag if kind == "linear_drag" else checkpoint
+    if checkpoint.kind != kind:
+        raise UsageError(f"{model.path}: holds {checkpoint.kind}, not {kind}, which {MAKERS[kind]} makes")
+    return replace(checkpoint.residual(vehicle, model.path), ranges=checkpoint.feature_range)
 
 
 def load_checkpoint(vehicle: Vehicle, model: ModelFile) -> Any:

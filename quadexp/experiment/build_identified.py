@@ -59,25 +59,4 @@ def model_residual(vehicle: Vehicle, path: Path, kind: str = "best") -> Any:
 
     Raises UsageError where the checkpoint has none of that kind.
     """
-    from quadexp.air.gaussian_process import gaussian_process_residual
-    from quadexp.air.linear_drag import linear_drag_residual
-    from quadexp.air.terms import term_residual
-    from quadexp.learn.term_mean import TermMean
-
-    model, source = load_identified(path, vehicle), str(path)
-    if hasattr(model, "models"):  # an identified vehicle
-        if kind == "gaussian_process":
-            raise UsageError(
-                f"{path}: an identified vehicle, holds no Gaussian process; it has {', '.join(model.models)}"
-            )
-        mean = TermMean(model.model(None if kind == "best" else kind), vehicle.mass)
-        return term_residual(vehicle, mean.structure, mean.parameters, source)
-    if hasattr(model, "outputs"):
-        if kind not in ("best", "gaussian_process"):
-            raise UsageError(f"{path}: holds a Gaussian process, not '{kind}'")
-        return gaussian_process_residual(
-            vehicle, model.outputs, model.mean_parameters, source, mean_terms=model.mean_terms
-        )
-    if kind not in ("best", "linear"):
-        raise UsageError(f"{path}: holds linear drag, not '{kind}'")
-    return linear_drag_residual(vehicle, model.drag, model.intercept, model.thrust_gain, source=source)
+    return load_identified(path, vehicle).residual(vehicle, str(path), kind)

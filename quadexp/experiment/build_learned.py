@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from quadexp.config.learned import AdaptKeys, OnlineMPCConfig
+from quadexp.config.learned import OnlineMPCConfig
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
 
@@ -25,20 +25,14 @@ def online_mpc(
         raise UsageError(f"controller.adapt.fit_prior: {kind} has no fitted signal variance, a Gaussian process has")
     if adapt.fitc and kind != "gaussian_process":
         raise UsageError(f"controller.adapt.fitc: {kind} has no inducing points, a Gaussian process has")
-    adapting = adapting_terms(vehicle, adapt.deviation) if last is None else _adapting(kind, adapt, vehicle, *last)
+    if last is None:
+        adapting = adapting_terms(vehicle, adapt.deviation)
+    else:
+        residual, checkpoint = last
+        adapting = checkpoint.adapting(vehicle, residual, None if adapt.fit_prior else adapt.deviation)
     if adapt.start == "zero":
         adapting = from_zero(adapting)
     period = config.reference_period
     return AdaptingController(
         vehicle, known, adapting, settings, adapt, reference_period=period, backend=config.backend
     )
-
-
-def _adapting(kind: str, adapt: AdaptKeys, vehicle: Vehicle, residual: Any, checkpoint: Any) -> Any:
-    from quadexp.air.adapting import adapting_drag, adapting_network, adapting_process
-
-    if kind == "linear_drag":
-        return adapting_drag(vehicle, residual, adapt.deviation)
-    if kind == "neural":
-        return adapting_network(residual, checkpoint.network, adapt.deviation)
-    return adapting_process(residual, checkpoint.outputs, None if adapt.fit_prior else adapt.deviation)

@@ -81,7 +81,7 @@ def _check_vehicle(data: ResidualDataset, config: Config, path: Path) -> None:
 
 def _fit_gp(data: ResidualDataset, config: Config, progress: ProgressCallback) -> tuple[Any, ...]:
     from quadexp.learn.evaluation import fit_with_report
-    from quadexp.learn.model import GPSettings
+    from quadexp.learn.gaussian_process import GPSettings
 
     settings = part(GPSettings, config.gp, features=asdict(config.gp.features))
     fit = fit_with_report(data, settings, callback=lambda message, done: progress(round(done, 2), 1))
@@ -109,7 +109,7 @@ def _fit_gp(data: ResidualDataset, config: Config, progress: ProgressCallback) -
 
 
 def _fit_drag(data: ResidualDataset, config: Config) -> tuple[Any, ...]:
-    from quadexp.learn.evaluation import evaluate_drag, split_by_flight
+    from quadexp.learn.evaluation import drag_baseline, evaluate, split_by_flight
     from quadexp.learn.linear_drag import fit_linear_drag
 
     options = {name: getattr(config.drag, name) for name in ("intercept", "thrust", "loss")}
@@ -117,7 +117,7 @@ def _fit_drag(data: ResidualDataset, config: Config) -> tuple[Any, ...]:
     held_out: list[str] = []
     if config.drag.holdout > 0:
         train, test = split_by_flight(data, config.drag.holdout, config.drag.seed)
-        rows = evaluate_drag(train, test, **options)
+        rows = evaluate(drag_baseline(train, **options), train, test)
         held_out = sorted(set(map(str, test.columns["flight_name"])))
     model = fit_linear_drag(data, **options)
     report: dict[str, Any] = {
@@ -137,15 +137,14 @@ def _fit_drag(data: ResidualDataset, config: Config) -> tuple[Any, ...]:
 def _rest(data: ResidualDataset, after: Path, config: Config) -> ResidualDataset:
     """The data without what a checkpoint predicts of them."""
     from quadexp.learn.checkpoint import load_model
-    from quadexp.learn.explained_part import without
+    from quadexp.learn.evaluation import without
 
     return without(data, load_model(after, vehicle=build_vehicle(config.vehicle)), str(after))
 
 
 def _fit_nn(data: ResidualDataset, config: Config, progress: ProgressCallback) -> tuple[Any, ...]:
-    from quadexp.learn.evaluation import evaluate_network, split_by_flight
-    from quadexp.learn.neural import NNSettings
-    from quadexp.learn.nn_fit import fit_network
+    from quadexp.learn.evaluation import evaluate, split_by_flight
+    from quadexp.learn.neural import NNSettings, fit_network
 
     settings = part(NNSettings, config.nn)
     refit, rows, held_out = settings.holdout == 0 or settings.refit, [], []
@@ -158,7 +157,7 @@ def _fit_nn(data: ResidualDataset, config: Config, progress: ProgressCallback) -
     if settings.holdout > 0:
         train, test = split_by_flight(data, settings.holdout, settings.seed)
         model = fit_network(train, settings, callback=follow(0))
-        rows = evaluate_network(model, train, test)
+        rows = evaluate(model, train, test)
         held_out = sorted(set(map(str, test.columns["flight_name"])))
     if refit:
         model = fit_network(data, settings, callback=follow(parts - 1))

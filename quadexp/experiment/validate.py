@@ -3,27 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace as with_changes
 
 from quadexp.config.schema import Config
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.build_identified import load_identified
 from quadexp.files.writer import check_output, write_text
-from quadexp.learn.gp_fit import fit_gp
-from quadexp.learn.model import GPModel, GPSettings
-from quadexp.learn.neural import NeuralModel, NNSettings
 from quadexp.learn.open_loop import TURNING, Track, rollout_errors
-from quadexp.learn.predictors import NOMINAL, Predictor, nominal, predictors
 from quadexp.learn.recorded import recorded_dataset
 from quadexp.learn.samples import gather
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.learn.torque import TorqueModel, explained, torque_lines
-from quadexp.learn.validation import FlightRows, Residuals, band_rows, read_rows, residuals, score_rows
+from quadexp.learn.validation import (
+    NOMINAL,
+    FlightRows,
+    Predictor,
+    Residuals,
+    band_rows,
+    nominal,
+    predictors,
+    read_rows,
+    residuals,
+    score_rows,
+)
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
 from quadexp.learn.vehicle_model import VehicleModel
 from quadexp.log.schema import Flight
@@ -152,7 +160,7 @@ def _torque_tested(
         if model is not None and id(model) not in tested:
             samples = gather(flights, one.curve.signal, names).delayed(one.curve.delay)
             share = explained(model, samples, vehicle, one.curve)
-            passed = model if share is None else replace(model, share_low=np.minimum(model.share_low, share))
+            passed = model if share is None else with_changes(model, share_low=np.minimum(model.share_low, share))
             tested[id(model)] = passed
             lines += _torque_lines(model, share)
         result.append(one if model is None else replace(one, torque=tested[id(model)]))
@@ -190,25 +198,9 @@ def refitted(
             if curve is None:
                 curve = fit_vehicle_model(list(flights.values()), None, names=list(flights)).thrust
             rows = recorded_dataset(list(flights.values()), vehicle, curve, names=list(flights))
-            if isinstance(model, GPModel):
-                fresh = fit_gp(rows, _stored(GPSettings, model.settings))
-            elif isinstance(model, NeuralModel):
-                from quadexp.learn.nn_fit import fit_network
-
-                fresh = fit_network(rows, _stored(NNSettings, model.settings))
-            else:
-                from quadexp.learn.linear_drag import fit_linear_drag
-                from quadexp.learn.thrust_scale import with_common_scale
-
-                fresh = fit_linear_drag(with_common_scale(rows).dataset, thrust=False, loss=model.loss, intervals=False)
+            fresh = model.refitted(rows)
         made.append((label, fresh))
     return made
-
-
-def _stored(kind: Any, stored: Mapping[str, Any]) -> Any:
-    """Settings of a fit as its checkpoint has them."""
-    names = {f.name for f in fields(kind)}
-    return kind(**{key: value for key, value in stored.items() if key in names})
 
 
 def _settings(model: VehicleModel, flights: int) -> FitSettings:

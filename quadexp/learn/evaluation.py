@@ -14,14 +14,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace as with_changes
 
-from quadexp.errors import DataError
+from quadexp.errors import DataError, UsageError
+from quadexp.learn.base import Model, Prediction
 from quadexp.learn.dataset import ResidualDataset
-from quadexp.learn.gp_fit import Callback, fit_gp
+from quadexp.learn.gaussian_process import Callback, GPModel, GPSettings, fit_gp
 from quadexp.learn.linear_drag import LinearDrag, fit_linear_drag
-from quadexp.learn.model import GPModel, GPSettings
-from quadexp.learn.neural import NeuralModel
-from quadexp.learn.predict import AXIS, predict
 from quadexp.learn.support import feature_ranges, outside_shares
 from quadexp.learn.thrust_scale import has_thrust_scale, with_common_scale
 
@@ -67,7 +66,7 @@ def fit_with_report(
     if refit:
         short = replace(settings, max_iterations=max(settings.max_iterations // 4, 1))
         model = fit_gp(dataset, short, start=held_out_model, callback=_scaled(callback, share, 1.0))
-        model = replace(model, settings=settings.as_dict())
+        model = with_changes(model, settings=settings.as_dict())
     report = {
         "rows": evaluate(held_out_model, train, test),
         "held_out_flights": sorted(set(map(str, test.columns["flight_name"]))),
@@ -115,45 +114,34 @@ def split_by_flight(dataset: ResidualDataset, share: float, seed: int = 0) -> tu
     return dataset.rows(~test), dataset.rows(test)
 
 
-def evaluate(model: GPModel, train: ResidualDataset, test: ResidualDataset) -> list[Row]:
-    """One row per output and predictor (gp, linear_drag, zero) with rmse, nlpd, inside_1, inside_2, n.
+def evaluate(model: Model, train: ResidualDataset, test: ResidualDataset) -> list[Row]:
+    """One row per output and predictor (the model, linear_drag, zero) with rmse, nlpd, inside_1, inside_2, n.
 
     train: rows that the baselines (linear drag, and the standard deviations) are fitted to.
     """
-    baselines = evaluate_drag(train, test)
+    drag = model if isinstance(model, LinearDrag) else drag_baseline(train)
+    baseline = {} if drag is model else drag.predict(test)
     rows = []
-    for output, prediction in predict(model, test).items():
+    for output, found in model.predict(test).items():
         target = test.matrix([output])[:, 0]
-        rows.append({"output": output, "predictor": "gp"} | score(target, prediction.mean, prediction.std))
-        if output in AXIS:
-            rows += [row for row in baselines if row["output"] == output]
-        else:
-            rows.append(_zero(output, train, test))
+        zero = Prediction(np.zeros(len(target)), None, float(np.mean(train.matrix([output]) ** 2)))
+        every = (model.predictor, found), (drag.predictor, baseline.get(output)), ("zero", zero)
+        for name, one in every:
+            if one is not None:
+                rows.append({"output": output, "predictor": name} | score(target, one.mean, one.std))
     return rows
 
 
-def evaluate_network(model: NeuralModel, train: ResidualDataset, test: ResidualDataset) -> list[Row]:
-    """As `evaluate`, of a network fitted to `train`; its standard deviation is that of its error there."""
-    baselines = evaluate_drag(train, test)
-    rows = []
-    for (output, mean), std in zip(model.predict(test).items(), model.residual_std, strict=True):
-        target = test.matrix([output])[:, 0]
-        rows.append({"output": output, "predictor": "nn"} | score(target, mean, np.full(len(target), std)))
-        rows += [row for row in baselines if row["output"] == output] or [_zero(output, train, test)]
-    return rows
+def without(data: ResidualDataset, model: Model, label: str) -> ResidualDataset:
+    """The dataset with the model's predictions subtracted from its outputs; label: of the model, for the record.
 
-
-def evaluate_drag(train: ResidualDataset, test: ResidualDataset, **options: Any) -> list[Row]:
-    """The rows of `evaluate` for linear drag and zero alone; options go to `fit_linear_drag`."""
-    drag = drag_baseline(train, **options)
-    mean = drag.acceleration(test)
-    rows = []
-    for output, axis in AXIS.items():
-        target = test.matrix([output])[:, 0]
-        std = np.full(len(target), drag.residual_std[axis])
-        rows.append({"output": output, "predictor": "linear_drag"} | score(target, mean[:, axis], std))
-        rows.append(_zero(output, train, test))
-    return rows
+    Raises UsageError for an identified vehicle, and for recorded flights, whose thrust scale is fitted with the model.
+    """
+    if has_thrust_scale(data):
+        raise UsageError("--after: only of simulated flights; recorded ones have a thrust scale that is fitted too")
+    found = model.predict(data)
+    columns = {output: data.matrix([output])[:, 0] - one.mean for output, one in found.items()}
+    return ResidualDataset(dict(data.columns) | columns, dict(data.metadata) | {"after": label})
 
 
 def drag_baseline(train: ResidualDataset, **options: Any) -> LinearDrag:
@@ -161,13 +149,6 @@ def drag_baseline(train: ResidualDataset, **options: Any) -> LinearDrag:
     recorded = has_thrust_scale(train)
     rows = with_common_scale(train).dataset if recorded else train
     return fit_linear_drag(rows, **({"thrust": not recorded, "intervals": False} | options))
-
-
-def _zero(output: str, train: ResidualDataset, test: ResidualDataset) -> Row:
-    """Score of the zero predictor, with the root mean square of the train rows as its standard deviation."""
-    target = test.matrix([output])[:, 0]
-    std = np.full(len(target), np.sqrt(np.mean(train.matrix([output]) ** 2)))
-    return {"output": output, "predictor": "zero"} | score(target, np.zeros(len(target)), std)
 
 
 def score(target: np.ndarray, mean: np.ndarray, std: np.ndarray) -> Row:

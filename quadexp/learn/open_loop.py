@@ -23,10 +23,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
-from quadexp.learn.predictors import Predictor
 from quadexp.learn.thrust_scale import tracked_scale
 from quadexp.learn.torque import geometric_acceleration, gyroscopic
-from quadexp.learn.validation import FlightRows
+from quadexp.learn.validation import FlightRows, Predictor
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import GRAVITY, Vehicle

@@ -11,13 +11,13 @@ amplified noise; `target_cost` measures the difference on the user's own flights
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
-from quadexp.learn.checkpoint import arrays_of
+from quadexp.learn.checkpoint import plain
 from quadexp.learn.dataset import THRUST, ResidualDataset, joined, transitions
 from quadexp.learn.linear_drag import fit_linear_drag
 from quadexp.learn.samples import RATES, choose_signal, gather, rotor_columns
@@ -130,19 +130,9 @@ def recorded_dataset(
             "target": target,
             "flights": records,
             "recorded": True,
-            "thrust": curve_record(curve),
+            "thrust": plain(curve),
         },
     )
-
-
-def curve_record(curve: ThrustCurve) -> dict[str, Any]:
-    """A thrust curve as JSON types."""
-    return {key: value.tolist() if hasattr(value, "tolist") else value for key, value in asdict(curve).items()}
-
-
-def curve_from_record(record: dict[str, Any]) -> ThrustCurve:
-    """The inverse of `curve_record`."""
-    return ThrustCurve(**arrays_of(record, ThrustCurve))
 
 
 class TargetCost(NamedTuple):

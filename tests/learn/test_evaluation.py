@@ -8,10 +8,8 @@ from scipy.stats import norm
 
 from quadexp.errors import DataError
 from quadexp.learn.dataset import ResidualDataset
-from quadexp.learn.evaluation import evaluate, evaluate_drag, fit_with_report, score, split_by_flight
-from quadexp.learn.gp_fit import fit_gp
-from quadexp.learn.model import GPSettings
-from quadexp.learn.predict import predict
+from quadexp.learn.evaluation import drag_baseline, evaluate, fit_with_report, score, split_by_flight
+from quadexp.learn.gaussian_process import GPSettings, fit_gp
 from quadexp.report.fit_figures import calibration_figure, curve, fit_figure, moved
 from tests.learn.synthetic import synthetic_dataset
 
@@ -60,8 +58,8 @@ def test_one_flight_is_fitted_without_a_report_only():
 
 def test_drag_alone_is_evaluated_too(dataset):
     train, test = split_by_flight(dataset, 0.25)
-    full = evaluate_drag(train, test)
-    published = evaluate_drag(train, test, intercept=False, thrust=False)
+    full = evaluate(drag_baseline(train), train, test)
+    published = evaluate(drag_baseline(train, intercept=False, thrust=False), train, test)
     assert [row["output"] for row in full] == ["a_x", "a_x", "a_y", "a_y", "a_z", "a_z"]
     assert full[4]["rmse"] < published[4]["rmse"]  # on z the motors' loss needs more than the velocity
 
@@ -83,9 +81,9 @@ def test_a_drawn_curve_is_the_prediction_with_all_else_at_its_median(dataset, me
     middle |= {name: np.median(dataset.matrix(["thrust"])) / 4 for name in names[3:]}
     drawn = curve(model, output, 0, dataset, count=5)
     rows = {name: np.full(5, value) for name, value in middle.items()} | {"v_z": drawn.x, "flight": np.zeros(5, int)}
-    np.testing.assert_allclose(drawn.mean, predict(model, ResidualDataset(rows, {}))["a_z"].mean, rtol=1e-12)
+    np.testing.assert_allclose(drawn.mean, model.predict(ResidualDataset(rows, {}))["a_z"].mean, rtol=1e-12)
     remainder = moved(model, output, 0, dataset)[1]
-    np.testing.assert_array_equal(remainder, dataset.matrix(["a_z"])[:, 0] - predict(model, dataset)["a_z"].mean)
+    np.testing.assert_array_equal(remainder, dataset.matrix(["a_z"])[:, 0] - model.predict(dataset)["a_z"].mean)
     assert np.isfinite(curve(model, output, 0, None).mean).all()  # the page has a checkpoint whose data are gone
 
 

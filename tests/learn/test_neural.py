@@ -13,11 +13,9 @@ from quadexp.air.network import evaluated
 from quadexp.air.neural import neural_residual
 from quadexp.errors import DataError, UsageError
 from quadexp.learn.checkpoint import MODEL_FILE, _hash, load_model, save_model
-from quadexp.learn.evaluation import evaluate_network, split_by_flight
-from quadexp.learn.explained_part import without
+from quadexp.learn.evaluation import evaluate, split_by_flight, without
 from quadexp.learn.linear_drag import fit_linear_drag
-from quadexp.learn.neural import NeuralModel, NNSettings
-from quadexp.learn.nn_fit import fit_network
+from quadexp.learn.neural import NeuralModel, NNSettings, fit_network
 from tests.learn.synthetic import synthetic_dataset
 from tests.learn.test_checkpoint import assert_same_bits
 
@@ -37,7 +35,7 @@ def network(data) -> NeuralModel:
 def test_it_learns_what_linear_drag_cannot():
     """On held-out flights with noise of .05 m/s^2: quadratic drag, and the loss of the motors on z."""
     train, test = split_by_flight(synthetic_dataset(rows=6000), 0.3, 0)
-    rows = evaluate_network(fit_network(train, replace(QUICK, max_iterations=250)), train, test)
+    rows = evaluate(fit_network(train, replace(QUICK, max_iterations=250)), train, test)
     error = {(row["output"], row["predictor"]): row["rmse"] for row in rows}
     for output in ("a_x", "a_y", "a_z"):
         assert error[output, "nn"] < 0.5 * error[output, "linear_drag"]

@@ -7,19 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadexp.air.gaussian_process import gaussian_process_residual
 from quadexp.errors import DataError, UsageError
-from quadexp.learn.checkpoint import load_model, save_model
+from quadexp.learn.checkpoint import load_model, plain, record_of, save_model
 from quadexp.learn.evaluation import fit_with_report
-from quadexp.learn.gp_fit import fit_gp
+from quadexp.learn.gaussian_process import GPSettings, fit_gp
 from quadexp.learn.linear_drag import fit_linear_drag
-from quadexp.learn.model import GPSettings
 from quadexp.learn.open_loop import Track, rollout_errors
-from quadexp.learn.predict import predict
-from quadexp.learn.predictors import nominal, predictors
 from quadexp.learn.recorded import (
-    curve_from_record,
-    curve_record,
     force_rows,
     logged_thrust,
     recorded_dataset,
@@ -27,7 +21,7 @@ from quadexp.learn.recorded import (
 )
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.learn.thrust_scale import tracked_scale, with_common_scale
-from quadexp.learn.validation import read_rows, residuals, rms, score_rows
+from quadexp.learn.validation import nominal, predictors, read_rows, residuals, rms, score_rows
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
 from tests.learn.recorded_flights import CURVE, DRAG, OFFSET, crazyflie, recorded_flight
 
@@ -92,7 +86,7 @@ def test_missing_and_damaged_columns_are_named(flights):
 
 def test_curve_record_is_the_curve(flights):
     curve = fit_vehicle_model(flights, VEHICLE, FitSettings(powers=(1,), kinds=("linear",))).thrust
-    again = curve_from_record(curve_record(curve))
+    again = record_of(plain(curve), ThrustCurve)
     assert np.array_equal(again.rotor_acceleration(flights[0]), curve.rotor_acceleration(flights[0]))
 
 
@@ -134,10 +128,10 @@ def test_predictions_of_a_gp_on_blade_elements_are_those_of_its_residual(tmp_pat
     rows = recorded_dataset(flights[:2], VEHICLE, TRUE_CURVE)
     model = fit_gp(rows, replace(SETTINGS, mean="quadratic"))
     loaded = load_model(save_model(tmp_path / "gp", model))
-    assert np.array_equal(loaded.mean_parameters, model.mean_parameters)
-    residual = gaussian_process_residual(VEHICLE, loaded.outputs, loaded.mean_parameters, mean_terms=loaded.mean_terms)
+    assert np.array_equal(loaded.mean.parameters, model.mean.parameters)
+    residual = loaded.residual(VEHICLE)
     features = rows.matrix(["v_x", "v_y", "v_z", "w_x", "w_y", "w_z", "u_0", "u_1", "u_2", "u_3"])[::50]
-    expected = predict(model, rows)["a_x"].mean[::50]
+    expected = model.predict(rows)["a_x"].mean[::50]
     assert residual(features)[:, 0] == pytest.approx(expected, abs=1e-9)
 
 

@@ -8,7 +8,7 @@ from scipy.stats import ttest_1samp
 
 from quadexp.learn.dataset import ResidualDataset
 from quadexp.learn.evaluation import fit_with_report
-from quadexp.learn.model import GPSettings
+from quadexp.learn.gaussian_process import GPSettings
 from quadexp.learn.verdict import noise_floor, paired_ratio, verdict, verdict_lines
 from tests.learn.synthetic import synthetic_dataset
 

@@ -23,9 +23,8 @@ from quadexp.learn.dataset import read_dataset, residual_dataset, transitions
 from quadexp.learn.linear_drag import fit_linear_drag
 from quadexp.learn.offline import identify_flight
 from quadexp.learn.open_loop import Track, rollout_errors
-from quadexp.learn.predictors import predictors
 from quadexp.learn.samples import gather
-from quadexp.learn.validation import read_rows
+from quadexp.learn.validation import predictors, read_rows
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_flight
