@@ -40,7 +40,7 @@ DECIDING = (
     "experiment/identity.py", "experiment/loop_margins.py", "experiment/outside.py", "experiment/rollout.py",
     "experiment/stability.py",
     "learn/base.py", "learn/checkpoint.py", "learn/dataset.py", "learn/gaussian_process.py", "learn/linear_drag.py",
-    "learn/neural.py", "learn/regression.py", "learn/rls.py", "learn/rls_step.py", "learn/samples.py",
+    "learn/neural.py", "learn/regression.py", "learn/rls.py", "learn/samples.py",
     "learn/support.py", "learn/terms.py", "learn/thrust_curve.py", "learn/thrust_scale.py", "learn/vehicle_model.py",
     "log/outcome.py",
     "report/metrics.py",

@@ -9,23 +9,21 @@ predicting need numpy only.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import fields
 from functools import cache
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, get_type_hints
 
 import msgspec
 import numpy as np
 
 if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
     from quadexp.air.adapting import Adapting
     from quadexp.air.base import Residual
     from quadexp.learn.dataset import ResidualDataset
     from quadexp.physics.vehicle import Vehicle
 
-S = TypeVar("S", bound="DataclassInstance")
+Callback = Callable[[str, float], None]
 AXIS = {"a_x": 0, "a_y": 1, "a_z": 2}  # outputs that are accelerations
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(ge=0)]
@@ -90,7 +88,7 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
 
     vehicle: {name, fingerprint}. dataset: record of the data: hash, rows, flights. settings: of the fit.
     feature_range: of its rows, see quadexp.learn.support. versions: library -> version. linear_drag, of every kind: the
-    baseline, linear drag of the same rows. predictor: its name in tables.
+    baseline, linear drag of the same rows. predictor: its name in tables. Settings: of its fit, a dataclass.
     """
 
     vehicle: dict[str, Any] = {}
@@ -99,6 +97,7 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
     feature_range: dict[str, Annotated[list[float], msgspec.Meta(min_length=2, max_length=2)]] = {}
     versions: dict[str, str] = {}
     predictor: ClassVar[str]
+    Settings: ClassVar[type]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -129,12 +128,35 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
         """The residual with weights that adapt in flight. deviation: of the prior, m/s^2; None: that of the fit."""
         raise NotImplementedError
 
-    def refitted(self, rows: ResidualDataset) -> Model:
-        """A model of the same kind and settings, fitted to other rows."""
+    @classmethod
+    def fit(
+        cls,
+        rows: ResidualDataset,
+        settings: Any,
+        *,
+        start: Any = None,
+        intervals: bool = True,
+        callback: Callback | None = None,
+    ) -> Any:
+        """The model that fits the rows.
+
+        settings: of Settings. start: the same fitted to part of the rows. intervals: False omits those of linear drag.
+        callback: called with a message and the completed share, 0 .. 1. Raises DataError where the rows do not suffice.
+        """
         raise NotImplementedError
 
+    def refitted(self, rows: ResidualDataset) -> Any:
+        """A model of the same kind and settings, fitted to other rows."""
+        names = {f.name for f in fields(self.Settings)}
+        settings = {key: value for key, value in self.settings.items() if key in names}
+        return self.fit(rows, self.Settings(**settings), intervals=False)
 
-def stored(kind: type[S], settings: Mapping[str, Any]) -> S:
-    """Settings of a fit, a dataclass, as its checkpoint has them."""
-    names = {f.name for f in fields(kind)}
-    return kind(**{key: value for key, value in settings.items() if key in names})
+    @property
+    def summary(self) -> str:
+        """What was fitted, for the first line of a report."""
+        raise NotImplementedError
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """What else of the model stands in the report of its fit, JSON-able."""
+        return {}

@@ -10,18 +10,16 @@ error.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
-from msgspec.structs import replace as with_changes
 
 from quadexp.errors import DataError, UsageError
-from quadexp.learn.base import Model, Prediction
+from quadexp.learn.base import Callback, Model, Prediction
 from quadexp.learn.dataset import ResidualDataset
-from quadexp.learn.gaussian_process import Callback, GPModel, GPSettings, fit_gp
 from quadexp.learn.linear_drag import LinearDrag, fit_linear_drag
-from quadexp.learn.support import feature_ranges, outside_shares
+from quadexp.learn.support import outside_shares
 from quadexp.learn.thrust_scale import has_thrust_scale, with_common_scale
 
 Row = dict[str, Any]
@@ -31,8 +29,7 @@ SAMPLE_SPLIT = (
 )
 
 
-@dataclass(frozen=True)
-class Fit:
+class Fit(NamedTuple):
     """A fit and the report on it.
 
     model: the result, fitted to all rows if refitted. held_out_model: fitted without the flights of `test`; the
@@ -40,59 +37,48 @@ class Fit:
     report: JSON-able: rows (one per output and predictor), held_out_flights, refitted.
     """
 
-    model: GPModel
-    held_out_model: GPModel
+    model: Any
+    held_out_model: Any
     train: ResidualDataset
     test: ResidualDataset | None
     report: dict[str, Any]
 
 
 def fit_with_report(
-    dataset: ResidualDataset, settings: GPSettings | None = None, *, callback: Callback | None = None
+    dataset: ResidualDataset, kind: type[Model], settings: Any, *, callback: Callback | None = None
 ) -> Fit:
-    """Fit without the held-out flights, report on these, then refit to all rows from that start (settings.refit).
+    """Fit a model without the held-out flights, report on these, then refit to all rows from there (settings.refit).
 
-    Raises DataError as `fit_gp` does, and where a single flight cannot be split.
+    settings: of `kind.fit`, with holdout, seed and, where there is a choice, refit and split.
+    Raises DataError as `kind.fit` does, and where a single flight cannot be split.
     """
-    settings = settings or GPSettings()
     if settings.holdout == 0:
-        model = fit_gp(dataset, settings, callback=callback)
+        model = kind.fit(dataset, settings, callback=callback)
         return Fit(model, model, dataset, None, {"rows": [], "held_out_flights": [], "refitted": False})
-    train, test = split(dataset, settings)
-    refit = settings.refit and settings.method != "exact"
+    by_sample = getattr(settings, "split", "flight") == "sample"
+    train, test = (split_by_sample if by_sample else split_by_flight)(dataset, settings.holdout, settings.seed)
+    refit = getattr(settings, "refit", True) and getattr(settings, "method", "") != "exact"
     share = 0.8 if refit else 1.0
-    held_out_model = fit_gp(train, settings, callback=_scaled(callback, 0.0, share), drag_intervals=not refit)
-    model = held_out_model
-    if refit:
-        short = replace(settings, max_iterations=max(settings.max_iterations // 4, 1))
-        model = fit_gp(dataset, short, start=held_out_model, callback=_scaled(callback, share, 1.0))
-        model = with_changes(model, settings=settings.as_dict())
+    first = kind.fit(train, settings, callback=_scaled(callback, 0.0, share), intervals=not refit)
+    model = kind.fit(dataset, settings, start=first, callback=_scaled(callback, share, 1.0)) if refit else first
     report = {
-        "rows": evaluate(held_out_model, train, test),
+        "rows": evaluate(first, train, test),
         "held_out_flights": sorted(set(map(str, test.columns["flight_name"]))),
         "refitted": refit,
-        "out_of_range": out_of_range(train, test, held_out_model),
+        "out_of_range": outside_shares(first.feature_range, test),
     }
-    if settings.split == "sample":
-        by_flight = fit_with_report(dataset, replace(settings, split="flight", refit=False))
+    if by_sample:
+        by_flight = fit_with_report(dataset, kind, replace(settings, split="flight", refit=False))
         report |= {"rows_by_flight": by_flight.report["rows"], "misleading": SAMPLE_SPLIT}
-    return Fit(model, held_out_model, train, test, report)
+    return Fit(model, first, train, test, report)
 
 
-def split(dataset: ResidualDataset, settings: GPSettings) -> tuple[ResidualDataset, ResidualDataset]:
-    """Train and test rows by settings.split: whole flights, or rows drawn from all flights."""
-    if settings.split == "flight":
-        return split_by_flight(dataset, settings.holdout, settings.seed)
-    count = int(np.clip(round(settings.holdout * dataset.n_rows), 1, dataset.n_rows - 1))
+def split_by_sample(dataset: ResidualDataset, share: float, seed: int = 0) -> tuple[ResidualDataset, ResidualDataset]:
+    """Train and test rows, drawn from all flights."""
+    count = int(np.clip(round(share * dataset.n_rows), 1, dataset.n_rows - 1))
     test = np.zeros(dataset.n_rows, bool)
-    test[np.random.default_rng(settings.seed).permutation(dataset.n_rows)[:count]] = True
+    test[np.random.default_rng(seed).permutation(dataset.n_rows)[:count]] = True
     return dataset.rows(~test), dataset.rows(test)
-
-
-def out_of_range(train: ResidualDataset, test: ResidualDataset, model: GPModel) -> dict[str, float]:
-    """Share of the test rows outside the range of the train rows; see quadexp.learn.support."""
-    names = [name for output in model.outputs for name in output.features]
-    return outside_shares(feature_ranges(train, names), test)
 
 
 def split_by_flight(dataset: ResidualDataset, share: float, seed: int = 0) -> tuple[ResidualDataset, ResidualDataset]:
@@ -139,7 +125,10 @@ def without(data: ResidualDataset, model: Model, label: str) -> ResidualDataset:
     """
     if has_thrust_scale(data):
         raise UsageError("--after: only of simulated flights; recorded ones have a thrust scale that is fitted too")
-    found = model.predict(data)
+    try:
+        found = model.predict(data)
+    except UsageError as error:
+        raise UsageError(f"{label}: {error}; --after needs a checkpoint of fit-drag, fit-gp or fit-nn") from None
     columns = {output: data.matrix([output])[:, 0] - one.mean for output, one in found.items()}
     return ResidualDataset(dict(data.columns) | columns, dict(data.metadata) | {"after": label})
 

@@ -27,7 +27,7 @@ from msgspec.structs import replace
 
 from quadexp.config.learning import GPKeys
 from quadexp.errors import DataError, UsageError
-from quadexp.learn.base import AXIS, Model, Output, Positive, Prediction, Record, Shape, Share, stored
+from quadexp.learn.base import AXIS, Callback, Model, Output, Positive, Prediction, Record, Shape, Share
 from quadexp.learn.dataset import ResidualDataset
 from quadexp.learn.linear_drag import LinearDrag, constant_mean, fit_linear_drag
 from quadexp.learn.support import feature_ranges
@@ -47,7 +47,6 @@ PILOT_ITERATIONS = 60
 STAGE_ITERATIONS = 150
 LIBRARIES = ("numpy", "scipy", "torch", "gpytorch")
 
-Callback = Callable[[str, float], None]
 RELATIVE_FLOOR = 1e-10  # of the prior variance; below it a further point is redundant
 DEFAULT_FEATURES = {"a_x": ("v_x",), "a_y": ("v_y",), "a_z": ("v_z", "thrust")}
 
@@ -130,6 +129,7 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
     mean: LinearDrag | TermMean | None
     linear_drag: LinearDrag
     predictor = "gp"
+    Settings = GPSettings
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -172,9 +172,16 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
 
         return adapting_process(residual, self.outputs, deviation)
 
-    def refitted(self, rows: ResidualDataset) -> GPModel:
-        """See Model.refitted."""
-        return fit_gp(rows, stored(GPSettings, self.settings))
+    @classmethod
+    def fit(cls, rows: ResidualDataset, settings: GPSettings, **options: Any) -> GPModel:
+        """See Model.fit."""
+        return fit_gp(rows, settings, **options)
+
+    @property
+    def summary(self) -> str:
+        """See Model.summary."""
+        chosen = "; ".join(f"{o.output} <- {', '.join(o.features)}" for o in self.outputs)
+        return f"Gaussian processes {chosen} ({self.settings['inducing']} points, {self.settings['method']})"
 
 
 @dataclass(frozen=True)
@@ -192,16 +199,17 @@ def fit_gp(
     *,
     start: GPModel | None = None,
     callback: Callback | None = None,
-    drag_intervals: bool = True,
+    intervals: bool = True,
 ) -> GPModel:
     """Fit every output named in `settings.features` to all rows (up to settings.max_rows) of the dataset.
 
-    start: model with the same outputs and sizes, whose values replace the first stages. callback: called with a message
-    and the completed share, 0 .. 1. drag_intervals: False omits the intervals of the linear-drag baseline.
+    start: model with the same outputs and sizes, whose values replace the first stages; a quarter of the iterations
+    then do. callback, intervals: see Model.fit.
     Raises DataError where the dataset is empty, lacks a feature or output, has fewer rows than inducing points or more
     than an exact GP can take, or where a feature is constant.
     """
     settings = settings or GPSettings()
+    iterations = settings.max_iterations if start is None else max(settings.max_iterations // 4, 1)
     if not dataset.n_rows:
         raise DataError("dataset: it has no rows")
     rng = np.random.default_rng(settings.seed)
@@ -214,7 +222,7 @@ def fit_gp(
         scaled = with_common_scale(dataset)
         dataset, scale_variance = scaled.dataset, scaled.variance
     thrust = not recorded  # under a thrust curve the thrust term would duplicate the curve's scale
-    drag = fit_linear_drag(dataset, thrust=thrust, intervals=drag_intervals)
+    drag = fit_linear_drag(dataset, thrust=thrust, intervals=intervals)
     mean = _prior_mean(dataset, settings, drag)
     prior = None if mean is None else mean.acceleration(dataset)
     posteriors: list[OutputPosterior] = []
@@ -229,7 +237,7 @@ def fit_gp(
                 if callback is not None:
                     callback(f"fit {output}", (i + done) / len(settings.features))
 
-            fitted = _fit_output(output, features, dataset, target, settings, rng, before, report)
+            fitted = _fit_output(output, features, dataset, target, settings, iterations, rng, before, report)
             if output == "a_z":
                 fitted = replace(fitted, noise_variance=fitted.noise_variance + scale_variance)
             posteriors.append(fitted)
@@ -290,6 +298,7 @@ def _fit_output(
     dataset: ResidualDataset,
     target: np.ndarray,
     settings: GPSettings,
+    iterations: int,
     rng: np.random.Generator,
     start: OutputPosterior | None,
     report: Callable[[float], None],
@@ -326,7 +335,7 @@ def _fit_output(
             sgpr.maximise(part, STAGE_ITERATIONS, lambda k: report(0.15 + 0.25 * k / STAGE_ITERATIONS))
             points, guess = part.inducing_points, part.hyperparameters
         whole = sgpr.GPRegression(x, y, guess, points, settings.jitter)
-        bound = sgpr.maximise(whole, settings.max_iterations, lambda k: report(0.4 + 0.6 * k / settings.max_iterations))
+        bound = sgpr.maximise(whole, iterations, lambda k: report(0.4 + 0.6 * k / iterations))
         points, guess = whole.inducing_points, whole.hyperparameters
         alpha, factor = sgpr.sparse_posterior(x, y, points, guess, settings.jitter)
     else:

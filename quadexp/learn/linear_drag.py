@@ -15,7 +15,7 @@ are 7 to 10 times too small on flights.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import numpy as np
@@ -30,6 +30,7 @@ from quadexp.learn.thrust_scale import with_common_scale
 if TYPE_CHECKING:
     from quadexp.air.adapting import Adapting
     from quadexp.air.base import Residual
+    from quadexp.config.learning import DragConfig
     from quadexp.physics.vehicle import Vehicle
 
 AXES = "xyz"
@@ -101,9 +102,28 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
         assert deviation is not None
         return adapting_drag(vehicle, residual, deviation)
 
+    @classmethod
+    def fit(cls, rows: ResidualDataset, settings: DragConfig, *, intervals: bool = True, **_: Any) -> LinearDrag:
+        """See Model.fit."""
+        return fit_linear_drag(
+            rows, intercept=settings.intercept, thrust=settings.thrust, loss=settings.loss, intervals=intervals
+        )
+
     def refitted(self, rows: ResidualDataset) -> LinearDrag:
-        """See Model.refitted; without intervals, and without the thrust, whose scale the flights have in common."""
+        """See Model.refitted; without the thrust, whose scale the flights have in common."""
         return fit_linear_drag(with_common_scale(rows).dataset, thrust=False, loss=self.loss, intervals=False)
+
+    @property
+    def summary(self) -> str:
+        """See Model.summary."""
+        return f"linear drag {self}"
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """See Model.numbers."""
+        half = [None if np.isnan(value) else float(value) for value in self.half_width[:3]]
+        drag = {"drag": self.drag.tolist(), "error": self.drag_error.tolist(), "half_width_95": half}
+        return {"drag": {**drag, "intervals": self.label}}
 
     @property
     def half_width(self) -> np.ndarray:

@@ -32,7 +32,7 @@ kappa = 2 rho pi r^2/m, which takes the rotor's radius. T is the model's own thr
 
 is fitted by Gauss-Newton with df/dtheta through y (`fit_inflow`). At the minimum f is linearised; its Jacobian gives
 the regressors whose coefficients, intervals and recursion are reported. (Holding y fixed would bias `body`; compare
-gauss_newton in quadexp.learn.rls_step.)
+gauss_newton in quadexp.learn.rls.)
 
 WITHOUT_RADIUS: where the radius is unknown, V_k - V_hover is left out, its mean is absorbed by `climb` and `advance`,
 and hub_climb, -v_i n v_z, replaces the two terms in y. The rotors' own velocities (omega x r_k) cancel from the sums to

@@ -25,9 +25,9 @@ from quadexp.air.network import Network, evaluated
 from quadexp.config.learning import NNKeys
 from quadexp.config.settings import record
 from quadexp.errors import DataError, UsageError
-from quadexp.learn.base import Model, Output, Prediction, Shape, stored
+from quadexp.learn.base import Callback, Model, Output, Prediction, Shape
 from quadexp.learn.dataset import ResidualDataset
-from quadexp.learn.gaussian_process import Callback, one_thread
+from quadexp.learn.gaussian_process import one_thread
 from quadexp.learn.linear_drag import LinearDrag, fit_linear_drag
 from quadexp.learn.support import feature_ranges
 from quadexp.learn.thrust_scale import has_thrust_scale, with_common_scale
@@ -77,6 +77,7 @@ class NeuralModel(Model, frozen=True, tag="neural"):
     lipschitz: float
     linear_drag: LinearDrag
     predictor = "nn"
+    Settings = NNSettings
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -120,9 +121,24 @@ class NeuralModel(Model, frozen=True, tag="neural"):
         assert deviation is not None
         return adapting_network(residual, self.network, deviation)
 
-    def refitted(self, rows: ResidualDataset) -> NeuralModel:
-        """See Model.refitted."""
-        return fit_network(rows, stored(NNSettings, self.settings))
+    @classmethod
+    def fit(cls, rows: ResidualDataset, settings: NNSettings, **options: Any) -> NeuralModel:
+        """See Model.fit; always from the start that the seed gives."""
+        return fit_network(rows, settings, callback=options.get("callback"))
+
+    @property
+    def summary(self) -> str:
+        """See Model.summary."""
+        layers = "-".join(map(str, self.sizes))
+        return (
+            f"neural network {layers}, {', '.join(self.outputs)} <- {', '.join(self.features)}, largest slope"
+            f" of the scaled network at most {self.lipschitz:.3g},"
+        )
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """See Model.numbers."""
+        return {"lipschitz": self.lipschitz}
 
 
 def fit_network(

@@ -134,11 +134,11 @@ class Residuals:
     outside: float | None
 
 
-def residuals(predictor: Predictor, flights: Sequence[FlightRows]) -> Residuals:
-    """One-step residuals of a predictor on flights."""
+def residuals(predicted: Sequence[tuple[Predictor, FlightRows]]) -> Residuals:
+    """One-step residuals of a predictor on flights, each with the predictor as it was fitted for it."""
     parts: list[tuple[np.ndarray, ...]] = []
     blocks, outside, rows = 0, 0, 0
-    for index, one in enumerate(flights):
+    for index, (predictor, one) in enumerate(predicted):
         samples = one.samples
         rotors = predictor.curve.of_signal(samples.signal, samples.voltage)
         collective = rotors.sum(axis=1)
@@ -154,10 +154,10 @@ def residuals(predictor: Predictor, flights: Sequence[FlightRows]) -> Residuals:
         if predictor.ranges:
             features = feature_rows(samples.velocity, one.rate, predictor.mass * rotors)
             outside += round(outside_shares(predictor.ranges, features)["any"] * len(samples))
-        rows += len(samples)
-    share = outside / rows if predictor.ranges else None
+            rows += len(samples)
     error, tracked, scale, flight, block, speed = map(np.concatenate, zip(*parts, strict=True))
-    return Residuals(predictor.name, error, tracked, scale, flight, block, speed, share)
+    share = outside / rows if rows else None
+    return Residuals(predicted[0][0].name, error, tracked, scale, flight, block, speed, share)
 
 
 def score_rows(results: Sequence[Residuals], baseline: str = "nominal") -> list[Row]:

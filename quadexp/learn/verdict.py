@@ -163,7 +163,7 @@ def _trial_errors(
         settings, features={output: features}, method="sgpr", max_rows=TRIAL_ROWS, max_iterations=TRIAL_ITERATIONS,
         inducing=min(settings.inducing, 30),
     )  # fmt: skip
-    return test.matrix([output])[:, 0] - fit_gp(train, few, drag_intervals=False).predict(test)[output].mean
+    return test.matrix([output])[:, 0] - fit_gp(train, few, intervals=False).predict(test)[output].mean
 
 
 def _identified(

@@ -9,7 +9,7 @@ from scipy.stats import norm
 from quadexp.errors import DataError
 from quadexp.learn.dataset import ResidualDataset
 from quadexp.learn.evaluation import drag_baseline, evaluate, fit_with_report, score, split_by_flight
-from quadexp.learn.gaussian_process import GPSettings, fit_gp
+from quadexp.learn.gaussian_process import GPModel, GPSettings, fit_gp
 from quadexp.report.fit_figures import calibration_figure, curve, fit_figure, moved
 from tests.learn.synthetic import synthetic_dataset
 
@@ -36,7 +36,7 @@ def test_split_keeps_flights_whole(dataset):
 
 
 def test_report_is_about_flights_the_model_has_not_seen(dataset, small_trials):
-    fit = fit_with_report(dataset, QUICK)
+    fit = fit_with_report(dataset, GPModel, QUICK)
     rows = {(row["output"], row["predictor"]): row for row in fit.report["rows"]}
     for output in ("a_x", "a_y", "a_z"):
         gp, drag, zero = (rows[output, name] for name in ("gp", "linear_drag", "zero"))
@@ -51,8 +51,8 @@ def test_report_is_about_flights_the_model_has_not_seen(dataset, small_trials):
 def test_one_flight_is_fitted_without_a_report_only():
     one = synthetic_dataset(rows=500, flights=1)
     with pytest.raises(DataError, match="one flight, .*collect more.*gp.holdout=0 for fit-gp"):
-        fit_with_report(one, QUICK)
-    fit = fit_with_report(one, GPSettings(inducing=5, max_iterations=5, holdout=0))
+        fit_with_report(one, GPModel, QUICK)
+    fit = fit_with_report(one, GPModel, GPSettings(inducing=5, max_iterations=5, holdout=0))
     assert fit.test is None and fit.report["rows"] == []
 
 
@@ -89,7 +89,7 @@ def test_a_drawn_curve_is_the_prediction_with_all_else_at_its_median(dataset, me
 
 @pytest.mark.parametrize("mean", ["zero", "quadratic"])
 def test_figures(dataset, tmp_path, mean):
-    fit = fit_with_report(dataset, GPSettings(inducing=10, max_iterations=10, mean=mean))
+    fit = fit_with_report(dataset, GPModel, GPSettings(inducing=10, max_iterations=10, mean=mean))
     figures = {
         "fit": fit_figure(fit.held_out_model, fit.test),
         "calibration": calibration_figure(fit.held_out_model, fit.test),

@@ -44,7 +44,7 @@ def test_open_loop_flies_the_command_of_each_interval(latency):
     track = Track(read_rows(test, "test", one.curve.signal, one.curve.delay), one)
     modes = {"full": vehicle, "torque": vehicle, "attitude": None}
     errors = {
-        mode: rollout_errors(one, [track], [0.5], tracked=False, vehicle=of, mode=mode)[0]["position"]
+        mode: rollout_errors([track], [0.5], tracked=False, vehicle=of, mode=mode)[0]["position"]
         for mode, of in modes.items()
     }
     assert errors["attitude"] < 5e-3 and max(errors.values()) < 0.012

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -70,8 +71,8 @@ def test_the_controller_flies_what_was_fitted(vehicle, data, network):
     residual = neural_residual(vehicle, network.network)
     z = np.hstack([data.matrix([f"{p}_{a}" for p in "vw" for a in "xyz"]), data.matrix([f"u_{i}" for i in range(4)])])
     found = residual(z[:50])
-    for i, (output, mean) in enumerate(network.predict(data).items()):
-        assert np.allclose(found[:, i], mean[:50], rtol=1e-12, atol=1e-12), output
+    for i, (output, prediction) in enumerate(network.predict(data).items()):
+        assert np.allclose(found[:, i], prediction.mean[:50], rtol=1e-12, atol=1e-12), output
 
 
 def test_outputs_are_bounded_outside_the_data(network):
@@ -138,6 +139,6 @@ def test_the_rest_is_what_another_model_leaves(data, network):
     assert np.array_equal(rest.matrix(["tau_x"]), data.matrix(["tau_x"]))
     assert rest.sha256 != data.sha256
     with pytest.raises(UsageError, match="identified vehicle"):
-        without(data, object(), "models/other")
+        without(data, load_model(Path(__file__).parent / "former" / "vehicle_model.json"), "models/other")
     left = without(data, network, "nn").matrix(["a_x"])
     assert np.sqrt(np.mean(left**2)) == pytest.approx(network.residual_std[0])

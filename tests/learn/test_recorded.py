@@ -10,7 +10,7 @@ import pytest
 from quadexp.errors import DataError, UsageError
 from quadexp.learn.checkpoint import load_model, plain, record_of, save_model
 from quadexp.learn.evaluation import fit_with_report
-from quadexp.learn.gaussian_process import GPSettings, fit_gp
+from quadexp.learn.gaussian_process import GPModel, GPSettings, fit_gp
 from quadexp.learn.linear_drag import fit_linear_drag
 from quadexp.learn.open_loop import Track, rollout_errors
 from quadexp.learn.recorded import (
@@ -117,7 +117,7 @@ def test_a_split_by_sample_says_what_the_split_by_flight_shows():
     flights = [recorded_flight(seed, VEHICLE, scale=1 + 0.03 * seed, duration=5) for seed in range(2)]
     rows = recorded_dataset(flights, VEHICLE, TRUE_CURVE)
     settings = replace(SETTINGS, features={"a_z": ("v_z",)}, split="sample")
-    report = fit_with_report(rows, settings).report
+    report = fit_with_report(rows, GPModel, settings).report
     score = {row["predictor"]: row["rmse"] for row in report["rows_by_flight"]}
     assert "misleading" in report
     assert score["gp"] == pytest.approx(0.03 * 10.2, rel=0.1)  # the scale of the flight not seen, times the thrust
@@ -139,7 +139,7 @@ def test_validation_scores_are_the_known_errors(flights):
     model = fit_vehicle_model(flights[:2], VEHICLE, FitSettings(powers=(1,), kinds=("linear",)))
     test = recorded_flight(9, VEHICLE, scale=0.96, duration=40)
     rows = [read_rows(test, "test", "motor_command")]
-    found = {one.name: residuals(one, rows) for one in predictors(model, "x", VEHICLE, None)}
+    found = {one.name: residuals([(one, row) for row in rows]) for one in predictors(model, "x", VEHICLE, None)}
     drag = found["linear drag"]
     assert np.sqrt(np.mean(drag.error[:, 0] ** 2)) == pytest.approx(0.02, rel=0.1)
     assert np.sqrt(np.mean(drag.error[:, 2] ** 2)) == pytest.approx(0.04 * 9.81, rel=0.1)
@@ -154,7 +154,7 @@ def test_open_loop_with_the_true_model_stays_on_the_flight(flights):
     model = fit_vehicle_model(flights, VEHICLE, FitSettings(powers=(1,), kinds=("linear",)))
     row = read_rows(flights[0], "flight", "motor_command")
     nothing, drag = nominal(model.thrust), predictors(model, "x", VEHICLE, None)[1]
-    errors = {one.name: rollout_errors(one, [Track(row, one)], [0.1, 1.0], tracked=False) for one in (nothing, drag)}
+    errors = {one.name: rollout_errors([Track(row, one)], [0.1, 1.0], tracked=False) for one in (nothing, drag)}
     assert errors["linear drag"][1]["position"] < 0.02
     assert errors["nominal"][1]["position"] > 10 * errors["linear drag"][1]["position"]
     assert errors["nominal"][0]["position"] < errors["nominal"][1]["position"]

@@ -100,7 +100,7 @@ def test_fitted_beats_held_and_held_beats_geometric(fitted):
     track = Track(one, predictor)
     error = {}
     for mode in ("held", "torque", "full"):
-        (row,) = rollout_errors(predictor, [track], [0.5], tracked=True, vehicle=body, mode=mode)
+        (row,) = rollout_errors([track], [0.5], tracked=True, vehicle=body, mode=mode)
         assert row["mode"] == mode
         error[mode] = (row["position"], row["attitude"])
     assert error["torque"][1] < 0.5 * error["held"][1] < 0.5 * error["full"][1]
@@ -114,7 +114,7 @@ def test_rates_held_turn_by_their_start(fitted):
     predictor = predictors(model, "m", body, None)[0]
     track = Track(one, predictor)
     starts, steps = np.array([50, 400, 900]), 30
-    last = full_rollout(predictor, track, starts, steps, body, tracked=True, mode="held")[-1]
+    last = full_rollout(track, starts, steps, body, tracked=True, mode="held")[-1]
     assert np.allclose(last[:, 10:13], track.rate[starts])
     seconds = (track.time[starts + steps] - track.time[starts])[:, None]
     expected = track.rotation[starts] * Rotation.from_rotvec(seconds * track.rate[starts])

@@ -19,9 +19,9 @@ from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.evaluate import fly_one
+from quadexp.learn.blade_element import identify_flight
 from quadexp.learn.dataset import read_dataset, residual_dataset, transitions
 from quadexp.learn.linear_drag import fit_linear_drag
-from quadexp.learn.offline import identify_flight
 from quadexp.learn.open_loop import Track, rollout_errors
 from quadexp.learn.samples import gather
 from quadexp.learn.validation import predictors, read_rows
@@ -130,7 +130,7 @@ def test_recorded_flights_are_scored_alike():
         row, drag = read_rows(group[0], "flight", "motor_command"), predictors(model, "x", RECORDED_VEHICLE, None)[1]
         track = Track(row, drag)
         errors = [
-            rollout_errors(drag, [track], [0.1, 0.5], tracked=False, vehicle=whole)[1]["position"]
+            rollout_errors([track], [0.1, 0.5], tracked=False, vehicle=whole)[1]["position"]
             for whole in (None, RECORDED_VEHICLE)
         ]
         found.append(errors)
@@ -192,6 +192,6 @@ def test_an_identified_vehicle_is_validated_in_gusts_by_the_wind_of_its_flights(
     for flight in (flights[2], replace(flights[2], columns=columns)):
         drag = predictors(model, "x", vehicle, None)[1]
         track = Track(read_rows(flight, "flight", model.thrust.signal), drag)
-        (found,) = rollout_errors(drag, [track], [0.5], tracked=False)
+        (found,) = rollout_errors([track], [0.5], tracked=False)
         errors.append(found["velocity"])
     assert errors[0] < 0.1 * errors[1]
