@@ -223,31 +223,19 @@ def fit_thrust_samples(
 
 
 def _search_exponent(
-    samples: Samples,
-    reference_voltage: float,
-    powers: Sequence[int],
-    *,
-    intercept: bool,
-    per_rotor: bool,
-    drag: bool,
+    samples: Samples, reference_voltage: float, powers: Sequence[int], *, drag: bool, **columns: bool
 ) -> float:
-    """The g with the least sum of squared residuals, on thinned samples.
-
-    All rotors have the same voltage: (s r^g)^p = s^p r^(g p), so one power per sample depends on g.
-    """
+    """The g with the least sum of squared residuals, on thinned samples; columns: of `thrust_design`."""
     from scipy.optimize import minimize_scalar
 
     some = samples.thinned(SEARCH_SAMPLES)
-    plain, _ = thrust_design(some.signal, powers, intercept=intercept, per_rotor=per_rotor)
-    ratio = np.log(scaled_signal(np.ones((len(some), 1)), some.voltage, reference_voltage)[:, 0])
-    each = np.tile(powers, some.signal.shape[1] if per_rotor else 1)
-    design = np.column_stack([plain, -some.velocity[:, 2]]) if drag else plain.copy()
     target = some.force[:, 2]
 
     def squares(g: float) -> float:
-        scale = np.exp(g * ratio)
-        for j, power in enumerate(each):
-            design[:, j] = plain[:, j] * scale**power
+        scaled = scaled_signal(some.signal, some.voltage, reference_voltage, g)
+        design, _ = thrust_design(scaled, powers, **columns)
+        if drag:
+            design = np.column_stack([design, -some.velocity[:, 2]])
         residual = target - design @ np.linalg.lstsq(design, target, rcond=None)[0]
         return float(residual @ residual)
 

@@ -186,7 +186,7 @@ def test_an_identified_vehicle_is_validated_in_gusts_by_the_wind_of_its_flights(
     ]
     vehicle, flights = build_vehicle(configs[0].vehicle), [fly_one(config) for config in configs]
     model = fit_vehicle_model(flights[:2], vehicle, FitSettings(powers=(1,), kinds=("linear",)))
-    assert model.drag.drag[:2] == pytest.approx([0.3, 0.3], abs=2e-3)
+    assert model.linear_drag.drag[:2] == pytest.approx([0.3, 0.3], abs=2e-3)
     columns = {name: values for name, values in flights[2].columns.items() if not name.startswith("wind_")}
     errors = []
     for flight in (flights[2], replace(flights[2], columns=columns)):
