@@ -17,18 +17,16 @@ from quadexp.experiment.build_identified import load_identified
 from quadexp.files.writer import check_output, write_text
 from quadexp.learn.open_loop import TURNING, Track, rollout_errors
 from quadexp.learn.recorded import recorded_dataset
-from quadexp.learn.samples import gather
+from quadexp.learn.samples import FlightRows, gather, read_rows
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.learn.torque import TorqueModel, explained, torque_lines
 from quadexp.learn.validation import (
     NOMINAL,
-    FlightRows,
     Predictor,
     Residuals,
     band_rows,
     nominal,
     predictors,
-    read_rows,
     residuals,
     score_rows,
 )

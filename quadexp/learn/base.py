@@ -160,3 +160,8 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
     def numbers(self) -> dict[str, Any]:
         """What else of the model stands in the report of its fit, JSON-able."""
         return {}
+
+
+def rms(error: np.ndarray) -> float:
+    """Root mean square of numbers (k,), or of vectors (k, 3)."""
+    return float(np.sqrt(np.mean(np.sum(error.reshape(len(error), -1) ** 2, axis=1))))

@@ -23,9 +23,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
+from quadexp.learn.samples import FlightRows
 from quadexp.learn.thrust_scale import tracked_scale
 from quadexp.learn.torque import geometric_acceleration, gyroscopic
-from quadexp.learn.validation import FlightRows, Predictor
+from quadexp.learn.validation import Predictor
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import GRAVITY, Vehicle

@@ -17,19 +17,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadexp.errors import DataError, UsageError
-from quadexp.learn.base import Model
+from quadexp.errors import UsageError
+from quadexp.learn.base import Model, rms
 from quadexp.learn.checkpoint import record_of
 from quadexp.learn.dataset import feature_rows
 from quadexp.learn.regression import FLIGHT_CLUSTERS
-from quadexp.learn.samples import Samples, gather
+from quadexp.learn.samples import FlightRows
 from quadexp.learn.support import outside_shares
 from quadexp.learn.terms import TermModel
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.learn.thrust_scale import tracked_scale
 from quadexp.learn.torque import TorqueModel
 from quadexp.learn.vehicle_model import VehicleModel
-from quadexp.log.schema import Flight
 from quadexp.physics.vehicle import Vehicle
 
 BLOCK = 2.0  # s, of the bootstrap
@@ -89,35 +88,6 @@ def predictors(model: Model, label: str, vehicle: Vehicle, curve: ThrustCurve | 
 
 def _of_terms(terms: TermModel) -> Acceleration:
     return lambda v, w, a: terms.acceleration(v, a)
-
-
-@dataclass(frozen=True)
-class FlightRows:
-    """One flight for prediction: samples, body rate (k, 3), index of the first sample in the flight."""
-
-    name: str
-    flight: Flight
-    samples: Samples
-    rate: np.ndarray
-    first: int
-
-    @property
-    def dt(self) -> float:
-        return float(np.median(np.diff(self.samples.time)))
-
-    @property
-    def speed(self) -> np.ndarray:
-        return np.linalg.norm(self.samples.velocity, axis=1)
-
-
-def read_rows(flight: Flight, name: str, signal: str, delay: float = 0.0) -> FlightRows:
-    """delay: of the thrust behind its signal (s). Raises DataError where the flight lacks what is needed."""
-    samples = gather([flight], signal, [name]).delayed(delay)
-    first = len(flight) - len(samples)
-    missing = [column for column in ("w_x", "w_y", "w_z") if column not in flight.columns]
-    if missing:
-        raise DataError(f"{name}: column '{missing[0]}' is missing in the flight")
-    return FlightRows(name, flight, samples, flight.stack(["w_x", "w_y", "w_z"])[first:], first)
 
 
 @dataclass(frozen=True)
@@ -195,11 +165,6 @@ def _flight_means(error: np.ndarray, flight: np.ndarray) -> np.ndarray:
     numbers, group = np.unique(flight, return_inverse=True)
     sums = np.stack([np.bincount(group, column, len(numbers)) for column in error.T], axis=1)
     return (sums / np.bincount(group)[:, None])[group]
-
-
-def rms(error: np.ndarray) -> float:
-    """Root mean square of vectors (k, 3)."""
-    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
 
 class Draws(NamedTuple):

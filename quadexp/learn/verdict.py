@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError
-from quadexp.learn.base import AXIS
+from quadexp.learn.base import AXIS, rms
 from quadexp.learn.dataset import DT_RANGE, ResidualDataset
 from quadexp.learn.evaluation import drag_baseline, split_by_flight
 from quadexp.learn.gaussian_process import GPModel, GPSettings, fit_gp
@@ -178,18 +178,14 @@ def _identified(
             found.append((kind.replace("_", " "), target - fit_term_mean(rows, kind).acceleration(test)))
         except DataError:
             continue
-    nominal = _rms(target)
-    records = [{"model": "this fit", "rms": _rms(of_gp), "share": _rms(of_gp) / nominal}]
+    nominal = rms(target)
+    records = [{"model": "this fit", "rms": rms(of_gp), "share": rms(of_gp) / nominal}]
     for name, error in found:
-        rms = _rms(error)
+        size = rms(error)
         records.append(
-            {"model": name, "rms": rms, "share": rms / nominal} | _record(paired_ratio(of_gp, error, flight))
+            {"model": name, "rms": size, "share": size / nominal} | _record(paired_ratio(of_gp, error, flight))
         )
     return records
-
-
-def _rms(error: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
 
 def verdict_lines(report: dict[str, Any]) -> list[str]:

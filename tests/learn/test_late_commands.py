@@ -8,7 +8,8 @@ from quadexp.config.compose import compose
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.learn.open_loop import Track, rollout_errors
-from quadexp.learn.validation import predictors, read_rows
+from quadexp.learn.samples import read_rows
+from quadexp.learn.validation import predictors
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
 
 CLEAN = [f"plant.{name}_noise_density=0" for name in ("force", "motor", "torque")]

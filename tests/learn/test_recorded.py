@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from quadexp.errors import DataError, UsageError
+from quadexp.learn.base import rms
 from quadexp.learn.checkpoint import load_model, plain, record_of, save_model
 from quadexp.learn.evaluation import fit_with_report
 from quadexp.learn.gaussian_process import GPModel, GPSettings, fit_gp
@@ -19,9 +20,10 @@ from quadexp.learn.recorded import (
     recorded_dataset,
     target_cost,
 )
+from quadexp.learn.samples import read_rows
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.learn.thrust_scale import tracked_scale, with_common_scale
-from quadexp.learn.validation import nominal, predictors, read_rows, residuals, rms, score_rows
+from quadexp.learn.validation import nominal, predictors, residuals, score_rows
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
 from tests.learn.recorded_flights import CURVE, DRAG, OFFSET, crazyflie, recorded_flight
 

@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.learn.checkpoint import load_model, save_model
 from quadexp.learn.open_loop import Track, full_rollout, rollout_errors
-from quadexp.learn.samples import gather
+from quadexp.learn.samples import gather, read_rows
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.learn.torque import explained, fit_torque, torque_lines
-from quadexp.learn.validation import predictors, read_rows
+from quadexp.learn.validation import predictors
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
 from quadexp.log.schema import Flight
 from tests.log.imitated import imitated, vehicle_named

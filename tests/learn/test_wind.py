@@ -23,8 +23,8 @@ from quadexp.learn.blade_element import identify_flight
 from quadexp.learn.dataset import read_dataset, residual_dataset, transitions
 from quadexp.learn.linear_drag import fit_linear_drag
 from quadexp.learn.open_loop import Track, rollout_errors
-from quadexp.learn.samples import gather
-from quadexp.learn.validation import predictors, read_rows
+from quadexp.learn.samples import gather, read_rows
+from quadexp.learn.validation import predictors
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_flight
