@@ -39,10 +39,10 @@ DECIDING = (
     "experiment/compiled_flight.py", "experiment/evaluate.py", "experiment/flight.c",
     "experiment/identity.py", "experiment/loop_margins.py", "experiment/outside.py", "experiment/rollout.py",
     "experiment/stability.py",
-    "learn/checkpoint.py", "learn/dataset.py", "learn/linear_drag.py",
-    "learn/lumped.py", "learn/model.py", "learn/neural.py", "learn/regression.py", "learn/rls.py", "learn/rls_step.py",
-    "learn/rows.py", "learn/samples.py", "learn/support.py", "learn/term_mean.py", "learn/terms.py",
-    "learn/thrust_curve.py", "learn/vehicle_model.py", "log/outcome.py",
+    "learn/base.py", "learn/checkpoint.py", "learn/dataset.py", "learn/gaussian_process.py", "learn/linear_drag.py",
+    "learn/neural.py", "learn/regression.py", "learn/rls.py", "learn/samples.py",
+    "learn/support.py", "learn/terms.py", "learn/thrust_curve.py", "learn/thrust_scale.py", "learn/vehicle_model.py",
+    "log/outcome.py",
     "report/metrics.py",
 )  # fmt: skip
 SUFFIXES = (".py", ".c")

@@ -26,8 +26,7 @@ from quadexp.experiment.kept import unshared
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.learn.checkpoint import load_model, save_model
 from quadexp.learn.dataset import residual_dataset
-from quadexp.learn.gp_fit import fit_gp
-from quadexp.learn.model import GPSettings
+from quadexp.learn.gaussian_process import GPSettings, fit_gp
 from quadexp.log.store import read_flight, write_flight
 from quadexp.report.tables import error_table
 from quadexp.world.simplified import PlantEffects, SimplifiedPlant
@@ -48,7 +47,7 @@ LANDMARKS = {
     "read": ("log.store.read_table",),
     "data set": ("physics.rigid_body.state_derivative",),
     "fit": ("learn.sgpr.loss",),
-    "checkpoint": ("learn.checkpoint._encode", "learn.checkpoint._decode"),
+    "checkpoint": ("learn.checkpoint.plain", "learn.checkpoint.record_of"),
     "air": ("air.gaussian_process.gaussian_process_residual",),
     "step": ("control.mpc.step.step_function", "control.mpc.riccati.backward"),
     "row": ("report.metrics.flight_metrics",),

@@ -17,8 +17,8 @@ from quadexp.messages import html
 class Checkpoint:
     """A checkpoint folder; goes wherever a path does: qx.simulate("controller=gp_mpc", model=checkpoint).
 
-    path: the folder. model: what was fitted (quadexp/learn/model.py, linear_drag.py, vehicle_model.py). report: what
-    the fit says of flights that it has not seen.
+    path: the folder. model: what was fitted (quadexp/learn/base.py). report: what the fit says of flights that it has
+    not seen.
     """
 
     def __init__(self, path: str | os.PathLike[str], folder: Any = None) -> None:
@@ -37,28 +37,21 @@ class Checkpoint:
         vehicle.
         """
         from quadexp.learn.dataset import ResidualDataset
-        from quadexp.learn.linear_drag import LinearDrag
-        from quadexp.learn.model import GPModel
-        from quadexp.learn.neural import NeuralModel
-        from quadexp.learn.predict import predict
 
         rows = ResidualDataset({str(name): data[name].to_numpy() for name in data}, {})
         made: dict[str, np.ndarray] = {}
-        if isinstance(self.model, GPModel):
-            for output, found in predict(self.model, rows).items():
-                made |= {output: found.mean, f"{output}_std": found.std}
-        elif isinstance(self.model, NeuralModel):
-            made = dict(self.model.predict(rows))
-        elif isinstance(self.model, LinearDrag):
-            made = dict(zip(("a_x", "a_y", "a_z"), self.model.acceleration(rows).T, strict=True))
-        else:
-            raise UsageError(f"{self.path}: an identified vehicle; `quadexp validate` predicts flights with it")
+        try:
+            predictions = self.model.predict(rows)
+        except UsageError as error:
+            raise UsageError(f"{self.path}: {error}") from None
+        for output, found in predictions.items():
+            made |= {output: found.mean} | ({} if found.variance is None else {f"{output}_std": found.std})
         return pd.DataFrame(made, index=data.index)
 
     def plot(self, data: pd.DataFrame) -> Any:
         """A matplotlib figure: the Gaussian processes over their features, with the rows of `data`."""
         from quadexp.learn.dataset import ResidualDataset
-        from quadexp.learn.model import GPModel
+        from quadexp.learn.gaussian_process import GPModel
         from quadexp.report.fit_figures import fit_figure
 
         if not isinstance(self.model, GPModel):

@@ -98,7 +98,7 @@ def _check_feature(key: str, feature: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class GPKeys(Settings):
-    """How the Gaussian processes are fitted; see quadexp/learn/gp_fit.py."""
+    """How the Gaussian processes are fitted; see quadexp/learn/gaussian_process.py."""
 
     prefix: ClassVar[str] = "gp."
 
@@ -130,14 +130,14 @@ class GPKeys(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class GPConfig(GPKeys, Part):
-    """How the Gaussian processes are fitted; see quadexp/learn/gp_fit.py."""
+    """How the Gaussian processes are fitted; see quadexp/learn/gaussian_process.py."""
 
     features: Annotated[GPFeatures, Setting("features of every output")] = field(default_factory=GPFeatures)
 
 
 @dataclass(frozen=True, kw_only=True)
 class NNKeys(Settings):
-    """How the neural network is made and trained; see quadexp/learn/nn_fit.py."""
+    """How the neural network is made and trained; see quadexp/learn/neural.py."""
 
     prefix: ClassVar[str] = "nn."
 
@@ -175,7 +175,7 @@ class NNKeys(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class NNConfig(NNKeys, Part):
-    """How the neural network is made and trained; see quadexp/learn/nn_fit.py."""
+    """How the neural network is made and trained; see quadexp/learn/neural.py."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -111,27 +111,11 @@ def _residual(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
 
 
 def _from_file(kind: str, vehicle: Vehicle, model: ModelFile) -> Any:
-    from quadexp.air.gaussian_process import gaussian_process_residual
-    from quadexp.air.linear_drag import linear_drag_residual
-    from quadexp.air.neural import neural_residual
-    from quadexp.learn.model import GPModel
-    from quadexp.learn.neural import NeuralModel
-
     checkpoint = load_checkpoint(vehicle, model)
-    if kind == "linear_drag":
-        drag = checkpoint.linear_drag
-        residual = linear_drag_residual(vehicle, drag.drag, drag.intercept, drag.thrust_gain, source=model.path)
-        return replace(residual, ranges=drag.feature_range)
-    if kind == "neural":
-        if not isinstance(checkpoint, NeuralModel):
-            raise UsageError(f"{model.path}: holds no network, {MAKERS[kind]} makes one")
-        return replace(neural_residual(vehicle, checkpoint.network, model.path), ranges=checkpoint.feature_range)
-    if not isinstance(checkpoint, GPModel):
-        raise UsageError(f"{model.path}: holds no Gaussian process, {MAKERS[kind]} makes one")
-    residual = gaussian_process_residual(
-        vehicle, checkpoint.outputs, checkpoint.mean_parameters, model.path, mean_terms=checkpoint.mean_terms
-    )
-    return replace(residual, ranges=checkpoint.feature_range)
+    checkpoint = checkpoint.linear_drag if kind == "linear_drag" else checkpoint
+    if checkpoint.kind != kind:
+        raise UsageError(f"{model.path}: holds {checkpoint.kind}, not {kind}, which {MAKERS[kind]} makes")
+    return replace(checkpoint.residual(vehicle, model.path), ranges=checkpoint.feature_range)
 
 
 # --------------------------------------------------------------------------------- a model that is flown as the truth
@@ -164,25 +148,4 @@ def model_residual(vehicle: Vehicle, path: Path, kind: str = "best") -> Any:
 
     Raises UsageError where the checkpoint has none of that kind.
     """
-    from quadexp.air.gaussian_process import gaussian_process_residual
-    from quadexp.air.linear_drag import linear_drag_residual
-    from quadexp.air.terms import term_residual
-    from quadexp.learn.term_mean import TermMean
-
-    model, source = load_identified(path, vehicle), str(path)
-    if hasattr(model, "models"):  # an identified vehicle
-        if kind == "gaussian_process":
-            raise UsageError(
-                f"{path}: an identified vehicle, holds no Gaussian process; it has {', '.join(model.models)}"
-            )
-        mean = TermMean(model.model(None if kind == "best" else kind), vehicle.mass)
-        return term_residual(vehicle, mean.structure, mean.parameters, source)
-    if hasattr(model, "outputs"):
-        if kind not in ("best", "gaussian_process"):
-            raise UsageError(f"{path}: holds a Gaussian process, not '{kind}'")
-        return gaussian_process_residual(
-            vehicle, model.outputs, model.mean_parameters, source, mean_terms=model.mean_terms
-        )
-    if kind not in ("best", "linear"):
-        raise UsageError(f"{path}: holds linear drag, not '{kind}'")
-    return linear_drag_residual(vehicle, model.drag, model.intercept, model.thrust_gain, source=source)
+    return load_identified(path, vehicle).residual(vehicle, str(path), kind)

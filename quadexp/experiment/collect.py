@@ -30,9 +30,8 @@ from quadexp.experiment.identity import digest, flight_record
 from quadexp.learn.dataset import ResidualDataset, as_told, residual_dataset
 from quadexp.learn.known_noise import known_noise
 from quadexp.learn.recorded import is_recorded, logged_thrust, recorded_dataset, target_cost
-from quadexp.learn.rotor_thrust import mean_thrust
+from quadexp.learn.rotor_thrust import TimingFit, fit_timing, mean_thrust
 from quadexp.learn.thrust_curve import ThrustCurve
-from quadexp.learn.timing_fit import TimingFit, fit_timing
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_flight, write_table

@@ -7,15 +7,18 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from quadexp.config.schema import Config
 from quadexp.config.settings import part
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
-from quadexp.learn.checkpoint import save_model
+from quadexp.learn.base import Model
+from quadexp.learn.checkpoint import load_model, save_model
 from quadexp.learn.dataset import ResidualDataset, read_dataset
+from quadexp.learn.evaluation import Fit, fit_with_report, without
+from quadexp.learn.gaussian_process import GPModel, GPSettings
 from quadexp.learn.known_noise import explained, explained_lines
+from quadexp.learn.linear_drag import LinearDrag
+from quadexp.learn.neural import NeuralModel, NNSettings
 from quadexp.provenance import provenance, versions
 
 ProgressCallback = Callable[[float, float], None]
@@ -41,19 +44,17 @@ def fit_checkpoint(
     data = read_dataset(dataset)
     _check_vehicle(data, config, dataset)
     if after is not None:
-        data = _rest(data, after, config)
+        data = without(data, load_model(after, vehicle=build_vehicle(config.vehicle)), str(after))
+    fit = fit_with_report(data, *_asked(kind, config), callback=lambda message, done: progress(round(done, 2), 1))
+    report = {**fit.report, **fit.model.numbers, "summary": fit.model.summary}
     if kind == "gp":
-        model, report, draw = _fit_gp(data, config, progress)
-    elif kind == "nn":
-        model, report, draw = _fit_nn(data, config, progress)
-    else:
-        model, report, draw = _fit_drag(data, config)
+        report |= _beside_drag(fit, config, data)
     report["explained"] = explained(report["rows"], data.metadata.get("known_noise") or {})
     if after is not None:
         report["after"] = str(after)
     report |= {"dataset": str(dataset), "versions": versions(), "provenance": provenance()}
-    save_model(out, model, report=report, force=force)
-    files = draw(out / "figures") if figures else {}
+    save_model(out, fit.model, report=report, force=force)
+    files = _draw(fit, out / "figures") if figures and kind == "gp" else {}
     lines = [f"{report['summary']} from {data.n_rows} rows of {len(data.flights)} flights"]
     if after is not None:
         lines.append(f"of what {after} leaves: to be flown in a sum with it")
@@ -79,100 +80,33 @@ def _check_vehicle(data: ResidualDataset, config: Config, path: Path) -> None:
         )
 
 
-def _fit_gp(data: ResidualDataset, config: Config, progress: ProgressCallback) -> tuple[Any, ...]:
-    from quadexp.learn.evaluation import fit_with_report
-    from quadexp.learn.model import GPSettings
-
-    settings = part(GPSettings, config.gp, features=asdict(config.gp.features))
-    fit = fit_with_report(data, settings, callback=lambda message, done: progress(round(done, 2), 1))
-    report = dict(fit.report)
-    if data.metadata.get("target"):
-        report["target"] = data.metadata["target"]
-    chosen = "; ".join(f"{o.output} <- {', '.join(o.features)}" for o in fit.model.outputs)
-    report["summary"] = f"Gaussian processes {chosen} ({settings.inducing} points, {settings.method})"
-    if fit.test is not None and settings.split == "flight":
-        from quadexp.learn.verdict import verdict
-
-        report["verdict"] = verdict(fit.held_out_model, fit.train, fit.test, settings, search=settings.alternatives)
-
-    def draw(folder: Path) -> dict[str, str]:
-        from quadexp.report import fit_figures
-        from quadexp.report.figures import save
-
-        shown = fit.test if fit.test is not None else fit.train
-        made = {"fit": fit_figures.fit_figure(fit.held_out_model, shown)}
-        if fit.test is not None:
-            made["calibration"] = fit_figures.calibration_figure(fit.held_out_model, fit.test)
-        return {name: str(save(figure, folder / name, inside=folder.parent)) for name, figure in made.items()}
-
-    return fit.model, report, draw
+def _asked(kind: str, config: Config) -> tuple[type[Model], Any]:
+    """The kind of model, and the settings of its fit."""
+    if kind == "gp":
+        return GPModel, part(GPSettings, config.gp, features=asdict(config.gp.features))
+    return (NeuralModel, part(NNSettings, config.nn)) if kind == "nn" else (LinearDrag, config.drag)
 
 
-def _fit_drag(data: ResidualDataset, config: Config) -> tuple[Any, ...]:
-    from quadexp.learn.evaluation import evaluate_drag, split_by_flight
-    from quadexp.learn.linear_drag import fit_linear_drag
+def _beside_drag(fit: Fit, config: Config, data: ResidualDataset) -> dict[str, Any]:
+    """Of Gaussian processes: the target of recorded flights, and the comparison with linear drag."""
+    found = {"target": data.metadata["target"]} if data.metadata.get("target") else {}
+    if fit.test is None or config.gp.split == "sample":
+        return found
+    from quadexp.learn.verdict import verdict
 
-    options = {name: getattr(config.drag, name) for name in ("intercept", "thrust", "loss")}
-    rows: list[dict[str, Any]] = []
-    held_out: list[str] = []
-    if config.drag.holdout > 0:
-        train, test = split_by_flight(data, config.drag.holdout, config.drag.seed)
-        rows = evaluate_drag(train, test, **options)
-        held_out = sorted(set(map(str, test.columns["flight_name"])))
-    model = fit_linear_drag(data, **options)
-    report: dict[str, Any] = {
-        "rows": rows,
-        "held_out_flights": held_out,
-        "refitted": True,
-        "summary": f"linear drag {model}",
-    }
-    half = [None if np.isnan(value) else float(value) for value in model.half_width[:3]]
-    report["drag"] = {
-        "drag": model.drag.tolist(), "error": model.drag_error.tolist(), "half_width_95": half,
-        "intervals": model.label,
-    }  # fmt: skip
-    return model, report, lambda folder: {}
+    _, settings = _asked("gp", config)
+    search = config.gp.alternatives
+    return found | {"verdict": verdict(fit.held_out_model, fit.train, fit.test, settings, search=search)}
 
 
-def _rest(data: ResidualDataset, after: Path, config: Config) -> ResidualDataset:
-    """The data without what a checkpoint predicts of them."""
-    from quadexp.learn.checkpoint import load_model
-    from quadexp.learn.explained_part import without
+def _draw(fit: Fit, folder: Path) -> dict[str, str]:
+    from quadexp.report import fit_figures
+    from quadexp.report.figures import save
 
-    return without(data, load_model(after, vehicle=build_vehicle(config.vehicle)), str(after))
-
-
-def _fit_nn(data: ResidualDataset, config: Config, progress: ProgressCallback) -> tuple[Any, ...]:
-    from quadexp.learn.evaluation import evaluate_network, split_by_flight
-    from quadexp.learn.neural import NNSettings
-    from quadexp.learn.nn_fit import fit_network
-
-    settings = part(NNSettings, config.nn)
-    refit, rows, held_out = settings.holdout == 0 or settings.refit, [], []
-    parts = (settings.holdout > 0) + refit
-
-    def follow(first: int) -> Callable[[str, float], None]:
-        return lambda message, done: progress(round((first + done) / parts, 2), 1)
-
-    model = None
-    if settings.holdout > 0:
-        train, test = split_by_flight(data, settings.holdout, settings.seed)
-        model = fit_network(train, settings, callback=follow(0))
-        rows = evaluate_network(model, train, test)
-        held_out = sorted(set(map(str, test.columns["flight_name"])))
-    if refit:
-        model = fit_network(data, settings, callback=follow(parts - 1))
-    assert model is not None
-    layers = "-".join(map(str, model.sizes))
-    report = {
-        "rows": rows,
-        "held_out_flights": held_out,
-        "refitted": bool(rows) and refit,
-        "lipschitz": model.lipschitz,
-        "summary": f"neural network {layers}, {', '.join(model.outputs)} <- {', '.join(model.features)}, largest slope"
-        f" of the scaled network at most {model.lipschitz:.3g},",
-    }
-    return model, report, lambda folder: {}
+    made = {"fit": fit_figures.fit_figure(fit.held_out_model, fit.train if fit.test is None else fit.test)}
+    if fit.test is not None:
+        made["calibration"] = fit_figures.calibration_figure(fit.held_out_model, fit.test)
+    return {name: str(save(figure, folder / name, inside=folder.parent)) for name, figure in made.items()}
 
 
 def _split_lines(report: Mapping[str, Any]) -> list[str]:

@@ -19,7 +19,7 @@ from quadexp.config.settings import made
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.files.writer import check_output
-from quadexp.learn.offline import Identification, identify_flight
+from quadexp.learn.blade_element import Identification, identify_flight
 from quadexp.learn.rls import RLSSettings
 from quadexp.learn.samples import QUATERNION, rotor_columns
 from quadexp.log.schema import Flight

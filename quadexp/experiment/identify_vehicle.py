@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace as with_changes
 
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identify import own_vehicle, read_recorded
@@ -67,8 +68,8 @@ def identify_vehicle(
     kept = "blade_element" if best == HOVER_INFLOW else best
     model = fit_vehicle_model(flights, vehicle, settings, names=names, samples=samples, best=kept)
     if not settings.induced:
-        model = replace(model, notes=(*model.notes, NO_INDUCED))
-    model = replace(model, versions=versions())
+        model = with_changes(model, notes=(*model.notes, NO_INDUCED))
+    model = with_changes(model, versions=versions())
     report: dict[str, Any] = {
         "kind": "vehicle_model", "vehicle": model.vehicle, "dataset": model.dataset, "signal": samples.kind,
         "thrust": str(model.thrust), "models": {kind: terms.records() for kind, terms in model.models.items()},

@@ -3,27 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace as with_changes
 
 from quadexp.config.schema import Config
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.checkpoints import load_identified
 from quadexp.files.writer import check_output, write_text
-from quadexp.learn.gp_fit import fit_gp
-from quadexp.learn.model import GPModel, GPSettings
-from quadexp.learn.neural import NeuralModel, NNSettings
 from quadexp.learn.open_loop import TURNING, Track, rollout_errors
-from quadexp.learn.predictors import NOMINAL, Predictor, nominal, predictors
 from quadexp.learn.recorded import recorded_dataset
-from quadexp.learn.samples import gather
+from quadexp.learn.samples import FlightRows, gather, read_rows
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.learn.torque import TorqueModel, explained, torque_lines
-from quadexp.learn.validation import FlightRows, Residuals, band_rows, read_rows, residuals, score_rows
+from quadexp.learn.validation import (
+    NOMINAL,
+    Predictor,
+    Residuals,
+    band_rows,
+    nominal,
+    predictors,
+    residuals,
+    score_rows,
+)
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
 from quadexp.learn.vehicle_model import VehicleModel
 from quadexp.log.schema import Flight
@@ -70,8 +76,7 @@ def validate(
         folds = [(name, [name], [n for n in flown if n != name]) for name in flown]
     else:
         folds = [("", list(flown), [])]
-    by_predictor: dict[str, list[Residuals]] = {}
-    rollouts: list[dict[str, Any]] = []
+    by_predictor: dict[str, list[tuple[Predictor, FlightRows]]] = {}
     notes: list[str] = []
     torques: list[str] = []
     for done, (_, tested, fitted) in enumerate(folds):
@@ -85,18 +90,17 @@ def validate(
         if not leave_one_out:
             notes += _seen(used, tested)
         for predictor in used:
-            by_predictor.setdefault(predictor.name, []).append(residuals(predictor, rows))
-        rollouts += _rollouts(used, rows, horizons, vehicle)
+            by_predictor.setdefault(predictor.name, []).extend((predictor, one) for one in rows)
     progress(len(folds), len(folds))
-    merged = [_merge(parts) for parts in by_predictor.values()]
+    found = [residuals(predicted) for predicted in by_predictor.values()]
     report: dict[str, Any] = {
         "models": [str(path) for path in models],
         "flights": list(flown),
         "leave_one_out": leave_one_out,
         "nominal": None if leave_one_out else str(used[0].curve),
-        "rows": score_rows(merged, NOMINAL),
-        "bands": band_rows(merged),
-        "rollouts": _mean_rollouts(rollouts),
+        "rows": score_rows(found, NOMINAL),
+        "bands": band_rows(found),
+        "rollouts": [row for one in by_predictor.values() for row in _rollouts(one, horizons, vehicle)],
         "torque": torques,
         "notes": list(dict.fromkeys(notes)),
         "versions": versions(),
@@ -105,7 +109,7 @@ def validate(
     from quadexp.report.validation_table import validation_lines
 
     report["lines"] = validation_lines(report)
-    report["files"] = _write(report, merged, out, figures, force) if out is not None else {}
+    report["files"] = _write(report, found, out, figures, force) if out is not None else {}
     return report
 
 
@@ -152,7 +156,7 @@ def _torque_tested(
         if model is not None and id(model) not in tested:
             samples = gather(flights, one.curve.signal, names).delayed(one.curve.delay)
             share = explained(model, samples, vehicle, one.curve)
-            passed = model if share is None else replace(model, share_low=np.minimum(model.share_low, share))
+            passed = model if share is None else with_changes(model, share_low=np.minimum(model.share_low, share))
             tested[id(model)] = passed
             lines += _torque_lines(model, share)
         result.append(one if model is None else replace(one, torque=tested[id(model)]))
@@ -190,25 +194,9 @@ def refitted(
             if curve is None:
                 curve = fit_vehicle_model(list(flights.values()), None, names=list(flights)).thrust
             rows = recorded_dataset(list(flights.values()), vehicle, curve, names=list(flights))
-            if isinstance(model, GPModel):
-                fresh = fit_gp(rows, _stored(GPSettings, model.settings))
-            elif isinstance(model, NeuralModel):
-                from quadexp.learn.nn_fit import fit_network
-
-                fresh = fit_network(rows, _stored(NNSettings, model.settings))
-            else:
-                from quadexp.learn.linear_drag import fit_linear_drag
-                from quadexp.learn.thrust_scale import with_common_scale
-
-                fresh = fit_linear_drag(with_common_scale(rows).dataset, thrust=False, loss=model.loss, intervals=False)
+            fresh = model.refitted(rows)
         made.append((label, fresh))
     return made
-
-
-def _stored(kind: Any, stored: Mapping[str, Any]) -> Any:
-    """Settings of a fit as its checkpoint has them."""
-    names = {f.name for f in fields(kind)}
-    return kind(**{key: value for key, value in stored.items() if key in names})
 
 
 def _settings(model: VehicleModel, flights: int) -> FitSettings:
@@ -240,58 +228,17 @@ def _seen(made: Sequence[Predictor], tested: Sequence[str]) -> list[str]:
 
 
 def _rollouts(
-    made: Sequence[Predictor], rows: Sequence[FlightRows], horizons: Sequence[float], vehicle: Vehicle
+    predicted: Sequence[tuple[Predictor, FlightRows]], horizons: Sequence[float], vehicle: Vehicle
 ) -> list[dict[str, Any]]:
     """Open loop with measured attitude; with all 13 states too where the log has a signal per rotor."""
-    records = []
-    for predictor in made:
-        tracks = [Track(one, predictor, vehicle.gravity) for one in rows]
-        for tracked in (False, True):
-            records += rollout_errors(predictor, tracks, horizons, tracked=tracked)
-        if predictor.curve.signal != "thrust_acceleration" and predictor.curve.rotors == vehicle.n_rotors:
-            for mode in TURNING:
-                if mode != "torque" or predictor.torque is not None:
-                    records += rollout_errors(predictor, tracks, horizons, tracked=True, vehicle=vehicle, mode=mode)
+    tracks = [Track(one, predictor, vehicle.gravity) for predictor, one in predicted]
+    records = [row for tracked in (False, True) for row in rollout_errors(tracks, horizons, tracked=tracked)]
+    curves = [predictor.curve for predictor, _ in predicted]
+    if all(curve.signal != "thrust_acceleration" and curve.rotors == vehicle.n_rotors for curve in curves):
+        for mode in TURNING:
+            turned = [track for track in tracks if mode != "torque" or track.predictor.torque is not None]
+            records += rollout_errors(turned, horizons, tracked=True, vehicle=vehicle, mode=mode)
     return records
-
-
-def _mean_rollouts(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Rows of several folds combined: root mean squares over all starts, medians averaged."""
-    groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
-    for row in rows:
-        groups.setdefault((row["predictor"], row["mode"], row["thrust_tracked"], row["horizon"]), []).append(row)
-    made = []
-    for (predictor, mode, tracked, horizon), parts in groups.items():
-        weight = np.array([part["starts"] for part in parts], float)
-        one: dict[str, Any] = {"predictor": predictor, "mode": mode, "thrust_tracked": tracked, "horizon": horizon}
-        one |= {
-            "starts": int(weight.sum()),
-            "lost": float(np.average([part["lost"] for part in parts], weights=weight)),
-        }
-        for name in ("position", "velocity", "attitude", "rate"):
-            if name in parts[0]:
-                one[name] = float(np.sqrt(np.average([part[name] ** 2 for part in parts], weights=weight)))
-                one[f"{name}_median"] = float(np.average([part[f"{name}_median"] for part in parts], weights=weight))
-        made.append(one)
-    return made
-
-
-def _merge(parts: Sequence[Residuals]) -> Residuals:
-    """Residuals of several folds combined."""
-    if len(parts) == 1:
-        return parts[0]
-    flights, blocks, flight, block = 0, 0, [], []
-    for part in parts:
-        flight.append(part.flight + flights)
-        block.append(part.block + blocks)
-        flights, blocks = int(flight[-1].max()) + 1, int(block[-1].max()) + 1
-    shares = [(part.outside, len(part.error)) for part in parts if part.outside is not None]
-    outside = sum(s * n for s, n in shares) / sum(n for _, n in shares) if shares else None
-    error, tracked, scale, speed = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("error", "tracked", "scale", "speed")
-    )
-    numbers, stretches = np.concatenate(flight), np.concatenate(block)
-    return Residuals(parts[0].predictor, error, tracked, scale, numbers, stretches, speed, outside)
 
 
 def _write(report: dict[str, Any], found: Sequence[Residuals], out: Path, figures: bool, force: bool) -> dict[str, str]:

@@ -2,44 +2,34 @@
 
 model.json is {"schema", "sha256", "payload"}; the hash is over the payload's canonical JSON (sorted keys, no spaces,
 shortest decimals that give the same double), so that edits are detected and a round trip is exact. It contains no code,
-and loading it imports neither torch nor CasADi.
+and loading it imports neither torch nor CasADi. The payload is the model's record, field by field (base.py).
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
 from quadexp.files.names import check_names
 from quadexp.files.writer import check_output, write_folder
-from quadexp.learn.checkpoint_check import check_model
+from quadexp.learn.base import Model, Record
+from quadexp.learn.gaussian_process import GPModel
 from quadexp.learn.linear_drag import LinearDrag
-from quadexp.learn.model import GPModel, OutputPosterior
 from quadexp.learn.neural import NeuralModel
-from quadexp.learn.term_mean import TermMean
-from quadexp.learn.terms import TermModel
-from quadexp.learn.thrust_curve import ThrustCurve
-from quadexp.learn.torque import TorqueModel
 from quadexp.learn.vehicle_model import VehicleModel
 from quadexp.physics.vehicle import Vehicle
 
-SCHEMA = 1
-LARGEST = 100_000_000  # bytes of a model.json; six outputs of a thousand inducing points each take 60 MB
+SCHEMA = 2
+LARGEST = 100_000_000  # bytes of a model.json; six outputs of a thousand inducing points each take 70 MB
 MODEL_FILE = "model.json"
 REPORT_FILE = "report.json"
-Model = GPModel | LinearDrag | NeuralModel | VehicleModel
-KINDS = {
-    GPModel: "gaussian_process",
-    LinearDrag: "linear_drag",
-    NeuralModel: "neural",
-    VehicleModel: "vehicle_model",
-}
+STORED = GPModel | LinearDrag | NeuralModel | VehicleModel  # the models that have a checkpoint
 COMMANDS = (
     "`quadexp fit-gp DATASET --out {path}`, `quadexp fit-drag DATASET --out {path}`,"
     " `quadexp fit-nn DATASET --out {path}` or `quadexp identify FLIGHT..."
@@ -54,7 +44,7 @@ def save_model(path: str | Path, model: Model, *, report: dict[str, Any] | None 
     Raises UsageError where the directory is not empty (without force) or cannot be written.
     """
     path = check_output(path, force=force, folder=True)
-    payload = _encode(model)
+    payload = plain(model)
     document = {"schema": SCHEMA, "sha256": _hash(payload), "payload": payload}
     files = {MODEL_FILE: json.dumps(document, allow_nan=False) + "\n"}
     if report is not None:
@@ -62,7 +52,7 @@ def save_model(path: str | Path, model: Model, *, report: dict[str, Any] | None 
     return write_folder(path, files, force=force)
 
 
-def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Model:
+def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Any:
     """Read a checkpoint directory (or its model.json).
 
     vehicle: for which it must have been fitted; None: any.
@@ -76,24 +66,21 @@ def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Model:
         size = file.stat().st_size
         if size > LARGEST:
             raise DataError(f"{file}: has {size / 1e6:.0f} MB, a model has {LARGEST / 1e6:.0f} MB at most")
-        document = json.loads(file.read_text(encoding="utf-8"))
+        document = msgspec.json.decode(file.read_bytes())
         schema, digest, payload = document["schema"], document["sha256"], document["payload"]
     except OSError as error:
         raise UsageError(f"{file}: cannot be read ({error.strerror})") from None
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise DataError(f"{file}: damaged, or not a model of quadexp ({_line(error)}); fit it again") from None
-    if schema != SCHEMA:
+    if schema not in (1, SCHEMA):
         raise DataError(f"{file}: has schema {schema}, this program reads schema {SCHEMA}; fit it again")
     if _hash(payload) != digest:
         raise DataError(f"{file}: damaged or edited, its content does not match its sha256; fit it again")
     try:
-        model = _decode(payload)
-        check_model(model)
+        model: Model = record_of(_of_schema_1(payload) if schema == 1 else payload, STORED)
         check_names({"vehicle": model.vehicle}, str(file))
-    except ValueError as error:
-        raise DataError(f"{file}: not a valid model: {str(error).splitlines()[0]}; fit it again") from None
-    except (KeyError, TypeError, AttributeError, IndexError, OverflowError) as error:
-        raise DataError(f"{file}: not a valid model, fields are missing or of a wrong type ({error})") from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise DataError(f"{file}: not a valid model: {_line(error)}; fit it again") from None
     if vehicle is not None:
         fitted = model.vehicle.get("fingerprint")
         if fitted != vehicle.fingerprint:
@@ -127,96 +114,42 @@ def _hash(payload: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _encode(model: Model) -> dict[str, Any]:
-    """The model as JSON types; a variance factor as its upper triangle, row by row."""
-    payload = asdict(model)
-    for output in payload.get("outputs", ()) if isinstance(model, GPModel) else ():
-        factor = output["variance_factor"]
-        output["variance_factor"] = factor[np.triu_indices(len(factor))]
-    return {"kind": KINDS[type(model)]} | json.loads(json.dumps(payload, default=_plain, allow_nan=False))
+def plain(record: Record) -> Any:
+    """A record as JSON types."""
+    return msgspec.to_builtins(record, enc_hook=lambda array: array.tolist())
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, (np.ndarray, np.generic)):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
+def record_of(content: Any, kind: Any) -> Any:
+    """The record, or one of several kinds, from JSON types. Raises ValueError naming the field that is wrong."""
+    return msgspec.convert(content, kind, dec_hook=_array)
 
 
-def _decode(payload: dict[str, Any]) -> Model:
-    content = {key: value for key, value in payload.items() if key != "kind"}
-    if payload["kind"] == KINDS[LinearDrag]:
-        return _drag(content)
-    if payload["kind"] == KINDS[VehicleModel]:
-        return _vehicle_model(content)
-    if payload["kind"] == KINDS[NeuralModel]:
-        return _network(content)
-    if payload["kind"] != KINDS[GPModel]:
-        raise ValueError(f"kind {payload['kind']!r}, allowed are {', '.join(KINDS.values())}")
-    content["outputs"] = tuple(_posterior(output) for output in content["outputs"])
-    content["mean"] = None if content["mean"] is None else _mean(content["mean"])
-    content["linear_drag"] = _drag(content["linear_drag"])
-    return GPModel(**content)
-
-
-def _mean(content: dict[str, Any]) -> LinearDrag | TermMean:
-    return TermMean(_terms(content["model"]), content["mass"]) if "model" in content else _drag(content)
-
-
-def _drag(content: dict[str, Any]) -> LinearDrag:
-    return LinearDrag(**arrays_of(content, LinearDrag))
-
-
-def _network(content: dict[str, Any]) -> NeuralModel:
-    layers = {key: tuple(_numbers(part, key) for part in content[key]) for key in ("weights", "biases")}
-    names = {key: tuple(content[key]) for key in ("features", "outputs")}
-    drag = {"linear_drag": _drag(content["linear_drag"])}
-    return NeuralModel(**arrays_of(content | {"weights": (), "biases": ()}, NeuralModel) | layers | names | drag)
-
-
-def _vehicle_model(content: dict[str, Any]) -> VehicleModel:
-    content["thrust"] = ThrustCurve(**arrays_of(content["thrust"], ThrustCurve))
-    for kind in ("linear", "quadratic", "blade_element"):
-        content[kind] = None if content[kind] is None else _terms(content[kind])
-    if content.get("torque") is not None:
-        content["torque"] = TorqueModel(**arrays_of(content["torque"], TorqueModel))
-    return VehicleModel(**content | {"notes": tuple(content["notes"])})
-
-
-def _terms(content: dict[str, Any]) -> TermModel:
-    per_axis = {key: tuple(_numbers(row, key) for row in content[key]) for key in ("coefficients", "covariance")}
-    whole = {key: _numbers(content[key], key) for key in ("residual_std", "condition")}
-    terms = {"terms": tuple(map(tuple, content["terms"])), "freedom": tuple(content["freedom"])}
-    if isinstance(content["momentum"], list):
-        terms["momentum"] = tuple(content["momentum"])
-    return TermModel(**content | per_axis | whole | terms)
-
-
-def _posterior(content: dict[str, Any]) -> OutputPosterior:
-    content = arrays_of(content, OutputPosterior)
-    m = len(np.atleast_1d(content["alpha"]))
-    if np.shape(content["variance_factor"]) != (m * (m + 1) // 2,):
-        raise ValueError(f"variance_factor needs {m * (m + 1) // 2} numbers for {m} inducing points")
-    factor = np.zeros((m, m))
-    factor[np.triu_indices(m)] = content["variance_factor"]
-    features = tuple(content["features"])
-    inducing = content["inducing"].reshape(m, len(features))
-    return OutputPosterior(**content | {"variance_factor": factor, "features": features, "inducing": inducing})
-
-
-def arrays_of(content: dict[str, Any], kind: type) -> dict[str, Any]:
-    """The content, with the fields that the dataclass `kind` declares as arrays converted to arrays."""
-    names = {f.name for f in fields(kind) if "ndarray" in str(f.type)}
-    return {key: _numbers(value, key) if key in names else value for key, value in content.items()}
-
-
-def _numbers(value: Any, name: str) -> Any:
-    """An array from a list of numbers, or of such lists; None stays None."""
-    if value is None:
-        return None
+def _array(kind: type, value: Any) -> np.ndarray:
+    """An array from a list of finite numbers, or of such lists."""
+    assert kind is np.ndarray
     try:
         array = np.array(value)
     except ValueError:  # rows of different lengths
         array = np.array("")
-    if array.dtype.kind not in "fi" and array.size:
-        raise ValueError(f"{name} holds {str(value)[:60]}; numbers are needed")
-    return array.astype(float)
+    if array.dtype.kind not in "fi" and array.size or not array.ndim:
+        raise ValueError(f"holds {str(value)[:60]}; numbers are needed")
+    array = array.astype(float)
+    if not np.isfinite(array).all():
+        raise ValueError(f"holds {str(value)[:60]}; finite numbers are needed")
+    return array
+
+
+def _of_schema_1(payload: Any) -> Any:
+    """The payload of an earlier version, which had F as its upper triangle, and a mean function without its kind."""
+    if not isinstance(payload, dict) or payload.get("kind") != "gaussian_process":
+        return payload
+    outputs = []
+    for output in payload["outputs"]:
+        m = len(output["alpha"])
+        factor = np.zeros((m, m))
+        factor[np.triu_indices(m)] = output["variance_factor"]
+        outputs.append({**output, "variance_factor": factor.tolist()})
+    mean = payload["mean"]
+    if mean is not None:
+        mean = {"kind": "terms" if "model" in mean else "linear_drag", **mean}
+    return {**payload, "outputs": outputs, "mean": mean}

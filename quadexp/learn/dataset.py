@@ -30,7 +30,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
-from quadexp.learn.rows import evaluate_rows
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_table
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS, VELOCITY, input_columns
@@ -39,6 +38,7 @@ from quadexp.physics.vehicle import Vehicle
 FRAMES = ("midpoint", "start")
 DT_RANGE = (0.5, 1.5)  # of the flight's median dt; outside it two samples are not consecutive
 THRUST = "thrust"
+BATCH = 20_000  # samples evaluated per call
 WIND = ("wind_x", "wind_y", "wind_z")
 
 
@@ -279,6 +279,28 @@ def _rotation(quaternion: np.ndarray) -> np.ndarray:
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_quat(quaternion, scalar_first=True).as_matrix() if len(quaternion) else np.empty((0, 3, 3))
+
+
+def evaluate_rows(function: Any, arguments: Sequence[np.ndarray], result: np.ndarray) -> None:
+    """Write into the rows of `result`, (k, m), what a CasADi function of dense vectors makes of the rows of its
+    arguments, (k, ..) each.
+
+    Through buffers, batch by batch: conversions to CasADi's matrices take seven times as long as the evaluation.
+    """
+    batch = min(BATCH, len(result))
+    if not batch:
+        return
+    buffers: list[Any] = [np.zeros((batch, array.shape[1])) for array in (*arguments, result)]
+    handle, evaluate = function.map(batch).buffer()
+    for i, buffer in enumerate(buffers[:-1]):
+        handle.set_arg(i, memoryview(buffer))
+    handle.set_res(0, memoryview(buffers[-1]))
+    for start in range(0, len(result), batch):
+        count = min(batch, len(result) - start)
+        for buffer, array in zip(buffers, arguments, strict=False):
+            buffer[:count] = array[start : start + count]
+        evaluate()
+        result[start : start + count] = buffers[-1][:count]
 
 
 def _predict(vehicle: Vehicle, state: np.ndarray, u: np.ndarray, dt: np.ndarray) -> np.ndarray:

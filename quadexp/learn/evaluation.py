@@ -10,19 +10,16 @@ error.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadexp.errors import DataError
+from quadexp.errors import DataError, UsageError
+from quadexp.learn.base import Callback, Model, Prediction
 from quadexp.learn.dataset import ResidualDataset
-from quadexp.learn.gp_fit import Callback, fit_gp
 from quadexp.learn.linear_drag import LinearDrag, fit_linear_drag
-from quadexp.learn.model import GPModel, GPSettings
-from quadexp.learn.neural import NeuralModel
-from quadexp.learn.predict import AXIS, predict
-from quadexp.learn.support import feature_ranges, outside_shares
+from quadexp.learn.support import outside_shares
 from quadexp.learn.thrust_scale import has_thrust_scale, with_common_scale
 
 Row = dict[str, Any]
@@ -32,8 +29,7 @@ SAMPLE_SPLIT = (
 )
 
 
-@dataclass(frozen=True)
-class Fit:
+class Fit(NamedTuple):
     """A fit and the report on it.
 
     model: the result, fitted to all rows if refitted. held_out_model: fitted without the flights of `test`; the
@@ -41,59 +37,48 @@ class Fit:
     report: JSON-able: rows (one per output and predictor), held_out_flights, refitted.
     """
 
-    model: GPModel
-    held_out_model: GPModel
+    model: Any
+    held_out_model: Any
     train: ResidualDataset
     test: ResidualDataset | None
     report: dict[str, Any]
 
 
 def fit_with_report(
-    dataset: ResidualDataset, settings: GPSettings | None = None, *, callback: Callback | None = None
+    dataset: ResidualDataset, kind: type[Model], settings: Any, *, callback: Callback | None = None
 ) -> Fit:
-    """Fit without the held-out flights, report on these, then refit to all rows from that start (settings.refit).
+    """Fit a model without the held-out flights, report on these, then refit to all rows from there (settings.refit).
 
-    Raises DataError as `fit_gp` does, and where a single flight cannot be split.
+    settings: of `kind.fit`, with holdout, seed and, where there is a choice, refit and split.
+    Raises DataError as `kind.fit` does, and where a single flight cannot be split.
     """
-    settings = settings or GPSettings()
     if settings.holdout == 0:
-        model = fit_gp(dataset, settings, callback=callback)
+        model = kind.fit(dataset, settings, callback=callback)
         return Fit(model, model, dataset, None, {"rows": [], "held_out_flights": [], "refitted": False})
-    train, test = split(dataset, settings)
-    refit = settings.refit and settings.method != "exact"
+    by_sample = getattr(settings, "split", "flight") == "sample"
+    train, test = (split_by_sample if by_sample else split_by_flight)(dataset, settings.holdout, settings.seed)
+    refit = getattr(settings, "refit", True) and getattr(settings, "method", "") != "exact"
     share = 0.8 if refit else 1.0
-    held_out_model = fit_gp(train, settings, callback=_scaled(callback, 0.0, share), drag_intervals=not refit)
-    model = held_out_model
-    if refit:
-        short = replace(settings, max_iterations=max(settings.max_iterations // 4, 1))
-        model = fit_gp(dataset, short, start=held_out_model, callback=_scaled(callback, share, 1.0))
-        model = replace(model, settings=settings.as_dict())
+    first = kind.fit(train, settings, callback=_scaled(callback, 0.0, share), intervals=not refit)
+    model = kind.fit(dataset, settings, start=first, callback=_scaled(callback, share, 1.0)) if refit else first
     report = {
-        "rows": evaluate(held_out_model, train, test),
+        "rows": evaluate(first, train, test),
         "held_out_flights": sorted(set(map(str, test.columns["flight_name"]))),
         "refitted": refit,
-        "out_of_range": out_of_range(train, test, held_out_model),
+        "out_of_range": outside_shares(first.feature_range, test),
     }
-    if settings.split == "sample":
-        by_flight = fit_with_report(dataset, replace(settings, split="flight", refit=False))
+    if by_sample:
+        by_flight = fit_with_report(dataset, kind, replace(settings, split="flight", refit=False))
         report |= {"rows_by_flight": by_flight.report["rows"], "misleading": SAMPLE_SPLIT}
-    return Fit(model, held_out_model, train, test, report)
+    return Fit(model, first, train, test, report)
 
 
-def split(dataset: ResidualDataset, settings: GPSettings) -> tuple[ResidualDataset, ResidualDataset]:
-    """Train and test rows by settings.split: whole flights, or rows drawn from all flights."""
-    if settings.split == "flight":
-        return split_by_flight(dataset, settings.holdout, settings.seed)
-    count = int(np.clip(round(settings.holdout * dataset.n_rows), 1, dataset.n_rows - 1))
+def split_by_sample(dataset: ResidualDataset, share: float, seed: int = 0) -> tuple[ResidualDataset, ResidualDataset]:
+    """Train and test rows, drawn from all flights."""
+    count = int(np.clip(round(share * dataset.n_rows), 1, dataset.n_rows - 1))
     test = np.zeros(dataset.n_rows, bool)
-    test[np.random.default_rng(settings.seed).permutation(dataset.n_rows)[:count]] = True
+    test[np.random.default_rng(seed).permutation(dataset.n_rows)[:count]] = True
     return dataset.rows(~test), dataset.rows(test)
-
-
-def out_of_range(train: ResidualDataset, test: ResidualDataset, model: GPModel) -> dict[str, float]:
-    """Share of the test rows outside the range of the train rows; see quadexp.learn.support."""
-    names = [name for output in model.outputs for name in output.features]
-    return outside_shares(feature_ranges(train, names), test)
 
 
 def split_by_flight(dataset: ResidualDataset, share: float, seed: int = 0) -> tuple[ResidualDataset, ResidualDataset]:
@@ -115,45 +100,37 @@ def split_by_flight(dataset: ResidualDataset, share: float, seed: int = 0) -> tu
     return dataset.rows(~test), dataset.rows(test)
 
 
-def evaluate(model: GPModel, train: ResidualDataset, test: ResidualDataset) -> list[Row]:
-    """One row per output and predictor (gp, linear_drag, zero) with rmse, nlpd, inside_1, inside_2, n.
+def evaluate(model: Model, train: ResidualDataset, test: ResidualDataset) -> list[Row]:
+    """One row per output and predictor (the model, linear_drag, zero) with rmse, nlpd, inside_1, inside_2, n.
 
     train: rows that the baselines (linear drag, and the standard deviations) are fitted to.
     """
-    baselines = evaluate_drag(train, test)
+    drag = model if isinstance(model, LinearDrag) else drag_baseline(train)
+    baseline = {} if drag is model else drag.predict(test)
     rows = []
-    for output, prediction in predict(model, test).items():
+    for output, found in model.predict(test).items():
         target = test.matrix([output])[:, 0]
-        rows.append({"output": output, "predictor": "gp"} | score(target, prediction.mean, prediction.std))
-        if output in AXIS:
-            rows += [row for row in baselines if row["output"] == output]
-        else:
-            rows.append(_zero(output, train, test))
+        zero = Prediction(np.zeros(len(target)), None, float(np.mean(train.matrix([output]) ** 2)))
+        every = (model.predictor, found), (drag.predictor, baseline.get(output)), ("zero", zero)
+        for name, one in every:
+            if one is not None:
+                rows.append({"output": output, "predictor": name} | score(target, one.mean, one.std))
     return rows
 
 
-def evaluate_network(model: NeuralModel, train: ResidualDataset, test: ResidualDataset) -> list[Row]:
-    """As `evaluate`, of a network fitted to `train`; its standard deviation is that of its error there."""
-    baselines = evaluate_drag(train, test)
-    rows = []
-    for (output, mean), std in zip(model.predict(test).items(), model.residual_std, strict=True):
-        target = test.matrix([output])[:, 0]
-        rows.append({"output": output, "predictor": "nn"} | score(target, mean, np.full(len(target), std)))
-        rows += [row for row in baselines if row["output"] == output] or [_zero(output, train, test)]
-    return rows
+def without(data: ResidualDataset, model: Model, label: str) -> ResidualDataset:
+    """The dataset with the model's predictions subtracted from its outputs; label: of the model, for the record.
 
-
-def evaluate_drag(train: ResidualDataset, test: ResidualDataset, **options: Any) -> list[Row]:
-    """The rows of `evaluate` for linear drag and zero alone; options go to `fit_linear_drag`."""
-    drag = drag_baseline(train, **options)
-    mean = drag.acceleration(test)
-    rows = []
-    for output, axis in AXIS.items():
-        target = test.matrix([output])[:, 0]
-        std = np.full(len(target), drag.residual_std[axis])
-        rows.append({"output": output, "predictor": "linear_drag"} | score(target, mean[:, axis], std))
-        rows.append(_zero(output, train, test))
-    return rows
+    Raises UsageError for an identified vehicle, and for recorded flights, whose thrust scale is fitted with the model.
+    """
+    if has_thrust_scale(data):
+        raise UsageError("--after: only of simulated flights; recorded ones have a thrust scale that is fitted too")
+    try:
+        found = model.predict(data)
+    except UsageError as error:
+        raise UsageError(f"{label}: {error}; --after needs a checkpoint of fit-drag, fit-gp or fit-nn") from None
+    columns = {output: data.matrix([output])[:, 0] - one.mean for output, one in found.items()}
+    return ResidualDataset(dict(data.columns) | columns, dict(data.metadata) | {"after": label})
 
 
 def drag_baseline(train: ResidualDataset, **options: Any) -> LinearDrag:
@@ -161,13 +138,6 @@ def drag_baseline(train: ResidualDataset, **options: Any) -> LinearDrag:
     recorded = has_thrust_scale(train)
     rows = with_common_scale(train).dataset if recorded else train
     return fit_linear_drag(rows, **({"thrust": not recorded, "intervals": False} | options))
-
-
-def _zero(output: str, train: ResidualDataset, test: ResidualDataset) -> Row:
-    """Score of the zero predictor, with the root mean square of the train rows as its standard deviation."""
-    target = test.matrix([output])[:, 0]
-    std = np.full(len(target), np.sqrt(np.mean(train.matrix([output]) ** 2)))
-    return {"output": output, "predictor": "zero"} | score(target, np.zeros(len(target)), std)
 
 
 def score(target: np.ndarray, mean: np.ndarray, std: np.ndarray) -> Row:

@@ -5,26 +5,33 @@
 v the body velocity (m/s), T the collective thrust (N). The published fit has b = 0 and kappa = 0; on z, the drag then
 absorbs the motors' loss, which is proportional to the thrust.
 
-loss="huber" (default) is Huber's loss (huber.py): where the true drag is not linear, it reduces the influence of the
-few fastest rows, and the controller that uses the fit tracks better. loss="squares" is the published fit.
+loss="huber" (default) is Huber's loss (regression.py): where the true drag is not linear, it reduces the influence of
+the few fastest rows, and the controller that uses the fit tracks better. loss="squares" is the published fit.
 
-Intervals treat flights as independent (quadexp.learn.flight_jackknife): 95 % intervals for the fit to many flights of
+Intervals treat flights as independent (quadexp.learn.regression): 95 % intervals for the fit to many flights of
 the same kind, also where the true drag is not linear. Rows of a flight are not independent: intervals that take them so
 are 7 to 10 times too small on flights.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import msgspec
 import numpy as np
 
-from quadexp.errors import DataError, UsageError
+from quadexp.errors import UsageError
+from quadexp.learn.base import AXIS, Model, Prediction, Shape, Three
 from quadexp.learn.dataset import THRUST, ResidualDataset
-from quadexp.learn.flight_jackknife import flight_errors
-from quadexp.learn.huber import LOSSES, solve
+from quadexp.learn.regression import LOSSES, half_width, regress
 from quadexp.learn.support import feature_ranges
+from quadexp.learn.thrust_scale import with_common_scale
+
+if TYPE_CHECKING:
+    from quadexp.air.adapting import Adapting
+    from quadexp.air.base import Residual
+    from quadexp.config.learning import DragConfig
+    from quadexp.physics.vehicle import Vehicle
 
 AXES = "xyz"
 LABELS = {
@@ -34,33 +41,29 @@ LABELS = {
 }
 
 
-@dataclass(frozen=True)
-class LinearDrag:
+class LinearDrag(Model, frozen=True, tag="linear_drag"):
     """a_body = -drag v_body + intercept + (0, 0, thrust_gain T), with one standard error per number.
 
-    drag: (3,) 1/s. intercept: (3,) m/s^2. thrust_gain: 1/kg. *_error: standard errors, same shapes.
-    residual_std: (3,), root mean square residual, m/s^2. r_squared: (3,), share of the variance explained.
-    n: number of rows. errors: kind of the standard errors. loss: of the fit. vehicle: {name, fingerprint}. dataset:
-    record of the data. freedom: (7,), degrees of freedom of Student's t in the order of `parameters`; 0 where there is
-    no interval. flights: number of flights. feature_range: of the rows, see quadexp.learn.support.
+    drag: 1/s. intercept: m/s^2. thrust_gain: 1/kg. *_error: standard errors. residual_std: root mean square residual,
+    m/s^2. r_squared: share of the variance explained. n: number of rows. errors: kind of the standard errors. loss: of
+    the fit. freedom: degrees of freedom of Student's t in the order of `parameters`; 0 where there is no interval.
+    flights: number of flights.
     """
 
-    drag: np.ndarray
-    intercept: np.ndarray
+    drag: Three
+    intercept: Three
     thrust_gain: float
-    drag_error: np.ndarray
-    intercept_error: np.ndarray
+    drag_error: Three
+    intercept_error: Three
     thrust_gain_error: float
-    residual_std: np.ndarray
-    r_squared: np.ndarray
+    residual_std: Three
+    r_squared: Three
     n: int
     errors: str = "flight"
     loss: str = "huber"
-    vehicle: dict[str, Any] = field(default_factory=dict)
-    dataset: dict[str, Any] = field(default_factory=dict)
-    freedom: np.ndarray = field(default_factory=lambda: np.zeros(7))
+    freedom: Annotated[np.ndarray, Shape("7")] = msgspec.field(default_factory=lambda: np.zeros(7))
     flights: int = 0
-    feature_range: dict[str, list[float]] = field(default_factory=dict)
+    predictor = "linear_drag"
 
     @property
     def parameters(self) -> np.ndarray:
@@ -79,14 +82,54 @@ class LinearDrag:
             value[:, 2] += self.thrust_gain * dataset.matrix([THRUST])[:, 0]
         return value
 
+    def predict(self, rows: ResidualDataset) -> dict[str, Prediction]:
+        """See Model.predict."""
+        mean = self.acceleration(rows)
+        return {output: Prediction(mean[:, i], None, self.residual_std[i] ** 2) for output, i in AXIS.items()}
+
+    def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
+        """See Model.residual."""
+        from quadexp.air.linear_drag import linear_drag_residual
+
+        if part not in ("best", "linear"):
+            raise UsageError(f"{source}: holds linear drag, not '{part}'")
+        return linear_drag_residual(vehicle, self.drag, self.intercept, self.thrust_gain, source=source)
+
+    def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
+        """See Model.adapting."""
+        from quadexp.air.adapting import adapting_drag
+
+        assert deviation is not None
+        return adapting_drag(vehicle, residual, deviation)
+
+    @classmethod
+    def fit(cls, rows: ResidualDataset, settings: DragConfig, *, intervals: bool = True, **_: Any) -> LinearDrag:
+        """See Model.fit."""
+        return fit_linear_drag(
+            rows, intercept=settings.intercept, thrust=settings.thrust, loss=settings.loss, intervals=intervals
+        )
+
+    def refitted(self, rows: ResidualDataset) -> LinearDrag:
+        """See Model.refitted; without the thrust, whose scale the flights have in common."""
+        return fit_linear_drag(with_common_scale(rows).dataset, thrust=False, loss=self.loss, intervals=False)
+
+    @property
+    def summary(self) -> str:
+        """See Model.summary."""
+        return f"linear drag {self}"
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """See Model.numbers."""
+        half = [None if np.isnan(value) else float(value) for value in self.half_width[:3]]
+        drag = {"drag": self.drag.tolist(), "error": self.drag_error.tolist(), "half_width_95": half}
+        return {"drag": {**drag, "intervals": self.label}}
+
     @property
     def half_width(self) -> np.ndarray:
         """Half the 95 % interval of each of `parameters`, (7,); NaN where there is no interval."""
-        from scipy.stats import t as student_t
-
         error = np.concatenate([self.drag_error, self.intercept_error, [self.thrust_gain_error]])
-        defined = self.freedom > 0
-        return np.where(defined, student_t.ppf(0.975, np.where(defined, self.freedom, 1.0)) * error, np.nan)
+        return np.where(self.freedom > 0, half_width(error, self.freedom), np.nan)
 
     @property
     def label(self) -> str:
@@ -142,42 +185,24 @@ def fit_linear_drag(
         design = dataset.matrix(names) * np.array([-1.0, 1.0])[: len(names)]
         if intercept:
             design = np.column_stack([design, np.ones(n)])
+            names.append("intercept")
         target = dataset.matrix([f"a_{axis}"])[:, 0]
-        fit, residual = _regression(design, target, flight, f"a_{axis} on {', '.join(names)}", loss, intervals)
-        drag[:, i] = fit[:, 0]
+        fit = regress(
+            design, target, names, flight, flight, what=f"drag fit of a_{axis}", loss=loss, intervals=intervals,
+            over="flights",
+        )  # fmt: skip
+        found = np.stack([fit.coefficients, fit.errors, fit.freedom])
+        drag[:, i] = found[:, 0]
         if intercept:
-            offset[:, i] = fit[:, -1]
-        if len(names) == 2:
-            gain[:] = fit[:, 1]
-        std[i] = np.sqrt(np.mean(residual**2))
+            offset[:, i] = found[:, -1]
+        if THRUST in names:
+            gain[:] = found[:, 1]
+        std[i] = np.sqrt(np.mean(fit.residual**2))
         spread = np.sum((target - target.mean()) ** 2) if intercept else np.sum(target**2)
-        r_squared[i] = 1 - np.sum(residual**2) / spread if spread > 0 else 0.0
+        r_squared[i] = 1 - np.sum(fit.residual**2) / spread if spread > 0 else 0.0
     return LinearDrag(
         drag[0], offset[0], float(gain[0]), drag[1], offset[1], float(gain[1]), std, r_squared, n, "flight", loss,
-        dict(dataset.metadata.get("vehicle") or {}), dataset.summary(),
         np.concatenate([drag[2], offset[2], [gain[2]]]), len(np.unique(flight)),
-        feature_ranges(dataset, [THRUST] if thrust else []),
+        vehicle=dict(dataset.metadata.get("vehicle") or {}), dataset=dataset.summary(),
+        feature_range=feature_ranges(dataset, [THRUST] if thrust else []),
     )  # fmt: skip
-
-
-def _regression(
-    design: np.ndarray, target: np.ndarray, flight: np.ndarray, what: str, loss: str, intervals: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients, standard errors, degrees of freedom, (3, p), and residuals (n,)."""
-    n, p = design.shape
-    if n < p + 2:
-        raise DataError(f"drag fit of {what}: {n} rows for {p} coefficients, at least {p + 2} are needed")
-    scale = np.linalg.norm(design, axis=0)
-    scale[scale == 0] = 1.0
-    x = design / scale
-    if np.abs(np.diag(np.linalg.qr(x, mode="r"))).min() < 1e-8:
-        raise DataError(
-            f"drag fit of {what}: these columns are not linearly independent over the {n} rows, so the coefficients are"
-            " not determined: add flights with more motion, or omit the intercept or the thrust term"
-        )
-    coefficients, _ = solve(x, target, loss)
-    residual = target - x @ coefficients
-    error, freedom = np.zeros(p), np.zeros(p)
-    if intervals:
-        error, freedom = flight_errors(x, target, flight, coefficients, loss)
-    return np.stack([coefficients / scale, error / scale, freedom]), residual

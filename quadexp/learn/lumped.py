@@ -32,7 +32,7 @@ kappa = 2 rho pi r^2/m, which takes the rotor's radius. T is the model's own thr
 
 is fitted by Gauss-Newton with df/dtheta through y (`fit_inflow`). At the minimum f is linearised; its Jacobian gives
 the regressors whose coefficients, intervals and recursion are reported. (Holding y fixed would bias `body`; compare
-gauss_newton in quadexp.learn.rls_step.)
+gauss_newton in quadexp.learn.rls.)
 
 WITHOUT_RADIUS: where the radius is unknown, V_k - V_hover is left out, its mean is absorbed by `climb` and `advance`,
 and hub_climb, -v_i n v_z, replaces the two terms in y. The rotors' own velocities (omega x r_k) cancel from the sums to
@@ -50,18 +50,13 @@ import numpy as np
 
 from quadexp.air.terms import ITERATIONS, TERMS, Inflow, OperatingPoint, thrust_balance
 from quadexp.errors import DataError
-from quadexp.learn.huber import HUBER, MAD_TO_STD
-from quadexp.learn.rows import BATCH
+from quadexp.learn.dataset import BATCH
+from quadexp.learn.regression import HUBER, MAD_TO_STD
+from quadexp.learn.terms import Z_TERMS
 from quadexp.physics.induced_velocity import safe_newton
 from quadexp.physics.vehicle import Vehicle
 
 AIR_DENSITY = 1.2  # kg/m^3, where the vehicle does not state one
-HUB = ("hub", "hub_climb", "body", "offset")
-HUB_INFLOW = ("hub", "hub_inflow", "hub_square", "body", "offset")
-Z_TERMS = ("thrust", "inflow", "advance", "body")
-WITHOUT_RADIUS = (HUB, HUB, ("thrust", "climb", "advance", "body"))
-SELF_CONSISTENT = (HUB_INFLOW, HUB_INFLOW, Z_TERMS)
-
 START = (0.0, 0.1, 0.0, 0.0)  # scale, loss, advance, body
 LEAST_LOSS = 1e-3
 SEARCH_SAMPLES = 8_000  # used by the search; more are thinned evenly. The linearisation uses all.

@@ -23,10 +23,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
-from quadexp.learn.predictors import Predictor
+from quadexp.learn.samples import FlightRows
 from quadexp.learn.thrust_scale import tracked_scale
 from quadexp.learn.torque import geometric_acceleration, gyroscopic
-from quadexp.learn.validation import FlightRows
+from quadexp.learn.validation import Predictor
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import GRAVITY, Vehicle
@@ -44,7 +44,7 @@ class Track:
     accelerometer's reading of each sample, `ahead` over the motion that begins there."""
 
     def __init__(self, one: FlightRows, predictor: Predictor, gravity: float = GRAVITY) -> None:
-        flight, at = one.flight, slice(one.first, None)
+        flight, at, self.predictor = one.flight, slice(one.first, None), predictor
         self.name, self.dt, self.speed = one.name, one.dt, one.speed
         self.position, self.velocity = flight.stack(POINT)[at], flight.stack(WORLD_VELOCITY)[at]
         self.quaternion = flight.stack(QUATERNION)[at]
@@ -59,7 +59,6 @@ class Track:
         self.scale = tracked_scale(self.rotors.sum(axis=1), thrust, self.dt)
         self.gravity = gravity
         self.bias = accelerometer_bias(self.time, self.velocity, self.matrix, one.samples.force, gravity)
-        self.torque = predictor.torque
 
     def starts(self, steps: int) -> np.ndarray:
         """Samples followed by `steps` more in the same segment, spread over the flight."""
@@ -82,16 +81,14 @@ def accelerometer_bias(
     return np.mean(force - np.einsum("kji,kj->ki", matrix, world), axis=0)
 
 
-def attitude_rollout(
-    predictor: Predictor, track: Track, starts: np.ndarray, steps: int, *, tracked: bool
-) -> tuple[np.ndarray, np.ndarray]:
+def attitude_rollout(track: Track, starts: np.ndarray, steps: int, *, tracked: bool) -> tuple[np.ndarray, np.ndarray]:
     """Position and velocity, each (steps + 1, starts, 3), world, with the measured attitude."""
     down = np.array([0.0, 0.0, -track.gravity])
     scale = track.scale[starts] if tracked else np.ones(len(starts))
 
     def acceleration(k: np.ndarray, v: np.ndarray, rotors: np.ndarray) -> np.ndarray:
         body = air_velocity(track.quaternion[k], v, track.wind[k])
-        force = predictor.beyond(body, track.rate[k], rotors[k]) - track.bias
+        force = track.predictor.beyond(body, track.rate[k], rotors[k]) - track.bias
         force[:, 2] += scale * rotors[k].sum(axis=1)
         return np.einsum("kij,kj->ki", track.matrix[k], force) + down
 
@@ -118,16 +115,15 @@ def turning(track: Track, mode: str, vehicle: Vehicle, starts: np.ndarray) -> Tu
         return None
     if mode == "held":
         return lambda k, w: np.zeros_like(w)
-    if track.torque is None:
+    if track.predictor.torque is None:
         raise DataError(f"{track.name}: there is no fitted torque to predict with")
-    model, at = track.torque, (track.time, track.segment)
+    model, at = track.predictor.torque, (track.time, track.segment)
     before, driven = (model.driven(*at, geometric_acceleration(x, vehicle)) for x in (track.rotors, track.ahead))
     offset = model.tracked_offset(*at, (before + driven) / 2, track.rate, gyroscopic(track.rate, vehicle))[starts]
     return lambda k, w: np.where(model.used, driven[k] + offset - gyroscopic(w, vehicle), 0.0)
 
 
 def full_rollout(
-    predictor: Predictor,
     track: Track,
     starts: np.ndarray,
     steps: int,
@@ -158,7 +154,7 @@ def full_rollout(
         state = np.where(lost[:, None], states[0], state)  # restarted at a finite state, and set to NaN below
         stopped |= lost
         body = air_velocity(state[:, ATTITUDE], state[:, VELOCITY], track.wind[k])
-        correction = predictor.beyond(body, state[:, RATE], track.ahead[k]) - track.bias
+        correction = track.predictor.beyond(body, state[:, RATE], track.ahead[k]) - track.bias
         thrust = vehicle.mass * scale[:, None] * track.ahead[k]
         torque = np.zeros_like(correction)
         if turn is not None:  # in place of the geometric torque
@@ -174,7 +170,6 @@ def full_rollout(
 
 
 def rollout_errors(
-    predictor: Predictor,
     tracks: Sequence[Track],
     horizons: Sequence[float],
     *,
@@ -182,9 +177,10 @@ def rollout_errors(
     vehicle: Vehicle | None = None,
     mode: str = "full",
 ) -> list[dict[str, Any]]:
-    """Errors at each horizon: {horizon, starts, lost (share), position, velocity: RMS over starts (m, m/s), medians}.
+    """Errors of a predictor at each horizon: {horizon, starts, lost (share), position (m), velocity (m/s)}.
 
-    vehicle: None: mode "attitude"; else all 13 states by `mode`, with attitude (rad) and rate (rad/s) errors too.
+    The errors are RMS over starts, with their medians beside them. vehicle: None: mode "attitude"; else all 13 states
+    by `mode`, with attitude (rad) and rate (rad/s) errors too.
     """
     rows = []
     for horizon in horizons:
@@ -196,9 +192,9 @@ def rollout_errors(
                 continue
             end = starts + steps
             if vehicle is None:
-                position, velocity = (a[-1] for a in attitude_rollout(predictor, track, starts, steps, tracked=tracked))
+                position, velocity = (a[-1] for a in attitude_rollout(track, starts, steps, tracked=tracked))
             else:
-                last = full_rollout(predictor, track, starts, steps, vehicle, tracked=tracked, mode=mode)[-1]
+                last = full_rollout(track, starts, steps, vehicle, tracked=tracked, mode=mode)[-1]
                 position, velocity = last[:, POSITION], last[:, VELOCITY]
                 level = np.where(np.isfinite(last[:, ATTITUDE]), last[:, ATTITUDE], [1.0, 0.0, 0.0, 0.0])
                 turned = Rotation.from_quat(level, scalar_first=True).inv() * track.rotation[end]
@@ -211,7 +207,7 @@ def rollout_errors(
         if not sums:
             continue
         speed = np.concatenate(sums.pop("speed"))
-        row: dict[str, Any] = {"predictor": predictor.name, "mode": "attitude" if vehicle is None else mode}
+        row: dict[str, Any] = {"predictor": tracks[0].predictor.name, "mode": "attitude" if vehicle is None else mode}
         row |= {"horizon": float(horizon), "thrust_tracked": tracked, "starts": len(speed)}
         for name, parts in sums.items():
             values = np.concatenate(parts)

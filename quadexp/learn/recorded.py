@@ -11,16 +11,16 @@ amplified noise; `target_cost` measures the difference on the user's own flights
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
-from quadexp.learn.checkpoint import arrays_of
+from quadexp.learn.checkpoint import plain
 from quadexp.learn.dataset import THRUST, ResidualDataset, joined, transitions
 from quadexp.learn.linear_drag import fit_linear_drag
-from quadexp.learn.samples import RATES, choose_signal, gather, rotor_columns
+from quadexp.learn.samples import choose_signal, read_rows, rotor_columns
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.log.schema import Flight
 from quadexp.physics.vehicle import Vehicle
@@ -60,18 +60,11 @@ def force_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, name: str =
 
     Raises DataError for a column that is missing or not finite, and for another number of rotors than the vehicle's.
     """
-    samples = gather([flight], curve.signal, [name]).delayed(curve.delay)
-    first = len(flight) - len(samples)  # the first row of a simulated flight has no reading yet
+    row = read_rows(flight, name, curve.signal, curve.delay)
+    samples, rate = row.samples, row.rate
     rotors = curve.of_signal(samples.signal, samples.voltage)
     if rotors.shape[1] != vehicle.n_rotors:
         raise DataError(f"{name}: {rotors.shape[1]} rotors, vehicle '{vehicle.name}' has {vehicle.n_rotors}")
-    missing = [column for column in RATES if column not in flight.columns]
-    if missing:
-        raise DataError(f"{name}: column '{missing[0]}' is missing in the flight")
-    rate = flight.stack(RATES)[first:]
-    bad = np.flatnonzero(~np.isfinite(rate).all(axis=1))
-    if len(bad):
-        raise DataError(f"{name}: a body rate is not finite in row {bad[0] + first} ({len(bad)} such rows)")
     residual = samples.force.copy()
     residual[:, 2] -= rotors.sum(axis=1)
     columns = {"t": samples.time, "dt": _steps(samples.time, samples.segment)}
@@ -130,19 +123,9 @@ def recorded_dataset(
             "target": target,
             "flights": records,
             "recorded": True,
-            "thrust": curve_record(curve),
+            "thrust": plain(curve),
         },
     )
-
-
-def curve_record(curve: ThrustCurve) -> dict[str, Any]:
-    """A thrust curve as JSON types."""
-    return {key: value.tolist() if hasattr(value, "tolist") else value for key, value in asdict(curve).items()}
-
-
-def curve_from_record(record: dict[str, Any]) -> ThrustCurve:
-    """The inverse of `curve_record`."""
-    return ThrustCurve(**arrays_of(record, ThrustCurve))
 
 
 class TargetCost(NamedTuple):

@@ -185,6 +185,41 @@ def gather_to_fit(flights: Sequence[Flight], signal: str | None = None, names: S
     return samples.delayed(late * period).rows(known)
 
 
+@dataclass(frozen=True)
+class FlightRows:
+    """One flight, to be predicted or learned from: samples, body rate (k, 3), index of the first sample in the flight
+    (the first row of a simulated one has no reading yet)."""
+
+    name: str
+    flight: Flight
+    samples: Samples
+    rate: np.ndarray
+    first: int
+
+    @property
+    def dt(self) -> float:
+        return float(np.median(np.diff(self.samples.time)))
+
+    @property
+    def speed(self) -> np.ndarray:
+        return np.linalg.norm(self.samples.velocity, axis=1)
+
+
+def read_rows(flight: Flight, name: str, signal: str, delay: float = 0.0) -> FlightRows:
+    """delay: of the thrust behind its signal (s). Raises DataError where the flight lacks what is needed, body rates
+    too, or where these are not finite."""
+    samples = gather([flight], signal, [name]).delayed(delay)
+    first = len(flight) - len(samples)
+    missing = [column for column in RATES if column not in flight.columns]
+    if missing:
+        raise DataError(f"{name}: column '{missing[0]}' is missing in the flight")
+    rate = flight.stack(RATES)[first:]
+    bad = np.flatnonzero(~np.isfinite(rate).all(axis=1))
+    if len(bad):
+        raise DataError(f"{name}: a body rate is not finite in row {bad[0] + first} ({len(bad)} such rows)")
+    return FlightRows(name, flight, samples, rate, first)
+
+
 def _has_rates(flight: Flight) -> bool:
     return all(name in flight.columns and np.isfinite(flight[name]).all() for name in RATES)
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError
+from quadexp.learn.base import rms
 from quadexp.learn.samples import Samples
 from quadexp.learn.terms import AXES
 from quadexp.learn.thrust_curve import ThrustCurve, fit_thrust_samples, thrust_columns
@@ -133,11 +134,6 @@ def _curve_residual(train: Samples, test: Samples, settings: FitSettings) -> tup
 def _curve_left_out(samples: Samples, settings: FitSettings, fold: np.ndarray) -> float:
     left = [_curve_residual(samples.rows(fold != i), samples.rows(fold == i), settings)[1] for i in np.unique(fold)]
     return rms(np.concatenate(left))
-
-
-def rms(values: np.ndarray) -> float:
-    """Root mean square of (k,)."""
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def best_level(rows: Sequence[Mapping[str, Any]], levels: Sequence[str] = (*KINDS, HOVER_INFLOW)) -> str:

@@ -17,13 +17,16 @@ Baca, arXiv 2603.09908).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import Annotated
 
+import msgspec
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
+from quadexp.learn.base import Record, Rotors, Shape
 from quadexp.learn.regression import Regression, half_width, regress
-from quadexp.learn.samples import Samples, rotor_columns
+from quadexp.learn.samples import SIGNALS, Samples, rotor_columns
 from quadexp.log.schema import Flight
 
 # Powers of the signal in the curve, and the signals with an intercept by default.
@@ -34,34 +37,33 @@ EXPONENT_RANGE = (0.0, 3.0)
 SEARCH_SAMPLES = 40_000  # used by the search for the exponent; more are thinned evenly
 
 
-@dataclass(frozen=True)
-class ThrustCurve:
+class ThrustCurve(Record, frozen=True):
     """Thrust of a rotor per vehicle mass as a function of its signal.
 
-    signal: a name in quadexp.learn.samples.SIGNALS. reference_voltage: V, 0 where the voltage is not used.
-    voltage_exponent: g; voltage_exponent_error: 0 where g was not fitted. powers: (q,) exponents. coefficients, errors:
-    (q,), or (n, q) with one row per rotor; m/s^2 per signal^power. intercept, intercept_error: m/s^2, sum over all
-    rotors. rotors: n. drag_z, drag_z_error: d_z, 1/s (0: not fitted). freedom: degrees of freedom of Student's t.
-    condition: condition number. residual_std: root mean square residual along z, m/s^2. signal_range: smallest and
-    largest signal of the fit. loss: "squares" or "huber". delay: between the signal and its thrust (s).
+    signal: a name in quadexp.learn.samples.SIGNALS. powers: exponents. coefficients, errors: of all rotors, or one row
+    per rotor; m/s^2 per signal^power. reference_voltage: V, 0 where the voltage is not used. voltage_exponent: g;
+    voltage_exponent_error: 0 where g was not fitted. intercept, intercept_error: m/s^2, sum over all rotors. drag_z,
+    drag_z_error: d_z, 1/s (0: not fitted). freedom: degrees of freedom of Student's t. condition: condition number.
+    residual_std: root mean square residual along z, m/s^2. signal_range: smallest and largest signal of the fit. loss:
+    "squares" or "huber". delay: between the signal and its thrust (s).
     """
 
-    signal: str
-    powers: np.ndarray
-    coefficients: np.ndarray
-    errors: np.ndarray
+    signal: Annotated[str, msgspec.Meta(pattern=f"^({'|'.join(SIGNALS)})$")]
+    powers: Annotated[np.ndarray, Shape("powers")]
+    coefficients: Annotated[np.ndarray, Shape("powers | rotors powers")]
+    errors: Annotated[np.ndarray, Shape("powers | rotors powers")]
     reference_voltage: float = 0.0
     voltage_exponent: float = 1.0
     voltage_exponent_error: float = 0.0
     intercept: float = 0.0
     intercept_error: float = 0.0
-    rotors: int = 4
+    rotors: Rotors = 4
     drag_z: float = 0.0
     drag_z_error: float = 0.0
     freedom: int = 1
     condition: float = 1.0
     residual_std: float = 0.0
-    signal_range: np.ndarray | None = None
+    signal_range: Annotated[np.ndarray | None, Shape("2")] = None
     loss: str = "squares"
     delay: float = 0.0
 
@@ -213,39 +215,27 @@ def fit_thrust_samples(
     curve = ThrustCurve(
         kind, np.array(powers, float), value[:q].reshape(shape), error[:q].reshape(shape), float(reference_voltage),
         g, g_error, float(value[q]) if intercept else 0.0, float(error[q]) if intercept else 0.0, n,
-        float(value[-1]) if drag else 0.0, float(error[-1]) if drag else 0.0, regression.freedom, regression.condition,
-        float(np.sqrt(np.mean(regression.residual**2))), np.array([scaled.min(), scaled.max()]), loss,
-        samples.delay,
+        float(value[-1]) if drag else 0.0, float(error[-1]) if drag else 0.0, int(regression.freedom),
+        regression.condition, float(np.sqrt(np.mean(regression.residual**2))), np.array([scaled.min(), scaled.max()]),
+        loss, samples.delay,
     )  # fmt: skip
     return curve, regression
 
 
 def _search_exponent(
-    samples: Samples,
-    reference_voltage: float,
-    powers: Sequence[int],
-    *,
-    intercept: bool,
-    per_rotor: bool,
-    drag: bool,
+    samples: Samples, reference_voltage: float, powers: Sequence[int], *, drag: bool, **columns: bool
 ) -> float:
-    """The g with the least sum of squared residuals, on thinned samples.
-
-    All rotors have the same voltage: (s r^g)^p = s^p r^(g p), so one power per sample depends on g.
-    """
+    """The g with the least sum of squared residuals, on thinned samples; columns: of `thrust_design`."""
     from scipy.optimize import minimize_scalar
 
     some = samples.thinned(SEARCH_SAMPLES)
-    plain, _ = thrust_design(some.signal, powers, intercept=intercept, per_rotor=per_rotor)
-    ratio = np.log(scaled_signal(np.ones((len(some), 1)), some.voltage, reference_voltage)[:, 0])
-    each = np.tile(powers, some.signal.shape[1] if per_rotor else 1)
-    design = np.column_stack([plain, -some.velocity[:, 2]]) if drag else plain.copy()
     target = some.force[:, 2]
 
     def squares(g: float) -> float:
-        scale = np.exp(g * ratio)
-        for j, power in enumerate(each):
-            design[:, j] = plain[:, j] * scale**power
+        scaled = scaled_signal(some.signal, some.voltage, reference_voltage, g)
+        design, _ = thrust_design(scaled, powers, **columns)
+        if drag:
+            design = np.column_stack([design, -some.velocity[:, 2]])
         residual = target - design @ np.linalg.lstsq(design, target, rcond=None)[0]
         return float(residual @ residual)
 
@@ -272,9 +262,9 @@ def _exponent_error(
     relative_voltage = scaled_signal(np.ones((len(samples), 1)), samples.voltage, reference_voltage)[:, 0]
     joint = fit(g, slope * np.log(relative_voltage))
     keep = np.array([name != "g" for name in joint.names])
-    linearised = Regression(
-        first.names, first.coefficients, joint.covariance[np.ix_(keep, keep)], joint.plain[np.ix_(keep, keep)],
-        first.residual, joint.blocks, joint.condition,
+    linearised = replace(
+        first, covariance=joint.covariance[np.ix_(keep, keep)], plain=joint.plain[np.ix_(keep, keep)],
+        freedom=joint.freedom + 1, condition=joint.condition,  # g is none of its coefficients
     )  # fmt: skip
     return linearised, float(joint.errors[~keep][0])
 

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from quadexp.learn.base import Record, Three
 from quadexp.learn.regression import FLIGHT_CLUSTERS
 from quadexp.learn.samples import Samples
 from quadexp.learn.thrust_curve import ThrustCurve
@@ -36,25 +37,24 @@ LEAST_BLOCKS, LEAST_ROWS = 4, 20
 PIECE, MOST_SAMPLES = 20.0, 60_000  # s, samples: longer logs are thinned by pieces
 
 
-@dataclass(frozen=True)
-class TorqueModel:
+class TorqueModel(Record, frozen=True):
     """All (3,): roll, pitch, yaw. gain: relative to the geometric torque. lag: s. offset: mean, rad/s^2.
 
     _low, _high: 95 % interval. share: share of the mean square angular acceleration over HORIZON that is predicted on
     held-out data; share_low: its lower limit.
     """
 
-    gain: np.ndarray
-    gain_low: np.ndarray
-    gain_high: np.ndarray
-    lag: np.ndarray
-    lag_low: np.ndarray
-    lag_high: np.ndarray
-    offset: np.ndarray
-    offset_low: np.ndarray
-    offset_high: np.ndarray
-    share: np.ndarray
-    share_low: np.ndarray
+    gain: Three
+    gain_low: Three
+    gain_high: Three
+    lag: Three
+    lag_low: Three
+    lag_high: Three
+    offset: Three
+    offset_low: Three
+    offset_high: Three
+    share: Three
+    share_low: Three
 
     @property
     def used(self) -> np.ndarray:

@@ -1,7 +1,9 @@
 """Error of the predicted specific force on flights that a model was not fitted to.
 
-    e = f - f_model        body FLU, m/s^2;   RMS of the vector, sqrt(mean ||e||^2), and of each axis
+    e = f - f_model,       f_model = (0, 0, sum_i a_i) + a(v, w, a_1 .. a_n)        body FLU, m/s^2
 
+A predictor is a thrust curve and an acceleration beyond it: an identified vehicle gives one for each of its models,
+every other checkpoint one, and "nominal" is the curve alone. RMS of the vector, sqrt(mean ||e||^2), and of each axis.
 Every model is scored as fitted, and with its thrust scale tracked in flight from earlier samples
 (quadexp.learn.thrust_scale). Intervals: percentile bootstrap over flights if there are FLIGHT_CLUSTERS or more,
 otherwise over blocks of BLOCK seconds, because neighbouring errors are correlated.
@@ -9,55 +11,83 @@ otherwise over blocks of BLOCK seconds, because neighbouring errors are correlat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadexp.errors import DataError
+from quadexp.errors import UsageError
+from quadexp.learn.base import Model, rms
+from quadexp.learn.checkpoint import record_of
 from quadexp.learn.dataset import feature_rows
-from quadexp.learn.predictors import Predictor
 from quadexp.learn.regression import FLIGHT_CLUSTERS
-from quadexp.learn.samples import Samples, gather
+from quadexp.learn.samples import FlightRows
 from quadexp.learn.support import outside_shares
+from quadexp.learn.terms import TermModel
+from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.learn.thrust_scale import tracked_scale
-from quadexp.log.schema import Flight
+from quadexp.learn.torque import TorqueModel
+from quadexp.learn.vehicle_model import VehicleModel
+from quadexp.physics.vehicle import Vehicle
 
 BLOCK = 2.0  # s, of the bootstrap
 DRAWS = 1000
 CONFIDENCE = 0.95
 BANDS = 4
+NOMINAL = "nominal"
+_KIND_NAMES = {"linear": "linear drag", "quadratic": "quadratic drag", "blade_element": "blade element"}
+Acceleration = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class FlightRows:
-    """One flight for prediction: samples, body rate (k, 3), index of the first sample in the flight."""
+class Predictor:
+    """name: in tables. curve: thrust. beyond: (v (k, 3), w (k, 3), rotor accelerations (k, n)) -> (k, 3), m/s^2.
+
+    seen: names of the flights of the fit. ranges: of the fit, see quadexp.learn.support. mass: kg, to convert rotor
+    accelerations to the thrusts in the ranges. torque: fitted torque model or None.
+    """
 
     name: str
-    flight: Flight
-    samples: Samples
-    rate: np.ndarray
-    first: int
-
-    @property
-    def dt(self) -> float:
-        return float(np.median(np.diff(self.samples.time)))
-
-    @property
-    def speed(self) -> np.ndarray:
-        return np.linalg.norm(self.samples.velocity, axis=1)
+    curve: ThrustCurve
+    beyond: Acceleration
+    seen: tuple[str, ...] = ()
+    ranges: dict[str, Any] = field(default_factory=dict)
+    mass: float = 1.0
+    torque: TorqueModel | None = None
 
 
-def read_rows(flight: Flight, name: str, signal: str, delay: float = 0.0) -> FlightRows:
-    """delay: of the thrust behind its signal (s). Raises DataError where the flight lacks what is needed."""
-    samples = gather([flight], signal, [name]).delayed(delay)
-    first = len(flight) - len(samples)
-    missing = [column for column in ("w_x", "w_y", "w_z") if column not in flight.columns]
-    if missing:
-        raise DataError(f"{name}: column '{missing[0]}' is missing in the flight")
-    return FlightRows(name, flight, samples, flight.stack(["w_x", "w_y", "w_z"])[first:], first)
+def nominal(curve: ThrustCurve, seen: tuple[str, ...] = (), torque: TorqueModel | None = None) -> Predictor:
+    """The thrust curve only."""
+    return Predictor(NOMINAL, curve, lambda v, w, a: np.zeros((len(v), 3)), seen, torque=torque)
+
+
+def predictors(model: Model, label: str, vehicle: Vehicle, curve: ThrustCurve | None) -> list[Predictor]:
+    """The predictors of a checkpoint: the models of an identified vehicle, of every other one itself.
+
+    label: name of a model without a thrust curve of its own. curve: for it. Raises UsageError where there is none.
+    """
+    seen = tuple(model.dataset.get("names", ()))
+    if isinstance(model, VehicleModel):
+        return [nominal(model.thrust, seen, model.torque)] + [
+            Predictor(_KIND_NAMES[kind], model.thrust, _of_terms(terms), seen, model.feature_range, torque=model.torque)
+            for kind, terms in model.models.items()
+        ]
+    record = model.dataset.get("thrust")
+    own = record_of(record, ThrustCurve) if record else curve
+    if own is None:
+        raise UsageError(f"{label}: was not fitted to recorded flights; also give an identified vehicle (a folder of"
+                         " `quadexp identify`) for its thrust curve")  # fmt: skip
+
+    def beyond(v: np.ndarray, w: np.ndarray, a: np.ndarray) -> np.ndarray:
+        return model.acceleration(feature_rows(v, w, vehicle.mass * a))
+
+    return [Predictor(label, own, beyond, seen, model.feature_range, vehicle.mass)]
+
+
+def _of_terms(terms: TermModel) -> Acceleration:
+    return lambda v, w, a: terms.acceleration(v, a)
 
 
 @dataclass(frozen=True)
@@ -74,11 +104,11 @@ class Residuals:
     outside: float | None
 
 
-def residuals(predictor: Predictor, flights: Sequence[FlightRows]) -> Residuals:
-    """One-step residuals of a predictor on flights."""
+def residuals(predicted: Sequence[tuple[Predictor, FlightRows]]) -> Residuals:
+    """One-step residuals of a predictor on flights, each with the predictor as it was fitted for it."""
     parts: list[tuple[np.ndarray, ...]] = []
     blocks, outside, rows = 0, 0, 0
-    for index, one in enumerate(flights):
+    for index, (predictor, one) in enumerate(predicted):
         samples = one.samples
         rotors = predictor.curve.of_signal(samples.signal, samples.voltage)
         collective = rotors.sum(axis=1)
@@ -94,10 +124,10 @@ def residuals(predictor: Predictor, flights: Sequence[FlightRows]) -> Residuals:
         if predictor.ranges:
             features = feature_rows(samples.velocity, one.rate, predictor.mass * rotors)
             outside += round(outside_shares(predictor.ranges, features)["any"] * len(samples))
-        rows += len(samples)
-    share = outside / rows if predictor.ranges else None
+            rows += len(samples)
     error, tracked, scale, flight, block, speed = map(np.concatenate, zip(*parts, strict=True))
-    return Residuals(predictor.name, error, tracked, scale, flight, block, speed, share)
+    share = outside / rows if rows else None
+    return Residuals(predicted[0][0].name, error, tracked, scale, flight, block, speed, share)
 
 
 def score_rows(results: Sequence[Residuals], baseline: str = "nominal") -> list[Row]:
@@ -135,11 +165,6 @@ def _flight_means(error: np.ndarray, flight: np.ndarray) -> np.ndarray:
     numbers, group = np.unique(flight, return_inverse=True)
     sums = np.stack([np.bincount(group, column, len(numbers)) for column in error.T], axis=1)
     return (sums / np.bincount(group)[:, None])[group]
-
-
-def rms(error: np.ndarray) -> float:
-    """Root mean square of vectors (k, 3)."""
-    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
 
 class Draws(NamedTuple):

@@ -8,18 +8,27 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from quadexp.errors import DataError, UsageError
 from quadexp.learn.dataset import ResidualDataset
-from quadexp.learn.lumped import SELF_CONSISTENT, WITHOUT_RADIUS, fit_inflow, momentum_of
-from quadexp.learn.regression import Regression, regress
+from quadexp.learn.lumped import fit_inflow, momentum_of
+from quadexp.learn.regression import regress
 from quadexp.learn.samples import Samples, gather_to_fit
 from quadexp.learn.support import VELOCITY, feature_ranges
-from quadexp.learn.terms import AXES, LINEAR, QUADRATIC, TermModel, all_columns, term_columns, term_model
+from quadexp.learn.terms import (
+    LINEAR,
+    QUADRATIC,
+    SELF_CONSISTENT,
+    WITHOUT_RADIUS,
+    TermModel,
+    all_columns,
+    fit_terms,
+)
 from quadexp.learn.thrust_curve import ThrustCurve, fit_thrust_samples, thrust_columns
 from quadexp.learn.torque import fit_torque
 from quadexp.learn.vehicle_model import KINDS, VehicleModel
@@ -102,30 +111,19 @@ def fit_level(
     rotors = curve.of_signal(samples.signal, samples.voltage)
     target = samples.force - rotors.sum(axis=1)[:, None] * [0, 0, 1]
     terms: tuple[tuple[str, ...], ...] = {"offset": _OFFSET, "linear": LINEAR}.get(level, QUADRATIC)
-    linearised: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    # The curve's own regression has the z terms of offsets and linear drag as its last columns.
+    z: Any = joint if level in ("offset", "linear") else None
     inflow: float | tuple[float, ...] = 0.0
     if level == "blade_element":
         terms = WITHOUT_RADIUS
         if momentum:
             fit = fit_inflow(samples.velocity, rotors, target[:, 2], momentum, settings.loss)
-            terms, inflow, linearised["z"] = SELF_CONSISTENT, tuple(fit.inflow), (fit.design, fit.target)
-    fits: list[Regression] = []
-    z_by_curve = level in ("offset", "linear")  # the curve's own regression has the z terms as its last columns
-    columns = all_columns(
-        tuple(() if i == 2 and (z_by_curve or linearised) else names for i, names in enumerate(terms)),
-        samples.velocity, rotors, inflow,
+            terms, inflow, z = SELF_CONSISTENT, tuple(fit.inflow), (fit.design, fit.target)
+    model = fit_terms(
+        level, terms, samples.velocity, rotors, target, samples.segment, samples.flight,
+        what=LEVEL_NAMES[level].lstrip("+ "), momentum=inflow, z=z, loss=settings.loss, intervals=intervals,
     )  # fmt: skip
-    for i, names in enumerate(terms):
-        if i == 2 and z_by_curve:
-            fits.append(joint)
-            continue
-        design, y = linearised.get(AXES[i]) or (columns[i], target[:, i])
-        fits.append(regress(
-            design, y, [f"{name}_{AXES[i]}" for name in names], samples.segment, samples.flight,
-            what=f"{LEVEL_NAMES[level].lstrip('+ ')} along {AXES[i]}", loss=settings.loss,
-            intervals=intervals,
-        ))  # fmt: skip
-    return LevelFit(curve, term_model(level, terms, fits, curve.rotors, inflow, settings.loss))
+    return LevelFit(curve, model)
 
 
 def fit_vehicle_model(
@@ -165,10 +163,12 @@ def fit_vehicle_model(
     kinds = ["linear", *(kind for kind, model in optional.items() if model is not None)]
     return VehicleModel(
         linear.curve, linear.terms, optional["quadratic"], optional["blade_element"],
-        best if best is not None and best in kinds else kinds[-1], record, dataset_record(samples),
-        {"loss": settings.loss, "signal": samples.kind, "per_rotor": settings.per_rotor, "momentum": momentum},
-        tuple(notes), torque=None if vehicle is None else fit_torque(samples, vehicle, linear.curve),
-        feature_range=_velocity_ranges(samples.velocity),
+        best if best is not None and best in kinds else kinds[-1], tuple(notes),
+        None if vehicle is None else fit_torque(samples, vehicle, linear.curve),
+        vehicle=record, dataset=dataset_record(samples), feature_range=_velocity_ranges(samples.velocity),
+        settings={
+            "loss": settings.loss, "signal": samples.kind, "per_rotor": settings.per_rotor, "momentum": momentum,
+        },
     )  # fmt: skip
 
 
@@ -185,7 +185,8 @@ def curve_beside_quadratic(samples: Samples, settings: FitSettings, curve: Thrus
     """
     terms = ("linear", "quadratic")
     rotors = curve.of_signal(samples.signal, samples.voltage)
-    design = np.hstack([thrust_columns(curve, samples, drag=False), term_columns(terms, 2, samples.velocity, rotors)])
+    columns = all_columns(((), (), terms), samples.velocity, rotors)[2]
+    design = np.hstack([thrust_columns(curve, samples, drag=False), columns])
     names = [f"thrust_{j}" for j in range(design.shape[1] - len(terms))] + [f"{name}_z" for name in terms]
     regression = regress(
         design, samples.force[:, 2], names, samples.segment, samples.flight,
@@ -194,7 +195,7 @@ def curve_beside_quadratic(samples: Samples, settings: FitSettings, curve: Thrus
     shape, q = curve.coefficients.shape, curve.coefficients.size
     value, error = regression.coefficients, regression.errors
     return replace(
-        curve, coefficients=value[:q].reshape(shape), errors=error[:q].reshape(shape), freedom=regression.freedom,
+        curve, coefficients=value[:q].reshape(shape), errors=error[:q].reshape(shape), freedom=int(regression.freedom),
         intercept=float(value[q]) if curve.has_intercept else 0.0,
         intercept_error=float(error[q]) if curve.has_intercept else 0.0,
     )  # fmt: skip

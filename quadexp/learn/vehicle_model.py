@@ -8,27 +8,30 @@ blade_element with lumped coefficients; None where the flights do not determine 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quadexp.errors import UsageError
+from quadexp.learn.base import Model, Prediction
+from quadexp.learn.dataset import ResidualDataset
 from quadexp.learn.linear_drag import LinearDrag
-from quadexp.learn.terms import TermModel
+from quadexp.learn.terms import TermMean, TermModel
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.learn.torque import TorqueModel
+
+if TYPE_CHECKING:
+    from quadexp.air.base import Residual
+    from quadexp.physics.vehicle import Vehicle
 
 KINDS = ("linear", "quadratic", "blade_element")
 
 
-@dataclass(frozen=True)
-class VehicleModel:
+class VehicleModel(Model, frozen=True, tag="vehicle_model"):
     """thrust: the curve. linear, quadratic, blade_element: see the module. best: kind with the least held-out error.
 
-    vehicle: {name, fingerprint, mass}, None where unknown. dataset: {sha256, rows, flights, duration, names}. settings:
-    of the fit. notes: models that could not be fitted, and why. torque: None without a signal per rotor.
-    feature_range: of body velocity and speed, see quadexp.learn.support.
+    notes: models that could not be fitted, and why. torque: None without a signal per rotor. Of the model's record,
+    vehicle: {name, fingerprint, mass}, None where unknown; dataset: also the names of the flights.
     """
 
     thrust: ThrustCurve
@@ -36,28 +39,27 @@ class VehicleModel:
     quadratic: TermModel | None
     blade_element: TermModel | None
     best: str
-    vehicle: dict[str, Any] = field(default_factory=dict)
-    dataset: dict[str, Any] = field(default_factory=dict)
-    settings: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    versions: dict[str, str] = field(default_factory=dict)
     torque: TorqueModel | None = None
-    feature_range: dict[str, list[float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.best not in self.models:
+            raise ValueError(f"best is {self.best}; one of {', '.join(self.models)} is needed")
 
     @property
-    def drag(self) -> LinearDrag:
-        """Linear drag beyond the thrust curve; every kind of checkpoint has it. The z intercept is in the curve."""
+    def linear_drag(self) -> LinearDrag:
+        """Linear drag beyond the thrust curve. The z intercept is in the curve."""
         value, error = np.zeros((2, 3)), np.zeros((2, 3))
         for i, axis in enumerate("xyz"):
             for j, term in enumerate(("linear", "offset")):
                 value[j, i], error[j, i] = self.linear.coefficient(axis, term)
         return LinearDrag(
             value[0], value[1], 0.0, error[0], error[1], 0.0, self.linear.residual_std, np.zeros(3),
-            int(self.dataset.get("rows", 0)), "blocks", self.linear.loss, dict(self.vehicle), dict(self.dataset),
+            int(self.dataset.get("rows", 0)), "blocks", self.linear.loss,
             np.array([*map(float, self.linear.freedom)] * 2 + [0.0]), int(self.dataset.get("flights", 0)),
+            vehicle=dict(self.vehicle), dataset=dict(self.dataset),
         )  # fmt: skip
-
-    linear_drag = drag
 
     @property
     def models(self) -> dict[str, TermModel]:
@@ -71,5 +73,19 @@ class VehicleModel:
             raise UsageError(f"vehicle model: has no '{kind}'; it has {', '.join(self.models)}")
         return self.models[kind]
 
+    def predict(self, rows: ResidualDataset) -> dict[str, Prediction]:
+        """Raises UsageError: the thrust of the rows is not that of this model's curve."""
+        raise UsageError("an identified vehicle; `quadexp validate` predicts flights with it")
+
+    def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
+        """See Model.residual. part: a kind, or "best"."""
+        from quadexp.air.terms import term_residual
+
+        if part == "gaussian_process":
+            found = ", ".join(self.models)
+            raise UsageError(f"{source}: an identified vehicle, holds no Gaussian process; it has {found}")
+        mean = TermMean(self.model(None if part == "best" else part), vehicle.mass)
+        return term_residual(vehicle, mean.structure, mean.parameters, source)
+
     def __str__(self) -> str:
-        return f"thrust {self.thrust}; drag {self.drag}"
+        return f"thrust {self.thrust}; drag {self.linear_drag}"

@@ -25,12 +25,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadexp.errors import DataError
+from quadexp.learn.base import AXIS, rms
 from quadexp.learn.dataset import DT_RANGE, ResidualDataset
 from quadexp.learn.evaluation import drag_baseline, split_by_flight
-from quadexp.learn.gp_fit import fit_gp
-from quadexp.learn.model import GPModel, GPSettings
-from quadexp.learn.predict import AXIS, predict
-from quadexp.learn.term_mean import KINDS, fit_term_mean
+from quadexp.learn.gaussian_process import GPModel, GPSettings, fit_gp
+from quadexp.learn.terms import MEANS, fit_term_mean
 from quadexp.learn.thrust_scale import has_thrust_scale, with_common_scale
 
 LAG = 2
@@ -94,7 +93,7 @@ def verdict(
     """
     flight = np.asarray(test.columns["flight"])
     drag = drag_baseline(train).acceleration(test)
-    found = predict(model, test)
+    found = model.predict(test)
     outputs: dict[str, Any] = {}
     errors = np.stack([test.matrix([output])[:, 0] - drag[:, axis] for output, axis in AXIS.items()], axis=1)
     of_gp = errors.copy()
@@ -164,7 +163,7 @@ def _trial_errors(
         settings, features={output: features}, method="sgpr", max_rows=TRIAL_ROWS, max_iterations=TRIAL_ITERATIONS,
         inducing=min(settings.inducing, 30),
     )  # fmt: skip
-    return test.matrix([output])[:, 0] - predict(fit_gp(train, few, drag_intervals=False), test)[output].mean
+    return test.matrix([output])[:, 0] - fit_gp(train, few, intervals=False).predict(test)[output].mean
 
 
 def _identified(
@@ -174,23 +173,19 @@ def _identified(
     rows = with_common_scale(train).dataset
     target = test.matrix(["a_x", "a_y", "a_z"])
     found = [("linear drag", target - drag_baseline(train).acceleration(test))]
-    for kind in KINDS:
+    for kind in MEANS:
         try:
             found.append((kind.replace("_", " "), target - fit_term_mean(rows, kind).acceleration(test)))
         except DataError:
             continue
-    nominal = _rms(target)
-    records = [{"model": "this fit", "rms": _rms(of_gp), "share": _rms(of_gp) / nominal}]
+    nominal = rms(target)
+    records = [{"model": "this fit", "rms": rms(of_gp), "share": rms(of_gp) / nominal}]
     for name, error in found:
-        rms = _rms(error)
+        size = rms(error)
         records.append(
-            {"model": name, "rms": rms, "share": rms / nominal} | _record(paired_ratio(of_gp, error, flight))
+            {"model": name, "rms": size, "share": size / nominal} | _record(paired_ratio(of_gp, error, flight))
         )
     return records
-
-
-def _rms(error: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
 
 def verdict_lines(report: dict[str, Any]) -> list[str]:

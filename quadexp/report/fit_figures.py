@@ -5,17 +5,17 @@ Each function returns a matplotlib Figure and changes no global state; `quadexp.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.ticker import PercentFormatter
+from msgspec.structs import replace
 
+from quadexp.learn.base import AXIS, Prediction
 from quadexp.learn.dataset import THRUST, ResidualDataset
-from quadexp.learn.model import GPModel, OutputPosterior
-from quadexp.learn.predict import AXIS, Prediction, predict
-from quadexp.learn.term_mean import VELOCITY, TermMean
+from quadexp.learn.gaussian_process import GPModel, OutputPosterior
+from quadexp.learn.terms import VELOCITY, TermMean
 from quadexp.physics.vehicle import GRAVITY
 from quadexp.report.style import BLUE, COLOURS, COUNTS, GREY, MARKERS, ORANGE, Figure, entries, styled
 
@@ -139,7 +139,7 @@ def calibration_figure(model: GPModel, data: ResidualDataset) -> Figure:
     panel.plot([0, 1], [0, 1], color=GREY, linewidth=1, linestyle=(0, (4, 3)))
     panel.text(0.97, 0.04, "overconfident", ha="right", va="center", color=GREY, fontsize=8.5)
     panel.text(0.03, 0.96, "too careful", ha="left", va="center", color=GREY, fontsize=8.5)
-    for k, (name, prediction) in enumerate(predict(model, data).items()):
+    for k, (name, prediction) in enumerate(model.predict(data).items()):
         error = np.abs(data.matrix([name])[:, 0] - prediction.mean) / prediction.std
         probability = np.sort(2 * ndtr(error) - 1)
         share = np.arange(1, len(probability) + 1) / len(probability)
@@ -196,7 +196,7 @@ def _limits(values: np.ndarray) -> tuple[float, float]:
 
 def _predict(model: GPModel, output: OutputPosterior, rows: ResidualDataset) -> Prediction:
     """Prediction of one output, prior mean included."""
-    return predict(replace(model, outputs=(output,)), rows)[output.output]
+    return replace(model, outputs=(output,)).predict(rows)[output.output]
 
 
 def _rows(

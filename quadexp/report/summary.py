@@ -220,7 +220,7 @@ def _result_lines(
 
 
 def _checkpoint(path: Path) -> dict[str, Any]:
-    from quadexp.learn.checkpoint import KINDS, load_model, load_report
+    from quadexp.learn.checkpoint import load_model, load_report
     from quadexp.learn.neural import NeuralModel
     from quadexp.learn.vehicle_model import VehicleModel
 
@@ -232,7 +232,7 @@ def _checkpoint(path: Path) -> dict[str, Any]:
         raise DataError(f"{file}: damaged ({error})") from None
     summary: dict[str, Any] = {
         "path": str(path),
-        "kind": KINDS[type(model)],
+        "kind": model.kind,
         "schema": record.get("schema"),
         "bytes": file.stat().st_size,
         "vehicle": dict(model.vehicle),

@@ -112,7 +112,7 @@ def test_logs_give_a_vehicle_model_with_intervals_and_figures(logged, tmp_path):
     assert lines[0].startswith("regression on 2 flights of known, 2000 samples, 20 s")
     assert any(line.startswith("+ linear drag") for line in lines) and "each flight alone" in lines
     model = load_model(out)
-    assert model.drag.drag == pytest.approx(DRAG, abs=0.04)
+    assert model.linear_drag.drag == pytest.approx(DRAG, abs=0.04)
     for name in ("thrust", "drag", "models"):
         assert (out / "figures" / f"{name}.png").stat().st_size > 10_000
     shown = run("show", out)[1]

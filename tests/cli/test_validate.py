@@ -9,11 +9,9 @@ from typer.testing import CliRunner
 
 from quadexp.cli.app import app
 from quadexp.learn.checkpoint import load_model, save_model
-from quadexp.learn.gp_fit import fit_gp
+from quadexp.learn.gaussian_process import GPSettings, fit_gp
 from quadexp.learn.linear_drag import fit_linear_drag
-from quadexp.learn.model import GPSettings
-from quadexp.learn.neural import NNSettings
-from quadexp.learn.nn_fit import fit_network
+from quadexp.learn.neural import NNSettings, fit_network
 from quadexp.learn.recorded import recorded_dataset
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
 from quadexp.log.store import read_flight, write_flight

@@ -62,7 +62,7 @@ def test_the_model_is_known_inside_remedies_and_in_other_controllers(model, tmp_
 
 
 def test_an_old_checkpoint_says_unknown(model, tmp_path):
-    from dataclasses import replace
+    from msgspec.structs import replace
 
     save_model(tmp_path / "old", replace(load_model(model), feature_range={}))
     code, out, _ = fly(tmp_path / "old", 2, tmp_path / "a.parquet")

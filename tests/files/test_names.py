@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from quadexp.cli.fly import _flight_name, _results_name
 from quadexp.config.compose import compose, expand
@@ -92,8 +93,7 @@ def test_a_name_is_one_printable_line(name, tmp_path):
     write_table(tmp_path / "r" / "results.parquet", row, {}, "results")
     with pytest.raises(DataError, match="is not one printable line"):
         select(tmp_path / "r")
-    model = drag()
-    object.__setattr__(model, "vehicle", {"name": name, "fingerprint": "0"})
+    model = replace(drag(), vehicle={"name": name, "fingerprint": "0"})
     with pytest.raises(DataError, match="vehicle is not one printable line"):
         load_model(save_model(tmp_path / "m", model))
 

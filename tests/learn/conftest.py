@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from quadexp.learn.gp_fit import fit_gp
-from quadexp.learn.model import GPModel, GPSettings
+from quadexp.learn.gaussian_process import GPModel, GPSettings, fit_gp
 from tests.learn.synthetic import synthetic_dataset
 
 

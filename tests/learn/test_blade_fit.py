@@ -10,8 +10,7 @@ from quadexp.config.compose import session
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
-from quadexp.learn.blade_fit import fit_blade_element
-from quadexp.learn.offline import FIRST_VALUES, identify_flight
+from quadexp.learn.blade_element import FIRST_VALUES, fit_blade_element, identify_flight
 from quadexp.physics.rotor import THETA
 from tests import paper
 from tests.learn.air_data import air_data
@@ -71,7 +70,7 @@ def test_is_exact_without_noise_from_far_away(lei_li):
 
 def test_the_derivative_is_the_whole_one(lei_li):
     """Through the induced velocity, on all axes; here by differences."""
-    from quadexp.learn.blade_fit import _force_function
+    from quadexp.learn.blade_element import _force_function
 
     function, data, step = _force_function(lei_li, False), air_data(8), 1e-6
     for v, w in zip(data.velocity, data.rotor_speed, strict=True):

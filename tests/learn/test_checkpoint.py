@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import subprocess
 import sys
-from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
-from quadexp.air.gaussian_process import gaussian_process_residual
 from quadexp.errors import DataError, UsageError
 from quadexp.learn.checkpoint import load_model, load_report, save_model
 from quadexp.learn.linear_drag import fit_linear_drag
-from quadexp.learn.predict import predict
+from tests.learn.synthetic import synthetic_dataset
 from tests.learn.test_dataset import VEHICLE
+
+FORMER = Path(__file__).parent / "former"
+EXPECTED = json.loads((FORMER / "expected.json").read_text())
 
 
 def assert_same_bits(a, b) -> None:
     assert type(a) is type(b)
-    if is_dataclass(a):
-        for f in fields(a):
-            assert_same_bits(getattr(a, f.name), getattr(b, f.name))
+    if isinstance(a, msgspec.Struct):
+        for name in a.__struct_fields__:
+            assert_same_bits(getattr(a, name), getattr(b, name))
     elif isinstance(a, np.ndarray):
         assert a.shape == b.shape and a.tobytes() == b.tobytes()
     elif isinstance(a, tuple):
@@ -38,8 +43,8 @@ def test_round_trip_is_bit_exact(tmp_path, model, dataset):
     path = save_model(tmp_path / "gp", model, report={"rows": []})
     loaded = load_model(path)
     assert_same_bits(loaded, model)
-    for output, prediction in predict(model, dataset).items():
-        assert_same_bits(predict(loaded, dataset)[output], prediction)
+    for output, prediction in model.predict(dataset).items():
+        assert_same_bits(loaded.predict(dataset)[output], prediction)
     assert load_report(path) == {"rows": []}
     assert sorted(os.listdir(tmp_path)) == ["gp"]
 
@@ -55,11 +60,11 @@ def test_linear_drag_round_trip_and_both_kinds_carry_it(tmp_path, model, dataset
 
 def test_mpc_residual_made_from_a_checkpoint_predicts_the_same(tmp_path, model, dataset):
     loaded = load_model(save_model(tmp_path / "gp", model))
-    residual = gaussian_process_residual(VEHICLE, loaded.outputs, loaded.mean_parameters)
+    residual = loaded.residual(VEHICLE)
     names = ["v_x", "v_y", "v_z", "w_x", "w_y", "w_z", "u_0", "u_1", "u_2", "u_3"]
     rows = dataset.rows(np.arange(0, dataset.n_rows, 7))
     flown = residual(rows.matrix(names))
-    for i, (_, prediction) in enumerate(predict(model, rows).items()):
+    for i, (_, prediction) in enumerate(model.predict(rows).items()):
         np.testing.assert_allclose(flown[:, i], prediction.mean, rtol=0, atol=1e-8)
 
 
@@ -77,7 +82,7 @@ def test_damaged_or_foreign_checkpoints_are_refused(tmp_path, model):
         load_model(path)
     save_model(path, model, force=True)
     tamper(path, lambda d: d.__setitem__("schema", 99))
-    with pytest.raises(DataError, match="schema 99, this program reads schema 1"):
+    with pytest.raises(DataError, match="schema 99, this program reads schema 2"):
         load_model(path)
     text = json.dumps({"schema": 1})
     for damaged in (text, "[]", '{"schema": 1, "sha', "\x00\x01"):
@@ -94,7 +99,7 @@ def test_other_vehicle_is_refused(tmp_path, model):
     path = save_model(tmp_path / "gp", own)
     load_model(path, vehicle=VEHICLE)
     with pytest.raises(DataError, match="fitted for vehicle 'test' .*, not for 'heavy'"):
-        load_model(path, vehicle=replace(VEHICLE, name="heavy", mass=2.0))
+        load_model(path, vehicle=dataclasses.replace(VEHICLE, name="heavy", mass=2.0))
 
 
 def test_missing_model_names_the_command(tmp_path):
@@ -129,8 +134,23 @@ def test_read_only_folder(tmp_path, model):
 def test_loading_needs_no_torch(tmp_path, model):
     path = save_model(tmp_path / "gp", model)
     program = (
-        "import sys; from quadexp.learn.checkpoint import load_model; from quadexp.learn.predict import predict;"
+        "import sys; from quadexp.learn.checkpoint import load_model;"
         f"load_model({str(path)!r}); print([m for m in ('torch', 'gpytorch', 'casadi', 'pyarrow') if m in sys.modules])"
     )
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("name", sorted(EXPECTED))
+def test_a_checkpoint_of_schema_1_predicts_what_it_did(name):
+    """Stored by the version before, with what it predicted at three rows (of an identified vehicle: at one state)."""
+    model = load_model(FORMER / f"{name}.json")
+    if name == "vehicle_model":
+        velocity, rotors = np.array([[1.0, -2.0, 0.5]]), np.full((1, 4), 2.5)
+        found = {kind: terms.acceleration(velocity, rotors)[0] for kind, terms in model.models.items()}
+    else:
+        rows = synthetic_dataset(400, 4).rows(np.arange(0, 400, 150))
+        found = {output: prediction.mean for output, prediction in model.predict(rows).items()}
+    assert found.keys() == EXPECTED[name].keys()
+    for key, values in EXPECTED[name].items():
+        np.testing.assert_allclose(found[key], values, rtol=1e-12)

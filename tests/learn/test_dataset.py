@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError, UsageError
 from quadexp.learn.dataset import ResidualDataset, residual_dataset, transitions
-from quadexp.learn.term_mean import fit_term_mean
+from quadexp.learn.terms import fit_term_mean
 from quadexp.log.schema import Flight
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle

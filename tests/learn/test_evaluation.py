@@ -8,10 +8,8 @@ from scipy.stats import norm
 
 from quadexp.errors import DataError
 from quadexp.learn.dataset import ResidualDataset
-from quadexp.learn.evaluation import evaluate, evaluate_drag, fit_with_report, score, split_by_flight
-from quadexp.learn.gp_fit import fit_gp
-from quadexp.learn.model import GPSettings
-from quadexp.learn.predict import predict
+from quadexp.learn.evaluation import drag_baseline, evaluate, fit_with_report, score, split_by_flight
+from quadexp.learn.gaussian_process import GPModel, GPSettings, fit_gp
 from quadexp.report.fit_figures import calibration_figure, curve, fit_figure, moved
 from tests.learn.synthetic import synthetic_dataset
 
@@ -38,7 +36,7 @@ def test_split_keeps_flights_whole(dataset):
 
 
 def test_report_is_about_flights_the_model_has_not_seen(dataset, small_trials):
-    fit = fit_with_report(dataset, QUICK)
+    fit = fit_with_report(dataset, GPModel, QUICK)
     rows = {(row["output"], row["predictor"]): row for row in fit.report["rows"]}
     for output in ("a_x", "a_y", "a_z"):
         gp, drag, zero = (rows[output, name] for name in ("gp", "linear_drag", "zero"))
@@ -53,15 +51,15 @@ def test_report_is_about_flights_the_model_has_not_seen(dataset, small_trials):
 def test_one_flight_is_fitted_without_a_report_only():
     one = synthetic_dataset(rows=500, flights=1)
     with pytest.raises(DataError, match="one flight, .*collect more.*gp.holdout=0 for fit-gp"):
-        fit_with_report(one, QUICK)
-    fit = fit_with_report(one, GPSettings(inducing=5, max_iterations=5, holdout=0))
+        fit_with_report(one, GPModel, QUICK)
+    fit = fit_with_report(one, GPModel, GPSettings(inducing=5, max_iterations=5, holdout=0))
     assert fit.test is None and fit.report["rows"] == []
 
 
 def test_drag_alone_is_evaluated_too(dataset):
     train, test = split_by_flight(dataset, 0.25)
-    full = evaluate_drag(train, test)
-    published = evaluate_drag(train, test, intercept=False, thrust=False)
+    full = evaluate(drag_baseline(train), train, test)
+    published = evaluate(drag_baseline(train, intercept=False, thrust=False), train, test)
     assert [row["output"] for row in full] == ["a_x", "a_x", "a_y", "a_y", "a_z", "a_z"]
     assert full[4]["rmse"] < published[4]["rmse"]  # on z the motors' loss needs more than the velocity
 
@@ -83,15 +81,15 @@ def test_a_drawn_curve_is_the_prediction_with_all_else_at_its_median(dataset, me
     middle |= {name: np.median(dataset.matrix(["thrust"])) / 4 for name in names[3:]}
     drawn = curve(model, output, 0, dataset, count=5)
     rows = {name: np.full(5, value) for name, value in middle.items()} | {"v_z": drawn.x, "flight": np.zeros(5, int)}
-    np.testing.assert_allclose(drawn.mean, predict(model, ResidualDataset(rows, {}))["a_z"].mean, rtol=1e-12)
+    np.testing.assert_allclose(drawn.mean, model.predict(ResidualDataset(rows, {}))["a_z"].mean, rtol=1e-12)
     remainder = moved(model, output, 0, dataset)[1]
-    np.testing.assert_array_equal(remainder, dataset.matrix(["a_z"])[:, 0] - predict(model, dataset)["a_z"].mean)
+    np.testing.assert_array_equal(remainder, dataset.matrix(["a_z"])[:, 0] - model.predict(dataset)["a_z"].mean)
     assert np.isfinite(curve(model, output, 0, None).mean).all()  # the page has a checkpoint whose data are gone
 
 
 @pytest.mark.parametrize("mean", ["zero", "quadratic"])
 def test_figures(dataset, tmp_path, mean):
-    fit = fit_with_report(dataset, GPSettings(inducing=10, max_iterations=10, mean=mean))
+    fit = fit_with_report(dataset, GPModel, GPSettings(inducing=10, max_iterations=10, mean=mean))
     figures = {
         "fit": fit_figure(fit.held_out_model, fit.test),
         "calibration": calibration_figure(fit.held_out_model, fit.test),

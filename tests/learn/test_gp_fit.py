@@ -7,9 +7,7 @@ import pytest
 
 from quadexp.errors import DataError, UsageError
 from quadexp.learn.dataset import ResidualDataset
-from quadexp.learn.gp_fit import fit_gp
-from quadexp.learn.model import GPSettings
-from quadexp.learn.predict import predict
+from quadexp.learn.gaussian_process import GPSettings, fit_gp
 from tests.learn.synthetic import synthetic_dataset, truth
 
 
@@ -17,7 +15,7 @@ def error_against_truth(model, rows: ResidualDataset) -> dict[str, float]:
     """Root mean square of prediction minus truth where the fit has seen the features, per output (m/s^2)."""
     true = truth(rows.matrix(["v_x", "v_y", "v_z"]), rows.matrix([f"u_{i}" for i in range(4)]))
     errors = {}
-    for output, prediction in predict(model, rows).items():
+    for output, prediction in model.predict(rows).items():
         posterior = next(o for o in model.outputs if o.output == output)
         limits = np.array([model.feature_range[name] for name in posterior.features])
         features = rows.matrix(posterior.features)
@@ -61,7 +59,7 @@ def test_far_away_the_prior_mean_is_left(dataset, mean):
         "constant": dataset.columns["a_x"].mean(),
         "linear_drag": model.linear_drag.acceleration(far)[0, 0],
     }[mean]
-    prediction = predict(model, far)["a_x"]
+    prediction = model.predict(far)["a_x"]
     assert prediction.mean[0] == pytest.approx(expected, abs=1e-9)
     assert prediction.variance[0] == pytest.approx(model.outputs[0].signal_variance)
 
@@ -82,7 +80,7 @@ def test_torque_outputs_have_any_features(dataset):
         features={"tau_z": ["w_z", "thrust"]}, inducing=8, mean="linear_drag", max_iterations=20, max_rows=2000
     )
     rows = ResidualDataset(columns, dataset.metadata)
-    prediction = predict(fit_gp(rows, settings), rows)["tau_z"]
+    prediction = fit_gp(rows, settings).predict(rows)["tau_z"]
     assert np.sqrt(np.mean((prediction.mean - 0.02 * columns["w_z"]) ** 2)) < 2e-4
 
 

@@ -8,8 +8,8 @@ from quadexp.config.compose import compose
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.learn.open_loop import Track, rollout_errors
-from quadexp.learn.predictors import predictors
-from quadexp.learn.validation import read_rows
+from quadexp.learn.samples import read_rows
+from quadexp.learn.validation import predictors
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
 
 CLEAN = [f"plant.{name}_noise_density=0" for name in ("force", "motor", "torque")]
@@ -45,7 +45,7 @@ def test_open_loop_flies_the_command_of_each_interval(latency):
     track = Track(read_rows(test, "test", one.curve.signal, one.curve.delay), one)
     modes = {"full": vehicle, "torque": vehicle, "attitude": None}
     errors = {
-        mode: rollout_errors(one, [track], [0.5], tracked=False, vehicle=of, mode=mode)[0]["position"]
+        mode: rollout_errors([track], [0.5], tracked=False, vehicle=of, mode=mode)[0]["position"]
         for mode, of in modes.items()
     }
     assert errors["attitude"] < 5e-3 and max(errors.values()) < 0.012

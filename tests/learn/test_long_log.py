@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from quadexp.learn.checkpoint import load_model
-from quadexp.learn.rows import BATCH, evaluate_rows
+from quadexp.learn.dataset import BATCH, evaluate_rows
 from quadexp.log import store
 from quadexp.log.store import read_table, write_flight
 from tests.learn.long_log import DRAG, THRUST, long_log

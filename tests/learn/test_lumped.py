@@ -11,9 +11,9 @@ import pytest
 from quadexp.air.terms import Inflow, TermStructure, term_acceleration, term_expression
 from quadexp.errors import DataError, UsageError
 from quadexp.learn.checkpoint import load_model, save_model
-from quadexp.learn.lumped import SELF_CONSISTENT, Z_TERMS, fit_inflow, momentum_of
+from quadexp.learn.lumped import fit_inflow, momentum_of
 from quadexp.learn.regression import regress
-from quadexp.learn.terms import AXES, term_columns, term_model
+from quadexp.learn.terms import AXES, SELF_CONSISTENT, Z_TERMS, all_columns, fit_terms
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.learn.vehicle_model import VehicleModel
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
@@ -65,8 +65,10 @@ def inflow_of(lei_li, truth) -> Inflow:
 def test_the_lumped_form_is_the_blade_element_model(lei_li, air, axis):
     data, rotors, truth = air
     names = tuple(name for name in SELF_CONSISTENT[axis] if name != "offset")
-    columns = term_columns(names, axis, data.velocity, rotors, tuple(inflow_of(lei_li, truth)))
-    force = columns @ [truth[AXES[axis], name] for name in names]
+    columns = all_columns(
+        tuple(names if i == axis else () for i in range(3)), data.velocity, rotors, tuple(inflow_of(lei_li, truth))
+    )
+    force = columns[axis] @ [truth[AXES[axis], name] for name in names]
     if axis == 2:
         force += rotors.sum(axis=1)
     assert force == pytest.approx(data.specific_force[:, axis], abs=1e-9)
@@ -83,7 +85,7 @@ def test_coefficients_are_found_through_the_induced_velocity(lei_li, air, rng):
     assert found.coefficients[1] == pytest.approx(wanted[1], rel=0.02)
     assert found.coefficients[:3] == pytest.approx([fit.inflow.scale, fit.inflow.loss, fit.inflow.advance], abs=1e-6)
     for axis in (0, 1):
-        columns = term_columns(SELF_CONSISTENT[axis], axis, data.velocity, rotors, tuple(fit.inflow))
+        columns = all_columns(SELF_CONSISTENT, data.velocity, rotors, tuple(fit.inflow))[axis]
         found = regress(columns, noisy[:, axis], SELF_CONSISTENT[axis], flight, flight, what="x")
         wanted = np.array([truth.get((AXES[axis], name), 0.0) for name in SELF_CONSISTENT[axis]])
         assert np.all(np.abs(found.coefficients - wanted) < found.half_width(0.999))
@@ -128,11 +130,10 @@ def test_the_expression_and_the_checkpoint_are_the_model(lei_li, air, tmp_path):
     data, rotors, truth = air
     flight = np.zeros(len(rotors), int)
     inflow = tuple(inflow_of(lei_li, truth))
-    found = []
-    for i, names in enumerate(SELF_CONSISTENT):
-        columns = term_columns(names, i, data.velocity, rotors, inflow)
-        found.append(regress(columns, data.specific_force[:, i], names, flight, flight, what="x"))
-    model = term_model("blade_element", SELF_CONSISTENT, found, 4, inflow, "squares")
+    model = fit_terms(
+        "blade_element", SELF_CONSISTENT, data.velocity, rotors, data.specific_force, flight, flight, what="x",
+        momentum=inflow,
+    )  # fmt: skip
     v, a = ca.SX.sym("v", 3), ca.SX.sym("a", 4)
     theta = np.concatenate(model.coefficients)
     outputs = term_acceleration(ca.vertcat(v, 0, 0, 0, a), theta, TermStructure(model.terms, 1.0, inflow))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,11 +14,9 @@ from quadexp.air.network import evaluated
 from quadexp.air.neural import neural_residual
 from quadexp.errors import DataError, UsageError
 from quadexp.learn.checkpoint import MODEL_FILE, _hash, load_model, save_model
-from quadexp.learn.evaluation import evaluate_network, split_by_flight
-from quadexp.learn.explained_part import without
+from quadexp.learn.evaluation import evaluate, split_by_flight, without
 from quadexp.learn.linear_drag import fit_linear_drag
-from quadexp.learn.neural import NeuralModel, NNSettings
-from quadexp.learn.nn_fit import fit_network
+from quadexp.learn.neural import NeuralModel, NNSettings, fit_network
 from tests.learn.synthetic import synthetic_dataset
 from tests.learn.test_checkpoint import assert_same_bits
 
@@ -37,7 +36,7 @@ def network(data) -> NeuralModel:
 def test_it_learns_what_linear_drag_cannot():
     """On held-out flights with noise of .05 m/s^2: quadratic drag, and the loss of the motors on z."""
     train, test = split_by_flight(synthetic_dataset(rows=6000), 0.3, 0)
-    rows = evaluate_network(fit_network(train, replace(QUICK, max_iterations=250)), train, test)
+    rows = evaluate(fit_network(train, replace(QUICK, max_iterations=250)), train, test)
     error = {(row["output"], row["predictor"]): row["rmse"] for row in rows}
     for output in ("a_x", "a_y", "a_z"):
         assert error[output, "nn"] < 0.5 * error[output, "linear_drag"]
@@ -72,8 +71,8 @@ def test_the_controller_flies_what_was_fitted(vehicle, data, network):
     residual = neural_residual(vehicle, network.network)
     z = np.hstack([data.matrix([f"{p}_{a}" for p in "vw" for a in "xyz"]), data.matrix([f"u_{i}" for i in range(4)])])
     found = residual(z[:50])
-    for i, (output, mean) in enumerate(network.predict(data).items()):
-        assert np.allclose(found[:, i], mean[:50], rtol=1e-12, atol=1e-12), output
+    for i, (output, prediction) in enumerate(network.predict(data).items()):
+        assert np.allclose(found[:, i], prediction.mean[:50], rtol=1e-12, atol=1e-12), output
 
 
 def test_outputs_are_bounded_outside_the_data(network):
@@ -140,6 +139,6 @@ def test_the_rest_is_what_another_model_leaves(data, network):
     assert np.array_equal(rest.matrix(["tau_x"]), data.matrix(["tau_x"]))
     assert rest.sha256 != data.sha256
     with pytest.raises(UsageError, match="identified vehicle"):
-        without(data, object(), "models/other")
+        without(data, load_model(Path(__file__).parent / "former" / "vehicle_model.json"), "models/other")
     left = without(data, network, "nn").matrix(["a_x"])
     assert np.sqrt(np.mean(left**2)) == pytest.approx(network.residual_std[0])

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
-from quadexp.learn.offline import FIRST_VALUES, OFFLINE, identify_flight
+from quadexp.learn.blade_element import FIRST_VALUES, OFFLINE, identify_flight
 from quadexp.learn.rls import BladeElementRLS, RLSSettings
 from quadexp.log.schema import Flight, describe
 from quadexp.log.store import read_table, write_table

@@ -7,27 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadexp.air.gaussian_process import gaussian_process_residual
 from quadexp.errors import DataError, UsageError
-from quadexp.learn.checkpoint import load_model, save_model
+from quadexp.learn.base import rms
+from quadexp.learn.checkpoint import load_model, plain, record_of, save_model
 from quadexp.learn.evaluation import fit_with_report
-from quadexp.learn.gp_fit import fit_gp
+from quadexp.learn.gaussian_process import GPModel, GPSettings, fit_gp
 from quadexp.learn.linear_drag import fit_linear_drag
-from quadexp.learn.model import GPSettings
 from quadexp.learn.open_loop import Track, rollout_errors
-from quadexp.learn.predict import predict
-from quadexp.learn.predictors import nominal, predictors
 from quadexp.learn.recorded import (
-    curve_from_record,
-    curve_record,
     force_rows,
     logged_thrust,
     recorded_dataset,
     target_cost,
 )
+from quadexp.learn.samples import read_rows
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.learn.thrust_scale import tracked_scale, with_common_scale
-from quadexp.learn.validation import read_rows, residuals, rms, score_rows
+from quadexp.learn.validation import nominal, predictors, residuals, score_rows
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
 from tests.learn.recorded_flights import CURVE, DRAG, OFFSET, crazyflie, recorded_flight
 
@@ -92,7 +88,7 @@ def test_missing_and_damaged_columns_are_named(flights):
 
 def test_curve_record_is_the_curve(flights):
     curve = fit_vehicle_model(flights, VEHICLE, FitSettings(powers=(1,), kinds=("linear",))).thrust
-    again = curve_from_record(curve_record(curve))
+    again = record_of(plain(curve), ThrustCurve)
     assert np.array_equal(again.rotor_acceleration(flights[0]), curve.rotor_acceleration(flights[0]))
 
 
@@ -123,7 +119,7 @@ def test_a_split_by_sample_says_what_the_split_by_flight_shows():
     flights = [recorded_flight(seed, VEHICLE, scale=1 + 0.03 * seed, duration=5) for seed in range(2)]
     rows = recorded_dataset(flights, VEHICLE, TRUE_CURVE)
     settings = replace(SETTINGS, features={"a_z": ("v_z",)}, split="sample")
-    report = fit_with_report(rows, settings).report
+    report = fit_with_report(rows, GPModel, settings).report
     score = {row["predictor"]: row["rmse"] for row in report["rows_by_flight"]}
     assert "misleading" in report
     assert score["gp"] == pytest.approx(0.03 * 10.2, rel=0.1)  # the scale of the flight not seen, times the thrust
@@ -134,10 +130,10 @@ def test_predictions_of_a_gp_on_blade_elements_are_those_of_its_residual(tmp_pat
     rows = recorded_dataset(flights[:2], VEHICLE, TRUE_CURVE)
     model = fit_gp(rows, replace(SETTINGS, mean="quadratic"))
     loaded = load_model(save_model(tmp_path / "gp", model))
-    assert np.array_equal(loaded.mean_parameters, model.mean_parameters)
-    residual = gaussian_process_residual(VEHICLE, loaded.outputs, loaded.mean_parameters, mean_terms=loaded.mean_terms)
+    assert np.array_equal(loaded.mean.parameters, model.mean.parameters)
+    residual = loaded.residual(VEHICLE)
     features = rows.matrix(["v_x", "v_y", "v_z", "w_x", "w_y", "w_z", "u_0", "u_1", "u_2", "u_3"])[::50]
-    expected = predict(model, rows)["a_x"].mean[::50]
+    expected = model.predict(rows)["a_x"].mean[::50]
     assert residual(features)[:, 0] == pytest.approx(expected, abs=1e-9)
 
 
@@ -145,7 +141,7 @@ def test_validation_scores_are_the_known_errors(flights):
     model = fit_vehicle_model(flights[:2], VEHICLE, FitSettings(powers=(1,), kinds=("linear",)))
     test = recorded_flight(9, VEHICLE, scale=0.96, duration=40)
     rows = [read_rows(test, "test", "motor_command")]
-    found = {one.name: residuals(one, rows) for one in predictors(model, "x", VEHICLE, None)}
+    found = {one.name: residuals([(one, row) for row in rows]) for one in predictors(model, "x", VEHICLE, None)}
     drag = found["linear drag"]
     assert np.sqrt(np.mean(drag.error[:, 0] ** 2)) == pytest.approx(0.02, rel=0.1)
     assert np.sqrt(np.mean(drag.error[:, 2] ** 2)) == pytest.approx(0.04 * 9.81, rel=0.1)
@@ -160,7 +156,7 @@ def test_open_loop_with_the_true_model_stays_on_the_flight(flights):
     model = fit_vehicle_model(flights, VEHICLE, FitSettings(powers=(1,), kinds=("linear",)))
     row = read_rows(flights[0], "flight", "motor_command")
     nothing, drag = nominal(model.thrust), predictors(model, "x", VEHICLE, None)[1]
-    errors = {one.name: rollout_errors(one, [Track(row, one)], [0.1, 1.0], tracked=False) for one in (nothing, drag)}
+    errors = {one.name: rollout_errors([Track(row, one)], [0.1, 1.0], tracked=False) for one in (nothing, drag)}
     assert errors["linear drag"][1]["position"] < 0.02
     assert errors["nominal"][1]["position"] > 10 * errors["linear drag"][1]["position"]
     assert errors["nominal"][0]["position"] < errors["nominal"][1]["position"]

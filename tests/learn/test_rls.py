@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from quadexp.errors import UsageError
-from quadexp.learn.rls import BladeElementRLS, RLSSettings
-from quadexp.learn.rls_step import AXES
+from quadexp.learn.rls import AXES, BladeElementRLS, RLSSettings
 from quadexp.physics.rotor import BladeCoefficients
 from tests import paper
 from tests.learn.air_data import air_data

@@ -9,9 +9,7 @@ import torch
 from scipy.stats import multivariate_normal
 
 from quadexp.learn import sgpr
-from quadexp.learn.inducing import greedy_points
-from quadexp.learn.model import OutputPosterior
-from quadexp.learn.predict import posterior
+from quadexp.learn.gaussian_process import OutputPosterior, greedy_points
 
 JITTER = 1e-8
 
@@ -99,9 +97,8 @@ def test_exported_posterior_equals_gpytorch(m, d):
     model = sgpr.GPRegression(x, y, p, z, JITTER)
     model.covar_module = InducingKernel(model.base, torch.tensor(z), model.likelihood)
     at = np.random.default_rng(1).uniform(-2.5, 2.5, (200, d))
-    ours = posterior(
-        exported(z, *sgpr.sparse_posterior(x, y, z, model.hyperparameters, JITTER), model.hyperparameters), at
-    )
+    fitted = model.hyperparameters
+    ours = exported(z, *sgpr.sparse_posterior(x, y, z, fitted, JITTER), fitted).predict(at)
     model.eval()
     with torch.no_grad():
         # Titsias' posterior has Q alone as covariance of the training rows (with the diagonal correction it is FITC's),
@@ -117,7 +114,7 @@ def test_exact_posterior_equals_gpytorch():
     x, y, p = problem(n=150)
     model = sgpr.GPRegression(x, y, p, None, JITTER)
     at = np.random.default_rng(1).uniform(-2.5, 2.5, (200, 2))
-    ours = posterior(exported(x, *sgpr.exact_posterior(x, y, model.hyperparameters), model.hyperparameters), at)
+    ours = exported(x, *sgpr.exact_posterior(x, y, model.hyperparameters), model.hyperparameters).predict(at)
     model.eval()
     with torch.no_grad():
         theirs = model(torch.as_tensor(at))
@@ -128,8 +125,8 @@ def test_exact_posterior_equals_gpytorch():
 def test_sparse_posterior_with_all_points_is_the_exact_one():
     x, y, p = problem(n=100)
     at = np.random.default_rng(1).uniform(-2, 2, (50, 2))
-    sparse = posterior(exported(x, *sgpr.sparse_posterior(x, y, x, p, 1e-12), p), at)
-    exact = posterior(exported(x, *sgpr.exact_posterior(x, y, p), p), at)
+    sparse = exported(x, *sgpr.sparse_posterior(x, y, x, p, 1e-12), p).predict(at)
+    exact = exported(x, *sgpr.exact_posterior(x, y, p), p).predict(at)
     np.testing.assert_allclose(sparse.mean, exact.mean, atol=1e-6)
     np.testing.assert_allclose(sparse.variance, exact.variance, atol=1e-6)
 

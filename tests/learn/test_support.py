@@ -37,7 +37,7 @@ def test_the_rows_of_the_fit_are_never_outside(dataset, model):
 
 
 def test_a_checkpoint_keeps_them_and_one_without_them_says_unknown(dataset, tmp_path):
-    from dataclasses import replace
+    from msgspec.structs import replace
 
     from quadexp.report.summary import summarise
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from quadexp.learn.dataset import as_told, residual_dataset, transitions
-from quadexp.learn.rotor_thrust import Timing, mean_thrust
-from quadexp.learn.timing_fit import fit_timing
+from quadexp.learn.rotor_thrust import Timing, fit_timing, mean_thrust
 from quadexp.log.schema import Flight
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS
 from quadexp.world.actuator import Actuator

@@ -9,11 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.learn.checkpoint import load_model, save_model
 from quadexp.learn.open_loop import Track, full_rollout, rollout_errors
-from quadexp.learn.predictors import predictors
-from quadexp.learn.samples import gather
+from quadexp.learn.samples import gather, read_rows
 from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.learn.torque import explained, fit_torque, torque_lines
-from quadexp.learn.validation import read_rows
+from quadexp.learn.validation import predictors
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
 from quadexp.log.schema import Flight
 from tests.log.imitated import imitated, vehicle_named
@@ -101,7 +100,7 @@ def test_fitted_beats_held_and_held_beats_geometric(fitted):
     track = Track(one, predictor)
     error = {}
     for mode in ("held", "torque", "full"):
-        (row,) = rollout_errors(predictor, [track], [0.5], tracked=True, vehicle=body, mode=mode)
+        (row,) = rollout_errors([track], [0.5], tracked=True, vehicle=body, mode=mode)
         assert row["mode"] == mode
         error[mode] = (row["position"], row["attitude"])
     assert error["torque"][1] < 0.5 * error["held"][1] < 0.5 * error["full"][1]
@@ -115,7 +114,7 @@ def test_rates_held_turn_by_their_start(fitted):
     predictor = predictors(model, "m", body, None)[0]
     track = Track(one, predictor)
     starts, steps = np.array([50, 400, 900]), 30
-    last = full_rollout(predictor, track, starts, steps, body, tracked=True, mode="held")[-1]
+    last = full_rollout(track, starts, steps, body, tracked=True, mode="held")[-1]
     assert np.allclose(last[:, 10:13], track.rate[starts])
     seconds = (track.time[starts + steps] - track.time[starts])[:, None]
     expected = track.rotation[starts] * Rotation.from_rotvec(seconds * track.rate[starts])

@@ -35,7 +35,7 @@ def test_linear_drag_and_offsets(model):
         assert within(model.linear, axis, "linear", DRAG[i], 1.5)
     for i, axis in enumerate("xy"):
         assert within(model.linear, axis, "offset", OFFSET[i], 1.5)
-    drag = model.drag
+    drag = model.linear_drag
     assert drag.drag == pytest.approx(DRAG, abs=0.02) and drag.intercept == pytest.approx(OFFSET, abs=0.02)
     assert model.vehicle == {"name": "known", "fingerprint": "0123456789ab", "mass": None}
 
@@ -70,8 +70,8 @@ def test_velocity_is_relative_to_the_air():
     windy = [logged_flight(seed, wind=(3.0 - 2 * seed, 2.0 * seed - 2, 0.0)) for seed in range(3)]
     told = fit_vehicle_model(windy)
     silent = fit_vehicle_model([Flight(_without_wind(f.columns), f.metadata) for f in windy])
-    assert told.drag.drag == pytest.approx(DRAG, abs=0.02)
-    assert np.abs(silent.drag.drag - DRAG)[:2].max() > 0.1
+    assert told.linear_drag.drag == pytest.approx(DRAG, abs=0.02)
+    assert np.abs(silent.linear_drag.drag - DRAG)[:2].max() > 0.1
     assert silent.linear.residual_std[0] > 3 * told.linear.residual_std[0]
 
 

@@ -8,7 +8,7 @@ from scipy.stats import ttest_1samp
 
 from quadexp.learn.dataset import ResidualDataset
 from quadexp.learn.evaluation import fit_with_report
-from quadexp.learn.model import GPSettings
+from quadexp.learn.gaussian_process import GPModel, GPSettings
 from quadexp.learn.verdict import noise_floor, paired_ratio, verdict, verdict_lines
 from tests.learn.synthetic import synthetic_dataset
 
@@ -52,7 +52,7 @@ def test_noise_is_found_below_a_slow_effect(memory):
 def test_a_fit_that_sees_the_truth_is_better_and_down_to_the_noise():
     data = synthetic_dataset(rows=4800, flights=16, noise=0.05)
     settings = GPSettings(inducing=15, max_iterations=40, holdout=0.4, refit=False)
-    fit = fit_with_report(data, settings)
+    fit = fit_with_report(data, GPModel, settings)
     found = verdict(fit.held_out_model, fit.train, fit.test, settings)
     for output in ("a_x", "a_y"):
         one = found["outputs"][output]
@@ -82,7 +82,7 @@ def test_where_it_is_not_better_it_says_so_and_names_the_features_that_are(monke
     settings = GPSettings(
         features={"a_x": ("v_x",), "a_y": ("v_y",)}, inducing=10, max_iterations=25, holdout=0.4, refit=False
     )
-    fit = fit_with_report(data, settings)
+    fit = fit_with_report(data, GPModel, settings)
     found = verdict(fit.held_out_model, fit.train, fit.test, settings)
     a_x, a_y = found["outputs"]["a_x"], found["outputs"]["a_y"]
     assert a_x["verdict"] != "better" and a_x["instead"]["verdict"] == "better"

@@ -19,13 +19,12 @@ from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.evaluate import fly_one
+from quadexp.learn.blade_element import identify_flight
 from quadexp.learn.dataset import read_dataset, residual_dataset, transitions
 from quadexp.learn.linear_drag import fit_linear_drag
-from quadexp.learn.offline import identify_flight
 from quadexp.learn.open_loop import Track, rollout_errors
-from quadexp.learn.predictors import predictors
-from quadexp.learn.samples import gather
-from quadexp.learn.validation import read_rows
+from quadexp.learn.samples import gather, read_rows
+from quadexp.learn.validation import predictors
 from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_flight
@@ -131,7 +130,7 @@ def test_recorded_flights_are_scored_alike():
         row, drag = read_rows(group[0], "flight", "motor_command"), predictors(model, "x", RECORDED_VEHICLE, None)[1]
         track = Track(row, drag)
         errors = [
-            rollout_errors(drag, [track], [0.1, 0.5], tracked=False, vehicle=whole)[1]["position"]
+            rollout_errors([track], [0.1, 0.5], tracked=False, vehicle=whole)[1]["position"]
             for whole in (None, RECORDED_VEHICLE)
         ]
         found.append(errors)
@@ -187,12 +186,12 @@ def test_an_identified_vehicle_is_validated_in_gusts_by_the_wind_of_its_flights(
     ]
     vehicle, flights = build_vehicle(configs[0].vehicle), [fly_one(config) for config in configs]
     model = fit_vehicle_model(flights[:2], vehicle, FitSettings(powers=(1,), kinds=("linear",)))
-    assert model.drag.drag[:2] == pytest.approx([0.3, 0.3], abs=2e-3)
+    assert model.linear_drag.drag[:2] == pytest.approx([0.3, 0.3], abs=2e-3)
     columns = {name: values for name, values in flights[2].columns.items() if not name.startswith("wind_")}
     errors = []
     for flight in (flights[2], replace(flights[2], columns=columns)):
         drag = predictors(model, "x", vehicle, None)[1]
         track = Track(read_rows(flight, "flight", model.thrust.signal), drag)
-        (found,) = rollout_errors(drag, [track], [0.5], tracked=False)
+        (found,) = rollout_errors([track], [0.5], tracked=False)
         errors.append(found["velocity"])
     assert errors[0] < 0.1 * errors[1]

@@ -114,7 +114,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/reference/air_step.py": ("tests/reference/test_air_step.py", "tests/reference/test_fixed_point.py"),
     "quadexp/reference/traced.py": ("tests/reference/test_air_model.py",),
     "quadexp/experiment/flight.c": ("tests/experiment/test_compiled_flight.py",),
-    "quadexp/learn/rls_step.py": ("tests/learn/test_rls.py", "tests/properties/test_identification.py"),
+    "quadexp/learn/rls.py": ("tests/learn/test_rls.py", "tests/properties/test_identification.py"),
 }
 COMPILED = ("*.c", "quadexp/air/online.py", "quadexp/control/mpc/riccati.py", "quadexp/reference/traced.py")
 

@@ -8,18 +8,17 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from quadexp.config.compose import compose, session
 from quadexp.config.schema import Config
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.learn.checkpoint import save_model
-from quadexp.learn.gp_fit import fit_gp
-from quadexp.learn.model import GPSettings
+from quadexp.learn.gaussian_process import GPSettings, fit_gp
 from quadexp.learn.neural import NeuralModel
 from quadexp.log.outcome import COMPLETED
 from quadexp.sweeps.server import start_server
@@ -37,8 +36,8 @@ def models(tmp_path_factory):
     axes, weights = ("x", "y", "z"), (rng.normal(size=(4, 3)) / 5, rng.normal(size=(3, 4)) / 5)
     names = tuple(tuple(f"{one}_{axis}" for axis in axes) for one in "va")
     biases = (np.zeros(4), np.zeros(3))
-    others = gp.linear_drag, told, gp.dataset, {}, gp.feature_range
-    save_model(folder / "nn", NeuralModel(*names, weights, biases, np.ones(3), 1.0, *others))
+    about = {"vehicle": told, "dataset": gp.dataset, "feature_range": gp.feature_range}
+    save_model(folder / "nn", NeuralModel(*names, weights, biases, np.ones(3), 1.0, gp.linear_drag, **about))
     return str(folder)
 
 

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
-from quadexp.learn.rls import BladeElementRLS, RLSSettings
-from quadexp.learn.rls_step import AXES
+from quadexp.learn.rls import AXES, BladeElementRLS, RLSSettings
 from quadexp.physics.rotor import BladeCoefficients
 from quadexp.physics.rotor_coefficients import static_coefficients
 from tests.learn.batch import batch_least_squares

@@ -9,8 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from quadexp.learn.checkpoint import save_model
-from quadexp.learn.gp_fit import fit_gp
-from quadexp.learn.model import GPSettings
+from quadexp.learn.gaussian_process import GPSettings, fit_gp
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_table, write_flight, write_table
 from quadexp.report.page import make_report

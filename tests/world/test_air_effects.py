@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -43,7 +44,7 @@ def model(tmp_path_factory):
     vehicle = build_vehicle(compose([]).vehicle)
     zero = np.zeros(3)
     drag = LinearDrag(np.array([0.3, 0.3, 0.1]), zero, 0.0, zero, zero, 0.0, zero, zero, 100)
-    told = replace(drag, vehicle={"name": vehicle.name, "fingerprint": vehicle.fingerprint})
+    told = msgspec.structs.replace(drag, vehicle={"name": vehicle.name, "fingerprint": vehicle.fingerprint})
     return save_model(tmp_path_factory.mktemp("models") / "drag", told)
 
 

@@ -207,7 +207,9 @@ class OnlineMPC(PredictivePart):
                 has = "fitted signal variance" if key == "fit_prior" else "inducing points"
                 raise UsageError(f"controller.adapt.{key}: {last} has no {has}, a Gaussian process has")
         if last in LEARNED:
-            adapting = self._adapting(last, given)
+            residual, checkpoint = given.residuals(self.residual)[-1], given.checkpoint(-1)
+            deviation = None if self.adapt.fit_prior else self.adapt.deviation
+            adapting = checkpoint.adapting(given.vehicle, residual, deviation)
         else:
             adapting = adapting_terms(given.vehicle, self.adapt.deviation)
         if self.adapt.start == "zero":
@@ -221,13 +223,3 @@ class OnlineMPC(PredictivePart):
             reference_period=self.reference_period,
             backend=self.backend,
         )
-
-    def _adapting(self, kind: str, given: Given) -> Adapting:
-        from quadexp.air.adapting import adapting_drag, adapting_network, adapting_process
-
-        residual, checkpoint = given.residuals(self.residual)[-1], given.checkpoint(-1)
-        if kind == "linear_drag":
-            return adapting_drag(given.vehicle, residual, self.adapt.deviation)
-        if kind == "neural":
-            return adapting_network(residual, checkpoint.network, self.adapt.deviation)
-        return adapting_process(residual, checkpoint.outputs, None if self.adapt.fit_prior else self.adapt.deviation)

@@ -19,7 +19,7 @@ from matplotlib.ticker import FuncFormatter
 from quadexp.errors import DataError, UsageError
 from quadexp.learn.checkpoint import MODEL_FILE, load_model, load_report
 from quadexp.learn.dataset import ResidualDataset, read_dataset
-from quadexp.learn.model import GPModel, OutputPosterior
+from quadexp.learn.gaussian_process import GPModel, OutputPosterior
 from quadexp.log.schema import ESTIMATE_COLUMNS, Flight, describe
 from quadexp.report.fit_figures import axis_label, curve, moved, symbol, unit
 from quadexp.report.page.palette import Palette, dress
