@@ -48,7 +48,7 @@ def plot(
     from quadexp.report.axes.frame import SweepFrame
     from quadexp.report.axes.save import FIGURES, check_path, records, save_view
     from quadexp.report.axes.view import view
-    from quadexp.report.axes.where import chosen
+    from quadexp.report.query import chosen
 
     form = format_of(format, json)
     if kind is not None and kind not in FIGURES:
