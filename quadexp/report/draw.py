@@ -18,7 +18,6 @@ def draw(kind: str, inputs: tuple[Any, ...], path: Path) -> bool:
     from quadexp.report import figures
 
     makers: dict[str, Any] = {
-        "error": figures.error_against_speed,
         "times": figures.solve_times,
         "paths": figures.path_figure,
         "axes": _swept,

@@ -33,8 +33,6 @@ from quadexp.report.text import speed_text
 
 FOLDER = "figures"
 FORMATS = ("svg", "png")
-# Swept keys that the figure of the error against the speed shows.
-ONLY_SPEED = {"trajectory.speed", "trajectory", "controller", "model", "plant", "vehicle", "seed"}
 DRAWN = ".drawn"  # file beside the figures: name of each -> digest of what it was drawn from
 
 
@@ -68,23 +66,13 @@ def drawings(
     return [*found, _drawing("solve_time", "times", (rows,), of_rows)]
 
 
-def is_over_speed(frame: SweepFrame) -> bool:
-    """Whether the figure of a sweep is the error against the speed, a panel a trajectory and a line a controller on its
-    plant: the speed was swept, and nothing else but these, plants and vehicles."""
-    return {"trajectory.speed"} <= set(frame.swept) <= ONLY_SPEED
-
-
 def _over_what_was_swept(
     rows: Sequence[Mapping[str, Any]], out: str, metric: str, confidence: float, record: Mapping[str, Any]
 ) -> list[tuple[str, str, tuple[Any, ...]]]:
-    """Name, kind and inputs of the figures of errors: over the speed where nothing else was swept, and otherwise those
-    that quadexp/report/axes chooses."""
+    """Name, kind and inputs of the figures of errors over the keys that were swept."""
     begin = f"{metric.removesuffix('_error')}_error"
-    frame = SweepFrame(rows, out, record)
-    if is_over_speed(frame):
-        return [(f"{begin}_against_speed", "error", (rows, metric, confidence))]
     try:
-        views = automatic(frame, metric, confidence)
+        views = automatic(SweepFrame(rows, out, record), metric, confidence)
     except UsageError:  # no flight ended well
         return []
     return [

@@ -76,7 +76,7 @@ def _translated(frame: SweepFrame, condition: str, columns: dict[str, list[Any]]
             else:
                 pattern, unlike = token["like"].strip("'\""), bool(token["unlike"])
                 holds = [value is not None and fnmatchcase(str(value), pattern) is not unlike for value in own]
-            parts[-1] = f"{column(holds)} == True"  # type: ignore[arg-type]
+            parts[-1] = f"{column(holds)} == True"
         elif (word := token["word"]) and word.lower() not in LITERALS:
             if frame.has(word):
                 parts.append(column(frame.column(word)))

@@ -11,7 +11,6 @@ from quadexp.config.compose import expand
 from quadexp.log.store import write_table
 from quadexp.report.compare import compare
 from quadexp.report.drawing import fastest
-from quadexp.report.figures import error_against_speed
 from quadexp.report.page import make_report
 from quadexp.report.page.answer import answer
 from quadexp.report.page.sections import scoreboard, tables
@@ -23,6 +22,7 @@ from quadexp.report.tables import error_table, to_latex, to_markdown
 from quadexp.report.winner import verdicts
 from quadexp.sweeps.figures import SweepFigures
 from quadexp.sweeps.sweep import run_sweep
+from tests.report.results import speed_figure
 from tests.report.test_tables import row
 
 TIMES = {"solve_time_median": 3e-5, "solve_time_p99": 6e-5, "backend": "compiled"}
@@ -139,13 +139,15 @@ class TestFifteenOfTwentyNotFlown:
 
     def test_figure(self, outcome):
         rows = lost_gp(outcome)
-        figure = error_against_speed(rows)
-        drawn = {line.get_label(): float(line.get_ydata()[0]) for line in figure.axes[0].lines}
+        figure = speed_figure(rows)
+        names = [text.get_text() for text in figure.axes[0].get_xticklabels()]
+        means = [float(one.lines[0].get_ydata()[0]) for one in figure.axes[0].containers]
+        drawn = dict(zip(names, means, strict=True))
         assert drawn == {
-            label: pytest.approx(mean(rows, label.split()[0], range(5)))
-            for label in ("nominal_mpc", "linear_drag_mpc", "perfect_mpc", "gp_mpc (5 of 20 flown)")
+            label: pytest.approx(mean(rows, label, range(5)))
+            for label in ("nominal_mpc", "linear_drag_mpc", "perfect_mpc", "gp_mpc")
         }
-        assert "mean over the flights that all ended well" in figure.legends[0].get_title().get_text()
+        assert [text.get_text() for text in figure.axes[0].texts] == ["5/20"]
 
     def test_compare(self, outcome, tmp_path):
         rows = lost_gp(outcome)

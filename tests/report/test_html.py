@@ -14,7 +14,7 @@ from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.store import read_table
 from quadexp.report.page import make_report
 from quadexp.report.page.answer import answer
-from quadexp.report.page.panels import pareto_front
+from quadexp.report.page.pareto import pareto_front
 from quadexp.report.page.provenance import sweep_command
 from quadexp.report.page.source import read_comparison
 from quadexp.report.result_rows import from_columns
@@ -184,7 +184,7 @@ def test_commands_of_sweeps():
 
 def test_figures_for_paper(made):
     files = made["figures"]
-    assert set(files) == {"error_against_speed", "error_against_time"}
+    assert set(files) == {"mean_error_against_speed", "error_against_time"}
     assert all(path.read_bytes().startswith(b"%PDF") for path in files.values())
 
 

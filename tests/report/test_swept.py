@@ -59,9 +59,10 @@ def test_lines_are_in_the_colours_of_the_theme_and_maps_on_white(two):
     assert maps.startswith('<figure class="plate"') and "var(--" not in maps
 
 
-def test_where_the_speed_alone_was_swept_its_section_has_it(tmp_path):
+def test_the_speed_is_a_key_like_the_others(tmp_path):
     root = make_results(tmp_path / "speeds", controllers=("nominal_mpc", "perfect_mpc"), lost=False)
-    assert swept_figures(read_comparison(root)).tabs == []
+    made = swept_figures(read_comparison(root))
+    assert [view.x.key for view in made.views] == ["trajectory.speed"] and len(made.tabs) == 4
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from quadexp.report.style import PLAIN, Figure, Look, entries, looks, plain_log,
 MAX_PANELS = 36
 MAX_ACROSS = 4
 WIDEST_LINEAR = 5.0  # ratio of the largest to the smallest mean, beyond which their axis is logarithmic
+APART = 0.065  # share of a panel between two labels of ticks
 SPREAD = 0.6  # of the room of a group, taken by its places side by side
 
 
@@ -31,9 +32,10 @@ def line_figure(view: View) -> Figure:
     lines = view.lines()
     labels = {line: label_of(view, line) for line in lines}
     found = looks_of(view, lines)
-    across = min(len(panels), MAX_ACROSS)
+    size = max(3.1, 0.42 * len(view.x.values)) if view.x.kind == "group" else 3.1  # inches, of a panel across
+    across = min(len(panels), max(1, int(MAX_ACROSS * 3.1 / size)))
     down = math.ceil(len(panels) / across)
-    width = max(5.6, 1.4 + 3.1 * across)
+    width = max(5.6, 1.4 + size * across)
     columns = max(1, min(len(lines), int(13 * width / (max(map(len, labels.values()), default=1) + 6))))
     legend = 0.2 * math.ceil(len(lines) / columns) if len(lines) > 1 else 0
     figure = Figure(
@@ -47,7 +49,8 @@ def line_figure(view: View) -> Figure:
             _draw_line(panel, view, of_line, found[labels[line]].points(), labels[line], (k, len(lines)), log)
         panel.set_title(textwrap.fill(view.title(view.facet, facet), 34))
         panel.set_xlabel(view.x.label)
-        set_scale(panel, view.x)
+        here = [value for value in view.x.values if any((*facet, *line, value) in view.places for line in lines)]
+        set_scale(panel, view.x, here)
     for panel in grid.flat[len(panels) :]:
         panel.set_axis_off()
     if log:
@@ -121,8 +124,8 @@ def place_of(axis: Axis, value: Any, k: int = 0, n: int = 1) -> float:
     return axis.values.index(value) + (SPREAD * ((k + 0.5) / n - 0.5) if n > 1 else 0.0)
 
 
-def set_scale(panel: Any, axis: Axis) -> None:
-    """Scale, ticks and limits of x: a tick at every value as far as they have room."""
+def set_scale(panel: Any, axis: Axis, here: Sequence[Any]) -> None:
+    """Scale, ticks and limits of x: a tick at every value as far as they have room. here: the values of the panel."""
     if axis.kind == "group":
         panel.set_xticks(range(len(axis.values)), [_in_lines(axis.text(v), 14) for v in axis.values])
         panel.set_xlim(-0.6, len(axis.values) - 0.4)
@@ -132,12 +135,16 @@ def set_scale(panel: Any, axis: Axis) -> None:
                 text.set_horizontalalignment("right")
         panel.grid(False, axis="x")
         return
-    values = [float(value) for value in axis.values]
+    values = [float(value) for value in here]
     if axis.scale == "log":
         panel.set_xscale("log")
     elif axis.scale == "symlog":
-        panel.set_xscale("symlog", linthresh=min(value for value in values if value > 0))
+        panel.set_xscale("symlog", linthresh=min(value for value in axis.values if value > 0))
     shown = values if len(values) <= 8 else values[:: math.ceil(len(values) / 8)]
+    if axis.scale == "linear":
+        shown = [values[0]]
+        for value in values[1:]:
+            shown += [value] if value - shown[-1] >= APART * (values[-1] - values[0]) else []
     panel.set_xticks(shown)
     panel.set_xticks([] if axis.scale == "linear" else values, minor=True)
     panel.xaxis.set_major_formatter(PLAIN)

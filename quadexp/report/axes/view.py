@@ -211,6 +211,9 @@ def automatic(frame: SweepFrame, y: str = "mean_error", confidence: float = 0.95
     who = [key for key in WHO if key in swept]
     course = [key for key in ("trajectory",) if key in swept]
     axes = [key for key in swept if key not in (*who, *course)]
+    if "trajectory.speed" in axes:  # plants and vehicles are panels beside it
+        course += [key for key in ("plant", "vehicle") if key in axes]
+        axes = [key for key in axes if key not in course]
     if not axes:
         x = who[0] if who else course[0] if course else "seed"
         rest = [key for key in (*who, *course) if key != x]

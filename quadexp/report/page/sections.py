@@ -12,9 +12,8 @@ import numpy as np
 from quadexp.log.schema import Flight
 from quadexp.report.metrics import position_error
 from quadexp.report.notes import table_notes
-from quadexp.report.page.panels import Course, course_of, course_title
 from quadexp.report.page.provenance import redo_command
-from quadexp.report.page.source import KNOWS, TABLED, Comparison, spoken
+from quadexp.report.page.source import KNOWS, TABLED, Comparison, Course, course_of, spoken
 from quadexp.report.pairing import Condition, Flights, condition_of
 from quadexp.report.statistics import Statistic
 from quadexp.report.tables import TITLES, Entry
@@ -145,7 +144,7 @@ def _table(comparison: Comparison, metric: str) -> dict[str, Any]:
         "baseline": next((s.baseline for s in statistics if s.baseline), ""),
         "lines": [
             {
-                "course": course_title(comparison, course_of(c)),
+                "course": comparison.course_title(course_of(c)),
                 "speed": speed_text(c[3], ""),
                 "first": course_of(c) != before,
                 "means": [_mean_cell(found.get((c, x))) for x in columns],

@@ -41,7 +41,7 @@ from quadexp.report.winner import Ranking, rank, ratio_of
 
 RESULTS = "results.parquet"
 TABLED = ("mean_error", "rmse", "max_error")
-
+Course = tuple[str, str, str, str]  # plant, vehicle, trajectory, other settings
 
 NAMES = {
     "nominal_mpc": "nominal MPC",
@@ -80,6 +80,12 @@ def spoken(label: str) -> str:
     controller, *remedies = controller.split("+")
     name = NAMES.get(controller, controller.replace("_mpc", " MPC").replace("_", " "))
     return f"{' + '.join([name, *remedies])} {rest}".strip()
+
+
+def course_of(condition: Condition) -> Course:
+    """A condition without its speed."""
+    plant, vehicle, trajectory, _, setting = condition
+    return plant, vehicle, trajectory, setting
 
 
 @dataclass(frozen=True)
@@ -123,6 +129,13 @@ class Comparison:
     def courses(self) -> dict[tuple[str, str], str]:
         """(trajectory, other settings) -> its name."""
         return course_labels((c[2], c[4]) for c in self.conditions)
+
+    def course_title(self, course: Course) -> str:
+        """The trajectory, with settings, plant and vehicle as far as they distinguish it from the others."""
+        plant, vehicle, trajectory, setting = course
+        parts = [self.courses[trajectory, setting]]
+        parts += [plant] if len({world[0] for world in self.worlds}) > 1 else []
+        return ", ".join(parts + ([vehicle] if len({world[1] for world in self.worlds}) > 1 else []))
 
     @cached_property
     def worlds(self) -> list[World]:

@@ -206,9 +206,9 @@ class TestChoice:
     def test_the_figures_of_a_sweep(self, tmp_path, overrides, names):
         out = swept(tmp_path / "r", overrides, lambda config: 0.01)
         made = drawings(SweepFrame.read(out).rows, out, "mean_error", 0.95)
-        assert [one.name for one in made if one.kind in ("error", "axes")] == names
+        assert [one.name for one in made if one.kind == "axes"] == names
         for one in made:
-            if one.kind in ("error", "axes"):
+            if one.kind == "axes":
                 assert draw(one.kind, one.inputs, tmp_path / "figures" / f"{one.name}.svg")
 
     def test_without_the_grids_the_rows_tell_what_was_swept(self, nodes):
