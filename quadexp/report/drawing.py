@@ -170,7 +170,7 @@ def fastest(
     for row, label in zip(rows, column_labels(rows), strict=True):
         *_, speed, setting = condition_of(row)
         name = row["trajectory"]
-        heading = ", ".join(filter(None, (label, courses[name, setting].removeprefix(name).strip())))
+        heading = ", ".join(filter(None, (label, courses[name, setting].removeprefix(name).strip(", "))))
         found.setdefault(name, {}).setdefault(speed or 0.0, {}).setdefault(heading, []).append(row)
     chosen = {}
     for name, speeds in found.items():

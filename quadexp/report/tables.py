@@ -1,9 +1,9 @@
 """The tables of a sweep.
 
-The error table has trajectory and speed down and controllers across; a key of the controller that was swept is a column
-of its own, with its values down, and so are many plants or worlds. The first row counts the flights that ended well;
-cells are means over the common flights of a trajectory and speed (pairing.py), or say "invalid" where settings
-contradict each other. The comparison table has one row per contestant and condition, against the baseline.
+The error table has trajectory and speed down and controllers across; every setting that was swept is a column of its
+own, with its unit above and its values down, and so are many plants or worlds. The first row counts the flights that
+ended well; cells are means over the common flights of a trajectory and speed (pairing.py), or say "invalid" where
+settings contradict each other. The comparison table has one row per contestant and condition, against the baseline.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
+from quadexp.report.axes.frame import setting_text, unit_of
 from quadexp.report.metrics import SHOWN
 from quadexp.report.notes import notes as row_notes
 from quadexp.report.notes import table_notes
@@ -25,7 +26,6 @@ from quadexp.report.pairing import (
     contestant_of,
     is_invalid,
     setting_pairs,
-    variant_parts,
 )  # fmt: skip
 from quadexp.report.statistics import BASELINE, CONFIDENCE, Overall, Statistic, compute_statistics, overall
 from quadexp.report.table import Table
@@ -94,7 +94,7 @@ class Entry:
 class ErrorTable:
     """rows: (trajectory and what else varies, speed text, a value of each of `keys`). columns: controller labels.
     flown: column -> how many of its flights ended well. entries: (row, column) -> Entry. notes: lines below the table.
-    keys: swept keys of the controllers. invalid: (row, column) of settings that contradict each other."""
+    keys: settings that were swept. invalid: (row, column) of settings that contradict each other."""
 
     metric: str
     unit: str
@@ -116,7 +116,9 @@ class ErrorTable:
         empty = [""] * (1 + len(self.keys))
         rows = [["flown", *empty, *(count.text() if count.trials else "-" for count in counts)]]
         rows += [[*line, *(self._text(line, column) for column in self.columns)] for line in self.rows]
-        heads = ["trajectory", speed, *short_keys(self.keys), *self.columns]
+        units = [f" ({unit})" if (unit := unit_of(key)) else "" for key in self.keys]
+        keys = [f"{key}{unit}" for key, unit in zip(short_keys(self.keys), units, strict=True)]
+        heads = ["trajectory", speed, *keys, *self.columns]
         beside = 2 + len(self.keys)
         return Table(heads, rows, self.title, head=1, over=self.title if over else "", notes=self.notes, beside=beside)
 
@@ -167,9 +169,9 @@ def plant_labels(statistics: Sequence[Statistic]) -> list[str]:
 
 
 def course_labels(conditions: Iterable[tuple[str, str]]) -> dict[tuple[str, str], str]:
-    """(trajectory, other settings) -> label of a line, such as "circle payload=0.1"; no two are the same."""
+    """(trajectory, other settings) -> label of a line, such as "circle, payload 0.1 kg"; no two are the same."""
     conditions = list(dict.fromkeys(conditions))
-    labels = {one: " ".join([one[0], *variant_parts(one[1])]) for one in conditions}
+    labels = {one: ", ".join([one[0], *(setting_text(*pair) for pair in setting_pairs(one[1]))]) for one in conditions}
     count = Counter(labels.values())
     return {one: f"{one[0]} {one[1]}".strip() if count[label] > 1 else label for one, label in labels.items()}
 
@@ -203,17 +205,18 @@ def table_of(
     metric = statistics[0].metric
     rows = [*map(row_of, statistics), *invalid]
     keys = swept_settings(rows)
-    labels = column_labels([without_settings(row, keys) for row in rows])
+    bare = [without_settings(row, keys) for row in rows]
+    labels = column_labels(bare)
     if len(set(labels)) > MOST_ACROSS and len({row["plant"] for row in rows}) > 1:
         keys = ["plant", *keys]
-        labels = column_labels([{**without_settings(row, keys), "plant": ""} for row in rows])
+        labels = column_labels([{**row, "plant": ""} for row in bare])
     order: dict[Line, tuple[str, float]] = {}
     entries: dict[tuple[Line, str], Entry] = {}
     wrong: set[tuple[Line, str]] = set()
     flown: dict[str, Flights] = {}
-    courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in rows)
-    for s, row, label in zip([*statistics, *(None for _ in invalid)], rows, labels, strict=True):
-        *_, speed, setting = condition_of(row)
+    courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in bare)
+    for s, row, lean, label in zip([*statistics, *(None for _ in invalid)], rows, bare, labels, strict=True):
+        *_, speed, setting = condition_of(lean)
         course = courses[row["trajectory"], setting]
         own = settings_of(row) | {"plant": row["plant"]}
         line = (course, speed_text(speed, ""), *(own.get(key, "") for key in keys))
@@ -232,17 +235,18 @@ def table_of(
 
 
 def settings_of(row: Mapping[str, Any]) -> dict[str, str]:
-    """Key -> value, as text, of the controller's settings that vary within the sweep."""
-    return dict(setting_pairs(contestant_of(row)[2]))
+    """Key -> value, as text, of the settings that vary within the sweep."""
+    return dict(setting_pairs(row.get("variant") or ""))
 
 
 def swept_settings(rows: Iterable[Mapping[str, Any]]) -> list[str]:
-    """The keys of the controllers that take several values."""
+    """The settings that take several values, those of the conditions first."""
     values: dict[str, set[str]] = {}
     for row in rows:
         for key, value in settings_of(row).items():
             values.setdefault(key, set()).add(value)
-    return [key for key, several in values.items() if len(several) > 1]
+    found = [key for key, several in values.items() if len(several) > 1]
+    return sorted(found, key=lambda key: key.startswith("controller."))
 
 
 def without_settings(row: Mapping[str, Any], keys: Sequence[str]) -> dict[str, Any]:

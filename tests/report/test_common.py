@@ -197,7 +197,7 @@ def test_settings_of_a_condition_stand_in_the_line_and_no_two_lines_or_columns_a
         for s in range(3)
     ]
     table = error_table(rows)
-    assert table.rows == (("circle payload=0", "8"), ("circle payload=0.1", "8"))
+    assert table.rows == (("circle", "8", "0"), ("circle", "8", "0.1"))
     assert table.columns == ("nominal_mpc", "gp_mpc controller.a.gain=1", "gp_mpc controller.b.gain=1")
     assert len(table.entries) == 6
 

@@ -95,9 +95,10 @@ def test_a_swept_key_of_the_controller_has_a_column_with_its_values_down():
         for s in (0, 1)
     ]
     table = error_table(rows)
-    assert table.columns == ("nominal_mpc", "gp_mpc") and table.keys == ("controller.nodes",)
-    assert table.rows == tuple((f"circle payload={p}", "8", n) for p in "01" for n in ("5", "10"))
-    means = {(line[2], column): entry.mean for (line, column), entry in table.entries.items()}
+    assert table.columns == ("nominal_mpc", "gp_mpc") and table.keys == ("plant.payload", "controller.nodes")
+    assert table.table().columns[:4] == ["trajectory", "m/s", "payload (kg)", "nodes"]
+    assert table.rows == tuple(("circle", "8", p, n) for n in ("5", "10") for p in "01")
+    means = {(line[3], column): entry.mean for (line, column), entry in table.entries.items()}
     assert means == {(n, c): pytest.approx(float(n)) for n in ("5", "10") for c in table.columns}
 
 
@@ -107,8 +108,8 @@ def test_the_comparison_names_its_lines_as_the_error_table_does():
     rows = [row(name, seed=s, error=e, variant=v) for v in settings for name, e in who.items() for s in (0, 1)]
     statistics = compute_statistics(rows, metrics=("mean_error",))
     lines = comparison_table(statistics).rows
-    assert [line[0] for line in lines] == [name for name, _ in table_of(statistics).rows]
-    assert [line[0] for line in lines] == ["circle horizon=published", "circle horizon=robust"]
+    assert table_of(statistics).rows == (("circle", "8", "published"), ("circle", "8", "robust"))
+    assert [line[0] for line in lines] == ["circle, horizon published", "circle, horizon robust"]
     assert [line[1:3] for line in lines] == [["8", "perfect_mpc"]] * 2
 
 

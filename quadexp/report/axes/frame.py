@@ -274,3 +274,20 @@ def unit_of(key: str) -> str:
         if name in declared(schema):
             return declared(schema)[name].setting.unit
     return ""
+
+
+def setting_text(key: str, value: Any) -> str:
+    """A setting in words with its unit: "wind 4 m/s" of wind.velocity=[4,0,0], "latency 30 ms", "nodes 20".
+
+    Of a vector the length, of times below a tenth of a second milliseconds."""
+    group, _, last = key.rpartition(".")
+    name = group.rpartition(".")[2] if last == "velocity" and group else last.replace("_", " ")
+    value, unit = read_value(value) if isinstance(value, str) else value, unit_of(key)
+    if unit and isinstance(value, str) and value.startswith("["):
+        with contextlib.suppress(TypeError, ValueError):
+            value = math.hypot(*json.loads(value))
+    if not is_number(value):
+        return f"{name} {str(value).lower() if isinstance(value, bool) else value}"
+    if unit == "s" and 0 < value < 0.1:
+        value, unit = 1e3 * value, "ms"
+    return f"{name} {value:.6g} {unit}".strip()

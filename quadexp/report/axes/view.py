@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.report.axes.frame import ALIASES, SweepFrame, is_metric, is_number, unit_of
+from quadexp.report.axes.frame import ALIASES, SweepFrame, is_metric, is_number, setting_text, unit_of
 from quadexp.report.axes.points import SUCCESS, Place, Point, points, shown_column
 from quadexp.report.text import count, listed
 from quadexp.report.text import shown as unit_shown
@@ -158,7 +158,7 @@ class View:
             if key in ("trajectory", *WHO)
             else f"{value_text(key, value)} m/s"
             if key == "trajectory.speed"
-            else f"{key.rpartition('.')[2]} {value_text(key, value)}"
+            else setting_text(key, value)
             for key, value in zip(keys, values, strict=True)
         )
 

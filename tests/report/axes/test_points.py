@@ -11,7 +11,7 @@ from scipy import stats
 
 from quadexp.errors import UsageError
 from quadexp.log.store import read_metadata
-from quadexp.report.axes.frame import SweepFrame, read_value, unit_of
+from quadexp.report.axes.frame import SweepFrame, read_value, setting_text, unit_of
 from quadexp.report.axes.points import points
 from quadexp.report.axes.save import records
 from quadexp.report.axes.view import Axis, automatic, view
@@ -245,6 +245,18 @@ def test_axes_are_logarithmic_where_ratios_matter(values, scale):
 def test_units_are_those_of_the_configuration():
     assert unit_of("controller.horizon") == "s" and unit_of("speed") == "m/s" and unit_of("vehicle.mass") == "kg"
     assert unit_of("controller") == "" and unit_of("no.such") == ""
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("wind.velocity", "[4,0,0]", "wind 4 m/s"), ("link.latency", "0.03", "latency 30 ms"),
+        ("controller.horizon", 0.5, "horizon 0.5 s"), ("controller.nodes", 20, "nodes 20"),
+        ("vehicle.mass", "1.2", "mass 1.2 kg"), ("wind", "dryden", "wind dryden"),
+    ],
+)  # fmt: skip
+def test_settings_are_said_in_words_with_their_units(key, value, said):
+    assert setting_text(key, value) == said
 
 
 @pytest.mark.parametrize(
