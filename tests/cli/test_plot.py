@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from quadexp.report.compare_many import results_means
+from quadexp.report.compare_results import results_means
 from quadexp.report.held_out import held_out_rows, held_out_table
 from tests.cli.command import run
 from tests.report.axes.sweeps import noise, swept

@@ -156,7 +156,7 @@ def set_scale(panel: Any, axis: Axis, here: Sequence[Any]) -> None:
 def _in_lines(text: str, width: int) -> str:
     """A text in lines of about that many letters, broken behind /, + and commas, and never within a word."""
     lines = [""]
-    for part in re.findall(r"[^/+,;]*[/+,;]?", text):
+    for part in re.findall(r"[^/+,;]+[/+,;]?|[/+,;]", text):
         if lines[-1] and len(lines[-1]) + len(part) > width:
             lines.append("")
         lines[-1] += part
