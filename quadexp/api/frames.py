@@ -184,7 +184,7 @@ class Results(Frame):
         Without keys, what was swept chooses: error against speed, a panel a trajectory, a line a controller. by: a key
         for the lines. facet: for the panels. metric: a number of the flights.
         """
-        from quadexp.report.axes.save import figure_of
+        from quadexp.report.axes.draw import figure_of
         from quadexp.report.axes.view import view
 
         options = {"confidence": self._options()["confidence"]}

@@ -11,8 +11,8 @@ import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.log.store import read_flight, read_table
+from quadexp.report.axes.draw import line_figure
 from quadexp.report.axes.frame import SweepFrame
-from quadexp.report.axes.lines import line_figure
 from quadexp.report.axes.view import view
 from quadexp.report.compare import names_of
 from quadexp.report.metrics import mean_error, position_error

@@ -1,7 +1,7 @@
 """Which figures a sweep has, what each is drawn from, and whether the one on disk still shows that.
 
-Nothing here imports matplotlib: a figure whose inputs are those it was drawn from is left as it is, and one that is
-drawn may be drawn in another process (draw.py).
+Nothing here imports matplotlib before a figure is drawn: one whose inputs are those it was drawn from is left as it is,
+and one that is drawn may be drawn in another process.
 """
 
 from __future__ import annotations
@@ -38,13 +38,36 @@ DRAWN = ".drawn"  # file beside the figures: name of each -> digest of what it w
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure to be drawn. kind: which function draws it (draw.py). inputs: what that takes. digest: of all that
+    """A figure to be drawn. kind: which function draws it, see `draw`. inputs: what that takes. digest: of all that
     decides the figure."""
 
     name: str
     kind: str
     inputs: tuple[Any, ...]
     digest: str
+
+
+def draw(kind: str, inputs: tuple[Any, ...], path: Path) -> bool:
+    """Draw a figure as SVG and PNG, each whole or not at all; returns False where there is nothing to show.
+
+    path: of the SVG.
+    """
+    from quadexp.report import figures
+
+    makers: dict[str, Any] = {"times": figures.solve_times, "paths": figures.path_figure, "axes": _swept}
+    figure = makers[kind](*inputs)
+    if figure is not None:
+        figures.save(figure, path, inside=path.parent.parent)
+    return figure is not None
+
+
+def _swept(
+    rows: Sequence[Mapping[str, Any]], out: str, metric: str, confidence: float, record: Mapping[str, Any], which: int
+) -> Any:
+    """One of the figures that were chosen by what was swept."""
+    from quadexp.report.axes.draw import figure_of
+
+    return figure_of(automatic(SweepFrame(rows, out, record), metric, confidence)[which])
 
 
 def drawings(
@@ -57,7 +80,7 @@ def drawings(
     of_rows = _digest_of_columns(to_columns(rows))
     asked = {name: (record or {})[name] for name in ("grids", "without_flight") if name in (record or {})}
     swept = _over_what_was_swept(rows, str(out), metric, confidence, asked)
-    found = [_drawing(*one, [of_rows, *one[2][1:]]) for one in swept]
+    found = [_drawing(*one, [of_rows, *one[2][2:]]) for one in swept]  # wherever the folder lies
     for trajectory, (chosen, missing) in fastest(rows).items():
         cells = {heading: str(store.path(row["key"])) for heading, row in chosen}
         title = ", ".join(filter(None, (trajectory, speed_text(chosen[0][1]["speed"]))))

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from quadexp.files.writer import write_text
-from quadexp.report.axes.lines import line_figure
+from quadexp.report.axes.draw import line_figure
 from quadexp.report.axes.points import Place, Point
 from quadexp.report.axes.view import Axis, View
 from quadexp.report.figures import save

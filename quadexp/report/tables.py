@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
-from quadexp.report.axes.frame import setting_text, unit_of
+from quadexp.report.axes.frame import setting_text, with_unit
 from quadexp.report.metrics import SHOWN
 from quadexp.report.notes import notes as row_notes
 from quadexp.report.notes import table_notes
@@ -116,9 +116,7 @@ class ErrorTable:
         empty = [""] * (1 + len(self.keys))
         rows = [["flown", *empty, *(count.text() if count.trials else "-" for count in counts)]]
         rows += [[*line, *(self._text(line, column) for column in self.columns)] for line in self.rows]
-        units = [f" ({unit})" if (unit := unit_of(key)) else "" for key in self.keys]
-        keys = [f"{key}{unit}" for key, unit in zip(short_keys(self.keys), units, strict=True)]
-        heads = ["trajectory", speed, *keys, *self.columns]
+        heads = ["trajectory", speed, *map(with_unit, short_keys(self.keys), self.keys), *self.columns]
         beside = 2 + len(self.keys)
         return Table(heads, rows, self.title, head=1, over=self.title if over else "", notes=self.notes, beside=beside)
 

@@ -13,8 +13,7 @@ from PIL import Image
 
 from quadexp.config.compose import expand
 from quadexp.report.axes.frame import SweepFrame
-from quadexp.report.draw import draw
-from quadexp.report.drawing import drawings
+from quadexp.report.drawing import draw, drawings
 from tests.docs.commands import ROOT, Step, steps
 from tests.docs.test_commands import alike, run
 from tests.report.axes.sweeps import noise, swept

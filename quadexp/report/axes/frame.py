@@ -268,12 +268,18 @@ def of_controller(key: str) -> bool:
 
 
 def unit_of(key: str) -> str:
-    """The unit of a key of the configuration; "" for a number without one, or an unknown key."""
+    """The unit of a key of the configuration; "" for a number without one or named like it (nodes), or an unknown key."""
     group, _, name = ALIASES.get(key, key).partition(".")
     for schema in SCHEMAS.get(group, {}).values():
         if name in declared(schema):
-            return declared(schema)[name].setting.unit
+            unit = declared(schema)[name].setting.unit
+            return "" if unit == name else unit
     return ""
+
+
+def with_unit(name: str, key: str) -> str:
+    """The name of a key, such as "payload (kg)"."""
+    return f"{name} ({unit})" if (unit := unit_of(key)) else name
 
 
 def setting_text(key: str, value: Any) -> str:

@@ -9,20 +9,12 @@ from typing import Any
 
 from quadexp.errors import UsageError
 from quadexp.files.writer import check_output, write_text, written
-from quadexp.report.axes.heat import heat_figure
-from quadexp.report.axes.lines import line_figure
-from quadexp.report.axes.parallel import parallel_figure
+from quadexp.report.axes.draw import figure_of
 from quadexp.report.axes.view import View
 from quadexp.report.sortable import Column, sortable_page
 from quadexp.report.style import Figure, styled
 
-FIGURES = {"lines": line_figure, "heat": heat_figure, "parallel": parallel_figure}
 SUFFIXES = ("png", "pdf", "svg", "html")
-
-
-def figure_of(view: View) -> Figure:
-    """The matplotlib figure of a view."""
-    return FIGURES[view.kind](view)
 
 
 def records(view: View) -> list[dict[str, Any]]:

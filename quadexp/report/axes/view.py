@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.report.axes.frame import ALIASES, SweepFrame, is_metric, is_number, setting_text, unit_of
+from quadexp.report.axes.frame import ALIASES, SweepFrame, is_metric, is_number, setting_text, with_unit
 from quadexp.report.axes.points import SUCCESS, Place, Point, points, shown_column
 from quadexp.report.text import count, listed
 from quadexp.report.text import shown as unit_shown
@@ -64,8 +64,7 @@ class Axis:
 
     @property
     def label(self) -> str:
-        unit = unit_of(self.key)
-        return f"{self.key} ({unit})" if unit and unit != self.key.rpartition(".")[2] else self.key
+        return with_unit(self.key, self.key)
 
     def text(self, value: Any) -> str:
         return value_text(self.key, value)

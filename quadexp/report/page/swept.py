@@ -16,9 +16,9 @@ import matplotlib
 
 from quadexp.errors import UsageError
 from quadexp.messages import html
+from quadexp.report.axes.draw import figure_of
 from quadexp.report.axes.frame import SweepFrame
 from quadexp.report.axes.points import SUCCESS
-from quadexp.report.axes.save import figure_of
 from quadexp.report.axes.view import View, automatic
 from quadexp.report.page.palette import PAGE, TOKENS, inline_svg
 from quadexp.report.page.source import TABLED, Comparison

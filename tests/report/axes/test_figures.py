@@ -9,11 +9,9 @@ import pytest
 from matplotlib.colors import to_hex
 
 from quadexp.errors import UsageError
+from quadexp.report.axes.draw import figure_of, heat_figure, height, line_figure, parallel_figure
 from quadexp.report.axes.frame import SweepFrame
-from quadexp.report.axes.heat import heat_figure
-from quadexp.report.axes.lines import line_figure
-from quadexp.report.axes.parallel import height, parallel_figure
-from quadexp.report.axes.save import check_path, figure_of, page_of, save_view
+from quadexp.report.axes.save import check_path, page_of, save_view
 from quadexp.report.axes.view import Axis, automatic, view
 from quadexp.report.style import KNOWN, looks
 from tests.report.axes.sweeps import noise, swept

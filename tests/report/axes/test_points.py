@@ -15,8 +15,7 @@ from quadexp.report.axes.frame import SweepFrame, read_value, setting_text, unit
 from quadexp.report.axes.points import points
 from quadexp.report.axes.save import records
 from quadexp.report.axes.view import Axis, automatic, view
-from quadexp.report.draw import draw
-from quadexp.report.drawing import drawings
+from quadexp.report.drawing import draw, drawings
 from quadexp.report.statistics import compute_statistics
 from tests.report.axes.sweeps import noise, swept
 
