@@ -27,7 +27,7 @@ from quadexp.report.pairing import (
     is_invalid,
     setting_pairs,
 )  # fmt: skip
-from quadexp.report.statistics import BASELINE, CONFIDENCE, Overall, Statistic, compute_statistics, overall
+from quadexp.report.statistics import BASELINE, CONFIDENCE, Statistic, compute_statistics, overall
 from quadexp.report.table import Table
 from quadexp.report.text import p_value, speed_text, with_interval
 from quadexp.report.winner import Verdict, verdicts
@@ -193,7 +193,7 @@ def short_keys(keys: Sequence[str]) -> list[str]:
 
 def table_of(
     statistics: Sequence[Statistic],
-    pooled: Sequence[Overall] = (),
+    pooled: Sequence[Statistic] = (),
     found: Sequence[Verdict] = (),
     more: Sequence[str] = (),
     invalid: Sequence[Mapping[str, Any]] = (),

@@ -268,7 +268,7 @@ def of_controller(key: str) -> bool:
 
 
 def unit_of(key: str) -> str:
-    """The unit of a key of the configuration; "" for a number without one or named like it (nodes), or an unknown key."""
+    """The unit of a key of the configuration; "" for an unknown one, and where there is none or its name (nodes)."""
     group, _, name = ALIASES.get(key, key).partition(".")
     for schema in SCHEMAS.get(group, {}).values():
         if name in declared(schema):

@@ -176,7 +176,7 @@ def _difference_cell(s: Statistic | None) -> dict[str, Any]:
         "text": text if s.difference < 0 else f"+{text}",
         "limits": limits.strip(),
         "change": _change(s.reduction)[0],
-        "p": probability(s.p_holm) if s.comparisons * s.p_least < 1 - s.confidence else "",
+        "p": probability(s.p_holm) if s.testable else "",
         "left": s.left_out,
         "sure": s.significant,
     }

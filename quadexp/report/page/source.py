@@ -33,7 +33,7 @@ from quadexp.report.pairing import (
     is_invalid,
 )  # fmt: skip
 from quadexp.report.result_rows import from_columns
-from quadexp.report.statistics import CONFIDENCE, Overall, Statistic, overall
+from quadexp.report.statistics import CONFIDENCE, Statistic, overall
 from quadexp.report.statistics_file import results_statistics
 from quadexp.report.style import Look, looks
 from quadexp.report.tables import course_labels
@@ -158,7 +158,7 @@ class Comparison:
         return [row for row in self.rows if (row["plant"], row["vehicle"]) == self.world]
 
     @cached_property
-    def overall(self) -> dict[str, Overall]:
+    def overall(self) -> dict[str, Statistic]:
         """Label -> comparison with the baseline over all conditions of the main world."""
         made = overall(self.main_rows, metric=self.metric, baseline=self.baseline, confidence=self.confidence)
         return {self.labels[one.controller, one.model, one.variant]: one for one in made}
@@ -308,7 +308,7 @@ class Comparison:
         return [record for row in self.sampled(most) if (record := self.flight_record(row)) is not None]
 
     def select(self, metric: str) -> list[Statistic]:
-        return [s for s in self.statistics if s.metric == metric]
+        return [s for s in self.statistics if s.metric == metric and not s.is_overall]
 
     def time(self, label: str, which: str = "median") -> float:
         """Time of the control step, s: median over its flights of their median or p99."""
