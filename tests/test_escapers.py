@@ -202,9 +202,9 @@ EVIL = "\n47 files, 0 wrong\x1b[31m$\\frac$|=cmd|'`<b>\\input{x}"
 def test_a_sweep_of_hostile_names_is_written_drawn_and_reported(tmp_path, monkeypatch):
     """Every writer of a sweep's texts, on flights of somebody who wishes no good."""
     from quadexp.log.store import read_table
-    from quadexp.report.axes.frame import SweepFrame
     from quadexp.report.figures import solve_times
     from quadexp.report.flights_table import csv_of, page_of
+    from quadexp.report.frame import SweepFrame
     from quadexp.report.page import make_report
     from quadexp.report.result_rows import from_columns, to_csv
     from quadexp.report.statistics_file import comparison_texts, results_statistics

@@ -25,7 +25,7 @@ from quadexp.log.store import read_flight, write_table
 from quadexp.messages import html
 
 if TYPE_CHECKING:
-    from quadexp.report.axes.frame import SweepFrame
+    from quadexp.report.frame import SweepFrame
     from quadexp.report.table import Table
     from quadexp.report.tables import ErrorTable
 
@@ -184,8 +184,8 @@ class Results(Frame):
         Without keys, what was swept chooses: error against speed, a panel a trajectory, a line a controller. by: a key
         for the lines. facet: for the panels. metric: a number of the flights.
         """
-        from quadexp.report.axes.draw import figure_of
-        from quadexp.report.axes.view import view
+        from quadexp.report.draw import figure_of
+        from quadexp.report.view import view
 
         options = {"confidence": self._options()["confidence"]}
         lines, panels = ([keys] if isinstance(keys, str) else keys for keys in (by, facet))
@@ -193,7 +193,7 @@ class Results(Frame):
         return figure_of(view(self._sweep_frame(), y=metric or self._metric(None), **axes, **options))
 
     def _sweep_frame(self) -> SweepFrame:
-        from quadexp.report.axes.frame import SweepFrame
+        from quadexp.report.frame import SweepFrame
 
         return SweepFrame(self.rows(), os.fspath(self._folder or "."), self.record)
 

@@ -24,12 +24,12 @@ from quadexp.files.writer import clean, remove, write_text
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_text
 from quadexp.provenance import source_hash
-from quadexp.report.axes.frame import SweepFrame
-from quadexp.report.axes.view import automatic
+from quadexp.report.frame import SweepFrame
 from quadexp.report.pairing import condition_of, is_flown
 from quadexp.report.result_rows import to_columns
 from quadexp.report.tables import column_labels, course_labels
 from quadexp.report.text import speed_text
+from quadexp.report.view import automatic
 
 FOLDER = "figures"
 FORMATS = ("svg", "png")
@@ -65,7 +65,7 @@ def _swept(
     rows: Sequence[Mapping[str, Any]], out: str, metric: str, confidence: float, record: Mapping[str, Any], which: int
 ) -> Any:
     """One of the figures that were chosen by what was swept."""
-    from quadexp.report.axes.draw import figure_of
+    from quadexp.report.draw import figure_of
 
     return figure_of(automatic(SweepFrame(rows, out, record), metric, confidence)[which])
 

@@ -19,7 +19,7 @@ from quadexp.files.writer import check_output
 from quadexp.log.extras import missing_package
 from quadexp.log.store import example_in
 from quadexp.messages import tracker_name, tracker_text
-from quadexp.report.axes.frame import SweepFrame, is_metric, is_number
+from quadexp.report.frame import SweepFrame, is_metric, is_number
 from quadexp.report.result_rows import ROW_COLUMNS
 
 TAGS = ("outcome", "cause", "backend", "program", "sources", "libraries", "key")

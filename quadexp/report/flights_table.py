@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from quadexp.report.axes.frame import SweepFrame, is_metric, is_number, with_unit
-from quadexp.report.axes.view import unit_and_factor
+from quadexp.report.frame import SweepFrame, is_metric, is_number, with_unit
 from quadexp.report.sortable import Column, sortable_page
 from quadexp.report.table import Table, csv_text
+from quadexp.report.view import unit_and_factor
 
 
 class FlightsTable(NamedTuple):

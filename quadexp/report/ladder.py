@@ -13,15 +13,15 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from quadexp.files.writer import write_text
-from quadexp.report.axes.draw import line_figure
-from quadexp.report.axes.points import Place, Point
-from quadexp.report.axes.view import Axis, View
+from quadexp.report.draw import line_figure
 from quadexp.report.figures import save
+from quadexp.report.points import Place, Point
 from quadexp.report.statistics import Statistic, compute_statistics
 from quadexp.report.style import Figure
 from quadexp.report.table import Table
 from quadexp.report.tables import course_labels, plant_labels
 from quadexp.report.text import speed_text
+from quadexp.report.view import Axis, View
 
 Row = Mapping[str, Any]
 First = Literal["plant", "world"]

@@ -15,7 +15,7 @@ from typing import Any
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.report.axes.frame import SweepFrame, is_number, read_value
+from quadexp.report.frame import SweepFrame, is_number, read_value
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "us": 1e-6, "ms": 1e-3, "s": 1.0, "deg": math.pi / 180, "%": 0.01}
 SIGNS = {"=": "==", "<>": "!=", "&&": "and", "||": "or"}

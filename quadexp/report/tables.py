@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
-from quadexp.report.axes.frame import setting_text, with_unit
+from quadexp.report.frame import setting_text, with_unit
 from quadexp.report.metrics import SHOWN
 from quadexp.report.notes import notes as row_notes
 from quadexp.report.notes import table_notes

@@ -18,7 +18,7 @@ from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identity import digest
 from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import FAILURES
-from quadexp.report.axes.frame import SweepFrame, read_value
+from quadexp.report.frame import SweepFrame, read_value
 from quadexp.report.query import chosen
 from quadexp.sweeps.keys import condition
 from quadexp.sweeps.sweep_table import RESULTS, Row, open_results, read_rows, table_row, write_results

@@ -11,11 +11,11 @@ import numpy as np
 from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight, write_table
-from quadexp.report.axes.draw import figure_of
-from quadexp.report.axes.frame import SweepFrame
-from quadexp.report.axes.view import automatic
+from quadexp.report.draw import figure_of
+from quadexp.report.frame import SweepFrame
 from quadexp.report.metrics import flight_metrics
 from quadexp.report.result_rows import to_columns
+from quadexp.report.view import automatic
 from tests.log.flights import straight_flight
 
 ROTORS = [[0.17, -0.17, 0.0], [-0.17, -0.17, 0.0], [-0.17, 0.17, 0.0], [0.17, 0.17, 0.0]]

@@ -16,13 +16,13 @@ import matplotlib
 
 from quadexp.errors import UsageError
 from quadexp.messages import html
-from quadexp.report.axes.draw import figure_of
-from quadexp.report.axes.frame import SweepFrame
-from quadexp.report.axes.points import SUCCESS
-from quadexp.report.axes.view import View, automatic
+from quadexp.report.draw import figure_of
+from quadexp.report.frame import SweepFrame
 from quadexp.report.page.palette import PAGE, TOKENS, inline_svg
 from quadexp.report.page.source import TABLED, Comparison
+from quadexp.report.points import SUCCESS
 from quadexp.report.style import Figure
+from quadexp.report.view import View, automatic
 
 LARGEST_DRAWING = 150_000  # characters of one figure as a drawing
 BUDGET = 500_000  # characters of all of them

@@ -16,8 +16,8 @@ from typing import Any, Literal
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.report.axes.frame import ALIASES, SweepFrame, is_metric, is_number, setting_text, with_unit
-from quadexp.report.axes.points import SUCCESS, Place, Point, points, shown_column
+from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, setting_text, with_unit
+from quadexp.report.points import SUCCESS, Place, Point, points, shown_column
 from quadexp.report.text import count, listed
 from quadexp.report.text import shown as unit_shown
 

@@ -9,12 +9,20 @@ import pytest
 from matplotlib.colors import to_hex
 
 from quadexp.errors import UsageError
-from quadexp.report.axes.draw import figure_of, heat_figure, height, line_figure, parallel_figure
-from quadexp.report.axes.frame import SweepFrame
-from quadexp.report.axes.save import check_path, page_of, save_view
-from quadexp.report.axes.view import Axis, automatic, view
+from quadexp.report.draw import (
+    check_path,
+    figure_of,
+    heat_figure,
+    height,
+    line_figure,
+    page_of,
+    parallel_figure,
+    save_view,
+)
+from quadexp.report.frame import SweepFrame
 from quadexp.report.style import KNOWN, looks
-from tests.report.axes.sweeps import noise, swept
+from quadexp.report.view import Axis, automatic, view
+from tests.report.sweeps import noise, swept
 
 
 @pytest.fixture(scope="module")

@@ -11,13 +11,13 @@ from scipy import stats
 
 from quadexp.errors import UsageError
 from quadexp.log.store import read_metadata
-from quadexp.report.axes.frame import SweepFrame, read_value, setting_text, unit_of
-from quadexp.report.axes.points import points
-from quadexp.report.axes.save import records
-from quadexp.report.axes.view import Axis, automatic, view
+from quadexp.report.draw import records
 from quadexp.report.drawing import draw, drawings
+from quadexp.report.frame import SweepFrame, read_value, setting_text, unit_of
+from quadexp.report.points import points
 from quadexp.report.statistics import compute_statistics
-from tests.report.axes.sweeps import noise, swept
+from quadexp.report.view import Axis, automatic, view
+from tests.report.sweeps import noise, swept
 
 NODES = [
     "controller=nominal_mpc,perfect_mpc",
