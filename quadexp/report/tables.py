@@ -39,68 +39,44 @@ NAN = math.nan
 Line = tuple[str, ...]  # of an error table: trajectory with what else varies, speed, values of swept keys
 
 
-@dataclass(frozen=True)
-class Entry:
-    """One cell of the error table.
+def value_text(s: Statistic) -> tuple[str, str]:
+    """Mean over the common flights and its interval, in the unit that tables show; ("", "") without such flights."""
+    values = (SHOWN[s.metric][0] * value for value in (s.common_mean, s.common_low, s.common_high))
+    return ("", "") if math.isnan(s.common_mean) else with_interval(*values)
 
-    mean, low, high, spread: over the common `flights`, with its interval and standard deviation (shown unit); NaN if
-    there are none. own, own_flights: mean over all own flights that ended well, and their number. lost: outcome ->
-    number of those that did not end well. best: see winner.py. significant: differs from the baseline.
-    """
 
-    mean: float
-    spread: float
-    flights: int
-    lost: Mapping[str, int]
-    low: float
-    high: float
-    own: float
-    own_flights: int
-    best: bool
-    significant: bool
+def own_text(s: Statistic) -> str:
+    """Such as "own 13.1 of 19", over all own flights that ended well; "" if all of them are common ones."""
+    mean = with_interval(SHOWN[s.metric][0] * s.mean, NAN, NAN)[0]
+    return f"own {mean} of {s.n}" if s.n > s.common else ""
 
-    @classmethod
-    def of(cls, s: Statistic) -> Entry:
-        """The cell of one statistic, in the unit that tables show."""
-        factor = SHOWN[s.metric][0]
-        values = (factor * v for v in (s.common_mean, s.common_std, s.common_low, s.common_high, s.mean))
-        mean, spread, low, high, own = values
-        return cls(mean, spread, s.common, s.failures, low, high, own, s.n, s.best, s.significant)
 
-    @property
-    def value(self) -> tuple[str, str]:
-        """Mean and interval as text, ("", "") without common flights."""
-        return ("", "") if math.isnan(self.mean) else with_interval(self.mean, self.low, self.high)
+def lost_text(s: Statistic) -> str:
+    """Such as "1 lost, 2 solver_failed"."""
+    return ", ".join(f"{count} {outcome}" for outcome, count in s.failures.items())
 
-    def text(self) -> str:
-        """Such as "12.3", "**240.6** [239.9, 241.2]*", "12.3 (own 13.1 of 19; 1 lost)" or "3 lost"."""
-        beside = "; ".join(part for part in (self.own_text(), self.lost_text()) if part)
-        mean, limits = self.value
-        if not mean:
-            return beside or "-"
-        mean = f"**{mean}**" if self.best else mean
-        return mean + limits + ("*" if self.significant else "") + (f" ({beside})" if beside else "")
 
-    def own_text(self) -> str:
-        """Such as "own 13.1 of 19"; "" if all own flights are common ones."""
-        own = self.own_flights > self.flights
-        return f"own {with_interval(self.own, NAN, NAN)[0]} of {self.own_flights}" if own else ""
-
-    def lost_text(self) -> str:
-        return ", ".join(f"{count} {outcome}" for outcome, count in self.lost.items())
+def cell_text(s: Statistic) -> str:
+    """Such as "12.3", "**240.6** [239.9, 241.2]*", "12.3 (own 13.1 of 19; 1 lost)" or "3 lost"."""
+    beside = "; ".join(filter(None, (own_text(s), lost_text(s))))
+    mean, limits = value_text(s)
+    if not mean:
+        return beside or "-"
+    mean = f"**{mean}**" if s.best else mean
+    return mean + limits + ("*" if s.significant else "") + (f" ({beside})" if beside else "")
 
 
 @dataclass(frozen=True)
 class ErrorTable:
     """rows: (trajectory and what else varies, speed text, a value of each of `keys`). columns: controller labels.
-    flown: column -> how many of its flights ended well. entries: (row, column) -> Entry. notes: lines below the table.
-    keys: settings that were swept. invalid: (row, column) of settings that contradict each other."""
+    flown: column -> how many of its flights ended well. entries: (row, column) -> statistic. notes: lines below. keys:
+    settings that were swept. invalid: (row, column) of settings that contradict each other."""
 
     metric: str
     unit: str
     rows: tuple[Line, ...]
     columns: tuple[str, ...]
-    entries: Mapping[tuple[Line, str], Entry]
+    entries: Mapping[tuple[Line, str], Statistic]
     flown: Mapping[str, Flights]
     notes: tuple[str, ...] = ()
     keys: tuple[str, ...] = ()
@@ -122,7 +98,7 @@ class ErrorTable:
 
     def _text(self, line: Line, column: str) -> str:
         entry = self.entries.get((line, column))
-        return entry.text() if entry else "invalid" if (line, column) in self.invalid else "-"
+        return cell_text(entry) if entry else "invalid" if (line, column) in self.invalid else "-"
 
     def __str__(self) -> str:
         return to_markdown(self)
@@ -209,7 +185,7 @@ def table_of(
         keys = ["plant", *keys]
         labels = column_labels([{**row, "plant": ""} for row in bare])
     order: dict[Line, tuple[str, float]] = {}
-    entries: dict[tuple[Line, str], Entry] = {}
+    entries: dict[tuple[Line, str], Statistic] = {}
     wrong: set[tuple[Line, str]] = set()
     flown: dict[str, Flights] = {}
     courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in bare)
@@ -223,7 +199,7 @@ def table_of(
         if s is None:
             wrong.add((line, label))
         else:
-            entries[line, label] = Entry.of(s)
+            entries[line, label] = s
     names = list(dict.fromkeys(line[0] for line in order))
     lines = tuple(sorted(order, key=lambda line: (names.index(order[line][0]), order[line][1])))
     notes = (*table_notes(statistics, pooled, found), *more)

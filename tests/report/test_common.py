@@ -96,9 +96,10 @@ class TestFifteenOfTwentyNotFlown:
         }  # fmt: skip
         for name in table.columns:
             entry = table.entries[table.rows[0], name]
-            assert entry.mean == pytest.approx(mean(rows, name, range(5))) and entry.flights == 5 and not entry.best
+            assert 1e3 * entry.common_mean == pytest.approx(mean(rows, name, range(5)))
+            assert entry.common == 5 and not entry.best
             if name != "gp_mpc":
-                assert entry.own == pytest.approx(mean(rows, name, range(20))) and entry.own_flights == 20
+                assert 1e3 * entry.mean == pytest.approx(mean(rows, name, range(20))) and entry.n == 20
         text = to_markdown(table)
         assert "| flown |  | 20 of 20 | 20 of 20 | 20 of 20 | 5 of 20 |" in text and "**" not in text
         assert f"own {mean(rows, 'nominal_mpc', range(20)):.1f} of 20" in text

@@ -16,7 +16,7 @@ from quadexp.report.page.provenance import redo_command
 from quadexp.report.page.source import KNOWS, TABLED, Comparison, Course, course_of, spoken
 from quadexp.report.pairing import Condition, Flights, condition_of
 from quadexp.report.statistics import Statistic
-from quadexp.report.tables import TITLES, Entry
+from quadexp.report.tables import TITLES, lost_text, own_text, value_text
 from quadexp.report.text import duration, number, percent, probability, shown, speed_text, with_interval
 
 WORST = 9
@@ -161,10 +161,9 @@ def _table(comparison: Comparison, metric: str) -> dict[str, Any]:
 def _mean_cell(s: Statistic | None) -> dict[str, Any]:
     if s is None:
         return {"text": "-"}
-    entry = Entry.of(s)
-    (text, limits), lost = entry.value, entry.lost_text().replace("_", " ")
+    (text, limits), lost = value_text(s), lost_text(s).replace("_", " ")
     star = "*" if s.significant and text else ""
-    return {"text": text + star, "limits": limits.strip(), "own": entry.own_text(), "lost": lost, "best": s.best}
+    return {"text": text + star, "limits": limits.strip(), "own": own_text(s), "lost": lost, "best": s.best}
 
 
 def _difference_cell(s: Statistic | None) -> dict[str, Any]:
@@ -223,7 +222,7 @@ def worst(
             {
                 "label": comparison.label(row),
                 "name": spoken(comparison.label(row)),
-                "course": row["trajectory"],
+                "course": comparison.courses[row["trajectory"], condition_of(row)[4]],
                 "speed": speed_text(row["speed"]),
                 "seed": row["seed"],
                 "world": f"{row['plant']}, {row['vehicle']}",
