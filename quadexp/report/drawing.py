@@ -24,6 +24,7 @@ from quadexp.files.writer import clean, remove, write_text
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_text
 from quadexp.provenance import source_hash
+from quadexp.report import FORMATS
 from quadexp.report.frame import SweepFrame
 from quadexp.report.pairing import condition_of, is_flown
 from quadexp.report.result_rows import to_columns
@@ -32,7 +33,6 @@ from quadexp.report.text import speed_text
 from quadexp.report.view import automatic
 
 FOLDER = "figures"
-FORMATS = ("svg", "png")
 DRAWN = ".drawn"  # file beside the figures: name of each -> digest of what it was drawn from
 
 

@@ -21,7 +21,7 @@ from quadexp.files.writer import written
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
 from quadexp.progress import doing
-from quadexp.report.drawing import FORMATS
+from quadexp.report import FORMATS
 from quadexp.report.metrics import mean_error, position_error
 from quadexp.report.pairing import is_flown
 from quadexp.report.style import Figure, entries, looks, plain_log, styled
