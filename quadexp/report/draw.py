@@ -124,10 +124,15 @@ def line_figure(view: View) -> Figure:
 
 
 def label_of(view: View, line: Place) -> str:
-    """The text of a line in the legend, beginning with its controller, which decides its colour."""
+    """The text of a line in the legend, beginning with its controller, which decides its colour. A checkpoint is named
+    where a controller has several."""
     parts = []
     for key, value in zip(view.by, line, strict=True):
         if key == "model":
+            k = view.by.index("model")
+            alike = {other[k] for other in view.lines() if other[:k] + other[k + 1 :] == line[:k] + line[k + 1 :]}
+            if len(alike) == 1 and "controller" in view.by:
+                continue
             parts.append(view.title((key,), (value,)) or ("" if "controller" in view.by else "no checkpoint"))
         else:
             parts.append(str(value) if key == "controller" else f"{key.rpartition('.')[2]}={value}")

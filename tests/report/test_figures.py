@@ -35,6 +35,17 @@ def test_a_panel_per_trajectory_and_a_line_per_controller(rows):
     np.testing.assert_allclose(panel.containers[0].lines[0].get_ydata(), [200 * 4 * 1.1, 200 * 8 * 1.1])
 
 
+def test_a_checkpoint_is_named_only_where_a_controller_has_several(rows):
+    def labels(named):
+        figure = speed_figure([made | {"model": named(made)} for made in rows])
+        return [one.get_label() for one in figure.axes[0].containers]
+
+    assert labels(lambda made: "models/gp" * (made["controller"] == "gp_mpc")) == ["nominal_mpc", "gp_mpc"]
+    assert labels(lambda made: f"models/{made['controller'][:2]}") == ["nominal_mpc", "gp_mpc"]
+    rows = [*({**made, "model": "models/a"} for made in rows), *({**made, "model": "models/b"} for made in rows[12:])]
+    assert labels(lambda made: made["model"]) == ["nominal_mpc", "gp_mpc a", "gp_mpc b"]
+
+
 def test_the_bar_is_the_interval_of_the_mean_and_says_so(rows):
     figure = speed_figure(rows, confidence=0.9)
     (bars,) = figure.axes[0].containers[0].lines[2]
