@@ -23,7 +23,7 @@ from quadexp.report.sortable import Column, sortable_page
 from quadexp.report.style import Figure, plain_log, styled
 from quadexp.report.table import _MARKS, Table
 from quadexp.tune.preset import _yaml
-from tests.report.results import make_results
+from tests.report.results import make_results, speed_figure
 
 PIECES = (
     "\n", "\r", "\t", "\x1b[31m", "\x9b", "\x00", "\u202e", "\u2028", "\x85", "\u200b", "\ud800", "\udcc2\udc9b",
@@ -190,9 +190,9 @@ EVIL = "\n47 files, 0 wrong\x1b[31m$\\frac$|=cmd|'`<b>\\input{x}"
 def test_a_sweep_of_hostile_names_is_written_drawn_and_reported(tmp_path, monkeypatch):
     """Every writer of a sweep's texts, on flights of somebody who wishes no good."""
     from quadexp.log.store import read_table
-    from quadexp.report.axes.frame import SweepFrame
-    from quadexp.report.figures import error_against_speed, solve_times
+    from quadexp.report.figures import solve_times
     from quadexp.report.flights_table import csv_of, page_of
+    from quadexp.report.frame import SweepFrame
     from quadexp.report.page import make_report
     from quadexp.report.result_rows import from_columns, to_csv
     from quadexp.report.statistics_file import comparison_texts, results_statistics
@@ -213,7 +213,7 @@ def test_a_sweep_of_hostile_names_is_written_drawn_and_reported(tmp_path, monkey
     frame = SweepFrame.read(root)
     assert len(list(csv.reader(io.StringIO(csv_of(frame, ["controller", "seed"]))))) == 1 + len(rows)
     assert "b" not in Page(page_of(frame, ["controller", "seed"], EVIL)).tags
-    for figure in (error_against_speed(rows), solve_times(rows)):
+    for figure in (speed_figure(rows), solve_times(rows)):
         figure.savefig(io.BytesIO(), format="svg")
     made = make_report(root, tmp_path / "report.html", figures=tmp_path / "paper")
     page = made["path"].read_text(encoding="utf-8")

@@ -25,7 +25,7 @@ from quadexp.log.store import read_flight, write_table
 from quadexp.messages import html
 
 if TYPE_CHECKING:
-    from quadexp.report.axes.frame import SweepFrame
+    from quadexp.report.frame import SweepFrame
     from quadexp.report.table import Table
     from quadexp.report.tables import ErrorTable
 
@@ -181,28 +181,19 @@ class Results(Frame):
     ) -> Any:
         """A matplotlib figure with any keys as axes, as `quadexp plot`: results.plot(x="controller.nodes").
 
-        Without keys: error against speed, a panel a trajectory, a line a controller; or, where other keys were swept,
-        what these choose. by: a key for the lines. facet: for the panels. metric: a number of the flights.
+        Without keys, what was swept chooses: error against speed, a panel a trajectory, a line a controller. by: a key
+        for the lines. facet: for the panels. metric: a number of the flights.
         """
-        from quadexp.report.axes.save import figure_of
-        from quadexp.report.axes.view import view
-        from quadexp.report.drawing import is_over_speed
-        from quadexp.report.figures import error_against_speed
-        from quadexp.report.metrics import SHOWN
+        from quadexp.report.draw import figure_of
+        from quadexp.report.view import view
 
         options = {"confidence": self._options()["confidence"]}
-        frame = self._sweep_frame()
-        if not (x or by or facet or kind) and metric in (None, *SHOWN) and is_over_speed(frame):
-            figure = error_against_speed(self.rows(), self._metric(metric), **options)
-            if figure is None:
-                raise UsageError("no flight that ended well has a speed to draw its error against")
-            return figure
         lines, panels = ([keys] if isinstance(keys, str) else keys for keys in (by, facet))
-        made = view(frame, y=metric or self._metric(None), x=x, by=lines, facet=panels, kind=kind, **options)
-        return figure_of(made)
+        axes: dict[str, Any] = {"x": x, "by": lines, "facet": panels, "kind": kind}
+        return figure_of(view(self._sweep_frame(), y=metric or self._metric(None), **axes, **options))
 
     def _sweep_frame(self) -> SweepFrame:
-        from quadexp.report.axes.frame import SweepFrame
+        from quadexp.report.frame import SweepFrame
 
         return SweepFrame(self.rows(), os.fspath(self._folder or "."), self.record)
 

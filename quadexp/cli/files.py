@@ -58,13 +58,13 @@ def compare_two(
     form = format_of(format, json)
     path = None
     if out is not None:
-        from quadexp.report.axes.save import check_path
+        from quadexp.report.draw import check_path
 
         path = check_path(out, force, ("png", "pdf", "svg"))
     report = compare(first, *others)
     if path is not None:
-        from quadexp.report.axes.save import save_figure
         from quadexp.report.compare_picture import picture
+        from quadexp.report.draw import save_figure
 
         save_figure(picture(report["kind"], [first, *others]), path, force=force)
     picked = {key: value for key, value in report.items() if key != "lines"} | ({"picture": path} if path else {})

@@ -45,10 +45,10 @@ def plot(
     quadexp plot results/x --x vehicle.mass --facet trajectory --where "controller like '*_mpc'" --out b.html
     """
     from quadexp.errors import UsageError
-    from quadexp.report.axes.frame import SweepFrame
-    from quadexp.report.axes.save import FIGURES, check_path, records, save_view
-    from quadexp.report.axes.view import view
-    from quadexp.report.axes.where import chosen
+    from quadexp.report.draw import FIGURES, check_path, records, save_view
+    from quadexp.report.frame import SweepFrame
+    from quadexp.report.query import chosen
+    from quadexp.report.view import view
 
     form = format_of(format, json)
     if kind is not None and kind not in FIGURES:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -103,6 +104,14 @@ class OptionFiles:
                 options = [f"{group}={option}" for option, one in parts.items() if local in declared(one)]
                 found |= {name: options[:MOST_NAMED]} if options else {}
         return found
+
+
+@functools.cache
+def units(group: str) -> dict[str, str]:
+    """Units of the keys of a group's parts, by name; "" for a number without one."""
+    return {
+        name: one.setting.unit for part in OptionFiles().parts(group).values() for name, one in declared(part).items()
+    }
 
 
 def unreadable(path: Path, error: Exception) -> UsageError:

@@ -1,31 +1,17 @@
-"""What files are compared by: settings as dotted keys, figures by name, flights by what they have in common."""
+"""What comparisons are made of: settings as dotted keys, those that differ, changes, and their lines."""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from quadexp.report.held_out import held_out_rows
-from quadexp.report.pairing import condition_of, contestant_of
-from quadexp.report.summary import MODEL_FILE
+from quadexp.report.table import Table
+from quadexp.report.text import count, number, relative
 
-Row = Mapping[str, Any]
-Key = tuple[Any, ...]  # condition, contestant, seed
-
-FIGURES = {  # of a flight, with the factor and unit in which they are printed
-    "mean_error": (1e3, "mm"),
-    "rmse": (1e3, "mm"),
-    "max_error": (1e3, "mm"),
-    "attitude_rmse": (180 / math.pi, "deg"),
-    "saturated_share": (100.0, "%"),
-    "peak_speed": (1.0, "m/s"),
-    "duration": (1.0, "s"),
-    "solve_time_median": (1e6, "us"),
-    "solve_time_p99": (1e6, "us"),
-}
+ABSENT = "-"
+MOST_LINES = 16  # settings shown; --json has all
+MOST_LETTERS = 36  # of a value
 
 
 def flat(value: Any, prefix: str = "") -> dict[str, Any]:
@@ -50,39 +36,44 @@ def record_of(metadata: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def checkpoint_record(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """What decides a checkpoint: its data, its settings, the features of its outputs."""
-    names = ("kind", "vehicle", "dataset", "settings", "versions")
-    features = {name: {"features": output["features"]} for name, output in summary["outputs"].items()}
-    return {**{name: summary[name] for name in names}, "outputs": features}
+def differing(*records: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """Dotted key -> its value in each, for those that differ; "-" for a missing key."""
+    sides = list(map(flat, records))
+    values = {key: [side.get(key, ABSENT) for side in sides] for side in sides for key in side}
+    return {key: own for key, own in values.items() if any(value != own[0] for value in own)}
 
 
-def parameters(path: Path, summary: Mapping[str, Any]) -> dict[str, float]:
-    """The numbers of a checkpoint by name; held-out errors from its report, if there is one."""
-    folder = path.parent if path.name == MODEL_FILE else path
-    values = {
-        f"held-out RMSE of {row['output']} by {row['predictor']} ({row['unit']})": row["rmse"]
-        for row in held_out_rows(folder)
-        if row["predictor"] != "zero"
-    }
-    values |= {f"drag_{axis} (1/s)": value for axis, value in zip("xyz", summary["drag"], strict=True)}
-    for output, one in summary["outputs"].items():
-        values[f"{output} signal"], values[f"{output} noise"] = one["signal_std"], one["noise_std"]
-        scales = zip(one["features"], one["lengthscale"], strict=True)
-        values |= {f"{output} length of {feature}": scale for feature, scale in scales}
-    return values
+def change(a: Any, b: Any) -> dict[str, float]:
+    """a, b, difference b - a, relative (%), NaN if not defined."""
+    a, b = (math.nan if value is None else float(value) for value in (a, b))
+    ratio = 100 * (b - a) / a if a else (0.0 if a == b else math.nan)
+    return {"a": a, "b": b, "difference": b - a, "relative": ratio}
 
 
-def matched(*tables: Sequence[Row]) -> list[dict[Key, Row]]:
-    """Rows by condition, contestant and seed; with the checkpoint only where it distinguishes contestants."""
-    contestants = ((side, who) for side, rows in enumerate(tables) for who in set(map(contestant_of, rows)))
-    models = Counter((side, controller, variant) for side, (controller, _, variant) in contestants)
-    several = {who[1:] for who, n in models.items() if n > 1}
-    made: list[dict[Key, Row]] = []
-    for rows in tables:
-        made.append({})
-        for row in rows:
-            controller, model, variant = contestant_of(row)
-            contestant = controller, model if (controller, variant) in several else "", variant
-            made[-1][condition_of(row), contestant, row["seed"]] = row
-    return made
+def setting_table(settings: Mapping[str, Sequence[Any]], names: Sequence[str], indent: str = "") -> Table:
+    """The settings that differ, a row each, at most MOST_LINES."""
+
+    def short(value: Any) -> str:
+        text = "null" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+        return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 3]}..."
+
+    rows = [[f"{indent}{key}", *map(short, values)] for key, values in list(settings.items())[:MOST_LINES]]
+    notes = [f"{indent}and {len(settings) - len(rows)} more (--json has all)"] if len(settings) > len(rows) else []
+    return Table([f"{indent}setting", *names], rows, left=frozenset(range(1 + len(names))), notes=notes)
+
+
+def setting_lines(settings: Mapping[str, Sequence[Any]]) -> list[str]:
+    """The settings that differ between a and b, a line each."""
+    if not settings:
+        return ["configuration  the same"]
+    text = count(len(settings), "setting") + (" differ" if len(settings) > 1 else " differs")
+    return [f"configuration  {text}", *setting_table(settings, "ab", "  ").lines()]
+
+
+def figure_lines(figures: Iterable[tuple[str, Mapping[str, float], float]]) -> list[str]:
+    """A table of changes. figures: name, change, and the factor it is printed with."""
+    rows = [
+        [name, *(number(factor * one[key]) for key in ("a", "b", "difference")), relative(one["relative"])]
+        for name, one, factor in figures
+    ]
+    return Table(["", "a", "b", "b - a", "relative"], rows).lines()

@@ -11,14 +11,14 @@ import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.log.store import read_flight, read_table
-from quadexp.report.axes.frame import SweepFrame
-from quadexp.report.axes.lines import line_figure
-from quadexp.report.axes.view import view
-from quadexp.report.compare_many import names_of
+from quadexp.report.compare import names_of
+from quadexp.report.draw import line_figure
+from quadexp.report.frame import SweepFrame
 from quadexp.report.metrics import mean_error, position_error
 from quadexp.report.result_rows import ROW_COLUMNS, from_columns
 from quadexp.report.style import Figure, looks, plain_log, styled
 from quadexp.report.summary import MODEL_FILE, RESULTS_FILE
+from quadexp.report.view import view
 
 SOURCE = "results"  # key of the folder that a flight of several results comes from
 

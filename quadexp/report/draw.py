@@ -1,40 +1,452 @@
-"""Draws one figure of a sweep; what may be called in another process, which imports matplotlib then."""
+"""The one drawer: a view as lines, as a heat map or as parallel coordinates, with the mean of a metric over any keys.
+
+lines      a panel for every value of `facet`, a line for every value of `by`, bars for the interval. Values of a key
+           that is no number stand side by side. Where flights were lost stands "k/n"; where none ended well, a cross at
+           the upper edge
+heat       one key along x, one along y, the mean as a colour and as a number. What was not asked for is blank, what is
+           invalid crossed out; without a flight that ended well it says how many were lost
+parallel   an axis a key, a line a combination, its colour the error, which is the last axis. Combinations without a
+           flight that ended well are dashed and grey, and end below it
+
+A file is PNG, PDF or SVG, or one HTML page with the numbers, which opens offline.
+"""
 
 from __future__ import annotations
 
+import io
+import math
+import re
+import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from quadexp.report.style import Figure
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.patches import Rectangle
+
+from quadexp.errors import UsageError
+from quadexp.files.writer import check_output, write_text, written
+from quadexp.report.figures import ERROR_COLOURS
+from quadexp.report.points import SUCCESS, Place, Point
+from quadexp.report.sortable import Column, sortable_page
+from quadexp.report.style import PLAIN, Figure, Look, entries, looks, plain_log, styled
+from quadexp.report.text import significant
+from quadexp.report.view import Axis, View
+
+SUFFIXES = ("png", "pdf", "svg", "html")
+MAX_PANELS = 36
+WIDEST_LINEAR = 5.0  # ratio of the largest to the smallest mean, beyond which their axis is logarithmic
+APART = 0.065  # share of a panel between two labels of ticks
+SPREAD = 0.6  # of the room of a group, taken by its places side by side
+MOST_LETTERS = 400  # cells of a map that have their number written into them
+EMPTY = "#F2F2F2"
+MOST_TICKS = 12
+MOST_COMBINATIONS = 400  # of parallel coordinates: with more, a line cannot be told from its neighbours
 
 
-def draw(kind: str, inputs: tuple[Any, ...], path: Path) -> bool:
-    """Draw a figure (drawing.py) and write it as SVG and PNG, each whole or not at all.
-
-    path: of the SVG. Returns False where there is nothing to show.
-    """
-    from quadexp.report import figures
-
-    makers: dict[str, Any] = {
-        "error": figures.error_against_speed,
-        "times": figures.solve_times,
-        "paths": figures.path_figure,
-        "axes": _swept,
-    }
-    figure = makers[kind](*inputs)
-    if figure is not None:
-        figures.save(figure, path, inside=path.parent.parent)
-    return figure is not None
+def figure_of(view: View) -> Figure:
+    """The matplotlib figure of a view."""
+    return FIGURES[view.kind](view)
 
 
-def _swept(
-    rows: Sequence[Mapping[str, Any]], out: str, metric: str, confidence: float, record: Mapping[str, Any], which: int
-) -> Figure:
-    """One of the figures that were chosen by what was swept."""
-    from quadexp.report.axes.frame import SweepFrame
-    from quadexp.report.axes.save import figure_of
-    from quadexp.report.axes.view import automatic
+def _panels(view: View, size: tuple[float, float], most: int, room: float = 0, **share: Any) -> tuple[Figure, Any]:
+    """A figure and its grid of panels, each with its title, and what its marks are above them.
 
-    return figure_of(automatic(SweepFrame(rows, out, record), metric, confidence)[which])
+    size: of a panel (inches). most: panels across. room: inches beside the panels, for a legend. share: of axes."""
+    panels, left = view.panels[:MAX_PANELS], view.panels[MAX_PANELS:]
+    across = min(len(panels), most)
+    down, width = math.ceil(len(panels) / across), max(5.6, 1.4 + size[0] * across)
+    height = size[1] * down + 0.4 + room + 0.17 * len(_notes(view, left, width))
+    figure = Figure(figsize=(width, height), layout="constrained")
+    grid = figure.subplots(down, across, squeeze=False, **share)
+    for panel, facet in zip(grid.flat, panels, strict=False):
+        panel.set_title(textwrap.fill(view.title(view.facet, facet), 34))
+        panel.set_xlabel(view.x.label)
+    for panel in grid.flat[len(panels) :]:
+        panel.set_axis_off()
+    figure.suptitle("\n".join(_notes(view, left, width)), fontsize=8)
+    return figure, grid
+
+
+def _notes(view: View, left: Sequence[Place], width: float) -> list[str]:
+    """The lines above a figure: what its marks are, and what it leaves out."""
+    gone = [view.title(view.facet, facet) for facet in left]
+    dropped = [f"no room for {len(gone)} panels: {', '.join(gone)}"] if gone else []
+    return [row for line in (view.caption, *view.notes, *dropped) for row in textwrap.wrap(line, int(15 * width))]
+
+
+def _norm(view: View) -> Normalize:
+    """The scale of colours of the means."""
+    means = [view.factor * point.mean for point in view.places.values() if point.is_shown]
+    return LogNorm(min(means), max(means)) if is_log(view) else Normalize(min(means), max(means) or 1.0)
+
+
+@styled
+def line_figure(view: View) -> Figure:
+    """The figure of a view of kind "lines"."""
+    lines = view.lines()
+    labels = {line: label_of(view, line) for line in lines}
+    found = looks_of(view, lines)
+    size = max(3.1, 0.42 * len(view.x.values)) if view.x.kind == "group" else 3.1
+    most = max(1, int(12.4 / size))
+    width = max(5.6, 1.4 + size * min(len(view.panels), most))
+    columns = max(1, min(len(lines), int(13 * width / (max(map(len, labels.values()), default=1) + 6))))
+    legend = 0.2 * math.ceil(len(lines) / columns) if len(lines) > 1 else 0
+    figure, grid = _panels(view, (size, 3.0), most, legend, sharey=True, sharex=view.x.kind == "group")
+    log = is_log(view)
+    for panel, facet in zip(grid.flat, view.panels, strict=False):
+        for k, line in enumerate(lines):
+            of_line = {value: view.places.get((*facet, *line, value)) for value in view.x.values}
+            _draw_line(panel, view, of_line, found[labels[line]].points(), labels[line], (k, len(lines)), log)
+        here = [value for value in view.x.values if any((*facet, *line, value) in view.places for line in lines)]
+        set_scale(panel, view.x, here)
+    if log:
+        ends = [v for p in view.places.values() if p.is_shown for v in (p.mean, p.low) if v > 0.1 * p.mean]
+        grid[0, 0].set_yscale("log")
+        grid[0, 0].set_ylim(bottom=0.8 * view.factor * min(ends))
+    elif all(point.mean >= 0 for point in view.places.values() if point.is_shown):
+        largest = max(max(point.mean, max(0, point.high)) for point in view.places.values() if point.is_shown)
+        grid[0, 0].set_ylim(0, 1.08 * view.factor * largest or 1.0)
+    _make_room(grid[0, 0], view, len(lines), log)
+    if log:
+        plain_log(grid[0, 0].yaxis, minor=True)
+    elif view.y == SUCCESS:
+        grid[0, 0].set_yticks(range(0, 101, 20))
+    for row in grid:
+        row[0].set_ylabel(view.y_label)
+    _mark_gone(grid.flat, view, lines)
+    if len(lines) > 1:
+        figure.legend(*entries(grid.flat), loc="outside lower center", ncols=columns)
+    return figure
+
+
+def label_of(view: View, line: Place) -> str:
+    """The text of a line in the legend, beginning with its controller, which decides its colour. A checkpoint is named
+    where a controller has several."""
+    parts = []
+    for key, value in zip(view.by, line, strict=True):
+        if key == "model":
+            k = view.by.index("model")
+            alike = {other[k] for other in view.lines() if other[:k] + other[k + 1 :] == line[:k] + line[k + 1 :]}
+            if len(alike) == 1 and "controller" in view.by:
+                continue
+            parts.append(view.title((key,), (value,)) or ("" if "controller" in view.by else "no checkpoint"))
+        else:
+            parts.append(str(value) if key == "controller" else f"{key.rpartition('.')[2]}={value}")
+    return " ".join(filter(None, parts))
+
+
+def looks_of(view: View, lines: Sequence[Place]) -> dict[str, Look]:
+    """Label of a line -> its look; one that all flights share with a controller has the look of that."""
+    labels = [label_of(view, line) for line in lines]
+    if len(labels) == 1 and not labels[0] and "controller" in view.alone:
+        return {"": looks([view.alone["controller"]])[view.alone["controller"]]}
+    return looks(labels)
+
+
+def _draw_line(
+    panel: Any, view: View, of_line: Mapping[Any, Point | None], look: Mapping[str, Any], label: str,
+    beside: tuple[int, int], log: bool,
+) -> None:  # fmt: skip
+    there = [(value, point) for value, point in of_line.items() if point is not None and point.is_shown]
+    if not there:
+        return
+    x = np.array([place_of(view.x, value, *beside) for value, _ in there])
+    mean, low, high = (view.factor * np.array([getattr(p, name) for _, p in there]) for name in ("mean", "low", "high"))
+    bars = np.maximum(np.vstack([mean - np.maximum(low, 1e-9 if log else -np.inf), high - mean]), 0.0)
+    look = dict(look) | ({"linestyle": "none"} if view.x.kind == "group" else {})
+    each: list[Any] = [(slice(None), label, look)]
+    if view.x.key == "controller" and not view.by:  # each with the look that it has everywhere
+        own = looks([str(value) for value in view.x.values])
+        each = [([i], "", own[str(value)].points()) for i, (value, _) in enumerate(there)]
+    for some, name, drawn in each:
+        yerr = bars[:, some] if np.isfinite(bars[:, some]).any() else None
+        panel.errorbar(x[some], mean[some], yerr=yerr, label=name, capsize=2.5, elinewidth=1.0, **drawn)
+    for at, y, (_, point) in zip(x, mean, there, strict=True):
+        if point.ended < point.trials:
+            text = f"{point.ended}/{point.trials}"
+            panel.annotate(text, (at, y), (4, 5), textcoords="offset points", fontsize=7, color=look["color"])
+
+
+def place_of(axis: Axis, value: Any, k: int = 0, n: int = 1) -> float:
+    """Where a value stands on an axis; the places of a group side by side, the k-th of n."""
+    if axis.kind == "number":
+        return float(value)
+    return axis.values.index(value) + (SPREAD * ((k + 0.5) / n - 0.5) if n > 1 else 0.0)
+
+
+def set_scale(panel: Any, axis: Axis, here: Sequence[Any]) -> None:
+    """Scale, ticks and limits of x: a tick at every value as far as they have room. here: the values of the panel."""
+    if axis.kind == "group":
+        panel.set_xticks(range(len(axis.values)), [_in_lines(axis.text(v), 14) for v in axis.values])
+        panel.set_xlim(-0.6, len(axis.values) - 0.4)
+        if sum(map(len, map(axis.text, axis.values))) > 34:
+            panel.tick_params(axis="x", rotation=30)
+            for text in panel.get_xticklabels():
+                text.set_horizontalalignment("right")
+        panel.grid(False, axis="x")
+        return
+    values = [float(value) for value in here]
+    if axis.scale == "log":
+        panel.set_xscale("log")
+    elif axis.scale == "symlog":
+        panel.set_xscale("symlog", linthresh=min(value for value in axis.values if value > 0))
+    shown = values if len(values) <= 8 else values[:: math.ceil(len(values) / 8)]
+    if axis.scale == "linear":
+        shown = [values[0]]
+        for value in values[1:]:
+            shown += [value] if value - shown[-1] >= APART * (values[-1] - values[0]) else []
+    panel.set_xticks(shown)
+    panel.set_xticks([] if axis.scale == "linear" else values, minor=True)
+    panel.xaxis.set_major_formatter(PLAIN)
+    panel.xaxis.set_minor_formatter(lambda value, _: "")
+    if axis.scale != "symlog":
+        panel.margins(x=0.08)
+
+
+def _in_lines(text: str, width: int) -> str:
+    """A text in lines of about that many letters, broken behind /, + and commas, and never within a word."""
+    lines = [""]
+    for part in re.findall(r"[^/+,;]+[/+,;]?|[/+,;]", text):
+        if lines[-1] and len(lines[-1]) + len(part) > width:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join(lines)
+
+
+def is_log(view: View) -> bool:
+    """Whether the means are shown on a logarithmic axis: positive, and far apart."""
+    means = [point.mean for point in view.places.values() if point.is_shown]
+    return min(means) > 0 and max(means) > WIDEST_LINEAR * min(means)
+
+
+def _mark_gone(grid: Any, view: View, lines: Sequence[Place]) -> None:
+    """A cross above the lines where no flight of a place ended well, or its settings are invalid."""
+    found = looks_of(view, lines)
+    start = len(view.facet)
+    for line in lines:
+        own = [point for place, point in view.places.items() if place[start : start + len(line)] == line]
+        if not any(point.is_shown for point in own):
+            what = "invalid" if all(point.invalid for point in own) else "no flight ended well"
+            label = f"{label_of(view, line)} ({what})".strip()
+            colour = found[label_of(view, line)].colour
+            grid[0].plot([], [], marker="x", markersize=5, linestyle="none", color=colour, label=label)
+    for panel, facet in zip(grid, view.panels, strict=False):
+        for k, line in enumerate(lines):
+            colour = found[label_of(view, line)].colour
+            for value in view.x.values:
+                point = view.places.get((*facet, *line, value))
+                if point is None or point.is_shown:
+                    continue
+                text = "invalid" if point.invalid else f"{point.ended}/{point.trials}"
+                at, y, edge = (
+                    place_of(view.x, value, k, len(lines)),
+                    0.97 - 0.055 * (k % 5),
+                    panel.get_xaxis_transform(),
+                )
+                panel.plot(at, y, marker="x", markersize=5, color=colour, transform=edge, clip_on=False)
+                panel.annotate(
+                    text, (at, y), (5, 0), xycoords=edge, textcoords="offset points", va="center", fontsize=6.5,
+                    color=colour,
+                )  # fmt: skip
+
+
+def _make_room(panel: Any, view: View, lines: int, log: bool) -> None:
+    """Leave the upper edge to the crosses of places where no flight ended well."""
+    if all(point.is_shown for point in view.places.values()):
+        return
+    low, high = panel.get_ylim()
+    share = 1.0 / (0.92 - 0.055 * min(lines, 5))
+    panel.set_ylim(top=low * (high / low) ** share if log else low + (high - low) * share)
+
+
+@styled
+def heat_figure(view: View) -> Figure:
+    """The figure of a view of kind "heat"."""
+    (rows,) = view.by
+    down_axis = Axis.of(rows, [line[0] for line in view.lines()])
+    cell = 0.62 if len(view.x.values) * len(down_axis.values) <= MOST_LETTERS else 0.2
+    size = max(2.2, cell * len(view.x.values) + 1.0), max(1.6, 0.42 * len(down_axis.values) + 0.8)
+    figure, grid = _panels(view, size, 3)
+    norm = _norm(view)
+    for panel, facet in zip(grid.flat, view.panels, strict=False):
+        _draw_map(panel, view, facet, down_axis, norm)
+    for line in grid:
+        line[0].set_ylabel(down_axis.label)
+    bar = figure.colorbar(ScalarMappable(norm, ERROR_COLOURS), ax=grid, label=view.y_label, shrink=0.9)
+    if isinstance(norm, LogNorm):
+        plain_log(bar.ax.yaxis)
+    return figure
+
+
+def table_of(view: View, facet: Place, down_axis: Axis) -> np.ndarray:
+    """The means of a panel in the unit shown, (rows, columns), NaN where there is none."""
+    values = np.full((len(down_axis.values), len(view.x.values)), math.nan)
+    for j, row in enumerate(down_axis.values):
+        for i, column in enumerate(view.x.values):
+            point = view.places.get((*facet, row, column))
+            values[j, i] = view.factor * point.mean if point is not None else math.nan
+    return values
+
+
+def readable_on(colour: Sequence[float]) -> str:
+    """Black or white, whichever has more contrast on a colour (red, green, blue in [0, 1]), as WCAG defines it."""
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in colour[:3]]
+    luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+    return "#000000" if (luminance + 0.05) ** 2 > 1.05 * 0.05 else "#FFFFFF"
+
+
+def _draw_map(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Normalize) -> None:
+    values = table_of(view, facet, down_axis)
+    panel.set_facecolor(EMPTY)
+    panel.imshow(np.ma.masked_invalid(values), cmap=ERROR_COLOURS, norm=norm, aspect="auto", origin="lower")
+    panel.grid(False)
+    for axis, place in ((view.x, panel.xaxis), (down_axis, panel.yaxis)):
+        place.set_ticks(
+            range(len(axis.values)), [textwrap.shorten(axis.text(v), 18, placeholder="...") for v in axis.values]
+        )
+    if sum(map(len, map(view.x.text, view.x.values))) > 5 * len(view.x.values):
+        panel.tick_params(axis="x", rotation=30)
+    written = values.size <= MOST_LETTERS
+    for j, row in enumerate(down_axis.values):
+        for i, column in enumerate(view.x.values):
+            point = view.places.get((*facet, row, column))
+            if point is None:
+                continue
+            text, colour = significant(values[j, i]) if point.is_shown else "", "#FFFFFF"
+            if point.is_shown:
+                colour = readable_on(ERROR_COLOURS(norm(values[j, i])))
+            if point.ended < point.trials:
+                text += f"\n{point.ended}/{point.trials}" if text else f"{point.ended}/{point.trials}\nflown"
+            if not point.is_shown:
+                text, colour = text or "invalid", "#444444"
+                hatch = Rectangle((i - 0.5, j - 0.5), 1, 1, fill=False, hatch="///", edgecolor="#CCCCCC", linewidth=0)
+                panel.add_patch(hatch)
+            if written:
+                panel.text(i, j, text, ha="center", va="center", fontsize=7, color=colour)
+
+
+@styled
+def parallel_figure(view: View) -> Figure:
+    """The figure of a view of kind "parallel"."""
+    norm = _norm(view)
+    n = len(view.along)
+    lines = sorted(view.places.items(), key=lambda one: -one[1].mean if one[1].is_shown else -math.inf)
+    if len(lines) > MOST_COMBINATIONS:  # the best and the worst, and as many between them as can be seen
+        every = np.linspace(0, len(lines) - 1, MOST_COMBINATIONS).round().astype(int)
+        said = f"{MOST_COMBINATIONS} of {len(lines)} combinations drawn, from the best to the worst"
+        view, lines = replace(view, notes=(*view.notes, said)), [lines[i] for i in every]
+    width = max(5.6, 1.6 * len(view.along) + 2.4)
+    figure = Figure(figsize=(width, 4.2 + 0.17 * len(_notes(view, (), width))), layout="constrained")
+    panel = figure.subplots()
+    for place, point in lines:
+        heights = [height(axis, value) for axis, value in zip(view.along, place, strict=True)]
+        if point.is_shown:
+            value = view.factor * point.mean
+            end, colour = float(norm(value)) if norm.vmin != norm.vmax else 0.5, ERROR_COLOURS(norm(value))
+            panel.plot(range(n + 1), [*heights, end], color=colour, linewidth=1.4, alpha=0.9)
+            if point.ended < point.trials:
+                panel.annotate(
+                    f"{point.ended}/{point.trials}", (n, end), (3, -2), textcoords="offset points", fontsize=6
+                )
+        else:
+            panel.plot(range(n + 1), [*heights, -0.08], color="#AAAAAA", linewidth=0.9, linestyle=":")
+    for k, axis in enumerate(view.along):
+        _ticks(panel, k, axis)
+    panel.set_xticks(range(n + 1), [*(axis.label for axis in view.along), view.y_label], rotation=20, ha="right")
+    panel.set_yticks([])
+    panel.set_ylim(-0.12, 1.06)
+    panel.set_xlim(-0.35, n + 0.25)
+    panel.grid(False)
+    for name in ("left", "bottom"):
+        panel.spines[name].set_visible(False)
+    for k in range(n + 1):
+        panel.axvline(k, color="#555555", linewidth=0.8, zorder=0)
+    gone = sum(not point.is_shown for point in view.places.values())
+    if gone:
+        panel.text(
+            n, -0.1, f" {gone} without a flight that ended well", fontsize=7, color="#777777", va="center", ha="right"
+        )
+    bar = figure.colorbar(ScalarMappable(norm, ERROR_COLOURS), ax=panel, label=view.y_label)
+    if isinstance(norm, LogNorm):
+        plain_log(bar.ax.yaxis)
+    figure.suptitle("\n".join(_notes(view, (), width)), fontsize=8)
+    return figure
+
+
+def height(axis: Axis, value: Any) -> float:
+    """Where a value stands on its axis, in [0, 1]."""
+    if axis.kind == "group":
+        return axis.values.index(value) / (len(axis.values) - 1) if len(axis.values) > 1 else 0.5
+    low, high = float(min(axis.values)), float(max(axis.values))
+    if low == high:
+        return 0.5
+    if axis.scale == "log":
+        return (math.log(float(value)) - math.log(low)) / (math.log(high) - math.log(low))
+    return (float(value) - low) / (high - low)
+
+
+def _ticks(panel: Any, k: int, axis: Axis) -> None:
+    every = np.linspace(0, len(axis.values) - 1, min(len(axis.values), MOST_TICKS)).round().astype(int)
+    for i in dict.fromkeys(every.tolist()):
+        value = axis.values[i]
+        text = f"{value:g}" if axis.kind == "number" else axis.text(value)
+        panel.text(k - 0.03, height(axis, value), text, fontsize=7, ha="right", va="center",
+                   bbox={"facecolor": "#FFFFFF", "edgecolor": "none", "pad": 0.6, "alpha": 0.8})  # fmt: skip
+
+
+FIGURES = {"lines": line_figure, "heat": heat_figure, "parallel": parallel_figure}
+
+
+def records(view: View) -> list[dict[str, Any]]:
+    """The numbers behind a view, a record a place: its keys, and mean, low, high in SI units."""
+    made = []
+    for place, point in view.places.items():
+        keys = dict(zip(view.keys, place, strict=True))
+        about = {"seeds": point.seeds, "flights": point.flights, "ended": point.ended, "trials": point.trials}
+        numbers = {view.y: point.mean, "low": point.low, "high": point.high, "interval": point.method}
+        made.append({**keys, **numbers, **about, "invalid": point.invalid})
+    return made
+
+
+def check_path(path: Path, force: bool, suffixes: Sequence[str] = SUFFIXES) -> Path:
+    """The path of a figure; UsageError for a suffix of none of the formats, or a file that is there."""
+    if path.suffix.lower().lstrip(".") not in suffixes:
+        raise UsageError(f"--out {path}: a figure is a file .{', .'.join(suffixes)}")
+    return check_output(path, force=force)
+
+
+@styled
+def save_view(view: View, path: Path, title: str = "", *, force: bool = True) -> Path:
+    """Write the figure of a view in the format that the path's suffix names."""
+    form = path.suffix.lower().lstrip(".")
+    if form == "html":
+        return write_text(path, page_of(view, title), force=force)
+    return save_figure(figure_of(view), path, force=force)
+
+
+@styled
+def save_figure(figure: Figure, path: Path, *, force: bool = True) -> Path:
+    """Write a figure as PNG, PDF or SVG, without the time at which it was drawn."""
+    form = path.suffix.lower().lstrip(".")
+    dated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+    with written(path, force=force) as file:
+        figure.savefig(file, format=form, dpi=150, metadata=dated.get(form))
+    return path
+
+
+@styled
+def page_of(view: View, title: str) -> str:
+    """The figure with its numbers as one page that opens without a network."""
+    stream = io.StringIO()
+    figure_of(view).savefig(stream, format="svg", metadata={"Date": None})
+    svg = stream.getvalue()
+    rows = records(view)
+    columns = [Column(name, f"{name} ({view.unit})" if name == view.y and view.unit else name) for name in rows[0]]
+    scaled = [{**row, **{n: view.factor * row[n] for n in (view.y, "low", "high")}} for row in rows]
+    return sortable_page(
+        title or view.y_label, columns, scaled, above=svg[svg.index("<svg") :], notes=(view.caption, *view.notes)
+    )

@@ -1,7 +1,7 @@
 """Which figures a sweep has, what each is drawn from, and whether the one on disk still shows that.
 
-Nothing here imports matplotlib: a figure whose inputs are those it was drawn from is left as it is, and one that is
-drawn may be drawn in another process (draw.py).
+Nothing here imports matplotlib before a figure is drawn: one whose inputs are those it was drawn from is left as it is,
+and one that is drawn may be drawn in another process.
 """
 
 from __future__ import annotations
@@ -24,29 +24,50 @@ from quadexp.files.writer import clean, remove, write_text
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_text
 from quadexp.provenance import source_hash
-from quadexp.report.axes.frame import SweepFrame
-from quadexp.report.axes.view import automatic
+from quadexp.report import FORMATS
+from quadexp.report.frame import SweepFrame
 from quadexp.report.pairing import condition_of, is_flown
 from quadexp.report.result_rows import to_columns
 from quadexp.report.tables import column_labels, course_labels
 from quadexp.report.text import speed_text
+from quadexp.report.view import automatic
 
 FOLDER = "figures"
-FORMATS = ("svg", "png")
-# Swept keys that the figure of the error against the speed shows.
-ONLY_SPEED = {"trajectory.speed", "trajectory", "controller", "model", "plant", "vehicle", "seed"}
 DRAWN = ".drawn"  # file beside the figures: name of each -> digest of what it was drawn from
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure to be drawn. kind: which function draws it (draw.py). inputs: what that takes. digest: of all that
+    """A figure to be drawn. kind: which function draws it, see `draw`. inputs: what that takes. digest: of all that
     decides the figure."""
 
     name: str
     kind: str
     inputs: tuple[Any, ...]
     digest: str
+
+
+def draw(kind: str, inputs: tuple[Any, ...], path: Path) -> bool:
+    """Draw a figure as SVG and PNG, each whole or not at all; returns False where there is nothing to show.
+
+    path: of the SVG.
+    """
+    from quadexp.report import figures
+
+    makers: dict[str, Any] = {"times": figures.solve_times, "paths": figures.path_figure, "axes": _swept}
+    figure = makers[kind](*inputs)
+    if figure is not None:
+        figures.save(figure, path, inside=path.parent.parent)
+    return figure is not None
+
+
+def _swept(
+    rows: Sequence[Mapping[str, Any]], out: str, metric: str, confidence: float, record: Mapping[str, Any], which: int
+) -> Any:
+    """One of the figures that were chosen by what was swept."""
+    from quadexp.report.draw import figure_of
+
+    return figure_of(automatic(SweepFrame(rows, out, record), metric, confidence)[which])
 
 
 def drawings(
@@ -59,7 +80,7 @@ def drawings(
     of_rows = _digest_of_columns(to_columns(rows))
     asked = {name: (record or {})[name] for name in ("grids", "without_flight") if name in (record or {})}
     swept = _over_what_was_swept(rows, str(out), metric, confidence, asked)
-    found = [_drawing(*one, [of_rows, *one[2][1:]]) for one in swept]
+    found = [_drawing(*one, [of_rows, *one[2][2:]]) for one in swept]  # wherever the folder lies
     for trajectory, (chosen, missing) in fastest(rows).items():
         cells = {heading: str(store.path(row["key"])) for heading, row in chosen}
         title = ", ".join(filter(None, (trajectory, speed_text(chosen[0][1]["speed"]))))
@@ -68,23 +89,13 @@ def drawings(
     return [*found, _drawing("solve_time", "times", (rows,), of_rows)]
 
 
-def is_over_speed(frame: SweepFrame) -> bool:
-    """Whether the figure of a sweep is the error against the speed, a panel a trajectory and a line a controller on its
-    plant: the speed was swept, and nothing else but these, plants and vehicles."""
-    return {"trajectory.speed"} <= set(frame.swept) <= ONLY_SPEED
-
-
 def _over_what_was_swept(
     rows: Sequence[Mapping[str, Any]], out: str, metric: str, confidence: float, record: Mapping[str, Any]
 ) -> list[tuple[str, str, tuple[Any, ...]]]:
-    """Name, kind and inputs of the figures of errors: over the speed where nothing else was swept, and otherwise those
-    that quadexp/report/axes chooses."""
+    """Name, kind and inputs of the figures of errors over the keys that were swept."""
     begin = f"{metric.removesuffix('_error')}_error"
-    frame = SweepFrame(rows, out, record)
-    if is_over_speed(frame):
-        return [(f"{begin}_against_speed", "error", (rows, metric, confidence))]
     try:
-        views = automatic(frame, metric, confidence)
+        views = automatic(SweepFrame(rows, out, record), metric, confidence)
     except UsageError:  # no flight ended well
         return []
     return [
@@ -182,7 +193,7 @@ def fastest(
     for row, label in zip(rows, column_labels(rows), strict=True):
         *_, speed, setting = condition_of(row)
         name = row["trajectory"]
-        heading = ", ".join(filter(None, (label, courses[name, setting].removeprefix(name).strip())))
+        heading = ", ".join(filter(None, (label, courses[name, setting].removeprefix(name).strip(", "))))
         found.setdefault(name, {}).setdefault(speed or 0.0, {}).setdefault(heading, []).append(row)
     chosen = {}
     for name, speeds in found.items():

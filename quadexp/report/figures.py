@@ -1,4 +1,4 @@
-"""Figures of a comparison: error against speed, tracked paths coloured by error, time of the control step.
+"""Figures of a comparison beside its errors: tracked paths coloured by error, time of the control step.
 
 Each function returns a matplotlib Figure and changes no global state. Colours and markers are in style.py.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,101 +21,17 @@ from quadexp.files.writer import written
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
 from quadexp.progress import doing
-from quadexp.report.drawing import FORMATS
-from quadexp.report.metrics import SHOWN, mean_error, position_error
-from quadexp.report.pairing import Flights, is_flown
-from quadexp.report.statistics import CONFIDENCE, Statistic, compute_statistics
-from quadexp.report.style import PLAIN, Figure, entries, looks, plain_log, styled
-from quadexp.report.tables import TITLES, column_labels, course_labels, statistic_labels
+from quadexp.report import FORMATS
+from quadexp.report.metrics import mean_error, position_error
+from quadexp.report.pairing import is_flown
+from quadexp.report.style import Figure, entries, looks, plain_log, styled
+from quadexp.report.tables import column_labels
 
 # Light for small errors, dark for large ones; without the end that is invisible on white paper.
 ERROR_COLOURS = LinearSegmentedColormap.from_list(
     "error", matplotlib.colormaps["magma_r"](np.linspace(0.18, 0.97, 256))
 )
 MAX_PANELS = 36  # of tracked paths in one figure
-MAX_ACROSS = 4  # panels of one line
-
-
-@styled
-def error_against_speed(
-    rows: Sequence[Mapping[str, Any]], metric: str = "mean_error", confidence: float = CONFIDENCE
-) -> Figure | None:
-    """Error over nominal speed, a panel per trajectory (and setting) and a line per controller.
-
-    Means and intervals are over the common flights of a point (pairing.py); a legend entry has the number of flights
-    that ended well, if these are not all. None if there is no point at any speed.
-    """
-    factor, unit = SHOWN[metric]
-    statistics = compute_statistics(rows, metrics=(metric,), baseline="", confidence=confidence)
-    courses = course_labels((s.trajectory, s.setting) for s in statistics)
-    labels = statistic_labels(statistics)
-    points: dict[str, dict[str, list[Statistic]]] = {}
-    flown: dict[str, Flights] = {}
-    for s, label in zip(statistics, labels, strict=True):
-        flown[label] = flown.get(label, Flights(0, 0)).plus(s.flown)
-        if s.common and not math.isnan(s.speed):
-            points.setdefault(courses[s.trajectory, s.setting], {}).setdefault(label, []).append(s)
-    if not points:
-        return None
-    found = looks(labels)
-    texts = {x: x if n.ended == n.trials else f"{x} ({n.text()} flown)" for x, n in flown.items()}
-    chosen = [s for lines in points.values() for line in lines.values() for s in line]
-    methods = {s.common_interval for s in chosen}
-    # A logarithmic axis has no zero: a band with a lower limit of zero ends below the panel.
-    ends = [v for s in chosen for v in (s.common_mean, s.common_low) if v > 0.1 * s.common_mean]
-    across = min(len(points), MAX_ACROSS)
-    lines = math.ceil(len(points) / across)
-    width = max(5.6, 1.4 + 3.1 * across)
-    columns = min(len(found), max(1, int(13 * width / (max(map(len, texts.values())) + 6))))  # of the legend
-    height = 3.0 * lines + 0.2 * math.ceil(len(found) / columns)
-    figure = Figure(figsize=(width, height), layout="constrained")
-    panels = figure.subplots(lines, across, sharey=True, squeeze=False)
-    for panel, (name, by_label) in zip(panels.flat, points.items(), strict=False):
-        for label, look in found.items():
-            line = sorted(by_label.get(label, []), key=lambda s: s.speed)
-            if not line:
-                continue
-            speed = np.array([s.speed for s in line])
-            mean, low, high = (
-                factor * np.array([getattr(s, f"common_{end}") for s in line]) for end in ("mean", "low", "high")
-            )
-            panel.fill_between(speed, np.maximum(low, 1e-9), high, color=look.colour, alpha=0.25, linewidth=0)
-            panel.plot(speed, mean, label=texts[label], **look.points())
-        panel.set_yscale("log")
-        panel.set_title(textwrap.fill(name, 34))
-        panel.set_xlabel("nominal speed (m/s)")
-        speeds = sorted({s.speed for line in by_label.values() for s in line})
-        panel.set_xticks(_apart(speeds, 0.22 * across / width * (speeds[-1] - speeds[0])))
-        panel.set_xticks(speeds, minor=True)
-        panel.margins(x=0.08)
-        panel.grid(True, which="minor", axis="y", linewidth=0.3)
-        panel.xaxis.set_major_formatter(PLAIN)
-    for panel in panels.flat[len(points) :]:
-        panel.set_axis_off()
-    panels[0, 0].set_ylim(bottom=0.7 * factor * min(ends))
-    plain_log(panels[0, 0].yaxis, minor=True)
-    for line_of_panels in panels:
-        line_of_panels[0].set_ylabel(f"{TITLES[metric]} ({unit})")
-    all_well = all(n.ended == n.trials for n in flown.values())
-    title = interval_text(methods, confidence, "seeds" if all_well else "the flights that all ended well")
-    place: Any = {"loc": "outside lower center", "ncols": columns}
-    figure.legend(*entries(panels.flat), **place, title=title, title_fontsize=8)
-    return figure
-
-
-def _apart(values: Sequence[float], least: float) -> list[float]:
-    """Those of sorted values that are `least` or more apart, so that their labels do not overlap."""
-    kept = [values[0]]
-    for value in values[1:]:
-        if value - kept[-1] >= least:
-            kept.append(value)
-    return kept
-
-
-def interval_text(methods: Collection[str], confidence: float, over: str = "seeds") -> str:
-    """Caption of lines and bands, such as "mean over seeds; shaded: its 95 % interval (Student's t)"."""
-    shaded = f"; shaded: its {100 * confidence:g} % interval (Student's t)" if "t" in methods else ""
-    return f"mean over {over}{shaded}"
 
 
 @styled

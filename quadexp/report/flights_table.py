@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from quadexp.report.axes.frame import SweepFrame, is_metric, is_number, unit_of
-from quadexp.report.axes.view import unit_and_factor
+from quadexp.report.frame import SweepFrame, is_metric, is_number, with_unit
 from quadexp.report.sortable import Column, sortable_page
 from quadexp.report.table import Table, csv_text
+from quadexp.report.view import unit_and_factor
 
 
 class FlightsTable(NamedTuple):
@@ -45,8 +45,8 @@ def page_of(frame: SweepFrame, names: Sequence[str], title: str) -> str:
 
 def heading(name: str) -> str:
     """The name with the unit in which its numbers are shown."""
-    unit = unit_and_factor(name)[1] if is_metric(name) else unit_of(name)
-    return f"{name} ({unit})" if unit and unit != name.rpartition(".")[2] else name
+    unit = unit_and_factor(name)[1]
+    return with_unit(name, name) if not is_metric(name) else f"{name} ({unit})" if unit else name
 
 
 def _text(name: str, value: Any) -> str:

@@ -1,35 +1,52 @@
-"""What each imperfection of the world costs each controller: a ladder of worlds, as a table and as a figure.
+"""Mean errors place by place, all controllers beside each other: as a table and as a figure.
 
-The rows are those of one plant in several worlds (`plant` is "simplified/only_motor_lag"). The first world, which has
-no imperfection, is the foot of the ladder: every other one stands beside it.
+A place is a plant (or a world), a trajectory and a speed. Each controller's mean is over all its flights there, and
+there is none where a flight did not end well. So the ladder of worlds says what each imperfection costs: its rows are
+those of one plant in several worlds (`plant` is "simplified/only_motor_lag"), first the one without any.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 from quadexp.files.writer import write_text
+from quadexp.report.draw import line_figure
 from quadexp.report.figures import save
+from quadexp.report.points import Place, Point
 from quadexp.report.statistics import Statistic, compute_statistics
-from quadexp.report.style import Figure, entries, looks, plain_log, styled
+from quadexp.report.style import Figure
 from quadexp.report.table import Table
 from quadexp.report.tables import course_labels, plant_labels
 from quadexp.report.text import speed_text
-
-ACROSS = 2  # panels of the figure side by side
+from quadexp.report.view import Axis, View
 
 Row = Mapping[str, Any]
-Place = tuple[str, float]  # trajectory with what else varies, speed
+First = Literal["plant", "world"]
+
+
+class Means(NamedTuple):
+    """labels: of the controllers, in order. places: (plant or world, course, speed) -> label -> mean error."""
+
+    labels: list[str]
+    places: dict[tuple[str, str, float], dict[str, Statistic]]
 
 
 def draw(rows: Sequence[Row], out: Path) -> dict[str, str]:
-    """Table and figure into <out>; returns name -> path."""
+    """Table and figure of the ladder into <out>; returns name -> path."""
+    figure = means_figure(means_by_place(rows, "world"), "world")
     return {
         "table_ladder": str(write_text(out / "ladder.md", ladder_table(rows).markdown())),
-        "figure_ladder": str(save(ladder_figure(rows), out / "figures" / "ladder", inside=out)),
+        "figure_ladder": str(save(figure, out / "figures" / "ladder", inside=out)),
     }
+
+
+def ladder_table(rows: Sequence[Row]) -> Table:
+    """Mean position error (mm) by world and controller, of every trajectory and speed."""
+    title = "Mean distance of the true position from the reference over the flight (mm), mean over seeds"
+    return means_table(means_by_place(rows, "world"), "world", title)
 
 
 def world_of(plant: str) -> str:
@@ -37,74 +54,50 @@ def world_of(plant: str) -> str:
     return plant.partition("/")[2] or "clean"
 
 
-def by_world(rows: Sequence[Row]) -> dict[str, dict[Place, dict[str, Statistic]]]:
-    """World, in the order of the rows -> place -> label of a contestant -> statistic of the mean error."""
-    found: dict[str, dict[Place, dict[str, Statistic]]] = {world_of(row["plant"]): {} for row in rows}
+def means_by_place(rows: Sequence[Row], first: First, order: Sequence[str] = ()) -> Means:
+    """Statistics of the mean error: courses in the order of the rows, speeds ascending. order: of labels that come
+    before the others."""
     statistics = compute_statistics(rows, metrics=("mean_error",))
     courses = course_labels((s.trajectory, s.setting) for s in statistics)
-    for s, label in zip(statistics, plant_labels(statistics), strict=True):
-        found[world_of(s.plant)].setdefault((courses[s.trajectory, s.setting], s.speed), {})[label] = s
-    return {world: dict(sorted(places.items())) for world, places in found.items()}
+    labels = plant_labels(statistics)
+    found: dict[tuple[str, str], dict[float, dict[str, Statistic]]] = {}
+    for s, label in zip(statistics, labels, strict=True):
+        at = s.plant if first == "plant" else world_of(s.plant), courses[s.trajectory, s.setting]
+        found.setdefault(at, {}).setdefault(s.speed, {})[label] = s
+    places = {(*at, speed): speeds[speed] for at, speeds in found.items() for speed in sorted(speeds)}
+    return Means(list(dict.fromkeys([*(name for name in order if name in labels), *labels])), places)
 
 
-def _labels(worlds: Mapping[str, Mapping[Place, Mapping[str, Statistic]]]) -> list[str]:
-    return list(dict.fromkeys(name for places in worlds.values() for found in places.values() for name in found))
-
-
-def ladder_table(rows: Sequence[Row]) -> Table:
-    """Mean position error (mm) by world and controller, of every trajectory and speed."""
-    worlds = by_world(rows)
-    names = _labels(worlds)
+def means_table(means: Means, first: First, title: str, *, bold: bool = False) -> Table:
+    """A line a place, a column a controller. bold: mark the best of a line (winner.py)."""
     lines = [
-        [world, trajectory, speed_text(speed, ""), *(cell(found.get(name)) for name in names)]
-        for world, places in worlds.items()
-        for (trajectory, speed), found in places.items()
+        [place, course, speed_text(speed, ""), *(_cell(found.get(label), bold) for label in means.labels)]
+        for (place, course, speed), found in means.places.items()
     ]
-    title = "Mean distance of the true position from the reference over the flight (mm), mean over seeds"
-    return Table(["world", "trajectory", "m/s", *names], lines, title, left=frozenset({0, 1}))
+    return Table([first, "trajectory", "m/s", *means.labels], lines, title, left=frozenset({0, 1}))
 
 
-def cell(s: Statistic | None) -> str:
+def means_figure(means: Means, first: First) -> Figure:
+    """Over the worlds, a panel for each course and speed; or over the speed, a panel for each plant and course."""
+    places: dict[Place, Point] = {}
+    for label in means.labels:
+        for (place, course, speed), found in means.places.items():
+            if (s := found.get(label)) is not None:
+                at = (course, speed, label, place) if first == "world" else (place, course, label, speed)
+                mean, low, high = (math.nan,) * 3 if s.failures else (s.mean, s.low, s.high)
+                places[at] = Point(mean, low, high, s.n, s.n, *s.flown, method=s.interval)
+    worlds = tuple(dict.fromkeys(place for place, _, _ in means.places))
+    x, facet = Axis("world", worlds, "group"), ("trajectory", "trajectory.speed")
+    if first == "plant":
+        x, facet = Axis.of("trajectory.speed", sorted({at[2] for at in means.places})), ("plant", "trajectory")
+    return line_figure(View("lines", "mean_error", x, ("controller",), facet, places=places))
+
+
+def _cell(s: Statistic | None, bold: bool) -> str:
     """The mean, or how many of its flights did not end well."""
     if s is None:
         return ""
     if s.failures:
         return ", ".join(f"{count} of {s.seeds} {outcome}" for outcome, count in s.failures.items())
-    return f"{1e3 * s.mean:.3g}"
-
-
-@styled
-def ladder_figure(rows: Sequence[Row]) -> Figure:
-    """Mean position error (mm, logarithmic) in every world, a panel per trajectory and speed, a marker per controller.
-
-    A bar spans its interval over seeds. There is no marker where a flight did not end well.
-    """
-    worlds = by_world(rows)
-    places = sorted({place for found in worlds.values() for place in found})
-    names = _labels(worlds)
-    look = looks(names)
-    lines = -(-len(places) // ACROSS)
-    size = (1.6 + 3.4 * min(ACROSS, len(places)), 0.8 + lines * (0.7 + 0.24 * len(worlds)))
-    figure = Figure(figsize=size, layout="constrained")
-    panels = figure.subplots(lines, min(ACROSS, len(places)), sharex=True, sharey=True, squeeze=False)
-    for panel, place in zip(panels.flat, places, strict=False):
-        for name in names:
-            points = [
-                (1e3 * s.mean, 1e3 * s.low, 1e3 * s.high, i)
-                for i, found in enumerate(worlds.values())
-                if (s := found.get(place, {}).get(name)) and not s.failures
-            ]
-            if points:
-                mean, low, high, heights = zip(*points, strict=True)
-                panel.hlines(heights, low, high, color=look[name].colour, linewidth=2, alpha=0.4)
-                panel.plot(mean, heights, label=name, **look[name].points() | {"linestyle": "none"})
-        panel.set(xscale="log", title=f"{place[0]} {speed_text(place[1])}".strip())
-    for panel in panels.flat[len(places) :]:
-        panel.set_axis_off()
-    panels[0, 0].set_yticks(range(len(worlds)), [name.replace("_", " ") for name in worlds])
-    panels[0, 0].invert_yaxis()
-    plain_log(panels[0, 0].xaxis, minor=True)
-    for panel in panels[-1]:
-        panel.set_xlabel("mean position error (mm)")
-    figure.legend(*entries(panels.flat), loc="outside lower center", ncols=len(names))
-    return figure
+    text = f"{1e3 * s.mean:.0f}" if s.mean >= 0.1 else f"{1e3 * s.mean:.3g}"
+    return f"**{text}**" if bold and s.best else text

@@ -19,7 +19,7 @@ from quadexp.report.pairing import condition_of, contestant_labels, contestant_o
 from quadexp.report.text import count, speed_text, too_few
 
 if TYPE_CHECKING:  # `quadexp show` and `simulate` need no statistics
-    from quadexp.report.statistics import Overall, Statistic
+    from quadexp.report.statistics import Statistic
     from quadexp.report.winner import Verdict
 
 LARGE_ATTITUDE_ERROR = math.radians(10.0)  # rad, RMS over a flight
@@ -31,7 +31,7 @@ Row = Mapping[str, Any]
 
 
 def table_notes(
-    statistics: Sequence[Statistic], pooled: Sequence[Overall], found: Sequence[Verdict] = ()
+    statistics: Sequence[Statistic], pooled: Sequence[Statistic], found: Sequence[Verdict] = ()
 ) -> tuple[str, ...]:
     """What the numbers of a table are, who is best, and each contestant against the baseline over all conditions."""
     from quadexp.report.inference import least_seeds

@@ -1,4 +1,4 @@
-"""Statistics of a comparison: one `Statistic` per metric, condition and contestant, over the seeds.
+"""Statistics of a comparison over the seeds: one `Statistic` per metric and contestant, in each condition and over all.
 
 Two means: `mean` over the contestant's own flights that ended well, and `common_mean` over the common flights, which
 tables show. Flights that did not end well are counted by outcome, and lower the success rate. A contestant is compared
@@ -6,8 +6,8 @@ with the baseline seed by seed, difference = contestant - baseline, over the com
 `left_out` by cause. p-values are corrected for all comparisons of one metric. Equations: inference.py; common flights,
 conditions and pairs: pairing.py; who is best: winner.py.
 
-`Overall` compares a contestant with the baseline over all conditions. Errors differ tenfold between conditions, so the
-logarithms of their ratios are averaged over the conditions of a seed, and the seeds are the values (pairing.py):
+Over all conditions (`overall`) errors differ tenfold, so the logarithms of their ratios are averaged over the
+conditions of a seed, and the seeds are the values (pairing.py):
 
     reduction = 100 (1 - ratio), the ratio of inference.py
     p: paired permutation of the logarithms, corrected by Holm for the number of contestants
@@ -65,7 +65,7 @@ NAN = math.nan
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Statistic:
-    """One metric of one contestant in one condition.
+    """One metric of one contestant in one condition; over all of them where plant and trajectory are "".
 
     mean, low, high, std, baseline_mean, difference*: in `unit`, NaN if not defined. reduction*: percent, positive if
     the contestant's mean is smaller than the baseline's over the same pairs. effect, cohen_d: of the paired
@@ -76,44 +76,49 @@ class Statistic:
     NaN if it cannot be marked as best. baseline: label of the baseline, "" for none. interval: method of [low, high].
     p_least: the smallest p that so many pairs can give. comparisons: number that p_holm is corrected for. speed: m/s,
     NaN for a trajectory without one.
+
+    conditions, units: over all conditions, number of those with pairs, and of their seeds, which are the values.
+    own_reduction, own_pairs: over all flights that both ended well.
     """
 
     metric: str
     unit: str
-    plant: str
-    vehicle: str
-    trajectory: str
-    speed: float
-    setting: str
+    plant: str = ""
+    vehicle: str = ""
+    trajectory: str = ""
+    speed: float = NAN
+    setting: str = ""
     controller: str
     model: str
     variant: str
     label: str
     confidence: float
-    seeds: int
-    trials: int
-    n: int
-    mean: float
-    low: float
-    high: float
-    std: float
-    interval: str
-    common: int
-    common_mean: float
-    common_low: float
-    common_high: float
-    common_std: float
-    common_interval: str
-    left_corridor: int
-    lost: int
-    solver_failed: int
-    infeasible: int
-    failed: int
-    success: float
-    success_low: float
-    success_high: float
+    seeds: int = 0
+    trials: int = 0
+    n: int = 0
+    mean: float = NAN
+    low: float = NAN
+    high: float = NAN
+    std: float = NAN
+    interval: str = ""
+    common: int = 0
+    common_mean: float = NAN
+    common_low: float = NAN
+    common_high: float = NAN
+    common_std: float = NAN
+    common_interval: str = ""
+    left_corridor: int = 0
+    lost: int = 0
+    solver_failed: int = 0
+    infeasible: int = 0
+    failed: int = 0
+    success: float = NAN
+    success_low: float = NAN
+    success_high: float = NAN
     best_p: float = NAN
     baseline: str = ""
+    conditions: int = 1
+    units: int = 0
     pairs: int = 0
     left_out: str = ""
     baseline_mean: float = NAN
@@ -129,6 +134,12 @@ class Statistic:
     p_holm: float = NAN
     p_least: float = NAN
     comparisons: int = 0
+    own_pairs: int = 0
+    own_reduction: float = NAN
+
+    @property
+    def is_overall(self) -> bool:
+        return not self.trajectory
 
     @property
     def condition(self) -> Condition:
@@ -156,6 +167,32 @@ class Statistic:
     @property
     def significant(self) -> bool:
         return self.p_holm < 1 - self.confidence  # False for NaN
+
+    @property
+    def testable(self) -> bool:
+        """Whether so many seeds can show a difference."""
+        return self.comparisons * self.p_least < 1 - self.confidence
+
+    @property
+    def chance(self) -> str:
+        """Seeds and p, such as "5 seeds, p = 0.13", or "2 seeds cannot show p < 0.05: at least 6 are needed"."""
+        if self.testable:
+            return f"{count(self.units, 'seed')}, {probability(self.p_holm)}"
+        return too_few(self.units, least_seeds(max(1, self.comparisons), self.confidence), self.confidence)
+
+    def text(self) -> str:
+        """Such as "gp_mpc: 98.7 % [98.6, 98.8] less than nominal_mpc over 4 conditions (20 seeds, p < 0.0001)"."""
+        if not self.pairs:
+            return f"{self.label}: no pair with {self.baseline} ({self.left_out})"
+        low, high = self.reduction_low, self.reduction_high
+        word, (low, high) = ("less", (low, high)) if self.reduction >= 0 else ("more", (-high, -low))
+        limits = "" if math.isnan(low) else f" [{low:.1f}, {high:.1f}]"
+        about = self.chance + (f"; left out: {self.left_out}" if self.left_out else "")
+        if self.own_pairs > self.pairs:
+            own, more = abs(self.own_reduction), "less" if self.own_reduction >= 0 else "more"
+            about += f"; over all {self.own_pairs} that both ended well: {own:.1f} % {more}"
+        over = count(self.conditions, "condition")
+        return f"{self.label}: {abs(self.reduction):.1f} %{limits} {word} than {self.baseline} over {over} ({about})"
 
 
 def tally(flights: Sequence[Flown], trials: int) -> dict[str, Any]:
@@ -288,80 +325,9 @@ def _test(differences: np.ndarray, varying: bool) -> dict[str, float]:
     return {"p": paired_permutation(differences), "p_least": least_p(len(differences))}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Overall:
-    """One contestant against the baseline over all conditions. reduction*: percent, positive if it is better.
-
-    conditions, units: number of those with pairs, and of their seeds, which are the values; pairs: of both together.
-    own_reduction, own_pairs: over all flights that both ended well. left_out: number of missing pairs by cause. seeds
-    and failures as in `Statistic`, over all its flights. p_least: the smallest p that so many units can give.
-    comparisons: number that p_holm is corrected for.
-    """
-
-    metric: str
-    label: str
-    controller: str
-    model: str
-    variant: str
-    baseline: str
-    confidence: float
-    conditions: int
-    units: int
-    pairs: int
-    left_out: str
-    reduction: float
-    reduction_low: float
-    reduction_high: float
-    effect: float
-    p: float
-    p_holm: float
-    p_least: float
-    own_pairs: int
-    own_reduction: float
-    seeds: int
-    trials: int
-    left_corridor: int
-    lost: int
-    solver_failed: int
-    infeasible: int
-    failed: int
-    success: float
-    comparisons: int = 0
-
-    @property
-    def significant(self) -> bool:
-        return self.p_holm < 1 - self.confidence
-
-    @property
-    def testable(self) -> bool:
-        """Whether so many seeds can show a difference."""
-        return self.comparisons * self.p_least < 1 - self.confidence
-
-    @property
-    def chance(self) -> str:
-        """Seeds and p, such as "5 seeds, p = 0.13", or "2 seeds cannot show p < 0.05: at least 6 are needed"."""
-        if self.testable:
-            return f"{count(self.units, 'seed')}, {probability(self.p_holm)}"
-        return too_few(self.units, least_seeds(max(1, self.comparisons), self.confidence), self.confidence)
-
-    def text(self) -> str:
-        """Such as "gp_mpc: 98.7 % [98.6, 98.8] less than nominal_mpc over 4 conditions (20 seeds, p < 0.0001)"."""
-        if not self.pairs:
-            return f"{self.label}: no pair with {self.baseline} ({self.left_out})"
-        low, high = self.reduction_low, self.reduction_high
-        word, (low, high) = ("less", (low, high)) if self.reduction >= 0 else ("more", (-high, -low))
-        limits = "" if math.isnan(low) else f" [{low:.1f}, {high:.1f}]"
-        about = self.chance + (f"; left out: {self.left_out}" if self.left_out else "")
-        if self.own_pairs > self.pairs:
-            own, more = abs(self.own_reduction), "less" if self.own_reduction >= 0 else "more"
-            about += f"; over all {self.own_pairs} that both ended well: {own:.1f} % {more}"
-        over = count(self.conditions, "condition")
-        return f"{self.label}: {abs(self.reduction):.1f} %{limits} {word} than {self.baseline} over {over} ({about})"
-
-
 def overall(
     rows: Sequence[Row], *, metric: str = "mean_error", baseline: str = BASELINE, confidence: float = CONFIDENCE
-) -> list[Overall]:
+) -> list[Statistic]:
     """Every contestant that has a baseline; see the module's equations."""
     groups = Groups(rows, baseline, (metric,))
     among = {world: groups.common(conditions) for world, conditions in groups.worlds.items()}
@@ -391,8 +357,9 @@ def overall(
         if len(kept) < len(logs):
             causes["not in every condition"] += len(logs) - len(kept)
         made.append(
-            Overall(
+            Statistic(
                 metric=metric,
+                unit=describe(metric, "results").unit,
                 label=groups.labels[contestant],
                 baseline=groups.labels[rival],
                 confidence=confidence,
@@ -423,7 +390,6 @@ def _over_seeds(logs: np.ndarray, confidence: float) -> dict[str, Any]:
         "reduction_high": _reduction(ratio.low),
         "effect": rank_biserial(logs),
         **_test(logs, vary(logs)),
-        "p_holm": NAN,
     }
 
 

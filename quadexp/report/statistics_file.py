@@ -27,7 +27,6 @@ from quadexp.report.statistics import (
     COMPARED,
     CONFIDENCE,
     DESCRIBED,
-    Overall,
     Statistic,
     compute_statistics,
     overall,
@@ -37,19 +36,18 @@ from quadexp.report.tables import ErrorTable, comparison_table, table_of, to_lat
 from quadexp.report.winner import Verdict, verdicts
 
 FILE = "statistics.parquet"
-VERSION = 3  # of how the numbers are computed; another one makes stored statistics unknown
+VERSION = 4  # of how the numbers are computed; another one makes stored statistics unknown
 _KINDS = {field.name: str(field.type) for field in fields(Statistic)}
 _DTYPES = {"int": np.int64, "float": float, "str": object}
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """rows: per metric, condition and contestant. overall: per metric and contestant, over all conditions. verdicts:
-    per metric, plant and vehicle, the least error. notes: on the result rows, see report/notes.py. invalid: those rows
+    """rows: per metric and contestant, in each condition and over all. verdicts: per metric, plant and vehicle, the
+    least error. notes: on the result rows, see report/notes.py. invalid: those rows
     whose settings contradict each other."""
 
     rows: list[Statistic]
-    overall: list[Overall]
     verdicts: list[Verdict]
     notes: list[str]
     baseline: str
@@ -58,14 +56,15 @@ class Statistics:
     invalid: tuple[Row, ...] = ()
 
     def of(self, metric: str) -> list[Statistic]:
-        return [row for row in self.rows if row.metric == metric]
+        return [row for row in self.rows if row.metric == metric and not row.is_overall]
 
     def record(self, metric: str) -> list[dict[str, Any]]:
         """Of one metric, for JSON."""
         return [asdict(row) for row in self.of(metric)]
 
-    def pooled(self, metric: str) -> list[Overall]:
-        return [entry for entry in self.overall if entry.metric == metric]
+    def pooled(self, metric: str) -> list[Statistic]:
+        """Of one metric, over all conditions."""
+        return [row for row in self.rows if row.metric == metric and row.is_overall]
 
     def verdicts_of(self, metric: str) -> list[Verdict]:
         return [verdict for verdict in self.verdicts if verdict.metric == metric]
@@ -83,15 +82,14 @@ def results_statistics(
         except QuadexpError:
             record = {}
         if record.get("fingerprint") == fingerprint:
-            pooled = [Overall(**_swapped(entry, None, math.nan)) for entry in record["overall"]]
             found = [Verdict(**_swapped(entry, None, math.nan)) for entry in record["verdicts"]]
             stored = from_statistics_columns(columns)
-            return Statistics(stored, pooled, found, notes(rows), baseline, confidence, fingerprint, invalid)
+            return Statistics(stored, found, notes(rows), baseline, confidence, fingerprint, invalid)
     options: dict[str, Any] = {"baseline": baseline, "confidence": confidence}
     pooled = [entry for metric in COMPARED for entry in overall(rows, metric=metric, **options)]
     found = [one for metric in COMPARED for one in verdicts(rows, metric=metric, confidence=confidence)]
-    made = compute_statistics(rows, **options)
-    return Statistics(made, pooled, found, notes(rows), baseline, confidence, fingerprint, invalid)
+    made = [*compute_statistics(rows, **options), *pooled]
+    return Statistics(made, found, notes(rows), baseline, confidence, fingerprint, invalid)
 
 
 def write_statistics(root: str | Path, statistics: Statistics) -> dict[str, str]:
@@ -107,7 +105,6 @@ def write_statistics(root: str | Path, statistics: Statistics) -> dict[str, str]
             "baseline": statistics.baseline,
             "confidence": statistics.confidence,
             "fingerprint": statistics.fingerprint,
-            "overall": [_swapped(asdict(entry), math.nan, None) for entry in statistics.overall],
             "verdicts": [_swapped(asdict(entry), math.nan, None) for entry in statistics.verdicts],
         }
         write_table(path, statistics_columns(statistics.rows), record, "statistics")

@@ -1,9 +1,9 @@
 """The tables of a sweep.
 
-The error table has trajectory and speed down and controllers across; a key of the controller that was swept is a column
-of its own, with its values down, and so are many plants or worlds. The first row counts the flights that ended well;
-cells are means over the common flights of a trajectory and speed (pairing.py), or say "invalid" where settings
-contradict each other. The comparison table has one row per contestant and condition, against the baseline.
+The error table has trajectory and speed down and controllers across; every setting that was swept is a column of its
+own, with its unit above and its values down, and so are many plants or worlds. The first row counts the flights that
+ended well; cells are means over the common flights of a trajectory and speed (pairing.py), or say "invalid" where
+settings contradict each other. The comparison table has one row per contestant and condition, against the baseline.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
+from quadexp.report.frame import setting_text, with_unit
 from quadexp.report.metrics import SHOWN
 from quadexp.report.notes import notes as row_notes
 from quadexp.report.notes import table_notes
@@ -25,9 +26,8 @@ from quadexp.report.pairing import (
     contestant_of,
     is_invalid,
     setting_pairs,
-    variant_parts,
 )  # fmt: skip
-from quadexp.report.statistics import BASELINE, CONFIDENCE, Overall, Statistic, compute_statistics, overall
+from quadexp.report.statistics import BASELINE, CONFIDENCE, Statistic, compute_statistics, overall
 from quadexp.report.table import Table
 from quadexp.report.text import p_value, speed_text, with_interval
 from quadexp.report.winner import Verdict, verdicts
@@ -39,68 +39,44 @@ NAN = math.nan
 Line = tuple[str, ...]  # of an error table: trajectory with what else varies, speed, values of swept keys
 
 
-@dataclass(frozen=True)
-class Entry:
-    """One cell of the error table.
+def value_text(s: Statistic) -> tuple[str, str]:
+    """Mean over the common flights and its interval, in the unit that tables show; ("", "") without such flights."""
+    values = (SHOWN[s.metric][0] * value for value in (s.common_mean, s.common_low, s.common_high))
+    return ("", "") if math.isnan(s.common_mean) else with_interval(*values)
 
-    mean, low, high, spread: over the common `flights`, with its interval and standard deviation (shown unit); NaN if
-    there are none. own, own_flights: mean over all own flights that ended well, and their number. lost: outcome ->
-    number of those that did not end well. best: see winner.py. significant: differs from the baseline.
-    """
 
-    mean: float
-    spread: float
-    flights: int
-    lost: Mapping[str, int]
-    low: float
-    high: float
-    own: float
-    own_flights: int
-    best: bool
-    significant: bool
+def own_text(s: Statistic) -> str:
+    """Such as "own 13.1 of 19", over all own flights that ended well; "" if all of them are common ones."""
+    mean = with_interval(SHOWN[s.metric][0] * s.mean, NAN, NAN)[0]
+    return f"own {mean} of {s.n}" if s.n > s.common else ""
 
-    @classmethod
-    def of(cls, s: Statistic) -> Entry:
-        """The cell of one statistic, in the unit that tables show."""
-        factor = SHOWN[s.metric][0]
-        values = (factor * v for v in (s.common_mean, s.common_std, s.common_low, s.common_high, s.mean))
-        mean, spread, low, high, own = values
-        return cls(mean, spread, s.common, s.failures, low, high, own, s.n, s.best, s.significant)
 
-    @property
-    def value(self) -> tuple[str, str]:
-        """Mean and interval as text, ("", "") without common flights."""
-        return ("", "") if math.isnan(self.mean) else with_interval(self.mean, self.low, self.high)
+def lost_text(s: Statistic) -> str:
+    """Such as "1 lost, 2 solver_failed"."""
+    return ", ".join(f"{count} {outcome}" for outcome, count in s.failures.items())
 
-    def text(self) -> str:
-        """Such as "12.3", "**240.6** [239.9, 241.2]*", "12.3 (own 13.1 of 19; 1 lost)" or "3 lost"."""
-        beside = "; ".join(part for part in (self.own_text(), self.lost_text()) if part)
-        mean, limits = self.value
-        if not mean:
-            return beside or "-"
-        mean = f"**{mean}**" if self.best else mean
-        return mean + limits + ("*" if self.significant else "") + (f" ({beside})" if beside else "")
 
-    def own_text(self) -> str:
-        """Such as "own 13.1 of 19"; "" if all own flights are common ones."""
-        own = self.own_flights > self.flights
-        return f"own {with_interval(self.own, NAN, NAN)[0]} of {self.own_flights}" if own else ""
-
-    def lost_text(self) -> str:
-        return ", ".join(f"{count} {outcome}" for outcome, count in self.lost.items())
+def cell_text(s: Statistic) -> str:
+    """Such as "12.3", "**240.6** [239.9, 241.2]*", "12.3 (own 13.1 of 19; 1 lost)" or "3 lost"."""
+    beside = "; ".join(filter(None, (own_text(s), lost_text(s))))
+    mean, limits = value_text(s)
+    if not mean:
+        return beside or "-"
+    mean = f"**{mean}**" if s.best else mean
+    return mean + limits + ("*" if s.significant else "") + (f" ({beside})" if beside else "")
 
 
 @dataclass(frozen=True)
 class ErrorTable:
     """rows: (trajectory and what else varies, speed text, a value of each of `keys`). columns: controller labels.
-    flown: column -> how many of its flights ended well. entries: (row, column) -> Entry. notes: lines below the table.
-    keys: swept keys of the controllers. invalid: (row, column) of settings that contradict each other."""
+    flown: column -> how many of its flights ended well. entries: (row, column) -> statistic. notes: lines below. keys:
+    settings that were swept. invalid: (row, column) of settings that contradict each other."""
 
     metric: str
     unit: str
     rows: tuple[Line, ...]
     columns: tuple[str, ...]
-    entries: Mapping[tuple[Line, str], Entry]
+    entries: Mapping[tuple[Line, str], Statistic]
     flown: Mapping[str, Flights]
     notes: tuple[str, ...] = ()
     keys: tuple[str, ...] = ()
@@ -116,13 +92,13 @@ class ErrorTable:
         empty = [""] * (1 + len(self.keys))
         rows = [["flown", *empty, *(count.text() if count.trials else "-" for count in counts)]]
         rows += [[*line, *(self._text(line, column) for column in self.columns)] for line in self.rows]
-        heads = ["trajectory", speed, *short_keys(self.keys), *self.columns]
+        heads = ["trajectory", speed, *map(with_unit, short_keys(self.keys), self.keys), *self.columns]
         beside = 2 + len(self.keys)
         return Table(heads, rows, self.title, head=1, over=self.title if over else "", notes=self.notes, beside=beside)
 
     def _text(self, line: Line, column: str) -> str:
         entry = self.entries.get((line, column))
-        return entry.text() if entry else "invalid" if (line, column) in self.invalid else "-"
+        return cell_text(entry) if entry else "invalid" if (line, column) in self.invalid else "-"
 
     def __str__(self) -> str:
         return to_markdown(self)
@@ -167,9 +143,9 @@ def plant_labels(statistics: Sequence[Statistic]) -> list[str]:
 
 
 def course_labels(conditions: Iterable[tuple[str, str]]) -> dict[tuple[str, str], str]:
-    """(trajectory, other settings) -> label of a line, such as "circle payload=0.1"; no two are the same."""
+    """(trajectory, other settings) -> label of a line, such as "circle, payload 0.1 kg"; no two are the same."""
     conditions = list(dict.fromkeys(conditions))
-    labels = {one: " ".join([one[0], *variant_parts(one[1])]) for one in conditions}
+    labels = {one: ", ".join([one[0], *(setting_text(*pair) for pair in setting_pairs(one[1]))]) for one in conditions}
     count = Counter(labels.values())
     return {one: f"{one[0]} {one[1]}".strip() if count[label] > 1 else label for one, label in labels.items()}
 
@@ -193,7 +169,7 @@ def short_keys(keys: Sequence[str]) -> list[str]:
 
 def table_of(
     statistics: Sequence[Statistic],
-    pooled: Sequence[Overall] = (),
+    pooled: Sequence[Statistic] = (),
     found: Sequence[Verdict] = (),
     more: Sequence[str] = (),
     invalid: Sequence[Mapping[str, Any]] = (),
@@ -203,17 +179,18 @@ def table_of(
     metric = statistics[0].metric
     rows = [*map(row_of, statistics), *invalid]
     keys = swept_settings(rows)
-    labels = column_labels([without_settings(row, keys) for row in rows])
+    bare = [without_settings(row, keys) for row in rows]
+    labels = column_labels(bare)
     if len(set(labels)) > MOST_ACROSS and len({row["plant"] for row in rows}) > 1:
         keys = ["plant", *keys]
-        labels = column_labels([{**without_settings(row, keys), "plant": ""} for row in rows])
+        labels = column_labels([{**row, "plant": ""} for row in bare])
     order: dict[Line, tuple[str, float]] = {}
-    entries: dict[tuple[Line, str], Entry] = {}
+    entries: dict[tuple[Line, str], Statistic] = {}
     wrong: set[tuple[Line, str]] = set()
     flown: dict[str, Flights] = {}
-    courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in rows)
-    for s, row, label in zip([*statistics, *(None for _ in invalid)], rows, labels, strict=True):
-        *_, speed, setting = condition_of(row)
+    courses = course_labels((row["trajectory"], condition_of(row)[4]) for row in bare)
+    for s, row, lean, label in zip([*statistics, *(None for _ in invalid)], rows, bare, labels, strict=True):
+        *_, speed, setting = condition_of(lean)
         course = courses[row["trajectory"], setting]
         own = settings_of(row) | {"plant": row["plant"]}
         line = (course, speed_text(speed, ""), *(own.get(key, "") for key in keys))
@@ -222,7 +199,7 @@ def table_of(
         if s is None:
             wrong.add((line, label))
         else:
-            entries[line, label] = Entry.of(s)
+            entries[line, label] = s
     names = list(dict.fromkeys(line[0] for line in order))
     lines = tuple(sorted(order, key=lambda line: (names.index(order[line][0]), order[line][1])))
     notes = (*table_notes(statistics, pooled, found), *more)
@@ -232,17 +209,18 @@ def table_of(
 
 
 def settings_of(row: Mapping[str, Any]) -> dict[str, str]:
-    """Key -> value, as text, of the controller's settings that vary within the sweep."""
-    return dict(setting_pairs(contestant_of(row)[2]))
+    """Key -> value, as text, of the settings that vary within the sweep."""
+    return dict(setting_pairs(row.get("variant") or ""))
 
 
 def swept_settings(rows: Iterable[Mapping[str, Any]]) -> list[str]:
-    """The keys of the controllers that take several values."""
+    """The settings that take several values, those of the conditions first."""
     values: dict[str, set[str]] = {}
     for row in rows:
         for key, value in settings_of(row).items():
             values.setdefault(key, set()).add(value)
-    return [key for key, several in values.items() if len(several) > 1]
+    found = [key for key, several in values.items() if len(several) > 1]
+    return sorted(found, key=lambda key: key.startswith("controller."))
 
 
 def without_settings(row: Mapping[str, Any], keys: Sequence[str]) -> dict[str, Any]:

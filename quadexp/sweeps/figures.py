@@ -6,8 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from quadexp.report.draw import draw
-from quadexp.report.drawing import Drawing, FigureFolder, drawings
+from quadexp.report.drawing import Drawing, FigureFolder, draw, drawings
 from quadexp.sweeps.child import cause
 from quadexp.sweeps.engine import Workers
 

@@ -14,7 +14,7 @@ from quadexp.log.store import write_flight
 from tests.bench.rows import board
 from tests.cli.command import run
 from tests.learn.recorded_flights import crazyflie, recorded_flight
-from tests.report.axes.sweeps import noise, swept
+from tests.report.sweeps import noise, swept
 from tests.tune.parts import open_loop
 
 BARE = ("controller.backend=interpreted", "plant.backend=interpreted")

@@ -12,10 +12,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from quadexp.report.compare_many import results_means
+from quadexp.report.compare_results import results_means
 from quadexp.report.held_out import held_out_rows, held_out_table
 from tests.cli.command import run
-from tests.report.axes.sweeps import noise, swept
+from tests.report.sweeps import noise, swept
 
 ASKED = ["controller=nominal_mpc,perfect_mpc", "controller.nodes=5,10", "trajectory.speed=4,8", "seed=range(3)"]
 

@@ -6,7 +6,7 @@ import pytest
 
 from quadexp.config.compose import compose
 from quadexp.config.former import FORMER
-from quadexp.config.schema import SCHEMAS
+from quadexp.config.schema import CHOSEN
 from quadexp.errors import UsageError
 from tests.docs.commands import ROOT
 
@@ -14,7 +14,7 @@ from tests.docs.commands import ROOT
 @pytest.mark.parametrize("text", FORMER)
 def test_each_is_refused_with_what_replaces_it(text):
     group = text.partition(".")[0]
-    asked = [text] if "=" in text else [f"{group}={next(iter(SCHEMAS[group]))}", f"{text}=1"]
+    asked = [text] if "=" in text else [f"{group}={CHOSEN[group]}", f"{text}=1"]
     with pytest.raises(UsageError) as error:
         compose(asked)
     assert str(error.value) == f"{text}: is no more: {FORMER[text]}"

@@ -12,12 +12,11 @@ import pytest
 from PIL import Image
 
 from quadexp.config.compose import expand
-from quadexp.report.axes.frame import SweepFrame
-from quadexp.report.draw import draw
-from quadexp.report.drawing import drawings
+from quadexp.report.drawing import draw, drawings
+from quadexp.report.frame import SweepFrame
 from tests.docs.commands import ROOT, Step, steps
 from tests.docs.test_commands import alike, run
-from tests.report.axes.sweeps import noise, swept
+from tests.report.sweeps import noise, swept
 
 PAGE = ROOT / "docs" / "questions.md"
 QUICK = (1, 2, 19)  # questions whose flights are flown by the default tests; those of the others are slow

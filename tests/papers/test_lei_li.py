@@ -9,8 +9,8 @@ from quadexp.config.compose import compose
 from quadexp.experiment.evaluate import fly_one, result_row
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, write_flight
-from quadexp.papers.lei_li import families
 from quadexp.papers.lei_li import report as lei_li
+from quadexp.report.ladder import means_by_place, means_figure
 from tests.report.test_tables import row
 
 BENCH = ["vehicle=lei_li", "plant.backend=interpreted", "sensor=lei_li", "controller.backend=interpreted"]
@@ -71,12 +71,12 @@ def test_the_families():
         *flights("static_feedback", 8.0, [None, 0.3, 0.5]),
         *flights("gp_mpc", 4.0, [0.2]),
     ]
-    table = families.families_table(rows).splitlines()
+    table = lei_li.families_table(rows).markdown().splitlines()
     assert table[2] == "| plant | trajectory | m/s | gp_mpc | rls_mpc | perfect_mpc | static_feedback |"
     assert table[4] == "| blade_element | circle | 4 | 200 |  |  |  |", "one controller is not told apart from another"
     assert table[5] == "| blade_element | circle | 8 | 6 | **2** | 1 | 1 of 3 lost |"
-    (panel,) = families.families_figure(rows).axes
-    lines = {line.get_label(): (list(line.get_xdata()), list(line.get_ydata())) for line in panel.lines}
+    (panel,) = means_figure(means_by_place(rows, "plant"), "plant").axes
+    lines = {one.get_label(): tuple(map(list, one.lines[0].get_data())) for one in panel.containers}
     assert lines["gp_mpc"] == ([4.0, 8.0], [200.0, pytest.approx(6.0)])
     assert lines["rls_mpc"] == ([8.0], [pytest.approx(2.0)])
     assert "static_feedback" not in lines
@@ -94,17 +94,17 @@ def test_the_least_of_the_families_is_bold_only_beyond_chance():
             for speed, errors in enumerate(0.1 * lines)
             for made in flights(name, float(speed), errors)
         ]
-        found += "**" in families.families_table(rows).partition("|")[2]
+        found += "**" in lei_li.families_table(rows).markdown().partition("|")[2]
         rows = [
             made | {"mean_error": made["mean_error"] / 50} if made["controller"] == "gp_mpc" else made for made in rows
         ]
-        cells = families.families_table(rows).splitlines()[4].split("|")
+        cells = lei_li.families_table(rows).markdown().splitlines()[4].split("|")
         assert "**" not in "".join(cells[:6] + cells[7:])
         true += "**" in cells[6]
     assert found <= 5 and true >= 30  # 5 % of 40 are 2, with a standard deviation of 1.4
 
     one_flight = [made for made in rows if made["seed"] == 0]
-    assert "**" not in families.families_table(one_flight).partition("|")[2]
+    assert "**" not in lei_li.families_table(one_flight).markdown().partition("|")[2]
 
 
 def test_a_lost_flight_stands_in_the_table_with_its_cause():

@@ -11,8 +11,11 @@ import numpy as np
 from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight, write_table
+from quadexp.report.draw import figure_of
+from quadexp.report.frame import SweepFrame
 from quadexp.report.metrics import flight_metrics
 from quadexp.report.result_rows import to_columns
+from quadexp.report.view import automatic
 from tests.log.flights import straight_flight
 
 ROTORS = [[0.17, -0.17, 0.0], [-0.17, -0.17, 0.0], [-0.17, 0.17, 0.0], [0.17, 0.17, 0.0]]
@@ -90,6 +93,11 @@ def make_results(
     }
     write_table(root / "results.parquet", to_columns(rows), record, "results")
     return root
+
+
+def speed_figure(rows: list[dict[str, Any]], confidence: float = 0.95) -> Any:
+    """What is drawn of rows in which the speed was swept."""
+    return figure_of(automatic(SweepFrame([{"key": "", **row} for row in rows], "none"), "mean_error", confidence)[0])
 
 
 def many_results(root: Path, conditions: int, seeds: int = 2) -> Path:

@@ -122,3 +122,12 @@ def test_flights_of_different_references_are_refused(tmp_path):
     write_flight(paths[1], Flight(other.columns, other.metadata))
     with pytest.raises(UsageError, match=r"gp_mpc.parquet: follows another reference than .*nominal_mpc.parquet"):
         animate(paths, tmp_path / "a.gif")
+
+
+def test_flights_at_different_control_rates_follow_one_reference(tmp_path):
+    slow = flight(tmp_path, "nominal_mpc", (0.3, 0.0, 0.0))
+    made = straight_flight(60)
+    at = np.arange(0.0, made.t[-1] + 1e-9, (made.t[1] - made.t[0]) / 4)
+    columns = {name: np.interp(at, made.t, values) for name, values in made.columns.items()}
+    fast = write_flight(tmp_path / "gp_mpc.parquet", Flight(columns, {**made.metadata, "controller": "gp_mpc"}))
+    assert animate([slow, fast], tmp_path / "a.gif")["frames"] == animate([slow], tmp_path / "b.gif")["frames"]

@@ -11,7 +11,6 @@ from quadexp.config.compose import expand
 from quadexp.log.store import write_table
 from quadexp.report.compare import compare
 from quadexp.report.drawing import fastest
-from quadexp.report.figures import error_against_speed
 from quadexp.report.page import make_report
 from quadexp.report.page.answer import answer
 from quadexp.report.page.sections import scoreboard, tables
@@ -23,6 +22,7 @@ from quadexp.report.tables import error_table, to_latex, to_markdown
 from quadexp.report.winner import verdicts
 from quadexp.sweeps.figures import SweepFigures
 from quadexp.sweeps.sweep import run_sweep
+from tests.report.results import speed_figure
 from tests.report.test_tables import row
 
 TIMES = {"solve_time_median": 3e-5, "solve_time_p99": 6e-5, "backend": "compiled"}
@@ -96,9 +96,10 @@ class TestFifteenOfTwentyNotFlown:
         }  # fmt: skip
         for name in table.columns:
             entry = table.entries[table.rows[0], name]
-            assert entry.mean == pytest.approx(mean(rows, name, range(5))) and entry.flights == 5 and not entry.best
+            assert 1e3 * entry.common_mean == pytest.approx(mean(rows, name, range(5)))
+            assert entry.common == 5 and not entry.best
             if name != "gp_mpc":
-                assert entry.own == pytest.approx(mean(rows, name, range(20))) and entry.own_flights == 20
+                assert 1e3 * entry.mean == pytest.approx(mean(rows, name, range(20))) and entry.n == 20
         text = to_markdown(table)
         assert "| flown |  | 20 of 20 | 20 of 20 | 20 of 20 | 5 of 20 |" in text and "**" not in text
         assert f"own {mean(rows, 'nominal_mpc', range(20)):.1f} of 20" in text
@@ -139,13 +140,15 @@ class TestFifteenOfTwentyNotFlown:
 
     def test_figure(self, outcome):
         rows = lost_gp(outcome)
-        figure = error_against_speed(rows)
-        drawn = {line.get_label(): float(line.get_ydata()[0]) for line in figure.axes[0].lines}
+        figure = speed_figure(rows)
+        names = [text.get_text() for text in figure.axes[0].get_xticklabels()]
+        means = [float(one.lines[0].get_ydata()[0]) for one in figure.axes[0].containers]
+        drawn = dict(zip(names, means, strict=True))
         assert drawn == {
-            label: pytest.approx(mean(rows, label.split()[0], range(5)))
-            for label in ("nominal_mpc", "linear_drag_mpc", "perfect_mpc", "gp_mpc (5 of 20 flown)")
+            label: pytest.approx(mean(rows, label, range(5)))
+            for label in ("nominal_mpc", "linear_drag_mpc", "perfect_mpc", "gp_mpc")
         }
-        assert "mean over the flights that all ended well" in figure.legends[0].get_title().get_text()
+        assert [text.get_text() for text in figure.axes[0].texts] == ["5/20"]
 
     def test_compare(self, outcome, tmp_path):
         rows = lost_gp(outcome)
@@ -195,7 +198,7 @@ def test_settings_of_a_condition_stand_in_the_line_and_no_two_lines_or_columns_a
         for s in range(3)
     ]
     table = error_table(rows)
-    assert table.rows == (("circle payload=0", "8"), ("circle payload=0.1", "8"))
+    assert table.rows == (("circle", "8", "0"), ("circle", "8", "0.1"))
     assert table.columns == ("nominal_mpc", "gp_mpc controller.a.gain=1", "gp_mpc controller.b.gain=1")
     assert len(table.entries) == 6
 

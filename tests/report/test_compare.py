@@ -15,7 +15,8 @@ from quadexp.experiment.evaluate import describe, result_row
 from quadexp.learn.checkpoint import save_model
 from quadexp.learn.linear_drag import LinearDrag
 from quadexp.log.store import write_flight, write_table
-from quadexp.report.compare import change, compare, differing
+from quadexp.report.compare import compare
+from quadexp.report.compare_parts import change, differing
 from quadexp.report.result_rows import to_columns
 from quadexp.sweeps.sweep import run_sweep
 from tests.log.flights import straight_flight

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.report.figures import error_against_speed, save, solve_times, tracked_paths
+from quadexp.errors import UsageError
+from quadexp.report.figures import save, solve_times, tracked_paths
 from tests.log.flights import straight_flight
+from tests.report.results import speed_figure
 from tests.report.test_tables import row
 
 
@@ -24,42 +26,53 @@ def rows():
 
 
 def test_a_panel_per_trajectory_and_a_line_per_controller(rows):
-    figure = error_against_speed(rows)
+    figure = speed_figure(rows)
     assert [panel.get_title() for panel in figure.axes] == ["circle", "lemniscate"]
     panel = figure.axes[0]
-    assert panel.get_yscale() == "log"
-    assert [line.get_label() for line in panel.lines] == ["nominal_mpc", "gp_mpc"]
-    np.testing.assert_allclose(panel.lines[0].get_xdata(), [4, 8])
-    np.testing.assert_allclose(panel.lines[0].get_ydata(), [200 * 4 * 1.1, 200 * 8 * 1.1])
+    assert panel.get_yscale() == "log" and panel.get_xlabel() == "trajectory.speed (m/s)"
+    assert [one.get_label() for one in panel.containers] == ["nominal_mpc", "gp_mpc"]
+    np.testing.assert_allclose(panel.containers[0].lines[0].get_xdata(), [4, 8])
+    np.testing.assert_allclose(panel.containers[0].lines[0].get_ydata(), [200 * 4 * 1.1, 200 * 8 * 1.1])
 
 
-def test_the_band_is_the_interval_of_the_mean_and_says_so(rows):
-    figure = error_against_speed(rows, confidence=0.9)
-    band = figure.axes[0].collections[0].get_paths()[0].vertices
+def test_a_checkpoint_is_named_only_where_a_controller_has_several(rows):
+    def labels(named):
+        figure = speed_figure([made | {"model": named(made)} for made in rows])
+        return [one.get_label() for one in figure.axes[0].containers]
+
+    assert labels(lambda made: "models/gp" * (made["controller"] == "gp_mpc")) == ["nominal_mpc", "gp_mpc"]
+    assert labels(lambda made: f"models/{made['controller'][:2]}") == ["nominal_mpc", "gp_mpc"]
+    rows = [*({**made, "model": "models/a"} for made in rows), *({**made, "model": "models/b"} for made in rows[12:])]
+    assert labels(lambda made: made["model"]) == ["nominal_mpc", "gp_mpc a", "gp_mpc b"]
+
+
+def test_the_bar_is_the_interval_of_the_mean_and_says_so(rows):
+    figure = speed_figure(rows, confidence=0.9)
+    (bars,) = figure.axes[0].containers[0].lines[2]
     # 200 mm times speed, and 0, 10 and 20 % more: mean 1.1, standard deviation 0.1; t of 2 degrees at 95 % is 2.92.
     half = 2.92 * 0.1 / np.sqrt(3)
-    at_8 = band[band[:, 0] == 8.0][:, 1]
-    assert at_8.min() == pytest.approx(1600 * (1.1 - half), rel=1e-3)
-    assert at_8.max() == pytest.approx(1600 * (1.1 + half), rel=1e-3)
-    assert figure.legends[0].get_title().get_text() == "mean over seeds; shaded: its 90 % interval (Student's t)"
+    np.testing.assert_allclose(bars.get_segments()[1][:, 1], [1600 * (1.1 - half), 1600 * (1.1 + half)], rtol=1e-3)
+    assert figure.get_suptitle() == "mean over 3 seeds; bars: its 90 % interval (Student's t)"
 
 
-def test_one_seed_has_no_band_and_none_is_claimed(rows):
-    figure = error_against_speed([made for made in rows if made["seed"] == 0])
-    assert figure.legends[0].get_title().get_text() == "mean over seeds"
-    bands = [path.vertices[:, 1] for panel in figure.axes for band in panel.collections for path in band.get_paths()]
-    assert not np.isfinite(np.concatenate([np.zeros(0), *bands])).any()
+def test_one_seed_has_no_bar_and_none_is_claimed(rows):
+    figure = speed_figure([made for made in rows if made["seed"] == 0])
+    assert figure.get_suptitle() == "one flight each"
+    assert not any(one.lines[2] for panel in figure.axes for one in panel.containers)
 
 
 def test_a_wide_interval_does_not_squash_the_means(rows):
-    rows = [made | {"mean_error": 0.001 if made["seed"] == 0 else 0.2} for made in rows]  # its lower limit is zero
-    low, _ = error_against_speed(rows).axes[0].get_ylim()
+    rows = [made | {"mean_error": 0.001 if made["seed"] == 0 else 0.2} for made in rows if made["speed"] == 4]
+    rows += [made | {"speed": 8.0, "mean_error": 10 * made["mean_error"]} for made in rows]
+    low, _ = speed_figure(rows).axes[0].get_ylim()  # the lower limits are zero
     assert 10 < low < 200 * 2 / 3
 
 
 def test_what_was_not_flown_is_not_drawn(rows):
     lost = [made | {"outcome": "lost"} for made in rows]
-    assert error_against_speed(lost) is None and solve_times(lost) is None
+    with pytest.raises(UsageError, match="none of the 24 flights ended well"):
+        speed_figure(lost)
+    assert solve_times(lost) is None
 
 
 def test_paths_share_one_colour_scale():
@@ -92,7 +105,7 @@ def test_solve_times_show_median_and_p99(rows):
 
 
 def test_svg_and_png_are_written_and_repeatable(rows, tmp_path):
-    first = save(error_against_speed(rows), tmp_path / "a" / "error").read_bytes()
+    first = save(speed_figure(rows), tmp_path / "a" / "error").read_bytes()
     assert (tmp_path / "a" / "error.png").stat().st_size > 5000
-    assert save(error_against_speed(rows), tmp_path / "b" / "error").read_bytes() == first
+    assert save(speed_figure(rows), tmp_path / "b" / "error").read_bytes() == first
     assert not [p for p in tmp_path.rglob("*") if p.suffix == ".tmp"]

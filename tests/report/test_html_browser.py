@@ -181,7 +181,7 @@ def test_variants_differ_in_shade_and_marker_and_every_line_says_its_setting(bro
     )
     assert len(marks) == len(set(marks)) == 11
     courses = "return [...document.querySelectorAll('[data-table=mean_error] tbody th')].map(h => h.textContent.trim())"
-    assert browser.execute_script(courses) == ["circle payload=0"] * 2 + ["circle payload=0.1"] * 2
+    assert browser.execute_script(courses) == ["circle, payload 0 kg"] * 2 + ["circle, payload 0.1 kg"] * 2
 
 
 def test_the_replay_plays_and_pauses(opened):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from quadexp.report.ladder import by_world, draw, ladder_figure, ladder_table, world_of
+from quadexp.report.ladder import draw, ladder_table, means_by_place, means_figure, world_of
 from quadexp.report.metrics import METRICS
 
 ERRORS = {"clean": (0.2, 0.001), "only_late_estimate": (0.21, 0.04), "wind=constant": (0.4, 0.28)}  # m
@@ -35,7 +35,7 @@ def test_names_of_worlds():
 
 
 def test_means_over_seeds_by_world_and_controller(rows):
-    assert tuple(by_world(rows)) == tuple(ERRORS)
+    assert [place for place, _, _ in means_by_place(rows, "world").places] == list(ERRORS)
     for line, (world, errors) in zip(ladder_table(rows).rows, ERRORS.items(), strict=True):
         means = [f"{1e3 * error * 1.1:.3g}" for error in errors]
         assert list(line) == [world, "circle", "8", *means]
@@ -47,8 +47,9 @@ def test_a_flight_that_is_lost_has_no_marker_and_is_named(rows):
     victim["outcome"] = "lost"
     (line,) = (line for line in ladder_table(hurt).rows if line[0] == "only_late_estimate")
     assert line[-1] == "1 of 3 lost"
-    drawn = {line.get_label(): len(line.get_xdata()) for line in ladder_figure(hurt).axes[0].lines}
-    assert drawn == {"nominal_mpc": 3, "perfect_mpc": 2}
+    panel = means_figure(means_by_place(hurt, "world"), "world").axes[0]
+    drawn = {one.get_label(): len(one.lines[0].get_xdata()) for one in panel.containers}
+    assert drawn == {"nominal_mpc": 3, "perfect_mpc": 2} and [text.get_text() for text in panel.texts] == ["2/3"]
 
 
 def test_files(rows, tmp_path):

@@ -13,8 +13,8 @@ from quadexp.learn.gaussian_process import GPSettings, fit_gp
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_table, write_flight, write_table
 from quadexp.report.page import make_report
+from quadexp.report.page.learned import estimate_panel, fit_panel, identified, read_checkpoint
 from quadexp.report.page.palette import PAPER
-from quadexp.report.page.panels import estimate_panel, fit_panel, identified, read_checkpoint
 from quadexp.report.style import looks
 from tests.learn.synthetic import synthetic_dataset
 from tests.log.flights import straight_flight
@@ -106,7 +106,7 @@ def test_both_stand_on_the_page(fitted, tmp_path):
     assert "Learned models" in text and f"Residuals in <code>{folder}</code>" in text
     assert "a_x from v_x, 8 points" in text
     assert "Coefficients identified in flight" in text and "C_d0 0.23" in text and "of 0.22" in text
-    assert {"error_against_speed", "error_against_time"} < set(made["figures"]) and len(made["figures"]) == 5
+    assert {"mean_error_against_speed", "error_against_time"} < set(made["figures"]) and len(made["figures"]) == 5
 
 
 def relabel(root, folder, sha256):

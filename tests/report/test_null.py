@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from quadexp.bench.ranking import standings
-from quadexp.report.axes.frame import SweepFrame
-from quadexp.report.axes.points import points
+from quadexp.report.frame import SweepFrame
+from quadexp.report.points import points
 from quadexp.report.statistics import compute_statistics, overall
 from quadexp.report.winner import verdicts
 from tests.bench.rows import row as bench_row

@@ -14,7 +14,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_table, write_flight, write_table
 from quadexp.report.page import make_report
-from quadexp.report.page.power import binned, powered
+from quadexp.report.page.power import binned, power_sheets
 from quadexp.report.page.replay import choose_cases, ordered_cases, pack_replay
 from quadexp.report.page.sections import worlds
 from quadexp.report.page.source import read_comparison
@@ -110,10 +110,10 @@ def test_battery_and_rotors_have_one_panel_each(text):
 
 def test_the_flights_of_the_panels_are_those_of_the_first_case(results):
     comparison = read_comparison(results)
-    (one,), more = powered(comparison)
+    (one,), more = power_sheets(comparison)
     assert more == 0 and one.title == "circle at 8 m/s, seed 0"
     assert ordered_cases(comparison)[0][0][2:4] == ("circle", 8.0)
-    assert {label for label, _ in one.flights} == set(WHO)
+    assert set(one.labels) == set(WHO)
 
 
 def test_bins_hold_every_sample():

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from quadexp.report.figures import error_against_speed
 from quadexp.report.page.source import read_comparison
 from quadexp.report.style import KNOWN, LOOKS, MOST_VARIANTS, looks, plain_log, shaded
-from tests.report.results import ERRORS, make_results
+from tests.report.results import ERRORS, make_results, speed_figure
 from tests.report.test_palette import VISIONS, contrast, lab, linear
 from tests.report.test_tables import row
 
@@ -101,8 +100,8 @@ def test_on_the_page_rank_decides_no_colour_and_figures_have_the_same(tmp_path, 
     assert {label: (look.hue, look.marker) for label, look in comparison.look.items()} == {
         label: LOOKS[label][:2] for label in comparison.look
     }
-    panel = error_against_speed(comparison.rows).axes[0]
-    drawn = {line.get_label(): (line.get_color(), line.get_marker()) for line in panel.lines}
+    panel = speed_figure(comparison.rows).axes[0]
+    drawn = {one.get_label(): (one.lines[0].get_color(), one.lines[0].get_marker()) for one in panel.containers}
     assert drawn == {label: (look.colour, look.marker) for label, look in comparison.look.items()}
 
 
@@ -123,6 +122,6 @@ def test_logarithmic_axes_have_plain_numbers(limits, ticks):
 
 def test_speeds_that_are_close_are_not_printed_over_one_another():
     rows = [row("gp_mpc", speed=speed) for speed in (2.0, 5.0, 10.0, 11.9, 12.0, 15.0, 20.0)]
-    panel = error_against_speed(rows).axes[0]
+    panel = speed_figure(rows).axes[0]
     assert list(panel.get_xticks()) == [2, 5, 10, 11.9, 15, 20]
     assert len(panel.lines[0].get_xdata()) == 7

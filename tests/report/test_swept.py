@@ -7,13 +7,13 @@ import re
 import pytest
 
 from quadexp.log.store import read_metadata
-from quadexp.report.axes.frame import SweepFrame
-from quadexp.report.axes.view import automatic
+from quadexp.report.frame import SweepFrame
 from quadexp.report.page import make_report
 from quadexp.report.page.source import read_comparison
 from quadexp.report.page.swept import swept_figures
-from tests.report.axes.sweeps import noise, swept
+from quadexp.report.view import automatic
 from tests.report.results import make_results, many_results
+from tests.report.sweeps import noise, swept
 
 TWO = ["controller=nominal_mpc,perfect_mpc", "controller.nodes=5,10,20", "truth.mass=1,1.1,1.2", "seed=0,1"]
 
@@ -59,9 +59,10 @@ def test_lines_are_in_the_colours_of_the_theme_and_maps_on_white(two):
     assert maps.startswith('<figure class="plate"') and "var(--" not in maps
 
 
-def test_where_the_speed_alone_was_swept_its_section_has_it(tmp_path):
+def test_the_speed_is_a_key_like_the_others(tmp_path):
     root = make_results(tmp_path / "speeds", controllers=("nominal_mpc", "perfect_mpc"), lost=False)
-    assert swept_figures(read_comparison(root)).tabs == []
+    made = swept_figures(read_comparison(root))
+    assert [view.x.key for view in made.views] == ["trajectory.speed"] and len(made.tabs) == 4
 
 
 @pytest.mark.parametrize(
@@ -97,7 +98,7 @@ def test_five_thousand_flights_are_sampled_where_a_picture_shows_no_more_and_tab
     def counted(reader):
         return lambda path, *words, **options: read.append(path) or reader(path, *words, **options)
 
-    for place in ("axes.frame.read_metadata", "page.source.read_metadata", "page.source.read_flight"):
+    for place in ("frame.read_metadata", "page.source.read_metadata", "page.source.read_flight"):
         room, _, name = place.rpartition(".")
         module = __import__(f"quadexp.report.{room}", fromlist=[name])
         monkeypatch.setattr(module, name, counted(getattr(module, name)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from quadexp.report.page import make_report
-from tests.report.axes.sweeps import swept
+from tests.report.sweeps import swept
 from tests.report.test_html_browser import browser, pytestmark, show  # noqa: F401
 from tests.report.test_swept import TWO, error
 

@@ -13,7 +13,7 @@ from quadexp.log.store import read_table, write_table
 from quadexp.messages import latex
 from quadexp.report.result_rows import ROW_COLUMNS, from_columns, to_columns, to_csv
 from quadexp.report.statistics import compute_statistics
-from quadexp.report.tables import comparison_table, error_table, table_of, to_latex, to_markdown, to_rich
+from quadexp.report.tables import cell_text, comparison_table, error_table, table_of, to_latex, to_markdown, to_rich
 from quadexp.report.text import significant, with_interval
 
 
@@ -32,9 +32,9 @@ def test_mean_over_seeds_in_millimetres_and_the_best_marked():
     table = error_table(rows)
     assert table.columns == ("nominal_mpc", "gp_mpc") and table.rows == (("circle", "8"),)
     nominal, gp = (table.entries[table.rows[0], column] for column in table.columns)
-    assert nominal.mean == pytest.approx(250.0) and nominal.spread == pytest.approx(50 * math.sqrt(2))
-    assert gp.best and not nominal.best and gp.mean == pytest.approx(5.005)
-    assert error_table(rows, "rmse").entries[table.rows[0], "nominal_mpc"].mean == pytest.approx(300.0)
+    assert nominal.common_mean == pytest.approx(0.25) and nominal.common_std == pytest.approx(0.05 * math.sqrt(2))
+    assert gp.best and not nominal.best and gp.common_mean == pytest.approx(0.005005)
+    assert error_table(rows, "rmse").entries[table.rows[0], "nominal_mpc"].common_mean == pytest.approx(0.3)
 
 
 def test_lost_flights_are_counted_and_not_averaged():
@@ -44,7 +44,7 @@ def test_lost_flights_are_counted_and_not_averaged():
         row("gp_mpc", error=math.nan, outcome="lost"),
     ]
     table = error_table(rows)
-    texts = [table.entries[table.rows[0], column].text() for column in table.columns]
+    texts = [cell_text(table.entries[table.rows[0], column]) for column in table.columns]
     assert texts == ["200.0 (1 lost)", "1 lost"]
     assert {name: flown.text() for name, flown in table.flown.items()} == {"nominal_mpc": "1 of 2", "gp_mpc": "0 of 1"}
     assert not any(entry.best for entry in table.entries.values())  # nobody to be better than
@@ -95,9 +95,10 @@ def test_a_swept_key_of_the_controller_has_a_column_with_its_values_down():
         for s in (0, 1)
     ]
     table = error_table(rows)
-    assert table.columns == ("nominal_mpc", "gp_mpc") and table.keys == ("controller.nodes",)
-    assert table.rows == tuple((f"circle payload={p}", "8", n) for p in "01" for n in ("5", "10"))
-    means = {(line[2], column): entry.mean for (line, column), entry in table.entries.items()}
+    assert table.columns == ("nominal_mpc", "gp_mpc") and table.keys == ("plant.payload", "controller.nodes")
+    assert table.table().columns[:4] == ["trajectory", "m/s", "payload (kg)", "nodes"]
+    assert table.rows == tuple(("circle", "8", p, n) for n in ("5", "10") for p in "01")
+    means = {(line[3], column): 1e3 * entry.common_mean for (line, column), entry in table.entries.items()}
     assert means == {(n, c): pytest.approx(float(n)) for n in ("5", "10") for c in table.columns}
 
 
@@ -107,8 +108,8 @@ def test_the_comparison_names_its_lines_as_the_error_table_does():
     rows = [row(name, seed=s, error=e, variant=v) for v in settings for name, e in who.items() for s in (0, 1)]
     statistics = compute_statistics(rows, metrics=("mean_error",))
     lines = comparison_table(statistics).rows
-    assert [line[0] for line in lines] == [name for name, _ in table_of(statistics).rows]
-    assert [line[0] for line in lines] == ["circle horizon=published", "circle horizon=robust"]
+    assert table_of(statistics).rows == (("circle", "8", "published"), ("circle", "8", "robust"))
+    assert [line[0] for line in lines] == ["circle, horizon published", "circle, horizon robust"]
     assert [line[1:3] for line in lines] == [["8", "perfect_mpc"]] * 2
 
 
@@ -193,12 +194,12 @@ class TestIntervals:
         table = error_table(rows)
         nominal, gp = (table.entries[table.rows[0], column] for column in table.columns)
         assert gp.significant and not nominal.significant  # six pairs: p = 2 / 2^6
-        assert nominal.low < nominal.mean < nominal.high
-        text = f"[{gp.low:.2f}, {gp.high:.2f}]"
-        assert f"**{gp.mean:.2f}** {text}*" in to_markdown(table)
-        assert rf"\textbf{{{gp.mean:.2f}}} {text}$^*$" in to_latex(table)
-        assert f"] (1 lost) | **{gp.mean:.2f}** {text}* (own {gp.own:.2f} of 7) |" in to_markdown(table)
-        assert gp.own == pytest.approx((sum(4 + 0.1 * s for s in range(6)) + 4) / 7) and gp.flights == 6
+        assert nominal.common_low < nominal.common_mean < nominal.common_high
+        mean, text = f"{1e3 * gp.common_mean:.2f}", f"[{1e3 * gp.common_low:.2f}, {1e3 * gp.common_high:.2f}]"
+        assert f"**{mean}** {text}*" in to_markdown(table)
+        assert rf"\textbf{{{mean}}} {text}$^*$" in to_latex(table)
+        assert f"] (1 lost) | **{mean}** {text}* (own {1e3 * gp.mean:.2f} of 7) |" in to_markdown(table)
+        assert 1e3 * gp.mean == pytest.approx((sum(4 + 0.1 * s for s in range(6)) + 4) / 7) and gp.common == 6
         assert r"- \* differs from nominal_mpc: p < 0.05" in to_markdown(table)
         assert table.notes[0].startswith(
             "mean over the flights of a line that all ended well, of 7 seeds [95 % interval: Student's t]; bold:"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import math
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,18 +19,21 @@ from quadexp.log.outcome import RULE
 from quadexp.messages import clean, script
 from quadexp.report.page import palette
 from quadexp.report.page.answer import answer
-from quadexp.report.page.drawing import MAX_COURSES, PageFigures, draw_page, draw_paper, shown_courses
-from quadexp.report.page.power import MAX_FLIGHTS
+from quadexp.report.page.learned import estimate_sheets, fit_sheets
+from quadexp.report.page.pareto import pareto_sheets
+from quadexp.report.page.power import MAX_FLIGHTS, power_sheets
 from quadexp.report.page.provenance import LOOKED_AT, origin, portable
 from quadexp.report.page.replay import BUDGET, MAX_TRACKS, Case, case_of, choose_cases, pack_replay
 from quadexp.report.page.sections import scoreboard, tables, worlds, worst, worst_rows
+from quadexp.report.page.sheet import Sheet
 from quadexp.report.page.source import TABLED, Comparison, read_comparison, spoken
+from quadexp.report.page.swept import Swept, swept_figures, swept_paper
 from quadexp.report.pairing import condition_of
 from quadexp.report.result_rows import to_csv
 from quadexp.report.statistics_file import statistics_csv
 from quadexp.report.style import LOOKS, Figure
 from quadexp.report.tables import TITLES
-from quadexp.report.text import duration, percent, typeset
+from quadexp.report.text import typeset
 
 LIMIT = 2_000_000  # bytes of the page
 DATA_LIMIT = 250_000  # bytes of a CSV inside it
@@ -57,13 +59,40 @@ def make_report(
     if figures is not None:
         check_output(figures, force=True, folder=True)
     comparison = read_comparison(results, baseline=baseline)
-    drawn = draw_page(comparison)
+    drawn = PageFigures.of(comparison)
     page, left_out = render(comparison, drawn, _report_command(comparison, out, figures, baseline))
     write_text(out, page, force=force)
-    drawings = {} if figures is None else _write_paper(Path(figures), draw_paper(comparison, drawn))
+    drawings = {} if figures is None else _write_paper(Path(figures), drawn.paper(comparison))
     made = answer(comparison)
     record = {"path": out, "bytes": len(page.encode()), "answer": list(made.sentences), "note": made.note}
     return {**record, "left_out": left_out, "figures": drawings}
+
+
+@dataclass(frozen=True)
+class PageFigures:
+    """swept: over the keys that were swept. sheets: of each section. power_left: worlds that power leaves out."""
+
+    swept: Swept
+    sheets: Mapping[str, Sequence[Sheet]]
+    power_left: int
+
+    @classmethod
+    def of(cls, comparison: Comparison) -> PageFigures:
+        power, left = power_sheets(comparison)
+        learned = {"fits": fit_sheets(comparison), "estimates": estimate_sheets(comparison)}
+        return cls(swept_figures(comparison), {"pareto": pareto_sheets(comparison), "power": power, **learned}, left)
+
+    def records(self) -> dict[str, list[dict[str, Any]]]:
+        """For the template."""
+        return {
+            section: [sheet.record(f"{section}{i}") for i, sheet in enumerate(sheets)]
+            for section, sheets in self.sheets.items()
+        }
+
+    def paper(self, comparison: Comparison) -> dict[str, Figure]:
+        """The same figures for a paper, by name."""
+        sheets = [sheet for own in self.sheets.values() for sheet in own if sheet.draws]
+        return swept_paper(self.swept) | {sheet.name: sheet.figure(comparison.look) for sheet in sheets}
 
 
 def _write_paper(folder: Path, figures: Mapping[str, Figure]) -> dict[str, Path]:
@@ -129,14 +158,8 @@ def render(comparison: Comparison, drawn: PageFigures, command: str) -> tuple[st
         "style": _safe(_template("style.css")),
         "page_script": _template("page.js"),
         "replay_script": _template("replay.js").replace("@@SHAPES@@", json.dumps(palette.SHAPE_PATHS)),
-        "speed_panels": drawn.speed,
-        "speed_labels": drawn.speed_labels,
-        "pareto": drawn.pareto,
-        "pareto_lines": _pareto_lines(comparison, drawn),
-        "power": drawn.power,
+        **drawn.records(),
         "most_powered": MAX_FLIGHTS,
-        "fits": drawn.fits,
-        "estimates": drawn.estimates,
         "flights": len(comparison.rows),
         "bad": sum(row["outcome"] != "ok" for row in comparison.rows),
         "rule": RULE,
@@ -195,8 +218,6 @@ def _left_out(
     if (looked := len(comparison.sampled(LOOKED_AT))) < len(comparison.rows):
         left.append(f"settings of flights beyond {looked} of {len(comparison.rows)}, evenly chosen")
     left += drawn.swept.left
-    more = len(shown_courses(comparison, drawn.swept)) - MAX_COURSES
-    left += [f"error over speed on {more} more courses"] if more > 0 else []
     crowd = max((len(case["left_out"]) for case in packed), default=0)
     left += [f"in the replay, up to {crowd} controllers of a flight beyond the first {MAX_TRACKS}"] if crowd else []
     there = {name for name, _ in downloads}
@@ -220,33 +241,13 @@ def _sections(drawn: PageFigures, replay: bool, several_worlds: bool) -> list[tu
         ("tables", "Numbers", True),
         ("worlds", "Worlds", several_worlds),
         ("swept", "Swept", bool(drawn.swept.tabs)),
-        ("speed", "Speed", bool(drawn.speed)),
-        ("time", "Time", bool(drawn.pareto)),
-        ("power", "Power", bool(drawn.power)),
-        ("learned", "Learned", bool(drawn.fits or drawn.estimates)),
+        ("time", "Time", bool(drawn.sheets["pareto"])),
+        ("power", "Power", bool(drawn.sheets["power"])),
+        ("learned", "Learned", bool(drawn.sheets["fits"] or drawn.sheets["estimates"])),
         ("worst", "Worst", True),
         ("provenance", "Provenance", True),
     ]
     return [(anchor, name) for anchor, name, there in wanted if there]
-
-
-def _pareto_lines(comparison: Comparison, drawn: PageFigures) -> list[dict[str, str]]:
-    """A line for every contestant in the figure."""
-    lines = []
-    for label, (time, error, *_) in drawn.points.items():
-        against = f"{percent(error)[0]} of {spoken(comparison.reference)}'s error" if comparison.reference else ""
-        size = "the baseline" if label == comparison.reference else against
-        period = comparison.period(label)
-        load = f", {_share(100 * time / period)} of its period" if math.isfinite(period) else ""
-        where = (
-            "a bound" if label in comparison.bounds else "on the front" if label in drawn.front else "behind the front"
-        )
-        lines.append({"label": label, "text": f"{where}: {size + ', in ' if size else ''}{duration(time)}{load}."})
-    return lines
-
-
-def _share(value: float) -> str:
-    return percent(value)[0] if value >= 0.05 else "under 0.1 %"
 
 
 def _downloads(comparison: Comparison) -> list[tuple[str, str]]:

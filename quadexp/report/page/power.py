@@ -1,10 +1,10 @@
-"""Battery and rotors over time, of flights in a world: which flights are drawn, and their panels."""
+"""Battery and rotors over time, of flights in a world."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,21 +12,14 @@ import numpy as np
 from quadexp.log.schema import Flight, describe
 from quadexp.report.page.palette import Palette, dress
 from quadexp.report.page.replay import Case, by_rank, case_of, case_title, ordered_cases
-from quadexp.report.page.source import Comparison
+from quadexp.report.page.sheet import Draw, Sheet, sheet_name
+from quadexp.report.page.source import Comparison, spoken
 from quadexp.report.style import Look
 from quadexp.report.text import percent
 
 MAX_GROUPS = 6  # worlds with panels
 MAX_FLIGHTS = 4  # of one panel
 BINS = 200  # of time
-
-
-@dataclass(frozen=True)
-class Powered:
-    """Flights of one case, by label, at least one of them with a battery or rotors."""
-
-    title: str
-    flights: list[tuple[str, Flight]]
 
 
 def rotor_columns(flight: Flight) -> list[str]:
@@ -37,7 +30,7 @@ def rotor_columns(flight: Flight) -> list[str]:
     return []
 
 
-def powered(comparison: Comparison) -> tuple[list[Powered], int]:
+def power_sheets(comparison: Comparison) -> tuple[list[Sheet], int]:
     """The first case of every world but the clean one, if it has a battery or rotors; and how many more there are."""
     first: dict[tuple[str, str], Case] = {}
     for case in ordered_cases(comparison):
@@ -52,8 +45,19 @@ def powered(comparison: Comparison) -> tuple[list[Powered], int]:
     for case, own in rows.items():
         flown = [(comparison.label(row), comparison.flight(row)) for row in by_rank(comparison, own)[:MAX_FLIGHTS]]
         flights = [(label, f) for label, f in flown if f and ("battery_voltage" in f.columns or rotor_columns(f))]
-        made += [Powered(case_title(comparison, case), flights)] if flights else []
+        made += [_sheet(comparison, case_title(comparison, case), flights)] if flights else []
     return made[:MAX_GROUPS], max(0, len(made) - MAX_GROUPS)
+
+
+def _sheet(comparison: Comparison, title: str, flights: list[tuple[str, Flight]]) -> Sheet:
+    draws: dict[str, Draw] = {}
+    if any("battery_voltage" in flight.columns for _, flight in flights):
+        draws[f"Battery voltage, {title}"] = partial(battery_panel, flights=flights, look=comparison.look)
+    if any(rotor_columns(flight) for _, flight in flights):
+        draws[f"Rotors, {title}"] = partial(rotor_panel, flights=flights, look=comparison.look)
+    ends = [f"{spoken(label)} {share}" for label, flight in flights if (share := end_of_charge(flight))]
+    text = f"Charge left at the end: {', '.join(ends)}." if ends else ""
+    return Sheet(sheet_name("power", title), title, draws, [label for label, _ in flights], text)
 
 
 def binned(t: np.ndarray, values: np.ndarray, bins: int = BINS) -> np.ndarray:

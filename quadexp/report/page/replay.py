@@ -22,7 +22,6 @@ import numpy as np
 from quadexp.log.schema import Flight
 from quadexp.log.signal import continuous
 from quadexp.report.page.palette import SHAPES
-from quadexp.report.page.panels import course_title
 from quadexp.report.page.source import Comparison, spoken
 from quadexp.report.pairing import condition_of
 
@@ -78,7 +77,7 @@ def ordered_cases(comparison: Comparison) -> list[Case]:
 def case_title(comparison: Comparison, case: Case) -> str:
     (plant, vehicle, trajectory, speed, setting), seed = case
     rate = "" if speed is None else f" at {speed:g} m/s"
-    return f"{course_title(comparison, (plant, vehicle, trajectory, setting))}{rate}, seed {seed}"
+    return f"{comparison.course_title((plant, vehicle, trajectory, setting))}{rate}, seed {seed}"
 
 
 def by_rank(comparison: Comparison, rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -127,7 +126,7 @@ def _pack(comparison: Comparison, case: Case, rows: Sequence[Mapping[str, Any]])
     tracks = [_track(comparison, label, flight, t, config) for label, flight in flights]
     return {
         "title": case_title(comparison, case),
-        "course": course_title(comparison, (*case[0][:3], case[0][4])),
+        "course": comparison.course_title((*case[0][:3], case[0][4])),
         "speed": case[0][3],
         "seed": case[1],
         "step": step,

@@ -12,12 +12,11 @@ import numpy as np
 from quadexp.log.schema import Flight
 from quadexp.report.metrics import position_error
 from quadexp.report.notes import table_notes
-from quadexp.report.page.panels import Course, course_of, course_title
 from quadexp.report.page.provenance import redo_command
-from quadexp.report.page.source import KNOWS, TABLED, Comparison, spoken
+from quadexp.report.page.source import KNOWS, TABLED, Comparison, Course, course_of, spoken
 from quadexp.report.pairing import Condition, Flights, condition_of
 from quadexp.report.statistics import Statistic
-from quadexp.report.tables import TITLES, Entry
+from quadexp.report.tables import TITLES, lost_text, own_text, value_text
 from quadexp.report.text import duration, number, percent, probability, shown, speed_text, with_interval
 
 WORST = 9
@@ -145,7 +144,7 @@ def _table(comparison: Comparison, metric: str) -> dict[str, Any]:
         "baseline": next((s.baseline for s in statistics if s.baseline), ""),
         "lines": [
             {
-                "course": course_title(comparison, course_of(c)),
+                "course": comparison.course_title(course_of(c)),
                 "speed": speed_text(c[3], ""),
                 "first": course_of(c) != before,
                 "means": [_mean_cell(found.get((c, x))) for x in columns],
@@ -162,10 +161,9 @@ def _table(comparison: Comparison, metric: str) -> dict[str, Any]:
 def _mean_cell(s: Statistic | None) -> dict[str, Any]:
     if s is None:
         return {"text": "-"}
-    entry = Entry.of(s)
-    (text, limits), lost = entry.value, entry.lost_text().replace("_", " ")
+    (text, limits), lost = value_text(s), lost_text(s).replace("_", " ")
     star = "*" if s.significant and text else ""
-    return {"text": text + star, "limits": limits.strip(), "own": entry.own_text(), "lost": lost, "best": s.best}
+    return {"text": text + star, "limits": limits.strip(), "own": own_text(s), "lost": lost, "best": s.best}
 
 
 def _difference_cell(s: Statistic | None) -> dict[str, Any]:
@@ -177,7 +175,7 @@ def _difference_cell(s: Statistic | None) -> dict[str, Any]:
         "text": text if s.difference < 0 else f"+{text}",
         "limits": limits.strip(),
         "change": _change(s.reduction)[0],
-        "p": probability(s.p_holm) if s.comparisons * s.p_least < 1 - s.confidence else "",
+        "p": probability(s.p_holm) if s.testable else "",
         "left": s.left_out,
         "sure": s.significant,
     }
@@ -224,7 +222,7 @@ def worst(
             {
                 "label": comparison.label(row),
                 "name": spoken(comparison.label(row)),
-                "course": row["trajectory"],
+                "course": comparison.courses[row["trajectory"], condition_of(row)[4]],
                 "speed": speed_text(row["speed"]),
                 "seed": row["seed"],
                 "world": f"{row['plant']}, {row['vehicle']}",

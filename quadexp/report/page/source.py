@@ -33,7 +33,7 @@ from quadexp.report.pairing import (
     is_invalid,
 )  # fmt: skip
 from quadexp.report.result_rows import from_columns
-from quadexp.report.statistics import CONFIDENCE, Overall, Statistic, overall
+from quadexp.report.statistics import CONFIDENCE, Statistic, overall
 from quadexp.report.statistics_file import results_statistics
 from quadexp.report.style import Look, looks
 from quadexp.report.tables import course_labels
@@ -41,7 +41,7 @@ from quadexp.report.winner import Ranking, rank, ratio_of
 
 RESULTS = "results.parquet"
 TABLED = ("mean_error", "rmse", "max_error")
-
+Course = tuple[str, str, str, str]  # plant, vehicle, trajectory, other settings
 
 NAMES = {
     "nominal_mpc": "nominal MPC",
@@ -80,6 +80,12 @@ def spoken(label: str) -> str:
     controller, *remedies = controller.split("+")
     name = NAMES.get(controller, controller.replace("_mpc", " MPC").replace("_", " "))
     return f"{' + '.join([name, *remedies])} {rest}".strip()
+
+
+def course_of(condition: Condition) -> Course:
+    """A condition without its speed."""
+    plant, vehicle, trajectory, _, setting = condition
+    return plant, vehicle, trajectory, setting
 
 
 @dataclass(frozen=True)
@@ -124,6 +130,13 @@ class Comparison:
         """(trajectory, other settings) -> its name."""
         return course_labels((c[2], c[4]) for c in self.conditions)
 
+    def course_title(self, course: Course) -> str:
+        """The trajectory, with settings, plant and vehicle as far as they distinguish it from the others."""
+        plant, vehicle, trajectory, setting = course
+        parts = [self.courses[trajectory, setting]]
+        parts += [plant] if len({world[0] for world in self.worlds}) > 1 else []
+        return ", ".join(parts + ([vehicle] if len({world[1] for world in self.worlds}) > 1 else []))
+
     @cached_property
     def worlds(self) -> list[World]:
         return list(dict.fromkeys((row["plant"], row["vehicle"]) for row in self.rows))
@@ -145,7 +158,7 @@ class Comparison:
         return [row for row in self.rows if (row["plant"], row["vehicle"]) == self.world]
 
     @cached_property
-    def overall(self) -> dict[str, Overall]:
+    def overall(self) -> dict[str, Statistic]:
         """Label -> comparison with the baseline over all conditions of the main world."""
         made = overall(self.main_rows, metric=self.metric, baseline=self.baseline, confidence=self.confidence)
         return {self.labels[one.controller, one.model, one.variant]: one for one in made}
@@ -295,7 +308,7 @@ class Comparison:
         return [record for row in self.sampled(most) if (record := self.flight_record(row)) is not None]
 
     def select(self, metric: str) -> list[Statistic]:
-        return [s for s in self.statistics if s.metric == metric]
+        return [s for s in self.statistics if s.metric == metric and not s.is_overall]
 
     def time(self, label: str, which: str = "median") -> float:
         """Time of the control step, s: median over its flights of their median or p99."""

@@ -16,14 +16,13 @@ import matplotlib
 
 from quadexp.errors import UsageError
 from quadexp.messages import html
-from quadexp.report.axes.frame import SweepFrame
-from quadexp.report.axes.points import SUCCESS
-from quadexp.report.axes.save import figure_of
-from quadexp.report.axes.view import View, automatic
-from quadexp.report.drawing import is_over_speed
+from quadexp.report.draw import figure_of
+from quadexp.report.frame import SweepFrame
 from quadexp.report.page.palette import PAGE, TOKENS, inline_svg
 from quadexp.report.page.source import TABLED, Comparison
+from quadexp.report.points import SUCCESS
 from quadexp.report.style import Figure
+from quadexp.report.view import View, automatic
 
 LARGEST_DRAWING = 150_000  # characters of one figure as a drawing
 BUDGET = 500_000  # characters of all of them
@@ -41,18 +40,11 @@ class Swept:
     left: list[str] = field(default_factory=list)
     views: list[View] = field(default_factory=list)
 
-    @property
-    def over_speed(self) -> bool:
-        """Whether a figure shows the speed as an axis or a panel for each."""
-        return any("trajectory.speed" in view.keys for view in self.views)
-
 
 def swept_figures(comparison: Comparison) -> Swept:
-    """The figures that were chosen by what was swept; none where that is the speed alone, which has a section."""
+    """The figures that were chosen by what was swept."""
     made = Swept()
     frame = SweepFrame.read(comparison.root)
-    if is_over_speed(frame):
-        return made
     room = BUDGET
     for metric in dict.fromkeys((comparison.metric, *TABLED, SUCCESS)):
         try:

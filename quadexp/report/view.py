@@ -16,8 +16,8 @@ from typing import Any, Literal
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.report.axes.frame import ALIASES, SweepFrame, is_metric, is_number, unit_of
-from quadexp.report.axes.points import SUCCESS, Place, Point, points, shown_column
+from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, setting_text, with_unit
+from quadexp.report.points import SUCCESS, Place, Point, points, shown_column
 from quadexp.report.text import count, listed
 from quadexp.report.text import shown as unit_shown
 
@@ -64,8 +64,7 @@ class Axis:
 
     @property
     def label(self) -> str:
-        unit = unit_of(self.key)
-        return f"{self.key} ({unit})" if unit and unit != self.key.rpartition(".")[2] else self.key
+        return with_unit(self.key, self.key)
 
     def text(self, value: Any) -> str:
         return value_text(self.key, value)
@@ -158,7 +157,7 @@ class View:
             if key in ("trajectory", *WHO)
             else f"{value_text(key, value)} m/s"
             if key == "trajectory.speed"
-            else f"{key.rpartition('.')[2]} {value_text(key, value)}"
+            else setting_text(key, value)
             for key, value in zip(keys, values, strict=True)
         )
 
@@ -211,6 +210,9 @@ def automatic(frame: SweepFrame, y: str = "mean_error", confidence: float = 0.95
     who = [key for key in WHO if key in swept]
     course = [key for key in ("trajectory",) if key in swept]
     axes = [key for key in swept if key not in (*who, *course)]
+    if "trajectory.speed" in axes:  # plants and vehicles are panels beside it
+        course += [key for key in ("plant", "vehicle") if key in axes]
+        axes = [key for key in axes if key not in course]
     if not axes:
         x = who[0] if who else course[0] if course else "seed"
         rest = [key for key in (*who, *course) if key != x]

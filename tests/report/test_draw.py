@@ -9,14 +9,20 @@ import pytest
 from matplotlib.colors import to_hex
 
 from quadexp.errors import UsageError
-from quadexp.report.axes.frame import SweepFrame
-from quadexp.report.axes.heat import heat_figure
-from quadexp.report.axes.lines import line_figure
-from quadexp.report.axes.parallel import height, parallel_figure
-from quadexp.report.axes.save import check_path, figure_of, page_of, save_view
-from quadexp.report.axes.view import Axis, automatic, view
+from quadexp.report.draw import (
+    check_path,
+    figure_of,
+    heat_figure,
+    height,
+    line_figure,
+    page_of,
+    parallel_figure,
+    save_view,
+)
+from quadexp.report.frame import SweepFrame
 from quadexp.report.style import KNOWN, looks
-from tests.report.axes.sweeps import noise, swept
+from quadexp.report.view import Axis, automatic, view
+from tests.report.sweeps import noise, swept
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +51,7 @@ def test_small_multiples_have_every_panel_and_every_line(frame):
     made = automatic(frame)[0]
     figure = line_figure(made)
     panels = [panel for panel in figure.axes if panel.axison]
-    assert [panel.get_title() for panel in panels] == ["horizon 0.5", "horizon 1", "horizon 2"]
+    assert [panel.get_title() for panel in panels] == ["horizon 0.5 s", "horizon 1 s", "horizon 2 s"]
     for panel, horizon in zip(panels, (0.5, 1, 2), strict=True):
         drawn = {c.get_label(): c.lines[0] for c in panel.containers}
         expected = {"nominal_mpc", "perfect_mpc"}
@@ -112,7 +118,7 @@ def test_panels_beyond_the_room_are_said(tmp_path):
     figure = line_figure(view(read, x="controller.nodes", by=[], facet=["vehicle.mass"]))
     assert sum(panel.axison for panel in figure.axes) == 36
     said = " ".join(figure.get_suptitle().split())
-    assert "no room for 4 panels: mass 1.36, mass 1.37, mass 1.38, mass 1.39" in said
+    assert "no room for 4 panels: mass 1.36 kg, mass 1.37 kg, mass 1.38 kg, mass 1.39 kg" in said
 
 
 def test_groups_stand_side_by_side_without_lines(tmp_path):

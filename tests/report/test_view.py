@@ -11,14 +11,13 @@ from scipy import stats
 
 from quadexp.errors import UsageError
 from quadexp.log.store import read_metadata
-from quadexp.report.axes.frame import SweepFrame, read_value, unit_of
-from quadexp.report.axes.points import points
-from quadexp.report.axes.save import records
-from quadexp.report.axes.view import Axis, automatic, view
-from quadexp.report.draw import draw
-from quadexp.report.drawing import drawings
+from quadexp.report.draw import records
+from quadexp.report.drawing import draw, drawings
+from quadexp.report.frame import SweepFrame, read_value, setting_text, unit_of
+from quadexp.report.points import points
 from quadexp.report.statistics import compute_statistics
-from tests.report.axes.sweeps import noise, swept
+from quadexp.report.view import Axis, automatic, view
+from tests.report.sweeps import noise, swept
 
 NODES = [
     "controller=nominal_mpc,perfect_mpc",
@@ -206,9 +205,9 @@ class TestChoice:
     def test_the_figures_of_a_sweep(self, tmp_path, overrides, names):
         out = swept(tmp_path / "r", overrides, lambda config: 0.01)
         made = drawings(SweepFrame.read(out).rows, out, "mean_error", 0.95)
-        assert [one.name for one in made if one.kind in ("error", "axes")] == names
+        assert [one.name for one in made if one.kind == "axes"] == names
         for one in made:
-            if one.kind in ("error", "axes"):
+            if one.kind == "axes":
                 assert draw(one.kind, one.inputs, tmp_path / "figures" / f"{one.name}.svg")
 
     def test_without_the_grids_the_rows_tell_what_was_swept(self, nodes):
@@ -245,6 +244,18 @@ def test_axes_are_logarithmic_where_ratios_matter(values, scale):
 def test_units_are_those_of_the_configuration():
     assert unit_of("controller.horizon") == "s" and unit_of("speed") == "m/s" and unit_of("vehicle.mass") == "kg"
     assert unit_of("controller") == "" and unit_of("no.such") == ""
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("wind.velocity", "[4,0,0]", "wind 4 m/s"), ("link.latency", "0.03", "latency 30 ms"),
+        ("controller.horizon", 0.5, "horizon 0.5 s"), ("controller.nodes", 20, "nodes 20"),
+        ("vehicle.mass", "1.2", "mass 1.2 kg"), ("wind", "dryden", "wind dryden"),
+    ],
+)  # fmt: skip
+def test_settings_are_said_in_words_with_their_units(key, value, said):
+    assert setting_text(key, value) == said
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from quadexp.config.schema import PRESETS, REMEDIES, SCHEMAS, WORLD
-from quadexp.config.settings import declared
+from quadexp.config.option_files import units
+from quadexp.config.schema import PARTS, PRESETS, REMEDIES, WORLD
 from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_metadata, read_table
@@ -148,7 +148,7 @@ class SweepFrame:
             return _plain(row["speed"])
         if name == "world":
             return str(row["plant"]).partition("/")[2] or "clean"
-        if name in (*ROW_COLUMNS, "wanted") and name not in SCHEMAS:
+        if name in (*ROW_COLUMNS, "wanted") and name not in PARTS:
             return _plain(row.get(name))
         if name in ("vehicle", "plant", "trajectory", "controller"):
             return row[name]
@@ -268,9 +268,29 @@ def of_controller(key: str) -> bool:
 
 
 def unit_of(key: str) -> str:
-    """The unit of a key of the configuration; "" for a number without one, or an unknown key."""
+    """The unit of a key of the configuration; "" for an unknown one, and where there is none or its name (nodes)."""
     group, _, name = ALIASES.get(key, key).partition(".")
-    for schema in SCHEMAS.get(group, {}).values():
-        if name in declared(schema):
-            return declared(schema)[name].setting.unit
-    return ""
+    unit = units(group).get(name, "") if group in PARTS else ""
+    return "" if unit == name else unit
+
+
+def with_unit(name: str, key: str) -> str:
+    """The name of a key, such as "payload (kg)"."""
+    return f"{name} ({unit})" if (unit := unit_of(key)) else name
+
+
+def setting_text(key: str, value: Any) -> str:
+    """A setting in words with its unit: "wind 4 m/s" of wind.velocity=[4,0,0], "latency 30 ms", "nodes 20".
+
+    Of a vector the length, of times below a tenth of a second milliseconds."""
+    group, _, last = key.rpartition(".")
+    name = group.rpartition(".")[2] if last == "velocity" and group else last.replace("_", " ")
+    value, unit = read_value(value) if isinstance(value, str) else value, unit_of(key)
+    if unit and isinstance(value, str) and value.startswith("["):
+        with contextlib.suppress(TypeError, ValueError):
+            value = math.hypot(*json.loads(value))
+    if not is_number(value):
+        return f"{name} {str(value).lower() if isinstance(value, bool) else value}"
+    if unit == "s" and 0 < value < 0.1:
+        value, unit = 1e3 * value, "ms"
+    return f"{name} {value:.6g} {unit}".strip()

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.report.axes.frame import SweepFrame, of_controller
+from quadexp.report.frame import SweepFrame, of_controller
 from quadexp.report.inference import mean_interval, success_interval
 from quadexp.report.pairing import common, seed_means
 

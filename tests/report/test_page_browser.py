@@ -7,11 +7,11 @@ import json
 
 import pytest
 
-from quadexp.report.axes.frame import SweepFrame
-from quadexp.report.axes.save import page_of
-from quadexp.report.axes.view import view
+from quadexp.report.draw import page_of
 from quadexp.report.flights_table import page_of as table_page
-from tests.report.axes.sweeps import swept
+from quadexp.report.frame import SweepFrame
+from quadexp.report.view import view
+from tests.report.sweeps import swept
 from tests.report.test_html_browser import browser, pytestmark  # noqa: F401
 
 SIZES = ((1280, 900), (760, 900), (390, 800))
