@@ -1,9 +1,9 @@
-"""The reference of every configuration key, from the schemas and from conf/ itself.
+"""The reference of every configuration key, from the parts and from conf/ itself.
 
     python -m tests.docs.configuration > docs/configuration.md
 
 All of it is declared with the settings (quadexp/config/settings.py). The value is the default, or what the option sets
-that is taken by default, or else the one of the schema's own name, or the first that extends it.
+that is taken by default, or else the first.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ from typing import Any, get_args, get_origin
 
 import yaml
 
-from quadexp.config.schema import PRESETS, SCHEMAS, WORLD, Config, conf_folder
+from quadexp.config.option_files import OptionFiles
+from quadexp.config.schema import PARTS, PRESETS, WORLD, Config, conf_folder
 from quadexp.config.settings import REQUIRED, Declared, declared, lists
 
-ASIDE = {"name", "kind", "sweep"}  # set by the option, not by its user
+ASIDE = {"name", "sweep"}  # set by the option, not by its user
 WORDS = {float: "number", int: "whole number", bool: "true, false"}
 HEAD = """# Configuration reference
 
@@ -29,14 +30,14 @@ A configuration is one option of every group (`vehicle=torrente`, `plant=simplif
 - in a file of your own: a folder laid out as `conf/`, given with `--conf DIR` ([guide](guide.md#your-own-parts));
 - several at once, in a sweep: `quadexp evaluate --sweep trajectory.speed=4,8,12`.
 
-A group has one or more *schemas*: which keys there are and what they may be. The table of a schema shows the value
-that an option sets by default. `(0, 60] m/s` is above 0, up to and including 60. A key that does not exist and a value
+An option names the class of its part by `_target_`, whose fields are the keys. A table shows the value that its first
+option sets. `(0, 60] m/s` is above 0, up to and including 60. A key that does not exist and a value
 outside its range are refused before anything runs. Quote a value with brackets or blanks for your shell. Vectors are
 (x, y, z) in body axes FLU unless another frame is named.
 
 Groups: GROUPS.
 
-This page is made from the schemas and from `conf/`:
+This page is made from the parts and from `conf/`:
 `python -m tests.docs.configuration > docs/configuration.md`.
 """
 
@@ -55,21 +56,18 @@ class Key:
 def reference() -> str:
     """The whole page, Markdown."""
     chosen = _chosen()
-    groups = ", ".join(f"[{name}](#{name.lower()})" for name in ("Run", *SCHEMAS, "world"))
+    groups = ", ".join(f"[{name}](#{name.lower()})" for name in ("Run", *PARTS, "world"))
     parts = [HEAD.replace("GROUPS", groups), "## Run\n", _table(_keys(Config, "", {}))]
-    for group, schemas in SCHEMAS.items():
-        options = _options(group)
-        listed = ", ".join(f"`{name}`" for name in options)
-        parts.append(f"## {group}\n\n`{group}=` {listed}\n")
-        for schema, node in schemas.items():
-            title = f"### {group}: schema `{schema}`" if len(schemas) > 1 else ""
-            using = [name for name, used in options.items() if used == schema]
-            using.sort(key=lambda name: (name != chosen.get(group), name != schema))
-            example = f" Options: {', '.join(f'`{name}`' for name in using)}." if using and len(schemas) > 1 else ""
-            doc = " ".join((node.__doc__ or "").split())
-            values = _values(group, using[0]) if using else {}
-            parts.append("\n".join(filter(None, [title, "", f"{doc}{example}"])) + "\n")
-            parts.append(_table(_keys(node, f"{group}.", values)))
+    for group in PARTS:
+        options = OptionFiles().parts(group)
+        parts.append(f"## {group}\n\n`{group}=` {', '.join(f'`{name}`' for name in options)}\n")
+        several = len(set(options.values())) > 1
+        for part in dict.fromkeys(options[name] for name in sorted(options, key=lambda n: n != chosen.get(group))):
+            using = [name for name, used in options.items() if used is part]
+            using.sort(key=lambda name: name != chosen.get(group))
+            title = f"### {group}: {', '.join(f'`{name}`' for name in using)}\n\n" if several else ""
+            parts.append(f"{title}{_first_sentences(part)}\n")
+            parts.append(_table(_keys(part, f"{group}.", _values(group, using[0]))))
         parts += [_preset(name) for name, target in PRESETS.items() if target == group]
     parts.append(_bundles())
     return "\n".join(parts)
@@ -154,25 +152,16 @@ def _chosen() -> dict[str, str]:
     return {group: option for entry in defaults if isinstance(entry, dict) for group, option in entry.items()}
 
 
-def _options(group: str) -> dict[str, str]:
-    """Options of a group, and the schema each extends in the end."""
-    return {path.stem: _schema(group, path.stem) for path in sorted((conf_folder() / group).glob("*.yaml"))}
-
-
-def _schema(group: str, option: str) -> str:
-    schema = ""
-    for default in _read(group, option).get("defaults", ()):
-        if isinstance(default, str) and default.startswith(f"/schema/{group}/"):
-            schema = default.removeprefix(f"/schema/{group}/").partition("@")[0]
-        elif isinstance(default, str) and default != "_self_":
-            schema = schema or _schema(group, default)
-    return schema
+def _first_sentences(part: type) -> str:
+    """What a part is, without how it is used as an object."""
+    return " ".join((part.__doc__ or "").split("\n\n")[0].split())
 
 
 def _values(group: str, option: str) -> dict[str, Any]:
     """What an option sets, with what it inherits from others."""
     values: dict[str, Any] = {}
     content = _read(group, option)
+    content.pop("_target_", None)
     for default in content.pop("defaults", ["_self_"]):
         if default == "_self_":
             values |= content
