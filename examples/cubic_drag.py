@@ -5,12 +5,27 @@
 As CasADi expressions it is used in the MPC's prediction and in the reference's feed-forward like any other residual.
 """
 
+from dataclasses import dataclass
+from typing import Annotated
+
 import casadi as ca
 
 from quadexp.air.base import feature_names, symbolic_residual
+from quadexp.config.settings import Setting
+from quadexp.control.mpc.part import MPC
 
 
-# Arguments: the vehicle, and the keys under `options` of controller/cubic_drag_mpc.yaml.
+@dataclass(frozen=True, kw_only=True)
+class CubicDragMPC(MPC):
+    """The MPC with this residual in its prediction."""
+
+    # A key of controller=cubic_drag_mpc, besides those of every MPC; swept as controller.coefficient=0.003,0.006.
+    coefficient: Annotated[float, Setting("c", "[0, 1]", "s/m^2")] = 0.006
+
+    def model(self, given):
+        return cubic_drag(given.vehicle, coefficient=self.coefficient)
+
+
 def cubic_drag(vehicle, *, coefficient):
     """coefficient: c, s/m^2; a runtime parameter, so that another value needs no recompilation."""
     features = ca.SX.sym("z", len(feature_names(vehicle.n_rotors)))  # body velocity, body rate, rotor thrusts

@@ -5,25 +5,43 @@ tau = J (-k_R e_R - k_w (w - w_ref)) + w x J w,   e_R = 1/2 vee(R_d' R - R' R_d)
 """
 
 import time
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from quadexp.config.settings import Setting
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
+from quadexp.control.part import ControllerPart
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 
 
+@dataclass(frozen=True, kw_only=True)
+class Geometric(ControllerPart):
+    """Tracking on SE(3) without an MPC."""
+
+    # The keys of controller=geometric; swept as controller.position=4,6,8.
+    rate: Annotated[float, Setting("control rate", "[1, 1000]", "Hz")] = 200.0
+    position: Annotated[float, Setting("k_p", "[0, 1000]", "1/s^2")] = 6.0
+    velocity: Annotated[float, Setting("k_v", "[0, 1000]", "1/s")] = 4.0
+    attitude: Annotated[float, Setting("k_R", "[0, 1e5]", "1/s^2")] = 120.0
+    angular: Annotated[float, Setting("k_w", "[0, 1e4]", "1/s")] = 16.0
+
+    def build(self, given):
+        return GeometricController(given.vehicle, self)
+
+
 class GeometricController:
-    """Gains: 1/s^2 and 1/s. rate: of control, Hz. See quadexp/control/base.py for the interface of a controller."""
+    """See quadexp/control/base.py for the interface of a controller."""
 
     residual, reference_period, backend = None, 0.0, "interpreted"
     name, source = "none", ""  # what it knows of the air, and from where
 
-    # Arguments: the vehicle, and the keys under `options` of controller/geometric.yaml.
-    def __init__(self, vehicle, *, rate=200.0, position=6.0, velocity=4.0, attitude=120.0, angular=16.0):
-        self.vehicle, self.control_period, self.node_times = vehicle, 1.0 / rate, np.zeros(1)
-        self.gains = position, velocity, attitude, angular
+    def __init__(self, vehicle, keys):
+        self.vehicle, self.control_period, self.node_times = vehicle, 1.0 / keys.rate, np.zeros(1)
+        self.gains = keys.position, keys.velocity, keys.attitude, keys.angular
         self.mixer = np.linalg.pinv(vehicle.allocation)
 
     def forget(self):

@@ -7,29 +7,28 @@ acceleration, jerk and snap are continuous, as differential flatness needs.
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from quadexp.reference.base import FlatOutput, check_positive, flat_output_held, hold_outside
+from quadexp.config.settings import Setting
+from quadexp.reference.base import RADIUS, SPEED, FlatOutput, TrajectoryPart, flat_output_held, hold_outside
 from quadexp.reference.phasor import phasor
 
 SMOOTH = Polynomial([0, 0, 0, 0, 0, 126, -420, 540, -315, 70])
 
 
 @dataclass(frozen=True, kw_only=True)
-class HelixTrajectory:
-    """speed: largest speed, m/s. radius, height (of the start): m. pitch: climb per turn, m. turns: how many."""
+class HelixTrajectory(TrajectoryPart):
+    """A circle that climbs, from rest to rest."""
 
-    # Arguments: `speed` and the keys under `options` of trajectory/helix.yaml.
-    speed: float
-    radius: float = 3.0
-    pitch: float = 1.0
-    turns: float = 3.0
-    height: float = 1.0
-
-    def __post_init__(self) -> None:
-        check_positive(speed=self.speed, radius=self.radius, turns=self.turns)
+    # The keys of trajectory=helix, each with its meaning, range and unit; swept as trajectory.radius=2,3,4.
+    speed: Annotated[float, SPEED] = 6.0
+    radius: Annotated[float, RADIUS] = 3.0
+    pitch: Annotated[float, Setting("climb per turn", "[-100, 100]", "m")] = 1.0
+    turns: Annotated[float, Setting("how many turns", "(0, 100]")] = 3.0
+    height: Annotated[float, Setting("height of the start, world", "[-1000, 1000]", "m")] = 1.0
 
     @property
     def duration(self) -> float:

@@ -5,20 +5,36 @@
 The rotors' thrusts are inner states of the plant, integrated with the 13 states that a controller measures.
 """
 
+from dataclasses import dataclass
+from typing import Annotated
+
 import casadi as ca
 
 from quadexp.air.linear_drag import linear_drag_residual
+from quadexp.config.settings import Setting, Triple
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.state import N_STATE
+from quadexp.world.base import PlantPart
 from quadexp.world.integrator import Equations, SimulatedPlant, integrate
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotorLag(PlantPart):
+    """Rotors with a lag, and linear drag."""
+
+    # The keys of plant=motor_lag, besides those of every plant (`step`); swept as plant.time_constant=0.02,0.04.
+    time_constant: Annotated[float, Setting("tau of the rotors' thrusts", "[0.001, 1]", "s")] = 0.03
+    drag: Annotated[Triple, Setting("D, body axes", "[0, 100]", "1/s")] = (0.3, 0.3, 0.1)
+
+    def build(self, given):
+        return MotorLagPlant(given.vehicle, step=self.step, time_constant=self.time_constant, drag=self.drag)
 
 
 class MotorLagPlant(SimulatedPlant):
     """time_constant: tau, s. drag: (3,) 1/s. step: of the integrator, s."""
 
-    # Arguments: the vehicle, `step`, and the keys under `options` of plant/motor_lag.yaml.
-    def __init__(self, vehicle, *, step, time_constant=0.03, drag=(0.3, 0.3, 0.1)):
+    def __init__(self, vehicle, *, step, time_constant, drag):
         self.drag, n = drag, vehicle.n_rotors
         s, u, dt = ca.SX.sym("s", N_STATE + n), ca.SX.sym("u", n), ca.SX.sym("dt")
         noise, parameters = ca.SX.sym("noise", 0), ca.SX.sym("parameters", 0)

@@ -14,7 +14,7 @@ VELOCITY, ATTITUDE = slice(7, 10), slice(3, 7)
 
 @pytest.fixture
 def plant():
-    return qx.controller("plant=motor_lag", {"plant.options.drag": [0, 0, 0]}, conf=HERE).plant
+    return qx.controller("plant=motor_lag", {"plant.drag": [0, 0, 0]}, conf=HERE).plant
 
 
 def advance(plant, thrust_ratio, duration, steps=1):

@@ -33,7 +33,7 @@ TEMPLATES = {
     "vehicle": Template("quad_x", "vehicle", module=False),
     "trajectory": Template("helix", "trajectory", words="Helix"),
     "plant": Template("motor_lag", "plant", words="MotorLag"),
-    "residual": Template("cubic_drag", "controller", "_mpc"),
+    "residual": Template("cubic_drag", "controller", "_mpc", words="CubicDrag"),
     "controller": Template("geometric", "controller", words="Geometric"),
 }
 

@@ -99,7 +99,7 @@ def test_two_parts_share_a_folder(here):
     assert "class HelixUpTrajectory:" in Path("my parts/HelixUp.py").read_text()
     code, _, errors = run(
         "simulate", "--conf", "my parts", "vehicle=hexacopter2", "plant=my_motor_lag", "controller=xcubic_drag_mpc",
-        "trajectory=HelixUp", "trajectory.options.turns=1", "--out", "a.parquet",
+        "trajectory=HelixUp", "trajectory.turns=1", "--out", "a.parquet",
     )  # fmt: skip
     assert code == 0, errors
     assert "'my parts/test_more.py'" in run("new", "vehicle", "more", "--to", "my parts")[1]

@@ -35,7 +35,7 @@ def test_each_is_under_60_lines():
 
 
 def test_knowing_the_air_helps_although_the_lag_stays():
-    plant = ("trajectory=helix", "trajectory.options.turns=1", "plant=motor_lag")
+    plant = ("trajectory=helix", "trajectory.turns=1", "plant=motor_lag")
     nominal, perfect = (flown(*plant, f"controller={name}", INTERPRETED[1]) for name in ("nominal_mpc", "perfect_mpc"))
     assert error(perfect) < 0.05 * error(nominal)
 
