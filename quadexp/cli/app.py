@@ -16,6 +16,7 @@ from quadexp import __version__
 from quadexp.cli.bench import bench
 from quadexp.cli.cache import cache
 from quadexp.cli.check import check
+from quadexp.cli.choices import options
 from quadexp.cli.files import animate, compare_two, export, report, show
 from quadexp.cli.fit import fit_drag, fit_gp, fit_nn
 from quadexp.cli.fly import collect, evaluate, simulate
@@ -70,6 +71,7 @@ def root(
     quadexp plot        results over any key                -> plot.png
     quadexp bench       controllers ranked by one protocol  -> results/bench*
     quadexp report      results as one page                 -> report.html
+    quadexp options     what there is to choose and to set
     quadexp new         a part of your own                  -> my_parts/
     """
 
@@ -96,6 +98,7 @@ COMMANDS = {
     "tune": tune,
     "bench": bench,
     "new": new,
+    "options": options,
     "cache": cache,
 }
 for name, command in COMMANDS.items():
