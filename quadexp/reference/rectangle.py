@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from quadexp.config.settings import Setting
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION
@@ -76,6 +75,8 @@ class Rectangle(TrajectoryPart):
 
 def resting(position: tuple[float, ...], euler: tuple[float, ...]) -> np.ndarray:
     """State (13,) at rest. position: ENU (m). euler: roll, pitch, yaw of FLU in ENU (deg)."""
+    from scipy.spatial.transform import Rotation
+
     x = np.zeros(N_STATE)
     x[POSITION] = position
     turn = Rotation.from_euler("ZYX", euler[::-1], degrees=True)

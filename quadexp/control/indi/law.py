@@ -24,7 +24,6 @@ from typing import Annotated, ClassVar, Literal
 
 import casadi as ca
 import numpy as np
-from scipy.signal import butter
 
 from quadexp.config.settings import Setting, Settings
 from quadexp.control.allocation import allocation
@@ -91,7 +90,7 @@ def indi_function(vehicle: Vehicle, keys: INDIKeys) -> ca.Function:
     n, dt = vehicle.n_rotors, 1.0 / keys.rate
     if not keys.cutoff < keys.rate / 2:
         raise UsageError(f"inner.cutoff={keys.cutoff:g}: must be below half of inner.rate={keys.rate:g} Hz")
-    b, a = butter(2, keys.cutoff, fs=keys.rate)
+    b, a = _low_pass(keys)
     wanted, rate, delivered = ca.MX.sym("wanted", n), ca.MX.sym("rate", 3), ca.MX.sym("delivered", n)
     memory, before = ca.MX.sym("memory", 3 + n, 2), ca.MX.sym("before", 3 + n)
 
@@ -116,7 +115,7 @@ def indi_function(vehicle: Vehicle, keys: INDIKeys) -> ca.Function:
 
 def settled_memory(keys: INDIKeys, values: np.ndarray) -> np.ndarray:
     """The filter's memory, (2, 3 + n), after these values, (3 + n,), have been there for long."""
-    b, a = butter(2, keys.cutoff, fs=keys.rate)
+    b, a = _low_pass(keys)
     return np.stack([(1 - b[0]) * values, (b[2] - a[2]) * values])
 
 
@@ -144,3 +143,11 @@ def _without_spin_up(
         slope = 2 * ca.mtimes(G, ca.diag(found)) + ca.mtimes(last, gain.T)
         found = ca.fmax(found - ca.solve(slope, left), 0.0)
     return wrench - last * ca.dot(gain, found - root)
+
+
+def _low_pass(keys: INDIKeys) -> tuple[np.ndarray, np.ndarray]:
+    """Numerator and denominator, (3,) each, of the discrete Butterworth filter of second order."""
+    from scipy.signal import butter  # half a second of CPU to import, for this loop alone
+
+    b, a = butter(2, keys.cutoff, fs=keys.rate)
+    return b, a
