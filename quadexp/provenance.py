@@ -33,7 +33,7 @@ MODULES = {
 # Folders (with all their files) and files whose content determines a flight and the figures of its row.
 DECIDING = (
     "air", "compile", "control", "physics", "reference", "world", "experiment/build.py", "experiment/checkpoints.py",
-    "experiment/compiled_flight.py", "experiment/evaluate.py", "experiment/flight.c", "experiment/former_parts.py",
+    "experiment/compiled_flight.py", "experiment/evaluate.py", "experiment/flight.c",
     "experiment/identity.py", "experiment/kept.py", "experiment/loop_margins.py", "experiment/outside.py",
     "experiment/rollout.py", "experiment/stability.py", "learn/base.py", "learn/checkpoint.py", "learn/dataset.py",
     "learn/gaussian_process.py", "learn/linear_drag.py", "learn/neural.py", "learn/regression.py", "learn/rls.py",

@@ -11,25 +11,6 @@ from typing import Any
 import typer
 
 
-def folders(extra: Path | None = None) -> list[Path]:
-    """Folders of configuration files, in the order in which an option is looked for."""
-    from quadexp.config.plugins import plugin_folders
-    from quadexp.config.schema import conf_folder
-
-    return [conf_folder(), *plugin_folders().values(), *([extra] if extra else [])]
-
-
-def groups(extra: Path | None = None) -> dict[str, list[str]]:
-    """Configuration groups and their options: a listing of the folders."""
-    found: dict[str, set[str]] = {}
-    for root in folders(extra):
-        for folder in sorted(root.iterdir()) if root.is_dir() else ():
-            if folder.is_dir():
-                files = (path for path in folder.glob("*.yaml") if path.is_file())
-                found.setdefault(folder.name, set()).update(path.stem for path in files)
-    return {group: sorted(options) for group, options in found.items() if options}
-
-
 def keys(group: str | None = None) -> dict[str, list[str]]:
     """Every key that can be set, of whatever option, with its values where those are a few words. group: of one group
     alone; only the classes of its parts are imported."""
@@ -54,6 +35,8 @@ def keys(group: str | None = None) -> dict[str, list[str]]:
 
 def complete(ctx: typer.Context, incomplete: str) -> list[str]:
     """Candidates for the override being typed. Shells that split words at "=" want the value alone back."""
+    from quadexp.config.option_files import groups
+
     words = list(ctx.params.get("overrides") or [])
     extra = ctx.params.get("conf")
     options = groups(Path(extra) if extra else None)

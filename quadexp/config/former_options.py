@@ -53,7 +53,7 @@ trajectory/rectangle reference.rectangle.Rectangle
 trajectory/lei_li_circle reference.lei_li_circle.LeiLiCircle
 trajectory/custom experiment.former_parts.FormerTrajectory
 controller/mpc control.mpc.part.MPC
-controller/feedback control.feedback.settings.Feedback
+controller/feedback control.feedback.controller.Feedback
 controller/dfbc control.dfbc.controller.FlatnessBased
 controller/rls_mpc control.mpc.rls_mpc.RLSMPC
 controller/sum_mpc control.mpc.part.SumMPC

@@ -8,16 +8,32 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from quadexp.config.completion import folders, groups
 from quadexp.config.former_options import former_nodes
 from quadexp.config.part import TARGET, Part, part_class
 from quadexp.config.plain_data import REFERENCE, REFERENCES, read_data
-from quadexp.config.schema import PARTS
+from quadexp.config.plugins import plugin_folders
+from quadexp.config.schema import PARTS, conf_folder
 from quadexp.config.settings import declared
 from quadexp.errors import UsageError
 from quadexp.messages import MOST_NAMED, ending_in
 
 _MODIFIERS = re.compile(r"^\s*(?:(?:override|optional)\s+)*")
+
+
+def folders(extra: Path | None = None) -> list[Path]:
+    """Folders of configuration files, in the order in which an option is looked for."""
+    return [conf_folder(), *plugin_folders().values(), *([extra] if extra else [])]
+
+
+def groups(extra: Path | None = None) -> dict[str, list[str]]:
+    """Configuration groups and their options: a listing of the folders."""
+    found: dict[str, set[str]] = {}
+    for root in folders(extra):
+        for folder in sorted(root.iterdir()) if root.is_dir() else ():
+            if folder.is_dir():
+                files = (path for path in folder.glob("*.yaml") if path.is_file())
+                found.setdefault(folder.name, set()).update(path.stem for path in files)
+    return {group: sorted(options) for group, options in found.items() if options}
 
 
 class OptionFiles:

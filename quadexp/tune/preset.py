@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from quadexp.config.completion import folders
 from quadexp.config.compose import Composer
+from quadexp.config.option_files import folders
 from quadexp.config.schema import REMEDIES, Config
 from quadexp.config.settings import record
 from quadexp.errors import UsageError

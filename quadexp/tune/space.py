@@ -16,8 +16,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_args
 
-from quadexp.config.completion import folders
-from quadexp.config.option_files import unreadable
+from quadexp.config.option_files import folders, unreadable
 from quadexp.config.plain_data import read_data
 from quadexp.config.schema import REMEDIES, Config, remedies
 from quadexp.config.settings import Declared, declared, inside, record

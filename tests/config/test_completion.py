@@ -9,8 +9,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from quadexp.config.completion import complete, groups, keys
+from quadexp.config.completion import complete, keys
 from quadexp.config.compose import session
+from quadexp.config.option_files import groups
 from quadexp.config.schema import PARTS
 
 

@@ -10,9 +10,9 @@ import hydra
 import pytest
 from omegaconf import OmegaConf
 
-from quadexp.config.completion import groups
 from quadexp.config.compose import compose, expand, session
 from quadexp.config.hydra_files import register_schemas
+from quadexp.config.option_files import groups
 from quadexp.config.part import part_class
 from quadexp.config.schema import PARTS, EvaluateConfig, conf_folder
 from quadexp.config.settings import plain, record

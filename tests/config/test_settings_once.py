@@ -30,8 +30,6 @@ OF_THE_OBJECT = {"yaw", "vehicle", "printed_coefficients", "inertial"}
 NOT_SETTINGS = {
     "SpeedProfile": "a function of three numbers, made by the path that has them",
     "BladeElementModel": "the part of a plant that is compiled, made by the plant that has its options",
-    "LinearDrag": "the result of a fit, with how it was fitted",
-    "ThrustCurve": "the result of a fit, with how it was fitted",
 }
 
 

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from functools import cache
-from typing import Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 import casadi as ca
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.config.part import Given
+from quadexp.config.settings import Backend, Setting, part
 from quadexp.control.base import Measurement, Window
-from quadexp.control.feedback.aerodynamics import body_velocity
+from quadexp.control.feedback.aerodynamics import IdentifiedCoefficients, KnownCoefficients, body_velocity
 from quadexp.control.feedback.compensation import hover_rotor_speed
 from quadexp.control.feedback.frames import FRD_FLU
 from quadexp.control.feedback.law import law_function
-from quadexp.control.feedback.settings import FeedbackSettings, Variant
+from quadexp.control.feedback.settings import VARIANTS, FeedbackSettings, Variant
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
+from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
+from quadexp.learn.rls import Identification
+from quadexp.physics.rotor import THETA
 from quadexp.physics.vehicle import Vehicle
 
 INNER_TOLERANCE = 1e-10  # rad/s and rad, of the fixed point without delay
@@ -138,3 +144,37 @@ class FeedbackController:
 def _law(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant, backend: str) -> ca.Function:
     """The law compiled for a back end, built once per process and structure."""
     return realise(law_function(vehicle, settings, variant), backend)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Feedback(FeedbackSettings, ControllerPart):
+    """Compensated feedback. variant: what is compensated, and from where."""
+
+    former_kind = "feedback"
+    variant: Annotated[
+        Literal["rls", "static", "literal", "nocomp_statid", "oracle", "oracle_impl", "rls_noH", "static_H"],
+        Setting("what is compensated, and the source of the coefficients; see docs/lei_li.md"),
+    ]
+    backend: Backend = "auto"
+    rls: Annotated[Identification, Setting("recursive least squares in flight")]
+
+    @property
+    def knows_plant(self) -> bool:
+        """See ControllerPart."""
+        return VARIANTS[self.variant].parameters == "true"
+
+    def build(self, given: Given) -> Any:
+        """See ControllerPart; UsageError where it is to know coefficients that the plant does not have."""
+        variant = VARIANTS[self.variant]
+        aerodynamics: Any
+        if variant.parameters == "none":
+            aerodynamics = KnownCoefficients(np.zeros(len(THETA)), "the vehicle's thrust map")
+        elif variant.parameters == "identified":
+            estimator = self.rls.build(given.vehicle, self.backend)
+            aerodynamics = IdentifiedCoefficients(estimator, self.rls.change_threshold)
+        elif hasattr(given.plant, "coefficients"):
+            aerodynamics = KnownCoefficients(given.plant.coefficients.parameters(), "plant equations")
+        else:
+            raise UsageError(f"{self.name}: knows the plant's blade-element coefficients; plant=blade_element has them")
+        settings = part(FeedbackSettings, self)
+        return FeedbackController(given.vehicle, settings, variant, aerodynamics, backend=self.backend)

@@ -4,16 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar
 
-import numpy as np
-
-from quadexp.config.part import Given
-from quadexp.config.settings import Backend, Setting, Settings, Triple, part
-from quadexp.control.part import ControllerPart
-from quadexp.errors import UsageError
-from quadexp.learn.rls import Identification
-from quadexp.physics.rotor import THETA
+from quadexp.config.settings import Setting, Settings, Triple
 
 
 @dataclass(frozen=True)
@@ -98,40 +91,3 @@ VARIANTS: dict[str, Variant] = {
     "rls_noH": Variant(hub=False),
     "static_H": replace(_NOTHING, hub=True, allocation="vehicle", parameters="true"),
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Feedback(FeedbackSettings, ControllerPart):
-    """Compensated feedback. variant: what is compensated, and from where."""
-
-    former_kind = "feedback"
-    variant: Annotated[
-        Literal["rls", "static", "literal", "nocomp_statid", "oracle", "oracle_impl", "rls_noH", "static_H"],
-        Setting("what is compensated, and the source of the coefficients; see docs/lei_li.md"),
-    ]
-    backend: Backend = "auto"
-    rls: Annotated[Identification, Setting("recursive least squares in flight")]
-
-    @property
-    def knows_plant(self) -> bool:
-        """See ControllerPart."""
-        return VARIANTS[self.variant].parameters == "true"
-
-    def build(self, given: Given) -> Any:
-        """See ControllerPart; UsageError where it is to know coefficients that the plant does not have."""
-        from quadexp.control.feedback.aerodynamics import IdentifiedCoefficients, KnownCoefficients
-        from quadexp.control.feedback.controller import FeedbackController
-
-        variant = VARIANTS[self.variant]
-        aerodynamics: Any
-        if variant.parameters == "none":
-            aerodynamics = KnownCoefficients(np.zeros(len(THETA)), "the vehicle's thrust map")
-        elif variant.parameters == "identified":
-            estimator = self.rls.build(given.vehicle, self.backend)
-            aerodynamics = IdentifiedCoefficients(estimator, self.rls.change_threshold)
-        elif hasattr(given.plant, "coefficients"):
-            aerodynamics = KnownCoefficients(given.plant.coefficients.parameters(), "plant equations")
-        else:
-            raise UsageError(f"{self.name}: knows the plant's blade-element coefficients; plant=blade_element has them")
-        settings = part(FeedbackSettings, self)
-        return FeedbackController(given.vehicle, settings, variant, aerodynamics, backend=self.backend)
