@@ -22,7 +22,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import OUTPUTS, Residual, feature_names
@@ -30,6 +29,7 @@ from quadexp.air.gaussian_process import PosteriorMean
 from quadexp.air.linear_drag import N_PARAMETERS
 from quadexp.air.network import Network
 from quadexp.air.terms import TermStructure, columns_function, term_residual
+from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from quadexp.compile.symbolic import ca
 from quadexp.physics.correction import FEATURES, N_OUTPUTS, OUTPUTS
 from quadexp.physics.expression import Expression
 

@@ -11,10 +11,10 @@ Below the idle speed the residual keeps its value there, so that it stays differ
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual, feature_names
+from quadexp.compile.symbolic import ca
 from quadexp.physics.blade_element import (
     ADOPTED,
     CrossTerms,

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -26,6 +25,7 @@ from quadexp.air.base import N_OUTPUTS, OUTPUTS, Residual, feature_names
 from quadexp.air.linear_drag import N_PARAMETERS, linear_drag_acceleration
 from quadexp.air.terms import TermStructure, term_acceleration
 from quadexp.compile.backend import handwritten
+from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle

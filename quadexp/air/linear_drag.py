@@ -8,11 +8,11 @@ kappa = 0 give the published model.
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from quadexp.air.base import Residual, feature_names, symbolic_residual
+from quadexp.compile.symbolic import ca
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle

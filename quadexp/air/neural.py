@@ -18,13 +18,13 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import OUTPUTS, Residual, feature_names
 from quadexp.air.gaussian_process import COLLECTIVE_THRUST
 from quadexp.air.network import Network
 from quadexp.compile.backend import handwritten
+from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import casadi as ca
-
 from quadexp.air.base import N_OUTPUTS, Residual, feature_names, symbolic_residual
+from quadexp.compile.symbolic import ca
 from quadexp.physics.vehicle import Vehicle
 
 

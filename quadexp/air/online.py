@@ -30,12 +30,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.adapting import Adapting, Block, regressors
 from quadexp.air.base import Residual
 from quadexp.compile.backend import handwritten
+from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
+from quadexp.compile.symbolic import ca
 
 
 def scaled_residual(residual: Residual) -> Residual:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
+from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 
 

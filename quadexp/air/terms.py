@@ -24,10 +24,10 @@ from __future__ import annotations
 from functools import cache
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual, feature_names, symbolic_residual
+from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.physics.blade_element import TINY_SPEED
 from quadexp.physics.expression import Expression

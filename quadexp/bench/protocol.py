@@ -22,7 +22,6 @@ import yaml
 
 from quadexp.config.compose import Composer, session
 from quadexp.config.schema import WORLD, Config
-from quadexp.config.settings import record
 from quadexp.errors import DataError, UsageError
 from quadexp.files.writer import write_text
 from quadexp.messages import suggestion
@@ -145,9 +144,16 @@ def resolved(protocol: Protocol, composer: Composer) -> dict[str, Any]:
     return found
 
 
+UNNAMED = ("collect", "gp", "drag", "nn")  # groups whose option has no name of its own in a protocol
+
+
 def _values(config: Config, groups: Sequence[str]) -> dict[str, Any]:
     nodes = {group: getattr(config, group) for group in groups}
-    return {group: record(node) for group, node in nodes.items() if not getattr(node, "idle", False)}
+    return {
+        group: {key: value for key, value in node.recorded().items() if key != "name" or group not in UNNAMED}
+        for group, node in nodes.items()
+        if not node.idle
+    }
 
 
 def check_lock(protocol: Protocol, composer: Composer) -> None:

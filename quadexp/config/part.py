@@ -37,7 +37,7 @@ class Part(Settings):
 
     former_kind: ClassVar[str] = ""
 
-    name: Name = ""
+    name: Name = "unnamed"
 
     @property
     def idle(self) -> bool:

@@ -216,7 +216,7 @@ def _checked(key: str, value: Any, one: Declared) -> Any:
         raise ForbiddenValueError(f"{key}={value}: must be one of {', '.join(one.words)}")
     if one.length and len(value) != one.length and not _is_rows(one.type):
         raise ForbiddenValueError(f"{key}={_shown(value)}: must be a list of {one.length} numbers")
-    if one.setting.names and value and not is_name(value):
+    if one.setting.names and not is_name(value):
         raise ForbiddenValueError(f"{key}={value!r}: must be one printable line")
     interval, unit = one.setting.interval, one.setting.unit
     for item in value if isinstance(value, tuple) else [value] if interval else ():

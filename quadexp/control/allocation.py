@@ -13,9 +13,9 @@ from __future__ import annotations
 import itertools
 from functools import lru_cache
 
-import casadi as ca
 import numpy as np
 
+from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.physics.vehicle import Vehicle
 

@@ -11,10 +11,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
+from quadexp.compile.symbolic import ca
 from quadexp.control.base import Measurement
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import decayed

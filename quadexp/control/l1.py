@@ -24,11 +24,11 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import N_OUTPUTS, Residual
 from quadexp.compile.backend import BufferedFunction, realise_together, resolve
+from quadexp.compile.symbolic import ca
 from quadexp.config.settings import Setting, Settings, part
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.belief import Belief
@@ -250,4 +250,8 @@ def _predictor(vehicle: Vehicle, keys: L1Keys, period: float) -> ca.Function:
 class L1(L1Keys, Remedy):
     """L1 adaptive augmentation (Hanover et al. 2022, Wu et al. 2023)."""
 
-    remedy: ClassVar[str] = "quadexp.control.l1:l1"
+    believes = True
+
+    def around(self, controller: Any) -> L1Controller:
+        """See Remedy."""
+        return l1(controller, self)

@@ -23,8 +23,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-import casadi as ca
-
+from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import lagging_thrust
 

@@ -6,8 +6,7 @@ quadratic  F_i = -c_i V_i |V_i|      Torrente et al. 2021, simplified simulation
 
 from __future__ import annotations
 
-import casadi as ca
-
+from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 
 

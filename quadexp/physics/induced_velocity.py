@@ -20,8 +20,7 @@ from enum import IntEnum
 from functools import cache
 from typing import NamedTuple
 
-import casadi as ca
-
+from quadexp.compile.symbolic import ca
 from quadexp.physics.blade_element import (
     ADOPTED,
     TINY_SPEED,

@@ -16,8 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import casadi as ca
-
+from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 from quadexp.physics.integrator import rk4_step_with_input
 from quadexp.physics.state import N_STATE

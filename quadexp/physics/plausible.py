@@ -21,15 +21,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.physics.vehicle import Vehicle
 
 LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254}
 MOMENTS = {"g m^2": 1e-3, "kg cm^2": 1e-4, "kg mm^2": 1e-6, "g cm^2": 1e-7, "g mm^2": 1e-9}
+
+
+V = TypeVar("V")  # a Vehicle
 
 
 class Ratio(NamedTuple):
@@ -43,7 +45,7 @@ class Ratio(NamedTuple):
     meant: Mapping[str, float]
 
 
-def plausible(vehicle: Vehicle) -> Vehicle:
+def plausible(vehicle: V) -> V:
     """The same vehicle; raises UsageError where a number of it is none of a multirotor."""
     for one in _ratios(vehicle):
         if not one.low <= one.number <= one.high:
@@ -54,7 +56,7 @@ def plausible(vehicle: Vehicle) -> Vehicle:
     return vehicle
 
 
-def _ratios(vehicle: Vehicle) -> Iterator[Ratio]:
+def _ratios(vehicle: Any) -> Iterator[Ratio]:
     mass, thrust, k, rotor = vehicle.mass, vehicle.thrust_max, vehicle.thrust_coefficient, vehicle.rotor
     arm, n = float(np.linalg.norm(vehicle.rotor_position, axis=1).max()), len(vehicle.rotor_position)
     heavy, name = mass / arm**3, "mass / arm^3 (kg/m^3)"

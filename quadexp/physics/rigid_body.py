@@ -11,8 +11,7 @@ A disturbance d = [F / m (world, m/s^2), J^-1 tau (body, rad/s^2)] is added to [
 
 from __future__ import annotations
 
-import casadi as ca
-
+from quadexp.compile.symbolic import ca
 from quadexp.physics.correction import N_OUTPUTS, Correction
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import air_velocity, quaternion_rate, rotation_matrix

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
+from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 
 SMALLEST = 1e-30  # rad^2, floor under the square of an angle that keeps its root and quotients finite

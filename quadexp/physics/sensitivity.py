@@ -22,8 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import casadi as ca
-
+from quadexp.compile.symbolic import ca
 from quadexp.physics.correction import N_OUTPUTS, Correction
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import lagging_thrust

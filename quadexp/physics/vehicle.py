@@ -21,6 +21,7 @@ import numpy as np
 from quadexp.config.part import Part
 from quadexp.config.settings import Setting, Triple
 from quadexp.errors import UsageError
+from quadexp.physics.plausible import plausible
 from quadexp.physics.rotor import RotorGeometry
 
 GRAVITY = 9.81  # m/s^2
@@ -30,7 +31,7 @@ INERTIA_TOLERANCE = 0.02
 FORMER_NAMES = {"thrust_coefficient": "static_thrust"}  # used in hashes, so that existing files keep theirs
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Vehicle(Part):
     """Physical parameters of a multirotor.
 
@@ -88,6 +89,7 @@ class Vehicle(Part):
         if np.linalg.matrix_rank(self.allocation, tol=1e-9) < 4:
             raise UsageError("vehicle.rotor_position: thrust and the three torques cannot be set independently")
         if not self.thrust_min < self.hover_thrust < self.thrust_max:
+            plausible(self)
             raise UsageError(
                 f"vehicle.thrust_max: hovering takes {self.hover_thrust:.3g} N per rotor,"
                 f" outside ({self.thrust_min:g}, {self.thrust_max:g}) N"

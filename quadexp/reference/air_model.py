@@ -11,10 +11,10 @@ from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import FEATURES, N_OUTPUTS, Residual
+from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 
 N_FEATURES = len(FEATURES)  # of z, before the thrusts

@@ -31,9 +31,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
-import casadi as ca
 import numpy as np
 
+from quadexp.compile.symbolic import ca
 from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression

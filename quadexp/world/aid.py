@@ -15,10 +15,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 from scipy.special import ndtri
 
+from quadexp.compile.symbolic import ca
 from quadexp.config.settings import Setting
 from quadexp.physics.expression import Expression
 

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from functools import cache, reduce
 from typing import Annotated, ClassVar
 
-import casadi as ca
-
+from quadexp.compile.symbolic import ca
 from quadexp.config.settings import Setting, Settings
 from quadexp.physics.blade_element import ADOPTED, PRINTED, CrossTerms, aerodynamic_wrench, rotor_flow
 from quadexp.physics.expression import Expression

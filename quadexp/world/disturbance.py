@@ -12,9 +12,9 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
-import casadi as ca
 import numpy as np
 
+from quadexp.compile.symbolic import ca
 from quadexp.config.settings import Setting, Triple
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle

@@ -22,11 +22,11 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from quadexp.air.base import Residual, feature_names, symbolic_residual
+from quadexp.compile.symbolic import ca
 from quadexp.config.part import Given
 from quadexp.config.settings import Setting, Settings, Triple, part
 from quadexp.errors import UsageError

@@ -38,9 +38,9 @@ from functools import cache
 from itertools import pairwise
 from typing import Annotated, Any
 
-import casadi as ca
 import numpy as np
 
+from quadexp.compile.symbolic import ca
 from quadexp.config.settings import Setting, Triple
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression

@@ -21,8 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import casadi as ca
-
+from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import (
     conjugate,

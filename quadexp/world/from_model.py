@@ -14,10 +14,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
+from quadexp.compile.symbolic import ca
 from quadexp.config.part import Given
 from quadexp.config.settings import Setting
 from quadexp.physics.rigid_body import body_features, state_derivative

@@ -19,9 +19,9 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
+from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle

@@ -15,11 +15,11 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.integrator import euler_step, rk4_step

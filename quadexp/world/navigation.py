@@ -21,10 +21,10 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Annotated, Any, ClassVar
 
-import casadi as ca
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from quadexp.compile.symbolic import ca
 from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS

@@ -22,10 +22,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual, feature_names, symbolic_residual
+from quadexp.compile.symbolic import ca
 from quadexp.config.part import Given
 from quadexp.config.settings import Setting, Settings, Triple, part
 from quadexp.errors import UsageError

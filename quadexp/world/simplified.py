@@ -17,10 +17,10 @@ from __future__ import annotations
 from dataclasses import astuple, dataclass
 from typing import Annotated, ClassVar
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual, feature_names, symbolic_residual
+from quadexp.compile.symbolic import ca
 from quadexp.config.part import Given
 from quadexp.config.settings import Setting, Settings, Triple, part
 from quadexp.physics.drag import linear_drag_force, quadratic_drag_force

@@ -14,9 +14,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, ClassVar
 
-import casadi as ca
 import numpy as np
 
+from quadexp.compile.symbolic import ca
 from quadexp.config.settings import Setting
 from quadexp.errors import DataError
 from quadexp.physics.expression import Expression

@@ -89,7 +89,7 @@ OPTIONS = sorted(path.stem for path in (conf_folder() / "controller").glob("*.ya
 @pytest.mark.parametrize("option", OPTIONS)
 def test_default_spaces_are_of_settings_that_there_are_and_contain_them(option):
     config = compose([f"controller={option}"])
-    if {config.controller.kind, config.controller.name}.isdisjoint(SPACES):
+    if {config.controller.former_kind, config.controller.name}.isdisjoint(SPACES):
         with pytest.raises(UsageError, match="no default space"):
             default_space(config)
         return

@@ -20,11 +20,11 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 
-import casadi as ca
 import numpy as np
 from scipy.linalg.blas import dger
 
 from quadexp.compile.backend import BufferedFunction
+from quadexp.compile.symbolic import ca
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle

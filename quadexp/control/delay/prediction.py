@@ -18,12 +18,12 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.air.none import no_residual
 from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.compile.symbolic import ca
 from quadexp.config.settings import Setting
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.delay.sent_commands import SETTLED, SentCommands

@@ -16,8 +16,9 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
-import casadi as ca
 import numpy as np
+
+from quadexp.compile.symbolic import ca
 
 SETTLED = 6.0  # time constants, after which nothing of a lag is left
 INSTANT = 1e-9  # s, a span that counts as an instant

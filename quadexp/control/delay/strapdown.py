@@ -20,10 +20,10 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
-import casadi as ca
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.compile.symbolic import ca
 from quadexp.config.settings import Setting
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.mpc.mpc import StepRecord
@@ -139,4 +139,6 @@ def _turn(first: ca.SX, last: ca.SX, duration: ca.SX) -> ca.SX:
 class StrapdownPart(KnownDelay):
     """A late state is brought to now by gyroscope and accelerometer."""
 
-    remedy = "quadexp.control.delay.strapdown:around"
+    def around(self, controller: Any) -> Strapdown:
+        """See Remedy: the controller behind a strapdown propagation of its measurements."""
+        return Strapdown(controller, self.time)

@@ -28,10 +28,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
+from quadexp.compile.symbolic import ca
 from quadexp.control.delay.moments import (
     LARGEST_AGE,
     LARGEST_DEAD_TIME,

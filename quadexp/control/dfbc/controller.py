@@ -7,11 +7,11 @@ import time
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.compile.symbolic import ca
 from quadexp.config.part import Given
 from quadexp.config.settings import Backend, part
 from quadexp.control.base import Measurement, Window

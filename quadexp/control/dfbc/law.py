@@ -29,9 +29,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
-import casadi as ca
-
 from quadexp.air.base import N_OUTPUTS, Residual
+from quadexp.compile.symbolic import ca
 from quadexp.config.settings import Setting, Settings, Triple
 from quadexp.control.allocation import allocation
 from quadexp.control.belief import N_BELIEF

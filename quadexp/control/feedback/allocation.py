@@ -13,9 +13,9 @@ clipped (quadexp.learn.rls) to at least half of their initial values.
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 
+from quadexp.compile.symbolic import ca
 from quadexp.control.feedback.frames import FRD_FLU
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression

@@ -13,8 +13,7 @@ from __future__ import annotations
 
 import math
 
-import casadi as ca
-
+from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 
 COSINE_MIN = 1e-6  # lower bound on |cos theta| in W^-1, which is singular at 90 deg

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 
+from quadexp.compile.symbolic import ca
 from quadexp.control.feedback.frames import FRD_FLU
 from quadexp.physics.blade_element import aerodynamic_wrench, blade_forces, body_drag, static_inflow
 from quadexp.physics.expression import Expression

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, Literal, Protocol
 
-import casadi as ca
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.compile.symbolic import ca
 from quadexp.config.part import Given
 from quadexp.config.settings import Backend, Setting, part
 from quadexp.control.base import Measurement, Window

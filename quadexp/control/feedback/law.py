@@ -5,9 +5,9 @@ State and reference are given in ENU/FLU and converted here; all other inputs an
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 
+from quadexp.compile.symbolic import ca
 from quadexp.control.feedback.allocation import allocate, unit_allocation
 from quadexp.control.feedback.attitude import attitude_error, attitude_torque
 from quadexp.control.feedback.compensation import allocation_coefficients, compensation, drag_force

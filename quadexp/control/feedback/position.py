@@ -13,8 +13,7 @@ World NED, body FRD. With H the hub force, D the body drag and delta_T the thrus
 
 from __future__ import annotations
 
-import casadi as ca
-
+from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 
 

@@ -22,9 +22,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
-import casadi as ca
 import numpy as np
 
+from quadexp.compile.symbolic import ca
 from quadexp.config.settings import Setting, Settings
 from quadexp.control.allocation import allocation
 from quadexp.control.dfbc.law import TILT_FIRST, WRENCH_WEIGHT, Wrench

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.compile.symbolic import ca
 from quadexp.config.settings import Backend, part
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.delivered import DeliveredThrust

@@ -7,8 +7,7 @@ Lee, Leok, McClamroch 2010, "Geometric tracking control of a quadrotor UAV on SE
 
 from __future__ import annotations
 
-import casadi as ca
-
+from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 
 SMALL = 1e-9  # of a length below which a direction is not determined: the result is finite, and means nothing

@@ -15,9 +15,9 @@ vehicle. Flight stacks do the same ("airmode" for roll and pitch). World ENU, bo
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 
+from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle

@@ -11,11 +11,11 @@ import time
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, resolve
+from quadexp.compile.symbolic import ca
 from quadexp.config.settings import Setting
 from quadexp.control.base import Measurement, Window
 from quadexp.control.belief import no_belief

@@ -35,11 +35,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Literal
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import N_OUTPUTS, Residual
 from quadexp.compile.backend import realise, resolve
+from quadexp.compile.symbolic import ca
 from quadexp.config.part import Given
 from quadexp.config.settings import Backend, Setting, Settings, Triple, part
 from quadexp.control.belief import N_BELIEF, Belief

@@ -22,10 +22,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar
 
-import casadi as ca
 import numpy as np
 
 from quadexp.compile.backend import realise, resolve
+from quadexp.compile.symbolic import ca
 from quadexp.config.part import Given
 from quadexp.config.settings import Backend, Setting, Settings, part
 from quadexp.control.base import Window

@@ -20,10 +20,10 @@ from collections.abc import Mapping
 from enum import IntEnum
 from typing import Protocol
 
-import casadi as ca
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
+from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.dual_active_set import bounded_minimum
 from quadexp.physics.state import ATTITUDE
 

@@ -17,8 +17,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-import casadi as ca
-
+from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import left_matrix, right_matrix
 from quadexp.physics.scalars import as_scalars

@@ -18,11 +18,11 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise
+from quadexp.compile.symbolic import ca
 from quadexp.control.base import Measurement, Window
 from quadexp.control.belief import N_BELIEF, Belief, no_belief
 from quadexp.control.delivered import Delays, delivered_by_commands

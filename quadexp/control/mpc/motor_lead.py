@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import math
 
-import casadi as ca
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
+from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.physics.vehicle import Vehicle
 

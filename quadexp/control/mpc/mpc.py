@@ -6,11 +6,11 @@ import math
 import time
 from typing import Any, NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise_together, resolve
+from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.active_set import Solver, Status, make_active_set
 from quadexp.control.mpc.first_solve import CONVERGED, Direction, FirstSolve, rollout_function
 from quadexp.control.mpc.phases import Phases

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise_together
+from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.step import phase_functions
 from quadexp.physics.vehicle import Vehicle
 

@@ -18,8 +18,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import casadi as ca
-
+from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.settings import SAMPLES
 from quadexp.physics.expression import Expression
 from quadexp.physics.scalars import as_scalars

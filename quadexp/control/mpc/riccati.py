@@ -20,9 +20,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import casadi as ca
-
 from quadexp.compile.backend import handwritten
+from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 
 N_PLACE = 3  # first states, the position: the dynamics do not depend on it, so A's first columns are [I; 0]

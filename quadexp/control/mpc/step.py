@@ -17,9 +17,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple
 
-import casadi as ca
-
 from quadexp.air.base import Residual
+from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.attitude_error import AttitudeError, attitude_error_in, reference_frames
 from quadexp.control.mpc.reference_thrust import held_deviation
 from quadexp.control.mpc.riccati import CompiledPasses, MatrixPasses, Passes

@@ -11,9 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import casadi as ca
-
 from quadexp.compile.backend import handwritten
+from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.attitude_error import attitude_error_in
 from quadexp.control.mpc.riccati import CompiledPasses, Passes, line_length
 from quadexp.physics.expression import Expression

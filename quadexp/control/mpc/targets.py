@@ -17,9 +17,9 @@ Morari 2009).
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 
+from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import product, rotation_matrix
 from quadexp.physics.scalars import as_scalars

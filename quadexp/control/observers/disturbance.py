@@ -22,10 +22,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Annotated, Any, Literal
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
+from quadexp.compile.symbolic import ca
 from quadexp.config.settings import Setting
 from quadexp.control.base import Controller
 from quadexp.control.mpc.controller import PredictiveController

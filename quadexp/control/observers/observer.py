@@ -13,12 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.air.none import no_residual
 from quadexp.compile.backend import BufferedFunction, realise
+from quadexp.compile.symbolic import ca
 from quadexp.config.settings import Setting
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.belief import Belief, no_belief

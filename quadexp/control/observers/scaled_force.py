@@ -19,8 +19,7 @@ filter leaves of y goes through a low pass of the whole bandwidth, e^ += gain (y
 
 from __future__ import annotations
 
-import casadi as ca
-
+from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 
 N_SCALED = 5  # a, k, c

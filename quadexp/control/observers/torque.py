@@ -9,9 +9,9 @@ its estimate, a^/a = ((1 - z)^2 / (q - z)^2) q, which is 1 at q = 1.
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 
+from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 

@@ -21,10 +21,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
-import casadi as ca
 import numpy as np
 
 from quadexp.air.base import Residual
+from quadexp.compile.symbolic import ca
 from quadexp.config.settings import Setting, Triple
 from quadexp.control.base import Controller
 from quadexp.control.observers.observer import (

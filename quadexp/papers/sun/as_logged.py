@@ -11,12 +11,12 @@ two steps of a simulation at 500 Hz, T, after the instant of the reference and t
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from quadexp.config.settings import declared
 from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
@@ -31,7 +31,7 @@ def logged_rmse(flight: Flight) -> float:
     if not len(flight):
         return float("nan")
     config = flight.metadata["config"]
-    given = {one.name: config["trajectory"][one.name] for one in fields(Ellipse)}
+    given = {name: value for name, value in config["trajectory"].items() if name in declared(Ellipse)}
     late = config.get("estimator", {}).get("delay", 0.0)
     t = np.maximum(flight.t + late - RECORDED_AFTER, 0.0)  # of the reference with which this position is recorded
     wanted = Ellipse(**given).flat_output(t).position[:, 0]
