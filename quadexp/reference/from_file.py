@@ -91,6 +91,8 @@ class FileTrajectory(TrajectoryPart):
     @cached_property
     def _made(self) -> tuple[Trajectory, str]:
         """The trajectory and its note."""
+        if not Path(self.path).is_file():
+            raise UsageError(f"trajectory.path: there is no file {self.path!r}")
         positions = read_positions(Path(self.path))
         if positions.sampled:
             if self.speed is not None:

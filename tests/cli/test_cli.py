@@ -283,7 +283,7 @@ class TestLearning:
     def test_a_drag_checkpoint_is_no_gaussian_process(self, chain, monkeypatch):
         monkeypatch.chdir(chain[0])
         code, _, err = run("simulate", *QUICK, "controller=gp_mpc", "model=models/drag", "--out", "no.parquet")
-        assert code == 2 and "models/drag: holds no Gaussian process" in err
+        assert code == 2 and "models/drag: holds linear_drag, not gaussian_process, which quadexp fit-gp" in err
 
     def test_a_checkpoint_of_another_vehicle(self, chain, monkeypatch):
         monkeypatch.chdir(chain[0])

@@ -96,7 +96,7 @@ def test_two_parts_share_a_folder(here):
     names = {"vehicle": "hexacopter2", "trajectory": "HelixUp", "plant": "my_motor_lag", "residual": "xcubic_drag"}
     for part, name in names.items():
         assert run("new", part, name, "--to", "my parts")[0] == 0
-    assert "class HelixUpTrajectory:" in Path("my parts/HelixUp.py").read_text()
+    assert "class HelixUpTrajectory(TrajectoryPart):" in Path("my parts/HelixUp.py").read_text()
     code, _, errors = run(
         "simulate", "--conf", "my parts", "vehicle=hexacopter2", "plant=my_motor_lag", "controller=xcubic_drag_mpc",
         "trajectory=HelixUp", "trajectory.turns=1", "--out", "a.parquet",

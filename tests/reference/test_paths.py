@@ -158,7 +158,7 @@ def test_hover_and_step():
         (lambda: Step(target="abc"), "trajectory.target=abc: must be a list of 3 numbers"),
         (lambda: RandomPolynomial(speed=4.0, keypoints=3), "trajectory.keypoints=3: must be in"),
         (lambda: RandomPolynomial(speed=4.0, seed=-1), "trajectory.seed=-1: must be in"),
-        (lambda: FileTrajectory(path="nowhere.csv"), "no file 'nowhere.csv'"),
+        (lambda: FileTrajectory(path="nowhere.csv").duration, "no file 'nowhere.csv'"),
     ],
 )
 def test_numbers_out_of_range_are_one_line(make, message):

@@ -10,6 +10,7 @@ import pytest
 from quadexp.config.cells import Cells
 from quadexp.config.compose import compose, expand, session
 from quadexp.config.schema import WORLD, Config
+from quadexp.config.settings import keys_of
 from quadexp.errors import UsageError
 from quadexp.experiment.build import input_hashes
 from quadexp.experiment.checkpoints import find_model
@@ -48,12 +49,12 @@ def another(value):
 
 
 def leaves(node, path=()):
-    for f in fields(node):
-        value = getattr(node, f.name)
+    for name in keys_of(type(node)):
+        value = getattr(node, name)
         if is_dataclass(value):
-            yield from leaves(value, (*path, f.name))
+            yield from leaves(value, (*path, name))
         else:
-            yield (*path, f.name)
+            yield (*path, name)
 
 
 def changed(config, path):

@@ -128,11 +128,11 @@ def test_the_state_of_now_is_found(request, which, belief, delay, dead_time, lag
 
 
 def test_dead_time_and_lag_of_the_mpc_inside_are_known(vehicle):
-    from quadexp.control.delay.prediction import PredictionPart, around
+    from quadexp.control.delay.prediction import PredictionPart
 
     inner = made(vehicle, linear_drag_residual(vehicle, (0.4, 0.3, 0.1)), dead_time=0.013, motor_lag=0.03)
-    own = around(inner, PredictionPart(name="p", time=0.02))
-    given = around(inner, PredictionPart(name="p", time=0.02, dead_time=0.0, motor_lag=0.01))
+    own = PredictionPart(time=0.02).around(inner)
+    given = PredictionPart(time=0.02, dead_time=0.0, motor_lag=0.01).around(inner)
     assert (own.delay, own.dead_time, own.lag) == (0.02, 0.013, 0.03)
     assert (given.dead_time, given.lag) == (0.0, 0.01)
 
