@@ -19,8 +19,8 @@ import tempfile
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from functools import cache, cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import casadi as ca
 import numpy as np
 
 from quadexp.compile.compiler import (
@@ -32,9 +32,13 @@ from quadexp.compile.compiler import (
     run_compiler,
     toolchain,
 )
+from quadexp.compile.symbolic import ca
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.files.cache import cache_folder, thin, unusable
 from quadexp.files.writer import unfollowed, write_text, written
+
+if TYPE_CHECKING:
+    from quadexp.compile.library_function import LibraryFunction
 
 BACKENDS = ("auto", "compiled", "interpreted")
 
@@ -71,6 +75,8 @@ def realise_together(functions: Sequence[ca.Function], backend: str) -> list[ca.
         return list(functions)
     library = _compile(functions)
     try:
+        from quadexp.compile.library_function import LibraryFunction
+
         return [LibraryFunction(function.name(), library) for function in functions]
     except RuntimeError as error:  # which only names the last of the places where CasADi looked
         try:
@@ -78,14 +84,6 @@ def realise_together(functions: Sequence[ca.Function], backend: str) -> list[ca.
         except OSError as refusal:  # a file system that executes nothing, for one
             raise _unloadable(refusal) from None
         raise QuadexpError(f"{library.name}: {error}") from None
-
-
-class LibraryFunction(ca.Function):
-    """A function of a compiled library, the file `library`."""
-
-    def __init__(self, name: str, library: Path) -> None:
-        super().__init__(ca.external(name, str(library)))
-        self.library = library
 
 
 def strict_library(name: str, body: Path) -> ctypes.CDLL:
@@ -237,6 +235,8 @@ class BufferedFunction:
     @cached_property
     def for_c(self) -> CFunction | None:
         """The same function on the same arrays, to be called from C; None where it is not compiled."""
+        from quadexp.compile.library_function import LibraryFunction
+
         if not isinstance(self.function, LibraryFunction):
             return None
         return CFunction(self.function, self.arguments.values(), self.results.values())

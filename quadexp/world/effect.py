@@ -109,7 +109,7 @@ class Readings(NamedTuple):
     clock: Clock
 
 
-Told = dict[str, ca.MX]  # readings by name: "state" (13,), "specific_force" (3,), and what sensors add for estimators
+Told = dict[str, Any]  # readings by name: "state" (13,), "specific_force" (3,), and what sensors add for estimators
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -126,8 +126,8 @@ class TestSimulate:
         assert "\n" not in str(caught.value) and isinstance(caught.value, qx.QuadexpError)
 
     def test_a_folder_of_ones_own(self):
-        flight = qx.simulate("trajectory=helix", *INTERPRETED, conf=ROOT / "examples", options={"turns": 0.5})
-        assert flight.record["config"]["trajectory"]["options"]["turns"] == 0.5
+        flight = qx.simulate("trajectory=helix", *INTERPRETED, conf=ROOT / "examples", turns=0.5)
+        assert flight.record["config"]["trajectory"]["turns"] == 0.5
 
     def test_values_of_python_are_values_of_the_configuration(self):
         flight = qx.simulate(

@@ -43,6 +43,7 @@ CALLS = {  # of each command: a call that answers with a table
     "bench": ("bench", "--only", "--add", "board.parquet", "--out", "b"),
     "new": ("new", "vehicle", "mine_{}", "--to", "parts"),
     "cache": ("cache",),
+    "options": ("options", "wind=gust"),
 }  # fmt: skip
 
 LONG = ("fit-gp", "fit-nn", "report")  # checked in two forms: what prints is the same for all

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -330,6 +331,9 @@ class Broken:
         return len(self.reference)
 
 
+LAGGING: dict[str, Any] = {"step": 1e-3, "time_constant": 0.03, "drag": (0.3, 0.3, 0.1)}
+
+
 class TestWhatItCovers:
     def test_compiled_parts_of_this_program(self, vehicle):
         rng, plant, controller = np.random.default_rng(0), SimplifiedPlant(vehicle, step=1e-3), mpc_of_any_kind(vehicle)
@@ -375,9 +379,23 @@ class TestWhatItCovers:
             def rotor_speed(self):
                 return 100.0 + self.inner
 
-        assert covers(MotorLagPlant(vehicle, step=1e-3), mpc(vehicle), np.random.default_rng(0))
-        assert not covers(Named(vehicle, step=1e-3), mpc(vehicle), np.random.default_rng(0), logged=4)
-        flown = both(monkeypatch, MotorLagPlant(vehicle, step=1e-3), mpc(vehicle), Circle(speed=4.0))
+        assert covers(
+            MotorLagPlant(vehicle, **LAGGING),
+            mpc(vehicle),
+            np.random.default_rng(0),
+        )
+        assert not covers(
+            Named(vehicle, **LAGGING),
+            mpc(vehicle),
+            np.random.default_rng(0),
+            logged=4,
+        )
+        flown = both(
+            monkeypatch,
+            MotorLagPlant(vehicle, **LAGGING),
+            mpc(vehicle),
+            Circle(speed=4.0),
+        )
         assert flown.periods_in_c > 100 and "rotor_speed_0" not in flown.flight.columns
 
     def test_parts_from_outside_fly_as_before(self, vehicle):

@@ -30,7 +30,7 @@ def polygon(rotors: int) -> Vehicle:
     position = tuple((float(0.3 * np.cos(a)), float(0.3 * np.sin(a)), 0.0) for a in angle)
     spin = tuple(float((-1) ** i) for i in range(rotors))
     inertia = ((0.03, 0.0, 0.0), (0.0, 0.03, 0.0), (0.0, 0.0, 0.05))
-    return Vehicle({6: "hexa", 8: "octo"}[rotors], 1.8, inertia, position, spin, 0.02, 0.0, 12.0, 20.0)
+    return Vehicle(1.8, inertia, position, spin, 0.02, 0.0, 12.0, 20.0, name={6: "hexa", 8: "octo"}[rotors])
 
 
 @cache

@@ -80,7 +80,7 @@ class CountedCell:
 def bare_cell(config, model, path, key):
     """A file without samples for a flight, which holds its row."""
     row = {"controller": config.controller.name, "seed": config.seed, "mean_error": 0.1, "outcome": "ok"}
-    row |= {**program_record(), "key": key}
+    row |= {**program_record(), "key": key, "trajectory": config.trajectory.name}
     write_table(path, {"t": []}, {"key": key, "row": row}, "flight")
     return row
 
