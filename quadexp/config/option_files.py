@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import re
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from quadexp.config.former_options import former_nodes
+from quadexp.config.former_options import FORMER, former_nodes
 from quadexp.config.part import TARGET, Part, part_class
 from quadexp.config.plain_data import REFERENCE, REFERENCES, read_data
 from quadexp.config.plugins import plugin_folders
@@ -82,6 +84,8 @@ class OptionFiles:
             for option in _defaults(content):
                 if "${" in option:
                     raise UsageError(f"{file}: defaults: {option}: an option is chosen by its name, not by a reference")
+                if option.startswith("/schema/"):
+                    _say_former(file, option)
                 waiting += [option.lstrip("/"), f"{name.rpartition('/')[0]}/{option}".lstrip("/")]
 
     def chosen_by(self, name: str) -> dict[str, str]:
@@ -93,21 +97,22 @@ class OptionFiles:
     def part_of(self, group: str, option: str) -> type[Part] | None:
         """The class of an option's part; None where its file, and those that it extends, name none."""
         content = self.read(f"{group}/{option}")
-        if TARGET in content:
-            return part_class(group, str(content[TARGET]))
         extended = [str(one) for one in content.get("defaults") or () if isinstance(one, str) and one != "_self_"]
-        for other in extended:
-            schema = re.fullmatch(r"/schema/(\w+)/(\w+)@_here_", other)
-            if schema and (node := former_nodes().get((schema[1], schema[2]))):
-                return part_class(group, next(iter(node.values())))
-            if not schema and self.find(f"{group}/{other}") is not None:
-                return self.part_of(group, other)
-        return None
+        former = [found for other in extended if (found := re.fullmatch(r"/schema/(\w+)/(\w+)@_here_", other))]
+        node = next((former_nodes().get((found[1], found[2]), {}) for found in former), {})
+        if target := node.get(FORMER) or content.get(TARGET) or node.get(TARGET):
+            return part_class(group, str(target))
+        others = (self.part_of(group, other) for other in extended if self.find(f"{group}/{other}") is not None)
+        return next((one for one in others if one is not None), None)
 
     def parts(self, group: str) -> dict[str, type[Part]]:
-        """The classes of a group's parts, by option."""
-        found = {option: self.part_of(group, option) for option in self.options(group)}
-        return {option: one for option, one in found.items() if one is not None}
+        """The classes of a group's parts, by option; one whose file is wrong is left out: who takes it is told."""
+        found: dict[str, type[Part]] = {}
+        for option in self.options(group):
+            with contextlib.suppress(UsageError):
+                if (one := self.part_of(group, option)) is not None:
+                    found[option] = one
+        return found
 
     def having(self, key: str) -> dict[str, list[str]]:
         """Dotted keys that are the given one or end in it -> the options, chosen or not, that have it."""
@@ -120,6 +125,14 @@ class OptionFiles:
                 options = [f"{group}={option}" for option, one in parts.items() if local in declared(one)]
                 found |= {name: options[:MOST_NAMED]} if options else {}
         return found
+
+
+@functools.cache
+def _say_former(file: Path, option: str) -> None:
+    print(
+        f"note: {file}: defaults: [{option}@_here_] is the former form of `{TARGET}: MODULE.CLASS` (docs/migrating.md)",
+        file=sys.stderr,
+    )
 
 
 @functools.cache
