@@ -111,6 +111,17 @@ def main() -> None:
     end(_run())
 
 
+def _as_setting(option: str) -> str:
+    """Where an option that there is not has the name of a setting, how that is given; "" otherwise."""
+    from quadexp.config.completion import keys
+    from quadexp.config.option_files import groups
+
+    name = option.lstrip("-").replace("-", "_")
+    if name in keys("") or name in groups():
+        return f"; a setting is given without dashes: {name}=VALUE"
+    return ""
+
+
 def _run() -> int:
     code: object
     try:
@@ -128,6 +139,6 @@ def _run() -> int:
             print(error.format_message(), file=sys.stderr)
             code = 2
         else:
-            fail(error.format_message(), 2)
+            fail(f"{error.format_message()}{_as_setting(getattr(error, 'option_name', ''))}", 2)
             code = getattr(error, "exit_code", 2)
     return code if isinstance(code, int) else 0

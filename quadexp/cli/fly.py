@@ -12,7 +12,7 @@ import typer
 
 from quadexp.cli.options import Conf, Force, Format, Json, OptionalOut, Out, Overrides
 from quadexp.cli.terminal import answered, emit, format_of, guarded, print_lines, print_table, say, single_values
-from quadexp.errors import QuadexpError
+from quadexp.errors import QuadexpError, UsageError
 from quadexp.files.names import file_name
 
 FIGURES = 5  # of a usual sweep
@@ -23,6 +23,9 @@ NEEDED = {  # kind of a trajectory or controller -> modules, beside those that e
     "file": ("quadexp.reference.from_file",),
     "feedback": ("quadexp.control.feedback.controller",),
 }
+
+
+FOREIGN = (".csv", ".json", ".txt", ".mcap", ".ulg", ".h5")  # formats that a flight is exported to, or imported from
 
 
 @guarded
@@ -48,6 +51,12 @@ def simulate(
     from quadexp.report.summary import flight_lines
 
     form = format_of(format, json)
+    if out is not None and out.suffix in FOREIGN:
+        parquet = out.with_suffix(".parquet")
+        raise UsageError(
+            f"--out {out}: a flight is written as Parquet; write {parquet}, then quadexp export {parquet}, which makes"
+            " other formats of it"
+        )
     config = compose(overrides or [], conf)
     path = check_output(out or Path("runs") / f"{_flight_name(config)}.parquet", force=force)
     flight = fly_one(config)

@@ -15,7 +15,7 @@ from quadexp.config.former_options import FORMER
 from quadexp.config.override import Given
 from quadexp.config.part import TARGET, part_class
 from quadexp.config.plain_data import REFERENCE, REFERENCES
-from quadexp.config.schema import BUNDLES, Config
+from quadexp.config.schema import BUNDLES, PRESETS, Config
 from quadexp.config.settings import declared, plain
 from quadexp.errors import UsageError
 from quadexp.messages import ending_in, suggestion
@@ -135,8 +135,15 @@ def check_key(content: Any, key: str, having: Callable[[str], dict[str, list[str
     for i, part in enumerate(parts):
         if not isinstance(content, dict) or part not in content:
             refuse_former(key)
-            here = [*map(str, root), "experiment"]
+            here = [*map(str, root), "experiment", *BUNDLES, *PRESETS]
             everywhere = [*_keys(root), *here]
+            if isinstance(content, dict) and [*content] == ["name"] and key not in (known := having(key)):
+                others = [text for text in known if text.startswith(f"{parts[0]}.")]
+                tried = next((f": {known[text][0]} has {text}" for text in others), "")
+                raise UsageError(
+                    f"{key}: {parts[0]}={content['name']} has no settings{tried}; `quadexp options {parts[0]}` lists"
+                    " what there is"
+                )
             if isinstance(content, dict) and i > 0:
                 here = everywhere = [f"{'.'.join(parts[:i])}.{name}" for name in map(str, content)]
             others = {} if ending_in(key, everywhere) else having(key)
