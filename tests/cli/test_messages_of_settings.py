@@ -19,6 +19,6 @@ from tests.cli.command import run_main
 )
 def test_the_line_says_what_to_write(words, said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    code, _, errors = run_main("simulate", *words)
-    assert code == 2 and said in errors and errors.count("\n") == 1
+    done = run_main("simulate", *words)
+    assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1
     assert not [*tmp_path.iterdir()]
