@@ -138,8 +138,8 @@ def check_key(content: Any, key: str, having: Callable[[str], dict[str, list[str
             here = [*map(str, root), "experiment", *BUNDLES, *PRESETS]
             everywhere = [*_keys(root), *here]
             if isinstance(content, dict) and [*content] == ["name"] and key not in (known := having(key)):
-                others = [text for text in known if text.startswith(f"{parts[0]}.")]
-                tried = next((f": {known[text][0]} has {text}" for text in others), "")
+                of_group = [text for text in known if text.startswith(f"{parts[0]}.")]
+                tried = next((f": {known[text][0]} has {text}" for text in of_group), "")
                 raise UsageError(
                     f"{key}: {parts[0]}={content['name']} has no settings{tried}; `quadexp options {parts[0]}` lists"
                     " what there is"
