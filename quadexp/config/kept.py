@@ -1,6 +1,6 @@
 """Compositions that are kept between runs, so that Hydra composes each choice of options once.
 
-An entry is named by the hash of all that decides it: the files of the folders, the sources of this room (the schemas),
+An entry is named by the hash of all that decides it: the files of the folders, the sources of this room,
 the versions of Hydra and OmegaConf, and what was asked for. So an entry is never stale, and one that was changed by
 hand, or cannot be read, is made anew.
 """

@@ -14,8 +14,10 @@ Record = dict[str, str]
 
 
 def listed(asked: str = "", conf: Path | None = None) -> list[Record]:
-    """Records of what is asked: "" the groups, GROUP its options and the keys with that word, GROUP=OPTION its keys,
-    else what contains the word.
+    """Records that answer a question.
+
+    asked: "" for all groups; GROUP for its options, and the keys that have its name; GROUP=OPTION for the keys of that
+    option; any other word for the options, keys and meanings that contain it.
 
     Raises UsageError where nothing does.
     """
@@ -30,11 +32,11 @@ def listed(asked: str = "", conf: Path | None = None) -> list[Record]:
         return keys(files, group, option)
     if group in files.groups:  # and what else is called like it
         return options(files, group) + [one for one in _all_keys(files) if group in one["key"].partition(".")[2]]
-    found = [one for name in files.groups for one in options(files, name) if asked in one["option"]]
-    found += [one for one in _all_keys(files) if asked in one["key"] or asked in one["meaning"]]
-    if not found:
+    records = [one for name in files.groups for one in options(files, name) if asked in one["option"]]
+    records += [one for one in _all_keys(files) if asked in one["key"] or asked in one["meaning"]]
+    if not records:
         raise UsageError(f"options {asked}: no group, option or key has this word")
-    return found
+    return records
 
 
 def options(files: OptionFiles, group: str) -> list[Record]:
@@ -58,12 +60,12 @@ def keys(files: OptionFiles, group: str, option: str) -> list[Record]:
 
 def _all_keys(files: OptionFiles) -> list[Record]:
     """Every key once, with the value of the first option that has it."""
-    found: dict[str, Record] = {}
+    records: dict[str, Record] = {}
     for group in files.groups:
         for option in files.options(group) if files.parts(group) else ():
             for one in keys(files, group, option):
-                found.setdefault(one["key"], one)
-    return list(found.values())
+                records.setdefault(one["key"], one)
+    return list(records.values())
 
 
 def _key(name: str, one: Declared, value: Any) -> Record:

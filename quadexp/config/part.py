@@ -8,8 +8,8 @@
 
 The class's fields are the option's keys, with unit, range, meaning and default: one line a key (settings.py). What a
 part is made into is said by the group's own base class (Effect, TrajectoryPart, PlantPart, ControllerPart, Remedy).
-Nothing else lists parts: whoever adds a class and an option has added a part, in this program or in a folder of their
-own, by the same line of code (`part_class`).
+Nothing else lists parts. A class and an option are a part, in this program and in a user's own folder: both are found
+by `part_class`.
 """
 
 from __future__ import annotations
@@ -70,13 +70,13 @@ def part_class(key: str, target: str) -> type[Part]:
     Only classes of this program, of a --conf folder and of an installed plugin package are imported. Raises
     ModuleError, or UsageError where there is none of that name.
     """
-    found = imported(key, target)
+    target_class = imported(key, target)
     said = f"{key}.{TARGET}={target}"
-    if not (isinstance(found, type) and issubclass(found, Part)):
+    if not (isinstance(target_class, type) and issubclass(target_class, Part)):
         raise UsageError(f"{said}: is no part: it must be a class derived from quadexp.config.part.Part")
-    if found.prefix not in ("", f"{key}."):
-        raise UsageError(f"{said}: is a part of {found.prefix.rstrip('.')}, not of {key}")
-    return found
+    if target_class.prefix not in ("", f"{key}."):
+        raise UsageError(f"{said}: is a part of {target_class.prefix.rstrip('.')}, not of {key}")
+    return target_class
 
 
 def imported(key: str, target: str, own: str = OWN) -> Any:
@@ -94,18 +94,18 @@ def imported(key: str, target: str, own: str = OWN) -> Any:
         raise ModuleError(f"{said}: {error}") from None
     except Exception as error:
         raise UsageError(f"{said}: importing {module_name} raised {type(error).__name__}: {error}") from error
-    found = getattr(module, attribute, None)
-    if found is None:
+    named = getattr(module, attribute, None)
+    if named is None:
         hint = suggestion(attribute, [name for name in vars(module) if not name.startswith("_")])
         raise UsageError(f"{said}: module {module_name} has no class or function {attribute!r}{hint}")
-    code = inspect.isclass(found) or inspect.isroutine(found)
-    home = getattr(found, "__module__", None) or "builtins"
+    code = inspect.isclass(named) or inspect.isroutine(named)
+    home = getattr(named, "__module__", None) or "builtins"
     if code and not ours and lies_outside(home):
         raise UsageError(
             f"{said}: comes from module {home}, which is neither in the --conf folder nor in an installed plugin"
             " package: call it from a function in your module"
         )
-    return found
+    return named
 
 
 @dataclass(frozen=True, kw_only=True)

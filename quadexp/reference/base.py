@@ -105,13 +105,23 @@ class TrajectoryPart(Part):
     follows_limits: ClassVar[bool] = False
 
     def build(self, vehicle: Vehicle | None) -> Any:
-        """The trajectory, for a flight by a vehicle; None: by any. One that follows_limits is timed by the limits of
-        the vehicle, and raises UsageError without it."""
-        if not self.follows_limits:
-            return replace(self)
+        """The trajectory, for a flight by a vehicle; None: by any."""
+        return replace(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitedTrajectory(TrajectoryPart):
+    """A path that is timed by the limits of the vehicle. vehicle: whose; None: no limits."""
+
+    follows_limits = True
+
+    vehicle: Vehicle | None = None
+
+    def build(self, vehicle: Vehicle | None) -> Any:
+        """See TrajectoryPart; UsageError without a vehicle."""
         if vehicle is None:
             raise UsageError(f"trajectory={self.name}: is timed by the limits of a vehicle, and none was given")
-        return replace(self, vehicle=None if self.allow_infeasible else vehicle)  # type: ignore[call-arg]  # its own
+        return replace(self, vehicle=None if self.allow_infeasible else vehicle)
 
 
 def end_of(trajectory: Trajectory) -> float:

@@ -22,14 +22,13 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
-from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.base import (
     MARGIN,
     N_DERIVATIVES,
     SPEED,
     FlatOutput,
+    LimitedTrajectory,
     Trajectory,
-    TrajectoryPart,
     flat_output_held,
     hold_outside,
     sampled_peak_speed,
@@ -43,7 +42,7 @@ POWERS = (0.5, 0.75, 1.0)  # 0.5 suits a limited acceleration, 1 a limited speed
 
 
 @dataclass(frozen=True, kw_only=True)
-class FileTrajectory(TrajectoryPart):
+class FileTrajectory(LimitedTrajectory):
     """The track or the waypoints in a CSV or TUM file; it is read when first used.
 
     vehicle: its limits apply to waypoints without times; None: no limits.
@@ -52,7 +51,6 @@ class FileTrajectory(TrajectoryPart):
     """
 
     former_kind = "file"
-    follows_limits = True
 
     path: Annotated[
         str,
@@ -64,8 +62,6 @@ class FileTrajectory(TrajectoryPart):
     ]
     speed: Annotated[float | None, SPEED] = None
     margin: Annotated[float, MARGIN] = 0.25
-
-    vehicle: Vehicle | None = None
 
     @property
     def duration(self) -> float:

@@ -29,8 +29,7 @@ import numpy as np
 
 from quadexp.config.settings import SEEDS, Setting
 from quadexp.errors import UsageError
-from quadexp.physics.vehicle import Vehicle
-from quadexp.reference.base import MARGIN, SPEED, FlatOutput, TrajectoryPart, check_finite
+from quadexp.reference.base import MARGIN, SPEED, FlatOutput, LimitedTrajectory, check_finite
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
@@ -47,7 +46,7 @@ N_PATH = 100  # points for measuring the path's extent
 
 
 @dataclass(frozen=True, kw_only=True)
-class RandomPolynomial(TrajectoryPart):
+class RandomPolynomial(LimitedTrajectory):
     """A random closed path; the same seed gives the same path for any speed and vehicle.
 
     vehicle: its limits apply, and lower the speed where they require it; None: no limits.
@@ -56,7 +55,6 @@ class RandomPolynomial(TrajectoryPart):
     """
 
     former_kind = "random"
-    follows_limits = True
 
     speed: Annotated[float, SPEED]
     margin: Annotated[float, MARGIN] = 0.25
@@ -68,7 +66,6 @@ class RandomPolynomial(TrajectoryPart):
     clearance: Annotated[float, Setting("height of the lowest keypoint, world", "[-1000, 1000]", "m")] = 1.0
 
     yaw: float | None = None
-    vehicle: Vehicle | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

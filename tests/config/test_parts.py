@@ -1,4 +1,4 @@
-"""A part is one class: its fields are the keys, whoever wrote it; nothing else lists it."""
+"""A part is one class whose fields are its keys. The program's own parts and a user's are found in the same way."""
 
 from __future__ import annotations
 

@@ -154,7 +154,8 @@ def _chosen() -> dict[str, str]:
 
 def _first_sentences(part: type) -> str:
     """What a part is, without how it is used as an object."""
-    return " ".join((part.__doc__ or "").split("\n\n")[0].split())
+    said = " ".join((part.__doc__ or "").split("\n\n")[0].split())
+    return said.partition(" Raises ")[0].partition(" parameters: ")[0]
 
 
 def _values(group: str, option: str) -> dict[str, Any]:

@@ -36,7 +36,8 @@ OPTIONS = {"f": "--mounting", "w": "--gyro-mounting"}  # of the import
 def mounting_candidates(windows: Windows) -> list[Candidate]:
     """The turn of the accelerometer, of the gyro, and of both together, where the flight tells one."""
     found = {pair.relation: pair for pair in pairs(windows)}
-    found["force"] = found.get("force") or found.get("force (p)")  # type: ignore[assignment]
+    if "force" not in found and "force (p)" in found:
+        found["force"] = found["force (p)"]
     made = []
     for streams, (relations, cost, words) in SENSORS.items():
         known = [pair for relation in relations if (pair := found.get(relation)) is not None]

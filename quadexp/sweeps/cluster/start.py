@@ -76,8 +76,8 @@ def _certificates(config: Any) -> Security | None:
     """
     files = {name: getattr(config, name) for name in CERTIFICATES}
     if None in files.values():
-        print(f"warning: engine.address={config.address}: is not encrypted: whoever reaches it or a worker can run code"
-              " as you", file=sys.stderr, flush=True)  # fmt: skip
+        said = "is not encrypted. Anybody who can reach the scheduler or a worker can run code as you"
+        print(f"warning: engine.address={config.address}: {said}", file=sys.stderr, flush=True)
         return None
     for name, file in files.items():
         if not Path(file).is_file():
