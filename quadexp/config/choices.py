@@ -90,6 +90,7 @@ class Choices:
 
     def _composed(self, name: str, chosen: Sequence[Given], source: tuple[str, ...]) -> dict[str, Node]:
         """What Hydra composes of a file and a choice of options."""
+        self._files.check([name, *(f"{one.key}/{one.value}" for one in chosen)])
         asked = [name, [one.text for one in chosen]]
         content = self._kept.get(asked)
         if content is None:
@@ -105,7 +106,6 @@ class Choices:
     def _composed_anew(self, name: str, chosen: Sequence[Given]) -> dict[str, Any]:
         from quadexp.config.hydra_files import composed_files
 
-        self._files.check([name, *(f"{one.key}/{one.value}" for one in chosen)])
         content = composed_files(name, [one.text for one in chosen], self._files.folders)
         if name == "config":
             self._check_presets(content, chosen)
