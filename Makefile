@@ -46,7 +46,7 @@ docs: $(STAMP)
 	$(BIN)/python docs/site/build.py
 
 # How much of the core the default tests reach; they assert physics, so a line that is reached is a line that is checked.
-CORE := physics air control world reference learn
+CORE := physics air control world reference models
 coverage: $(STAMP)
 	$(BIN)/python -m pytest -n auto -m 'not slow' tests/properties tests/experiment/test_lei_li.py tests/compile/test_backend.py \
 		$(CORE:%=tests/%) $(CORE:%=--cov=quadexp.%) --cov-report=term-missing:skip-covered --cov-fail-under=95

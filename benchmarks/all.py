@@ -32,11 +32,11 @@ from benchmarks import pipeline, step
 from benchmarks.machine import machine
 from quadexp import __version__
 from quadexp.compile.backend import compiler
-from quadexp.config.compose import compose, session
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.parts.compose import compose, session
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.circle import Circle

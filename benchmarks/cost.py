@@ -26,10 +26,10 @@ from matplotlib.figure import Figure
 
 from benchmarks.machine import cores, machine, pin
 from benchmarks.step import Log, fly_circle, make_plant, make_residual, measure
-from quadexp.config.compose import compose, session
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
+from quadexp.parts.compose import compose, session
 from quadexp.physics.vehicle import Vehicle
 from quadexp.report.style import BLUE, styled
 from quadexp.sweeps.sweep import run_sweep

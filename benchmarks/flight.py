@@ -19,12 +19,12 @@ import numpy as np
 from benchmarks import step
 from benchmarks.machine import machine
 from quadexp.compile.compiler import required_compiler
-from quadexp.config.compose import compose
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment import rollout
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference
+from quadexp.parts.compose import compose
 from quadexp.reference.circle import Circle
 from quadexp.reference.flatness import flat_reference
 from quadexp.world import SimplifiedPlant

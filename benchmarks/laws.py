@@ -14,11 +14,11 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.machine import machine
-from quadexp.config.compose import compose
 from quadexp.control.base import Controller, Measurement
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world
 from quadexp.experiment.rollout import SampledReference
+from quadexp.parts.compose import compose
 
 ROWS = {
     "nominal_mpc": ["controller=nominal_mpc"],

@@ -29,12 +29,12 @@ import numpy as np
 
 from benchmarks.machine import cores, machine
 from benchmarks.step import Acados, acados, fly_circle, make_plant, make_residual, problem
-from quadexp.config.compose import compose
 from quadexp.control.base import Measurement, Window
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_controller, build_plant, build_sensor, build_trajectory, build_vehicle
 from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.parts.compose import compose
 
 BACKENDS = ("compiled", "interpreted")
 BENCH = ("vehicle=lei_li", "plant=blade_element", "sensor=lei_li")

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.machine import machine
-from quadexp.config.compose import compose
 from quadexp.experiment.evaluate import fly_one
+from quadexp.parts.compose import compose
 from quadexp.physics.rotor import THETA
 from quadexp.report.metrics import position_error
 

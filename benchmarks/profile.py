@@ -32,12 +32,12 @@ import numpy as np
 from benchmarks.machine import machine
 from benchmarks.step import CASES, make_plant, make_residual
 from quadexp.cli.app import app
-from quadexp.config.compose import compose, expand
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.parts.compose import compose, expand
 from quadexp.reference.circle import Circle
 
 INTERVAL = 1e-3  # s of processor time

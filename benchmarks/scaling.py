@@ -32,8 +32,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.scaling_cells import processor_seconds, resident, timed_cell, trivial_cell
-from quadexp.config.compose import compose, expand, session
 from quadexp.log.cell_store import CellStore
+from quadexp.parts.compose import compose, expand, session
 from quadexp.sweeps.engine import Engine, LocalEngine, Task
 from quadexp.sweeps.plan import Job, flying_order, plan_cells
 from quadexp.sweeps.sweep import run_sweep

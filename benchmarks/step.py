@@ -44,12 +44,12 @@ from quadexp.air.blade_element import blade_element_residual
 from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
 from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.air.none import no_residual
-from quadexp.config.compose import compose
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference
+from quadexp.parts.compose import compose
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.rotor_coefficients import static_coefficients
 from quadexp.physics.vehicle import Vehicle

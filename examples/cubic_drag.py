@@ -11,8 +11,8 @@ from typing import Annotated
 import casadi as ca
 
 from quadexp.air.base import feature_names, symbolic_residual
-from quadexp.config.settings import Setting
 from quadexp.control.mpc.part import MPC
+from quadexp.parts.settings import Setting
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,10 +11,10 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadexp.config.settings import Setting
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import ControllerPart
+from quadexp.parts.settings import Setting
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 
 

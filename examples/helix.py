@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from quadexp.config.settings import Setting
+from quadexp.parts.settings import Setting
 from quadexp.reference.base import RADIUS, SPEED, FlatOutput, TrajectoryPart, flat_output_held, hold_outside
 from quadexp.reference.phasor import phasor
 

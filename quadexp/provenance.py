@@ -35,10 +35,10 @@ DECIDING = (
     "air", "compile", "control", "physics", "reference", "world", "experiment/build.py", "experiment/checkpoints.py",
     "experiment/compiled_flight.py", "experiment/evaluate.py", "experiment/flight.c",
     "experiment/identity.py", "experiment/kept.py", "experiment/loop_margins.py", "experiment/outside.py",
-    "experiment/rollout.py", "experiment/stability.py", "learn/base.py", "learn/checkpoint.py", "learn/dataset.py",
-    "learn/gaussian_process.py", "learn/linear_drag.py", "learn/neural.py", "learn/regression.py", "learn/rls.py",
-    "learn/samples.py", "learn/support.py", "learn/terms.py", "learn/thrust_curve.py", "learn/thrust_scale.py",
-    "learn/vehicle_model.py", "log/outcome.py", "report/metrics.py",
+    "experiment/rollout.py", "experiment/stability.py", "models/base.py", "models/checkpoint.py", "models/dataset.py",
+    "models/gaussian_process.py", "models/linear_drag.py", "models/neural.py", "models/regression.py", "models/rls.py",
+    "models/samples.py", "models/support.py", "models/terms.py", "models/thrust_curve.py", "models/thrust_scale.py",
+    "models/vehicle_model.py", "log/outcome.py", "report/metrics.py",
 )  # fmt: skip
 SUFFIXES = (".py", ".c")
 SHORT = 12  # hex digits of a hash that people read

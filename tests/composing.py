@@ -1,6 +1,6 @@
 """One Composer for all tests of a process: composing from nothing costs a tenth of a second, thousands of times.
 
-What composes is the same; only the reading of conf/ is done once. tests/config, which is about composing itself, works
+What composes is the same; only the reading of conf/ is done once. tests/parts, which is about composing itself, works
 without this, and so does everything with a --conf folder.
 """
 
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from quadexp.config import compose as composing
+from quadexp.parts import compose as composing
 
 _fresh = composing.session
 _kept: list[tuple[contextlib.ExitStack, composing.Composer]] = []
@@ -21,7 +21,7 @@ _shares = [True]
 
 @contextlib.contextmanager
 def session(extra: Path | None = None) -> Iterator[composing.Composer]:
-    """As quadexp.config.compose.session, with the Composer of the calls before where that is the same."""
+    """As quadexp.parts.compose.session, with the Composer of the calls before where that is the same."""
     if extra is not None or not _shares[0]:
         while _kept:  # a session takes the place of those before it
             _kept.pop()[0].close()

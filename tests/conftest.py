@@ -118,8 +118,8 @@ def lei_li(blade) -> Vehicle:
 def small_trials() -> Iterator[None]:
     """The search for better features, with which a fit ends, on few rows: for tests of other things."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("quadexp.learn.verdict.TRIAL_ROWS", 200)
-        patch.setattr("quadexp.learn.verdict.TRIAL_ITERATIONS", 3)
+        patch.setattr("quadexp.models.verdict.TRIAL_ROWS", 200)
+        patch.setattr("quadexp.models.verdict.TRIAL_ITERATIONS", 3)
         yield
 
 

@@ -23,10 +23,10 @@ FLOORS = (
     ("",),  # the version
     ("errors", "messages", "progress", "provenance"),
     ("files",),
-    ("compile", "config"),
+    ("compile", "parts"),
     ("physics",),
     ("air", "log"),
-    ("learn",),
+    ("models",),
     ("reference", "world", "control"),
     ("report",),
     ("experiment", "papers"),

@@ -23,7 +23,7 @@ ASIDE = {
     "quadexp.messages": "words",
     "quadexp.progress": "words",
     "quadexp.provenance": "what is said of a flight",
-    "quadexp.config": "empty",
+    "quadexp.parts": "empty",
     "quadexp.experiment": "empty",
     "quadexp.experiment.inputs": "where copies of files lie; their content is in the key",
     "quadexp.log": "names",
@@ -31,15 +31,15 @@ ASIDE = {
     "quadexp.log.store": "",
     "quadexp.log.hashes": "",
     "quadexp.log.declared": "refuses files, like the next two",
-    "quadexp.learn.sgpr": "fits, and what was fitted is in the key, like the next one",
-    "quadexp.learn.torque": "",
+    "quadexp.models.sgpr": "fits, and what was fitted is in the key, like the next one",
+    "quadexp.models.torque": "",
     "quadexp.log.signal": "",
     "quadexp.log.signal.crop": "",
     "quadexp.log.signal.derivative": "",
     "quadexp.log.signal.offset": "",
     "quadexp.log.signal.resample": "",
     "quadexp.log.signal.stream": "",
-    "quadexp.learn": "empty",
+    "quadexp.models": "empty",
     "quadexp.report": "empty",
 }
 
@@ -69,9 +69,9 @@ def listed():
 
 
 def test_all_that_flies_a_cell_decides_it_or_is_excused():
-    # What quadexp.config holds is in the key of the cell.
+    # What quadexp.parts holds is in the key of the cell.
     lacking = {module for module in flying() if modules()[module] not in listed()}
-    lacking = {module for module in lacking if not module.startswith("quadexp.config.")}
+    lacking = {module for module in lacking if not module.startswith("quadexp.parts.")}
     assert lacking == set(ASIDE), "add it to DECIDING in quadexp/provenance.py, or say here why it decides no flight"
 
 

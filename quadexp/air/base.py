@@ -30,7 +30,7 @@ class Residual:
     theta: parameter values, (p,).
     source: checkpoint path or a word, for the record.
     to_compile: the same function in a form suited for compilation; None: `function` itself.
-    ranges: feature -> [least, largest] of the data that it was fitted to (quadexp.learn.support); None where unknown or
+    ranges: feature -> [least, largest] of the data that it was fitted to (models.support); None where unknown or
         not fitted.
     unscaled: of a residual whose last parameter is a scale of the outputs, the residual without it (air.scaled).
     """

@@ -16,7 +16,7 @@ velocity of momentum theory at that thrust:
     hub_inflow  -v_i sum_k y_k      inflow      -sum_k w_k y_k
     hub_square  -v_i sum_k y_k^2 / w_k          y_k = V_k + v_z - V_k,hover
 
-Linear drag: Faessler et al. 2018. Lumped blade element: quadexp.learn.lumped.
+Linear drag: Faessler et al. 2018. Lumped blade element: quadexp.models.lumped.
 """
 
 from __future__ import annotations

@@ -19,13 +19,13 @@ from quadexp.api.checkpoint import Checkpoint
 from quadexp.api.frames import Dataset, Flight, Frame, Leaderboard, Results, Tuning
 from quadexp.api.overrides import Given, overrides
 from quadexp.api.scratch import Scratch
-from quadexp.config.compose import compose, session
 from quadexp.errors import UsageError
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.fit import fit_checkpoint
 from quadexp.files.writer import check_output
 from quadexp.log.store import read_flight, read_metadata, read_table, write_flight, write_table
+from quadexp.parts.compose import compose, session
 from quadexp.progress import Progress
 
 Place = str | os.PathLike[str]

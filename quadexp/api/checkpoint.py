@@ -10,14 +10,14 @@ import numpy as np
 import pandas as pd
 
 from quadexp.errors import UsageError
-from quadexp.learn.checkpoint import load_model, load_report
 from quadexp.messages import html
+from quadexp.models.checkpoint import load_model, load_report
 
 
 class Checkpoint:
     """A checkpoint folder; goes wherever a path does: qx.simulate("controller=gp_mpc", model=checkpoint).
 
-    path: the folder. model: what was fitted (quadexp/learn/base.py). report: what the fit says of flights that it has
+    path: the folder. model: what was fitted (quadexp/models/base.py). report: what the fit says of flights that it has
     not seen.
     """
 
@@ -36,7 +36,7 @@ class Checkpoint:
         drag and networks the means alone. Raises DataError where a feature is missing, UsageError for an identified
         vehicle.
         """
-        from quadexp.learn.dataset import ResidualDataset
+        from quadexp.models.dataset import ResidualDataset
 
         rows = ResidualDataset({str(name): data[name].to_numpy() for name in data}, {})
         made: dict[str, np.ndarray] = {}
@@ -50,8 +50,8 @@ class Checkpoint:
 
     def plot(self, data: pd.DataFrame) -> Any:
         """A matplotlib figure: the Gaussian processes over their features, with the rows of `data`."""
-        from quadexp.learn.dataset import ResidualDataset
-        from quadexp.learn.gaussian_process import GPModel
+        from quadexp.models.dataset import ResidualDataset
+        from quadexp.models.gaussian_process import GPModel
         from quadexp.report.fit_figures import fit_figure
 
         if not isinstance(self.model, GPModel):

@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from quadexp.api.overrides import Given, overrides
-from quadexp.config.compose import compose
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
@@ -23,6 +22,7 @@ from quadexp.experiment.build import build_controller, build_trajectory, build_v
 from quadexp.experiment.checkpoints import find_model
 from quadexp.experiment.kept import unshared
 from quadexp.experiment.rollout import Renewal, SampledReference
+from quadexp.parts.compose import compose
 from quadexp.physics.state import RATE
 from quadexp.reference.base import Trajectory
 

@@ -8,9 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
-from quadexp.config.override import quoted
-from quadexp.config.schema import Config
 from quadexp.errors import UsageError
+from quadexp.parts.override import quoted
+from quadexp.parts.schema import Config
 
 Given = str | Mapping[str, Any]
 TOP = {*(f.name for f in fields(Config)), "experiment"}

@@ -11,11 +11,11 @@ from pathlib import Path
 import yaml
 
 from quadexp.bench.protocol import Family, Protocol
-from quadexp.config.compose import Composer
-from quadexp.config.schema import PRESETS, REMEDIES, Config, remedies
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle, build_world
 from quadexp.experiment.checkpoints import find_model
+from quadexp.parts.compose import Composer
+from quadexp.parts.schema import PRESETS, REMEDIES, Config, remedies
 from quadexp.tune.preset import BY_HAND, provenance_of
 
 ALLOWED = ("controller", *PRESETS, "remedies", *REMEDIES)  # groups that an entry may set

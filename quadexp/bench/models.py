@@ -6,15 +6,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from quadexp.bench.protocol import Family
-from quadexp.config.compose import Composer
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.fit import fit_checkpoint
 from quadexp.experiment.identity import digest
 from quadexp.files.writer import write_text
+from quadexp.parts.compose import Composer
 from quadexp.provenance import DECIDING, package_folder, source_hash
 
 MODEL = "model.json"
-MAKING = (*DECIDING, "learn", "experiment")  # sources that decide a checkpoint
+MAKING = (*DECIDING, "models", "experiment")  # sources that decide a checkpoint
 
 NETWORK = "_network"  # behind the name of a family's folder
 

@@ -20,11 +20,11 @@ from typing import Any
 
 import yaml
 
-from quadexp.config.compose import Composer, session
-from quadexp.config.schema import WORLD, Config
 from quadexp.errors import DataError, UsageError
 from quadexp.files.writer import write_text
 from quadexp.messages import suggestion
+from quadexp.parts.compose import Composer, session
+from quadexp.parts.schema import WORLD, Config
 from quadexp.report.text import count
 
 LATEST = 2

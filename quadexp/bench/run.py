@@ -24,11 +24,11 @@ from quadexp.bench.entries import Entry, configs_of, field, read_entries, why_no
 from quadexp.bench.models import make_model, make_network
 from quadexp.bench.protocol import LATEST, Protocol, check_lock, check_size, read_protocol, with_fewer_seeds
 from quadexp.bench.ranking import Row
-from quadexp.config.cells import Cell
-from quadexp.config.compose import Composer, session
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.log.cell_store import CellStore
+from quadexp.parts.cells import Cell
+from quadexp.parts.compose import Composer, session
 from quadexp.report.table import Table
 from quadexp.sweeps.cluster.engines import opened
 from quadexp.sweeps.engine import CellFunction, Engine

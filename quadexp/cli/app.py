@@ -113,8 +113,8 @@ def main() -> None:
 
 def _as_setting(option: str) -> str:
     """Where an option that there is not has the name of a setting, how that is given; "" otherwise."""
-    from quadexp.config.completion import keys
-    from quadexp.config.option_files import groups
+    from quadexp.parts.completion import keys
+    from quadexp.parts.option_files import groups
 
     name = option.lstrip("-").replace("-", "_")
     if name in keys("") or name in groups():

@@ -9,7 +9,7 @@ import typer
 
 from quadexp.cli.options import Conf, Format, Json, OptionalOut, Overrides
 from quadexp.cli.terminal import answered, console, format_of, guarded, print_lines, say
-from quadexp.config.option_files import groups
+from quadexp.parts.option_files import groups
 
 SIZES = ("quick", "standard", "full")
 

@@ -27,8 +27,8 @@ def options(
     quadexp options wind=gust
     quadexp options delay
     """
-    from quadexp.config.listing import listed
-    from quadexp.config.plugins import import_from
+    from quadexp.parts.listing import listed
+    from quadexp.parts.plugins import import_from
 
     form = format_of(format, json)
     if conf is not None:

@@ -86,9 +86,9 @@ def _fit(
     form: str,
     **options: Any,
 ) -> None:
-    from quadexp.config.compose import compose
     from quadexp.experiment.fit import fit_checkpoint
     from quadexp.files.writer import check_output
+    from quadexp.parts.compose import compose
     from quadexp.progress import Progress
 
     config = compose(overrides or [], conf)

@@ -42,11 +42,11 @@ def simulate(
     \b
     quadexp simulate controller=gp_mpc trajectory=circle trajectory.speed=8 model=models/gp seed=0 --out runs/a.parquet
     """
-    from quadexp.config.compose import compose
     from quadexp.experiment.checkpoints import unused_model
     from quadexp.experiment.evaluate import fly_one
     from quadexp.files.writer import check_output
     from quadexp.log.store import write_flight
+    from quadexp.parts.compose import compose
     from quadexp.report.margin_line import delays_note, world_note
     from quadexp.report.summary import flight_lines
 
@@ -101,10 +101,10 @@ def collect(
     quadexp collect --flight runs/a.parquet --flight runs/b.parquet --out data/mine.parquet
     quadexp collect --sweep wind=constant wind.velocity=[0,0,0],[4,0,0] plant.payload=0,0.2 --out data/worlds.parquet
     """
-    from quadexp.config.compose import session
     from quadexp.errors import UsageError
     from quadexp.experiment.collect import collect_dataset
     from quadexp.files.writer import check_output
+    from quadexp.parts.compose import session
     from quadexp.progress import Progress
 
     form = format_of(format, json)
@@ -162,8 +162,8 @@ def evaluate(
     quadexp evaluate --sweep experiment=torrente_table1
     quadexp evaluate --sweep experiment=torrente_table1 --watch
     """
-    from quadexp.config.compose import Cell, session
     from quadexp.errors import UsageError
+    from quadexp.parts.compose import Cell, session
     from quadexp.sweeps.server import start_server
 
     if refly and keep_old:
@@ -310,7 +310,7 @@ def _preload(cells: Sequence[Any], figures: bool) -> list[str]:
 
 
 def _flight_name(config: Any) -> str:
-    from quadexp.config.schema import controller_name
+    from quadexp.parts.schema import controller_name
 
     speed = getattr(config.trajectory, "speed", None)
     parts = [controller_name(config), config.trajectory.name, "" if speed is None else f"{speed:g}"]

@@ -107,7 +107,7 @@ def _check_name(part: str, name: str, option: str, template: Template, to: Path)
     """Raise UsageError where the name cannot be one of a module, of an option and of a test, or is taken."""
     from importlib.util import find_spec
 
-    from quadexp.config.option_files import groups
+    from quadexp.parts.option_files import groups
 
     if not NAME.fullmatch(name) or keyword.iskeyword(name) or keyword.issoftkeyword(name):
         raise UsageError(f"new {part}: {name!r} is no name for a module: a letter, then letters, digits or _")

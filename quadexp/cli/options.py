@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from quadexp.config.completion import complete
+from quadexp.parts.completion import complete
 
 Overrides = Annotated[
     list[str] | None,

@@ -9,7 +9,7 @@ import typer
 
 from quadexp.cli.options import Conf, Force, Format, Json, OptionalOut, Overrides
 from quadexp.cli.terminal import answered, format_of, guarded, print_lines
-from quadexp.config.completion import complete
+from quadexp.parts.completion import complete
 
 
 @guarded

@@ -29,7 +29,6 @@ import numpy as np
 from quadexp.air.base import N_OUTPUTS, Residual
 from quadexp.compile.backend import BufferedFunction, realise_together, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Setting, Settings, part
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.belief import Belief
 from quadexp.control.laws.desaturation import prioritised
@@ -40,6 +39,7 @@ from quadexp.control.observers.observer import air_of, known_delay, parameters_o
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.errors import UsageError
+from quadexp.parts.settings import Setting, Settings, part
 from quadexp.physics.expression import Expression
 from quadexp.physics.rigid_body import body_features
 from quadexp.physics.rotation import rotation_matrix

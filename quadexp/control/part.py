@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
-from quadexp.config.part import Given, Part
-from quadexp.config.settings import Setting
+from quadexp.parts.part import Given, Part
+from quadexp.parts.settings import Setting
 
 RESIDUAL = Setting("model that is added to the rigid body in the prediction")
 # Models that are fitted, and the command that makes their checkpoint.

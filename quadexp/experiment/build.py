@@ -11,12 +11,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from quadexp.config.part import TARGET, Given, Part, imported
-from quadexp.config.schema import WORLD, Config, remedies, world_parts
 from quadexp.errors import UsageError
 from quadexp.experiment.checkpoints import ModelFile, load_checkpoint, model_hash, model_residual, residuals
 from quadexp.experiment.inputs import located
 from quadexp.experiment.kept import keep
+from quadexp.parts.part import TARGET, Given, Part, imported
+from quadexp.parts.schema import WORLD, Config, remedies, world_parts
 from quadexp.physics.plausible import plausible
 from quadexp.physics.vehicle import Vehicle
 

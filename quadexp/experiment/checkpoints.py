@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from quadexp.config.schema import Config
 from quadexp.control.part import MAKERS
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.inputs import located
 from quadexp.experiment.kept import keep
+from quadexp.parts.schema import Config
 from quadexp.physics.vehicle import Vehicle
 
 MODEL_FILE = "model.json"
@@ -92,7 +92,7 @@ def unused_model(configs: Iterable[Config]) -> str:
 
 def load_checkpoint(vehicle: Vehicle, model: ModelFile) -> Any:
     """The fitted model of a checkpoint. Raises DataError where it is of another vehicle, or has changed."""
-    from quadexp.learn.checkpoint import load_model
+    from quadexp.models.checkpoint import load_model
 
     folder = located(model.path)
     if hashlib.sha256((folder / MODEL_FILE).read_bytes()).hexdigest() != model.sha256:
@@ -132,7 +132,7 @@ def load_identified(path: str | Path, vehicle: Vehicle) -> Any:
 
     Raises UsageError where it was fitted for another vehicle.
     """
-    from quadexp.learn.checkpoint import load_model
+    from quadexp.models.checkpoint import load_model
 
     model = load_model(located(path))
     if model.vehicle.get("fingerprint") not in (None, vehicle.fingerprint):

@@ -21,20 +21,20 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.config.schema import WORLD, Config
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.checkpoints import find_model, load_identified
 from quadexp.experiment.evaluate import build_loop, describe, thrust_excess
 from quadexp.experiment.identity import digest, flight_record
-from quadexp.learn.dataset import ResidualDataset, as_told, residual_dataset
-from quadexp.learn.known_noise import known_noise
-from quadexp.learn.recorded import is_recorded, logged_thrust, recorded_dataset, target_cost
-from quadexp.learn.rotor_thrust import TimingFit, fit_timing, mean_thrust
-from quadexp.learn.thrust_curve import ThrustCurve
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_flight, write_table
+from quadexp.models.dataset import ResidualDataset, as_told, residual_dataset
+from quadexp.models.known_noise import known_noise
+from quadexp.models.recorded import is_recorded, logged_thrust, recorded_dataset, target_cost
+from quadexp.models.rotor_thrust import TimingFit, fit_timing, mean_thrust
+from quadexp.models.thrust_curve import ThrustCurve
+from quadexp.parts.schema import WORLD, Config
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
 from quadexp.reference.base import FlatOutput

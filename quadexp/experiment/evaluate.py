@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 
 import quadexp
-from quadexp.config.schema import Config, controller_name
-from quadexp.config.settings import record
 from quadexp.errors import UsageError
 from quadexp.experiment.build import (
     build_controller,
@@ -28,6 +26,8 @@ from quadexp.experiment.outside import outside_data
 from quadexp.experiment.stability import instability
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
+from quadexp.parts.schema import Config, controller_name
+from quadexp.parts.settings import record
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import libraries, provenance, sources, versions
 from quadexp.report.metrics import flight_metrics

@@ -7,18 +7,18 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from quadexp.config.schema import Config
-from quadexp.config.settings import part
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
-from quadexp.learn.base import Model
-from quadexp.learn.checkpoint import load_model, save_model
-from quadexp.learn.dataset import ResidualDataset, read_dataset
-from quadexp.learn.evaluation import Fit, fit_with_report, without
-from quadexp.learn.gaussian_process import GPModel, GPSettings
-from quadexp.learn.known_noise import explained, explained_lines
-from quadexp.learn.linear_drag import LinearDrag
-from quadexp.learn.neural import NeuralModel, NNSettings
+from quadexp.models.base import Model
+from quadexp.models.checkpoint import load_model, save_model
+from quadexp.models.dataset import ResidualDataset, read_dataset
+from quadexp.models.evaluation import Fit, fit_with_report, without
+from quadexp.models.gaussian_process import GPModel, GPSettings
+from quadexp.models.known_noise import explained, explained_lines
+from quadexp.models.linear_drag import LinearDrag
+from quadexp.models.neural import NeuralModel, NNSettings
+from quadexp.parts.schema import Config
+from quadexp.parts.settings import part
 from quadexp.provenance import provenance, versions
 
 ProgressCallback = Callable[[float, float], None]
@@ -60,7 +60,7 @@ def fit_checkpoint(
         lines.append(f"of what {after} leaves: to be flown in a sum with it")
     lines += [*_split_lines(report), *explained_lines(report["explained"])]
     if "verdict" in report:
-        from quadexp.learn.verdict import verdict_lines
+        from quadexp.models.verdict import verdict_lines
 
         lines += verdict_lines(report["verdict"])
     elif kind == "gp":
@@ -92,7 +92,7 @@ def _beside_drag(fit: Fit, config: Config, data: ResidualDataset) -> dict[str, A
     found = {"target": data.metadata["target"]} if data.metadata.get("target") else {}
     if fit.test is None or config.gp.split == "sample":
         return found
-    from quadexp.learn.verdict import verdict
+    from quadexp.models.verdict import verdict
 
     _, settings = _asked("gp", config)
     search = config.gp.alternatives

@@ -14,11 +14,11 @@ import inspect
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
-from quadexp.config.part import Given, imported
-from quadexp.config.settings import Setting, Settings
 from quadexp.control.mpc.part import PredictivePart
 from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.errors import QuadexpError, UsageError
+from quadexp.parts.part import Given, imported
+from quadexp.parts.settings import Setting, Settings
 from quadexp.reference.base import SPEED, TrajectoryPart
 from quadexp.world.base import PlantPart
 

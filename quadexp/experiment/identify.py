@@ -15,13 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadexp.config.settings import made
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.files.writer import check_output
-from quadexp.learn.blade_element import Identification, identify_flight
-from quadexp.learn.rls import RLSSettings
-from quadexp.learn.samples import QUATERNION, rotor_columns
 from quadexp.log.schema import Flight
 from quadexp.log.store import (
     check_attitude,
@@ -33,6 +29,10 @@ from quadexp.log.store import (
     read_table,
     write_table,
 )
+from quadexp.models.blade_element import Identification, identify_flight
+from quadexp.models.rls import RLSSettings
+from quadexp.models.samples import QUATERNION, rotor_columns
+from quadexp.parts.settings import made
 from quadexp.physics.vehicle import FORMER_NAMES, Vehicle
 from quadexp.provenance import provenance, versions
 
@@ -130,7 +130,7 @@ def identify_files(
 
 def configured_vehicle(name: str, conf: Path | None) -> Vehicle:
     """A vehicle of the configuration, or of the folder `conf`; raises UsageError for an unknown name."""
-    from quadexp.config.compose import compose
+    from quadexp.parts.compose import compose
 
     return build_vehicle(compose([f"vehicle={name}"], conf).vehicle)
 

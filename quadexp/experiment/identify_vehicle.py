@@ -14,14 +14,14 @@ from msgspec.structs import replace as with_changes
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identify import own_vehicle, read_recorded
 from quadexp.files.writer import check_output
-from quadexp.learn.checkpoint import save_model
-from quadexp.learn.lumped import momentum_of
-from quadexp.learn.samples import Samples, gather_to_fit
-from quadexp.learn.selection import HOVER_INFLOW, best_level, compare_curves, flight_by_flight, selection
-from quadexp.learn.thrust_curve import ThrustCurve
-from quadexp.learn.vehicle_fit import FitSettings, curve_beside_quadratic, fit_level, fit_vehicle_model
-from quadexp.learn.vehicle_model import VehicleModel
 from quadexp.log.schema import Flight
+from quadexp.models.checkpoint import save_model
+from quadexp.models.lumped import momentum_of
+from quadexp.models.samples import Samples, gather_to_fit
+from quadexp.models.selection import HOVER_INFLOW, best_level, compare_curves, flight_by_flight, selection
+from quadexp.models.thrust_curve import ThrustCurve
+from quadexp.models.vehicle_fit import FitSettings, curve_beside_quadratic, fit_level, fit_vehicle_model
+from quadexp.models.vehicle_model import VehicleModel
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
 

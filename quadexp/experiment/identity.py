@@ -6,8 +6,8 @@ import hashlib
 import json
 from typing import Any
 
-from quadexp.config.schema import WORLD, Config, remedies
-from quadexp.config.settings import declared
+from quadexp.parts.schema import WORLD, Config, remedies
+from quadexp.parts.settings import declared
 from quadexp.physics.vehicle import FORMER_NAMES
 
 # Groups that determine one flight, together with the world, the remedies, model and seed.

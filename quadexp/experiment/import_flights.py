@@ -126,7 +126,7 @@ def _summary(flight: Flight) -> str:
 
 
 def _vehicle(name: str, conf: Path | None) -> Vehicle:
-    from quadexp.config.compose import compose
     from quadexp.experiment.build import build_vehicle
+    from quadexp.parts.compose import compose
 
     return build_vehicle(compose([f"vehicle={name}"], conf).vehicle)

@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from quadexp.config.schema import Config
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller
 from quadexp.experiment.checkpoints import ModelFile
 from quadexp.experiment.loop_margins import unmodelled
+from quadexp.parts.schema import Config
 from quadexp.physics.vehicle import Vehicle
 
 RATES, SHARES = (100.0, 200.0), (1.0, 0.5)  # control rates that are tried (Hz), and shares of the horizon

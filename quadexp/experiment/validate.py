@@ -10,17 +10,18 @@ from typing import Any
 import numpy as np
 from msgspec.structs import replace as with_changes
 
-from quadexp.config.schema import Config
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.checkpoints import load_identified
 from quadexp.files.writer import check_output, write_text
-from quadexp.learn.open_loop import TURNING, Track, rollout_errors
-from quadexp.learn.recorded import recorded_dataset
-from quadexp.learn.samples import FlightRows, gather, read_rows
-from quadexp.learn.thrust_curve import ThrustCurve
-from quadexp.learn.torque import TorqueModel, explained, torque_lines
-from quadexp.learn.validation import (
+from quadexp.log.schema import Flight
+from quadexp.log.store import read_flight
+from quadexp.models.open_loop import TURNING, Track, rollout_errors
+from quadexp.models.recorded import recorded_dataset
+from quadexp.models.samples import FlightRows, gather, read_rows
+from quadexp.models.thrust_curve import ThrustCurve
+from quadexp.models.torque import TorqueModel, explained, torque_lines
+from quadexp.models.validation import (
     NOMINAL,
     Predictor,
     Residuals,
@@ -30,10 +31,9 @@ from quadexp.learn.validation import (
     residuals,
     score_rows,
 )
-from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
-from quadexp.learn.vehicle_model import VehicleModel
-from quadexp.log.schema import Flight
-from quadexp.log.store import read_flight
+from quadexp.models.vehicle_fit import FitSettings, fit_vehicle_model
+from quadexp.models.vehicle_model import VehicleModel
+from quadexp.parts.schema import Config
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
 

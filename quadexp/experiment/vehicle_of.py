@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from quadexp.config.schema import Config
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
 from quadexp.log.store import read_metadata
+from quadexp.parts.schema import Config
 
 
 def config_for(flights: Sequence[Path], overrides: Sequence[str] = (), conf: Path | None = None) -> Config:
@@ -16,7 +16,7 @@ def config_for(flights: Sequence[Path], overrides: Sequence[str] = (), conf: Pat
 
     Raises DataError where the flights are of different vehicles, or of one with other parameters in the configuration.
     """
-    from quadexp.config.compose import compose
+    from quadexp.parts.compose import compose
 
     flown = {str(path): dict(read_metadata(path).get("vehicle") or {}) for path in flights}
     named = {path: record for path, record in flown.items() if record.get("fingerprint")}

@@ -11,7 +11,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from quadexp.config.settings import Setting, Settings, Triple
+from quadexp.parts.settings import Setting, Settings, Triple
 
 THETA = ("C_d0", "C_la", "C_Dx", "C_Dy", "C_Dz")  # order of the coefficients in a vector
 C_D0, C_LA, C_DX, C_DY, C_DZ = range(5)

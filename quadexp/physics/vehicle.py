@@ -18,9 +18,9 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from quadexp.config.part import Part
-from quadexp.config.settings import Setting, Triple
 from quadexp.errors import UsageError
+from quadexp.parts.part import Part
+from quadexp.parts.settings import Setting, Triple
 from quadexp.physics.plausible import plausible
 from quadexp.physics.rotor import RotorGeometry
 

@@ -11,9 +11,9 @@ from typing import Annotated, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
-from quadexp.config.part import Part
-from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
+from quadexp.parts.part import Part
+from quadexp.parts.settings import Setting
 from quadexp.physics.vehicle import Vehicle
 
 SPEED = Setting(

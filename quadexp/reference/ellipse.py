@@ -14,8 +14,8 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
+from quadexp.parts.settings import Setting
 from quadexp.reference.base import DURATION, N_DERIVATIVES, FlatOutput, TrajectoryPart, flat_output_held
 
 LONGEST_HORIZON = 10.0  # s, for which the ellipse goes on behind the flight

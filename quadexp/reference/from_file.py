@@ -20,8 +20,8 @@ from typing import Annotated
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
+from quadexp.parts.settings import Setting
 from quadexp.reference.base import (
     MARGIN,
     N_DERIVATIVES,

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import numpy as np
 
-from quadexp.config.settings import Setting
+from quadexp.parts.settings import Setting
 from quadexp.reference.base import (
     DURATION,
     N_DERIVATIVES,

@@ -21,8 +21,8 @@ from typing import Annotated
 
 import numpy as np
 
-from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
+from quadexp.parts.settings import Setting
 from quadexp.reference.base import N_DERIVATIVES, RADIUS, SPEED, TrajectoryPart, check_finite, check_positive
 
 RAMP = 2.0  # s, from rest to full acceleration

@@ -27,8 +27,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from quadexp.config.settings import SEEDS, Setting
 from quadexp.errors import UsageError
+from quadexp.parts.settings import SEEDS, Setting
 from quadexp.reference.base import MARGIN, SPEED, FlatOutput, LimitedTrajectory, check_finite
 
 if TYPE_CHECKING:

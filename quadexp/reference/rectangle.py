@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from quadexp.config.settings import Setting
+from quadexp.parts.settings import Setting
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION
 from quadexp.reference.base import (
     DURATION,

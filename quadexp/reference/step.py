@@ -10,8 +10,8 @@ from typing import Annotated
 
 import numpy as np
 
-from quadexp.config.settings import Setting, Triple
 from quadexp.errors import UsageError
+from quadexp.parts.settings import Setting, Triple
 from quadexp.reference.base import DURATION, N_DERIVATIVES, FlatOutput, TrajectoryPart
 
 

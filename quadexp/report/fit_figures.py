@@ -12,10 +12,10 @@ from matplotlib.colors import LogNorm
 from matplotlib.ticker import PercentFormatter
 from msgspec.structs import replace
 
-from quadexp.learn.base import AXIS, Prediction
-from quadexp.learn.dataset import THRUST, ResidualDataset
-from quadexp.learn.gaussian_process import GPModel, OutputPosterior
-from quadexp.learn.terms import VELOCITY, TermMean
+from quadexp.models.base import AXIS, Prediction
+from quadexp.models.dataset import THRUST, ResidualDataset
+from quadexp.models.gaussian_process import GPModel, OutputPosterior
+from quadexp.models.terms import VELOCITY, TermMean
 from quadexp.physics.vehicle import GRAVITY
 from quadexp.report.style import BLUE, COLOURS, COUNTS, GREY, MARKERS, ORANGE, Figure, entries, styled
 

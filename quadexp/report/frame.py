@@ -15,12 +15,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from quadexp.config.option_files import units
-from quadexp.config.schema import PARTS, PRESETS, REMEDIES, WORLD
 from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_metadata, read_table
 from quadexp.messages import suggestion
+from quadexp.parts.option_files import units
+from quadexp.parts.schema import PARTS, PRESETS, REMEDIES, WORLD
 from quadexp.report.pairing import setting_pairs
 from quadexp.report.result_rows import ROW_COLUMNS, TEXT_COLUMNS, from_columns
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.errors import QuadexpError
-from quadexp.learn.checkpoint import load_report
+from quadexp.models.checkpoint import load_report
 from quadexp.report.table import Table
 from quadexp.report.text import number
 

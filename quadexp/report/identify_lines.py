@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from quadexp.learn.regression import FLIGHT_CLUSTERS
-from quadexp.learn.terms import TermModel
-from quadexp.learn.torque import torque_lines
-from quadexp.learn.vehicle_model import VehicleModel
+from quadexp.models.regression import FLIGHT_CLUSTERS
+from quadexp.models.terms import TermModel
+from quadexp.models.torque import torque_lines
+from quadexp.models.vehicle_model import VehicleModel
 from quadexp.report.table import Table
 
 NORMS = ("x", "y", "z", "norm")
@@ -59,7 +59,7 @@ def model_lines(model: VehicleModel) -> list[str]:
 
 
 def interval_of(flights: int) -> str:
-    """The scope of the intervals of a fit to so many flights (quadexp.learn.regression)."""
+    """The scope of the intervals of a fit to so many flights (quadexp.models.regression)."""
     if flights >= FLIGHT_CLUSTERS:
         return f"over {flights} flights"
     return (

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.config.schema import WORLD
 from quadexp.errors import DataError, UsageError
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import describe
 from quadexp.log.store import check_finite, has_content_hash, read_metadata, read_table
+from quadexp.parts.schema import WORLD
 from quadexp.report.flown_by import flown_by, flown_by_lines, versions_of
 from quadexp.report.margin_line import margin_line
 from quadexp.report.metrics import METRICS, errors_none
@@ -220,9 +220,9 @@ def _result_lines(
 
 
 def _checkpoint(path: Path) -> dict[str, Any]:
-    from quadexp.learn.checkpoint import load_model, load_report
-    from quadexp.learn.neural import NeuralModel
-    from quadexp.learn.vehicle_model import VehicleModel
+    from quadexp.models.checkpoint import load_model, load_report
+    from quadexp.models.neural import NeuralModel
+    from quadexp.models.vehicle_model import VehicleModel
 
     model = load_model(path)
     file = path / MODEL_FILE

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.learn.validation import Residuals
+from quadexp.models.validation import Residuals
 from quadexp.report.style import COLOURS, GREY, Figure, entries, looks, styled
 from quadexp.report.validation_table import MODES, QUANTITIES, error_of, mean_of
 

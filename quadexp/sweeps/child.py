@@ -24,8 +24,8 @@ from pebble import ProcessExpired, ProcessPool
 from pebble.pool.base_pool import Task
 from pebble.pool.process import TaskManager
 
-from quadexp.config.plugins import import_from, own_folders
 from quadexp.errors import QuadexpError
+from quadexp.parts.plugins import import_from, own_folders
 from quadexp.provenance import identity, package_folder
 from quadexp.sweeps.server import PATH, start_server, undisturbed
 

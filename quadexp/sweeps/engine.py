@@ -16,9 +16,9 @@ from typing import Any, Protocol
 
 from pebble import ProcessPool
 
-from quadexp.config.schema import Config
 from quadexp.errors import ModuleError, UsageError, WriteError, stops_all
 from quadexp.experiment.checkpoints import ModelFile
+from quadexp.parts.schema import Config
 from quadexp.sweeps.child import GONE, cause, start_pool
 from quadexp.sweeps.server import PRELOAD, without_main
 

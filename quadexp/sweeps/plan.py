@@ -6,12 +6,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from quadexp.config.cells import Cell, refuse_mistakes
-from quadexp.config.schema import world_parts
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_effects, build_trajectory, build_vehicle, input_hashes
 from quadexp.experiment.checkpoints import ModelFile, find_model
 from quadexp.experiment.identity import canonical, digest, flight_record
+from quadexp.parts.cells import Cell, refuse_mistakes
+from quadexp.parts.schema import world_parts
 from quadexp.sweeps.sweep_table import condition
 
 SCHEMA = 1  # version of what a cell is; with a higher number every older cell is unknown

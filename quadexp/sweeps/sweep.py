@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import quadexp
-from quadexp.config.cells import Cell, Cells
 from quadexp.errors import DataError, QuadexpError, UsageError, WriteError
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import check_feasible, evaluate_cell, failed_row
@@ -24,6 +23,7 @@ from quadexp.files.writer import make_inside
 from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import UNFLOWN
 from quadexp.log.store import read_metadata
+from quadexp.parts.cells import Cell, Cells
 from quadexp.provenance import libraries, provenance, sources
 from quadexp.report.flown_by import counted, differing_libraries, flown_by, program_name, programs_of
 from quadexp.report.statistics import BASELINE, CONFIDENCE

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 import quadexp
-from quadexp.config.compose import session
-from quadexp.config.schema import controller_name
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.log.store import write_table
+from quadexp.parts.compose import session
+from quadexp.parts.schema import controller_name
 from quadexp.provenance import libraries, provenance, sources
 from quadexp.report.metrics import SHOWN
 from quadexp.report.text import number

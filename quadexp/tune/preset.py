@@ -13,15 +13,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from quadexp.config.compose import Composer
-from quadexp.config.option_files import folders
-from quadexp.config.schema import REMEDIES, Config
-from quadexp.config.settings import record
 from quadexp.errors import UsageError
 from quadexp.files.names import file_name
 from quadexp.files.writer import write_text
 from quadexp.messages import printable
 from quadexp.messages import yaml as one_line_of
+from quadexp.parts.compose import Composer
+from quadexp.parts.option_files import folders
+from quadexp.parts.schema import REMEDIES, Config
+from quadexp.parts.settings import record
 
 SUFFIX = "_tuned"
 HEAD = "# Provenance:"

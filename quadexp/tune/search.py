@@ -17,15 +17,15 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.config.cells import Cell
-from quadexp.config.compose import Composer
-from quadexp.config.schema import PRESETS, Config
 from quadexp.errors import QuadexpError, UsageError, WriteError
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import check_feasible, evaluate_cell
 from quadexp.experiment.identity import canonical, digest
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_record
+from quadexp.parts.cells import Cell
+from quadexp.parts.compose import Composer
+from quadexp.parts.schema import PRESETS, Config
 from quadexp.provenance import sources
 from quadexp.sweeps.engine import CellFunction, Engine
 from quadexp.sweeps.plan import plan_cells

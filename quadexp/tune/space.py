@@ -16,12 +16,12 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_args
 
-from quadexp.config.option_files import folders, unreadable
-from quadexp.config.plain_data import read_data
-from quadexp.config.schema import REMEDIES, Config, remedies
-from quadexp.config.settings import Declared, declared, inside, record
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
+from quadexp.parts.option_files import folders, unreadable
+from quadexp.parts.plain_data import read_data
+from quadexp.parts.schema import REMEDIES, Config, remedies
+from quadexp.parts.settings import Declared, declared, inside, record
 
 TUNED = ("controller", *REMEDIES)  # groups whose settings can be varied
 SPACES = "tune"  # folder of default spaces in a configuration folder

@@ -12,9 +12,9 @@ from typing import Annotated
 
 import numpy as np
 
-from quadexp.config.part import Part
-from quadexp.config.settings import Setting, Triple
 from quadexp.errors import UsageError
+from quadexp.parts.part import Part
+from quadexp.parts.settings import Setting, Triple
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -34,8 +34,8 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
+from quadexp.parts.settings import Setting
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import decayed, time_constant_towards
 from quadexp.physics.rotation import rotation_matrix

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Setting
+from quadexp.parts.settings import Setting
 from quadexp.physics.expression import Expression
 
 RATE = "[0.1, 8000]"  # interval of a sensor's rate, Hz

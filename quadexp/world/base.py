@@ -8,8 +8,8 @@ from typing import Annotated, Any, ClassVar, Protocol
 import numpy as np
 
 from quadexp.air.base import Residual
-from quadexp.config.part import Given, Part
-from quadexp.config.settings import Backend, Setting
+from quadexp.parts.part import Given, Part
+from quadexp.parts.settings import Backend, Setting
 from quadexp.physics.vehicle import Vehicle
 
 PAYLOAD_MASS = Setting(

@@ -19,8 +19,8 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
+from quadexp.parts.settings import Setting
 from quadexp.physics.battery import (
     OperatingPoint,
     charge_after,

@@ -23,9 +23,9 @@ import numpy as np
 from quadexp.air.base import Residual, feature_names
 from quadexp.air.blade_element import blade_element_correction, require_rotor, residual_from_correction
 from quadexp.compile.symbolic import ca
-from quadexp.config.part import Given
-from quadexp.config.settings import Setting, part
 from quadexp.errors import ModelDomainError, UsageError
+from quadexp.parts.part import Given
+from quadexp.parts.settings import Setting, part
 from quadexp.physics.induced_velocity import REASONS, Defined
 from quadexp.physics.rotor import C_D0, STANDING, BladeCoefficients, BladeKeys
 from quadexp.physics.rotor_coefficients import static_coefficients

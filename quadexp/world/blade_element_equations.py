@@ -16,7 +16,7 @@ from functools import cache, reduce
 from typing import Annotated, ClassVar
 
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Setting, Settings
+from quadexp.parts.settings import Setting, Settings
 from quadexp.physics.blade_element import ADOPTED, PRINTED, CrossTerms, aerodynamic_wrench, rotor_flow
 from quadexp.physics.expression import Expression
 from quadexp.physics.induced_velocity import Balance, balance, newton, solution_function, starting_point

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from quadexp.config.settings import Setting, Triple
+from quadexp.parts.settings import Setting, Triple
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start

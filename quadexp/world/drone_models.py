@@ -27,9 +27,9 @@ import numpy.typing as npt
 
 from quadexp.air.base import Residual, feature_names, symbolic_residual
 from quadexp.compile.symbolic import ca
-from quadexp.config.part import Given
-from quadexp.config.settings import Setting, Settings, Triple, part
 from quadexp.errors import UsageError
+from quadexp.parts.part import Given
+from quadexp.parts.settings import Setting, Settings, Triple, part
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.expression import Expression
 from quadexp.physics.rigid_body import body_features, state_derivative

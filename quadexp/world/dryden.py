@@ -41,8 +41,8 @@ from typing import Annotated, Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Setting, Triple
 from quadexp.errors import UsageError
+from quadexp.parts.settings import Setting, Triple
 from quadexp.physics.expression import Expression
 from quadexp.physics.state import VELOCITY
 from quadexp.physics.vehicle import Vehicle

@@ -20,8 +20,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.config.part import Part
 from quadexp.errors import UsageError
+from quadexp.parts.part import Part
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.streams import Drawn

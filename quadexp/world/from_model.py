@@ -18,8 +18,8 @@ import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.compile.symbolic import ca
-from quadexp.config.part import Given
-from quadexp.config.settings import Setting
+from quadexp.parts.part import Given
+from quadexp.parts.settings import Setting
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle

@@ -13,8 +13,8 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.config.part import Part
-from quadexp.config.settings import Setting, Triple
+from quadexp.parts.part import Part
+from quadexp.parts.settings import Setting, Triple
 from quadexp.physics.expression import Expression
 from quadexp.physics.state import POSITION, VELOCITY
 from quadexp.world.aid import OUTAGE, RATE, SHARE, Aid, Innovation

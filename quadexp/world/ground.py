@@ -15,8 +15,8 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
+from quadexp.parts.settings import Setting
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Setting, Triple
+from quadexp.parts.settings import Setting, Triple
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.constant_wind import MeanWind

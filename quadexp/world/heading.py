@@ -15,8 +15,8 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.config.part import Part
-from quadexp.config.settings import Setting
+from quadexp.parts.part import Part
+from quadexp.parts.settings import Setting
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE

@@ -14,8 +14,8 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.config.part import Part
-from quadexp.config.settings import Setting
+from quadexp.parts.part import Part
+from quadexp.parts.settings import Setting
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import conjugate, exponential, logarithm, product
 from quadexp.physics.state import ATTITUDE, POSITION

@@ -25,8 +25,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
+from quadexp.parts.settings import Setting
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world import eskf, imu

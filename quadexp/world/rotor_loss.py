@@ -13,8 +13,8 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Setting
 from quadexp.errors import UsageError
+from quadexp.parts.settings import Setting
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start

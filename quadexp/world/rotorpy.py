@@ -26,9 +26,9 @@ import numpy as np
 
 from quadexp.air.base import Residual, feature_names, symbolic_residual
 from quadexp.compile.symbolic import ca
-from quadexp.config.part import Given
-from quadexp.config.settings import Setting, Settings, Triple, part
 from quadexp.errors import UsageError
+from quadexp.parts.part import Given
+from quadexp.parts.settings import Setting, Settings, Triple, part
 from quadexp.physics.blade_element import TINY_SPEED
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import lagging_rk4_step

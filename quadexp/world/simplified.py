@@ -21,8 +21,8 @@ import numpy as np
 
 from quadexp.air.base import Residual, feature_names, symbolic_residual
 from quadexp.compile.symbolic import ca
-from quadexp.config.part import Given
-from quadexp.config.settings import Setting, Settings, Triple, part
+from quadexp.parts.part import Given
+from quadexp.parts.settings import Setting, Settings, Triple, part
 from quadexp.physics.drag import linear_drag_force, quadratic_drag_force
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import thrust_loss

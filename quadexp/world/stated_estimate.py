@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Setting
+from quadexp.parts.settings import Setting
 from quadexp.physics.rotation import left_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle

@@ -17,8 +17,8 @@ from typing import Annotated, ClassVar
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Setting
 from quadexp.errors import DataError
+from quadexp.parts.settings import Setting
 from quadexp.physics.expression import Expression
 from quadexp.world.effect import Effect, Moment
 

@@ -6,8 +6,8 @@ import pytest
 
 from quadexp.bench.entries import configs_of, read_entries
 from quadexp.bench.protocol import LATEST, Protocol, _difference, check_lock, read_protocol, with_fewer_seeds
-from quadexp.config.compose import session
 from quadexp.errors import DataError, UsageError
+from quadexp.parts.compose import session
 from quadexp.tune.preset import provenance_of
 from quadexp.tune.search import FIRST_SEED
 from tests.docs.commands import ROOT

@@ -11,9 +11,9 @@ from quadexp.bench.board import read_board
 from quadexp.bench.entries import read_entries
 from quadexp.bench.models import make_model, make_network
 from quadexp.bench.protocol import read_protocol
-from quadexp.config.compose import session
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import evaluate_cell
+from quadexp.parts.compose import session
 from quadexp.tune.preset import write_preset
 from tests.bench.rows import SMALL, small
 from tests.tune.parts import open_loop

@@ -6,10 +6,10 @@ import json
 
 import pytest
 
-from quadexp.config.compose import compose
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.fit import fit_checkpoint
-from quadexp.learn.checkpoint import load_model, load_report
+from quadexp.models.checkpoint import load_model, load_report
+from quadexp.parts.compose import compose
 from quadexp.report.summary import summarise
 from tests.cli.command import run
 

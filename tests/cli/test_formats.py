@@ -13,7 +13,7 @@ from quadexp.cli.app import COMMANDS, app
 from quadexp.log.store import write_flight
 from tests.bench.rows import board
 from tests.cli.command import run
-from tests.learn.recorded_flights import crazyflie, recorded_flight
+from tests.models.recorded_flights import crazyflie, recorded_flight
 from tests.report.sweeps import noise, swept
 from tests.tune.parts import open_loop
 

@@ -12,11 +12,11 @@ from typer.main import get_command
 
 from quadexp.cli.app import app
 from quadexp.cli.identify import OPTIONS
-from quadexp.learn.checkpoint import load_model
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_table, write_flight
+from quadexp.models.checkpoint import load_model
 from tests.cli.command import run
-from tests.learn.logged_flights import DRAG, logged_flight
+from tests.models.logged_flights import DRAG, logged_flight
 
 FLY = (
     "simulate", "vehicle=lei_li", "plant=blade_element", "sensor=lei_li", "trajectory=rectangle",
@@ -43,7 +43,7 @@ def test_estimates_with_confidence_and_their_time_series(flight, tmp_path):
     columns, record = read_table(tmp_path / "estimates" / "a.parquet", "estimates", finite=True)
     assert len(columns["t"]) == 1600
     truth = {"C_d0": 0.22, "C_la": 3.32, "C_Dx": 0.01, "C_Dy": 0.01, "C_Dz": 0.02}
-    for name, (low, high) in record["interval_95"].items():  # coverage: tests/learn/test_blade_fit.py
+    for name, (low, high) in record["interval_95"].items():  # coverage: tests/models/test_blade_fit.py
         assert abs(record["estimates"][name] - truth[name]) < high - low
         assert f"{name:<5} {record['estimates'][name]:9.5f}   95 % interval {low:.5f} to {high:.5f}" in out
     assert record["recursion"]["C_la"] == pytest.approx(3.32, abs=0.015)

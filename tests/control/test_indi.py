@@ -9,13 +9,13 @@ import pytest
 from scipy.signal import butter
 
 from quadexp.compile.backend import BufferedFunction
-from quadexp.config.compose import compose
 from quadexp.control.base import Measurement, Window
 from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.indi.law import INDIKeys, indi_function, settled_memory
 from quadexp.control.indi.loop import INDI
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_vehicle
+from quadexp.parts.compose import compose
 from quadexp.physics.state import N_STATE, RATE
 
 TAU = 0.03  # s, lag of the thrusts

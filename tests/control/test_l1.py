@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from quadexp.config.compose import compose
 from quadexp.control.base import Measurement
 from quadexp.control.l1 import LOGGED, L1Controller, L1Keys
 from quadexp.control.laws.explicit import ExplicitController
@@ -17,6 +16,7 @@ from quadexp.control.mpc.mpc import StepRecord
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle
 from quadexp.experiment.evaluate import fly_one
+from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION, RATE, VELOCITY
 from tests.control.laws.flown import Body, at_rest, fly, hovering, rotation, vehicle_of
 

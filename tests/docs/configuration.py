@@ -2,7 +2,7 @@
 
     python -m tests.docs.configuration > docs/configuration.md
 
-All of it is declared with the settings (quadexp/config/settings.py). The value is the default, or what the option sets
+All of it is declared with the settings (quadexp/parts/settings.py). The value is the default, or what the option sets
 that is taken by default, or else the first.
 """
 
@@ -15,9 +15,9 @@ from typing import Any, get_args, get_origin
 
 import yaml
 
-from quadexp.config.option_files import OptionFiles
-from quadexp.config.schema import PARTS, PRESETS, WORLD, Config, conf_folder
-from quadexp.config.settings import REQUIRED, Declared, declared, lists
+from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.schema import PARTS, PRESETS, WORLD, Config, conf_folder
+from quadexp.parts.settings import REQUIRED, Declared, declared, lists
 
 ASIDE = {"name", "sweep"}  # set by the option, not by its user
 WORDS = {float: "number", int: "whole number", bool: "true, false"}

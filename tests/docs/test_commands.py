@@ -15,7 +15,7 @@ import typer.main
 from typer.testing import CliRunner
 
 from quadexp.cli.app import app
-from quadexp.config.compose import session
+from quadexp.parts.compose import session
 from tests.docs.commands import ROOT, commands, inline, steps
 
 PAGES = sorted(

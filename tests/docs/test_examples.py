@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from quadexp.config.compose import compose
 from quadexp.experiment.evaluate import fly_one
+from quadexp.parts.compose import compose
 from quadexp.report.metrics import position_error
 from quadexp.sweeps.sweep import run_sweep
 
@@ -69,7 +69,7 @@ def test_an_edited_class_is_flown_anew(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(conf))
 
     def sweep():
-        from quadexp.config.compose import expand
+        from quadexp.parts.compose import expand
 
         cells = expand(["trajectory=mine", "seed=0,1", *INTERPRETED], conf)
         return run_sweep(cells, tmp_path / "results", isolate=False)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from quadexp.config.compose import expand
+from quadexp.parts.compose import expand
 from quadexp.report.drawing import draw, drawings
 from quadexp.report.frame import SweepFrame
 from tests.docs.commands import ROOT, Step, steps

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.config.compose import compose
 from quadexp.experiment.collect import collect_flights
 from quadexp.log.schema import Flight
+from quadexp.parts.compose import compose
 
 SHORT = ["controller.backend=interpreted", "plant.backend=interpreted", "collect.duration=8"]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.config.compose import compose, session
 from quadexp.errors import UsageError
 from quadexp.experiment.collect import collect_dataset, collect_flights
 from quadexp.experiment.fit import fit_checkpoint
-from quadexp.learn.checkpoint import load_model, load_report
-from quadexp.learn.dataset import read_dataset
+from quadexp.models.checkpoint import load_model, load_report
+from quadexp.models.dataset import read_dataset
+from quadexp.parts.compose import compose, session
 
 SHORT = ["controller.backend=interpreted", "plant.backend=interpreted", "collect.duration=10"]
 LAG = ["actuator=first_order", "actuator.time_constant_up=0.03", "actuator.time_constant_down=0.03"]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.config.compose import compose
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import InfeasibleError, fly_one
+from quadexp.parts.compose import compose
 from quadexp.report.margin_line import margin_line, world_note
 
 WORLD = ["controller=perfect_mpc", "trajectory=lemniscate", "trajectory.speed=6", "seed=1", "horizon=robust"]
@@ -72,7 +72,7 @@ def test_an_observer_is_named_as_not_in_the_margins():
 
 
 def test_the_name_of_the_remedy_stands_in_the_row():
-    from quadexp.config.schema import controller_name
+    from quadexp.parts.schema import controller_name
 
     assert controller_name(compose(["delay=strapdown"])) == "nominal_mpc+strapdown"
     with pytest.raises(UsageError, match=r"delay.time=0.7: must be in \[0, 0.5\] s"):

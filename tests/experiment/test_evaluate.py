@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadexp.config.compose import compose, expand
 from quadexp.errors import UsageError
 from quadexp.experiment.collect import Setpoints, collect_flights, setpoints
 from quadexp.experiment.evaluate import InfeasibleError, fly_one, generator
 from quadexp.experiment.identity import flight_entropy
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight
+from quadexp.parts.compose import compose, expand
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.reference.base import Trajectory
 from quadexp.sweeps.sweep import run_sweep

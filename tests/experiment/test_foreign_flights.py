@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from quadexp.config.compose import compose
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.fit import fit_checkpoint
+from quadexp.parts.compose import compose
 from tests.experiment.test_compiled_flight import both, compiled
 
 HUMMINGBIRD = ["vehicle=hummingbird", "plant=rotorpy"]

@@ -8,11 +8,11 @@ from dataclasses import asdict
 
 import numpy as np
 
-from quadexp.config.compose import compose
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.identify import own_vehicle
 from quadexp.experiment.identity import digest, flight_entropy, flight_record
 from quadexp.log.schema import Flight
+from quadexp.parts.compose import compose
 
 
 def with_former_name(record):

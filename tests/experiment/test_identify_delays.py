@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from quadexp.cli.app import app
-from quadexp.config.compose import compose
 from quadexp.control.delay.timing import Stream, find_delays
 from quadexp.errors import DataError
 from quadexp.experiment.build import build_vehicle
@@ -18,6 +17,7 @@ from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.identify_delays import overrides, told
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
+from quadexp.parts.compose import compose
 
 NOISY = ["controller=nominal_mpc", "world=everything", "trajectory=lemniscate", "trajectory.speed=6", "seed=3"]
 

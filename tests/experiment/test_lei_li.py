@@ -10,13 +10,13 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from quadexp.config.compose import compose
 from quadexp.control.base import Measurement, Window
 from quadexp.errors import ModelDomainError, UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_sensor, build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.log.outcome import COMPLETED
+from quadexp.parts.compose import compose
 from quadexp.report.metrics import attitude_error, position_error
 
 BENCH = ["vehicle=lei_li", "plant=blade_element", "sensor=lei_li"]

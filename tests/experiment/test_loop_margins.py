@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from quadexp.config.compose import compose
 from quadexp.experiment.evaluate import fly_one
+from quadexp.parts.compose import compose
 from quadexp.report.margin_line import margin_line, world_note
 from quadexp.report.page.provenance import _margins
 from quadexp.report.summary import flight_lines

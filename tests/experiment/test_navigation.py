@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from quadexp.config.compose import compose
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
@@ -16,6 +15,7 @@ from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.log.schema import FLIGHT_COLUMNS
+from quadexp.parts.compose import compose
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
 from quadexp.world import PlantEffects, SimplifiedPlant

@@ -8,10 +8,10 @@ import math
 import numpy as np
 import pytest
 
-from quadexp.learn.checkpoint import load_model, save_model
-from quadexp.learn.dataset import read_dataset
-from quadexp.learn.linear_drag import fit_linear_drag
 from quadexp.log.store import read_flight, read_metadata, read_table
+from quadexp.models.checkpoint import load_model, save_model
+from quadexp.models.dataset import read_dataset
+from quadexp.models.linear_drag import fit_linear_drag
 from quadexp.report.notes import notes
 from tests.cli.command import run
 

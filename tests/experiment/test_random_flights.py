@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from quadexp.config.compose import compose
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import fly_one
+from quadexp.parts.compose import compose
 from quadexp.report.summary import flight_lines
 
 # Without a model of drag the MPC leans on its feedback, some of whose thrusts meet a limit that the reference keeps.
@@ -119,8 +119,8 @@ class TestFlownByAll:
         assert flight.metadata["reference_residual"] is None
 
     def test_the_share_is_a_column_of_results(self, tmp_path):
-        from quadexp.config.compose import expand
         from quadexp.log.store import read_table
+        from quadexp.parts.compose import expand
         from quadexp.sweeps.sweep import run_sweep
 
         grid = ["trajectory=random", "trajectory.extent=20", "trajectory.speed=60", "seed=2"]

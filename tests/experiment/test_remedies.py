@@ -9,11 +9,11 @@ from itertools import product
 import numpy as np
 import pytest
 
-from quadexp.config.compose import compose
-from quadexp.config.schema import controller_name
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle, build_world, check_remedies
 from quadexp.experiment.evaluate import fly_one
+from quadexp.parts.compose import compose
+from quadexp.parts.schema import controller_name
 
 WORLD = ["trajectory=hover", "trajectory.duration=0.3", "external=push", "external.force=[0.5,-0.3,-0.4]"]
 WORLD += ["external.torque=[0.01,-0.01,0.002]", "estimator=late", "estimator.gyro=fresh"]

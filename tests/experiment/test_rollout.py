@@ -7,13 +7,13 @@ import pytest
 
 import quadexp as qx
 from quadexp.air.none import no_residual
-from quadexp.config.compose import compose
 from quadexp.control.dfbc.controller import DFBC
 from quadexp.control.dfbc.law import DFBCKeys
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.parts.compose import compose
 from quadexp.physics.rotation import heading
 from quadexp.physics.state import ATTITUDE
 from quadexp.reference.circle import Circle

@@ -7,14 +7,14 @@ import shutil
 import numpy as np
 import pytest
 
-from quadexp.config.compose import compose
 from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.identify import identify_files, read_recorded
-from quadexp.learn.checkpoint import MODEL_FILE, load_model, load_report, save_model
-from quadexp.learn.linear_drag import LinearDrag
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_flight
+from quadexp.models.checkpoint import MODEL_FILE, load_model, load_report, save_model
+from quadexp.models.linear_drag import LinearDrag
+from quadexp.parts.compose import compose
 from quadexp.physics.state import STATE_COLUMNS, input_columns
 
 TRIES = 300

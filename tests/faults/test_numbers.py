@@ -6,11 +6,11 @@ import dataclasses
 
 import pytest
 
-from quadexp.config.compose import session
-from quadexp.config.settings import declared
 from quadexp.errors import UsageError
 from quadexp.experiment.collect import collect_dataset
 from quadexp.experiment.evaluate import fly_one
+from quadexp.parts.compose import session
+from quadexp.parts.settings import declared
 
 BASES = (
     ["trajectory=circle", "plant=simplified", "controller=nominal_mpc"],

@@ -7,9 +7,9 @@ import stat
 
 import pytest
 
-from quadexp.config.compose import compose, expand, session
 from quadexp.errors import UsageError
 from quadexp.files.writer import check_output
+from quadexp.parts.compose import compose, expand, session
 
 NAMES = (
     "a=b", "jürgen", "飛行", "a#b", "q'uo", "back\\slash", "end\\", "mix\\'x", "(copy)", "~t", "run [2]", "{x}",

@@ -8,9 +8,9 @@ import shutil
 
 import pytest
 
-from quadexp.config.compose import expand
 from quadexp.errors import DataError, UsageError
 from quadexp.log.cell_store import CellStore
+from quadexp.parts.compose import expand
 from quadexp.sweeps.figures import SweepFigures
 from quadexp.sweeps.sweep import run_sweep
 from tests.sweeps.cells import quick_cell

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from quadexp.errors import UsageError
-from quadexp.learn.checkpoint import load_model, save_model
-from quadexp.learn.linear_drag import LinearDrag
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, write_flight
+from quadexp.models.checkpoint import load_model, save_model
+from quadexp.models.linear_drag import LinearDrag
 from tests.faults.command import FLY, ROOT, START, run
 from tests.house import modules
 from tests.log.flights import straight_flight

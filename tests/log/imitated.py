@@ -12,9 +12,9 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadexp.config.compose import compose
 from quadexp.experiment.build import build_vehicle
 from quadexp.log.schema import Flight
+from quadexp.parts.compose import compose
 from quadexp.physics.vehicle import Vehicle
 
 G = 9.81

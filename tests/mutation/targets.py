@@ -57,10 +57,10 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/properties/test_symmetry.py",
         "tests/properties/test_blade_limits.py",
     ),
-    "quadexp/air/online.py": ("tests/air/test_online.py", "tests/learn/test_streaming.py"),
-    "quadexp/air/adapting.py": ("tests/air/test_online.py", "tests/learn/test_streaming.py"),
-    "quadexp/air/adapt_block.c": ("tests/air/test_online.py", "tests/learn/test_streaming.py"),
-    "quadexp/air/neural_*.c": ("tests/air", "tests/learn/test_neural.py"),
+    "quadexp/air/online.py": ("tests/air/test_online.py", "tests/models/test_streaming.py"),
+    "quadexp/air/adapting.py": ("tests/air/test_online.py", "tests/models/test_streaming.py"),
+    "quadexp/air/adapt_block.c": ("tests/air/test_online.py", "tests/models/test_streaming.py"),
+    "quadexp/air/neural_*.c": ("tests/air", "tests/models/test_neural.py"),
     "quadexp/air/*.py": (*RESIDUAL, "tests/physics/test_sensitivity.py"),
     "quadexp/control/observers/*.py": ("tests/control/test_observers.py",),
     "quadexp/control/delivered.py": ("tests/control/test_delivered.py", "tests/control/test_observers.py"),
@@ -114,7 +114,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/reference/air_step.py": ("tests/reference/test_air_step.py", "tests/reference/test_fixed_point.py"),
     "quadexp/reference/traced.py": ("tests/reference/test_air_model.py",),
     "quadexp/experiment/flight.c": ("tests/experiment/test_compiled_flight.py",),
-    "quadexp/learn/rls.py": ("tests/learn/test_rls.py", "tests/properties/test_identification.py"),
+    "quadexp/models/rls.py": ("tests/models/test_rls.py", "tests/properties/test_identification.py"),
 }
 COMPILED = ("*.c", "quadexp/air/online.py", "quadexp/control/mpc/riccati.py", "quadexp/reference/traced.py")
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.config.compose import compose
 from quadexp.experiment.evaluate import fly_one, result_row
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, write_flight
 from quadexp.papers.lei_li import report as lei_li
+from quadexp.parts.compose import compose
 from quadexp.report.ladder import means_by_place, means_figure
 from tests.report.test_tables import row
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.config.compose import compose, session
 from quadexp.experiment.build import build_vehicle, build_world
 from quadexp.experiment.evaluate import fly_one
 from quadexp.log.schema import Flight
 from quadexp.papers.sun.as_logged import RECORDED_AFTER, logged_rmse, with_logged
 from quadexp.papers.sun.data import ellipses, published
 from quadexp.papers.sun.report import INFEASIBLE_SET, TITLES, Condition, conditions, overview, reproduced, sun_table
+from quadexp.parts.compose import compose, session
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.reference.ellipse import Ellipse as ReferenceEllipse
 

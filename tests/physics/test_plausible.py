@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadexp.config.compose import compose
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import heavy_drag
+from quadexp.parts.compose import compose
 from tests.docs.commands import ROOT
 
 SHIPPED = sorted(path.stem for path in (ROOT / "conf" / "vehicle").glob("*.yaml"))

@@ -13,10 +13,10 @@ from collections.abc import Iterator
 import numpy as np
 import scipy.spatial  # noqa: F401 - imported once, for all children, as rollout is
 
-from quadexp.config.schema import Config
 from quadexp.errors import QuadexpError
 from quadexp.experiment import rollout  # noqa: F401
 from quadexp.experiment.evaluate import fly_one
+from quadexp.parts.schema import Config
 
 Cell = dict[str, tuple[str, ...]]
 

@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from quadexp.config.compose import compose, session
-from quadexp.config.schema import Config
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
-from quadexp.learn.checkpoint import save_model
-from quadexp.learn.gaussian_process import GPSettings, fit_gp
-from quadexp.learn.neural import NeuralModel
 from quadexp.log.outcome import COMPLETED
+from quadexp.models.checkpoint import save_model
+from quadexp.models.gaussian_process import GPSettings, fit_gp
+from quadexp.models.neural import NeuralModel
+from quadexp.parts.compose import compose, session
+from quadexp.parts.schema import Config
 from quadexp.sweeps.server import start_server
-from tests.learn.synthetic import synthetic_dataset
+from tests.models.synthetic import synthetic_dataset
 from tests.properties import cells
 
 

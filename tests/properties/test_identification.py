@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from quadexp.air.gaussian_process import GPOutput, gaussian_process_residual
-from quadexp.learn.rls import AXES, BladeElementRLS, RLSSettings
+from quadexp.models.rls import AXES, BladeElementRLS, RLSSettings
 from quadexp.physics.rotor import BladeCoefficients
 from quadexp.physics.rotor_coefficients import static_coefficients
-from tests.learn.batch import batch_least_squares
+from tests.models.batch import batch_least_squares
 from tests.physics.aerodynamic_point import aerodynamic_point
 from tests.properties.strategies import GP_FEATURES, few, generators, make_blade, make_features, make_thrusts, vehicles
 

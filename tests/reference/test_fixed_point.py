@@ -8,9 +8,9 @@ import pytest
 
 from quadexp.air.base import symbolic_residual
 from quadexp.air.blade_element import blade_element_residual
-from quadexp.config.compose import compose
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
+from quadexp.parts.compose import compose
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.rotor import BladeCoefficients
 from quadexp.physics.state import RATE, VELOCITY

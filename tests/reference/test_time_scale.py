@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadexp.config.compose import compose
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
+from quadexp.parts.compose import compose
 from quadexp.physics.state import RATE
 from quadexp.reference.base import sampled_peak_speed
 from quadexp.reference.flatness import flat_reference

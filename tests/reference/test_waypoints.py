@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadexp.config.compose import compose
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import InfeasibleError, fly_one
+from quadexp.parts.compose import compose
 from quadexp.reference.base import Trajectory
 from quadexp.reference.from_file import FileTrajectory
 from tests.reference.test_time_scale import VEHICLES, shares

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from quadexp.config.compose import expand
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import describe, program_record, result_row
 from quadexp.log.store import write_flight
+from quadexp.parts.compose import expand
 from quadexp.sweeps.sweep import run_sweep
 from tests.log.flights import straight_flight
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from quadexp.config.compose import expand
 from quadexp.log.store import write_table
+from quadexp.parts.compose import expand
 from quadexp.report.compare import compare
 from quadexp.report.drawing import fastest
 from quadexp.report.page import make_report

@@ -8,13 +8,13 @@ import math
 import numpy as np
 import pytest
 
-from quadexp.config.compose import compose, expand
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import describe, result_row
-from quadexp.learn.checkpoint import save_model
-from quadexp.learn.linear_drag import LinearDrag
 from quadexp.log.store import write_flight, write_table
+from quadexp.models.checkpoint import save_model
+from quadexp.models.linear_drag import LinearDrag
+from quadexp.parts.compose import compose, expand
 from quadexp.report.compare import compare
 from quadexp.report.compare_parts import change, differing
 from quadexp.report.result_rows import to_columns

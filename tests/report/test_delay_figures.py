@@ -7,9 +7,9 @@ import pytest
 from typer.testing import CliRunner
 
 from quadexp.cli.app import app
-from quadexp.config.compose import compose
 from quadexp.experiment.evaluate import fly_one
 from quadexp.log.store import write_flight
+from quadexp.parts.compose import compose
 from quadexp.report.delay_figures import Profile, delay_figure
 
 

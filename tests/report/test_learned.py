@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from quadexp.learn.checkpoint import save_model
-from quadexp.learn.gaussian_process import GPSettings, fit_gp
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_table, write_flight, write_table
+from quadexp.models.checkpoint import save_model
+from quadexp.models.gaussian_process import GPSettings, fit_gp
 from quadexp.report.page import make_report
 from quadexp.report.page.learned import estimate_panel, fit_panel, identified, read_checkpoint
 from quadexp.report.page.palette import PAPER
 from quadexp.report.style import looks
-from tests.learn.synthetic import synthetic_dataset
 from tests.log.flights import straight_flight
+from tests.models.synthetic import synthetic_dataset
 from tests.report.results import make_results
 
 CONSTANT = {"plant": {"profile_drag": 0.22, "lift_slope": 3.32, "body_drag": [0.01, 0.01, 0.02]}}

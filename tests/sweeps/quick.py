@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from quadexp.config.compose import expand
+from quadexp.parts.compose import expand
 from quadexp.sweeps.sweep import run_sweep
 from tests.sweeps.cells import quick_cell
 

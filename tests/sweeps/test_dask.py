@@ -17,9 +17,9 @@ pytest.importorskip("distributed", reason="the extra `cluster` is not installed"
 
 from distributed import Client
 
-from quadexp.config.compose import compose, expand
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
+from quadexp.parts.compose import compose, expand
 from quadexp.sweeps.cluster.driver import DaskEngine
 from quadexp.sweeps.cluster.engines import build_engine
 from quadexp.sweeps.cluster.start import open_cluster
@@ -208,7 +208,7 @@ def test_two_sweeps_on_one_cluster(cluster, tmp_path):
 
 DRIVER = """
 import sys
-from quadexp.config.compose import expand
+from quadexp.parts.compose import expand
 from quadexp.sweeps.sweep import run_sweep
 from tests.sweeps import cells
 from tests.sweeps.test_dask import at
@@ -282,8 +282,8 @@ def make_checkpoint(folder):
     import numpy as np
 
     from quadexp.experiment.build import build_vehicle
-    from quadexp.learn.checkpoint import save_model
-    from quadexp.learn.linear_drag import LinearDrag
+    from quadexp.models.checkpoint import save_model
+    from quadexp.models.linear_drag import LinearDrag
 
     vehicle = build_vehicle(compose([]).vehicle)
     numbers = {"drag": np.array([0.3, 0.3, 0.1]), "intercept": np.zeros(3), "thrust_gain": 0.0}

@@ -6,8 +6,8 @@ import shutil
 
 import pytest
 
-from quadexp.config.compose import expand
 from quadexp.log.cell_store import CellStore
+from quadexp.parts.compose import expand
 from quadexp.report.drawing import DRAWN, FigureFolder, drawings
 from quadexp.sweeps.engine import Workers
 from quadexp.sweeps.figures import SweepFigures

@@ -7,7 +7,7 @@ import random
 import pytest
 
 from quadexp.compile.backend import compiler
-from quadexp.config.compose import expand
+from quadexp.parts.compose import expand
 from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.sweep import SweepInterrupted, run_sweep
 from tests.experiment.same import same_results

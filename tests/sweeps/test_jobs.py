@@ -14,8 +14,8 @@ import pytest
 pytest.importorskip("dask_jobqueue", reason="the extra `cluster` is not installed")
 pytest.importorskip("cryptography", reason="the extra `cluster` is not installed")
 
-from quadexp.config.compose import compose, expand
 from quadexp.errors import QuadexpError, UsageError
+from quadexp.parts.compose import compose, expand
 from quadexp.sweeps.cluster.engines import build_engine
 from quadexp.sweeps.sweep import run_sweep
 from tests.experiment.same import same_results

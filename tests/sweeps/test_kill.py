@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from quadexp.config.compose import expand
 from quadexp.log.cell_store import CellStore
+from quadexp.parts.compose import expand
 from quadexp.sweeps.sweep import run_sweep
 from tests.experiment.same import same_results
 from tests.sweeps import cells
@@ -26,7 +26,7 @@ GRID = ["seed=range(24)"]
 SCRIPT = textwrap.dedent(
     """
     import sys
-    from quadexp.config.compose import expand
+    from quadexp.parts.compose import expand
     from quadexp.sweeps.sweep import run_sweep
     from tests.sweeps import cells
 

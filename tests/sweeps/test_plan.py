@@ -7,15 +7,15 @@ from dataclasses import fields, is_dataclass, replace
 
 import pytest
 
-from quadexp.config.cells import Cells
-from quadexp.config.compose import compose, expand, session
-from quadexp.config.schema import WORLD, Config
-from quadexp.config.settings import keys_of
 from quadexp.errors import UsageError
 from quadexp.experiment.build import input_hashes
 from quadexp.experiment.checkpoints import find_model
 from quadexp.experiment.identity import FLIGHT_GROUPS
 from quadexp.log.store import read_table, write_table
+from quadexp.parts.cells import Cells
+from quadexp.parts.compose import compose, expand, session
+from quadexp.parts.schema import WORLD, Config
+from quadexp.parts.settings import keys_of
 from quadexp.sweeps import plan
 from quadexp.sweeps.plan import plan_cells
 from quadexp.sweeps.results import select

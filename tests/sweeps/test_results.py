@@ -7,10 +7,10 @@ import shutil
 
 import pytest
 
-from quadexp.config.compose import expand
 from quadexp.errors import UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_metadata, read_table, write_table
+from quadexp.parts.compose import expand
 from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.results import prune, select
 from quadexp.sweeps.sweep import run_sweep

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from quadexp.config.compose import expand
 from quadexp.errors import UsageError
 from quadexp.experiment.identity import flight_record
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, read_table
+from quadexp.parts.compose import expand
 from quadexp.sweeps import plan
 from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.plan import cell_key, flying_order, plan_cells
@@ -258,7 +258,7 @@ class TestInterrupt:
     SCRIPT = textwrap.dedent(
         """
         import sys
-        from quadexp.config.compose import expand
+        from quadexp.parts.compose import expand
         from quadexp.errors import QuadexpError
         from quadexp.sweeps.sweep import run_sweep
         from tests.sweeps.cells import slow_cell

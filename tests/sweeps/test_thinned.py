@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.config.compose import expand
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight
+from quadexp.parts.compose import expand
 from quadexp.report.metrics import mean_error, position_error
 from quadexp.report.page.sections import worst
 from quadexp.report.page.source import read_comparison

@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 
 from quadexp import provenance
-from quadexp.config.compose import expand
-from quadexp.config.plugins import own_folders
 from quadexp.errors import QuadexpError
 from quadexp.experiment.evaluate import program_record
 from quadexp.log.cell_store import CellStore
+from quadexp.parts.compose import expand
+from quadexp.parts.plugins import own_folders
 from quadexp.sweeps.sweep import run_sweep
 from tests.sweeps import cells
 from tests.sweeps.test_sweep import files

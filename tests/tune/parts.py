@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from quadexp.config.compose import session
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import describe, result_row
 from quadexp.log.store import write_flight
+from quadexp.parts.compose import session
 from quadexp.tune.search import Request, Search, with_seeds
 from quadexp.tune.space import read_axes
 from tests.log.flights import straight_flight

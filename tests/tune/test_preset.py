@@ -7,11 +7,11 @@ import shutil
 import pytest
 
 from quadexp.api.frames import Tuning
-from quadexp.config.compose import compose, session
-from quadexp.config.schema import REMEDIES
-from quadexp.config.settings import record
 from quadexp.errors import UsageError
 from quadexp.log.store import read_metadata, read_table
+from quadexp.parts.compose import compose, session
+from quadexp.parts.schema import REMEDIES
+from quadexp.parts.settings import record
 from quadexp.tune.call import fingerprint, tune
 from quadexp.tune.preset import (
     check_name,

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from quadexp.config.compose import compose
-from quadexp.config.schema import conf_folder
 from quadexp.errors import UsageError
+from quadexp.parts.compose import compose
+from quadexp.parts.schema import conf_folder
 from quadexp.tune.space import default_space, overrides, read_axes
 
 CONFIG = compose(["controller=nominal_mpc", "controller.position_weight=[6,6,15]"])

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.config.compose import compose
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_sensor
+from quadexp.parts.compose import compose
 from quadexp.world.accelerometer import Accelerometer
 from tests import paper
 

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.config.compose import compose
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
-from quadexp.learn.checkpoint import save_model
-from quadexp.learn.linear_drag import LinearDrag
+from quadexp.models.checkpoint import save_model
+from quadexp.models.linear_drag import LinearDrag
+from quadexp.parts.compose import compose
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.disturbance import Disturbance

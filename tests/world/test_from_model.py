@@ -8,10 +8,10 @@ import pytest
 from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.errors import UsageError
 from quadexp.experiment.checkpoints import model_residual
-from quadexp.learn.checkpoint import save_model
-from quadexp.learn.vehicle_fit import FitSettings, fit_vehicle_model
+from quadexp.models.checkpoint import save_model
+from quadexp.models.vehicle_fit import FitSettings, fit_vehicle_model
 from quadexp.world.from_model import FromModelPlant
-from tests.learn.recorded_flights import DRAG, OFFSET, crazyflie, recorded_flight
+from tests.models.recorded_flights import DRAG, OFFSET, crazyflie, recorded_flight
 
 VEHICLE = crazyflie()
 AT_REST = np.r_[0.0, 0.0, 1.0, 1.0, np.zeros(9)]

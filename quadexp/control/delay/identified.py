@@ -22,7 +22,6 @@ from typing import Annotated, Any
 import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
-from quadexp.config.settings import Setting
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.delay.moments import Moments
 from quadexp.control.delay.prediction import STEP, Prediction, prediction_on
@@ -37,6 +36,7 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, innermost, layers
 from quadexp.errors import UsageError
+from quadexp.parts.settings import Setting
 
 LARGEST = 0.08  # s, of an age and of a dead time that are made good
 LARGEST_LAG = 0.1  # s

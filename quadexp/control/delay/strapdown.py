@@ -24,11 +24,11 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Setting
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController
+from quadexp.parts.settings import Setting
 from quadexp.physics.rotation import exponential, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 

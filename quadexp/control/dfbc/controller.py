@@ -12,8 +12,6 @@ import numpy as np
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.config.part import Given
-from quadexp.config.settings import Backend, part
 from quadexp.control.base import Measurement, Window
 from quadexp.control.belief import Belief, no_belief
 from quadexp.control.delivered import DeliveredThrust
@@ -21,6 +19,8 @@ from quadexp.control.dfbc.law import DFBCKeys, law_function
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import RESIDUAL, ControllerPart
+from quadexp.parts.part import Given
+from quadexp.parts.settings import Backend, part
 from quadexp.physics.vehicle import Vehicle
 
 

@@ -31,9 +31,9 @@ from typing import Annotated, ClassVar, Literal
 
 from quadexp.air.base import N_OUTPUTS, Residual
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Setting, Settings, Triple
 from quadexp.control.allocation import allocation
 from quadexp.control.belief import N_BELIEF
+from quadexp.parts.settings import Setting, Settings, Triple
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY

@@ -21,7 +21,7 @@ def body_velocity(x: np.ndarray) -> np.ndarray:
 
 
 class Estimator(Protocol):
-    """Recursive estimator of the coefficients, such as quadexp.learn.rls.BladeElementRLS.
+    """Recursive estimator of the coefficients, such as quadexp.models.rls.BladeElementRLS.
 
     theta: values to use, (5,). error: innovation of the last sample, (3,) (m/s^2). samples: number of updates. clips:
     number of samples on which each entry was clipped, (5,). settings.noise: assumed standard deviation of a reading

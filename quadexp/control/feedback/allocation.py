@@ -8,7 +8,7 @@ paper's '+' layout, arm d, the inverse is
     w_1^2 = T/4k + Gamma_y/2dk - Gamma_z/4q,   w_2^2 = T/4k - Gamma_x/2dk + Gamma_z/4q,   ...
 
 so k and q are divisors: with q near zero a small yaw torque demands an arbitrarily large speed. Estimates are therefore
-clipped (quadexp.learn.rls) to at least half of their initial values.
+clipped (quadexp.models.rls) to at least half of their initial values.
 """
 
 from __future__ import annotations

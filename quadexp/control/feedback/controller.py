@@ -11,8 +11,6 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.config.part import Given
-from quadexp.config.settings import Backend, Setting, part
 from quadexp.control.base import Measurement, Window
 from quadexp.control.feedback.aerodynamics import IdentifiedCoefficients, KnownCoefficients, body_velocity
 from quadexp.control.feedback.compensation import hover_rotor_speed
@@ -23,7 +21,9 @@ from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
-from quadexp.learn.rls import Identification
+from quadexp.models.rls import Identification
+from quadexp.parts.part import Given
+from quadexp.parts.settings import Backend, Setting, part
 from quadexp.physics.rotor import THETA
 from quadexp.physics.vehicle import Vehicle
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
-from quadexp.config.settings import Setting, Settings, Triple
+from quadexp.parts.settings import Setting, Settings, Triple
 
 
 @dataclass(frozen=True)

@@ -25,10 +25,10 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Setting, Settings
 from quadexp.control.allocation import allocation
 from quadexp.control.dfbc.law import TILT_FIRST, WRENCH_WEIGHT, Wrench
 from quadexp.errors import UsageError
+from quadexp.parts.settings import Setting, Settings
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Backend, part
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.indi.law import INDIKeys, indi_function, settled_memory
@@ -18,6 +17,7 @@ from quadexp.control.multirate import MultiRate
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.errors import UsageError
+from quadexp.parts.settings import Backend, part
 from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
 

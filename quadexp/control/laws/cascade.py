@@ -38,13 +38,13 @@ import numpy as np
 
 from quadexp.compile.backend import realise, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.config.part import Given
-from quadexp.config.settings import Backend, Setting, Settings, Triple, part
 from quadexp.control.base import Window
 from quadexp.control.laws.attitude import attitude_of
 from quadexp.control.laws.desaturation import held, prioritised
 from quadexp.control.laws.explicit import ExplicitController, Rate
 from quadexp.control.part import ControllerPart
+from quadexp.parts.part import Given
+from quadexp.parts.settings import Backend, Setting, Settings, Triple, part
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY

@@ -16,11 +16,11 @@ import numpy as np
 from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Setting
 from quadexp.control.base import Measurement, Window
 from quadexp.control.belief import no_belief
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
+from quadexp.parts.settings import Setting
 from quadexp.physics.vehicle import Vehicle
 
 Rate = Annotated[float, Setting("control rate", "[1, 1000]", "Hz")]

@@ -40,13 +40,13 @@ import numpy as np
 from quadexp.air.base import N_OUTPUTS, Residual
 from quadexp.compile.backend import realise, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.config.part import Given
-from quadexp.config.settings import Backend, Setting, Settings, Triple, part
 from quadexp.control.belief import N_BELIEF, Belief
 from quadexp.control.laws.attitude import attitude_distance, attitude_error, moving_attitude
 from quadexp.control.laws.desaturation import clipped, held, prioritised
 from quadexp.control.laws.explicit import ExplicitController, Rate
 from quadexp.control.part import RESIDUAL, ControllerPart
+from quadexp.parts.part import Given
+from quadexp.parts.settings import Backend, Setting, Settings, Triple, part
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import air_velocity, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY

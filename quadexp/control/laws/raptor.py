@@ -26,14 +26,14 @@ import numpy as np
 
 from quadexp.compile.backend import realise, resolve
 from quadexp.compile.symbolic import ca
-from quadexp.config.part import Given
-from quadexp.config.settings import Backend, Setting, Settings, part
 from quadexp.control.base import Window
 from quadexp.control.laws.attitude import heading_of
 from quadexp.control.laws.desaturation import held
 from quadexp.control.laws.explicit import ExplicitController
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
+from quadexp.parts.part import Given
+from quadexp.parts.settings import Backend, Setting, Settings, part
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY

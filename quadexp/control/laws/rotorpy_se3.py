@@ -15,14 +15,14 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from quadexp.config.part import Given
-from quadexp.config.settings import Setting, Settings, Triple, part
 from quadexp.control.base import Measurement, Window
 from quadexp.control.laws.explicit import Rate
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
+from quadexp.parts.part import Given
+from quadexp.parts.settings import Setting, Settings, Triple, part
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 

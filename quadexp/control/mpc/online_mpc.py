@@ -18,8 +18,6 @@ from quadexp.air.base import Residual
 from quadexp.air.online import Law, prior_belief, update_function
 from quadexp.air.sum import sum_residual
 from quadexp.compile.backend import BufferedFunction, realise
-from quadexp.config.part import Given
-from quadexp.config.settings import Setting, Settings, part
 from quadexp.control.base import Measurement, Window
 from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.mpc.controller import PredictiveController
@@ -28,6 +26,8 @@ from quadexp.control.mpc.part import LEARNED, PredictivePart, check_models
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.wrapped import thrust_at_start
 from quadexp.errors import UsageError
+from quadexp.parts.part import Given
+from quadexp.parts.settings import Setting, Settings, part
 from quadexp.physics.vehicle import Vehicle
 
 FEATURES = (*LEARNED, "terms")  # models that are linear in some of their parameters

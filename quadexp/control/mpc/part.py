@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from quadexp.config.part import Given
-from quadexp.config.settings import Backend, Setting, part
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.errors import UsageError
+from quadexp.parts.part import Given
+from quadexp.parts.settings import Backend, Setting, part
 
 LEARNED = ("linear_drag", "gaussian_process", "neural")  # models from checkpoints
 PARTS = Setting("models that are added to the rigid body in the prediction, and summed")

@@ -13,8 +13,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from quadexp.air.base import Residual
-from quadexp.config.part import Given
-from quadexp.config.settings import Setting, part
 from quadexp.control.base import Measurement, Window
 from quadexp.control.feedback.aerodynamics import IdentifiedCoefficients
 from quadexp.control.mpc.controller import PredictiveController
@@ -23,7 +21,9 @@ from quadexp.control.mpc.part import PredictivePart
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.part import RESIDUAL
 from quadexp.control.wrapped import thrust_at_start
-from quadexp.learn.rls import Identification
+from quadexp.models.rls import Identification
+from quadexp.parts.part import Given
+from quadexp.parts.settings import Setting, part
 
 # Changes of (C_d0, C_la, C_D) for which the reference is recomputed: each is about 0.05 m/s^2 at 10 m/s.
 NOTABLE = np.array([0.004, 0.015, 0.004, 0.004, 0.004])

@@ -7,8 +7,8 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from quadexp.config.settings import Setting, Settings, Triple
 from quadexp.errors import UsageError
+from quadexp.parts.settings import Setting, Settings, Triple
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 

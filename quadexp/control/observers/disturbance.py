@@ -26,7 +26,6 @@ import numpy as np
 
 from quadexp.air.base import Residual
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Setting
 from quadexp.control.base import Controller
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.observers.observer import (
@@ -48,6 +47,7 @@ from quadexp.control.observers.torque import N_TORQUE_SETTINGS, N_TORQUE_STATE, 
 from quadexp.control.part import ControllerPart, Remedy
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
+from quadexp.parts.settings import Setting
 from quadexp.physics.rigid_body import body_features
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY

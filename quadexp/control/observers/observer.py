@@ -19,7 +19,6 @@ from quadexp.air.base import Residual
 from quadexp.air.none import no_residual
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
-from quadexp.config.settings import Setting
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.belief import Belief, no_belief
 from quadexp.control.delivered import Delays, DeliveredThrust
@@ -32,6 +31,7 @@ from quadexp.control.mpc.rls_mpc import IdentifyingController
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, innermost, thrust_at_start
 from quadexp.errors import UsageError
+from quadexp.parts.settings import Setting
 from quadexp.physics.vehicle import Vehicle
 
 COLUMNS = (

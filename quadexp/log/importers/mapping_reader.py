@@ -28,7 +28,6 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.config.plain_data import read_data
 from quadexp.errors import UsageError
 from quadexp.log.importers.raw import QUANTITIES, ROTORS, Crop, columns_of
 from quadexp.log.units import (
@@ -42,6 +41,7 @@ from quadexp.log.units import (
     unit_factor,
 )
 from quadexp.messages import suggestion
+from quadexp.parts.plain_data import read_data
 
 # Where the places of a rotor are, as signs of x and y in FLU.
 PLACES = {

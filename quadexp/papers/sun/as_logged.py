@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.config.settings import declared
 from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
+from quadexp.parts.settings import declared
 from quadexp.physics.state import POSITION
 from quadexp.reference.ellipse import Ellipse
 

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
-from quadexp.learn.checkpoint import MODEL_FILE, load_model, load_report
-from quadexp.learn.dataset import ResidualDataset, read_dataset
-from quadexp.learn.gaussian_process import GPModel, OutputPosterior
 from quadexp.log.outcome import UNFLOWN
 from quadexp.log.schema import ESTIMATE_COLUMNS, Flight, describe
+from quadexp.models.checkpoint import MODEL_FILE, load_model, load_report
+from quadexp.models.dataset import ResidualDataset, read_dataset
+from quadexp.models.gaussian_process import GPModel, OutputPosterior
 from quadexp.report.fit_figures import axis_label, curve, moved, symbol, unit
 from quadexp.report.page.palette import Palette, dress
 from quadexp.report.page.sheet import Sheet, sheet_name

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from quadexp.config.cells import Grid
+from quadexp.parts.cells import Grid
 from quadexp.report.compare_parts import flat
 from quadexp.report.flown_by import versions_of
 from quadexp.report.margin_line import margin_line

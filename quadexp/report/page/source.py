@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.config.cells import Combinations, Grid
 from quadexp.errors import DataError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import UNFLOWN
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_metadata, read_table
+from quadexp.parts.cells import Combinations, Grid
 from quadexp.report.inference import Ratio
 from quadexp.report.pairing import (
     Common,

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-from quadexp.config.engine import DaskConfig, JobsConfig
-from quadexp.config.schema import Config
 from quadexp.errors import UsageError
+from quadexp.parts.engine import DaskConfig, JobsConfig
+from quadexp.parts.schema import Config
 from quadexp.sweeps.engine import Engine, LocalEngine, Workers, default_workers
 
 NEEDED = {"dask": ("distributed", "cryptography"), "jobs": ("distributed", "cryptography", "dask_jobqueue")}

@@ -19,9 +19,9 @@ import dask
 from distributed import Client, LocalCluster
 from distributed.security import Security
 
-from quadexp.config.engine import CERTIFICATES, DaskConfig, JobsConfig
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.files.cache import cache_folder
+from quadexp.parts.engine import CERTIFICATES, DaskConfig, JobsConfig
 from quadexp.sweeps.server import SAFE, THREADS, safe_path
 
 # The web server of a scheduler and of a worker, which Dask starts with or without a dashboard.

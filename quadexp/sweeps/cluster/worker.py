@@ -12,10 +12,10 @@ from typing import Any
 
 from distributed import WorkerPlugin, get_worker
 
-from quadexp.config.plugins import own_folders
 from quadexp.errors import QuadexpError
 from quadexp.experiment.build import source_hashes
 from quadexp.experiment.inputs import use_copies
+from quadexp.parts.plugins import own_folders
 from quadexp.provenance import identity
 from quadexp.sweeps.engine import CellFailed, Task, Workers
 

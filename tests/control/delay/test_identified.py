@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.config.compose import compose
 from quadexp.control.delay.identified import CommandsAhead, soft
 from quadexp.control.mpc.dead_time import DeadTimePredictor
 from quadexp.control.mpc.mpc import ModelPredictiveController
@@ -14,6 +13,7 @@ from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle, build_world
 from quadexp.experiment.evaluate import fly_one
+from quadexp.parts.compose import compose
 from quadexp.report.margin_line import delays_note
 from tests.air.models import make_residual
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.config.compose import compose
 from quadexp.control.delay import identified
 from quadexp.control.delay.moments import BEGINS, KEPT, MOST, SPAN, Moments
 from quadexp.control.delay.sent_commands import SentCommands
@@ -16,6 +15,7 @@ from quadexp.control.delay.timing import LARGEST, SMALL_STEP, Search, Stream, fi
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.identify_delays import told
+from quadexp.parts.compose import compose
 from quadexp.physics.state import ATTITUDE, VELOCITY
 
 PERIOD = 0.02

@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadexp.config.compose import compose
 from quadexp.control.base import Measurement, Window
 from quadexp.experiment.build import build_vehicle
+from quadexp.parts.compose import compose
 from quadexp.physics.rigid_body import state_derivative
 from quadexp.physics.state import ATTITUDE, N_STATE
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.config.compose import compose
 from quadexp.control.laws.cascade import CascadeController, CascadeKeys, wanted_rate, wanted_thrust, wanted_velocity
 from quadexp.experiment.evaluate import fly_one
+from quadexp.parts.compose import compose
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from tests.control.laws.flown import Body, at_rest, fly, hovering, rotation, vehicle_of
 

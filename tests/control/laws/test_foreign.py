@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.config.compose import compose
 from quadexp.control.base import Measurement
 from quadexp.control.laws.raptor import RaptorKeys
 from quadexp.control.laws.rotorpy_se3 import RotorPySE3Keys
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import fly_one
+from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION, RATE, VELOCITY
 from tests.control.laws.flown import Body, at_rest, fly, hovering, rotation, vehicle_of
 from tests.states import random_state

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.config.compose import compose
 from quadexp.control.base import Measurement
 from quadexp.control.belief import Belief
 from quadexp.control.laws.geometric import GeometricController, GeometricKeys
 from quadexp.experiment.evaluate import fly_one
+from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION, RATE, VELOCITY
 from quadexp.reference.base import FlatOutput
 from quadexp.reference.flatness import flat_reference

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.config.compose import compose
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.first_solve import ARMIJO, FirstSolve, rollout_function
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.parts.compose import compose
 from quadexp.physics.state import ATTITUDE
 from quadexp.reference.circle import Circle
 from quadexp.reference.lemniscate import Lemniscate

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.config.compose import compose
 from quadexp.control.mpc.motor_lead import MotorLead
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import fly_one
+from quadexp.parts.compose import compose
 from quadexp.physics.motor import lagging_thrust
 
 

@@ -8,7 +8,6 @@ import pytest
 from quadexp.air.adapting import adapting_drag, adapting_terms
 from quadexp.air.linear_drag import linear_drag_residual
 from quadexp.air.sum import sum_residual
-from quadexp.config.compose import compose
 from quadexp.control.base import Measurement
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
@@ -18,6 +17,7 @@ from quadexp.errors import UsageError
 from quadexp.experiment.checkpoints import find_model
 from quadexp.experiment.evaluate import fly_one
 from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION, STATE_COLUMNS
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp.config.compose import compose
 from quadexp.experiment.evaluate import fly_one
 from quadexp.log.check import check_flight, check_flights
 from quadexp.log.schema import Flight
+from quadexp.parts.compose import compose
 from tests.log.imitated import imitated
 
 from .faults import FAULTS, NANOBENCH, inject, nanobench

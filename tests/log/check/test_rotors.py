@@ -11,8 +11,8 @@ import pytest
 from quadexp.log.check import check_flight, check_flights
 from quadexp.log.check.rotors import judge, motion_of
 from quadexp.log.schema import Flight
-from tests.learn.recorded_data import nanobench
 from tests.log.imitated import VEHICLES, imitated, vehicle_named
+from tests.models.recorded_data import nanobench
 
 RIGGED = {"gain": (0.6, 0.5, 0.4), "lag": 0.02, "offset": (1.0, -0.5, 0.2)}  # as real vehicles are
 

@@ -12,10 +12,10 @@ from quadexp.log.check.dead import check_dead
 from quadexp.log.importers.importing import Options
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_table
-from tests.learn.recorded_data import blackbird, nanobench
 from tests.log.check.faults import P, Q, V
 from tests.log.imitated import VEHICLES, imitated
 from tests.log.importers.logs import write_csv
+from tests.models.recorded_data import blackbird, nanobench
 
 MAPPING = """
 time: {column: t, unit: s}

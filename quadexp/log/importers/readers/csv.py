@@ -5,12 +5,12 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-from quadexp.config.schema import conf_folder
 from quadexp.errors import DataError
 from quadexp.log.importers.mapped import read_mapped
 from quadexp.log.importers.mapping_reader import Mapping, load_mapping
 from quadexp.log.importers.raw import RawLog
 from quadexp.log.importers.table import kind_of, open_table
+from quadexp.parts.schema import conf_folder
 
 ABOUT = "delimited text or HDF5, by --mapping or a ready mapping"
 

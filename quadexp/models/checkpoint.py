@@ -1,0 +1,155 @@
+"""Checkpoints: a directory with model.json, which suffices for predictions, and report.json.
+
+model.json is {"schema", "sha256", "payload"}; the hash is over the payload's canonical JSON (sorted keys, no spaces,
+shortest decimals that give the same double), so that edits are detected and a round trip is exact. It contains no code,
+and loading it imports neither torch nor CasADi. The payload is the model's record, field by field (base.py).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from quadexp.errors import DataError, UsageError
+from quadexp.files.names import check_names
+from quadexp.files.writer import check_output, write_folder
+from quadexp.models.base import Model, Record
+from quadexp.models.gaussian_process import GPModel
+from quadexp.models.linear_drag import LinearDrag
+from quadexp.models.neural import NeuralModel
+from quadexp.models.vehicle_model import VehicleModel
+from quadexp.physics.vehicle import Vehicle
+
+SCHEMA = 2
+LARGEST = 100_000_000  # bytes of a model.json; six outputs of a thousand inducing points each take 70 MB
+MODEL_FILE = "model.json"
+REPORT_FILE = "report.json"
+STORED = GPModel | LinearDrag | NeuralModel | VehicleModel  # the models that have a checkpoint
+COMMANDS = (
+    "`quadexp fit-gp DATASET --out {path}`, `quadexp fit-drag DATASET --out {path}`,"
+    " `quadexp fit-nn DATASET --out {path}` or `quadexp identify FLIGHT..."
+    " --out {path}`"
+)
+
+
+def save_model(path: str | Path, model: Model, *, report: dict[str, Any] | None = None, force: bool = False) -> Path:
+    """Write a checkpoint directory, complete or not at all. Returns the directory.
+
+    report: JSON-able, written as report.json. force: replace the files of an existing checkpoint.
+    Raises UsageError where the directory is not empty (without force) or cannot be written.
+    """
+    path = check_output(path, force=force, folder=True)
+    payload = plain(model)
+    document = {"schema": SCHEMA, "sha256": _hash(payload), "payload": payload}
+    files = {MODEL_FILE: json.dumps(document, allow_nan=False) + "\n"}
+    if report is not None:
+        files[REPORT_FILE] = json.dumps(report, indent=1) + "\n"
+    return write_folder(path, files, force=force)
+
+
+def load_model(path: str | Path, *, vehicle: Vehicle | None = None) -> Any:
+    """Read a checkpoint directory (or its model.json).
+
+    vehicle: for which it must have been fitted; None: any.
+    Raises UsageError where there is none, DataError where it is damaged, of another schema, or for another vehicle.
+    """
+    path = Path(path)
+    file = path / MODEL_FILE if path.is_dir() or path.suffix != ".json" else path
+    if not file.is_file():
+        raise UsageError(f"{path}: no model there; make one with {COMMANDS.format(path=path)}")
+    try:
+        size = file.stat().st_size
+        if size > LARGEST:
+            raise DataError(f"{file}: has {size / 1e6:.0f} MB, a model has {LARGEST / 1e6:.0f} MB at most")
+        document = msgspec.json.decode(file.read_bytes())
+        schema, digest, payload = document["schema"], document["sha256"], document["payload"]
+    except OSError as error:
+        raise UsageError(f"{file}: cannot be read ({error.strerror})") from None
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise DataError(f"{file}: damaged, or not a model of quadexp ({_line(error)}); fit it again") from None
+    if schema not in (1, SCHEMA):
+        raise DataError(f"{file}: has schema {schema}, this program reads schema {SCHEMA}; fit it again")
+    if _hash(payload) != digest:
+        raise DataError(f"{file}: damaged or edited, its content does not match its sha256; fit it again")
+    try:
+        model: Model = record_of(_of_schema_1(payload) if schema == 1 else payload, STORED)
+        check_names({"vehicle": model.vehicle}, str(file))
+    except (ValueError, KeyError, TypeError) as error:
+        raise DataError(f"{file}: not a valid model: {_line(error)}; fit it again") from None
+    if vehicle is not None:
+        fitted = model.vehicle.get("fingerprint")
+        if fitted != vehicle.fingerprint:
+            raise DataError(
+                f"{path}: fitted for vehicle '{model.vehicle.get('name')}' ({fitted}), not for"
+                f" '{vehicle.name}' ({vehicle.fingerprint}); fit it again from this vehicle's flights"
+            )
+    return model
+
+
+def load_report(path: str | Path) -> dict[str, Any]:
+    """The report.json of a checkpoint directory, {} if it has none."""
+    file = Path(path) / REPORT_FILE
+    try:
+        report = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{file}: damaged ({_line(error)})") from None
+    except OSError as error:
+        raise UsageError(f"{file}: cannot be read ({error.strerror})") from None
+    if not isinstance(report, dict):
+        raise DataError(f"{file}: damaged (holds a {type(report).__name__}, not a mapping)")
+    return report
+
+
+def _line(error: Exception) -> str:
+    return (f"{type(error).__name__}: {error}".splitlines() or [""])[0][:300]
+
+
+def _hash(payload: Any) -> str:
+    text = json.dumps(payload, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def plain(record: Record) -> Any:
+    """A record as JSON types."""
+    return msgspec.to_builtins(record, enc_hook=lambda array: array.tolist())
+
+
+def record_of(content: Any, kind: Any) -> Any:
+    """The record, or one of several kinds, from JSON types. Raises ValueError naming the field that is wrong."""
+    return msgspec.convert(content, kind, dec_hook=_array)
+
+
+def _array(kind: type, value: Any) -> np.ndarray:
+    """An array from a list of finite numbers, or of such lists."""
+    assert kind is np.ndarray
+    try:
+        array = np.array(value)
+    except ValueError:  # rows of different lengths
+        array = np.array("")
+    if array.dtype.kind not in "fi" and array.size or not array.ndim:
+        raise ValueError(f"holds {str(value)[:60]}; numbers are needed")
+    array = array.astype(float)
+    if not np.isfinite(array).all():
+        raise ValueError(f"holds {str(value)[:60]}; finite numbers are needed")
+    return array
+
+
+def _of_schema_1(payload: Any) -> Any:
+    """The payload of an earlier version, which had F as its upper triangle, and a mean function without its kind."""
+    if not isinstance(payload, dict) or payload.get("kind") != "gaussian_process":
+        return payload
+    outputs = []
+    for output in payload["outputs"]:
+        m = len(output["alpha"])
+        factor = np.zeros((m, m))
+        factor[np.triu_indices(m)] = output["variance_factor"]
+        outputs.append({**output, "variance_factor": factor.tolist()})
+    mean = payload["mean"]
+    if mean is not None:
+        mean = {"kind": "terms" if "model" in mean else "linear_drag", **mean}
+    return {**payload, "outputs": outputs, "mean": mean}

@@ -1,0 +1,317 @@
+"""Identification of the blade-element coefficients in flight by recursive least squares (Lei & Li 2017, section 3).
+
+Given the induced velocities the specific force is linear in theta = (C_d0, C_la, C_Dx, C_Dy, C_Dz), so one row of
+regressors per body axis is the derivative of the dynamics' own force:
+
+    Y = F(v, w, V_I, theta) / m = Phi theta,     Phi = dF/dtheta / m                       (3, 5)
+
+and on every axis, with the coefficients that its force depends on, x (C_d0, C_la, C_Dx), y (C_d0, C_la, C_Dy), z (C_la,
+C_Dz):
+
+    P <- (lambda P^-1 + (1 - lambda) P_0^-1)^-1
+    e = y - Phi^T theta,   K = P Phi / (Phi^T P Phi + sigma^2)                              (24)
+    theta <- theta + K e,   P <- (I - K Phi^T) P
+
+The paper has sigma = 1 m/s^2 and lambda = 1. lambda < 1 forgets by exponential resetting (Lai & Bernstein 2023, IEEE
+Control Systems Letters 7; forgetting towards a given density in Kulhavy & Zarrop 1993, Int. J. Control 58): P <= P_0
+always, also in directions that nothing excites, in which P / lambda grows without bound.
+
+V_I is not measured: it solves (14) and (17) with the coefficients in use. That makes F_z depend on C_la through V_I as
+well; with gauss_newton the gain is taken from the whole derivative
+
+    dF_z/dC_la + (dF_z/dV_I) (dV_I/dC_la)
+
+which removes the bias of C_Dz that results from the partial derivative (and not from the accelerometer's bias).
+
+The step is one CasADi function; `BladeElementRLS` holds the state of the three estimators and clips the values that a
+controller uses: with the paper's P_0 = 50 I and unit noise C_d0 crosses zero while the rotors spin up in nearly half of
+all flights, and the allocation divides by it. Only the values in use are clipped, and every clip is counted; the
+estimators are not affected. With P_0 scaled to the coefficients and the accelerometer's noise (`RLSSettings.scaled`)
+clipping is rarely needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import casadi as ca
+import numpy as np
+
+from quadexp.air.blade_element import require_rotor
+from quadexp.compile.backend import BufferedFunction, realise, resolve
+from quadexp.parts.settings import Setting, Settings, part
+from quadexp.errors import UsageError
+from quadexp.physics.blade_element import ADOPTED, PRINTED, aerodynamic_wrench, rotor_flow
+from quadexp.physics.expression import Expression
+from quadexp.physics.induced_velocity import balance, safe_newton
+from quadexp.physics.rotor import C_D0, C_DX, C_DY, C_DZ, C_LA, THETA, BladeCoefficients, BladeKeys
+from quadexp.physics.vehicle import Vehicle
+
+SLOWEST = 1.0  # rad/s; samples with a slower rotor are skipped (the advance ratio is not defined there)
+AXES = ((C_D0, C_LA, C_DX), (C_D0, C_LA, C_DY), (C_LA, C_DZ))  # coefficients that the force along x, y, z depends on
+ITERATIONS = 16  # of the safeguarded Newton method, from its upper bound
+
+
+def rls_step_function(
+    vehicle: Vehicle, *, gauss_newton: bool = False, printed_coefficients: bool = False
+) -> ca.Function:
+    """One update of the three estimators.
+
+    Inputs: v (3,) body FLU (m/s); w (n,) (rad/s); y (3,) specific force (m/s^2); used (5,) coefficients in use;
+    theta_x, theta_y, theta_z, P_x, P_y, P_z of the axes and prior_x, prior_y, prior_z, the diagonals of P_0; sigma
+    (m/s^2); forgetting lambda; lift_weight, the share of the z axis in C_la.
+    Outputs: the new theta_* and P_*; raw (5,), combined by (25), (26); error (3,), e (m/s^2); induced (n,) (m/s);
+    regressors (3, 5) (m/s^2); weight beta_x.
+    """
+    n = vehicle.n_rotors
+    v, w, y = ca.SX.sym("v", 3), ca.SX.sym("w", n), ca.SX.sym("y", 3)
+    used, coefficients = ca.SX.sym("used", len(THETA)), ca.SX.sym("coefficients", len(THETA))
+    sigma, forgetting, lift_weight = (ca.SX.sym(name) for name in ("sigma", "forgetting", "lift_weight"))
+    thetas = [ca.SX.sym(f"theta_{a}", len(at)) for a, at in zip("xyz", AXES, strict=True)]
+    covariances = [ca.SX.sym(f"P_{a}", len(at), len(at)) for a, at in zip("xyz", AXES, strict=True)]
+    priors = [ca.SX.sym(f"prior_{a}", len(at)) for a, at in zip("xyz", AXES, strict=True)]
+
+    terms = PRINTED if printed_coefficients else ADOPTED
+    flow = rotor_flow(vehicle, v)
+    equation = balance(vehicle.rotor_geometry, used[C_LA], w, flow.in_plane_squared, flow.axial, terms)
+    induced = ca.SX.sym("V_I", n)
+    force, _ = aerodynamic_wrench(vehicle, coefficients, v, w, induced, terms=terms)
+    regressors = ca.jacobian(force, coefficients) / vehicle.mass
+    gain_regressors = regressors
+    if gauss_newton:
+        d_induced = -ca.jacobian(equation.value(induced), used[C_LA]) / equation.slope(induced)
+        through = ca.substitute(ca.jacobian(force[2], induced), coefficients, used)
+        gain_regressors = ca.SX(regressors)
+        gain_regressors[2, C_LA] += ca.mtimes(through, d_induced) / vehicle.mass
+    regressors, gain_regressors = ca.substitute(
+        [regressors, gain_regressors], [induced], [safe_newton(equation, ITERATIONS)]
+    )
+
+    new_thetas, new_covariances, errors = [], [], []
+    for axis, at in enumerate(AXES):
+        phi, direction = regressors[axis, at].T, gain_regressors[axis, at].T
+        theta, P = thetas[axis], covariances[axis]
+        kept = forgetting * ca.DM.eye(len(at)) + (1 - forgetting) * P / ca.repmat(priors[axis], 1, len(at))
+        P = ca.mtimes(P, ca.inv_minor(kept))
+        P = (P + P.T) / 2
+        spread = ca.mtimes(P, direction)
+        gain = spread / (ca.dot(direction, spread) + sigma**2)
+        errors.append(y[axis] - ca.dot(phi, theta))
+        new_thetas.append(theta + gain * errors[-1])
+        new_covariances.append(P - ca.mtimes(gain, spread.T))
+
+    speed = ca.fabs(v[0]) + ca.fabs(v[1])
+    weight = ca.if_else(speed > 0, ca.fabs(v[0]) / (speed + (speed <= 0)), 0.5)
+    raw = _combine(new_thetas, weight, lift_weight)
+    return ca.Function(
+        "rls_step",
+        [v, w, y, used, *thetas, *covariances, *priors, sigma, forgetting, lift_weight],
+        ca.cse(
+            [
+                *new_thetas,
+                *new_covariances,
+                raw,
+                ca.vertcat(*errors),
+                safe_newton(equation, ITERATIONS),
+                ca.densify(regressors),
+                weight,
+            ]
+        ),
+        ["v", "w", "y", "used", *(f"theta_{a}" for a in "xyz"), *(f"P_{a}" for a in "xyz")]
+        + [*(f"prior_{a}" for a in "xyz"), "sigma", "forgetting", "lift_weight"],
+        [*(f"new_theta_{a}" for a in "xyz"), *(f"new_P_{a}" for a in "xyz")]
+        + ["raw", "error", "induced", "regressors", "weight"],
+    )
+
+
+def _combine(thetas: Sequence[Expression], weight: Expression, lift_weight: Expression) -> Expression:
+    """theta (5,) from the three axes, C_d0 by (25) and C_la by (26): beta_x = weight, beta_la,z = lift_weight."""
+    x, y, z = thetas
+    profile_drag = weight * x[0] + (1 - weight) * y[0]
+    lift_slope = lift_weight * z[0] + (1 - lift_weight) * (weight * x[1] + (1 - weight) * y[1])
+    return ca.vertcat(profile_drag, lift_slope, x[2], y[2], z[1])
+
+
+@dataclass(frozen=True)
+class RLSSettings(Settings):
+    """How the estimators are started and weighted; the defaults are the paper's, with clipping.
+
+    printed_coefficients: the misprinted cross terms.
+    """
+
+    prefix: ClassVar[str] = "controller.rls."
+
+    covariance: Annotated[
+        float, Setting("initial covariance P_0 as a multiple of the identity, where relative_std is null", "(0, 1e9]")
+    ] = 50.0
+    relative_std: Annotated[
+        float | None,
+        Setting(
+            "standard deviation of the initial values, which gives P_0; null: see covariance",
+            "(0, 100]",
+            "of the initial values",
+        ),
+    ] = None
+    noise: Annotated[float, Setting("assumed standard deviation of the accelerometer", "(0, 100]", "m/s^2")] = 1.0
+    forgetting: Annotated[float, Setting("forgetting factor; 1 forgets nothing", "[0.5, 1]")] = 1.0
+    lift_weight: Annotated[
+        float,
+        Setting("weight of the z axis in the combined estimate of C_la; x and y share the rest", "[0, 1]"),
+    ] = 1.0
+    gauss_newton: Annotated[bool, Setting("include the induced velocity in the derivative of the z equation")] = False
+    rotor_range: Annotated[
+        tuple[float, float],
+        Setting("bounds of the estimates of C_d0 and C_la where they are used", "(0, 100]", "of the initial values"),
+    ] = (0.5, 4.0)
+    drag_range: Annotated[
+        tuple[float, float], Setting("bounds of the estimate of C_D where it is used", "[0, 100]")
+    ] = (0.0, 0.2)
+    clip: Annotated[
+        bool, Setting("clip the estimates to their bounds where they are used; clipped samples are counted")
+    ] = True
+
+    printed_coefficients: bool = False
+
+    @classmethod
+    def scaled(cls, noise: float = 0.05, relative_std: float = 0.5, **others: Any) -> RLSSettings:
+        """P_0 and sigma in the units of the problem: first values good to relative_std, readings to noise (m/s^2)."""
+        return cls(noise=noise, relative_std=relative_std, **others)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identification(RLSSettings, BladeKeys):
+    """Identification in flight, as a controller is configured. profile_drag, lift_slope, body_drag: first values.
+    relative_std: if given, P_0 is the square of relative_std times the first values, else covariance times identity.
+    change_threshold: mean square prediction error, over that of the noise, at which P goes back to P_0."""
+
+    change_threshold: Annotated[
+        float | None,
+        Setting(
+            "ratio of the mean square prediction error to the noise variance at which P is reset to P_0; null: never",
+            "(1, 1e9]",
+        ),
+    ] = None
+
+    def build(self, vehicle: Vehicle, backend: str) -> BladeElementRLS:
+        """The estimators, before a flight."""
+        return BladeElementRLS(vehicle, part(BladeCoefficients, self), part(RLSSettings, self), backend=backend)
+
+
+class BladeElementRLS:
+    """Estimator of theta = (C_d0, C_la, C_Dx, C_Dy, C_Dz): `update` at every sample, `reset` at the start of a flight.
+
+    vehicle: with rotor and thrust coefficient. initial: theta_0 (the paper starts from half of the true values).
+    theta: values to use, clipped, (5,). raw: not clipped, (5,). clips: number of samples on which each was clipped,
+    (5,). axis_theta, covariance: of the estimators of x, y, z. Of the last sample: induced_velocity (n,) (m/s), error
+    (3,), before the update (m/s^2), regressors (3, 5). samples: number of updates. skipped: number of samples with a
+    stopped rotor.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        initial: BladeCoefficients,
+        settings: RLSSettings | None = None,
+        *,
+        backend: str = "interpreted",
+    ) -> None:
+        require_rotor(vehicle)
+        self.vehicle, self.initial, self.settings = vehicle, initial, settings or RLSSettings()
+        theta_0, s = initial.parameters(), self.settings
+        if not (np.isfinite(theta_0).all() and min(theta_0[:2]) > 0):
+            raise UsageError("rls: the initial values of C_d0 and C_la must be positive")
+        function = rls_step_function(vehicle, gauss_newton=s.gauss_newton, printed_coefficients=s.printed_coefficients)
+        self._step = BufferedFunction(realise(function, resolve(backend)))
+        rotor = theta_0[: C_LA + 1]
+        self.lower = np.r_[s.rotor_range[0] * rotor, [s.drag_range[0]] * 3]
+        self.upper = np.r_[s.rotor_range[1] * rotor, [s.drag_range[1]] * 3]
+        arguments = self._step.arguments
+        arguments["sigma"][...], arguments["forgetting"][...] = s.noise, s.forgetting
+        arguments["lift_weight"][...] = s.lift_weight
+        self.reset()
+
+    def reset(self) -> None:
+        """Restart from the initial values."""
+        theta_0, arguments = self.initial.parameters(), self._step.arguments
+        for axis, at in zip("xyz", AXES, strict=True):
+            arguments[f"theta_{axis}"][...] = theta_0[list(at)]
+        self.reset_covariance()
+        self.weight, self.samples, self.skipped = 0.5, 0, 0
+        self.clips = np.zeros(len(THETA), int)
+        self.raw = theta_0.copy()
+        self.theta = self._within_bounds(theta_0)
+        self.error, self.regressors = np.full(3, np.nan), np.full((3, len(THETA)), np.nan)
+        self.induced_velocity = np.full(self.vehicle.n_rotors, np.nan)
+
+    def reset_covariance(self) -> None:
+        """Set P = P_0 and keep the estimates, as after a change of the vehicle."""
+        theta_0, s = self.initial.parameters(), self.settings
+        for axis, at in zip("xyz", AXES, strict=True):
+            spread = np.full(len(at), s.covariance)
+            if s.relative_std is not None:
+                spread = (s.relative_std * np.maximum(np.abs(theta_0[list(at)]), 1e-3)) ** 2
+            self._step.arguments[f"P_{axis}"][...] = np.diag(spread)
+            self._step.arguments[f"prior_{axis}"][...] = spread
+
+    def update(self, body_velocity: np.ndarray, rotor_speed: np.ndarray, specific_force: np.ndarray) -> np.ndarray:
+        """Update with one sample; returns the values to use, (5,).
+
+        body_velocity: (3,) FLU (m/s). rotor_speed: (n,) (rad/s). specific_force: reading (3,) FLU (m/s^2). All at the
+        same instant, and finite.
+        """
+        arguments, results = self._step.arguments, self._step.results
+        v, w, y = (arguments[name] for name in ("v", "w", "y"))
+        v[...], w[...], y[...] = body_velocity, rotor_speed, specific_force
+        if min(w.tolist()) < SLOWEST:
+            self.skipped += 1
+            return self.theta
+        arguments["used"][...] = self.theta
+        self._step()
+        for axis in "xyz":
+            arguments[f"theta_{axis}"][...] = results[f"new_theta_{axis}"]
+            arguments[f"P_{axis}"][...] = results[f"new_P_{axis}"]
+        self.samples += 1
+        self.weight = float(results["weight"][0])
+        self.raw, self.error = results["raw"].copy(), results["error"].copy()
+        self.induced_velocity, self.regressors = results["induced"].copy(), results["regressors"].T.copy()
+        self.theta = self._within_bounds(self.raw)
+        return self.theta
+
+    @property
+    def coefficients(self) -> BladeCoefficients:
+        """The values to use."""
+        return BladeCoefficients.from_parameters(self.theta)
+
+    @property
+    def axis_theta(self) -> tuple[np.ndarray, ...]:
+        """Estimates of the axes: x (C_d0, C_la, C_Dx), y (C_d0, C_la, C_Dy), z (C_la, C_Dz)."""
+        return tuple(self._step.arguments[f"theta_{axis}"].copy() for axis in "xyz")
+
+    @property
+    def covariance(self) -> tuple[np.ndarray, ...]:
+        """P of the axes, in the order of `axis_theta`: the estimates' covariance where sigma is the true noise."""
+        return tuple(self._step.arguments[f"P_{axis}"].copy() for axis in "xyz")
+
+    def standard_error(self, noise: float | None = None) -> np.ndarray:
+        """Standard errors of `raw`, (5,); noise: the readings' true deviation (m/s^2), None for the assumed one."""
+        P_x, P_y, P_z = self.covariance
+        b, c = self.weight, self.settings.lift_weight
+        horizontal = b**2 * P_x + (1 - b) ** 2 * P_y
+        variance = [
+            horizontal[0, 0],
+            c**2 * P_z[0, 0] + (1 - c) ** 2 * horizontal[1, 1],
+            P_x[2, 2],
+            P_y[2, 2],
+            P_z[1, 1],
+        ]
+        scale = 1.0 if noise is None else noise / self.settings.noise
+        return scale * np.sqrt(np.maximum(variance, 0.0))
+
+    def _within_bounds(self, theta: np.ndarray) -> np.ndarray:
+        if not self.settings.clip:
+            return theta.copy()
+        used = np.minimum(np.maximum(theta, self.lower), self.upper)
+        self.clips += used != theta
+        return used

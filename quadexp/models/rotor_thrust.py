@@ -1,0 +1,404 @@
+"""Thrust that the rotors delivered between two samples of a flight, from commands that act late and from rotor speeds.
+
+    y'  = (c(t - d) - y) / tau            y = T and c = u, or y = sqrt(T) and c = sqrt(u): quadexp.physics.motor
+    T_k = k w_k^2                         where the rotor speeds w_k were logged
+    T(t) = T_model(t) + what the measured ones are beside it, interpolated between the samples
+
+Commands u are held from sample to sample, act d late, and through the lag tau, which may be another one upwards than
+downwards. A transition needs the mean of T over its time. For commands it is exact, because the lag has a closed form;
+measured thrusts correct the model at both ends of the transition. Where the state comes from an estimator that is late,
+its transitions belong to earlier times: with commands alone this adds to d and cannot be told from it.
+
+`fit_timing` finds lag and delays: by the measured thrusts where rotor speeds were logged, and the delay of the state by
+the residual; without rotor speeds tau and d too by the residual, in which commands that act late leave part of their
+changes:
+
+    score = mean over a_z, tau_x, tau_y of log(rms of what a regression on simple terms leaves, beyond known noise)
+
+which does not depend on units. Terms: 1, v, v|v|, and the thrusts' own first and second powers on that axis, so that
+neither drag nor a scale of the thrust is taken for a delay. Of no lag, one of lag and delay, and both, the simplest is
+taken that comes within WORTH of the best: where nothing in the logs speaks for a lag, commands remain what they are.
+The lag is tried of the thrust and of the rotor speed, with one time constant and with one up and one down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from quadexp.models.dataset import consecutive
+from quadexp.models.samples import rotor_columns
+from quadexp.log.schema import Flight
+from quadexp.physics.state import N_STATE, STATE_COLUMNS, in_motion, input_columns
+from quadexp.physics.vehicle import Vehicle
+
+NO_LAG = 1e-12  # s, in place of 0: what is left after a step of it is 0
+ROUNDING = 1e-9  # s
+TARGETS = ("a_z", "tau_x", "tau_y")
+INDISTINCT = 0.005  # share of the variance, beside known noise, that tells nothing
+WORTH = 0.05  # mean decrease of log rms from which a lag or a delay is taken to be real
+MEASURED_APART = 0.01  # of the hover thrust, rms, from which measured thrusts are others than the commands
+LARGEST_LAG, LARGEST_DELAY = 0.3, 0.12  # s
+SETTLING = 0.3  # s at the beginning of a flight, when the thrusts before are not known
+LONGEST = 40.0  # s of flights that the search uses; more determine it no better
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How the logged streams belong together.
+
+    lag_up, lag_down: time constants of the rotors (s). lag_of: what lags, "thrust" or "rotor_speed". delay: between a
+    command and its effect on the rotors (s). state_delay: by which the logged state is behind the rotors (s).
+    measured: whether rotor speeds are used.
+    """
+
+    lag_up: float = 0.0
+    lag_down: float = 0.0
+    lag_of: str = "thrust"
+    delay: float = 0.0
+    state_delay: float = 0.0
+    measured: bool = False
+
+    @property
+    def is_ideal(self) -> bool:
+        """Whether commands are thrusts, at once."""
+        return not (self.lag_up or self.lag_down or self.delay or self.state_delay or self.measured)
+
+    @property
+    def lag(self) -> float:
+        """Mean of both time constants (s), for a model that has one."""
+        return (self.lag_up + self.lag_down) / 2
+
+
+def measured_thrust(flight: Flight, vehicle: Vehicle) -> np.ndarray | None:
+    """Thrusts (k, n) (N) by the logged rotor speeds, None where these or the vehicle's thrust coefficient are unknown.
+
+    A first row without a reading, as simulated flights may have, is that of the second.
+    """
+    columns = rotor_columns(flight, "rotor_speed")
+    if vehicle.thrust_coefficient is None or len(columns) != vehicle.n_rotors:
+        return None
+    speed = flight.stack(columns).astype(float)
+    if len(speed) > 1 and not np.isfinite(speed[0]).all():
+        speed[0] = speed[1]
+    return vehicle.thrust_coefficient * speed**2 if np.isfinite(speed).all() else None
+
+
+class HeldCommands:
+    """Commands u (k, n) (N), each held from its time t (k,) (s) to the next, as the thrust that follows them.
+
+    timing: its lag and delay. first: thrust (n,) (N) before the first command acts.
+    """
+
+    def __init__(self, t: np.ndarray, u: np.ndarray, timing: Timing, first: np.ndarray) -> None:
+        self._begin, self._first = t + timing.delay, first
+        self._squared = timing.lag_of == "rotor_speed"
+        self._to = np.sqrt(np.maximum(u, 0)) if self._squared else u
+        up, down = max(timing.lag_up, NO_LAG), max(timing.lag_down, NO_LAG)
+        steps = np.diff(t)
+        kept_up, kept_down = np.exp(-steps / up), np.exp(-steps / down)
+        beside = np.empty_like(u)  # y - c at the instant when each command begins to act
+        y = np.sqrt(np.maximum(first, 0)) if self._squared else first
+        for k in range(len(u)):
+            beside[k] = y - self._to[k]
+            if k < len(steps):
+                y = self._to[k] + beside[k] * np.where(beside[k] < 0, kept_up[k], kept_down[k])
+        self._beside, self._lag = beside, np.where(beside < 0, up, down)
+        area = np.zeros_like(u)  # integral of the thrust from the first command to each
+        area[1:] = np.cumsum(self._piece(slice(0, -1), steps), axis=0)
+        self._area = area
+
+    def value(self, t: np.ndarray) -> np.ndarray:
+        """Thrusts (j, n) at times (j,); at the instant of a change, those just before it."""
+        k = self._acting(t, -ROUNDING)
+        elapsed = np.maximum(t - self._begin[k], 0.0)[:, None]
+        y = self._to[k] + self._beside[k] * np.exp(-elapsed / self._lag[k])
+        return np.where((t <= self._begin[0])[:, None], self._first, y**2 if self._squared else y)
+
+    def integral(self, t: np.ndarray) -> np.ndarray:
+        """Integral (j, n) (N s) of the thrusts from the first command's instant to times (j,)."""
+        k = self._acting(t, ROUNDING)
+        elapsed = t - self._begin[k]
+        before = (t < self._begin[0])[:, None]
+        return np.where(before, self._first * elapsed[:, None], self._area[k] + self._piece(k, elapsed))
+
+    def _acting(self, t: np.ndarray, nudge: float) -> np.ndarray:
+        """Index (j,) of the command that acts at times (j,)."""
+        return (np.searchsorted(self._begin, t + nudge, side="right") - 1).clip(0)
+
+    def _piece(self, k: Any, elapsed: np.ndarray) -> np.ndarray:
+        """Integral of the thrust over a time (s) from where command k begins to act."""
+        s, to, beside, lag = elapsed[:, None], self._to[k], self._beside[k], self._lag[k]
+        once = -lag * np.expm1(-np.maximum(s, 0) / lag)
+        if not self._squared:
+            return to * s + beside * once
+        twice = -lag / 2 * np.expm1(-2 * np.maximum(s, 0) / lag)
+        return to**2 * s + 2 * to * beside * once + beside**2 * twice
+
+
+def held_commands(flight: Flight, vehicle: Vehicle, timing: Timing) -> HeldCommands:
+    """The commands of a flight, and before the first what the rotors gave when it began."""
+    command = flight.stack(input_columns(vehicle.n_rotors)).astype(float)
+    return HeldCommands(np.asarray(flight.t, float), command, timing, _before(flight, vehicle, command[0]))
+
+
+def _before(flight: Flight, vehicle: Vehicle, command: np.ndarray) -> np.ndarray:
+    """Thrusts (n,) (N) before the first command acts: of a recorded flight they are not known; a simulated one begins
+    with those of its reference where that begins in motion (experiment.rollout), else in hover."""
+    if flight.metadata.get("recorded", False):
+        return command
+    columns = [f"ref_{name}" for name in (*STATE_COLUMNS, *input_columns(vehicle.n_rotors))]
+    if all(name in flight.columns for name in columns):
+        state, thrust = np.split(flight.stack(columns)[0].astype(float), [N_STATE])
+        if in_motion(state):
+            return np.clip(thrust, vehicle.thrust_min, vehicle.thrust_max)
+    return np.full(vehicle.n_rotors, vehicle.hover_thrust)
+
+
+def mean_thrust(flight: Flight, vehicle: Vehicle, timing: Timing) -> np.ndarray:
+    """Mean thrusts (k - 1, n) (N) between the samples of the logged state.
+
+    NaN where these belong to a time before the flight.
+    """
+    t = np.asarray(flight.t, float)
+    if timing.is_ideal:
+        return flight.stack(input_columns(vehicle.n_rotors)).astype(float)[:-1]
+    model = held_commands(flight, vehicle, timing)
+    at = t - timing.state_delay
+    dt = np.diff(t)[:, None]
+    mean = np.diff(model.integral(at), axis=0) / dt
+    if timing.measured:
+        measured = measured_thrust(flight, vehicle)
+        assert measured is not None
+        beside = measured - model.value(t)
+        area = np.concatenate([np.zeros((1, beside.shape[1])), np.cumsum((beside[1:] + beside[:-1]) / 2 * dt, axis=0)])
+        mean = mean + np.diff(_between(at, t, area, beside), axis=0) / dt
+    late = timing.state_delay + (0.0 if timing.measured else timing.delay)
+    mean[t[:-1] < t[0] + late - 1e-9] = np.nan
+    return mean
+
+
+def _between(at: np.ndarray, t: np.ndarray, area: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Integral (j, n) at times (j,) of a piecewise linear rate (k, n), given at t (k,) with its integral there."""
+    k = (np.searchsorted(t, at, side="right") - 1).clip(0, len(t) - 2)
+    s, step = (at - t[k])[:, None], np.diff(t)[k][:, None]
+    inside = rate[k] * s + (rate[k + 1] - rate[k]) * s**2 / (2 * step)
+    return area[k] + np.where(s < 0, rate[0] * s, inside)
+
+
+@dataclass(frozen=True)
+class TimingFit:
+    """timing: what was found. before, after: rms of what remains, (3,): a_z (m/s^2), tau_x, tau_y (N m)."""
+
+    timing: Timing
+    before: tuple[float, float, float]
+    after: tuple[float, float, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types."""
+        return {**asdict(self.timing), "before": list(self.before), "after": list(self.after)}
+
+    @property
+    def line(self) -> str:
+        """For the report of a data set."""
+        timing = self.timing
+        if timing.is_ideal:
+            return "commands act at once, as far as these flights tell: no motor lag, no delay"
+        lags = f"{1e3 * timing.lag_up:.1f} ms"
+        if timing.lag_up != timing.lag_down:
+            lags += f" up and {1e3 * timing.lag_down:.1f} ms down"
+        known = f"motor lag {lags} of the {timing.lag_of.replace('_', ' ')}, commands {1e3 * timing.delay:.1f} ms late"
+        source = "by the rotor speeds" if timing.measured else "by the residual that remains"
+        behind = f", state {1e3 * timing.state_delay:.1f} ms behind the rotors" if timing.measured else ""
+        dead = timing.delay + timing.state_delay
+        return (
+            f"{known} ({source}){behind}: a_z {self.before[0]:.3g} -> {self.after[0]:.3g} m/s^2 rms;"
+            f" a controller is told by controller.motor_lag={timing.lag:.3g} controller.dead_time={dead:.3g}"
+        )
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """A flight's transitions under the commands as thrusts: index k (r,), targets (r, 3), terms (r, 3, q)."""
+
+    flight: Flight
+    k: np.ndarray
+    u: np.ndarray
+    target: np.ndarray
+    terms: np.ndarray
+
+
+def fit_timing(
+    flights: Sequence[Flight],
+    vehicle: Vehicle,
+    tables: Sequence[Mapping[str, np.ndarray]],
+    *,
+    noise: Mapping[str, float] | None = None,
+) -> TimingFit:
+    """Timing of flights of one vehicle. tables: `transitions` of each under the commands as thrusts.
+
+    noise: known standard deviations of the targets, which no timing can take away; None: not known.
+    """
+    rows = [_rows(flight, vehicle, table) for flight, table in zip(flights, tables, strict=True)]
+    rows = _some([one for one in rows if len(one.k)])
+    score = _Score(rows, vehicle, noise or {})
+    before = score.rms(Timing())
+    measured = [measured_thrust(one.flight, vehicle) for one in rows]
+    if rows and all(thrust is not None for thrust in measured):
+        found = _by_rotor_speed(rows, measured, vehicle, score)
+    else:
+        found = _search(score)
+    return TimingFit(found, before, score.rms(found))
+
+
+def _rows(flight: Flight, vehicle: Vehicle, table: Mapping[str, np.ndarray]) -> _Rows:
+    t = np.asarray(flight.t, float)
+    k = consecutive(t, flight.columns.get("segment"))
+    settled = t[k] > t[0] + SETTLING
+    u = np.stack([table[name] for name in input_columns(vehicle.n_rotors)], axis=1)
+    v = np.stack([table[f"v_{axis}"] for axis in "xyz"], axis=1)
+    target = np.stack([table[name] for name in TARGETS], axis=1)
+    drag = np.stack([np.ones(len(k)), *v.T, *(v * np.abs(v)).T], axis=1)
+    terms = np.repeat(drag[:, None, :], 3, axis=1)
+    return _Rows(flight, k[settled], u[settled], target[settled], terms[settled])
+
+
+def _some(rows: Sequence[_Rows]) -> list[_Rows]:
+    """Flights of LONGEST (s) altogether, evenly chosen."""
+    seconds = [float(one.flight.t[-1] - one.flight.t[0]) for one in rows]
+    step = max(1, round(sum(seconds) / LONGEST))
+    return list(rows[::step])
+
+
+class _Score:
+    """What remains of the targets under a timing, after the regression on simple terms."""
+
+    def __init__(self, rows: Sequence[_Rows], vehicle: Vehicle, noise: Mapping[str, float]) -> None:
+        self._rows, self._vehicle = rows, vehicle
+        self._noise = np.array([noise.get(name, 0.0) for name in TARGETS])
+        # Per thrust: acceleration along z, torque about x and y.
+        self._effect = np.vstack([np.full(vehicle.n_rotors, 1 / vehicle.mass), vehicle.allocation[1:3]])
+        self._target = np.concatenate([one.target for one in rows])
+        self._terms = np.concatenate([one.terms for one in rows])
+
+    def rms(self, timing: Timing) -> tuple[float, float, float]:
+        change, thrust = [], []
+        for one in self._rows:
+            delivered = mean_thrust(one.flight, self._vehicle, timing)[one.k]
+            change.append(one.u - delivered)
+            thrust.append(delivered)
+        target = self._target + np.concatenate(change) @ self._effect.T
+        powers = np.concatenate(thrust)
+        found = []
+        for axis, effect in enumerate(self._effect):
+            own = np.stack([powers @ effect, powers**2 @ effect], axis=1)
+            design = np.concatenate([self._terms[:, axis], own], axis=1)
+            design /= np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-12)
+            normal = design.T @ design + 1e-9 * len(design) * np.eye(design.shape[1])
+            left = target[:, axis] - design @ np.linalg.solve(normal, design.T @ target[:, axis])
+            found.append(float(np.sqrt(np.mean(left**2))))
+        return found[0], found[1], found[2]
+
+    def __call__(self, timing: Timing) -> float:
+        square = np.square(self.rms(timing))
+        beyond = np.maximum(square - self._noise**2, INDISTINCT * square)
+        return float(np.mean(np.log(np.maximum(beyond, 1e-24)) / 2))
+
+
+def _by_rotor_speed(
+    rows: Sequence[_Rows], measured: Sequence[np.ndarray | None], vehicle: Vehicle, score: _Score
+) -> Timing:
+    """Lag and delay of the commands by the measured thrusts; the delay of the state by the residual."""
+    streams = [(one.flight, thrust) for one, thrust in zip(rows, measured, strict=True) if thrust is not None]
+
+    def beside(timing: Timing, scaled: bool = True) -> float:
+        """rms (N) of what is measured beside the commands; scaled: by the factors that fit, see `_scaled`."""
+        error = []
+        for flight, thrust in streams:
+            t = np.asarray(flight.t, float)
+            settled = t > t[0] + SETTLING
+            model, own = held_commands(flight, vehicle, timing).value(t)[settled], thrust[settled]
+            error.append((own - (_scaled(model, own, t[settled]) if scaled else model)).ravel())
+        return float(np.sqrt(np.mean(np.concatenate(error) ** 2)))
+
+    if beside(Timing(), scaled=False) <= MEASURED_APART * vehicle.hover_thrust:
+        found = Timing()
+    else:
+        floor = 1e-4 * vehicle.hover_thrust  # below it no difference counts
+        found = replace(_search(lambda timing: float(np.log(beside(timing) + floor))), measured=True)
+    late, least = _least(lambda at: score(replace(found, state_delay=at[0])), LARGEST_DELAY)
+    return replace(found, state_delay=late) if least < score(found) - WORTH else found
+
+
+def _scaled(model: np.ndarray, measured: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Thrusts (k, n) times the factors of each rotor that fit the measured ones best: a constant, a share of the
+    collective thrust, whose current a battery's voltage follows, and a drift over the time t, (k,)."""
+    found = np.empty_like(model)
+    factors = np.stack([np.ones(len(t)), model.mean(axis=1), t - t.mean()], axis=1)
+    for i in range(model.shape[1]):
+        design = model[:, i, None] * factors
+        design /= np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-12)
+        normal = design.T @ design + 1e-9 * len(t) * np.eye(design.shape[1])
+        found[:, i] = design @ np.linalg.solve(normal, design.T @ measured[:, i])
+    return found
+
+
+def _search(score: Callable[[Timing], float]) -> Timing:
+    """Timing of the least score, but the simplest that comes within WORTH of it: without any, with a lag or a delay
+    alone, with both, and with a lag of its own up and down. A lag or delay alone always shows that there is one."""
+
+    def timing(kind: str, at: Sequence[float]) -> Timing:
+        """Of a lag, or one up and one down, and the delay that follows them."""
+        return Timing(at[0], at[-2], kind, at[-1])
+
+    def scored(kind: str) -> Callable[[Sequence[float]], float]:
+        return lambda at: score(timing(kind, at))
+
+    delay = _least(lambda at: score(Timing(delay=at[0])), LARGEST_DELAY)[0]
+    alone, both, apart = [Timing(delay=delay)], [], []
+    for kind in ("thrust", "rotor_speed"):
+        alone.append(timing(kind, (_least(scored(kind), LARGEST_LAG)[0], 0.0)))
+    if min(map(score, alone)) > score(Timing()) - WORTH:
+        return Timing()
+    for first in alone[1:]:
+        own = scored(first.lag_of)
+        one = _descent(own, (first.lag / 2, delay / 2))
+        two = _descent(own, (one[0], one[0], one[1]))
+        both.append(timing(first.lag_of, one))
+        apart += [Timing(two[0], two[1], first.lag_of), timing(first.lag_of, two)]
+    found = [[Timing()], alone, both, apart]
+    scores = [[score(one) for one in group] for group in found]
+    least = min(map(min, scores))
+    simplest = next(i for i, values in enumerate(scores) if min(values) <= least + WORTH)
+    return found[simplest][int(np.argmin(scores[simplest]))]
+
+
+def _descent(score: Callable[[Sequence[float]], float], start: tuple[float, ...]) -> tuple[float, ...]:
+    """Where a score of lags and, last, a delay (s) is least, from `start`; what is under 0.1 ms is 0."""
+    from scipy.optimize import minimize
+
+    largest = np.array([LARGEST_LAG] * (len(start) - 1) + [LARGEST_DELAY])
+
+    def inside(at: np.ndarray) -> float:
+        return score(tuple(np.clip(at, 0.0, largest).tolist())) + float(np.sum(np.maximum(-at, 0.0)))
+
+    simplex = np.array(start) + np.vstack([np.zeros(len(start)), 0.006 * np.eye(len(start))])
+    options = {"initial_simplex": simplex, "xatol": 3e-5, "fatol": 1e-5, "maxfev": 60 * len(start)}
+    found = np.clip(minimize(inside, np.array(start), method="Nelder-Mead", options=options).x, 0.0, largest)
+    return tuple(float(value) if value > 1e-4 else 0.0 for value in found)
+
+
+def _least(score: Callable[[Sequence[float]], float], largest: float) -> tuple[float, float]:
+    """Where a score of a lag or delay alone, (it, 0), is least up to `largest`, and the score there; the grid's steps
+    grow with the value."""
+    from scipy.optimize import minimize_scalar
+
+    grid = np.concatenate([[0.0], np.geomspace(0.003, largest, 10)])
+    scores = [score((float(at), 0.0)) for at in grid]
+    k = int(np.argmin(scores))
+    bounds = (grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)])
+    found = minimize_scalar(lambda at: score((at, 0.0)), bounds=bounds, method="bounded", options={"xatol": 2e-5})
+    return (float(found.x), float(found.fun)) if found.fun < scores[k] else (float(grid[k]), float(scores[k]))

@@ -1,0 +1,235 @@
+"""Samples for identification: specific force, velocity relative to the air and the rotors' signal.
+
+    f = R^T (dv/dt + g)     specific force, body FLU (m/s^2), as the accelerometer reads it
+    v = R^T (v_world - wind)        air-relative body velocity (m/s); wind is zero where the flight has no wind columns
+
+In a simulated flight the reading of row k belongs to the end of the interval over which the command of row k - 1 was
+held, so commands are taken one row earlier and the first row, which has no reading yet, is omitted. Such a command is
+that of the whole interval [k - 1, k]: at its end in a regression on readings, in its middle where motion is integrated.
+A recorded flight has a common clock since its import and is used row by row.
+
+A command that acts late is the signal of the time before (`delayed`): `gather_to_fit` takes the delay d with which
+
+    f_z = [1, sum_i s_i(t - d), sum_i s_i(t - d)^2, v_z, |v_z| v_z, v_x^2 + v_y^2] c
+
+leaves least, a whole number of periods, and none unless it is worth it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from quadexp.errors import DataError, UsageError
+from quadexp.models.dataset import name_of
+from quadexp.log.schema import Flight
+
+# In order of preference for the thrust.
+SIGNALS = {"rotor_speed": "rad/s", "motor_command": "1", "thrust_acceleration": "m/s^2", "u": "N"}
+HELD = ("u", "motor_command")  # commands, held over an interval
+LARGEST_DELAY = 0.12  # s
+WORTH = 0.05  # decrease of the log rms of f_z from which a delay is taken to be real
+RATES = ("w_x", "w_y", "w_z")
+QUATERNION = ("q_w", "q_x", "q_y", "q_z")
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Samples of one or more flights. time: (k,) s. flight: (k,) index into names. segment: (k,), unique number.
+
+    force: specific force, (k, 3) body FLU (m/s^2). velocity: air-relative, (k, 3) body FLU (m/s).
+    signal: rotors' signal, (k, n) ((k, 1) for thrust_acceleration). voltage: (k,) V, or None where a flight lacks it.
+    rate: body rates, (k, 3) FLU (rad/s), or None where a flight lacks them. held: (k,), whether the signal was held
+    over the interval that ends at the sample. delay: by which the signal is earlier (s).
+    """
+
+    time: np.ndarray
+    flight: np.ndarray
+    segment: np.ndarray
+    force: np.ndarray
+    velocity: np.ndarray
+    signal: np.ndarray
+    voltage: np.ndarray | None
+    kind: str
+    names: tuple[str, ...]
+    rate: np.ndarray | None
+    held: np.ndarray
+    delay: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def thinned(self, most: int) -> Samples:
+        """At most so many samples, evenly spaced: neighbouring samples are nearly redundant."""
+        step = -(-len(self) // most)
+        return self if step == 1 else self.rows(np.arange(0, len(self), step))
+
+    def rows(self, selection: np.ndarray) -> Samples:
+        """The samples of a mask or index array; the flights keep their numbers."""
+        names = ("time", "flight", "segment", "force", "velocity", "signal", "held")
+        chosen: dict[str, Any] = {name: getattr(self, name)[selection] for name in names}
+        for name in ("voltage", "rate"):
+            values = getattr(self, name)
+            chosen[name] = None if values is None else values[selection]
+        return replace(self, **chosen)
+
+    def delayed(self, delay: float) -> Samples:
+        """With the signal of `delay` (s) earlier; at the beginning of a segment, where it is not known, the first."""
+        if not delay:
+            return self
+        rows = round(delay / float(np.median(np.diff(self.time))))
+        first = np.searchsorted(self.segment, self.segment)
+        late = np.maximum(np.arange(len(self)) - rows, first)
+        return replace(self, signal=self.signal[late], delay=self.delay + delay)
+
+    def during(self, values: np.ndarray) -> np.ndarray:
+        """Values (k, n) of the signal, over the interval that begins at each sample."""
+        later = np.minimum(np.arange(len(self)) + 1, np.searchsorted(self.segment, self.segment, "right") - 1)
+        return np.where(self.held[:, None], values[later], values)
+
+
+def rotor_columns(flight: Flight, kind: str) -> list[str]:
+    """Names of a signal's columns in the rotors' order, [] where the flight has none."""
+    if kind == "thrust_acceleration":
+        return [kind] if kind in flight.columns else []
+    names = [name for name in flight.columns if re.fullmatch(rf"{kind}_\d+", name)]
+    return sorted(names, key=lambda name: int(name.rsplit("_", 1)[1]))
+
+
+def choose_signal(flights: Sequence[Flight], asked: str | None = None) -> str:
+    """The signal for the thrust: the one asked for, or the first of SIGNALS that every flight has.
+
+    Raises UsageError for an unknown signal, DataError where the flights have none in common.
+    """
+    if asked is not None and asked not in SIGNALS:
+        raise UsageError(f"thrust signal '{asked}' is none of {', '.join(SIGNALS)}")
+    for kind in [asked] if asked else SIGNALS:
+        if all(rotor_columns(flight, kind) for flight in flights):
+            return kind
+    lacking = next(name_of(f, i) for i, f in enumerate(flights) if not asked or not rotor_columns(f, asked))
+    columns = ", ".join(f"{kind}_0 .." if kind != "thrust_acceleration" else kind for kind in SIGNALS)
+    wanted = f"columns {asked}_0 .. are missing" if asked else "no signal of the thrust is in every flight"
+    raise DataError(f"{lacking}: {wanted}; identification needs one of {columns}")
+
+
+def gather(flights: Sequence[Flight], kind: str, names: Sequence[str] | None = None) -> Samples:
+    """All samples of the flights. kind: a name in SIGNALS. names: one per flight, for messages.
+
+    Raises DataError for a missing column or a value that is not finite (flight, column, row), and for flights with
+    different numbers of rotors.
+    """
+    names = tuple(names or [name_of(flight, i) for i, flight in enumerate(flights)])
+    parts: list[tuple[np.ndarray, ...]] = []
+    with_voltage = all("battery_voltage" in flight.columns for flight in flights)
+    with_rate = all(_has_rates(flight) for flight in flights)
+    rates: list[np.ndarray] = []
+    segments = 0
+    for index, (flight, name) in enumerate(zip(flights, names, strict=True)):
+        columns = ["t", *QUATERNION, "v_x", "v_y", "v_z", "acc_x", "acc_y", "acc_z", *rotor_columns(flight, kind)]
+        columns += [f"wind_{a}" for a in "xyz"] if "wind_x" in flight.columns else []
+        columns += ["battery_voltage"] if with_voltage else []
+        simulated = not flight.metadata.get("recorded", False)
+        _check(flight, name, columns, first=int(simulated))
+        k = np.arange(int(simulated), len(flight))
+        signal = flight.stack(rotor_columns(flight, kind)).astype(float)
+        signal = signal[k - 1] if simulated and kind in HELD else signal[k]
+        if parts and signal.shape[1] != parts[0][5].shape[1]:
+            raise DataError(f"{name}: {signal.shape[1]} rotors, {names[0]} has {parts[0][5].shape[1]}")
+        number = np.asarray(flight.columns.get("segment", np.zeros(len(flight))))[k]
+        segment = segments + np.concatenate([[0], np.cumsum(number[1:] != number[:-1])]).astype(int)
+        segments = segment[-1] + 1
+        voltage = flight["battery_voltage"][k] if with_voltage else np.empty(len(k))
+        if with_voltage and not voltage.min() > 0:
+            row = int(k[np.argmin(voltage)])
+            raise DataError(f"{name}: battery_voltage is {voltage.min():g} V in row {row}, it must be positive")
+        force = flight.stack(["acc_x", "acc_y", "acc_z"])[k]
+        if with_rate:
+            rates.append(flight.stack(RATES)[k].astype(float))
+        held = np.full(len(k), simulated and kind in HELD)
+        parts.append(
+            (flight.t[k], np.full(len(k), index), segment, force, flight.air_velocity[k], signal, voltage, held)
+        )
+    time, flight_index, segment, force, velocity, signal, voltage, held = map(np.concatenate, zip(*parts, strict=True))
+    rate = np.concatenate(rates) if with_rate else None
+    return Samples(
+        time, flight_index, segment, force, velocity, signal, voltage if with_voltage else None, kind, names, rate, held
+    )  # fmt: skip
+
+
+def gather_to_fit(flights: Sequence[Flight], signal: str | None = None, names: Sequence[str] | None = None) -> Samples:
+    """All samples of the flights, the commands of simulated ones as late as they act; see `choose_signal`, `gather`."""
+    samples = gather(flights, choose_signal(flights, signal), names)
+    if not samples.held.all():
+        return samples
+    period = float(np.median(np.diff(samples.time)))
+    most = round(LARGEST_DELAY / period)
+    rows = np.arange(most, len(samples))
+    rows = rows[samples.segment[rows] == samples.segment[rows - most]]
+    if len(rows) <= most:
+        return samples
+    v, target = samples.velocity[rows], samples.force[rows, 2]
+    beside = [np.ones(len(rows)), v[:, 2], np.abs(v[:, 2]) * v[:, 2], v[:, 0] ** 2 + v[:, 1] ** 2]
+    left = np.empty(most + 1)
+    for late in range(most + 1):
+        sent = samples.signal[rows - late]
+        design = np.stack([*beside, sent.sum(axis=1), np.square(sent).sum(axis=1)], axis=1)
+        left[late] = np.std(target - design @ np.linalg.lstsq(design, target)[0])
+    late = int(np.argmin(left))
+    if left[late] > np.exp(-WORTH) * left[0]:
+        return samples
+    known = np.arange(len(samples)) - late >= np.searchsorted(samples.segment, samples.segment)
+    return samples.delayed(late * period).rows(known)
+
+
+@dataclass(frozen=True)
+class FlightRows:
+    """One flight, to be predicted or learned from: samples, body rate (k, 3), index of the first sample in the flight
+    (the first row of a simulated one has no reading yet)."""
+
+    name: str
+    flight: Flight
+    samples: Samples
+    rate: np.ndarray
+    first: int
+
+    @property
+    def dt(self) -> float:
+        return float(np.median(np.diff(self.samples.time)))
+
+    @property
+    def speed(self) -> np.ndarray:
+        return np.linalg.norm(self.samples.velocity, axis=1)
+
+
+def read_rows(flight: Flight, name: str, signal: str, delay: float = 0.0) -> FlightRows:
+    """delay: of the thrust behind its signal (s). Raises DataError where the flight lacks what is needed, body rates
+    too, or where these are not finite."""
+    samples = gather([flight], signal, [name]).delayed(delay)
+    first = len(flight) - len(samples)
+    missing = [column for column in RATES if column not in flight.columns]
+    if missing:
+        raise DataError(f"{name}: column '{missing[0]}' is missing in the flight")
+    rate = flight.stack(RATES)[first:]
+    bad = np.flatnonzero(~np.isfinite(rate).all(axis=1))
+    if len(bad):
+        raise DataError(f"{name}: a body rate is not finite in row {bad[0] + first} ({len(bad)} such rows)")
+    return FlightRows(name, flight, samples, rate, first)
+
+
+def _has_rates(flight: Flight) -> bool:
+    return all(name in flight.columns and np.isfinite(flight[name]).all() for name in RATES)
+
+
+def _check(flight: Flight, name: str, columns: Sequence[str], first: int) -> None:
+    for column in columns:
+        if column not in flight.columns:
+            raise DataError(f"{name}: column {column!r} is missing; identification needs {', '.join(columns)}")
+        bad = np.flatnonzero(~np.isfinite(np.asarray(flight[column], float)[first:]))
+        if len(bad):
+            raise DataError(f"{name}: column {column!r} is not finite in row {bad[0] + first} ({len(bad)} such rows)")
+    if len(flight) < first + 3:
+        raise DataError(f"{name}: {len(flight)} samples, identification needs at least {first + 3}")

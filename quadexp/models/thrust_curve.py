@@ -1,0 +1,277 @@
+"""Thrust curve: thrust of a rotor per vehicle mass, from the rotor signal that the log has.
+
+    motor_command s' = s (V / V_ref)^g     a_i = c_1 s'_i + c_2 s'_i^2    m/s^2    (V_ref = 0: the voltage is not used)
+    rotor_speed w                      a_i = c_2 w_i^2  (+ c_1 w_i)
+    thrust_acceleration a_log          a = c_1 a_log + b, shared equally by the rotors
+    u, static thrust in N              a_i = c_1 u_i    (c_1 is 1/mass where the thrust map is right)
+
+    f_z = sum_i a_i + b - d_z v_z + e
+
+The drag along z is fitted together with the curve: a climbing vehicle commands more thrust, so a curve fitted alone
+would absorb part of d_z. The exponent g is 1 (NanoBench) or fitted, since the motor voltage is not the battery's
+reading. By default the intercept b is fitted for the logged acceleration only: over the narrow band of commands of a
+flight it cannot be told apart from c_1 and c_2. It counts as thrust. Command with battery voltage: NanoBench (Ullah &
+Baca, arXiv 2603.09908).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from quadexp.errors import DataError, UsageError
+from quadexp.models.base import Record, Rotors, Shape
+from quadexp.models.regression import Regression, half_width, regress
+from quadexp.models.samples import SIGNALS, Samples, rotor_columns
+from quadexp.log.schema import Flight
+
+# Powers of the signal in the curve, and the signals with an intercept by default.
+POWERS = {"motor_command": (1, 2), "rotor_speed": (2,), "thrust_acceleration": (1,), "u": (1,)}
+INTERCEPT = ("thrust_acceleration",)
+DRAG_Z = "d_z"
+EXPONENT_RANGE = (0.0, 3.0)
+SEARCH_SAMPLES = 40_000  # used by the search for the exponent; more are thinned evenly
+
+
+class ThrustCurve(Record, frozen=True):
+    """Thrust of a rotor per vehicle mass as a function of its signal.
+
+    signal: a name in quadexp.models.samples.SIGNALS. powers: exponents. coefficients, errors: of all rotors, or one row
+    per rotor; m/s^2 per signal^power. reference_voltage: V, 0 where the voltage is not used. voltage_exponent: g;
+    voltage_exponent_error: 0 where g was not fitted. intercept, intercept_error: m/s^2, sum over all rotors. drag_z,
+    drag_z_error: d_z, 1/s (0: not fitted). freedom: degrees of freedom of Student's t. condition: condition number.
+    residual_std: root mean square residual along z, m/s^2. signal_range: smallest and largest signal of the fit. loss:
+    "squares" or "huber". delay: between the signal and its thrust (s).
+    """
+
+    signal: Annotated[str, msgspec.Meta(pattern=f"^({'|'.join(SIGNALS)})$")]
+    powers: Annotated[np.ndarray, Shape("powers")]
+    coefficients: Annotated[np.ndarray, Shape("powers | rotors powers")]
+    errors: Annotated[np.ndarray, Shape("powers | rotors powers")]
+    reference_voltage: float = 0.0
+    voltage_exponent: float = 1.0
+    voltage_exponent_error: float = 0.0
+    intercept: float = 0.0
+    intercept_error: float = 0.0
+    rotors: Rotors = 4
+    drag_z: float = 0.0
+    drag_z_error: float = 0.0
+    freedom: int = 1
+    condition: float = 1.0
+    residual_std: float = 0.0
+    signal_range: Annotated[np.ndarray | None, Shape("2")] = None
+    loss: str = "squares"
+    delay: float = 0.0
+
+    def rotor_acceleration(self, flight: Flight) -> np.ndarray:
+        """Acceleration that each rotor's thrust gives, (k, n) (m/s^2), sample by sample.
+
+        Raises DataError where the flight lacks the signal or its voltage.
+        """
+        columns = rotor_columns(flight, self.signal)
+        if not columns:
+            raise DataError(f"the flight has no column {self.signal}_0, which this thrust curve needs")
+        voltage = flight["battery_voltage"] if self.reference_voltage else None
+        late = round(self.delay / float(np.median(np.diff(flight.t)))) if self.delay else 0
+        acting = np.maximum(np.arange(len(flight)) - late, 0)
+        return self.of_signal(flight.stack(columns).astype(float)[acting], voltage)
+
+    def of_signal(self, signal: np.ndarray, voltage: np.ndarray | None = None) -> np.ndarray:
+        """The same from the signal, (k, n), and the voltage, (k,) (V)."""
+        scaled = scaled_signal(signal, voltage, self.reference_voltage, self.voltage_exponent)
+        if self.signal == "thrust_acceleration":
+            scaled = np.repeat(scaled / self.rotors, self.rotors, axis=1)
+        elif scaled.shape[1] != self.rotors:
+            raise DataError(f"{scaled.shape[1]} rotors in the flight, the thrust curve has {self.rotors}")
+        per_rotor = np.broadcast_to(self.coefficients, (self.rotors, len(self.powers)))
+        terms = [per_rotor[:, j] * scaled**power for j, power in enumerate(self.powers)]
+        return np.sum(terms, axis=0) + self.intercept / self.rotors
+
+    @property
+    def has_intercept(self) -> bool:
+        """Whether an intercept was fitted."""
+        return self.intercept_error > 0
+
+    @property
+    def slope_range(self) -> tuple[float, float]:
+        """Least and largest da/ds over the range of the fit; a negative one indicates a wrong curve."""
+        low, high = self.signal_range if self.signal_range is not None else (0.0, 1.0)
+        grid = np.linspace(low, high, 200)
+        rows = np.atleast_2d(self.coefficients)
+        slope = sum(rows[:, [j]] * power * grid ** (power - 1) for j, power in enumerate(self.powers))
+        return float(np.min(slope)), float(np.max(slope))
+
+    def __str__(self) -> str:
+        scaled = f"{self.signal} V/{self.reference_voltage:g}" if self.reference_voltage else self.signal
+        terms = []
+        if self.reference_voltage and (self.voltage_exponent != 1 or self.voltage_exponent_error):
+            half = half_width(self.voltage_exponent_error, self.freedom)
+            scaled = f"{self.signal} (V/{self.reference_voltage:g})^g"
+            terms.append(f"g {self.voltage_exponent:.3g} +- {half:.2g}")
+        for row, error in zip(np.atleast_2d(self.coefficients), np.atleast_2d(self.errors), strict=True):
+            half = half_width(error, self.freedom)
+            terms.append(
+                ", ".join(f"c_{p:g} {c:.6g} +- {h:.2g}" for p, c, h in zip(self.powers, row, half, strict=True))
+            )
+        if self.has_intercept:
+            terms.append(f"b {self.intercept:.4g} +- {half_width(self.intercept_error, self.freedom):.2g}")
+        late = f"; commands {1e3 * self.delay:.3g} ms late" if self.delay else ""
+        return f"on {scaled}: {'; '.join(terms)}{late}"
+
+
+def scaled_signal(
+    signal: np.ndarray, voltage: np.ndarray | None, reference_voltage: float, exponent: float = 1.0
+) -> np.ndarray:
+    """s (V / V_ref)^g, (k, n); without a reference voltage the signal itself."""
+    if not reference_voltage:
+        return signal
+    if voltage is None:
+        raise DataError("the thrust curve uses the battery voltage, the flight has no column 'battery_voltage'")
+    return signal * ((voltage / reference_voltage) ** exponent)[:, None]
+
+
+def thrust_design(
+    scaled: np.ndarray, powers: Sequence[int], *, intercept: bool, per_rotor: bool
+) -> tuple[np.ndarray, list[str]]:
+    """Regressors of the curve and their names: sum_i s_i^p, or s_i^p of each rotor; then 1 if there is an intercept."""
+    if per_rotor:
+        columns = [scaled[:, i] ** p for i in range(scaled.shape[1]) for p in powers]
+        names = [f"c_{p}[{i}]" for i in range(scaled.shape[1]) for p in powers]
+    else:
+        columns = [np.sum(scaled**p, axis=1) for p in powers]
+        names = [f"c_{p}" for p in powers]
+    if intercept:
+        columns, names = [*columns, np.ones(len(scaled))], [*names, "b_z"]
+    return np.stack(columns, axis=1), names
+
+
+def default_voltage(samples: Samples) -> float:
+    """4 V per cell, with the number of cells from the median voltage; 0 for signals that need no voltage."""
+    if samples.kind != "motor_command" or samples.voltage is None:
+        return 0.0
+    return 4.0 * max(1, round(float(np.median(samples.voltage)) / 3.8))
+
+
+def fit_thrust_samples(
+    samples: Samples,
+    *,
+    reference_voltage: float | None = None,
+    voltage_exponent: float | None = 1.0,
+    powers: Sequence[int] | None = None,
+    intercept: bool | None = None,
+    per_rotor: bool = False,
+    drag: bool = True,
+    loss: str = "squares",
+    intervals: bool = True,
+) -> tuple[ThrustCurve, Regression]:
+    """Fit the curve to the specific force along body z; returns it with its regression.
+
+    samples: from `gather`. reference_voltage: V; 0: the voltage is not used; None: `default_voltage`. voltage_exponent:
+    g, None to fit it. powers, intercept: None for the module's defaults. per_rotor: one curve per rotor. drag: fit d_z
+    too. loss: see `regress`.
+    intervals: False computes errors for independent samples only, and none for g.
+    The regression's columns are those of `thrust_design`, then d_z.
+    Raises DataError where a voltage is missing or the data do not determine the curve, UsageError for a curve per rotor
+    of a signal that all rotors share.
+    """
+    kind = samples.kind
+    if per_rotor and kind == "thrust_acceleration":
+        raise UsageError("a thrust curve per rotor needs a signal per rotor; thrust_acceleration is common to all")
+    powers = tuple(powers or POWERS[kind])
+    intercept = kind in INTERCEPT if intercept is None else intercept
+    if reference_voltage is None:
+        reference_voltage = default_voltage(samples)
+    if reference_voltage and samples.voltage is None:
+        raise DataError(f"{samples.names[0]}: column 'battery_voltage' is missing, which a reference voltage needs")
+    fit_exponent = voltage_exponent is None and bool(reference_voltage)
+
+    def fit(g: float, slope: np.ndarray | None = None) -> Regression:
+        scaled = scaled_signal(samples.signal, samples.voltage, reference_voltage, g)
+        design, names = thrust_design(scaled, powers, intercept=intercept, per_rotor=per_rotor)
+        for name, column in (("g", slope), (DRAG_Z, -samples.velocity[:, 2] if drag else None)):
+            if column is not None:
+                design, names = np.column_stack([design, column]), [*names, name]
+        return regress(
+            design, samples.force[:, 2], names, samples.segment, samples.flight,
+            what=f"thrust curve on {kind}", loss=loss, intervals=intervals,
+        )  # fmt: skip
+
+    n = samples.signal.shape[1] if kind != "thrust_acceleration" else 4  # which share it
+    q = len(powers) * (n if per_rotor else 1)
+    g = 1.0 if voltage_exponent is None else float(voltage_exponent)
+    g_error = 0.0
+    if fit_exponent:
+        g = _search_exponent(samples, reference_voltage, powers, intercept=intercept, per_rotor=per_rotor, drag=drag)
+    regression = fit(g)
+    if fit_exponent and intervals:
+        regression, g_error = _exponent_error(g, regression, fit, samples, reference_voltage, powers, n, per_rotor)
+    shape = (n, len(powers)) if per_rotor else (len(powers),)
+    value, error = regression.coefficients, regression.errors
+    scaled = scaled_signal(samples.signal, samples.voltage, reference_voltage, g)
+    curve = ThrustCurve(
+        kind, np.array(powers, float), value[:q].reshape(shape), error[:q].reshape(shape), float(reference_voltage),
+        g, g_error, float(value[q]) if intercept else 0.0, float(error[q]) if intercept else 0.0, n,
+        float(value[-1]) if drag else 0.0, float(error[-1]) if drag else 0.0, int(regression.freedom),
+        regression.condition, float(np.sqrt(np.mean(regression.residual**2))), np.array([scaled.min(), scaled.max()]),
+        loss, samples.delay,
+    )  # fmt: skip
+    return curve, regression
+
+
+def _search_exponent(
+    samples: Samples, reference_voltage: float, powers: Sequence[int], *, drag: bool, **columns: bool
+) -> float:
+    """The g with the least sum of squared residuals, on thinned samples; columns: of `thrust_design`."""
+    from scipy.optimize import minimize_scalar
+
+    some = samples.thinned(SEARCH_SAMPLES)
+    target = some.force[:, 2]
+
+    def squares(g: float) -> float:
+        scaled = scaled_signal(some.signal, some.voltage, reference_voltage, g)
+        design, _ = thrust_design(scaled, powers, **columns)
+        if drag:
+            design = np.column_stack([design, -some.velocity[:, 2]])
+        residual = target - design @ np.linalg.lstsq(design, target, rcond=None)[0]
+        return float(residual @ residual)
+
+    return float(minimize_scalar(squares, bounds=EXPONENT_RANGE, method="bounded", options={"xatol": 1e-7}).x)
+
+
+def _exponent_error(
+    g: float,
+    first: Regression,
+    fit: Callable[..., Regression],
+    samples: Samples,
+    reference_voltage: float,
+    powers: Sequence[int],
+    rotors: int,
+    per_rotor: bool,
+) -> tuple[Regression, float]:
+    """The regression at g with its standard errors when g is fitted too, and g's standard error.
+
+    Both from the regression linearised in g, with da/dg as a further column.
+    """
+    scaled = scaled_signal(samples.signal, samples.voltage, reference_voltage, g)
+    rows = first.coefficients[: len(powers) * (rotors if per_rotor else 1)].reshape(-1, len(powers))
+    slope = sum(rows[:, j] * p * scaled**p for j, p in enumerate(powers)).sum(axis=1)
+    relative_voltage = scaled_signal(np.ones((len(samples), 1)), samples.voltage, reference_voltage)[:, 0]
+    joint = fit(g, slope * np.log(relative_voltage))
+    keep = np.array([name != "g" for name in joint.names])
+    linearised = replace(
+        first, covariance=joint.covariance[np.ix_(keep, keep)], plain=joint.plain[np.ix_(keep, keep)],
+        freedom=joint.freedom + 1, condition=joint.condition,  # g is none of its coefficients
+    )  # fmt: skip
+    return linearised, float(joint.errors[~keep][0])
+
+
+def thrust_columns(curve: ThrustCurve, samples: Samples, *, drag: bool) -> np.ndarray:
+    """The regressors of a curve, with that of d_z as the last column if `drag`, (k, p)."""
+    scaled = scaled_signal(samples.signal, samples.voltage, curve.reference_voltage, curve.voltage_exponent)
+    powers, each = tuple(curve.powers.astype(int).tolist()), curve.coefficients.ndim == 2
+    design, _ = thrust_design(scaled, powers, intercept=curve.has_intercept, per_rotor=each)
+    return np.column_stack([design, -samples.velocity[:, 2]]) if drag else design

@@ -1,0 +1,335 @@
+"""Identified torque of the rotors: gain, lag and offset of the geometric torque, axis by axis.
+
+    w'_i + [J^-1 (w x J w)]_i = g_i [J^-1 G m a(t - tau_i)]_i + o_i(t)         rad/s^2
+
+a: acceleration of each rotor's thrust by the thrust curve, G: the vehicle's arms and reaction torques. g, tau and o
+account for arms, inertia, drag torques, unequal rotors and motors, which a thrust curve does not contain. The offset
+varies slowly (centre of mass, battery), so gain and lag are fitted after subtracting the means of blocks of BLOCK
+seconds, and a prediction tracks the offset up to its start by a low-pass with MEMORY seconds, from earlier samples
+only. Both sides of the fit pass the same filter (quadexp.log.signal.derivative). Intervals: percentile bootstrap over
+flights, or over the blocks where there are few flights.
+
+An axis is used if a fit to the other flights (the other half of a single flight) predicts the mean angular acceleration
+over the next HORIZON seconds better than zero, that is, than constant rates; otherwise it is rejected.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from quadexp.models.base import Record, Three
+from quadexp.models.regression import FLIGHT_CLUSTERS
+from quadexp.models.samples import Samples
+from quadexp.models.thrust_curve import ThrustCurve
+from quadexp.log.signal import derivative
+from quadexp.physics.vehicle import Vehicle
+
+AXES = ("roll", "pitch", "yaw")
+LAGS = np.arange(-0.02, 0.1221, 0.004)  # s
+WINDOW = 0.1  # s, of the derivative
+BLOCK = 2.0  # s, of the means and of the bootstrap
+MEMORY = 0.4  # s, of the tracked offset
+HORIZON = 0.2  # s
+DRAWS = 400
+LEAST_BLOCKS, LEAST_ROWS = 4, 20
+PIECE, MOST_SAMPLES = 20.0, 60_000  # s, samples: longer logs are thinned by pieces
+
+
+class TorqueModel(Record, frozen=True):
+    """All (3,): roll, pitch, yaw. gain: relative to the geometric torque. lag: s. offset: mean, rad/s^2.
+
+    _low, _high: 95 % interval. share: share of the mean square angular acceleration over HORIZON that is predicted on
+    held-out data; share_low: its lower limit.
+    """
+
+    gain: Three
+    gain_low: Three
+    gain_high: Three
+    lag: Three
+    lag_low: Three
+    lag_high: Three
+    offset: Three
+    offset_low: Three
+    offset_high: Three
+    share: Three
+    share_low: Three
+
+    @property
+    def used(self) -> np.ndarray:
+        """Axes, (3,) bool, whose prediction on held-out data is better than zero."""
+        return np.asarray((self.share_low > 0) & (self.gain > 0))
+
+    def driven(self, time: np.ndarray, segment: np.ndarray, geometric: np.ndarray) -> np.ndarray:
+        """Angular acceleration by the rotors without the offset, (k, 3) rad/s^2; geometric: (k, 3), at time (k,)."""
+        result = np.empty_like(geometric)
+        for rows in (np.flatnonzero(segment == number) for number in np.unique(segment)):
+            result[rows] = _delayed(time[rows], geometric[rows], self.gain, self.lag)
+        return result
+
+    def tracked_offset(
+        self, time: np.ndarray, segment: np.ndarray, driven: np.ndarray, rate: np.ndarray, own: np.ndarray
+    ) -> np.ndarray:
+        """The offset, (k, 3) rad/s^2, at every sample from earlier ones. rate: (k, 3); own: gyroscopic, (k, 3)."""
+        result = np.empty_like(driven)
+        for rows in (np.flatnonzero(segment == number) for number in np.unique(segment)):
+            result[rows] = _tracked(time[rows], rate[rows], driven[rows] - own[rows], self.offset)
+        return result
+
+
+def _delayed(t: np.ndarray, geometric: np.ndarray, gain: np.ndarray, lag: np.ndarray) -> np.ndarray:
+    return gain * np.stack([np.interp(t - lag[i], t, geometric[:, i]) for i in range(3)], axis=1)
+
+
+def _tracked(t: np.ndarray, w: np.ndarray, model: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """First-order low-pass of w' - model over earlier samples, with initial value offset (3,)."""
+    from scipy.signal import lfilter
+
+    if len(t) < 2:
+        return np.tile(offset, (len(t), 1))
+    share = min(1.0, float(np.median(np.diff(t))) / MEMORY)
+    difference = np.diff(w, axis=0) / np.diff(t)[:, None] - (model[1:] + model[:-1]) / 2
+    after, _ = lfilter([share], [1, share - 1], difference, axis=0, zi=(1 - share) * offset[None])
+    return np.vstack([offset, after])
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A stretch without a gap: t (k,), rates, geometric and gyroscopic acceleration, (k, 3); number of its flight."""
+
+    t: np.ndarray
+    w: np.ndarray
+    geometric: np.ndarray
+    own: np.ndarray
+    flight: int
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Per block: n, and at every lag the sums of s (geometric, filtered) and y (measured), and of products about the
+    block's means (ss, sy, yy)."""
+
+    n: np.ndarray  # (blocks,)
+    s: np.ndarray  # (blocks, lags, 3)
+    ss: np.ndarray
+    sy: np.ndarray
+    y: np.ndarray  # (blocks, 3)
+    yy: np.ndarray
+    flight: np.ndarray  # (blocks,)
+
+    def __getitem__(self, rows: np.ndarray) -> _Sums:
+        return _Sums(*(getattr(self, name)[rows] for name in ("n", "s", "ss", "sy", "y", "yy", "flight")))
+
+
+def geometric_acceleration(rotors: np.ndarray, vehicle: Vehicle) -> np.ndarray:
+    """J^-1 G m a, (k, 3) rad/s^2, of the rotors' accelerations a (k, n) (m/s^2)."""
+    torque = vehicle.mass * rotors @ vehicle.allocation[1:].T
+    return np.asarray(np.linalg.solve(vehicle.inertia_matrix, torque.T).T)
+
+
+def gyroscopic(rate: np.ndarray, vehicle: Vehicle) -> np.ndarray:
+    """J^-1 (w x J w), (k, 3) rad/s^2, of body rates (k, 3)."""
+    J = vehicle.inertia_matrix
+    return np.asarray(np.linalg.solve(J, np.cross(rate, rate @ J).T).T)
+
+
+def fit_torque(samples: Samples, vehicle: Vehicle, curve: ThrustCurve) -> TorqueModel | None:
+    """Gain, lag and offset per axis; None where the flights have no gyro or no signal per rotor, or are too short."""
+    pieces = _cut(samples, vehicle, curve)
+    sums = _sums(pieces)
+    if sums is None or len(sums.n) < LEAST_BLOCKS:
+        return None
+    value = _solve(*_totals(sums, np.ones((1, len(sums.n)))))
+    low, high = np.percentile(_solve(*_totals(sums, _weights(sums.flight))), [2.5, 97.5], axis=1)
+    share, share_low = _held_out(pieces, sums)
+    made = {
+        f"{name}{end}": part[i]
+        for i, name in enumerate(("gain", "lag", "offset"))
+        for end, part in (("", value[:, 0]), ("_low", low), ("_high", high))
+    }
+    return TorqueModel(**made, share=share, share_low=share_low)
+
+
+def explained(model: TorqueModel, samples: Samples, vehicle: Vehicle, curve: ThrustCurve) -> np.ndarray | None:
+    """Share of the angular acceleration over HORIZON, (3,), that a fitted model predicts on flights."""
+    parts = [_ahead(piece, model.gain, model.lag, model.offset) for piece in _cut(samples, vehicle, curve)]
+    parts = [one for one in parts if len(one[0])]
+    if not parts:
+        return None
+    left, all_of_it = (np.concatenate([one[i] for one in parts]).sum(axis=0) for i in (0, 1))
+    return np.asarray(1 - left / np.maximum(all_of_it, 1e-300))
+
+
+def _cut(samples: Samples, vehicle: Vehicle, curve: ThrustCurve) -> list[_Piece]:
+    """The stretches of the samples; [] where they have no rates or no signal per rotor."""
+    if curve.signal == "thrust_acceleration" or curve.rotors != vehicle.n_rotors or samples.rate is None:
+        return []
+    every = max(1, -(-len(samples) // MOST_SAMPLES))
+    pieces = []
+    for start, stop in _pieces(samples.time, samples.segment)[::every]:
+        rows = slice(start, stop)
+        rotors = curve.of_signal(samples.signal[rows], None if samples.voltage is None else samples.voltage[rows])
+        w = samples.rate[rows]
+        geometric, own = geometric_acceleration(rotors, vehicle), gyroscopic(w, vehicle)
+        if samples.held[start]:  # over the interval that ends at each sample: at the sample, the mean of both sides
+            geometric = np.vstack([(geometric[:-1] + geometric[1:]) / 2, geometric[-1:]])
+        pieces.append(_Piece(samples.time[rows], w, geometric, own, int(samples.flight[start])))
+    return pieces
+
+
+def _sums(pieces: list[_Piece]) -> _Sums | None:
+    """The sums of every block; None where an axis has no motion."""
+    parts = [(*one, np.array(piece.flight)) for piece in pieces for one in _blocks(piece)]
+    if not parts:
+        return None
+    sums = _Sums(*(np.stack(columns) for columns in zip(*parts, strict=True)))
+    return sums if (sums.yy.sum(axis=0) > 0).all() and (sums.ss.sum(axis=(0, 1)) > 0).all() else None
+
+
+def _pieces(time: np.ndarray, segment: np.ndarray) -> list[tuple[int, int]]:
+    """Stretches without a gap, of PIECE seconds at most."""
+    step = np.diff(time)
+    breaks = np.flatnonzero((np.diff(segment) != 0) | (step > 1.5 * np.median(step)) | (step <= 0)) + 1
+    bounds = np.concatenate([[0], breaks, [len(time)]])
+    found = []
+    for start, stop in zip(bounds[:-1], bounds[1:], strict=True):
+        rows = max(2, int(PIECE / np.median(step)))
+        found += [(int(a), int(min(a + rows, stop))) for a in range(start, stop, rows)]
+    return [(start, stop) for start, stop in found if stop - start >= LEAST_ROWS]
+
+
+def _blocks(piece: _Piece) -> list[tuple[np.ndarray, ...]]:
+    """n, s, ss, sy, y, yy of every block of one stretch."""
+    reach = float(max(-LAGS[0], LAGS[-1]))
+    t = piece.t
+    if t[-1] - t[0] < WINDOW + 2 * reach + 0.5 * BLOCK:
+        return []
+    grid = t[0] + np.arange(len(t)) * (t[-1] - t[0]) / (len(t) - 1)
+
+    def filtered(x: np.ndarray) -> np.ndarray:
+        """x through the filter of the derivative."""
+        whole = np.concatenate([np.zeros((1, 3)), np.cumsum((x[1:] + x[:-1]) / 2, axis=0)]) * (grid[1] - grid[0])
+        return derivative(grid, whole, window=WINDOW).values
+
+    y = derivative(grid, piece.w, window=WINDOW).values + filtered(piece.own)
+    smooth = filtered(piece.geometric)
+    edge = int(np.ceil((WINDOW / 2 + reach) / (grid[1] - grid[0])))
+    rows = np.arange(edge, len(grid) - edge)
+    late = np.stack([np.stack([np.interp(grid[rows] - lag, grid, c) for c in smooth.T], axis=1) for lag in LAGS])
+    y = y[rows]
+    count = max(1, round(len(rows) * (grid[1] - grid[0]) / BLOCK))
+    found: list[tuple[np.ndarray, ...]] = []
+    for part in np.array_split(np.arange(len(rows)), count):
+        a, b = late[:, part], y[part]
+        da, db = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=0)
+        sums = (a.sum(axis=1), (da**2).sum(axis=1), (da * db).sum(axis=1), b.sum(axis=0), (db**2).sum(axis=0))
+        found.append((np.array(float(len(part))), *sums))
+    return found
+
+
+def _weights(flight: np.ndarray) -> np.ndarray:
+    """Bootstrap weight of every block, (DRAWS, blocks). flight: of every block."""
+    flights = np.unique(flight)
+    rng = np.random.default_rng(0)
+    if len(flights) < FLIGHT_CLUSTERS:
+        count = len(flight)
+        return rng.multinomial(count, np.full(count, 1 / count), DRAWS).astype(float)
+    drawn = rng.multinomial(len(flights), np.full(len(flights), 1 / len(flights)), DRAWS)
+    return drawn[:, np.searchsorted(flights, flight)].astype(float)
+
+
+def _totals(sums: _Sums, weights: np.ndarray) -> tuple[np.ndarray, ...]:
+    """n (d, 1, 1), s, ss, sy (d, lags, 3), y, yy (d, 1, 3) of weighted blocks, weights (d, blocks)."""
+    n = (weights @ sums.n)[:, None, None]
+    s, ss, sy = (np.einsum("db,bla->dla", weights, x) for x in (sums.s, sums.ss, sums.sy))
+    y, yy = ((weights @ x)[:, None, :] for x in (sums.y, sums.yy))
+    return n, s, ss, sy, y, yy
+
+
+def _solve(n: np.ndarray, s: np.ndarray, ss: np.ndarray, sy: np.ndarray, y: np.ndarray, yy: np.ndarray) -> np.ndarray:
+    """Gain, lag and offset, (3, d, 3): least squares at every lag, the best lag by a parabola."""
+    spread = np.maximum(ss, 1e-300)
+    gain = sy / spread
+    left = np.where(gain > 0, yy - gain**2 * spread, np.broadcast_to(yy, gain.shape))
+    k = np.clip(np.argmin(left, axis=1), 1, len(LAGS) - 2)
+    d, a = np.ogrid[: left.shape[0], : left.shape[2]]
+    before, at, after = left[d, k - 1, a], left[d, k, a], left[d, k + 1, a]
+    curve = before - 2 * at + after
+    shift = np.where(curve > 0, np.clip(0.5 * (before - after) / np.where(curve > 0, curve, 1.0), -1, 1), 0.0)
+    lag = LAGS[k] + shift * (LAGS[1] - LAGS[0])
+    slope = gain[d, k, a]
+    offset = (y[:, 0] - slope * s[d, k, a]) / n[:, 0]
+    return np.stack([slope, lag, offset])
+
+
+def _ahead(
+    piece: _Piece, gain: np.ndarray, lag: np.ndarray, offset: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Squared error of the predicted rate change over HORIZON, and squared rate change, (blocks, 3) each, summed over
+    blocks of starts; and the number of blocks."""
+    t, w = piece.t, piece.w
+    steps = max(1, round(HORIZON / float(np.median(np.diff(t)))))
+    if len(t) <= 2 * steps:
+        return np.empty((0, 3)), np.empty((0, 3)), np.array(0)
+    model = _delayed(t, piece.geometric, gain, lag) - piece.own
+    tracked = _tracked(t, w, model, offset)
+    whole = np.vstack([np.zeros(3), np.cumsum((model[1:] + model[:-1]) / 2 * np.diff(t)[:, None], axis=0)])
+    k = np.arange(len(t) - steps)
+    change = w[k + steps] - w[k]
+    predicted = whole[k + steps] - whole[k] + tracked[k] * (t[k + steps] - t[k])[:, None]
+    edges = np.searchsorted(t[k], np.arange(t[0], t[k[-1]], BLOCK))
+    left, all_of_it = (np.add.reduceat(x**2, edges) for x in (change - predicted, change))
+    return left, all_of_it, np.array(len(edges))
+
+
+def _held_out(pieces: list[_Piece], sums: _Sums) -> tuple[np.ndarray, np.ndarray]:
+    """Share predicted on held-out data, (3,), and its lower limit: each flight in turn, or halves of a single one."""
+    flights = np.unique(sums.flight)
+    owner = np.array([piece.flight for piece in pieces])
+    fold, block_fold = owner, sums.flight
+    if len(flights) < 2:
+        if len(pieces) < 2:
+            pieces = _halves(pieces[0])
+            owner = np.array([piece.flight for piece in pieces])
+        fold = (np.arange(len(pieces)) >= len(pieces) / 2).astype(int)
+        block_fold = (np.arange(len(sums.n)) >= len(sums.n) / 2).astype(int)
+    left, whole, flight = [], [], []
+    for number in np.unique(block_fold):
+        rest = sums[block_fold != number]
+        gain, lag, offset = _solve(*_totals(rest, np.ones((1, len(rest.n)))))[:, 0]
+        for piece in (pieces[i] for i in np.flatnonzero(fold == number)):
+            one = _ahead(piece, gain, lag, offset)
+            left.append(one[0])
+            whole.append(one[1])
+            flight.append(np.full(len(one[0]), piece.flight))
+    error, size, owner = np.concatenate(left), np.concatenate(whole), np.concatenate(flight)
+    if not len(error):
+        return np.zeros(3), np.zeros(3)
+    share = 1 - error.sum(axis=0) / np.maximum(size.sum(axis=0), 1e-300)
+    weights = _weights(owner)
+    return share, np.percentile(1 - (weights @ error) / np.maximum(weights @ size, 1e-300), 2.5, axis=0)
+
+
+def _halves(piece: _Piece) -> list[_Piece]:
+    """The two halves of a stretch."""
+    cut = len(piece.t) // 2
+    return [
+        _Piece(piece.t[rows], piece.w[rows], piece.geometric[rows], piece.own[rows], piece.flight)
+        for rows in (slice(0, cut), slice(cut, None))
+    ]
+
+
+def torque_lines(model: TorqueModel) -> list[str]:
+    """The model as text, one line per axis."""
+    lines = []
+    for i, axis in enumerate(AXES):
+        text = (
+            f"gain {model.gain[i]:.3g} [{model.gain_low[i]:.3g}, {model.gain_high[i]:.3g}] of the geometric torque,"
+            f" lag {1e3 * model.lag[i]:.1f} [{1e3 * model.lag_low[i]:.1f}, {1e3 * model.lag_high[i]:.1f}] ms,"
+            f" offset {model.offset[i]:.3g} [{model.offset_low[i]:.3g}, {model.offset_high[i]:.3g}] rad/s^2;"
+            f" predicts {100 * model.share[i]:.0f} % of the held-out angular acceleration"
+        )
+        refused = "" if model.used[i] else ": not better than zero, rejected"
+        lines.append(f"torque        {axis}: {text}{refused}")
+    return lines

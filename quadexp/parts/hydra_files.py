@@ -1,0 +1,86 @@
+"""What Hydra does for this program, by its public functions alone: it composes files, and reads every override.
+
+Importing it takes a tenth of a second and composing a choice of options as much again. So it is imported only where a
+choice has not been composed before (kept.py) or an override is not plain (override.py).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import hydra
+from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from quadexp.errors import UsageError
+from quadexp.messages import one_line
+from quadexp.parts.former_options import former_nodes
+from quadexp.parts.override import quoted
+from quadexp.parts.schema import conf_folder
+
+_one_thread = threading.RLock()  # Hydra composes for one at a time
+_VERSION = {"version_base": "1.3"} if hydra.__version__.startswith("1.3.") else {}  # later versions take none
+
+
+def composed_files(name: str, chosen: Sequence[str], folders: Sequence[Path]) -> dict[str, Any]:
+    """What a file and a choice of options (GROUP=OPTION each) make together. folders: conf/, then others to search."""
+    own = ",".join(quoted(f"file://{folder}") for folder in folders[1:])
+    with _one_thread, _one_line():
+        register_schemas()
+        GlobalHydra.instance().clear()
+        with hydra.initialize_config_dir(str(conf_folder()), **_VERSION):
+            overrides = [*chosen, f"hydra.searchpath=[{own}]"]
+            composed = hydra.compose(name, overrides=overrides, return_hydra_config=True)
+            options = dict(composed.hydra.runtime.choices)
+            content = OmegaConf.to_container(composed)
+    assert isinstance(content, dict)
+    content.pop("hydra")
+    for key, value in content.items():
+        option = options.get(str(key)) or name.partition(str(key) + "/")[2]
+        if isinstance(value, dict) and option:  # a part is named after its option, unless its file says otherwise
+            value.setdefault("name", option)
+    return {str(key): value for key, value in content.items()}
+
+
+class _Groups:
+    """What the parser asks of a loader of configurations: the options of a group, for glob(...)."""
+
+    def __init__(self, options: Callable[[str], list[str]]) -> None:
+        self._options = options
+
+    def get_group_options(self, group_name: str, *_: Any, **__: Any) -> list[str]:
+        return self._options(group_name)
+
+
+def read_override(text: str, options: Callable[[str], list[str]]) -> Override | None:
+    """An override by Hydra's grammar; None where it cannot be read. options: names of a group's options."""
+    loader: Any = _Groups(options)
+    try:
+        return OverridesParser.create(config_loader=loader).parse_overrides([text])[0]
+    except HydraException:
+        return None
+
+
+@contextlib.contextmanager
+def _one_line() -> Iterator[None]:
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException) as error:
+        raise UsageError(one_line(error)) from error
+
+
+@functools.cache
+def register_schemas() -> None:
+    """Make the former names of parts known to Hydra."""
+    for (group, name), node in former_nodes().items():
+        ConfigStore.instance().store(group=f"schema/{group}", name=name, node=node)

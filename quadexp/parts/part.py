@@ -1,0 +1,129 @@
+"""A part: one class in one file, that an option of a group names by `_target_`.
+
+    # conf/wind/gust.yaml
+    _target_: quadexp.world.gust.Gust
+
+    class Gust(Effect):
+        onset: Annotated[float, Setting("when the gust begins", "[0, 14400]", "s")] = 2.0
+
+The class's fields are the option's keys, with unit, range, meaning and default: one line a key (settings.py). What a
+part is made into is said by the group's own base class (Effect, TrajectoryPart, PlantPart, ControllerPart, Remedy).
+Nothing else lists parts. A class and an option are a part, in this program and in a user's own folder: both are found
+by `part_class`.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from quadexp.errors import ModuleError, UsageError
+from quadexp.messages import suggestion
+from quadexp.parts.plugins import lies_outside
+from quadexp.parts.settings import Name, Settings, record
+
+TARGET = "_target_"  # key of an option that names the class of its part
+OWN = "quadexp"  # the package whose classes any option may name
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part(Settings):
+    """Base of what an option stands for. name: what tables and figures call it; that of the option unless it says so.
+
+    former_kind: what stands for the class in hashes, so that stored flights and cells keep theirs; "" for nothing.
+    """
+
+    former_kind: ClassVar[str] = ""
+
+    name: Name = "unnamed"
+
+    @property
+    def idle(self) -> bool:
+        """Whether it does nothing: a flight is what it would be without this part."""
+        return False
+
+    @property
+    def shipped(self) -> bool:
+        """Whether it is of this program, and not a user's own."""
+        return type(self).__module__.partition(".")[0] == OWN and not hasattr(self, TARGET)
+
+    def recorded(self) -> dict[str, Any]:
+        """Its settings as plain data, for files and hashes."""
+        return record(self) | ({"kind": self.former_kind} if self.former_kind else {})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nothing(Part):
+    """The option that does nothing."""
+
+    @property
+    def idle(self) -> bool:
+        """See Part."""
+        return True
+
+
+def part_class(key: str, target: str) -> type[Part]:
+    """The class that an option names; key: whose `_target_` it is.
+
+    Only classes of this program, of a --conf folder and of an installed plugin package are imported. Raises
+    ModuleError, or UsageError where there is none of that name.
+    """
+    target_class = imported(key, target)
+    said = f"{key}.{TARGET}={target}"
+    if not (isinstance(target_class, type) and issubclass(target_class, Part)):
+        raise UsageError(f"{said}: is no part: it must be a class derived from quadexp.parts.part.Part")
+    if target_class.prefix not in ("", f"{key}."):
+        raise UsageError(f"{said}: is a part of {target_class.prefix.rstrip('.')}, not of {key}")
+    return target_class
+
+
+def imported(key: str, target: str, own: str = OWN) -> Any:
+    """What a dotted name stands for; see part_class. own: the package that is open to any option, "" for none."""
+    said = f"{key}.{TARGET}={target}"
+    module_name, _, attribute = str(target).rpartition(".")
+    if not module_name:
+        raise UsageError(f"{said}: expected MODULE.NAME, such as my_package.helix.Helix")
+    ours = module_name.partition(".")[0] == own
+    if not ours and (outside := lies_outside(module_name)):
+        raise ModuleError(f"{said}: {outside}")
+    try:
+        module = importlib.import_module(module_name)
+    except ImportError as error:
+        raise ModuleError(f"{said}: {error}") from None
+    except Exception as error:
+        raise UsageError(f"{said}: importing {module_name} raised {type(error).__name__}: {error}") from error
+    named = getattr(module, attribute, None)
+    if named is None:
+        hint = suggestion(attribute, [name for name in vars(module) if not name.startswith("_")])
+        raise UsageError(f"{said}: module {module_name} has no class or function {attribute!r}{hint}")
+    code = inspect.isclass(named) or inspect.isroutine(named)
+    home = getattr(named, "__module__", None) or "builtins"
+    if code and not ours and lies_outside(home):
+        raise UsageError(
+            f"{said}: comes from module {home}, which is neither in the --conf folder nor in an installed plugin"
+            " package: call it from a function in your module"
+        )
+    return named
+
+
+@dataclass(frozen=True, kw_only=True)
+class Given:
+    """What a part that is built is handed, as far as it is made before.
+
+    vehicle: that the part is for: the flown one for a plant, the believed one for a controller. believed: that which
+    controllers believe in. plant: that is flown. remedies: parts around a controller, the nearest first.
+    residual(kind): the model of the air of that kind, or the sum of several kinds. residuals(kinds): each by itself, of
+    kinds with checkpoints. checkpoint(i): the i-th fitted model. plant_model(path, kind): a checkpoint that is taken as
+    the truth.
+    """
+
+    vehicle: Any
+    believed: Any = None
+    plant: Any = None
+    remedies: tuple[Any, ...] = ()
+    residual: Any = None
+    residuals: Any = None
+    checkpoint: Any = None
+    plant_model: Any = None

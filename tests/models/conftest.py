@@ -1,0 +1,16 @@
+from __future__ import annotations
+
+import pytest
+
+from quadexp.models.gaussian_process import GPModel, GPSettings, fit_gp
+from tests.models.synthetic import synthetic_dataset
+
+
+@pytest.fixture(scope="session")
+def dataset():
+    return synthetic_dataset(rows=6000)
+
+
+@pytest.fixture(scope="session")
+def model(dataset) -> GPModel:
+    return fit_gp(dataset, GPSettings(inducing=15, mean="linear_drag", max_iterations=40))

@@ -1,0 +1,135 @@
+"""The fit finds the truth it was made from, and refuses what it cannot fit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadexp.errors import DataError, UsageError
+from quadexp.models.dataset import ResidualDataset
+from quadexp.models.gaussian_process import GPSettings, fit_gp
+from tests.models.synthetic import synthetic_dataset, truth
+
+
+def error_against_truth(model, rows: ResidualDataset) -> dict[str, float]:
+    """Root mean square of prediction minus truth where the fit has seen the features, per output (m/s^2)."""
+    true = truth(rows.matrix(["v_x", "v_y", "v_z"]), rows.matrix([f"u_{i}" for i in range(4)]))
+    errors = {}
+    for output, prediction in model.predict(rows).items():
+        posterior = next(o for o in model.outputs if o.output == output)
+        limits = np.array([model.feature_range[name] for name in posterior.features])
+        features = rows.matrix(posterior.features)
+        covered = np.all((features >= limits[:, 0]) & (features <= limits[:, 1]), axis=1)
+        error = (prediction.mean - true[:, "xyz".index(output[-1])])[covered]
+        errors[output] = float(np.sqrt(np.mean(error**2)))
+    return errors
+
+
+def test_twenty_points_find_drag_and_motor_loss():
+    model = fit_gp(synthetic_dataset(rows=5000), GPSettings(inducing=20))
+    errors = error_against_truth(model, synthetic_dataset(rows=3000, seed=1))
+    assert max(errors.values()) < 0.015, errors
+    for output in model.outputs:  # the noise that was put in: .05
+        assert np.sqrt(output.noise_variance) == pytest.approx(0.05, rel=0.04)
+
+
+def test_thrust_feature_takes_the_motor_loss_out_of_z(dataset):
+    settings = {"inducing": 10, "max_iterations": 20}
+    without = fit_gp(dataset, GPSettings(features={"a_z": ["v_z"]}, **settings))
+    with_thrust = fit_gp(dataset, GPSettings(features={"a_z": ["v_z", "thrust"]}, **settings))
+    rows = synthetic_dataset(rows=3000, seed=1)
+    assert error_against_truth(with_thrust, rows)["a_z"] < 0.3 * error_against_truth(without, rows)["a_z"]
+
+
+def test_same_seed_same_model(dataset):
+    settings = GPSettings(features={"a_x": ["v_x"]}, inducing=8, max_iterations=10, max_rows=2000)
+    first, second = fit_gp(dataset, settings), fit_gp(dataset, settings)
+    np.testing.assert_array_equal(first.outputs[0].alpha, second.outputs[0].alpha)
+    assert first.dataset == second.dataset and first.dataset["rows"] == 2000
+
+
+@pytest.mark.parametrize("mean", ["zero", "constant", "linear_drag"])
+def test_far_away_the_prior_mean_is_left(dataset, mean):
+    model = fit_gp(dataset, GPSettings(features={"a_x": ["v_x"]}, inducing=8, mean=mean, max_iterations=5))
+    far = ResidualDataset(
+        {"v_x": np.array([500.0]), "v_y": np.zeros(1), "v_z": np.zeros(1), "thrust": np.zeros(1), "flight": [0]}, {}
+    )
+    expected = {
+        "zero": 0.0,
+        "constant": dataset.columns["a_x"].mean(),
+        "linear_drag": model.linear_drag.acceleration(far)[0, 0],
+    }[mean]
+    prediction = model.predict(far)["a_x"]
+    assert prediction.mean[0] == pytest.approx(expected, abs=1e-9)
+    assert prediction.variance[0] == pytest.approx(model.outputs[0].signal_variance)
+
+
+@pytest.mark.parametrize(("method", "count"), [("subset", 20), ("exact", 500)])
+def test_other_methods(dataset, method, count):
+    settings = GPSettings(features={"a_x": ["v_x"]}, inducing=20, method=method, max_rows=500)
+    model = fit_gp(dataset, settings)
+    assert len(model.outputs[0].alpha) == count
+    rows = synthetic_dataset(rows=2000, seed=1)
+    assert error_against_truth(model, rows)["a_x"] < 0.1
+
+
+def test_torque_outputs_have_any_features(dataset):
+    columns = dict(dataset.columns)
+    columns["tau_z"] = 0.02 * columns["w_z"] + 1e-3 * np.random.default_rng(0).normal(size=dataset.n_rows)
+    settings = GPSettings(
+        features={"tau_z": ["w_z", "thrust"]}, inducing=8, mean="linear_drag", max_iterations=20, max_rows=2000
+    )
+    rows = ResidualDataset(columns, dataset.metadata)
+    prediction = fit_gp(rows, settings).predict(rows)["tau_z"]
+    assert np.sqrt(np.mean((prediction.mean - 0.02 * columns["w_z"]) ** 2)) < 2e-4
+
+
+def test_progress_goes_from_nothing_to_all(dataset):
+    seen = []
+    settings = GPSettings(features={"a_x": ["v_x"], "a_y": ["v_y"]}, inducing=5, max_iterations=5, max_rows=1000)
+    fit_gp(dataset, settings, callback=lambda message, share: seen.append((message, share)))
+    shares = [share for _, share in seen]
+    assert shares == sorted(shares) and shares[-1] == 1.0
+    assert {message for message, _ in seen} == {"fit a_x", "fit a_y", "fit done"}
+
+
+def test_threads_are_left_as_they_were(dataset):
+    import torch
+
+    before = torch.get_num_threads()
+    fit_gp(dataset, GPSettings(features={"a_x": ["v_x"]}, inducing=3, max_iterations=2, max_rows=500))
+    assert torch.get_num_threads() == before
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"features": {}}, "gp.features: no output"),
+        ({"features": {"a_q": ["v_x"]}}, "gp.features.a_q: no such output"),
+        ({"features": {"a_x": ["v_x", "v_x"]}}, "names a feature twice"),
+        ({"inducing": 1}, r"gp.inducing=1: must be in \[2, 1000\] points"),
+        ({"inducing": 1001}, "gp.inducing=1001: must be in"),
+        ({"method": "vfe"}, "gp.method=vfe: must be one of sgpr, subset, exact"),
+        ({"mean": "drag"}, "gp.mean"),
+        ({"holdout": 1.0}, "gp.holdout"),
+        ({"jitter": 1e-3}, "gp.jitter"),
+        ({"max_rows": 3}, "gp.max_rows"),
+    ],
+)
+def test_settings_out_of_range(settings, message):
+    with pytest.raises(UsageError, match=message):
+        GPSettings(**settings)
+
+
+def test_datasets_that_cannot_be_fitted(dataset):
+    with pytest.raises(DataError, match="it has no rows"):
+        fit_gp(dataset.rows(np.zeros(dataset.n_rows, bool)))
+    with pytest.raises(DataError, match="column 'u_7' is missing"):
+        fit_gp(dataset, GPSettings(features={"a_x": ["v_x", "u_7"]}))
+    with pytest.raises(DataError, match="more than gp.max_exact_rows=1000"):
+        fit_gp(dataset, GPSettings(method="exact"))
+    with pytest.raises(DataError, match="50 points from 40 rows"):
+        fit_gp(dataset.rows(np.arange(40)), GPSettings(inducing=50))
+    still = ResidualDataset(dict(dataset.columns) | {"w_x": np.zeros(dataset.n_rows)}, {})
+    with pytest.raises(DataError, match="gp.features.a_x: 'w_x' never changes"):
+        fit_gp(still, GPSettings(features={"a_x": ["v_x", "w_x"]}))

@@ -1,0 +1,63 @@
+"""Bundles of the group `world`: options of several parts at once."""
+
+from __future__ import annotations
+
+import pytest
+import yaml
+
+from quadexp.parts.compose import compose, expand, session
+from quadexp.parts.schema import WORLD, conf_folder, world_parts
+from quadexp.parts.settings import record
+from tests.parts.test_compose import hydra_composes
+
+# No part, all of them, a few, one; values of a part, of the vehicle, and of what is told late.
+OF_EVERY_SHAPE = ("clean", "everything", "race", "only_wind", "sun_force_15", "sun_com_10", "sun_late_50")
+QUICK = ["experiment=quick", "controller=gp_mpc"]
+BUNDLES = sorted(path.stem for path in (conf_folder() / "world").glob("*.yaml"))
+
+
+def test_they_only_choose_options():
+    """Values stand in the options: a part that is chosen besides is then wholly that part. The conditions of a paper,
+    of which each has values of its own, set them in the bundle."""
+    for name in BUNDLES:
+        content = yaml.safe_load((conf_folder() / "world" / f"{name}.yaml").read_text()) or {}
+        chosen = [key for one in content.get("defaults", ()) if one != "_self_" for key in one]
+        values = set(WORLD) if name.startswith("sun_") else set()
+        assert set(content) <= {"defaults"} | values and set(chosen) <= {f"override /{group}" for group in WORLD}
+
+
+@pytest.mark.parametrize(
+    ("name", "more"),
+    [(name, []) for name in BUNDLES if name in OF_EVERY_SHAPE or not name.startswith("sun_")]
+    + [(name, more) for name in OF_EVERY_SHAPE for more in (["wind=constant", "wind.velocity=[1,2,3]"], QUICK)],
+)
+def test_composed_as_hydra_itself_does(name, more):
+    choices = [*more, f"world={name}"]
+    with session() as composer:
+        expected, found = hydra_composes(choices), record(composer.compose(choices))
+        assert {**found, "world": ""} == {**expected, "world": ""}
+        if more != QUICK:
+            (cell,) = composer.expand(choices)
+            assert record(cell.config) == found | {"sweep": None}
+
+
+def test_their_names():
+    with session() as composer:
+        for name in BUNDLES:
+            config = composer.compose([f"world={name}"])
+            assert config.world == name and bool(world_parts(config)) == (name != "clean")
+            assert composer.compose([f"world={name}", "seed=3"]).world == name
+        for name in OF_EVERY_SHAPE[1:]:
+            assert composer.compose([f"world={name}", "seed=3", "controller=gp_mpc"]).world == name
+            part = next(iter(world_parts(composer.compose([f"world={name}"]))))
+            gusty = "wind=gust" if part != "wind" else "wind=constant"
+            assert composer.compose([f"world={name}", gusty]).world == f"{name},{gusty}"
+
+
+def test_the_clean_world_is_the_default():
+    assert record(compose(["world=clean"])) == record(compose()) and not world_parts(compose())
+
+
+def test_a_sweep_over_bundles():
+    cells = expand([f"world={','.join(BUNDLES)}", "seed=0,1"])
+    assert {cell.config.world for cell in cells} == set(BUNDLES) and {cell.varied for cell in cells} == {""}

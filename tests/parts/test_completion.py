@@ -1,0 +1,83 @@
+"""Completion of groups, options, keys and words, without Hydra."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import asdict
+from types import SimpleNamespace
+
+import pytest
+
+from quadexp.parts.completion import complete, keys
+from quadexp.parts.compose import session
+from quadexp.parts.option_files import groups
+from quadexp.parts.schema import PARTS
+
+
+def typed(*words, conf=None):
+    *before, incomplete = words
+    return complete(SimpleNamespace(params={"overrides": list(before), "conf": conf}), incomplete)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected", "prefix"),
+    [
+        (("contr",), {"controller=gp_mpc", "controller=nominal_mpc"}, "controller="),
+        (("controller=n",), {"controller=nominal_mpc"}, "controller=n"),
+        (("trajectory=circle,le",), {"trajectory=circle,lemniscate"}, "trajectory=circle,le"),
+        (("trajectory.sp",), {"trajectory.speed="}, "trajectory.sp"),
+        (("controller.backe",), {"controller.backend=auto", "controller.backend=interpreted"}, "controller.backend="),
+        (("controller.feedf",), {"controller.feedforward=true", "controller.feedforward=false"}, "controller.feedf"),
+        (("seed=0", "experiment=q"), {"experiment=quick"}, "experiment=q"),
+        # bash splits words at "=" and wants the value alone back
+        (("controller", "=", "gp"), {"gp_mpc"}, "gp"),
+        (("controller", ""), {"gp_mpc", "linear_drag_mpc", "nominal_mpc", "perfect_mpc"}, ""),
+    ],
+)
+def test_candidates(words, expected, prefix):
+    offered = typed(*words)
+    assert expected <= set(offered)
+    assert all(word.startswith(prefix) for word in offered)
+
+
+def test_nothing_is_offered_for_what_is_nothing():
+    assert typed("nothing_like_it") == []
+
+
+def test_an_empty_word_offers_groups_and_plain_keys():
+    offered = typed("")
+    assert {"vehicle=", "controller=", "model=", "seed="} <= set(offered)
+    assert not [name for name in offered if "." in name]
+
+
+def test_a_folder_of_ones_own(tmp_path):
+    (tmp_path / "trajectory").mkdir()
+    (tmp_path / "trajectory" / "mine.yaml").touch()
+    assert typed("trajectory=m", conf=tmp_path) == ["trajectory=mine"]
+
+
+def test_every_key_offered_can_be_set_with_some_option():
+    found = set()
+    with session() as composer:
+        for group in PARTS:
+            for option in composer.options(group):
+                extra = {"file": [f"{group}.path=x"], "from_model": ["plant.model=x"]}.get(option, [])
+                found |= set(flat(asdict(composer.compose([f"{group}={option}", *extra]))))
+    assert set(keys()) <= found
+    assert set(groups()) >= {"vehicle", "plant", "trajectory", "controller", "collect", "gp", "drag", "experiment"}
+
+
+def flat(node, prefix=""):
+    for name, value in node.items():
+        yield prefix + name
+        if isinstance(value, dict):
+            yield from flat(value, f"{prefix}{name}.")
+
+
+def test_hydra_is_not_imported():
+    code = (
+        "import sys; from types import SimpleNamespace; from quadexp.parts.completion import complete;"
+        "complete(SimpleNamespace(params={}), 'contr'); print('hydra' in sys.modules, 'numpy' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.split() == ["False"] * 2

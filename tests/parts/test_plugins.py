@@ -1,0 +1,185 @@
+"""Parts from outside: options of installed packages, and names under `_target_` that are wrong."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from quadexp.errors import UsageError
+from quadexp.experiment.build import build_controller, build_plant, build_trajectory, build_vehicle
+from quadexp.experiment.evaluate import evaluate_cell
+from quadexp.parts.compose import compose
+from quadexp.sweeps.cluster.engines import build_engine
+from quadexp.sweeps.engine import Task
+from tests.faults.command import FLY, ROOT, apart, one_line
+
+TRAJECTORY = (
+    "defaults: [/schema/trajectory/custom@_here_, _self_]\nname: mine\n_target_: {target}\noptions: {options}\n"
+)
+
+
+@pytest.fixture
+def trajectory(tmp_path):
+    """A function that makes the trajectory of a `_target_` and its options."""
+    (tmp_path / "trajectory").mkdir()
+    (tmp_path / "mine_module.py").write_text(
+        "from os import system\nfrom quadexp.reference.circle import Circle\n"
+        "def wrong(): return 3\ndef broken(): raise RuntimeError('no luck')\nnumber = 4\n"
+        "def circle(**options): return Circle(**options)\n"
+    )
+
+    def build(target, options="{}"):
+        (tmp_path / "trajectory" / "mine.yaml").write_text(TRAJECTORY.format(target=target, options=options))
+        return build_trajectory(compose(["trajectory=mine"], tmp_path).trajectory)
+
+    return build
+
+
+@pytest.mark.parametrize(
+    ("target", "options", "message"),
+    [
+        ("Helix", "{}", "trajectory._target_=Helix: expected MODULE.NAME"),
+        (
+            "nowhere_at_all.Helix",
+            "{}",
+            "there is no module nowhere_at_all in the --conf folder /.*, nor in an installed",
+        ),
+        ("os.system", "{command: 'exit 3'}", "there is no module os in the --conf folder"),
+        ("builtins.exec", "{}", "there is no module builtins in the --conf folder"),
+        ("scipy.optimize.minimize", "{}", "there is no module scipy in the --conf folder"),
+        ("quadexp.reference.circle.Circle", "{speed: 3.0}", "there is no module quadexp in the --conf folder"),
+        ("mine_module.system", "{}", "mine_module.system: comes from module posix, which is neither"),
+        ("mine_module.Circle", "{}", "comes from module quadexp.reference.circle, which is neither"),
+        ("mine_module.os.system", "{}", "No module named 'mine_module.os'"),
+        ("mine_module.Absent", "{}", "module mine_module has no class or function 'Absent'"),
+        ("mine_module.number", "{}", "module mine_module has no class or function 'number'"),
+        ("mine_module.wrong", "{}", "made no trajectory, a int without duration, peak_speed, flat_output"),
+        ("mine_module.wrong", "{radius: 3}", "cannot be called with radius"),
+        ("mine_module.broken", "{}", "raised RuntimeError: no luck"),
+        ("mine_module.circle", "{speed: -1.0}", "trajectory.speed"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(trajectory, target, options, message):
+    with pytest.raises(UsageError, match=message) as error:
+        trajectory(target, options)
+    assert "\n" not in str(error.value)
+
+
+def test_what_lies_in_the_folder_is_called(trajectory):
+    assert trajectory("mine_module.circle", "{speed: 3.0}").peak_speed == pytest.approx(3.273, abs=1e-3)
+
+
+def test_plant_and_controller_are_checked_too(tmp_path):
+    for group in ("plant", "controller"):
+        (tmp_path / group).mkdir()
+        (tmp_path / group / "mine.yaml").write_text(
+            f"defaults: [/schema/{group}/custom@_here_, _self_]\nname: mine\n_target_: other_module.make\n"
+        )
+    (tmp_path / "other_module.py").write_text("def make(vehicle): return vehicle\n")
+    config = compose(["plant=mine", "controller=mine"], tmp_path)
+    vehicle = build_vehicle(config.vehicle)
+    with pytest.raises(UsageError, match=r"plant._target_=other_module.make: cannot be called with vehicle, step"):
+        build_plant(vehicle, config.plant)
+    with pytest.raises(UsageError, match=r"controller._target_=other_module.make: made no controller"):
+        build_controller(config, vehicle, None, None)
+
+
+@pytest.fixture
+def foreign(tmp_path):
+    """A configuration folder that names a module which lies elsewhere and writes a mark when it is imported."""
+    conf, elsewhere = tmp_path / "conf", tmp_path / "elsewhere"
+    (conf / "trajectory").mkdir(parents=True)
+    elsewhere.mkdir()
+    (conf / "trajectory" / "mine.yaml").write_text(TRAJECTORY.format(target="tool.make", options="{}"))
+    (elsewhere / "tool.py").write_text(
+        f"open({str(tmp_path / 'mark')!r}, 'w').close()\nfrom quadexp.reference.hover import Hover\n"
+        "def make(): return Hover(duration=0.4)\n"
+    )
+    return conf, elsewhere, tmp_path / "mark"
+
+
+@pytest.mark.parametrize("command", [FLY, ("evaluate", "--sweep", "--no-figures", *FLY[1:])])
+def test_a_module_elsewhere_is_not_even_imported(foreign, tmp_path, command):
+    """Refused by name with exit code 2, although Python would find it."""
+    conf, elsewhere, mark = foreign
+    words = [word for word in command if not word.startswith("trajectory.")]
+    words = [word.replace("trajectory=hover", "trajectory=mine") for word in words]
+    environment = {"PYTHONPATH": f"{elsewhere}:{ROOT}"}
+    done = apart(*words, "--conf", conf, "--out", tmp_path / "out", environment=environment)
+    assert done.returncode == 2 and "trajectory._target_=tool.make: there is no module tool in" in one_line(done)
+    assert not mark.exists() and not (tmp_path / "out").exists()
+    (elsewhere / "tool.py").rename(conf / "tool.py")
+    done = apart(*words, "--conf", conf, "--out", tmp_path / "out", environment=environment)
+    assert done.returncode == 0 and mark.exists(), done.stderr
+
+
+@pytest.mark.parametrize("engine", ["local", pytest.param("dask", marks=pytest.mark.slow)])
+def test_workers_obey_the_same_rule(foreign, engine, tmp_path, monkeypatch):
+    """A cell that reaches a worker past the driver's own check fails there; what the --conf folder has is flown."""
+    if engine == "dask":
+        pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+    conf, elsewhere, mark = foreign
+    monkeypatch.setenv("PYTHONPATH", f"{elsewhere}:{ROOT}")
+    (conf / "own_tool.py").write_text((elsewhere / "tool.py").read_text())
+    interpreted = ["controller.backend=interpreted", "plant.backend=interpreted"]
+    good = compose(["trajectory=mine", "trajectory._target_=own_tool.make", *interpreted], conf)
+    bad = compose(["trajectory=mine", *interpreted], conf)
+    tasks = [Task(f"{i:020d}", config, None, str(tmp_path / f"{i}.parquet")) for i, config in enumerate((bad, good))]
+    mark.unlink(missing_ok=True)
+    dask, engine = engine == "dask", build_engine(compose([f"engine={engine}", "evaluate.workers=1"]))
+    with monkeypatch.context() as patch:
+        if dask:
+            patch.setattr("quadexp.sweeps.cluster.driver.source_hashes", lambda config: {})  # the driver's own check
+        results = dict(engine.fly(evaluate_cell, iter(tasks[:1])))
+    assert "there is no module tool in the --conf folder" in results["0" * 20].cause
+    assert not mark.exists()
+    results = dict(engine.fly(evaluate_cell, iter(tasks[1:])))
+    assert results[f"{1:020d}"]["outcome"] == "ok", results
+
+
+def test_a_name_that_python_has_already(tmp_path):
+    """Which of the two is meant would depend on what was imported before."""
+    (tmp_path / "trajectory").mkdir()
+    (tmp_path / "trajectory" / "mine.yaml").write_text(TRAJECTORY.format(target="random.make", options="{}"))
+    (tmp_path / "random.py").write_text("def make(): pass\n")
+    with pytest.raises(UsageError, match=r"the name random is taken by /.*random.py: give the module in the --conf"):
+        build_trajectory(compose(["trajectory=mine"], tmp_path).trajectory)
+
+
+def test_an_installed_package_brings_options(tmp_path):
+    """A distribution with the entry point, on the path of a fresh process, as pip would leave it."""
+    package = tmp_path / "my_lab"
+    (package / "conf" / "vehicle").mkdir(parents=True)
+    (package / "__init__.py").touch()
+    (package / "conf" / "__init__.py").touch()
+    racer = "defaults: [torrente, _self_]\nname: racer\nmass: 0.7\n"
+    (package / "conf" / "vehicle" / "racer.yaml").write_text(racer)
+    record = tmp_path / "my_lab-1.0.dist-info"
+    record.mkdir()
+    (record / "METADATA").write_text("Metadata-Version: 2.1\nName: my-lab\nVersion: 1.0\n")
+    (record / "entry_points.txt").write_text("[quadexp.conf]\nmy_lab = my_lab.conf\n")
+    (package / "paths.py").write_text(
+        "from quadexp.reference.hover import Hover\ndef make(): return Hover(duration=1.5)\n"
+    )
+    (package / "conf" / "trajectory").mkdir()
+    (package / "conf" / "trajectory" / "lab.yaml").write_text(
+        TRAJECTORY.format(target="my_lab.paths.make", options="{}")
+    )
+    code = (
+        "from quadexp.parts.compose import compose\nfrom quadexp.parts.option_files import groups\n"
+        "config = compose(['vehicle=racer'])\nassert config.vehicle.mass == 0.7\n"
+        "assert 'racer' in groups()['vehicle']\n"
+        "from quadexp.experiment.build import build_trajectory\n"
+        "assert build_trajectory(compose(['trajectory=lab']).trajectory).duration == 1.5\nprint(config.vehicle.name)"
+    )
+    root = str(Path(__file__).resolve().parents[1])
+    environment = {"PYTHONPATH": f"{tmp_path}:{root}", "PATH": "/usr/bin:/bin"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert done.stdout == "racer\n", done.stderr
+
+    (record / "entry_points.txt").write_text("[quadexp.conf]\nmy_lab = my_lab.absent\n")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert "entry point 'my_lab' of quadexp.conf: no package 'my_lab.absent'" in done.stderr

@@ -1,0 +1,122 @@
+"""Presets of the horizon's grid: what they set, over what, and what they cannot be given to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from quadexp.errors import UsageError
+from quadexp.parts.compose import compose, expand, session
+from quadexp.parts.schema import conf_folder
+from quadexp.parts.settings import record
+from tests.parts.test_compose import hydra_composes
+
+MPCS = ["nominal_mpc", "linear_drag_mpc", "gp_mpc", "perfect_mpc", "rls_mpc"]
+GRID = ("first_node", "horizon", "nodes", "input_hold")
+
+
+def grid(*overrides: str, conf: Path | None = None) -> tuple[float | str, ...]:
+    controller = compose(list(overrides), conf).controller
+    return tuple(getattr(controller, name) for name in GRID)
+
+
+@pytest.mark.parametrize("controller", MPCS)
+def test_the_presets(controller):
+    """Published is the paper's grid, for every MPC, and what is flown when nothing is said."""
+    published = (0.0, 1.0, 10, "command")
+    assert grid(f"controller={controller}") == grid(f"controller={controller}", "horizon=published") == published
+    assert grid(f"controller={controller}", "horizon=precise") == (0.02, 0.6, 10, "deviation")
+    assert grid(f"controller={controller}", "horizon=robust") == (0.06, 0.8, 10, "deviation")
+    assert grid(f"controller={controller}", "horizon=firm") == (0.04, 0.8, 10, "deviation")
+    assert grid(f"controller={controller}", "horizon=stiff") == grid(f"controller={controller}", "horizon=precise")
+
+
+def test_a_key_of_ones_own_is_over_the_preset():
+    assert grid("horizon=precise", "controller.first_node=0.04", "controller.nodes=12") == (0.04, 0.6, 12, "deviation")
+    assert grid("controller.horizon=0.9", "horizon=robust") == (0.06, 0.9, 10, "deviation")
+
+
+@pytest.mark.parametrize("name, observer", [("wind", "wind"), ("offset_free", "disturbance")])
+def test_a_bundle_of_remedies_chooses_the_horizon_too(name, observer):
+    """And what is chosen beside it is over the bundle."""
+    config = compose([f"remedies={name}", "controller=gp_mpc"])
+    assert config.observer.name == observer and config.controller.position_weight == (200.0, 200.0, 200.0)
+    config = compose([f"remedies={name}", "controller=gp_mpc", "horizon=firm", "observer.torque_bandwidth=7"])
+    assert config.controller.position_weight == (50.0, 50.0, 50.0) and config.observer.torque_bandwidth == 7
+    assert record(compose([f"remedies={name}"])) == hydra_composes([f"remedies={name}"])
+
+
+def test_a_bundle_of_remedies_may_choose_the_inner_loop():
+    config = compose(["remedies=unknown_vehicle", "controller=nominal_mpc", "delay=strapdown"])
+    assert (config.observer.name, config.inner.name, config.delay.name) == ("disturbance", "indi", "strapdown")
+    assert config.observer.torque_bandwidth == 0  # INDI removes torques
+    assert record(compose(["remedies=unknown_vehicle"])) == hydra_composes(["remedies=unknown_vehicle"])
+
+
+BUNDLES = [
+    path.stem for path in sorted((conf_folder() / "remedies").glob("*.yaml")) if not path.stem.endswith("_tuned")
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "others"),
+    [(name, others) for name in BUNDLES for others in ([], ["controller=gp_mpc", "observer=wind"])]
+    + [("offset_free", others) for others in (["controller=gp_mpc"], ["horizon=firm"], ["world=everything"])],
+)
+def test_a_bundle_of_remedies_is_the_same_in_a_sweep(name, others):
+    choices = [*others, f"remedies={name}"]
+    if name == "unknown_vehicle" and "observer=wind" in others:  # its settings are those of observer=disturbance
+        for way in (compose, expand):
+            with pytest.raises(UsageError, match=r"observer\.force_limit: no such key"):
+                way(choices)
+        return
+    (cell,) = expand(choices)
+    assert record(cell.config) == record(compose(choices)) | {"sweep": None}
+
+
+@pytest.mark.parametrize(
+    ("others", "horizon"),
+    [([], horizon) for horizon in ("published", "precise", "robust", "stiff")]
+    + [([one], "precise") for one in ("experiment=quick", "experiment=torrente_table1", "vehicle=crazyflie")],
+)
+def test_composed_as_hydra_itself_does(others, horizon):
+    """Putting nodes together option by option is a shortcut: what comes out is Hydra's own composition."""
+    choices = [*others, "controller=gp_mpc", f"horizon={horizon}"]
+    expected = hydra_composes(choices)
+    assert record(compose(choices)) == expected
+    if not others or not others[0].startswith("experiment"):
+        (cell,) = expand(choices)
+        assert record(cell.config) == expected | {"sweep": None}
+
+
+def test_what_has_no_horizon_takes_none():
+    assert compose(["controller=rls_feedback", "horizon=published"]).controller.former_kind == "feedback"
+    for others in ([], ["experiment=families"]):
+        with pytest.raises(
+            UsageError, match=r"^horizon=precise: sets controller\.\w+, which controller=rls_feedback does"
+        ):
+            compose([*others, "controller=rls_feedback", "horizon=precise"])
+    with pytest.raises(UsageError, match=r"^remedies=wind: sets controller\.\w+, which controller=pid does not have$"):
+        compose(["controller=pid", "remedies=wind"])
+    with pytest.raises(UsageError, match=r"horizon=precize: no such horizon; did you mean precise"):
+        compose(["horizon=precize"])
+
+
+def test_sweeps_vary_it_and_say_so():
+    cells = expand(["horizon=published,precise", "controller=nominal_mpc,gp_mpc", "seed=0,1"])
+    assert len(cells) == 8
+    assert {cell.varied for cell in cells} == {"horizon=published", "horizon=precise"}
+    for cell in cells:
+        assert cell.config.controller.first_node == (0.02 if "horizon=precise" in cell.overrides else 0.0)
+
+
+def test_a_preset_of_ones_own(tmp_path):
+    (tmp_path / "horizon").mkdir()
+    (tmp_path / "horizon" / "long.yaml").write_text("# @package controller\nhorizon: 2.0\nnodes: 20\n")
+    assert grid("horizon=long", "controller=gp_mpc", conf=tmp_path) == (0.0, 2.0, 20, "command")
+
+
+def test_options_are_listed():
+    with session() as composer:
+        assert composer.options("horizon") == ["firm", "precise", "published", "robust", "stiff"]

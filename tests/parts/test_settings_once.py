@@ -1,0 +1,176 @@
+"""Each setting is declared once, completely, and its value is stated once."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import importlib
+import pkgutil
+import re
+from pathlib import Path
+from typing import Any, get_origin
+
+import pytest
+import yaml
+
+import quadexp
+from quadexp.control.mpc.settings import MPCSettings
+from quadexp.errors import UsageError
+from quadexp.parts.compose import compose
+from quadexp.parts.option_files import OptionFiles
+from quadexp.parts.part import TARGET, part_class
+from quadexp.parts.schema import PARTS, Config, conf_folder
+from quadexp.parts.settings import REQUIRED, Setting, Settings, declared, inside, lists, plain
+
+PACKAGE = Path(quadexp.__file__).parent
+CONFIGURED = {"physics", "air", "reference", "models", "world", "control"}  # rooms of what a configuration describes
+# What a part that is the object itself is given besides its keys.
+OF_THE_OBJECT = {"yaw", "vehicle", "printed_coefficients", "inertial"}
+# Dataclasses that share three or more names with a node and configure nothing: why.
+NOT_SETTINGS = {
+    "SpeedProfile": "a function of three numbers, made by the path that has them",
+    "BladeElementModel": "the part of a plant that is compiled, made by the plant that has its options",
+}
+
+
+def dataclasses_of_the_package() -> list[type]:
+    found = []
+    for module in pkgutil.walk_packages(quadexp.__path__, "quadexp."):
+        if module.name.endswith("__main__"):
+            continue
+        try:
+            members = vars(importlib.import_module(module.name)).values()
+        except ImportError:  # an extra that is not installed
+            continue
+        found += [m for m in members if isinstance(m, type) and m.__module__ == module.name]
+    return [one for one in found if dataclasses.is_dataclass(one)]
+
+
+ALL = dataclasses_of_the_package()
+
+
+def nodes() -> dict[str, type]:
+    """Every node of the configuration, those inside others too, by its schema or key."""
+    waiting = {f"{group}/{one.__name__}": one for group in PARTS for one in OptionFiles().parts(group).values()}
+    waiting[""] = Config
+    found = {}
+    while waiting:
+        name, node = waiting.popitem()
+        found[name] = node
+        waiting |= {f"{name}.{key}": one.node for key, one in declared(node).items() if one.node}
+    return found
+
+
+NODES = nodes()
+
+
+def test_the_search_finds_settings_and_what_they_configure():
+    names = {one.__name__ for one in ALL}
+    assert {"MPCSettings", "Vehicle", "Circle", "PlantEffects", "GPSettings", "MPC", *NOT_SETTINGS} <= names
+    assert len(NODES) > 25
+
+
+@pytest.mark.parametrize("one", [one for one in ALL if issubclass(one, Settings)], ids=lambda one: one.__name__)
+def test_a_name_is_declared_by_one_class_of_a_hierarchy(one):
+    for name in {f.name for f in dataclasses.fields(one)}:
+        places = [base.__name__ for base in one.__mro__ if name in base.__dict__.get("__annotations__", {})]
+        assert len(places) == 1, f"{one.__name__}.{name} is declared by {' and by '.join(places)}"
+
+
+def test_nothing_declares_the_settings_of_a_node_again():
+    again = {}
+    for one in (one for one in ALL if one.__module__.split(".")[1] in CONFIGURED):
+        if issubclass(one, Settings) or one.__name__ in NOT_SETTINGS:
+            continue
+        own = {f.name for f in dataclasses.fields(one)}
+        shared = max((own & declared(node).keys() for node in NODES.values()), key=len)
+        if len(shared) >= 3:
+            again[one.__name__] = sorted(shared)
+    assert not again, "inherit the settings instead"
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_every_key_has_a_type_a_meaning_and_a_number_its_range(name):
+    node = NODES[name]
+    aside = {"sweep", "world", *PARTS} if name == "" else OF_THE_OBJECT
+    assert {f.name for f in dataclasses.fields(node)} - aside == declared(node).keys() - aside
+    for key, one in declared(node).items():
+        assert isinstance(one.setting, Setting) and one.setting.meaning, key
+        kind = one.type if get_origin(one.type) is not tuple else one.type.__args__[0]
+        if kind in (int, float):
+            assert one.setting.interval, f"{node.prefix}{key}: a number needs a range"
+        if one.setting.interval and not one.required and one.default is not None:
+            for value in one.default if isinstance(one.default, tuple) else [one.default]:
+                assert inside(value, one.setting.interval), f"{node.prefix}{key}: the default lies outside its range"
+
+
+def stated(content: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Leaves of a configuration file by their dotted key."""
+    found = {}
+    for key, value in content.items():
+        found |= stated(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return found
+
+
+def holds_anyway(group: str, option: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What an option would be without what its own file states, and that."""
+    content = yaml.safe_load((conf_folder() / group / f"{option}.yaml").read_text()) or {}
+    target, values = content.pop(TARGET, None), {}
+    for default in content.pop("defaults", []):
+        if default != "_self_":
+            inherited, own = holds_anyway(group, default)
+            values |= inherited | own
+    if target is not None:
+        values = stated(plain(part_class(group, target))) | values
+    return values, stated(content)
+
+
+# Vehicles are measured: their files are complete.
+OPTIONS = [
+    (group, file.stem)
+    for group in PARTS
+    if group != "vehicle"
+    for file in sorted((conf_folder() / group).glob("*.yaml"))
+]
+
+
+@pytest.mark.parametrize(("group", "option"), OPTIONS, ids=lambda text: text)
+def test_a_file_states_only_what_differs(group, option):
+    anyway, own = holds_anyway(group, option)
+    again = {key: value for key, value in own.items() if lists(anyway.get(key, REQUIRED)) == value}
+    assert own.get("name") != option or "name" in anyway, "a part is named after its option"
+    assert not again, f"conf/{group}/{option}.yaml states again what holds anyway"
+    assert own.keys() <= anyway.keys()
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("nodes", 1), ("nodes", 2.5), ("rate", "fast"), ("rate_weight", [1, 2]), ("horizon", float("nan"))],
+)
+def test_python_and_the_command_line_refuse_alike(key, value):
+    """One rule, one line: from MPCSettings(...) as from controller....=..."""
+    with pytest.raises(UsageError) as python:
+        MPCSettings(**{key: value})
+    with pytest.raises(UsageError) as line:
+        compose([f"controller.{key}={str(value).replace(' ', '')}"])
+    assert str(python.value) == str(line.value)
+
+
+def test_hydra_and_omegaconf_are_used_by_their_public_names():
+    private = []
+    for file in sorted(PACKAGE.rglob("*.py")):
+        text = file.read_text(encoding="utf-8")
+        if "hydra" not in text and "omegaconf" not in text:
+            continue
+        tree = ast.parse(text)
+        modules = [(n.module or "", [a.name for a in n.names]) for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)]
+        modules += [(a.name, []) for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names]
+        ours = [(module, names) for module, names in modules if module.split(".")[0] in ("hydra", "omegaconf")]
+        for module, names in ours:
+            if any(part.startswith("_") for part in [*module.split("."), *names]):
+                private.append(f"{file.name}: import of {module}")
+        for n in ast.walk(tree) if ours else ():
+            mine = isinstance(n, ast.Attribute) and isinstance(n.value, ast.Name) and n.value.id in ("self", "cls")
+            if isinstance(n, ast.Attribute) and re.match(r"_[^_]", n.attr) and not mine:
+                private.append(f"{file.name}:{n.lineno}: {ast.unparse(n)}")
+    assert not private
