@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -54,9 +55,16 @@ def stage() -> None:
         else:
             shutil.copyfile(path, copy)
 
+    (PAGES / "docs" / "configuration.md").write_text(_configuration(), encoding="utf-8")
     landing = LANDING.read_text(encoding="utf-8").replace("](../../", "](").replace("](../", "](docs/")
     landing = landing.replace('src="../', 'src="docs/').replace("](README.md", "](about.md")
     (PAGES / "index.md").write_text(landing, encoding="utf-8")
+
+
+def _configuration() -> str:
+    """The page of all keys, made from the parts and from conf/."""
+    page: str = runpy.run_path(str(ROOT / "docs" / "site" / "configuration.py"))["reference"]()
+    return page
 
 
 def _with_about(path: Path, text: str) -> str:

@@ -2,7 +2,7 @@
 
     horizon: Annotated[float, Setting("length of the prediction", "(0, 10]", "s")] = 1.0
 
-The keys of the configuration, their checks, the completion and docs/configuration.md are made from these declarations,
+The keys of the configuration, their checks, the completion and `quadexp options` are made from these declarations,
 and the object that is configured inherits them: `class MPCSettings(MPCKeys)`. So a value is checked by the same rule
 whether it is given on the command line, in a file, or in Python:
 

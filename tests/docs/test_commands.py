@@ -45,6 +45,8 @@ def read_as_it_stands(words: list[str]) -> None:
     context = command.make_context(words[0], list(words[1:]))
     overrides = [text for text in context.params.get("overrides") or [] if OVERRIDE.fullmatch(text)]
     conf = context.params.get("conf")
+    if conf and not (ROOT / conf).is_dir():
+        return  # a folder that an earlier command of the page makes
     with session(ROOT / conf if conf else None) as composer:
         sweeps = context.params.get("sweep") or words[0] == "tune"  # whose trials are sweeps
         if sweeps and any("," in text or "range(" in text for text in overrides):

@@ -142,7 +142,7 @@ def test_the_documented_files_are_what_the_program_reads(written):
         assert path.duration > 0 and path.peak_speed > 0
         assert rows[0].split(",")[:3] in (["x", "y", "z"], ["t", "p_x", "p_y"])
     assert kinds == {"x", "t"}
-    for name in ("docs/configuration.md", "conf/trajectory/file.yaml", "docs/guide.md"):
+    for name in ("conf/trajectory/file.yaml", "docs/guide.md"):
         text = (ROOT / name).read_text().replace(" ", "")
         assert "t,p_x,p_y,p_z" in text and "x,y,z" in text, name
         assert "(t,x,y,z" not in text, name

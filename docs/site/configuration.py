@@ -1,6 +1,8 @@
 """The reference of every configuration key, from the parts and from conf/ itself.
 
-    python -m tests.docs.configuration > docs/configuration.md
+    python docs/site/configuration.py
+
+`make docs` puts it into the site; `quadexp options` shows the same on a terminal.
 
 All of it is declared with the settings (quadexp/parts/settings.py). The value is the default, or what the option sets
 that is taken by default, or else the first.
@@ -36,9 +38,6 @@ outside its range are refused before anything runs. Quote a value with brackets 
 (x, y, z) in body axes FLU unless another frame is named.
 
 Groups: GROUPS.
-
-This page is made from the parts and from `conf/`:
-`python -m tests.docs.configuration > docs/configuration.md`.
 """
 
 
