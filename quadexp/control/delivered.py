@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction
+from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Measurement
+from quadexp.control.instant import Operation, call, copy, move
 from quadexp.physics.expression import Expression
 from quadexp.physics.motor import decayed
 from quadexp.physics.vehicle import Vehicle
@@ -65,15 +67,24 @@ def delivered_by_commands(
     return acting[:, 1:], thrust, mean + numbers[4] * (first - thrust)
 
 
-def commands_function(rotors: int, delays: Delays, shared: Mapping[str, np.ndarray] | None = None) -> BufferedFunction:
+def commands_function(
+    rotors: int, delays: Delays, backend: str, shared: Mapping[str, np.ndarray] | None = None
+) -> BufferedFunction:
     """`delivered_by_commands` as a function of commands, thrust and sent: commands_next, thrust_next, mean.
 
-    shared: see BufferedFunction. It is so small that compiling gains nothing."""
-    shapes = {"commands": (rotors, delays.pending), "thrust": (rotors, 1), "sent": (rotors, 1)}
+    backend: resolved. shared: see BufferedFunction."""
+    function = BufferedFunction(_commands_function(rotors, delays.pending, backend), shared)
+    function.arguments["numbers"][...] = delays.numbers
+    return function
+
+
+@cache
+def _commands_function(rotors: int, pending: int, backend: str) -> ca.Function:
+    shapes = {"commands": (rotors, pending), "thrust": (rotors, 1), "sent": (rotors, 1), "numbers": (6, 1)}
     a = {name: ca.SX.sym(name, *shape) for name, shape in shapes.items()}
-    results = delivered_by_commands(a["commands"], a["thrust"], a["sent"], ca.DM(delays.numbers))
     names = ["commands_next", "thrust_next", "mean"]
-    return BufferedFunction(ca.Function("delivered", [*a.values()], [*results], [*a], names), shared)
+    function = ca.Function("delivered", [*a.values()], [*delivered_by_commands(*a.values())], [*a], names)
+    return realise(function, backend)
 
 
 class DeliveredThrust:
@@ -84,27 +95,38 @@ class DeliveredThrust:
     speeds are measured, and lag is not 0, of the measured thrusts at its two ends.
     """
 
-    def __init__(self, vehicle: Vehicle, control_period: float, dead_time: float = 0.0, lag: float = 0.0) -> None:
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        control_period: float,
+        dead_time: float = 0.0,
+        lag: float = 0.0,
+        *,
+        backend: str = "interpreted",
+    ) -> None:
         self._coefficient, self._lag = vehicle.thrust_coefficient, lag
-        self._on = commands_function(vehicle.n_rotors, Delays(control_period, dead_time, lag))
+        self._on = commands_function(vehicle.n_rotors, Delays(control_period, dead_time, lag), backend)
         given, self._next = self._on.arguments, self._on.results
         self._commands, self.thrust, self._sent = given["commands"], given["thrust"], given["sent"]
         self.mean = self._next["mean"]
+        self._measured, self._before = np.zeros((2, vehicle.n_rotors))
+        self._turning = False  # whether `_before` was measured
 
     def reset(self, thrust: np.ndarray) -> None:
         """Start a flight: this command, (n,) (N), has been sent for a long time."""
         self._commands[...] = self.thrust[...] = self.mean[...] = thrust
-        self._measured: np.ndarray | None = None
+        self._turning = False
 
     def now(self, measurement: Measurement) -> np.ndarray:
         """Thrusts at the control instant, just before the new command, (n,) (N)."""
         if measurement.rotor_speed is None or self._coefficient is None:
-            self._measured = None
+            self._turning = False
             return self.thrust
-        before, measured = self._measured, self._coefficient * measurement.rotor_speed**2
-        self._measured = measured
-        self.mean[...] = (before + measured) / 2 if self._lag and before is not None else measured
-        return measured
+        self._measured[...] = self._coefficient * measurement.rotor_speed**2
+        both = self._lag and self._turning
+        self.mean[...] = (self._before + self._measured) / 2 if both else self._measured
+        self._before[...], self._turning = self._measured, True
+        return self._measured
 
     def record(self, command: np.ndarray) -> None:
         """Add the command, (n,) (N), that was sent at this control instant, and go on by one control period."""
@@ -112,3 +134,24 @@ class DeliveredThrust:
         self._on()
         self.thrust[...] = self._next["thrust_next"]
         self._commands[...] = self._next["commands_next"]
+
+    def before(self, speed: np.ndarray | None) -> tuple[list[Operation], np.ndarray]:
+        """`now` for C, and the array that has the thrusts then. speed: where rotor speeds are found; None: they are not
+        measured."""
+        if speed is None or self._coefficient is None:
+            return [], self.thrust
+        now = [Operation("square", self._measured, speed, factor=self._coefficient)]
+        if self._lag:
+            now.append(Operation("mean", self.mean, self._before, self._measured))
+        else:
+            now.append(copy(self.mean, self._measured))
+        return [*now, move(self._before, self._measured)], self._measured
+
+    def after(self, command: np.ndarray) -> list[Operation]:
+        """`record` for C, of the command that is found there."""
+        results = [copy(self.thrust, self._next["thrust_next"]), copy(self._commands, self._next["commands_next"])]
+        return [copy(self._sent, command), call(self._on), *results]
+
+    def ready(self, speed: np.ndarray | None) -> bool:
+        """Whether these operations hold: what they need of the period before was measured."""
+        return self._turning or speed is None or self._coefficient is None

@@ -31,6 +31,7 @@ from quadexp.compile.backend import BufferedFunction, realise_together, resolve
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.belief import Belief
+from quadexp.control.instant import Instant, Operation, Told, call, copy, instant_of, move
 from quadexp.control.laws.desaturation import prioritised
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.mpc.online_mpc import AdaptingController
@@ -140,6 +141,27 @@ class L1Controller(WrappedController):
         self._sent[:-1] = self._sent[1:]
         self._sent[-1] = u
         return u, record
+
+    def instant(self, told: Told) -> Instant | None:
+        """See control.instant; not where the controller is told of a force."""
+        inner = None if self.keys.unmatched else instant_of(self.inner, told)
+        if inner is None:
+            return None
+        given, found, add = self._estimate.arguments, self._estimate.results, self._add.arguments
+        operations = [copy(given["x"], told.state), move(given["memory"], found["memory_next"])]
+        operations.append(move(given["rotors"], found["rotors_next"]))
+        if len(self._sent) == 1:
+            operations.append(copy(given["acting"], self._sent[0]))
+        else:
+            operations.append(Operation("mix", given["acting"], self._sent[1], self._sent[0], factor=self._old))
+        kept = [move(array, array) for array in found.values()]  # what the call leaves is remembered too
+        operations += [*kept, call(self._estimate), move(given["x_last"], told.state), *inner.operations]
+        operations += [copy(add["base"], inner.command), copy(add["filtered"], found["memory_next"][FILTERED])]
+        u, flat = self._add.results["u"], self._sent.reshape(-1)
+        operations += [call(self._add), copy(flat[: -len(u)], flat[len(u) :]), copy(self._sent[-1], u)]
+        ready = (*inner.ready, lambda: self._begun)
+        logged = (*inner.logged, found["body"])
+        return inner._replace(operations=operations, command=u, logged=logged, ready=ready)
 
     def _acting(self) -> np.ndarray:
         """Mean command that acted over the last period, (n,) (N)."""

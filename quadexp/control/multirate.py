@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.instant import Instant, Operation, Told, copy, instant_of
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.wrapped import WrappedController
 from quadexp.errors import UsageError
@@ -30,7 +31,7 @@ class MultiRate(WrappedController, ABC):
                 f" {1 / inner.control_period:g} Hz"
             )
         self.control_period = inner.control_period / self._every
-        self._instant = 0
+        self._instant, self._wanted = 0, np.zeros(inner.vehicle.n_rotors)
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
@@ -40,9 +41,26 @@ class MultiRate(WrappedController, ABC):
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step; the record is that of the controller's last step."""
         if self._instant % self._every == 0:
-            self._wanted, self._record = self.inner.step(measurement, window)
+            self._wanted[...], self._record = self.inner.step(measurement, window)
         self._instant += 1
         return self.shaped(measurement, self._wanted), self._record
+
+    def instant(self, told: Told) -> Instant | None:
+        """See control.instant."""
+        inner = instant_of(self.inner, told)
+        if inner is None:
+            return None
+        due = [o._replace(every=o.every * self._every) for o in (*inner.operations, copy(self._wanted, inner.command))]
+        shaped, command = self.shaping(told, self._wanted)
+        resumed = (*inner.resumed, self._go_on)
+        return inner._replace(operations=[*due, *shaped], command=command, resumed=resumed)
+
+    def _go_on(self, k: int, record: StepRecord) -> None:
+        self._instant, self._record = k, record
+
+    @abstractmethod
+    def shaping(self, told: Told, wanted: np.ndarray) -> tuple[list[Operation], np.ndarray]:
+        """`shaped` for C, of the thrusts that are found in `wanted`; and the array that has the command then."""
 
     @abstractmethod
     def shaped(self, measurement: Measurement, wanted: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The flight loop of rollout.py in C, for a compiled plant of quadexp.world under a compiled MPC.
+"""The flight loop of rollout.py in C, for a compiled plant of quadexp.world under a controller that is operations.
 
 flight.c makes whole control periods on the arrays that plant and controller have in Python, so that either can go on
 where the other stopped. It returns where something is out of the ordinary (a failed step, a vehicle far from its
@@ -17,10 +17,12 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, CFunction, strict_library
 from quadexp.control.base import Controller
-from quadexp.control.mpc.controller import PredictiveController
-from quadexp.control.mpc.mpc import MAX_TURN, ModelPredictiveController
+from quadexp.control.instant import KINDS, Instant, Operation, Told, in_operations, instant_of
+from quadexp.control.mpc.active_set import Status
+from quadexp.control.mpc.mpc import MAX_TURN, StepRecord
 from quadexp.control.mpc.subproblem import TOLERANCE
 from quadexp.physics.state import N_STATE
+from quadexp.world.accelerometer import Accelerometer
 from quadexp.world.base import Plant
 from quadexp.world.integrator import SimulatedPlant
 from quadexp.world.streams import Streams
@@ -29,18 +31,17 @@ from quadexp.world.world import World
 SOURCE = Path(__file__).with_name("flight.c")
 INSIDE = 1 - 1e-9  # of a distance: what is nearer is nearer in any order of summation
 LARGEST = 1e100  # of a number in a reference
-
-# What flight.c knows of. Anything else that a controller has must be off (false, zero or None).
-KNOWN_SETTINGS = {
-    "horizon", "nodes", "first_node", "rate", "position_weight", "attitude_weight", "attitude_error", "velocity_weight",
-    "rate_weight", "input_weight", "terminal_weight", "feedforward", "initial_iterations", "distance_limit",
-    "input_hold",
-}  # fmt: skip
 LEAN = {"X_new", "U_new", "checks"}  # results of a step that meets no bound
-KNOWN_ATTRIBUTES = {"mpc", "vehicle", "settings", "backend", "control_period", "node_times", "name", "source"}
-KNOWN_ARGUMENTS = {
-    "X", "U", "x0", "X_ref", "U_ref", "theta", "Q", "Q_end", "R", "u_min", "u_max", "dt", "shift",
-}  # fmt: skip
+
+
+class _Operation(ctypes.Structure):
+    """`operation` of flight.c."""
+
+    _fields_ = [
+        *((name, ctypes.c_longlong) for name in ("kind", "every", "count")),
+        ("factor", ctypes.c_double),
+        *((name, ctypes.c_void_p) for name in ("to", "kept", "other", "source", "function")),
+    ]
 
 
 class _Flight(ctypes.Structure):
@@ -50,22 +51,25 @@ class _Flight(ctypes.Structure):
         (name, kind)
         for kind, names in (
             (CFunction, "step lean bounded plant"),
-            (ctypes.c_longlong, "samples nodes inputs inner_size logged_size noise_size noise_argument"),
-            (ctypes.c_longlong, "draws_argument draws_at doubt_size"),
-            (ctypes.c_double, "near reach tolerance max_turn period"),
-            (ctypes.c_void_p, "states thrusts along where"),
+            (ctypes.c_longlong, "samples nodes inputs inner_size logged_size extra_size noise_size noise_argument"),
+            (ctypes.c_longlong, "draws_argument draws_at doubt_size operations_size"),
+            (ctypes.c_double, "near tolerance max_turn period"),
+            (ctypes.c_void_p, "operations states thrusts along where"),
             (ctypes.c_longlong, "reference_rows"),
-            (ctypes.c_void_p, "x0 X_ref U_ref X U checks X_new U_new X_lin U_lin"),
+            (ctypes.c_void_p, "x0 X_ref X U checks X_new U_new X_lin U_lin"),
             (ctypes.c_void_p, "guess bounded_checks bounded_X bounded_U side"),
             (
                 ctypes.c_void_p,
                 "plant_x plant_inner plant_u plant_time x_next inner_next specific_force doubt measured noise",
             ),
             (ctypes.c_longlong, "first_drawn end_drawn"),
-            (ctypes.c_void_p, "x told reading inner"),
+            (ctypes.c_void_p, "bias sensed x told reading inner speed rotors command held"),
             (ctypes.c_double, "time next_change"),
             (ctypes.c_longlong, "met commanded"),
-            (ctypes.c_void_p, "logged log_state log_input log_reading log_inner log_record log_estimate"),
+            (ctypes.c_double, "status sweeps active kkt converged"),
+            (ctypes.c_void_p, "logged extra extra_sizes"),
+            (ctypes.c_longlong, "extra_arrays"),
+            (ctypes.c_void_p, "log_state log_input log_reading log_inner log_record log_estimate log_extra"),
         )
         for name in names.split()
     ]
@@ -78,29 +82,26 @@ def _library() -> ctypes.CDLL:
     return library
 
 
-def covers(plant: Plant, controller: Controller, rng: Any, logged: int = 0) -> bool:
-    """Whether flight.c does all that these do in an ordinary step: compiled, of this program, with nothing unknown.
+def covers(plant: Plant, controller: Controller, rng: Any, logged: int = 0, sensor: Any = None) -> bool:
+    """Whether plant, sensor and noise are of this program, compiled, so that C can fly a controller of operations.
 
     logged: how many numbers of the plant's inner states are columns of the flight; a plant from outside may have others
     under the same names.
     """
-    if type(controller) is not PredictiveController or type(controller.mpc) is not ModelPredictiveController:
-        return False
     if not isinstance(plant, SimulatedPlant) or type(plant).advance is not SimulatedPlant.advance:
         return False
     ours = type(plant).__module__.startswith("quadexp.world.")
     if logged and not (ours and (isinstance(plant, World) or logged == len(plant.inner))):
         return False
-    step, bounded = controller.mpc.functions
-    period = plant.prepared(controller.control_period)
-    unknown = [value for name, value in vars(controller).items() if name not in KNOWN_ATTRIBUTES]
-    unknown += [value for name, value in vars(controller.settings).items() if name not in KNOWN_SETTINGS]
+    if not ours and hasattr(plant, "rotor_speed"):
+        return False
     return (
-        not any(unknown)
-        and set(step.arguments) - {"first_share"} == KNOWN_ARGUMENTS
-        and step.arguments["x0"].shape == (N_STATE,)
-        and all(isinstance(f, BufferedFunction) and f.for_c is not None for f in (step, bounded, period))
+        plant.prepared(controller.control_period).for_c is not None
         and isinstance(rng, np.random.Generator)
+        and (sensor is None or type(sensor) is Accelerometer)
+        and controller.backend == "compiled"
+        and controller.reference_period == 0
+        and in_operations(controller)
     )
 
 
@@ -109,9 +110,10 @@ class CompiledFlight:
 
     plant, controller: that `covers` accepts. along: the reference's states at the control instants, (k, 13).
     reference: states (g, 13) and inputs (g, n) on a grid, and which of its rows make each horizon, (k, N + 1).
-    log: arrays to fill, (k, ..) each, by name: state, input, reading, inner, record, estimate. logged: which of the
-    plant's inner states are logged; None: all, or none. noise: what `plant.begin` returned.
-    lost_distance: m.
+    path: position (k, 5, 3) and yaw (k, 3) of the reference. log: arrays to fill, (k, ..) each, by name: state, input,
+    reading, inner, record, estimate, extra. logged: which of the plant's inner states are logged; None: all, or none.
+    noise: what `plant.begin` returned. lost_distance: m. sensor, sensed: an Accelerometer, None for an exact one, and
+    the noise of its readings, (k + 1, 3).
     """
 
     def __init__(
@@ -120,55 +122,82 @@ class CompiledFlight:
         controller: Any,
         reference: tuple[np.ndarray, np.ndarray, np.ndarray],
         along: np.ndarray,
+        path: tuple[np.ndarray, np.ndarray],
         log: dict[str, np.ndarray],
         logged: np.ndarray | None,
         noise: Streams,
         lost_distance: float,
+        sensor: Any = None,
+        sensed: np.ndarray | None = None,
     ) -> None:
-        step, bounded = controller.mpc.functions
         period, self._plant = plant.prepared(controller.control_period), plant
         self._drawn, self._world = noise, isinstance(plant, World)
         self._x, self._reading, self._inner = np.empty(N_STATE), np.empty(3), np.empty(len(plant.inner))
         self._told = np.empty(N_STATE) if self._world else self._x
+        self._rotors = _rotors(plant)
+        self._speed = np.empty(len(self._rotors)) if self._rotors is not None else None
         if logged is None:
             logged = np.arange(log["inner"].shape[1])
+        told = Told(self._told, self._reading, self._speed, *map(np.ascontiguousarray, path))
+        self.instant = instant = _checked(instant_of(controller, told), log["extra"].shape[1])
+        if instant is None:
+            return
         states, thrusts, where = (np.ascontiguousarray(array) for array in reference)
-        given, left = step.arguments, step.results
         arrays = {"states": states, "thrusts": thrusts, "along": np.ascontiguousarray(along), "where": where}
-        arrays |= {name: given[name] for name in ("x0", "X_ref", "U_ref", "X", "U")}
-        arrays |= {name: left[name] for name in ("checks", "X_new", "U_new", "X_lin", "U_lin")}
-        arrays |= {"guess": bounded.arguments["guess"], "bounded_checks": bounded.results["checks"]}
-        arrays |= {"bounded_X": bounded.results["X_new"], "bounded_U": bounded.results["U_new"]}
-        arrays |= {"side": bounded.results["side"]}
+        planned: dict[str, Any] = {}
+        if instant.mpc is not None:
+            step, bounded = instant.mpc.functions
+            self._lean = step.lean(LEAN)
+            planned = {
+                "step": step.for_c,
+                "lean": self._lean,
+                "bounded": bounded.for_c,
+                "nodes": len(step.arguments["U"]),
+            }
+            arrays |= {name: step.arguments[name] for name in ("x0", "X_ref", "X", "U")}
+            arrays |= {name: step.results[name] for name in ("checks", "X_new", "U_new", "X_lin", "U_lin")}
+            arrays |= {"guess": bounded.arguments["guess"], "bounded_checks": bounded.results["checks"]}
+            arrays |= {"bounded_X": bounded.results["X_new"], "bounded_U": bounded.results["U_new"]}
+            arrays |= {"side": bounded.results["side"]}
         arrays |= {f"plant_{name}": period.arguments[name] for name in ("x", "inner", "u")}
         arrays |= {name: period.results[name] for name in ("x_next", "inner_next", "specific_force", "doubt")}
         if self._world:
             arrays |= {"plant_time": period.arguments["time"], "measured": period.results["measured"]}
+        if sensor is not None:
+            assert sensed is not None
+            arrays |= {"bias": np.array(sensor.bias, float), "sensed": np.array(sensor.noise_std) * sensed}
+        if self._speed is not None and self._rotors is not None:
+            arrays |= {"speed": self._speed, "rotors": self._rotors}
         arrays |= {"x": self._x, "told": self._told, "reading": self._reading, "inner": self._inner}
+        arrays |= {"command": instant.command} | ({} if instant.held is None else {"held": instant.held})
         arrays["logged"] = np.ascontiguousarray(logged, np.int64)
+        arrays["extra"] = np.array([array.ctypes.data for array in instant.logged], np.uintp)
+        arrays["extra_sizes"] = np.array([array.size for array in instant.logged], np.int64)
         arrays |= {f"log_{name}": array for name, array in log.items()}
         self._arrays = arrays  # which must live as long as their addresses
-        self._lean = step.lean(LEAN)
+        self._kept = [np.empty_like(o.to) if o.kind == "move" else None for o in instant.operations]
+        made = [_operation(o, kept) for o, kept in zip(instant.operations, self._kept, strict=True)]
+        self._operations = (_Operation * len(made))(*made)
         names = list(period.arguments)
         finite = max(np.abs(states).max(), np.abs(thrusts).max()) < LARGEST
         self._flight = _Flight(
-            step=step.for_c,
-            lean=self._lean,
-            bounded=bounded.for_c,
+            **planned,
             plant=period.for_c,
             samples=len(along),
-            nodes=len(given["U"]),
+            operations=ctypes.addressof(self._operations),
+            operations_size=len(made),
             reference_rows=where.shape[1],
             inputs=thrusts.shape[1],
             inner_size=len(plant.inner),
             logged_size=log["inner"].shape[1],
+            extra_size=log["extra"].shape[1],
+            extra_arrays=len(instant.logged),
             noise_size=noise.size,
             noise_argument=names.index("noise"),
             draws_argument=names.index("draws") if self._world else -1,
             draws_at=period.arguments["noise"].size,
             doubt_size=period.results["doubt"].size,
             near=lost_distance * INSIDE if finite else -1.0,
-            reach=controller.settings.distance_limit * INSIDE,
             tolerance=TOLERANCE,
             max_turn=MAX_TURN,
             period=controller.control_period,
@@ -180,12 +209,18 @@ class CompiledFlight:
 
         Returns the instant at which Python is needed, whether its control step has been made, state and reading then.
         """
+        if self.instant is None or not all(ready() for ready in self.instant.ready):
+            return k, False, x, reading
         flight, plant, drawn = self._flight, self._plant, self._drawn
         self._x[:], self._reading[:], self._inner[:] = x, reading, plant.inner
         if self._world:
             self._told[:] = plant.measured
+        if self._speed is not None:
+            self._speed[:] = plant.rotor_speed
         flight.time, flight.next_change = plant.time, plant.next_change
         flight.commanded = False
+        records = self._arrays["log_record"]
+        _, flight.status, flight.sweeps, flight.active, flight.kkt, flight.converged = records[k - 1]
         while True:
             flight.noise, flight.first_drawn, flight.end_drawn = drawn.block.ctypes.data, drawn.first, drawn.end
             k = _library().fly(ctypes.byref(flight), k)
@@ -195,4 +230,42 @@ class CompiledFlight:
         drawn.taken, plant.time, plant.inner = k, flight.time, self._inner.copy()
         if self._world:
             plant.measured = self._told.copy()
+        at = k + flight.commanded
+        took, status, sweeps, active, kkt, converged = records[at - 1].tolist()
+        record = StepRecord(took, Status(int(status)), int(sweeps), int(active), kkt, bool(converged))
+        for resumed in self.instant.resumed:
+            resumed(at, record)
         return k, bool(flight.commanded), self._x.copy(), self._reading.copy()
+
+
+def _rotors(plant: Any) -> np.ndarray | None:
+    """Which inner states are the rotors' speeds; None where they are not measured."""
+    if not hasattr(plant, "rotor_speed"):
+        return None
+    return np.array(plant.rotor_places, np.int64)
+
+
+def _checked(instant: Instant | None, columns: int) -> Instant | None:
+    """The instant, where all that it calls is compiled and it leaves every column."""
+    if instant is None or sum(array.size for array in instant.logged) != columns:
+        return None
+    functions = [o.function for o in instant.operations if o.function is not None]
+    functions += [] if instant.mpc is None else [*instant.mpc.functions]
+    compiled = all(isinstance(f, BufferedFunction) and f.for_c is not None for f in functions)
+    return instant if compiled else None
+
+
+def _operation(o: Operation, kept: np.ndarray | None) -> _Operation:
+    """As C has it. Raises ValueError for arrays that C cannot read as they lie."""
+    arrays = {"to": o.to, "source": o.source, "other": o.other, "kept": kept}
+    for array in arrays.values():
+        if array is not None and not (array.flags.c_contiguous and array.dtype == float):
+            raise ValueError(f"{o.kind}: arrays of an operation must be contiguous floats")
+    counted = o.to if o.to is not None else o.source
+    if o.kind in ("copy", "move") and o.to is not None and o.source is not None and o.to.size != o.source.size:
+        raise ValueError(f"{o.kind}: {o.source.size} numbers to {o.to.size}")
+    places = {name: array.ctypes.data for name, array in arrays.items() if array is not None and array.size}
+    if o.function is not None:
+        places["function"] = ctypes.addressof(o.function.for_c)  # type: ignore[arg-type]  # `_checked` saw to it
+    count = 0 if counted is None else counted.size
+    return _Operation(kind=KINDS.index(o.kind), every=o.every, count=count, factor=o.factor, **places)

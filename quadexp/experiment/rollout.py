@@ -127,6 +127,10 @@ class SampledReference:
         state, thrust = self.at(0)
         return np.clip(thrust, self._vehicle.thrust_min, self._vehicle.thrust_max) if in_motion(state) else None
 
+    def path(self) -> tuple[np.ndarray, np.ndarray]:
+        """Position with its derivatives (k, 5, 3) and heading with its own (k, 3) at the control instants."""
+        return self._position, self._yaw
+
     def along(self) -> tuple[np.ndarray, np.ndarray]:
         """States (k, 13) and inputs (k, n) at the control instants."""
         where = self._now
@@ -193,10 +197,7 @@ def fly(
     compiled: CompiledFlight | None = None
     box = None if lost_box is None else reference.box(lost_box)
     inside = lost_distance if lost_box is None else min(lost_distance, lost_box)  # surely not lost
-    if covers(plant, controller, rng, len(inner.names)):
-        log.state_reference[:], log.input_reference[:] = along = reference.along()
-        arrays, horizons = log.arrays(), reference.horizons()
-        compiled = CompiledFlight(plant, controller, horizons, along[0], arrays, inner.places, noise, inside)
+    in_c = covers(plant, controller, rng, len(inner.names), sensor)
     outcome, cause, shares = "ok", "", np.full(len(reference), reference.residual_share)
     k, commanded = 0, False
     while k < len(reference):
@@ -224,6 +225,11 @@ def fly(
             took = time.perf_counter() - began
             row = (x, u, state_reference, input_reference, reading, inner.values(), told)
             log.add(*row, record, took, controller.log())
+            if in_c and compiled is None:  # when all that logs has said what
+                log.state_reference[:], log.input_reference[:] = along = reference.along()
+                arrays = (reference.horizons(), along[0], reference.path(), log.arrays())
+                compiled = CompiledFlight(plant, controller, *arrays, inner.places, noise, inside, sensor, sensed)
+                in_c = compiled.instant is not None
             if record.status == Status.FAILED:
                 outcome, cause = "solver_failed", f"the control step failed at t={t:.2f} s"
                 break
@@ -232,19 +238,19 @@ def fly(
         except ModelDomainError as error:
             outcome, cause = "lost", str(error)
             break
-        told = x if world is None else world.measured
         k += 1
-        if compiled is not None:  # its controller does not read the sensor
-            k, commanded, x, reading = compiled.go_on(k, x, reading)
-            told = x if world is None else world.measured
-            log.rows = k + commanded
-            u = log.input[log.rows - 1].copy()
-            continue
+        commanded = False
         if sensor is not None:
             reading = sensor.read(reading, sensed[k])
+        if compiled is not None and in_c:
+            k, commanded, x, reading = compiled.go_on(k, x, reading)
+            if log.rows < k + commanded:
+                log.rows = k + commanded
+                last = log.rows - 1
+                u = log.input[last].copy()
+                gate.admit(Measurement(float(reference.t[last]), log.state[last], log.reading[last], None))
+        told = x if world is None else world.measured
         measured, speed = reading, getattr(plant, "rotor_speed", None)
-    if compiled is not None:
-        log.measure(sensor, sensed)
     if not log.rows:
         raise QuadexpError(f"the flight ended before its first sample: {cause}")
     wanted = log.state_reference[: log.rows]
@@ -324,11 +330,13 @@ class _Log:
         self.reading, self.record = np.empty((samples, 3)), np.empty((samples, len(StepRecord._fields)))
         self.inner = np.empty((samples, inner))
         self.estimate = np.empty((samples if estimates else 0, len(STATE_COLUMNS)))
-        self.extra: list[dict[str, float]] = []
+        self.extra, self.extra_names = np.empty((samples, 0)), list[str]()
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What flight.c fills."""
-        return {name: getattr(self, name) for name in ("state", "input", "reading", "inner", "record", "estimate")}
+        return {
+            name: getattr(self, name) for name in ("state", "input", "reading", "inner", "record", "estimate", "extra")
+        }
 
     def add(
         self,
@@ -350,12 +358,9 @@ class _Log:
         self.inner[k] = inner
         if len(self.estimate):
             self.estimate[k] = told
-        self.extra.append(extra)
-
-    def measure(self, sensor: Sensor | None, noise: np.ndarray) -> None:
-        """Put what a sensor makes of them in place of the specific forces; the first is not measured."""
-        if sensor is not None:
-            self.reading[1 : self.rows] = sensor.read(self.reading[1 : self.rows], noise[1 : self.rows])
+        if not k:
+            self.extra_names, self.extra = [*extra], np.empty((len(self.extra), len(extra)))
+        self.extra[k] = [extra[name] for name in self.extra_names]
 
     def columns(self, t: np.ndarray, inner_names: list[str]) -> dict[str, np.ndarray]:
         """Named columns of the flown samples."""
@@ -374,5 +379,5 @@ class _Log:
         columns |= dict(zip(inner_names, self.inner[flown].T, strict=True))
         if len(self.estimate):
             columns |= {f"est_{n}": v for n, v in zip(STATE_COLUMNS, self.estimate[flown].T, strict=True)}
-        columns |= {name: np.array([row[name] for row in self.extra], float) for name in self.extra[0]}
+        columns |= dict(zip(self.extra_names, self.extra[flown].T, strict=True))
         return {name: np.ascontiguousarray(values) for name, values in columns.items()}

@@ -159,6 +159,11 @@ class BladeElementPlant(SimulatedPlant):
         return self.inner[: self.vehicle.n_rotors]
 
     @property
+    def rotor_places(self) -> list[int]:
+        """Which inner states these are."""
+        return [*range(self.vehicle.n_rotors)]
+
+    @property
     def induced_velocity(self) -> np.ndarray:
         """(n,), m/s."""
         return self.inner[self.vehicle.n_rotors :]

@@ -234,3 +234,8 @@ class RotorSpeedPlant(SimulatedPlant):
     def rotor_speed(self) -> np.ndarray:
         """(n,), rad/s."""
         return self.inner
+
+    @property
+    def rotor_places(self) -> list[int]:
+        """Which inner states these are."""
+        return [*range(self.vehicle.n_rotors)]

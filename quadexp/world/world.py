@@ -250,6 +250,11 @@ class World(SimulatedPlant):
         return self.inner[self._rotors]
 
     @property
+    def rotor_places(self) -> list[int]:
+        """Which inner states these are."""
+        return self._rotors
+
+    @property
     def coefficients(self) -> Any:
         """Of the airframe, for controllers that are told them; AttributeError where it has none."""
         return self._believed.coefficients

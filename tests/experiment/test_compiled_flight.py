@@ -17,8 +17,11 @@ from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment import compiled_flight, rollout
+from quadexp.experiment.build import build_controller, build_trajectory
 from quadexp.experiment.compiled_flight import CompiledFlight, covers
+from quadexp.experiment.evaluate import build_loop
 from quadexp.experiment.rollout import SampledReference, fly
+from quadexp.parts.compose import compose
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
 from quadexp.reference.lemniscate import Lemniscate
@@ -59,7 +62,7 @@ class Both:
 
 def both(monkeypatch, plant, controller, path, *, seed=0, **options) -> Both:
     """Fly it twice and compare."""
-    assert covers(plant, controller, np.random.default_rng())
+    assert covers(plant, controller, np.random.default_rng(), sensor=options.get("sensor"))
     found, stops, flown = [], [], [0]
 
     def go_on(self, k, x, reading):
@@ -315,6 +318,49 @@ class TestWhereItHandsOver:
             fly(plant, controller, Broken(reference), np.random.default_rng(0))
 
 
+# Controllers with what is around them, and worlds in which their readings are late, noisy, or of rotor speeds too.
+SPEEDS = ("vehicle.thrust_coefficient=1.2e-5", "actuator=speed_lag_30ms")
+REMEDIES = {
+    "geometric": (),
+    "geometric controller.force_adaptation=2": (),
+    "pid": (),
+    "dfbc": (),
+    "dfbc observer=disturbance": SPEEDS,
+    "geometric observer=disturbance inner=indi inner.rate=500 observer.torque_bandwidth=0": (),
+    "perfect_mpc observer=wind": ("wind=gust",),
+    "nominal_mpc observer=disturbance observer.scale_walk=0.1 horizon=stiff": ("wind=gust",),
+    "perfect_mpc remedies=unknown_vehicle": SPEEDS,
+    "perfect_mpc controller.dead_time=0.03 horizon=robust": ("link=latency", "link.latency=0.03"),
+    "perfect_mpc controller.dead_time=0.02 controller.motor_lead=0.03 horizon=robust observer=wind": (
+        "actuator=lag_30ms", "link=latency", "link.latency=0.02",
+    ),
+    "perfect_mpc delay=strapdown delay.time=0.03": ("estimator=late", "estimator.delay=0.03"),
+    "perfect_mpc delay=prediction delay.time=0.03 observer=disturbance": ("estimator=late", "estimator.delay=0.03"),
+    "geometric adaptive=l1": ("truth.mass=1.2",),
+    "nominal_mpc adaptive=l1 inner=indi inner.rate=300 controller.rate=100": ("truth.mass=1.2",),
+    "perfect_mpc inner=indi inner.rate=300 controller.rate=100": ("sensor=lei_li",),
+}  # fmt: skip
+
+
+@compiled
+@pytest.mark.parametrize("flown", REMEDIES)
+def test_any_controller_with_what_is_around_it(monkeypatch, flown):
+    world = [
+        "trajectory=ellipse",
+        "trajectory.speed=4",
+        "trajectory.acceleration=4",
+        "trajectory.duration=3",
+        *REMEDIES[flown],
+    ]
+    if "sensor=lei_li" not in world:
+        world.append("sensor.accelerometer_noise=[0.05,0.05,0.05]")
+    given = [f"controller={flown.split()[0]}", *flown.split()[1:], *world]
+    loop = build_loop(compose([*given, *["controller.allow_unstable=true"] * ("mpc" in flown)]), None)
+    path = build_trajectory(compose(world).trajectory, loop.vehicle)
+    made = both(monkeypatch, loop.plant, loop.controller, path, sensor=loop.sensor)
+    assert made.periods_in_c > 0.9 * len(made.flight)
+
+
 class Broken:
     """A reference whose last instant is not finite."""
 
@@ -352,21 +398,12 @@ class TestWhatItCovers:
         class OwnController(PredictiveController):
             pass
 
-        class Settings(MPCSettings):
-            pass
-
         assert covers(plant, controller, rng)
         assert not covers(OwnPlant(vehicle, step=1e-3), controller, rng)
         assert not covers(plant, OwnController(controller.mpc), rng)
         assert not covers(plant, controller, object())
-        controller.ahead = 0.0  # something that is off
-        assert covers(plant, controller, rng)
-        controller.ahead = 0.02
-        assert not covers(plant, controller, rng)
-        other = mpc(vehicle)
-        other.settings = Settings(nodes=6)
-        object.__setattr__(other.settings, "dead_time", 0.03)
-        assert not covers(plant, other, rng)
+        learning = ["controller=online_mpc", "controller.residual=[terms]"]
+        assert not covers(plant, build_controller(compose(learning), vehicle, None, None), rng)
 
     @compiled
     def test_inner_states_that_are_no_columns_are_not_logged(self, vehicle, monkeypatch):

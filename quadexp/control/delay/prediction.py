@@ -27,6 +27,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.delay.sent_commands import SETTLED, SentCommands
 from quadexp.control.delay.strapdown import KnownDelay
+from quadexp.control.instant import Instant, Told, call, copy, instant_of
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.wrapped import WrappedController, innermost, layers, thrust_at_start
 from quadexp.parts.settings import Setting
@@ -90,6 +91,21 @@ class Prediction(WrappedController):
         thrust, record = self.inner.step(now, self._later(window) if self.ahead else window)
         self.commands.record(thrust)
         return thrust, record
+
+    def instant(self, told: Told) -> Instant | None:
+        """See control.instant; not where the reference is another one, or the belief that of an observer in Python."""
+        if self.ahead or self._observer is not None:
+            return None
+        if self._predict is None:
+            inner = instant_of(self.inner, told)
+        else:
+            inner = instant_of(self.inner, told._replace(state=self._now))
+        if inner is None:
+            return None
+        operations = [] if self._predict is None else [copy(self._x, told.state), call(self._predict)]
+        after = self.commands.operations(inner.command)
+        ready = (*inner.ready, lambda: self._predict is None or self._shown == self.delay)
+        return inner._replace(operations=[*operations, *inner.operations, *after], ready=ready)
 
     def tune(self, delay: float, dead_time: float, lag: float) -> None:
         """Go on with others."""

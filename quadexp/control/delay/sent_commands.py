@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.control.instant import Operation, copy
 
 SETTLED = 6.0  # time constants, after which nothing of a lag is left
 INSTANT = 1e-9  # s, a span that counts as an instant
@@ -45,6 +46,10 @@ class SentCommands:
         """Add the command, (n,) (N), of this control instant, and go on by one control period."""
         self._older[...] = self._newer
         self._newest[...] = command
+
+    def operations(self, command: np.ndarray) -> list[Operation]:
+        """`record` for C, of the command that is found there."""
+        return [copy(self._older, self._newer), copy(self._newest, command)]
 
     def weights(self, spans: np.ndarray, dead_time: float, lag: float) -> np.ndarray:
         """Weights (s, m) on the commands of the mean thrusts over spans (s, 2) (s): beginning and end, 0 is now, before

@@ -25,6 +25,7 @@ import numpy as np
 from quadexp.compile.backend import BufferedFunction, realise, resolve
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller, Measurement, Window
+from quadexp.control.instant import Instant, Told, call, copy, instant_of, move
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController
@@ -72,6 +73,20 @@ class Strapdown(WrappedController):
         """See Controller.step."""
         t, _, force, speed = measurement
         return self.inner.step(Measurement(t, self.now(measurement), force, speed), window)
+
+    def instant(self, told: Told) -> Instant | None:
+        """See control.instant."""
+        if not self._periods:
+            return instant_of(self.inner, told)
+        inner = instant_of(self.inner, told._replace(state=self._now))
+        if inner is None:
+            return None
+        (older_rates, older_forces), (newer_rates, newer_forces) = self._older, self._newer
+        operations = [move(older_rates, newer_rates), move(older_forces, newer_forces)]
+        operations += [move(self._rate, told.state[RATE]), move(self._force, told.force)]
+        operations += [copy(self._state, told.state), call(self._propagate)]
+        ready = (*inner.ready, lambda: self._since * self.control_period >= self.delay)
+        return inner._replace(operations=[*operations, *inner.operations], ready=ready)
 
     def now(self, measurement: Measurement) -> np.ndarray:
         """The state at this instant, (13,), of a measurement whose rate and specific force are of now; to be called

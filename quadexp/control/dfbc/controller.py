@@ -16,6 +16,7 @@ from quadexp.control.base import Measurement, Window
 from quadexp.control.belief import Belief, no_belief
 from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.dfbc.law import DFBCKeys, law_function
+from quadexp.control.instant import Instant, Operation, Told, call, copy
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import RESIDUAL, ControllerPart
@@ -38,13 +39,19 @@ class DFBC:
         self._law = BufferedFunction(_law(vehicle, keys, model, self.backend))
         if model.theta.size:
             self._law.arguments["theta"].ravel()[:] = model.theta
-        self._delivered = DeliveredThrust(vehicle, self.control_period)
+        self._delivered = DeliveredThrust(vehicle, self.control_period, backend=self.backend)
         self.believe(no_belief())
 
     def believe(self, belief: Belief) -> None:
         """Take this for what acts beside the model, from the next step on."""
         values = self._law.arguments["belief"]
         values[:3], values[3:6], values[6:9], values[9], values[10] = belief
+
+    @property
+    def believed_numbers(self) -> np.ndarray:
+        """What is believed, in the order of Belief; (11,)."""
+        numbers: np.ndarray = self._law.arguments["belief"]
+        return numbers
 
     def forget(self) -> None:
         """See Controller.forget; nothing is learned that outlives a flight."""
@@ -66,6 +73,17 @@ class DFBC:
         self._delivered.record(thrust)
         status = Status.RICCATI if math.isfinite(thrust @ thrust) else Status.FAILED
         return thrust, StepRecord(time.perf_counter() - began, status, 0, int(results["held"][0]), 0.0)
+
+    def instant(self, told: Told) -> Instant:
+        """See control.instant."""
+        arguments, results = self._law.arguments, self._law.results
+        operations, delivered = self._delivered.before(told.speed)
+        operations += [copy(arguments["x"], told.state), copy(arguments["delivered"], delivered)]
+        operations += [Operation("row", arguments["path"], told.position), Operation("row", arguments["yaw"], told.yaw)]
+        operations += [call(self._law), Operation("finite", source=results["thrust"])]
+        operations += self._delivered.after(results["thrust"])
+        ready = (lambda: self._delivered.ready(told.speed),)
+        return Instant(operations, results["thrust"], held=results["held"], logged=(results["angle"],), ready=ready)
 
     def log(self) -> dict[str, float]:
         """See Controller.log: errors of tilt and yaw (rad)."""

@@ -13,6 +13,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.indi.law import INDIKeys, indi_function, settled_memory
+from quadexp.control.instant import Operation, Told, call, copy
 from quadexp.control.multirate import MultiRate
 from quadexp.control.part import Remedy
 from quadexp.control.wrapped import WrappedController, thrust_at_start
@@ -32,7 +33,8 @@ class INDI(MultiRate):
         super().__init__(inner, keys.rate)
         self._keys, vehicle = keys, inner.vehicle
         self._law = BufferedFunction(_law(vehicle, keys, resolve(backend)))
-        self._delivered = DeliveredThrust(vehicle, self.control_period, keys.dead_time, keys.motor_lag)
+        told = keys.dead_time, keys.motor_lag
+        self._delivered = DeliveredThrust(vehicle, self.control_period, *told, backend=resolve(backend))
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset. The filters start as if rates and thrusts of the start had always been there."""
@@ -52,6 +54,18 @@ class INDI(MultiRate):
         thrust = results["thrust"].copy()
         self._delivered.record(thrust)
         return thrust
+
+    def shaping(self, told: Told, wanted: np.ndarray) -> tuple[list[Operation], np.ndarray]:
+        """See MultiRate.shaping."""
+        arguments, results = self._law.arguments, self._law.results
+        operations, delivered = self._delivered.before(told.speed)
+        operations += [copy(arguments["wanted"], wanted), copy(arguments["rate"], told.state[RATE])]
+        operations += [copy(arguments["delivered"], delivered), call(self._law)]
+        operations += [
+            copy(arguments["before"], results["filtered"]),
+            copy(arguments["memory"], results["memory_next"]),
+        ]
+        return [*operations, *self._delivered.after(results["thrust"])], results["thrust"]
 
 
 def with_indi(controller: Controller, config: INDIPart) -> INDI:

@@ -18,9 +18,11 @@ from quadexp.compile.backend import BufferedFunction, resolve
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Measurement, Window
 from quadexp.control.belief import no_belief
+from quadexp.control.instant import Instant, Operation, Told, call, copy, move
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.parts.settings import Setting
+from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 
 Rate = Annotated[float, Setting("control rate", "[1, 1000]", "Hz")]
@@ -97,6 +99,27 @@ class ExplicitController:
         thrust = results["command"].copy()
         status = Status.RICCATI if np.isfinite(thrust).all() else Status.FAILED
         return thrust, StepRecord(time.perf_counter() - began, status, 0, int(results["held"][0]), 0.0)
+
+    def instant(self, told: Told) -> Instant:
+        """See control.instant."""
+        arguments, results, n = self._law.arguments, self._law.results, self.vehicle.n_rotors
+        operations = []
+        if {"state", "input", "middle"} & set(self._sources):
+            states, thrusts = np.empty((len(self.node_times), N_STATE)), np.empty((len(self.node_times) - 1, n))
+            operations.append(Operation("window", states, other=thrusts))
+            places = {"state": states[0], "input": thrusts[0], "middle": thrusts[1]}
+            operations += [copy(arguments[name], places[name]) for name in places if name in self._sources]
+        if "x" in self._sources:
+            operations.append(copy(arguments["x"], told.state))
+        rows = {"path": told.position, "yaw": told.yaw}
+        operations += [Operation("row", arguments[name], rows[name]) for name in rows if name in self._sources]
+        if self._memory:
+            operations.append(move(arguments["memory"], results["memory_next"]))
+            operations.append(move(results["memory_next"], results["memory_next"]))  # the call may be taken back
+        operations += [call(self._law), Operation("finite", source=results["command"])]
+        logged = (results["log"],) if self._logged else ()
+        begun = (lambda: self._begun,)
+        return Instant(operations, results["command"], held=results["held"], logged=logged, ready=begun)
 
     def log(self) -> dict[str, float]:
         """See Controller.log."""

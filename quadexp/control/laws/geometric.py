@@ -122,6 +122,12 @@ class GeometricController(ExplicitController):
         believed = self._law.arguments["belief"]
         believed[FORCE], believed[TORQUE], believed[WIND], believed[SCALE], believed[AIR] = belief
 
+    @property
+    def believed_numbers(self) -> np.ndarray:
+        """What is believed, in the order of Belief; (11,)."""
+        numbers: np.ndarray = self._law.arguments["belief"]
+        return numbers
+
 
 class _Air:
     """A residual on a back end, equal to another by its structure."""

@@ -26,6 +26,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.base import Measurement, Window
 from quadexp.control.belief import N_BELIEF, Belief, no_belief
 from quadexp.control.delivered import Delays, delivered_by_commands
+from quadexp.control.instant import Operation, Told, call, copy, move
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.targets import held_targets
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -125,6 +126,16 @@ class BelievedWorld:
         self._memory[self._layout.slices["estimate"]] = state
 
     @property
+    def estimates(self) -> bool:
+        """Whether an estimator finds the belief, and this program's own arrays what it needs."""
+        return self._estimator is not None and self.thrust is None
+
+    @property
+    def in_place(self) -> bool:
+        """Whether `enter` leaves the reference where the MPC's step reads it."""
+        return self._X_in is self._mpc.reference[0]
+
+    @property
     def found(self) -> Belief:
         """What the estimator believes since the last step."""
         b = self._found
@@ -166,6 +177,29 @@ class BelievedWorld:
         if self._change.item(3) > MOVED:
             self._move(self._change[:3])
         return self._x_in, self._X_in, self._U_in
+
+    def before(self, told: Told) -> tuple[list[Operation], np.ndarray]:
+        """`enter` for C, with an estimator; and the array that has the state in the plan's frame then."""
+        known, read, measured, _ = self._told
+        known[:] = 1.0, told.speed is not None and self._coefficient is not None
+        operations = [copy(self._x, told.state), Operation("window", self._X_ref, other=self._U_ref)]
+        operations.append(copy(read, told.force))
+        if told.speed is not None and self._coefficient is not None:
+            operations.append(Operation("square", measured, told.speed, factor=self._coefficient))
+        operations += [call(self._enter), Operation("finite", source=self._change)]
+        operations += [Operation("below", source=self._change[3:4], factor=MOVED), move(self._memory, self._next)]
+        if self._air_scale is not None:
+            operations.append(move(self._air_scale, self._found[10:]))
+        return operations, self._x_in
+
+    def after(self, thrust: np.ndarray) -> tuple[list[Operation], np.ndarray]:
+        """`leave` for C, and the array that has the command then."""
+        sent = self._told[3]
+        return [Operation("divide", sent, thrust, self._found[9:10])], sent
+
+    def go_on(self, k: int, record: Any) -> None:
+        """Go on after operations in C."""
+        self._mpc.prepared, self._scale = False, self._found.item(9)
 
     def leave(self, thrust: np.ndarray) -> np.ndarray:
         """The command, (n,) (N), that delivers a planned thrust."""

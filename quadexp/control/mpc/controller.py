@@ -10,6 +10,7 @@ import numpy as np
 from quadexp.air.base import Residual
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.belief import Belief
+from quadexp.control.instant import Instant, Operation, Told, copy
 from quadexp.control.mpc.believed_world import BelievedWorld, Estimator
 from quadexp.control.mpc.dead_time import DeadTimePredictor
 from quadexp.control.mpc.motor_lead import MotorLead
@@ -32,7 +33,7 @@ class PredictiveController:
         self.control_period = mpc.settings.control_period
         self.node_times = mpc.settings.dead_time + mpc.node_times  # the first is when a command sent now begins to act
         self.predictor: Any = DeadTimePredictor(mpc) if mpc.settings.dead_time or mpc.settings.known_lag else None
-        self.lead = MotorLead(mpc.vehicle, mpc.settings) if mpc.settings.motor_lead else None
+        self.lead = MotorLead(mpc.vehicle, mpc.settings, mpc.backend) if mpc.settings.motor_lead else None
         self._prepared: Window | None = None
         self.name, self.source = mpc.residual.name, mpc.residual.source
 
@@ -118,6 +119,42 @@ class PredictiveController:
         if world is not None:
             thrust = world.leave(thrust)
         return thrust, record
+
+    def instant(self, told: Told) -> Instant | None:
+        """See control.instant; none with thrusts among the states of the plan, or a belief that somebody else has."""
+        world, mpc, lead = self.believed, self.mpc, self.lead
+        step, _ = mpc.functions
+        x0, X_ref = step.arguments["x0"], mpc.reference[0]
+        if (
+            type(mpc) is not ModelPredictiveController
+            or len(x0) != N_STATE
+            or (world is not None and not (world.estimates and world.in_place))
+        ):
+            return None
+        if self.predictor is not None and type(self.predictor) is not DeadTimePredictor:
+            return None
+        if world is None:
+            operations, x = [Operation("window", X_ref, other=mpc.reference[1])], told.state
+        else:
+            operations, x = world.before(told)
+        if self.predictor is not None:
+            predicted, x = self.predictor.before(x)
+            operations += predicted
+        acting = x[N_STATE:]
+        operations += [copy(x0, x[:N_STATE]), Operation("finite", source=x0)]
+        limit = self.settings.distance_limit * (1 - 1e-9)
+        operations += [Operation("near", source=x0, other=X_ref, factor=limit), Operation("plan")]
+        thrust = mpc.prediction[1][0]
+        if lead is not None:
+            inverted, thrust = lead.operations(thrust, acting)
+            operations += inverted
+        if self.predictor is not None:
+            operations += self.predictor.after(thrust)
+        if world is not None:
+            left, thrust = world.after(thrust)
+            operations += left
+        resumed = () if world is None else (world.go_on,)
+        return Instant(operations, thrust, mpc=mpc, resumed=resumed, ready=(lambda: not mpc.cold,))
 
     def _answer(self, x: np.ndarray, window: Window) -> tuple[np.ndarray, StepRecord]:
         """x: predicted state when the command begins to act; window: the reference from then on."""

@@ -22,6 +22,7 @@ from quadexp.air.base import Residual
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
 from quadexp.control.delivered import Delays, commands_function
+from quadexp.control.instant import Operation, call, copy
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.prediction import node_function
 from quadexp.physics.rigid_body import N_DISTURBANCE
@@ -65,7 +66,7 @@ class DeadTimePredictor:
         self._x, sent = self._full[:N_STATE], commands.reshape(-1)
         self._older, self._newer, self._newest = sent[:-n], sent[n:], sent[-n:]
         if self._lag:
-            self._on = commands_function(n, delays, {"commands": commands, "thrust": self.thrust})
+            self._on = commands_function(n, delays, mpc.backend, {"commands": commands, "thrust": self.thrust})
 
     def reset(self, thrust: np.ndarray) -> None:
         """Start a flight: this command, (n,) (N), has been sent for a long time."""
@@ -88,6 +89,19 @@ class DeadTimePredictor:
         if self._pending:
             self._older[...] = self._newer
             self._newest[...] = command
+
+    def before(self, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
+        """`predict` for C of the state that is found there, and the array that has the predicted one then."""
+        given = copy(self._x, state)
+        return ([given], self._full) if self._predict is None else ([given, call(self._predict)], self._x_next)
+
+    def after(self, command: np.ndarray) -> list[Operation]:
+        """`record` for C, of the command that is found there."""
+        on = []
+        if self._lag:
+            on = [copy(self._on.arguments["sent"], command), call(self._on)]
+            on.append(copy(self.thrust, self._on.results["thrust_next"]))
+        return [*on, copy(self._older, self._newer), copy(self._newest, command)] if self._pending else on
 
 
 _built: dict[tuple[Any, ...], ca.Function] = {}

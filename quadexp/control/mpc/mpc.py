@@ -162,6 +162,11 @@ class ModelPredictiveController:
         return self._step, self._active_set.solver
 
     @property
+    def cold(self) -> bool:
+        """Whether the next step is the first of a flight, which iterates."""
+        return self._cold
+
+    @property
     def prediction(self) -> tuple[np.ndarray, np.ndarray]:
         """Predicted states (N + 1, m) and inputs (N, n) of the last step; overwritten by the next."""
         return self._X, self._U

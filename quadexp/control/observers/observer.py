@@ -23,6 +23,7 @@ from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.belief import Belief, no_belief
 from quadexp.control.delivered import Delays, DeliveredThrust
 from quadexp.control.dfbc.controller import DFBC
+from quadexp.control.instant import Instant, Told, call, copy, instant_of, move
 from quadexp.control.mpc.believed_world import Estimator
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import StepRecord
@@ -105,7 +106,7 @@ class Observer(WrappedController):
         self.finds_torque = config.torque_bandwidth > 0
         told = {"dead_time": config.dead_time, "known_lag": config.motor_lag}
         known = [known_delay(given, inner, name) for name, given in told.items()]
-        self._begin, self._world, self._belief = update.begin, None, no_belief()
+        self._begin, self._world = update.begin, None
         self._ways = {False: (update.settings, update.begin), True: update.cautious or (update.settings, update.begin)}
         if isinstance(inner, PredictiveController):
             inner.targets = config.targets
@@ -113,10 +114,11 @@ class Observer(WrappedController):
             self._world = inner.observed_by(Estimator(update.function, update.settings, delays))
             return
         self._told: Any = inner
-        self._delivered = DeliveredThrust(inner.vehicle, inner.control_period, *known)
+        self._delivered = DeliveredThrust(inner.vehicle, inner.control_period, *known, backend=inner.backend)
         self._update = BufferedFunction(realise(update.function, inner.backend), {"theta": parameters_of(inner)})
         self._given, self._result = self._update.arguments, self._update.results
         self._given["settings"].ravel()[:] = update.settings
+        self._belief = np.hstack([*no_belief()])
 
     def be_cautious(self, cautious: bool, x: np.ndarray | None) -> None:
         """Estimate only what does not need the time of the thrusts, or all again, from the state x, (13,), on; None: a
@@ -129,7 +131,10 @@ class Observer(WrappedController):
     @property
     def belief(self) -> Belief:
         """What is believed since the last step."""
-        return self._belief if self._world is None else self._world.found
+        if self._world is not None:
+            return self._world.found
+        b = self._belief
+        return Belief(b[0:3], b[3:6], b[6:9], float(b[9]), float(b[10]))
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset: nothing is believed of the world yet."""
@@ -139,7 +144,7 @@ class Observer(WrappedController):
             return
         self._delivered.reset(thrust_at_start(window, self.vehicle))
         self._given["s"].ravel()[:] = self._begin(x)
-        self._belief = no_belief()
+        self._belief[...] = np.hstack([*no_belief()])
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
@@ -148,7 +153,7 @@ class Observer(WrappedController):
         thrust = self._delivered.now(measurement)
         if measurement.specific_force is not None:
             self._observe(measurement, thrust)
-        self._told.believe(self._belief)
+        self._told.believe(self.belief)
         command, record = self.inner.step(measurement, window)
         self._delivered.record(command)
         return command, record
@@ -159,8 +164,26 @@ class Observer(WrappedController):
         given["thrust"][...], given["mean"][...] = thrust, self._delivered.mean
         self._update()
         given["s"][...] = self._result["s_next"]
-        b = self._result["belief"]
-        self._belief = Belief(b[0:3], b[3:6], b[6:9], float(b[9]), float(b[10]))
+        self._belief[...] = self._result["belief"]
+
+    def instant(self, told: Told) -> Instant | None:
+        """See control.instant; around a law where this has its belief in one array."""
+        inner = instant_of(self.inner, told)
+        if inner is None:
+            return None
+        if self._world is not None:
+            return inner._replace(logged=(*inner.logged, self._world.numbers))
+        if (believed := getattr(self._told, "believed_numbers", None)) is None:
+            return None
+        given, result, delivered = self._given, self._result, self._delivered
+        operations, thrust = delivered.before(told.speed)
+        operations += [copy(given["x"], told.state), copy(given["reading"], told.force)]
+        operations += [copy(given["thrust"], thrust), copy(given["mean"], delivered.mean), call(self._update)]
+        operations += [move(given["s"], result["s_next"]), move(self._belief, result["belief"])]
+        operations.append(copy(believed, self._belief))
+        operations = [*operations, *inner.operations, *delivered.after(inner.command)]
+        ready = (*inner.ready, lambda: delivered.ready(told.speed))
+        return inner._replace(operations=operations, logged=(*inner.logged, self._belief), ready=ready)
 
     def log(self) -> dict[str, float]:
         """See Controller.log: the estimates, beside the columns of the controller."""
