@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -35,6 +36,7 @@ from quadexp.report.metrics import flight_metrics
 LONGEST = 4 * 3600.0  # s of a flight
 MOST_DRAG = 0.5  # of the weight, at 1 m/s
 CHECK_STEP = 0.02  # s between the points at which a reference is compared with the vehicle's limits
+REFERENCES = 4  # kept of each controller
 FINITE_SAMPLES = 200  # of a path, of which each must be finite
 
 
@@ -156,12 +158,34 @@ class Loop:
     controller: Any
     margins: dict[str, Any] | None
 
-    def fly(self, trajectory: Any, rng: np.random.Generator, **options: Any) -> Flight:
-        """Fly a trajectory, from its own start if it has one. options: see rollout.fly."""
-        from quadexp.experiment.rollout import SampledReference, fly
+    def fly(self, trajectory: Any, rng: np.random.Generator, *, digest: str = "", **options: Any) -> Flight:
+        """Fly a trajectory, from its own start if it has one. digest: of all that decides it, where that is known.
+        options: see rollout.fly."""
+        from quadexp.experiment.rollout import fly
 
-        reference, start = SampledReference(trajectory, self.controller), getattr(trajectory, "start_state", None)
+        reference, start = _reference(trajectory, self.controller, digest), getattr(trajectory, "start_state", None)
         return fly(self.plant, self.controller, reference, rng, start=start, sensor=self.sensor, **options)
+
+
+_references: WeakKeyDictionary[Any, dict[str, Any]] = WeakKeyDictionary()  # of a controller, by trajectory
+
+
+def _reference(trajectory: Any, controller: Any, digest: str) -> Any:
+    """The reference of a trajectory for a controller. The last ones are kept: flights that differ in seed or world
+    have them in common, and with a model of the air they take as long as the flight."""
+    from quadexp.experiment.rollout import SampledReference
+
+    controller.forget()
+    kept = _references.setdefault(controller, {})
+    if controller.reference_period or not digest:
+        return SampledReference(trajectory, controller)
+    reference = kept.pop(digest, None)
+    if reference is None or not reference.serves(controller):
+        reference = SampledReference(trajectory, controller)
+    while len(kept) >= REFERENCES:
+        del kept[next(iter(kept))]
+    kept[digest] = reference
+    return reference
 
 
 def build_loop(config: Config, model: ModelFile | None) -> Loop:
@@ -188,9 +212,11 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
     note = check_feasible(config, trajectory, vehicle)
     loop = build_loop(config, model)
     controller = loop.controller
+    known = config.trajectory.shipped and not hasattr(config.trajectory, "path")  # another file may lie there
     flight = loop.fly(
         trajectory,
         generator(config),
+        digest=digest([config.trajectory.recorded(), vehicle.fingerprint]) if known else "",
         lost_distance=config.trajectory.lost_distance,
         lost_box=config.trajectory.lost_box,
         metadata=describe(config, vehicle, model),

@@ -92,6 +92,10 @@ class SampledReference:
             self._yaw[:, 0], self._drift = heading(attitude), heading_rate(attitude, rate)
         self.reference.state.flags.writeable = self.reference.input.flags.writeable = False  # horizons are views
 
+    def serves(self, controller: Controller) -> bool:
+        """Whether it is still the reference of the controller that it was made for."""
+        return controller.residual is self._residual
+
     @property
     def residual_share(self) -> float:
         """Share of the controller's residual in the reference, 0 .. 1; NaN without feed-forward of a residual."""

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 from quadexp.errors import UsageError
+from quadexp.experiment import rollout
 from quadexp.experiment.collect import Setpoints, collect_flights, setpoints
 from quadexp.experiment.evaluate import InfeasibleError, fly_one, generator
 from quadexp.experiment.identity import flight_entropy
+from quadexp.experiment.kept import unshared
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight
 from quadexp.parts.compose import compose, expand
@@ -185,3 +187,23 @@ def test_a_key_that_comes_later_changes_no_noise(overrides):
 def test_a_path_that_is_not_finite_names_its_setting(overrides, key):
     with pytest.raises(UsageError, match=rf"the reference is not finite at t = \S+ s: {key} "):
         fly_one(compose(overrides))
+
+
+def test_flights_of_one_path_have_their_reference_in_common(monkeypatch):
+    """Other seeds do not change it; what is flown is the same to the last bit as alone."""
+    made = []
+    original = rollout.SampledReference.__init__
+    monkeypatch.setattr(
+        rollout.SampledReference, "__init__", lambda self, *given: (made.append(given), original(self, *given))[1]
+    )
+    words = ["controller=perfect_mpc", "trajectory=step", "trajectory.duration=0.5", "trajectory.step_time=0.1"]
+    first, again, noisy, longer = (
+        fly_one(compose([*words, *other])) for other in ([], [], ["seed=1"], ["trajectory.duration=0.7"])
+    )
+    assert len(made) == 2
+    same_flight(first, again)
+    assert not np.array_equal(first["p_x"], noisy["p_x"]) and len(longer) > len(first)
+    with unshared():
+        alone = fly_one(compose([*words, "seed=1"]))
+    assert len(made) == 3
+    same_flight(alone, noisy)
