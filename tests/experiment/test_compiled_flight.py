@@ -337,6 +337,11 @@ REMEDIES = {
     "perfect_mpc delay=strapdown delay.time=0.03": ("estimator=late", "estimator.delay=0.03"),
     "perfect_mpc delay=prediction delay.time=0.03 observer=disturbance": ("estimator=late", "estimator.delay=0.03"),
     "geometric adaptive=l1": ("truth.mass=1.2",),
+    "perfect_mpc observer=wind horizon=firm": ("world=outdoor_breeze",),
+    "geometric observer=disturbance": ("world=indoor_mocap",),
+    "nominal_mpc observer=disturbance delay=strapdown inner=indi observer.torque_bandwidth=0": (
+        "world=race", "vehicle.thrust_coefficient=1.2e-5", "controller.rate=100",
+    ),
     "nominal_mpc adaptive=l1 inner=indi inner.rate=300 controller.rate=100": ("truth.mass=1.2",),
     "perfect_mpc inner=indi inner.rate=300 controller.rate=100": ("sensor=lei_li",),
 }  # fmt: skip
@@ -352,7 +357,7 @@ def test_any_controller_with_what_is_around_it(monkeypatch, flown):
         "trajectory.duration=3",
         *REMEDIES[flown],
     ]
-    if "sensor=lei_li" not in world:
+    if not any(word.startswith(("sensor=", "world=")) for word in world):
         world.append("sensor.accelerometer_noise=[0.05,0.05,0.05]")
     given = [f"controller={flown.split()[0]}", *flown.split()[1:], *world]
     loop = build_loop(compose([*given, *["controller.allow_unstable=true"] * ("mpc" in flown)]), None)
