@@ -20,11 +20,8 @@ from distributed import Client
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.parts.compose import compose, expand
-from quadexp.sweeps.cluster.driver import DaskEngine
-from quadexp.sweeps.cluster.engines import build_engine
-from quadexp.sweeps.cluster.start import open_cluster
-from quadexp.sweeps.cluster.worker import CellRunner
-from quadexp.sweeps.engine import CellFailed, LocalEngine, Task
+from quadexp.sweeps.cluster import CellRunner, DaskEngine, open_cluster
+from quadexp.sweeps.engine import CellFailed, LocalEngine, Task, build_engine
 from quadexp.sweeps.sweep import run_sweep
 from tests.experiment.same import same_results
 from tests.sweeps import cells
@@ -152,7 +149,7 @@ class TestKill:
         same_results(undisturbed, result)
 
     def test_the_scheduler_killed(self, tmp_path, monkeypatch):
-        monkeypatch.setattr("quadexp.sweeps.cluster.start.CONNECT", 2.0)
+        monkeypatch.setattr("quadexp.sweeps.cluster.CONNECT", 2.0)
         cluster = Cluster(tmp_path / "cluster", workers=1)
         engine = on(cluster)
 
@@ -256,7 +253,7 @@ class TestMistakes:
         ],
     )
     def test_one_line_says_what_is_wrong(self, overrides, says, tmp_path, monkeypatch):
-        monkeypatch.setattr("quadexp.sweeps.cluster.start.CONNECT", 0.5)
+        monkeypatch.setattr("quadexp.sweeps.cluster.CONNECT", 0.5)
         engine = build_engine(compose(["engine=dask", *overrides]))
         with pytest.raises(QuadexpError, match=says) as caught:
             run_sweep(expand(SHORT), tmp_path / "r", engine=engine)
