@@ -63,7 +63,7 @@ class TestImport:
     def test_a_function_stays_one_when_the_room_of_its_name_is_imported(self, name):
         for room in (f"quadexp.{name}", f"quadexp.{name}.run" if name == "bench" else "quadexp.tune.search"):
             assert importlib.import_module(room).__name__ == room
-            assert callable(getattr(qx, name)) and getattr(qx, name).__module__ == "quadexp.api.searches"
+            assert callable(getattr(qx, name)) and getattr(qx, name).__module__ == "quadexp.api.calls"
 
     def test_type_checkers_see_the_same_names(self):
         stub = ast.parse((ROOT / "quadexp" / "__init__.pyi").read_text())
