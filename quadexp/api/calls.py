@@ -147,8 +147,7 @@ def sweep(
     for as long as the table. old: cells at `out` flown by other sources than these: refuse, fly again, or keep.
     Returns a row a flight; of one that could not be flown `outcome` and `cause` say why.
     """
-    from quadexp.sweeps.engine import build_engine
-    from quadexp.sweeps.sweep import run_sweep
+    from quadexp.sweeps.sweep import build_engine, run_sweep
 
     with session(_folder(conf)) as composer:
         cells = composer.expand(overrides(settings, keywords, lists=True), check=False)

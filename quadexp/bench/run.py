@@ -30,9 +30,9 @@ from quadexp.log.cell_store import CellStore
 from quadexp.parts.cells import Cell
 from quadexp.parts.compose import Composer, session
 from quadexp.report.table import Table
-from quadexp.sweeps.engine import CellFunction, Progress, opened
+from quadexp.sweeps.engine import CellFunction, Progress
 from quadexp.sweeps.plan import plan_cells
-from quadexp.sweeps.sweep import SweepInterrupted, fly_cells
+from quadexp.sweeps.sweep import SweepInterrupted, fly_cells, opened
 
 PAGE, MODELS = "leaderboard.html", "models"
 SETTABLE = ("engine", "evaluate")

@@ -147,9 +147,9 @@ def evaluate(
     from quadexp.report.notes import invalid_text
     from quadexp.report.statistics_file import statistics_csv
     from quadexp.report.tables import to_latex, to_markdown
-    from quadexp.sweeps.engine import Workers, build_engine
+    from quadexp.sweeps.engine import Workers
     from quadexp.sweeps.figures import SweepFigures
-    from quadexp.sweeps.sweep import run_sweep
+    from quadexp.sweeps.sweep import build_engine, run_sweep
     from quadexp.sweeps.watch import Watch
 
     settings = first.evaluate

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import importlib
 import multiprocessing
 import os
 import resource
@@ -21,7 +20,7 @@ import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, InvalidStateError, TimeoutError, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -31,7 +30,6 @@ from pebble.pool.process import TaskManager
 
 from quadexp.errors import ModuleError, QuadexpError, UsageError, WriteError, stops_all
 from quadexp.experiment.checkpoints import ModelFile
-from quadexp.parts.engine import DaskConfig, JobsConfig
 from quadexp.parts.plugins import import_from, own_folders
 from quadexp.parts.schema import Config
 from quadexp.provenance import identity, package_folder
@@ -44,7 +42,6 @@ STARTING = 60.0  # s to wait for the first process of a pool
 # Exceptions of a call whose process died or took too long, or whose pool was given up.
 GONE = (ProcessExpired, TimeoutError, BrokenProcessPool, CancelledError)
 _SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
-NEEDED = {"dask": ("distributed", "cryptography"), "jobs": ("distributed", "cryptography", "dask_jobqueue")}
 
 Progress = Callable[[int, int], None]  # called with the numbers of cells done and of all
 
@@ -107,42 +104,6 @@ class LocalEngine:
         shared = contextlib.nullcontext(self.processes) if self.processes else None
         with shared or Workers(self.workers, self.memory) as processes:
             yield from processes.run(function, jobs, timeout=self.timeout)
-
-
-def build_engine(config: Config, processes: Workers | None = None) -> Engine:
-    """The engine that a configuration names; nothing is started before the first cell is flown.
-
-    processes: of this machine, in which it may fly; None for some of its own.
-    Raises UsageError where a package that it needs is not installed.
-    """
-    settings, engine = config.evaluate, config.engine
-    memory = settings.memory or None
-    if not isinstance(engine, DaskConfig | JobsConfig):
-        return LocalEngine(settings.workers, settings.timeout, memory, processes)
-    for name in NEEDED[engine.kind]:
-        try:
-            importlib.import_module(name)
-        except ImportError:
-            extra = "pip install 'quadexp[cluster]'"
-            raise UsageError(f"engine={engine.name} needs {name}, which is not (wholly) installed: {extra}") from None
-    from quadexp.sweeps.cluster import DaskEngine, open_cluster
-
-    workers = settings.workers or default_workers()
-    return DaskEngine(lambda: open_cluster(engine, workers), settings.timeout, memory, engine.wait)
-
-
-@contextlib.contextmanager
-def opened(config: Config, calls: int) -> Iterator[Engine]:
-    """The engine for several rounds of flights: its processes, or its cluster, are started once and end with the
-    context. calls: flights at least."""
-    settings = config.evaluate
-    with Workers(settings.workers, settings.memory or None, calls=calls) as processes:
-        engine: Any = build_engine(config, processes)
-        if isinstance(engine, LocalEngine):
-            yield engine
-            return
-        with engine.open() as client:
-            yield replace(engine, open=lambda: contextlib.nullcontext(client))
 
 
 def default_workers() -> int:

@@ -19,7 +19,8 @@ from quadexp.parts.schema import controller_name
 from quadexp.provenance import libraries, provenance, sources
 from quadexp.report.metrics import SHOWN
 from quadexp.report.text import number
-from quadexp.sweeps.engine import CellFunction, Progress, opened
+from quadexp.sweeps.engine import CellFunction, Progress
+from quadexp.sweeps.sweep import opened
 from quadexp.tune import Tune
 from quadexp.tune.preset import check_name, options_of, write_preset
 from quadexp.tune.search import JOURNAL, Request, Search, Trial, best_of, cells_of, with_seeds

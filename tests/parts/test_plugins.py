@@ -12,7 +12,8 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.parts.compose import compose
-from quadexp.sweeps.engine import Task, build_engine
+from quadexp.sweeps.engine import Task
+from quadexp.sweeps.sweep import build_engine
 from tests.faults.command import FLY, ROOT, apart, one_line
 
 TRAJECTORY = (

@@ -21,8 +21,8 @@ from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.parts.compose import compose, expand
 from quadexp.sweeps.cluster import CellRunner, DaskEngine, open_cluster
-from quadexp.sweeps.engine import CellFailed, LocalEngine, Task, build_engine
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.engine import CellFailed, LocalEngine, Task
+from quadexp.sweeps.sweep import build_engine, run_sweep
 from tests.experiment.same import same_results
 from tests.sweeps import cells
 from tests.sweeps.dask_cluster import ROOT, Cluster
