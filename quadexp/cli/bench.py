@@ -43,5 +43,5 @@ def bench(asked: Bench, overrides: Overrides = None, out: OptionalOut = None, co
     boards = {name: [dict(zip(t.columns, row, strict=True)) for row in t.rows] for name, t in made.tables.items()}
     record = {"protocol": made.protocol.name, "size": asked.size, "boards": boards, "files": dict(made.files)}
     tables = list(made.tables.values())
-    failed = f"{len(made.failed)} flights failed; the first: {made.failed[0]['cause']}" if made.failed else ""
+    failed = [f"{len(made.failed)} flights failed; the first: {made.failed[0]['cause']}"] if made.failed else []
     return Answer(record, tables, [*tables, *made.files.values()], made.notes, failed)

@@ -19,7 +19,7 @@ from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hi
 import typer
 
 from quadexp.cli.options import Format, Json
-from quadexp.cli.terminal import emit, format_of, guarded, print_lines, print_rendered, print_table, say
+from quadexp.cli.terminal import emit, fail, format_of, guarded, print_lines, print_rendered, print_table, say
 from quadexp.errors import QuadexpError
 from quadexp.parts.settings import Settings, declared
 
@@ -38,14 +38,14 @@ class Ask(NamedTuple):
 class Answer(NamedTuple):
     """What a command found. record: for json. rows: records of one table, or tables, for the formats of tables; a
     function, where that is work. lines: texts, paths and tables for people. notes: to the error stream. failed: why
-    the exit code is 1, once all is printed. texts: format -> text, of one that is not made from the rows. remarks:
-    below the lines, on the error stream."""
+    the exit code is 1, a line each, once all is printed. texts: format -> text, of one that is not made from the rows.
+    remarks: below the lines, on the error stream."""
 
     record: Mapping[str, Any]
     rows: Sequence[Any] | Callable[[], Sequence[Any]]
     lines: Iterable[Any]
     notes: Sequence[str] = ()
-    failed: str = ""
+    failed: Sequence[str] = ()
     texts: Mapping[str, Callable[[], str]] = {}
     remarks: Sequence[str] = ()
 
@@ -124,8 +124,10 @@ def _print(answer: Answer, form: str, what: str) -> None:
                 print_table(line)
         for remark in answer.remarks:
             say(remark)
+    for error in answer.failed[:-1]:
+        fail(error, 1)
     if answer.failed:
-        raise QuadexpError(answer.failed)
+        raise QuadexpError(answer.failed[-1])
 
 
 def single_values(record: Mapping[str, Any]) -> dict[str, Any]:

@@ -198,9 +198,7 @@ def evaluate(
         "markdown": lambda: to_markdown(result.table),
         "latex": lambda: to_latex(result.table),
     }
-    return Answer(
-        record, [], [*table, out] if table else [result.table, out], [*filter(None, notes)], "; ".join(failed), texts
-    )
+    return Answer(record, [], [*table, out] if table else [result.table, out], [*filter(None, notes)], failed, texts)
 
 
 def _of_a_paper(

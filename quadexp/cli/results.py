@@ -131,5 +131,5 @@ def _verify(folder: Path) -> Answer:
         {"files": checked.files, "wrong": checked.wrong, "unhashed": checked.unhashed},
         rows or [{"files": checked.files, "wrong": 0}],
         [*lines, f"{checked.files} files, {count} wrong"],
-        failed=f"{folder}: {count} files do not hold what was written there" if count else "",
+        failed=[f"{folder}: {count} files do not hold what was written there"] if count else [],
     )

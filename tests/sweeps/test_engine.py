@@ -25,10 +25,6 @@ def test_every_job_has_its_result():
     assert run(cells.add, {f"{i}": (i, 1) for i in range(30)}, workers=2) == {f"{i}": i + 1 for i in range(30)}
 
 
-def test_no_jobs_no_processes():
-    assert run(cells.add, {}) == {}
-
-
 def test_workers_use_one_thread_and_the_environment_is_left_alone(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
@@ -56,11 +52,6 @@ def test_leaving_early_stops_the_workers():
     results = cells.run_cells(cells.add, {f"{i}": (i, 1) for i in range(200)}, workers=2)
     next(results)
     results.close()
-
-
-@pytest.mark.parametrize("workers", [1, 3])
-def test_any_number_of_workers(workers):
-    assert len(run(cells.add, {f"{i}": (i, 1) for i in range(7)}, workers=workers)) == 7
 
 
 CLOCK = r"""

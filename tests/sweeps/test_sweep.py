@@ -18,11 +18,10 @@ from quadexp.experiment.identity import flight_record
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, read_table
 from quadexp.parts.compose import expand
-from quadexp.sweeps import plan
 from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.plan import cell_key, flying_order, plan_cells
 from quadexp.sweeps.results import select
-from quadexp.sweeps.sweep import SweepInterrupted, run_sweep
+from quadexp.sweeps.sweep import run_sweep
 from quadexp.sweeps.verify import verify_results
 from tests.processes import processes
 from tests.sweeps import cells
@@ -79,12 +78,6 @@ class TestKeys:
     def test_how_a_number_is_written_is_not(self):
         keys = {key_of(expand([f"trajectory.speed={text}"])[0].config) for text in ("8", "8.0", "8e0")}
         assert len(keys) == 1
-
-    def test_a_new_schema_makes_every_cell_new(self, monkeypatch):
-        config = expand([])[0].config
-        before = key_of(config)
-        monkeypatch.setattr(plan, "SCHEMA", 99)
-        assert key_of(config) != before
 
     def test_cells_that_are_one_flight_are_flown_once(self):
         # nominal_mpc reads no checkpoint, whatever `model` says.
@@ -146,10 +139,6 @@ class TestSweep:
         (tmp_path / "r" / "counts").mkdir()
         assert fly(grid, tmp_path / "r").flown == 1
         assert files(tmp_path / "r" / "counts") == [first.rows[5]["key"]]
-
-    def test_force_flies_everything_again(self, grid, tmp_path):
-        fly(grid, tmp_path / "r")
-        assert fly(grid, tmp_path / "r", force=True).flown == 12
 
     def test_more_seeds_may_be_added(self, grid, tmp_path):
         fly(grid, tmp_path / "r")
@@ -314,17 +303,3 @@ class TestInterrupt:
         while self.group_members(process.pid) and time.time() < deadline:
             time.sleep(0.05)
         assert self.group_members(process.pid) == [], "orphans"
-
-    def test_kill_9_of_the_whole_sweep_at_half_costs_the_cells_in_flight(self, tmp_path):
-        process = self.start(tmp_path)
-        self.wait_for(process, 10)
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-        process.stdout.close()
-        before = CellStore(tmp_path / "r").done()
-        assert len(before) >= 10
-        result = run_sweep(expand(["seed=range(40)"]), tmp_path / "r", workers=2, function=cells.quick_cell)
-        assert result.flown == 40 - len(before) and not result.not_flown
-
-    def test_interrupted_is_a_failure_with_one_line(self):
-        assert SweepInterrupted("x").exit_code == 1

@@ -14,7 +14,6 @@ import pytest
 
 from quadexp import provenance
 from quadexp.errors import QuadexpError
-from quadexp.experiment.evaluate import program_record
 from quadexp.log.cell_store import CellStore
 from quadexp.parts.compose import expand
 from quadexp.parts.plugins import own_folders
@@ -167,12 +166,6 @@ class TestRows:
         assert len(CellStore(tmp_path / "r").done()) == 1
         again = run_sweep(expand(["seed=0,1"]), tmp_path / "r", function=cells.quick_cell, workers=1)
         assert again.flown == 1 and not again.not_flown
-
-    def test_every_row_says_who_flew_it(self, tmp_path):
-        result = run_sweep(expand(["seed=0,1"]), tmp_path / "r", function=cells.quick_cell, workers=1)
-        for row in result.rows:
-            assert {name: row[name] for name in ("program", "sources", "libraries")} == program_record()
-        assert [row["sources"] for row in table(tmp_path / "r")] == [provenance.sources()] * 2
 
 
 class TestDask:
