@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -25,7 +24,8 @@ from quadexp.sweeps.engine import CellFailed, LocalEngine, Task
 from quadexp.sweeps.sweep import build_engine, run_sweep
 from tests.experiment.same import same_results
 from tests.sweeps import cells
-from tests.sweeps.dask_cluster import ROOT, Cluster
+from tests.sweeps.dask_cluster import Cluster
+from tests.sweeps.driver import kill, start, wait_for
 from tests.sweeps.test_sweep import files
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
@@ -94,7 +94,7 @@ class TestKill:
         cluster = Cluster(tmp_path / "cluster", workers=3)
         done = []
 
-        def disturb(count, total):
+        def upset(count, total):
             done.append(count)
             if count in (5, 10):
                 nanny = cluster.workers[count // 10]
@@ -106,7 +106,7 @@ class TestKill:
 
         try:
             result = run_sweep(
-                expand([self.GRID]), tmp_path / "r", function=cells.slow_cell, engine=on(cluster), progress=disturb
+                expand([self.GRID]), tmp_path / "r", function=cells.slow_cell, engine=on(cluster), progress=upset
             )
         finally:
             cluster.stop()
@@ -119,14 +119,14 @@ class TestKill:
 
         engine = on(cluster)
 
-        def kill(count, total):
+        def upset(count, total):
             if count == 4:
                 engine.wait = 1.0  # not before: workers take their time to start
                 os.killpg(cluster.workers[0].pid, signal.SIGKILL)
 
         try:
             with pytest.raises(QuadexpError, match="no worker for 1 s .*run the same command to continue"):
-                run_sweep(expand([self.GRID]), tmp_path / "r", function=cells.slow_cell, engine=engine, progress=kill)
+                run_sweep(expand([self.GRID]), tmp_path / "r", function=cells.slow_cell, engine=engine, progress=upset)
         finally:
             cluster.stop()
         left = len(CellStore(tmp_path / "r").done())
@@ -140,26 +140,22 @@ class TestKill:
         cluster = Cluster(tmp_path / "cluster", workers=1)
         engine = on(cluster)
 
-        def kill(count, total):
+        def upset(count, total):
             if count == 3:
                 engine.wait = 2.0
                 os.killpg(cluster.scheduler.pid, signal.SIGKILL)
 
         try:
             with pytest.raises(QuadexpError, match="scheduler is gone|no worker for"):
-                run_sweep(expand([self.GRID]), tmp_path / "r", function=cells.slow_cell, engine=engine, progress=kill)
+                run_sweep(expand([self.GRID]), tmp_path / "r", function=cells.slow_cell, engine=engine, progress=upset)
         finally:
             cluster.stop()
         assert len(CellStore(tmp_path / "r").done()) >= 3
 
     def test_the_driver_killed(self, cluster, tmp_path, undisturbed):
-        process = start_driver(cluster, tmp_path, self.GRID)
-        for line in process.stdout:
-            if int(line) >= 5:
-                break
-        process.kill()
-        process.wait()
-        process.stdout.close()
+        process = start(tmp_path, self.GRID, address=cluster.address)
+        wait_for(process, 5)
+        kill(process)
         before = CellStore(tmp_path / "r").done()
         assert 5 <= len(before) < 30
         done = []
@@ -174,30 +170,6 @@ class TestKill:
         same_results(undisturbed, result)
         assert not [name for name in files(tmp_path / "r") if name.endswith((".tmp", ".lock"))]
         assert left_on(cluster) == [], "what the killed driver kept on the workers is gone too"
-
-
-DRIVER = """
-import sys
-from quadexp.parts.compose import expand
-from quadexp.sweeps.sweep import run_sweep
-from tests.sweeps import cells
-from tests.sweeps.test_dask import at
-
-if __name__ == "__main__":
-    say = lambda done, total: print(done, flush=True)
-    run_sweep(expand(sys.argv[3:]), sys.argv[1], function=cells.slow_cell, engine=at(sys.argv[2]), progress=say)
-"""
-
-
-def start_driver(cluster, folder, *overrides):
-    """A sweep into folder/r by a process of its own, which prints how many cells are done."""
-    (folder / "driver.py").write_text(DRIVER)
-    return subprocess.Popen(
-        [sys.executable, str(folder / "driver.py"), str(folder / "r"), cluster.address, *overrides],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        text=True,
-    )
 
 
 def left_on(cluster):

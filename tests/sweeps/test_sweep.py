@@ -5,9 +5,6 @@ from __future__ import annotations
 import math
 import os
 import signal
-import subprocess
-import sys
-import textwrap
 import time
 from pathlib import Path
 
@@ -25,6 +22,7 @@ from quadexp.sweeps.sweep import run_sweep
 from quadexp.sweeps.verify import verify_results
 from tests.processes import processes
 from tests.sweeps import cells
+from tests.sweeps.driver import start, wait_for
 
 GRID = ["trajectory.speed=4,8", "controller=nominal_mpc,perfect_mpc", "seed=range(3)"]
 ROOT = Path(__file__).resolve().parents[2]
@@ -244,43 +242,6 @@ class TestPoison:
 
 
 class TestInterrupt:
-    SCRIPT = textwrap.dedent(
-        """
-        import sys
-        from quadexp.parts.compose import expand
-        from quadexp.errors import QuadexpError
-        from quadexp.sweeps.sweep import run_sweep
-        from tests.sweeps.cells import slow_cell
-
-        if __name__ == "__main__":
-            say = lambda done, total: print(done, flush=True)
-            try:
-                run_sweep(expand(["seed=range(40)"]), sys.argv[1], workers=2, function=slow_cell, progress=say)
-            except QuadexpError as error:
-                print("error:", error, flush=True)
-                sys.exit(error.exit_code)
-        """
-    )
-
-    def start(self, tmp_path, **options):
-        script = tmp_path / "script.py"
-        script.write_text(self.SCRIPT)
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        return subprocess.Popen(
-            [sys.executable, str(script), str(tmp_path / "r")],
-            env=environment,
-            stdout=subprocess.PIPE,
-            text=True,
-            start_new_session=True,  # a group of its own, so that Ctrl-C can be sent to all of it, as a terminal does
-            **options,
-        )
-
-    @staticmethod
-    def wait_for(process, count):
-        for line in process.stdout:
-            if line.strip().isdigit() and int(line) >= count:
-                return
-
     @staticmethod
     def group_members(group):
         return [pid for pid, fields in processes() if int(fields[2]) == group and fields[0] != "Z"]
@@ -288,8 +249,8 @@ class TestInterrupt:
     @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
     @pytest.mark.parametrize("whole_group", [True, pytest.param(False, marks=pytest.mark.slow)])
     def test_ctrl_c_keeps_what_is_done_and_leaves_nothing_else(self, tmp_path, whole_group):
-        process = self.start(tmp_path)
-        self.wait_for(process, 6)
+        process = start(tmp_path, "seed=range(40)")
+        wait_for(process, 6)
         os.killpg(process.pid, signal.SIGINT) if whole_group else process.send_signal(signal.SIGINT)
         rest = process.communicate(timeout=600)[0]
         assert process.returncode == 1
