@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from quadexp.cli.command import Answer, Ask, command, single_values
 from quadexp.cli.options import Conf, Force, OptionalOut, Out, Overrides
 from quadexp.cli.terminal import say
@@ -108,7 +106,6 @@ def evaluate(
     keep_old: Annotated[bool, Ask("Keep them in the table, beside new ones.")] = False,
     force: Force = False,
     watch: Annotated[bool, Ask("Show the sweep while it runs: a table here, and a page in a file.")] = False,
-    port: Annotated[str | None, typer.Option("--port", hidden=True)] = None,
 ) -> Answer:
     """Fly one cell, or every cell of a sweep, and write the table of results.
 
@@ -126,8 +123,6 @@ def evaluate(
 
     if refly and keep_old:
         raise UsageError("--refly and --keep-old: give one of them")
-    if port is not None:
-        raise UsageError("--port: is no more: the page of --watch is a file in the folder of results; leave it out")
     if watch and not sweep:
         raise UsageError("--watch is for a sweep: add --sweep")
     given = list(overrides or [])

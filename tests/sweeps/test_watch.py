@@ -31,7 +31,8 @@ AGAIN = '<meta http-equiv="refresh"'
 
 @pytest.fixture
 def out(tmp_path, monkeypatch):
-    monkeypatch.setattr("quadexp.sweeps.watch.RENEWED", 0.2)
+    monkeypatch.setattr("quadexp.sweeps.watch.RENEWED", 0.0)
+    monkeypatch.setattr("quadexp.sweeps.watch.SHARE", 1e9)
     (tmp_path / "r" / "cells").mkdir(parents=True)
     return tmp_path / "r"
 
