@@ -119,7 +119,7 @@ def test_lines_are_broken_at_blanks_and_go_on_below_their_text(width):
 
 @pytest.mark.parametrize(("width", "command"), [(60, "results"), (80, "show"), (200, "show")])
 def test_what_commands_print_fits_the_terminal(made, width, command):
-    shown = on_a_terminal(command, made / "results", width=width)
+    shown = on_a_terminal(command, made / "results", width=width, patience=600.0)
     lines = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown).replace("\r", "").splitlines()
     assert lines and max(map(len, lines)) <= width, max(lines, key=len)
 
