@@ -85,7 +85,6 @@ def run_sweep(
     confidence: float = CONFIDENCE,
     engine: Engine | None = None,
     workers: int = 0,
-    timeout: float | None = None,
     force: bool = False,
     old: Old = "ask",
     isolate: bool = True,
@@ -97,12 +96,11 @@ def run_sweep(
     """Fly the cells that are not done, and write the table of all.
 
     metric: of the table. baseline: controller that the others are compared with. confidence: of the intervals.
-    engine: where to fly; None for `workers` processes of this machine (0: one a core), each cell for at most `timeout`
-    seconds. force: fly everything again, and replace another sweep's table. old: of cells that are there and were flown
-    by other sources than those that run: "refly", "keep", or refuse to go on. isolate: False flies in this process.
-    progress: called with the numbers of cells done and of all. flown: called with the rows and
-    the record of the results once all cells are flown, before the tables are made. landed: called with every row as it
-    is there. function: flies one cell.
+    engine: where to fly; None for `workers` processes of this machine (0: one a core). force: fly everything again, and
+    replace another sweep's table. old: of cells that are there and were flown by other sources than those that run:
+    "refly", "keep", or refuse to go on. isolate: False flies in this process. flown: called with the rows and the
+    record of the results once all cells are flown, before the tables are made. landed: called with every row as it is
+    there. function: flies one cell.
 
     A cell whose settings contradict each other is not flown: the outcome of its row is "invalid", `cause` says why.
 
@@ -135,7 +133,7 @@ def run_sweep(
             landed(row)
         progress(len(rows), len(jobs))
         try:
-            for key, row in _fly(todo, store, engine or LocalEngine(workers, timeout), function, isolate):
+            for key, row in _fly(todo, store, engine or LocalEngine(workers), function, isolate):
                 rows[key] = _row_of(jobs[key], row)
                 landed(rows[key])
                 progress(len(rows), len(jobs))
